@@ -1,0 +1,62 @@
+"""Centre-based simulation of multicellular tissue.
+
+>>> import multicell as mc
+>>> scene = mc.load_scene("spheroid").with_changes({"duration": "2 d"})
+>>> result = mc.run(scene)                                      # doctest: +SKIP
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from multicell.cells import Cells, State
+from multicell.contact import JKR, Hertz
+from multicell.errors import MulticellError, OutputError, SceneError, StepFailed
+
+if TYPE_CHECKING:
+    from multicell.result import Result, load_result
+    from multicell.running import run
+    from multicell.scene import Scene, load_scene, scene_names
+    from multicell.simulation import Simulation
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "JKR",
+    "Cells",
+    "Hertz",
+    "MulticellError",
+    "OutputError",
+    "Result",
+    "Scene",
+    "SceneError",
+    "Simulation",
+    "State",
+    "StepFailed",
+    "load_result",
+    "load_scene",
+    "run",
+    "scene_names",
+]
+
+_LAZY = {
+    "Result": "multicell.result",
+    "Scene": "multicell.scene",
+    "Simulation": "multicell.simulation",
+    "load_result": "multicell.result",
+    "load_scene": "multicell.scene",
+    "run": "multicell.running",
+    "scene_names": "multicell.scene",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name when it is first asked for: numba and SUNDIALS take their time."""
+    if name in _LAZY:
+        return getattr(import_module(_LAZY[name]), name)
+    raise AttributeError(f"module 'multicell' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,80 @@
+"""Division: one mother becomes two daughters of half her volume."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multicell import streams
+from multicell.biology.growth import division_volume
+from multicell.biology.initial import draw_cycle_times, draw_moduli
+from multicell.cells import Cells, State
+from multicell.streams import Purpose
+
+if TYPE_CHECKING:
+    from multicell.scene import Scene
+
+HALF = 0.5 ** (1.0 / 3.0)
+"""Radius of a sphere over the radius of one with twice its volume."""
+
+# A cell that reaches the division volume up to rounding has reached it: else cells in step with
+# the coupling times would divide in this step or the next at the whim of the last bit.
+_ROUNDING = 1e-12
+
+
+def divide(scene: Scene, cells: Cells, step: int, next_id: int) -> tuple[Cells, int]:
+    """Divide all proliferating cells that have reached the division volume.
+
+    Each mother is replaced by two daughters of half her volume (what she grew beyond the division
+    volume included), at +- r (1 - 2^(-1/3)) from her centre along a random axis, r her radius:
+    volume and centre of mass are conserved and the daughters stay within the mother.
+
+    Parameters
+    ----------
+    scene
+        A scene without ``growth`` has no divisions.
+    cells
+        The population; it is not changed.
+    step
+        Index of the coupling step, part of the key of the random numbers.
+    next_id
+        First identity that is free.
+
+    Returns
+    -------
+    cells
+        The cells that did not divide, in their old order, followed by the daughters in the order
+        of their mothers' identities. The daughters have age 0, the mother's pressure and Poisson
+        ratio, and draw cycle time and modulus anew.
+    next_id
+        First identity that is free now; it has grown by two a division.
+    """
+    if scene.growth is None:
+        return cells, next_id
+    enough = division_volume(scene) * (1.0 - _ROUNDING)
+    ripe = (cells.state == State.PROLIFERATING) & (cells.volume >= enough)
+    if not ripe.any():
+        return cells, next_id
+    mothers = cells.take(ripe)
+    # identities follow those of the mothers, so that the order of the arrays does not matter
+    mothers = mothers.take(np.argsort(mothers.id))
+    ids = np.arange(next_id, next_id + 2 * len(mothers), dtype=np.int64)
+    return cells.take(~ripe).joined(_daughters(scene, mothers, step, ids)), int(ids[-1]) + 1
+
+
+def _daughters(scene: Scene, mothers: Cells, step: int, ids: NDArray[np.int64]) -> Cells:
+    """Return two daughters for each of the ``mothers``, side by side, named ``ids``."""
+    axis = streams.unit_vectors(scene.seed, Purpose.AXIS, step, mothers.id)
+    offset = (mothers.radius * (1.0 - HALF))[:, None] * axis
+    daughters = mothers.take(np.repeat(np.arange(len(mothers)), 2))
+    daughters.position[0::2] += offset
+    daughters.position[1::2] -= offset
+    daughters.parent = daughters.id
+    daughters.id = ids
+    daughters.radius = daughters.radius * HALF
+    daughters.age = np.zeros(len(ids))
+    daughters.young = draw_moduli(scene, step, ids)
+    daughters.cycle_time = draw_cycle_times(scene, step, ids)
+    return daughters

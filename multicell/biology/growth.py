@@ -1,0 +1,103 @@
+"""Growth of volume, limited by nutrient and pressure, and loss of volume after death."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from multicell.cells import SPHERE, Cells, FloatArray, State
+
+if TYPE_CHECKING:
+    from multicell.scene import Scene
+
+
+def division_volume(scene: Scene) -> float:
+    """Return the volume at which a cell divides, µm³."""
+    return float(SPHERE * scene.cells.division_radius**3)
+
+
+def birth_volume(scene: Scene) -> float:
+    """Return the volume of a newborn cell, half the division volume, µm³."""
+    return 0.5 * division_volume(scene)
+
+
+def growth_factor(
+    scene: Scene, concentrations: Mapping[str, FloatArray], pressure: FloatArray
+) -> FloatArray:
+    """Return how fast cells would grow here, as a fraction of unlimited growth.
+
+    The factor is the product of Monod's c / (K + c) over all nutrients and of
+    min(1, max(0, 1 - p / p_crit)): pressure slows growth linearly and stops it at the critical
+    pressure, tension does not speed it up. It describes the surroundings only; which cells do
+    grow is decided by their state in :func:`volumes_after`.
+
+    Parameters
+    ----------
+    scene
+        A scene without ``growth`` gives zeros.
+    concentrations : mapping of (n,), mM
+        Concentration at the cells, for every nutrient of the scene.
+    pressure : (n,), kPa
+        Compression by the neighbours, tension negative.
+
+    Returns
+    -------
+    (n,) float64
+        In [0, 1].
+
+    Raises
+    ------
+    KeyError
+        If a nutrient of the scene has no concentrations.
+
+    References
+    ----------
+    J. Monod, Annu. Rev. Microbiol. 3 (1949) 371; A. N. Malmi-Kakkada et al., Phys. Rev. X 8
+    (2018) 021025 for growth that stops at a critical pressure.
+    """
+    pressure = np.asarray(pressure, dtype=np.float64)
+    if scene.growth is None:
+        return np.zeros_like(pressure)
+    factor = np.ones_like(pressure)
+    for name, nutrient in scene.nutrients.items():
+        c = np.asarray(concentrations[name])
+        factor *= c / (nutrient.growth_half_saturation + c)
+    critical = scene.growth.critical_pressure
+    if critical is not None:
+        factor *= np.minimum(1.0, np.maximum(0.0, 1.0 - pressure / critical))
+    return factor
+
+
+def volumes_after(scene: Scene, cells: Cells, factor: FloatArray, dt: float) -> FloatArray:
+    """Return the volume of each cell after a time ``dt``.
+
+    Proliferating cells grow linearly, V' = factor V_birth / cycle_time, so that one that nothing
+    limits doubles in its cycle time; quiescent cells keep their volume; necrotic cells shrink as
+    V' = -V / lysis_time. Both are integrated exactly for the given factor. Growth may pass the
+    division volume within the step: the excess goes to the daughters.
+
+    Parameters
+    ----------
+    scene
+        Without ``growth`` no cell grows, without ``death`` no cell shrinks.
+    cells
+        The population, n cells.
+    factor : (n,)
+        From :func:`growth_factor`.
+    dt
+        Length of the step, s.
+
+    Returns
+    -------
+    (n,) float64, µm³
+    """
+    volume = cells.volume
+    if scene.growth is not None:
+        growing = cells.state == State.PROLIFERATING
+        rate = factor[growing] * birth_volume(scene) / cells.cycle_time[growing]
+        volume[growing] += dt * rate
+    if scene.death is not None:
+        volume[cells.state == State.NECROTIC] *= np.exp(-dt / scene.death.lysis_time)
+    return volume

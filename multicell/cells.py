@@ -1,0 +1,124 @@
+"""The state of all cells as a structure of NumPy arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields
+from enum import IntEnum
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+SPHERE = 4.0 * np.pi / 3.0
+"""Volume of a sphere of unit radius."""
+
+
+@final
+class State(IntEnum):
+    """What a cell does; the values are those stored in :attr:`Cells.state`."""
+
+    PROLIFERATING = 0
+    QUIESCENT = 1
+    NECROTIC = 2
+
+
+def _column(dtype: type, unit: str, *, width: int | None = None) -> Any:
+    """Declare an array with one entry (or one row of ``width``) per cell."""
+    return field(metadata={"dtype": dtype, "unit": unit, "width": width})
+
+
+@final
+@dataclass
+class Cells:
+    """State of ``n`` cells; every array has ``n`` rows and the cells' common order.
+
+    The order may change from step to step (spatial sorting): refer to a cell by its ``id``.
+    Units are the base units µm, s, kPa.
+
+    Attributes
+    ----------
+    id : (n,) int64
+        Identity, unique over a run, counted from 0.
+    parent : (n,) int64
+        Identity of the mother, -1 for cells that were there at the start.
+    position : (n, 3) float64, µm
+    radius : (n,) float64, µm
+    young : (n,) float64, kPa
+        Young's modulus E.
+    poisson : (n,) float64
+        Poisson ratio ν.
+    state : (n,) int8
+        One of :class:`State`.
+    age : (n,) float64, s
+        Time since birth.
+    cycle_time : (n,) float64, s
+        Time in which the cell doubles its volume when nothing limits it.
+    pressure : (n,) float64, kPa
+        Compression by the neighbours at the end of the last step, tension negative.
+    """
+
+    id: IntArray = _column(np.int64, "")
+    parent: IntArray = _column(np.int64, "")
+    position: FloatArray = _column(np.float64, "um", width=3)
+    radius: FloatArray = _column(np.float64, "um")
+    young: FloatArray = _column(np.float64, "kPa")
+    poisson: FloatArray = _column(np.float64, "")
+    state: NDArray[np.int8] = _column(np.int8, "")
+    age: FloatArray = _column(np.float64, "s")
+    cycle_time: FloatArray = _column(np.float64, "s")
+    pressure: FloatArray = _column(np.float64, "kPa")
+
+    def __post_init__(self) -> None:
+        n = len(self.id)
+        for name, column in self.columns():
+            spec = self.__dataclass_fields__[name].metadata
+            shape = (n,) if spec["width"] is None else (n, spec["width"])
+            array = np.ascontiguousarray(column, dtype=spec["dtype"])
+            if array.shape != shape:
+                raise ValueError(f"cells.{name} has shape {array.shape}, expected {shape}")
+            setattr(self, name, array)
+
+    def __len__(self) -> int:
+        return len(self.id)
+
+    @property
+    def volume(self) -> FloatArray:
+        """Volume of each cell as a free sphere, (n,), µm³."""
+        return np.asarray(SPHERE * self.radius**3)
+
+    def columns(self) -> Iterator[tuple[str, NDArray[Any]]]:
+        """Yield the name and the array of every column, in the order of declaration."""
+        for spec in fields(self):
+            yield spec.name, getattr(self, spec.name)
+
+    def take(self, index: NDArray[Any]) -> Cells:
+        """Return copies of the cells at ``index`` (integers or a mask), in that order."""
+        return Cells(**{name: column[index] for name, column in self.columns()})
+
+    def joined(self, other: Cells) -> Cells:
+        """Return these cells followed by those of ``other``."""
+        return Cells(
+            **{
+                name: np.concatenate([column, getattr(other, name)])
+                for name, column in self.columns()
+            }
+        )
+
+    @classmethod
+    def schema(cls) -> dict[str, dict[str, Any]]:
+        """Return ``dtype``, ``unit`` and ``width`` of every column by name."""
+        return {spec.name: dict(spec.metadata) for spec in fields(cls)}
+
+    @classmethod
+    def empty(cls) -> Cells:
+        """Return a population of no cells."""
+        return cls(
+            **{
+                name: np.empty((0,) if s["width"] is None else (0, s["width"]), dtype=s["dtype"])
+                for name, s in cls.schema().items()
+            }
+        )

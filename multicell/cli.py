@@ -1,0 +1,301 @@
+"""The command ``multicell``: parse, call, print.
+
+Exit codes: 0 done, 1 a run that failed, 2 bad input, 130 interrupted by Ctrl-C. Errors are one
+sentence on stderr. With ``--json`` stdout holds exactly one JSON document.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from multicell import __version__
+from multicell.errors import MulticellError, OutputError, StepFailed
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from multicell.scene import Scene
+
+INTERRUPTED = 130
+
+_json = click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
+_set = click.option(
+    "--set",
+    "changes",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="Change one value of the scene, for example --set duration='8 d' or "
+    "--set nutrients.oxygen.boundary='0.07 mM'. An empty value removes an optional part "
+    "(--set growth=). May be given several times.",
+)
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, message="multicell %(version)s")
+def main() -> None:
+    """Simulate multicellular tissue cell by cell.
+
+    SCENE is the name of a built-in scene ("multicell scenes" lists them) or the path of a TOML
+    file.
+    """
+
+
+@main.command()
+@_json
+def scenes(as_json: bool) -> None:
+    """List the built-in scenes."""
+    with _errors(as_json):
+        from multicell.scene import load_scene, scene_names
+
+        rows = [_scene_row(name, load_scene(name)) for name in scene_names()]
+        if as_json:
+            _print_json(rows)
+            return
+        from rich.table import Table
+
+        table = Table(box=None, pad_edge=False, header_style="bold")
+        for column in ("scene", "duration", "parts", "title"):
+            table.add_column(column, no_wrap=column in ("scene", "duration"))
+        for row in rows:
+            time = _time(row["duration"])
+            table.add_row(*map(_plain, (row["name"], time, ", ".join(row["parts"]), row["title"])))
+        _console().print(table)
+
+
+@main.command()
+@click.argument("scene")
+@_set
+@_json
+def explain(scene: str, changes: Sequence[str], as_json: bool) -> None:
+    """Tell what a SCENE uses and why, without running it."""
+    with _errors(as_json):
+        from multicell.explain import explain as explained
+
+        facts = explained(_scene(scene, changes))
+        if as_json:
+            _print_json({"scene": scene, **facts})
+        else:
+            _print_facts(_console(), scene, facts)
+
+
+@main.command()
+@click.argument("scene")
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    required=True,
+    help="Folder for the results; it must be empty or new.",
+)
+@_set
+@click.option("--overwrite", is_flag=True, help="Replace the results of an earlier run.")
+@click.option("--integrator", metavar="NAME", help="Method, for example cvode or euler.")
+@click.option("--threads", type=click.IntRange(min=1), help="Number of threads.")
+@click.option("--no-report", is_flag=True, help="Write no report and no pictures.")
+@click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+@_json
+def run(
+    scene: str,
+    output: Path,
+    changes: Sequence[str],
+    overwrite: bool,
+    integrator: str | None,
+    threads: int | None,
+    no_report: bool,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Run a SCENE and write frames, summary, pictures and a report to a folder."""
+    with _errors(as_json):
+        described = _scene(scene, changes)
+        if integrator is not None:
+            described = described.with_changes({"integrator": integrator})
+        # loaded after the scene was accepted: bad input is answered at once
+        from multicell.progress import reporter
+        from multicell.running import run as simulate
+
+        try:
+            with reporter(described, show=not quiet) as progress:
+                result = simulate(
+                    described,
+                    output=output,
+                    overwrite=overwrite,
+                    threads=threads,
+                    progress=progress,
+                    report=not no_report,
+                )
+        except (KeyboardInterrupt, StepFailed) as error:
+            _finish_early(error, output, no_report, as_json)
+            raise
+        if as_json:
+            _print_json(result.summary())
+        elif not quiet:
+            _print_summary(_console(), result.summary(), output)
+
+
+def parse_changes(items: Sequence[str]) -> dict[str, Any]:
+    """Return the values of ``KEY=VALUE`` items.
+
+    A value that is valid TOML (number, true, quoted text, table) is taken as such, any other
+    text as a string; an empty one becomes None.
+
+    Raises
+    ------
+    click.BadParameter
+        If an item has no ``=`` or no key.
+    """
+    changes: dict[str, Any] = {}
+    for item in items:
+        key, equals, text = item.partition("=")
+        if not equals or not key.strip():
+            raise click.BadParameter(f"'{item}' is not KEY=VALUE", param_hint="'--set'")
+        changes[key.strip()] = _value(text.strip())
+    return changes
+
+
+def _value(text: str) -> Any:
+    """Return a TOML value, or the text itself where it is none."""
+    if not text:
+        return None
+    try:
+        parsed = tomllib.loads(f"value = {text}")
+    except tomllib.TOMLDecodeError:
+        return text
+    value = parsed["value"]
+    known = isinstance(value, bool | int | float | str | list | dict)
+    # a line break would smuggle in a second key; a date is no value of a scene
+    return value if known and set(parsed) == {"value"} else text
+
+
+def _scene(source: str, changes: Sequence[str]) -> Scene:
+    """Return the scene that the arguments describe."""
+    parsed = parse_changes(changes)
+    from multicell.scene import load_scene
+
+    return load_scene(source).with_changes(parsed)
+
+
+@contextmanager
+def _errors(as_json: bool) -> Iterator[None]:
+    """End with one sentence and the exit code of the error, without traceback."""
+    try:
+        yield
+    except MulticellError as error:
+        if as_json:
+            _print_json({"error": str(error), "kind": type(error).__name__})
+        click.echo(f"Error: {error}", err=True)
+        raise click.exceptions.Exit(error.exit_code) from None
+    except KeyboardInterrupt:
+        click.echo("Interrupted.", err=True)
+        raise click.exceptions.Exit(INTERRUPTED) from None
+
+
+def _finish_early(error: BaseException, output: Path, no_report: bool, as_json: bool) -> None:
+    """Report on what a run that was interrupted or failed has done so far."""
+    from multicell.result import load_result
+
+    try:
+        result = load_result(output)
+        if not no_report:
+            result.report()
+    except OutputError as trouble:
+        # the first error is the one that counts: it follows
+        click.echo(f"Nothing could be reported: {trouble}", err=True)
+        return
+    count = len(result.frames)
+    last = result.frames[-1].time if count else 0.0
+    click.echo(f"{count} frame(s) up to {_time(last)} are kept in '{output}'.", err=True)
+    if as_json and isinstance(error, KeyboardInterrupt):
+        _print_json({**result.summary(), "interrupted": True})
+
+
+def _scene_row(name: str, scene: Scene) -> dict[str, Any]:
+    parts = ["growth"] if scene.growth else []
+    parts += ["death"] if scene.death else []
+    parts += list(scene.nutrients)
+    return {
+        "name": name,
+        "title": scene.title,
+        "duration": scene.duration,
+        "initial_cells": scene.initial.count,
+        "parts": parts or ["mechanics only"],
+    }
+
+
+def _time(seconds: float) -> str:
+    for unit, size in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= size:
+            return f"{seconds / size:.3g} {unit}"
+    return f"{seconds:.3g} s"
+
+
+def _console() -> Console:
+    from rich.console import Console
+
+    return Console(highlight=False)
+
+
+def _plain(text: object) -> Any:
+    """Return text in which square brackets are no markup."""
+    from rich.text import Text
+
+    return Text(str(text))
+
+
+def _print_json(document: Any) -> None:
+    from multicell.folder import to_json
+
+    click.echo(to_json(document))
+
+
+def _print_facts(console: Console, scene: str, facts: dict[str, Any]) -> None:
+    """Print the parts, the numbers and the notes of ``explain``."""
+    from rich.table import Table
+
+    console.print(_plain(f"{scene}: {facts['title']}" if facts["title"] else scene), style="bold")
+    parts = Table(box=None, pad_edge=False, header_style="bold")
+    for column in ("", "part", "what it means"):
+        parts.add_column(column)
+    for part in facts["parts"]:
+        mark = _plain("used" if part["used"] else "absent")
+        mark.stylize("green" if part["used"] else "dim")
+        parts.add_row(mark, _plain(part["part"]), _plain(part["what"]))
+    numbers = Table(box=None, pad_edge=False, header_style="bold")
+    for column in ("derived number", "value", "unit", "meaning"):
+        numbers.add_column(column, justify="right" if column == "value" else "left")
+    for entry in facts["numbers"]:
+        value = entry["value"]
+        shown = f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.4g}"
+        numbers.add_row(*map(_plain, (entry["name"], shown, entry["unit"], entry["meaning"])))
+    console.print()
+    console.print(parts)
+    console.print()
+    console.print(numbers)
+    for note in facts["notes"]:
+        console.print(_plain(f"\nNote: {note}"), style="yellow")
+
+
+def _print_summary(console: Console, summary: dict[str, Any], output: Path) -> None:
+    """Print the key figures of a run as a short table."""
+    from rich.table import Table
+
+    from multicell.report import measures
+
+    table = Table(box=None, pad_edge=False, show_header=False)
+    table.add_column(style="bold")
+    table.add_column(justify="right")
+    for name, value in measures(summary):
+        table.add_row(_plain(name), _plain(value))
+    states = ", ".join(f"{n:,} {name}" for name, n in summary.get("states", {}).items() if n)
+    table.add_row(_plain("states"), _plain(states))
+    work = summary.get("integrator", {})
+    if "evaluations" in work:
+        table.add_row(_plain("force evaluations"), _plain(f"{work['evaluations']:,}"))
+    console.print(table)
+    console.print(_plain(f"Results are in '{output}'."))

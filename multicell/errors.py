@@ -1,0 +1,72 @@
+"""Every error that a user can cause, and the exit code that each one ends with."""
+
+from __future__ import annotations
+
+from typing import ClassVar, final
+
+
+class MulticellError(Exception):
+    """Base of all errors raised on purpose; its text is written for the user.
+
+    Abstract: raise one of the final classes below.
+    """
+
+    exit_code: ClassVar[int] = 1
+
+
+@final
+class SceneError(MulticellError):
+    """A scene, a parameter or a quantity that cannot be accepted.
+
+    Parameters
+    ----------
+    path
+        Where the value stands, as dotted keys (``"nutrients.oxygen.boundary"``).
+    problem
+        What is wrong, with the value and what is allowed.
+    hint
+        What to try, for example the likely name of a misspelt key.
+    """
+
+    exit_code: ClassVar[int] = 2
+
+    def __init__(self, path: str, problem: str, hint: str = "") -> None:
+        self.path = path
+        self.problem = problem
+        self.hint = hint
+        text = f"{path}: {problem}" if path else problem
+        super().__init__(f"{text}. {hint}" if hint else text)
+
+
+@final
+class OutputError(MulticellError):
+    """An output folder or file that cannot be used."""
+
+    exit_code: ClassVar[int] = 2
+
+
+@final
+class StepFailed(MulticellError):  # noqa: N818 - it names what happened, like StopIteration
+    """A coupling step whose equations could not be solved.
+
+    Parameters
+    ----------
+    time
+        Simulated time in s at which the integration stopped.
+    problem
+        What happened, in words.
+    hint
+        What to try.
+    cell
+        Identity of the cell that shows the failure most, where there is one.
+    """
+
+    exit_code: ClassVar[int] = 1
+
+    def __init__(self, time: float, problem: str, hint: str, cell: int | None = None) -> None:
+        self.time = time
+        self.problem = problem
+        self.hint = hint
+        self.cell = cell
+        where = f"cell {cell}, " if cell is not None else ""
+        super().__init__(f"step failed ({where}t = {time:.6g} s): {problem}. {hint}")

@@ -1,0 +1,82 @@
+"""What is known at one moment of a run: the cells, and the fields around them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multicell.cells import Cells, FloatArray
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Field:
+    """A concentration on a regular grid of cubes.
+
+    Attributes
+    ----------
+    name
+        Name of the nutrient.
+    unit
+        Unit of the values, ``"mM"``.
+    origin : (3,) float64, µm
+        Corner of the box with the smallest coordinates.
+    spacing
+        Edge of a grid cube in µm.
+    values : (nx, ny, nz) float64
+        Values at the centres of the cubes, ``origin + (i + 1/2) * spacing``.
+
+    Raises
+    ------
+    ValueError
+        If ``origin`` or ``values`` have the wrong shape, or ``spacing`` is not positive.
+    """
+
+    name: str
+    unit: str
+    origin: FloatArray
+    spacing: float
+    values: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        if np.shape(self.origin) != (3,):
+            raise ValueError(f"field {self.name}: origin has shape {np.shape(self.origin)}")
+        if np.ndim(self.values) != 3:
+            raise ValueError(f"field {self.name}: values have {np.ndim(self.values)} dimensions")
+        if not self.spacing > 0.0:
+            raise ValueError(f"field {self.name}: spacing is {self.spacing}, must be above 0")
+
+    def axis(self, direction: int) -> FloatArray:
+        """Return the coordinates of the grid centres along one direction, in µm."""
+        count = self.values.shape[direction]
+        return np.asarray(self.origin[direction] + (np.arange(count) + 0.5) * self.spacing)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """The state of a run at one time.
+
+    Attributes
+    ----------
+    time
+        Simulated time in s.
+    step
+        Number of coupling steps done.
+    cells
+        All cells.
+    concentrations : name -> (n,) float64, mM
+        Concentration of each nutrient at the cells, in the order of ``cells``.
+    fields : name -> Field
+        The nutrient fields as they were last solved.
+    """
+
+    time: float
+    step: int
+    cells: Cells
+    concentrations: Mapping[str, FloatArray] = field(default_factory=dict)
+    fields: Mapping[str, Field] = field(default_factory=dict)

@@ -1,0 +1,333 @@
+"""Quasi-steady diffusion with Michaelis-Menten uptake, by Newton and conjugate gradients.
+
+On the nodes of a cell-centred grid, with py-pde's Laplacian L (seven points, the values on the
+faces entering through ghost values ``2 * boundary - node``), the steady state solves
+
+    F(c) = -D L c + q c / (K + c) = 0,    q >= 0 the largest uptake per volume at each node.
+
+**No concentration is negative.** -D L is an M-matrix, uptake is diagonal and vanishes with c:
+the solution satisfies (-D L0 + q / (K + c)) c = boundary terms >= 0 with an inverse that has no
+negative entry. Nothing is clipped, so where the exact value is far below the solver's tolerance
+(the depth of a starved core) a node may be left at about -1e-15 times the medium's value.
+
+**Newton converges from any start.** With the law continued below zero along its tangent (there the
+solution never is) F is the gradient of a strictly convex energy, so a line search on its slope is
+safe whatever the linear solver leaves over. F is concave too, and its Jacobian an M-matrix: once
+below the solution, exact steps rise monotonically to it (Ortega & Rheinboldt 1970, theorem 13.3.4),
+and the search accepts them in full.
+
+**The linear systems** (-D L0 + m) x = r, with m = q K / (K + c)^2, go to conjugate gradients with
+the preconditioner S (-D L0 + m0)^-1 S: the sine transform inverts the middle exactly, and the
+diagonal S = (1 + m h^2 / 2 D)^-1/2 takes care of nodes where uptake is faster than diffusion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from copy import copy
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multicell.cells import FloatArray
+from multicell.nutrient import stencil
+from multicell.nutrient.grid import NutrientFailed
+
+if TYPE_CHECKING:
+    from pde.grids.cartesian import CartesianGrid
+
+TOLERANCE = 1e-9
+"""Bound on the sum of all nodes' imbalances, relative to the total uptake."""
+
+ROUGH = 1e-3
+"""The same bound for intermediate solutions with a larger half saturation."""
+
+MAX_NEWTON = 20  # twice what a start far from the solution takes
+MAX_CG = 500  # per Newton step; a system not solved by then gives a poorer step, no failure
+
+FORCING = 0.03
+"""Largest part of the imbalance that the linear solver may leave over."""
+
+MAX_BACKTRACKS = 30
+
+SHIFT = 1.0
+"""The preconditioner's uniform uptake, relative to the mean of the linearised uptake."""
+
+
+@final
+@dataclass(frozen=True)
+class SolveReport:
+    """What a solve took and how well it balances.
+
+    Attributes
+    ----------
+    newton, cg : int
+        Newton steps and, over all of them, conjugate-gradient steps.
+    residual : float, amol/s
+        Sum of all nodes' absolute imbalances, by py-pde's own operator. It bounds the
+        difference of inflow and uptake.
+    inflow : float, amol/s
+        Net diffusion through the faces of the box.
+    uptake : float, amol/s
+        Total uptake.
+    """
+
+    newton: int
+    cg: int
+    residual: float
+    inflow: float
+    uptake: float
+
+
+@final
+class Diffusion:
+    """The Laplacian of py-pde on a grid with Dirichlet values on all faces, and its inverse.
+
+    Parameters
+    ----------
+    grid
+        Cartesian grid of cubes in three dimensions, cell-centred, not periodic.
+    diffusion : float, µm²/s
+    boundary
+        Concentration in mM on all faces, or py-pde's description of Dirichlet conditions
+        (``{"x-": {"value": array}, ...}``). Never pass text from users: py-pde executes it.
+
+    Raises
+    ------
+    ValueError
+        If the spacing differs between the axes.
+    """
+
+    def __init__(
+        self, grid: CartesianGrid, diffusion: float, boundary: float | Mapping[str, Any]
+    ) -> None:
+        if not np.allclose(grid.discretization, grid.discretization[0], rtol=1e-9):
+            raise ValueError(f"spacing differs between axes: {grid.discretization} um")
+        nx, ny, nz = grid.shape
+        self.shape = (nx, ny, nz)
+        self.spacing = float(grid.discretization[0])
+        self.diffusion = diffusion
+        self.stiffness = diffusion / self.spacing**2
+        values = dict(boundary) if isinstance(boundary, Mapping) else {"value": float(boundary)}
+        self._conditions = grid.get_boundary_conditions(values, rank=0)
+        self._laplacian: Callable[[FloatArray], FloatArray] = grid.make_operator(
+            "laplace", bc=self._conditions, backend="scipy"
+        )
+        self.source: FloatArray = diffusion * self._laplacian(np.zeros(self.shape))
+        self._eigenvalues = [self.stiffness * sine_eigenvalues(n) for n in self.shape]
+
+    def divergence(self, c: FloatArray) -> FloatArray:
+        """Return D L c in mM/s by py-pde's operator, boundary values included."""
+        return np.asarray(self.diffusion * self._laplacian(c))
+
+    def inflow(self, c: FloatArray) -> float:
+        """Return the net flow in through the faces in amol/s, from py-pde's ghost values."""
+        full = np.empty([n + 2 for n in self.shape])
+        full[1:-1, 1:-1, 1:-1] = c
+        self._conditions.set_ghost_cells(full)
+        steps = 0.0
+        for axis in range(3):
+            layers = np.moveaxis(full, axis, 0)[:, 1:-1, 1:-1]
+            steps += float(np.sum(layers[0] - layers[1]) + np.sum(layers[-1] - layers[-2]))
+        return self.diffusion * self.spacing * steps
+
+    def invert(self, y: NDArray[Any], shift: float) -> tuple[NDArray[Any], float]:
+        """Solve (-D L0 + shift) u = y for zero on the faces, in the precision of ``y``.
+
+        Returns u, which takes the memory of ``y``, and the product y . u.
+        """
+        from scipy.fft import dstn, idstn
+
+        ax, ay, az = self._eigenvalues
+        spectrum = dstn(y, type=2, norm="ortho", overwrite_x=True, workers=1)
+        product = stencil.divide_spectrum(spectrum, ax, ay, az, shift)
+        u = idstn(spectrum, type=2, norm="ortho", overwrite_x=True, workers=1)
+        return u, product
+
+
+def sine_eigenvalues(n: int) -> FloatArray:
+    """Return the n eigenvalues of minus the one-dimensional Dirichlet Laplacian times h²."""
+    return np.asarray(4.0 * np.sin(0.5 * np.pi * np.arange(1, n + 1) / n) ** 2)
+
+
+def solve_steady(
+    operator: Diffusion,
+    sink: FloatArray,
+    half_saturation: float,
+    start: FloatArray,
+    *,
+    tolerance: float = TOLERANCE,
+) -> tuple[FloatArray, SolveReport]:
+    """Solve for the steady concentration.
+
+    Parameters
+    ----------
+    operator
+        Diffusion with its boundary values.
+    sink : (nx, ny, nz), mM/s
+        Largest uptake per volume at each node, not negative.
+    half_saturation : float, mM
+    start : (nx, ny, nz), mM
+        First guess; any finite values do.
+    tolerance
+        See :data:`TOLERANCE`.
+
+    Returns
+    -------
+    (nx, ny, nz), mM
+    SolveReport
+
+    Raises
+    ------
+    NutrientFailed
+        If the iterations do not converge or meet values that are not finite.
+    """
+    first = np.array(start, dtype=np.float64)
+    linear = _Linear(operator)
+    state, done = _newton(_State(operator, sink, half_saturation, first), tolerance, linear)
+    if not done and np.isfinite(state.size):
+        state, done = _descend(operator, sink, half_saturation, start, tolerance, linear)
+    if not done:
+        raise NutrientFailed(
+            f"the steady nutrient field did not converge: after {linear.newton} Newton steps the "
+            f"imbalance is {state.size:.3g} mM/s, wanted {state.target(tolerance):.3g} mM/s",
+            "Check uptake, diffusion and half_saturation of the nutrient for sensible values",
+        )
+    return state.c, state.report(linear)
+
+
+def _newton(state: _State, tolerance: float, linear: _Linear) -> tuple[_State, bool]:
+    """Iterate from ``state``; return the last state and whether it is within the tolerance."""
+    trial, forcing = state.empty_copy(), FORCING
+    for _ in range(MAX_NEWTON):
+        target = state.target(tolerance)
+        if state.size <= target or not np.isfinite(state.size):
+            break
+        goal = max(forcing, 0.3 * target / state.size)
+        correction = linear.solve(state.rate, state.residual, state.size, goal)
+        _search(state, trial, correction)
+        forcing = min(FORCING, (trial.size / state.size) ** 2)
+        state, trial = trial, state
+    return state, state.size <= state.target(tolerance)
+
+
+def _descend(
+    operator: Diffusion,
+    sink: FloatArray,
+    half_saturation: float,
+    start: FloatArray,
+    tolerance: float,
+    linear: _Linear,
+) -> tuple[_State, bool]:
+    """Solve with a large constant K first and then with ever smaller ones.
+
+    Uptake that saturates at K far below the medium's value is close to a free-boundary problem:
+    from far away Newton would move the edge of the starved core by a node a step.
+    """
+    c = np.array(start, dtype=np.float64)
+    half = float(np.max(np.abs(operator.source))) / operator.stiffness
+    while half > 2.0 * half_saturation:
+        state, _ = _newton(_State(operator, sink, half, c), ROUGH, linear)
+        c, half = state.c, half / 4.0
+    return _newton(_State(operator, sink, half_saturation, c), tolerance, linear)
+
+
+@final
+class _State:
+    """A concentration with its imbalance, the derivative of uptake, and their norms."""
+
+    def __init__(self, operator: Diffusion, sink: FloatArray, half: float, c: FloatArray) -> None:
+        self.operator, self.sink, self.half, self.c = operator, sink, half, c
+        self.residual, self.rate = np.empty_like(c), np.empty_like(c)
+        self.evaluate()
+
+    def evaluate(self) -> None:
+        """Bring all up to date with ``c``."""
+        op = self.operator
+        squares, self.total, size = stencil.imbalance(
+            self.c, self.sink, op.source, self.half, op.stiffness, self.residual, self.rate
+        )
+        self.size, self.norm = float(np.sqrt(squares)), float(np.sqrt(size))
+
+    def target(self, tolerance: float) -> float:
+        """Return the norm of the imbalance in mM/s at which the solution is accepted.
+
+        By Cauchy's inequality the absolute imbalances then sum to at most ``tolerance`` times the
+        uptake. Below the rounding error of the imbalance itself nothing can be asked.
+        """
+        rounding = 8.0 * float(np.finfo(float).eps) * self.operator.stiffness * self.norm
+        return max(tolerance * self.total / float(np.sqrt(self.c.size)), rounding)
+
+    def empty_copy(self) -> _State:
+        """Return the same problem with arrays of its own, not filled yet."""
+        other = copy(self)
+        other.c, other.residual, other.rate = (np.empty_like(self.c) for _ in range(3))
+        return other
+
+    def report(self, linear: _Linear) -> SolveReport:
+        """Return the balance, with the imbalance by py-pde's operator."""
+        op = self.operator
+        volume = op.spacing**3
+        uptake = self.sink * self.c
+        uptake /= self.half + self.c
+        imbalance = float(np.sum(np.abs(op.divergence(self.c) - uptake)))
+        total = float(np.sum(uptake))
+        inflow = op.inflow(self.c)
+        return SolveReport(linear.newton, linear.cg, volume * imbalance, inflow, volume * total)
+
+
+def _search(state: _State, trial: _State, correction: FloatArray) -> None:
+    """Set ``trial`` to a point along the correction where the convex energy is lower.
+
+    F is the gradient of a convex energy, and the correction of a conjugate-gradient solve always
+    points downhill. The slope along it may at most turn round to nine tenths; it does at the
+    first step into a starved core, where the tangent of the saturated law is far from the law.
+    """
+    slope = stencil.dot(state.residual, correction)
+    share = 1.0
+    for _ in range(MAX_BACKTRACKS):
+        np.multiply(correction, share, out=trial.c)
+        trial.c += state.c
+        trial.evaluate()
+        there = stencil.dot(trial.residual, correction)
+        if not there < -0.9 * slope:
+            return
+        share *= max(slope / (slope - there), 0.25)
+
+
+@final
+class _Linear:
+    """Preconditioned conjugate gradients, with the arrays that they work in."""
+
+    def __init__(self, operator: Diffusion) -> None:
+        self.operator = operator
+        self.newton = self.cg = 0
+        self.x, self.r, self.p, self.q, self.scale = (np.empty(operator.shape) for _ in range(5))
+        self.single = np.empty(operator.shape, dtype=np.float32)
+
+    def solve(self, rate: FloatArray, residual: FloatArray, size: float, goal: float) -> FloatArray:
+        """Solve (-D L0 + rate) x = residual to ``goal``, a share of ``size``, the residual's norm.
+
+        The preconditioner works in single precision: that is exact enough for a search direction
+        and takes half the time. The result lives until the next solve.
+        """
+        op = self.operator
+        x, r, p, q, scale = self.x, self.r, self.p, self.q, self.scale
+        total = stencil.begin(rate, residual, 0.5 / op.stiffness, size, x, r, p, scale, self.single)
+        shift = SHIFT * total / rate.size
+        u, rho = op.invert(self.single, shift)
+        beta = 0.0
+        for _ in range(MAX_CG):
+            stencil.new_direction(p, u, scale, beta)
+            curvature = stencil.apply_operator(p, rate, op.stiffness, q)
+            left = stencil.advance(rho / curvature, x, p, r, q, scale, u)
+            self.cg += 1
+            if not left > goal**2:
+                break
+            u, following = op.invert(u, shift)
+            beta, rho = following / rho, following
+        x *= size
+        self.newton += 1
+        return x

@@ -1,0 +1,200 @@
+"""Loops over all nodes that the steady solver needs, each fused into one pass.
+
+All run on one thread, so that no sum depends on the number of threads. The seven-point stencil
+here has zero on all faces in py-pde's convention (ghost value = minus the node's value); a test
+holds it against py-pde's own operator.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from multicell.cells import FloatArray
+
+Float32Array = NDArray[np.float32]
+_F = TypeVar("_F", bound=Callable[..., Any])
+# sums may be reordered for vector units; NaN and infinity keep their meaning
+_jit = cast(Callable[[_F], _F], njit(cache=True, fastmath={"reassoc", "nsz", "arcp", "contract"}))
+
+
+@_jit
+def _around(p: FloatArray, i: int, j: int, k: int) -> float:
+    """Return the sum of the six neighbours of a node; ghosts are minus the node's value."""
+    nx, ny, nz = p.shape
+    v = p[i, j, k]
+    total = 0.0
+    total += p[i - 1, j, k] if i > 0 else -v
+    total += p[i + 1, j, k] if i < nx - 1 else -v
+    total += p[i, j - 1, k] if j > 0 else -v
+    total += p[i, j + 1, k] if j < ny - 1 else -v
+    total += p[i, j, k - 1] if k > 0 else -v
+    total += p[i, j, k + 1] if k < nz - 1 else -v
+    return float(total)
+
+
+@_jit
+def _fill_row(p: FloatArray, i: int, j: int, row: FloatArray) -> None:
+    """Write the sums of neighbours along the last axis to ``row``."""
+    nx, ny, nz = p.shape
+    if i == 0 or i == nx - 1 or j == 0 or j == ny - 1:
+        for k in range(nz):
+            row[k] = _around(p, i, j, k)
+        return
+    row[0], row[nz - 1] = _around(p, i, j, 0), _around(p, i, j, nz - 1)
+    a, b, c, d, e = p[i - 1, j], p[i + 1, j], p[i, j - 1], p[i, j + 1], p[i, j]
+    for k in range(1, nz - 1):  # no branches, for the vector units
+        row[k] = (a[k] + b[k]) + (c[k] + d[k]) + (e[k - 1] + e[k + 1])
+
+
+@_jit
+def apply_operator(p: FloatArray, rate: FloatArray, stiffness: float, out: FloatArray) -> float:
+    """Write ``(-D L0 + rate) p`` to ``out`` and return its product with ``p``.
+
+    ``stiffness`` is D/h² in 1/s, ``rate`` the linearised uptake at the nodes in 1/s.
+    """
+    nx, ny, nz = p.shape
+    row = np.empty(nz)
+    product = 0.0
+    for i in range(nx):
+        for j in range(ny):
+            _fill_row(p, i, j, row)
+            for k in range(nz):
+                v = p[i, j, k]
+                w = stiffness * (6.0 * v - row[k]) + rate[i, j, k] * v
+                out[i, j, k] = w
+                product += v * w
+    return product
+
+
+@_jit
+def imbalance(
+    c: FloatArray,
+    sink: FloatArray,
+    source: FloatArray,
+    half: float,
+    stiffness: float,
+    residual: FloatArray,
+    rate: FloatArray,
+) -> tuple[float, float, float]:
+    """Write inflow minus uptake of all nodes (mM/s) and the uptake's derivative (1/s).
+
+    Below zero, where only intermediate iterates can be, the law ``sink c / (half + c)`` goes on
+    along its tangent. Return the sums of residual², of uptake, and of c².
+    """
+    nx, ny, nz = c.shape
+    row = np.empty(nz)
+    squares, total, size = 0.0, 0.0, 0.0
+    for i in range(nx):
+        for j in range(ny):
+            _fill_row(c, i, j, row)
+            for k in range(nz):
+                v = c[i, j, k]
+                kept = max(v, 0.0)
+                share = half / (half + kept)
+                slope = sink[i, j, k] / (half + kept) * share
+                uptake = sink[i, j, k] * kept / (half + kept) + slope * (v - kept)
+                r = source[i, j, k] - stiffness * (6.0 * v - row[k]) - uptake
+                residual[i, j, k] = r
+                rate[i, j, k] = slope
+                squares += r * r
+                total += uptake
+                size += v * v
+    return squares, total, size
+
+
+@_jit
+def begin(
+    rate: FloatArray,
+    residual: FloatArray,
+    time: float,
+    size: float,
+    x: FloatArray,
+    r: FloatArray,
+    p: FloatArray,
+    scale: FloatArray,
+    y: Float32Array,
+) -> float:
+    """Start the linear solver: ``scale = (1 + time rate)^(-1/2)``, ``y = scale r``, no direction.
+
+    ``r`` is the residual over its ``size``. Return the sum of ``scale² rate``.
+    """
+    rate, residual, x, r = rate.ravel(), residual.ravel(), x.ravel(), r.ravel()
+    p, scale, y = p.ravel(), scale.ravel(), y.ravel()
+    total = 0.0
+    for n in range(rate.size):
+        square = 1.0 / (1.0 + time * rate[n])
+        s = np.sqrt(square)
+        v = residual[n] / size
+        x[n] = 0.0
+        p[n] = 0.0
+        r[n] = v
+        scale[n] = s
+        y[n] = s * v
+        total += square * rate[n]
+    return total
+
+
+@_jit
+def advance(
+    step: float,
+    x: FloatArray,
+    p: FloatArray,
+    r: FloatArray,
+    q: FloatArray,
+    scale: FloatArray,
+    y: Float32Array,
+) -> float:
+    """Do ``x += step p``, ``r -= step q``, ``y = scale r``; return ``r . r``."""
+    x, p, r, q, scale, y = x.ravel(), p.ravel(), r.ravel(), q.ravel(), scale.ravel(), y.ravel()
+    product = 0.0
+    for n in range(x.size):
+        x[n] += step * p[n]
+        v = r[n] - step * q[n]
+        r[n] = v
+        y[n] = scale[n] * v
+        product += v * v
+    return product
+
+
+@_jit
+def new_direction(p: FloatArray, u: Float32Array, scale: FloatArray, beta: float) -> None:
+    """Do ``p = scale u + beta p``."""
+    p, u, scale = p.ravel(), u.ravel(), scale.ravel()
+    for n in range(p.size):
+        p[n] = scale[n] * u[n] + beta * p[n]
+
+
+@_jit
+def divide_spectrum(
+    spectrum: Float32Array, ax: FloatArray, ay: FloatArray, az: FloatArray, shift: float
+) -> float:
+    """Divide by ``ax + ay + az + shift`` in place; return the product of before and after.
+
+    With an orthonormal transform that product is the one of residual and preconditioned residual.
+    """
+    nx, ny, nz = spectrum.shape
+    product = 0.0
+    for i in range(nx):
+        for j in range(ny):
+            base = ax[i] + ay[j] + shift
+            for k in range(nz):
+                v = spectrum[i, j, k]
+                w = v / (base + az[k])
+                spectrum[i, j, k] = w
+                product += v * w
+    return product
+
+
+@_jit
+def dot(a: FloatArray, b: FloatArray) -> float:
+    """Return the product of two fields (NumPy's may use threads and then change its bits)."""
+    a, b = a.ravel(), b.ravel()
+    product = 0.0
+    for n in range(a.size):
+        product += a[n] * b[n]
+    return product

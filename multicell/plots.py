@@ -1,0 +1,249 @@
+"""Pictures of a run: growth, a section through the middle, radial profiles.
+
+Every function returns a :class:`matplotlib.figure.Figure` of about 1600 x 1000 pixels and
+leaves matplotlib's global state alone. The colours of the states differ in lightness too, so
+that they can be told apart with any colour vision and in grey.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
+from numpy.typing import NDArray
+
+from multicell.cells import FloatArray
+from multicell.drawing import (
+    BLUE,
+    COLOURS,
+    INK,
+    RED,
+    blank,
+    cell_count,
+    moment,
+    styled,
+    thresholds,
+    time_unit,
+)
+from multicell.frame import Field, Frame
+from multicell.observables import centre, field_profile, radial_profile, sphere_radius
+from multicell.section import section
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from multicell.scene import Nutrient, Scene
+
+History = Mapping[str, NDArray[np.float64]]
+
+
+@final
+class Plots:
+    """The pictures of one run; see :class:`multicell.result.Result`."""
+
+    def __init__(self, frames: Sequence[Frame], history: History, scene: Scene) -> None:
+        self._frames = frames
+        self._history = history
+        self._scene = scene
+        self._title = scene.title or "Untitled run"
+
+    def growth(self) -> Figure:
+        """Draw number of cells, diameter and states against time.
+
+        Raises
+        ------
+        ValueError
+            If the run has no history yet.
+        """
+        return growth(self._history, self._title)
+
+    def section(self, frame: int = -1) -> Figure:
+        """Show the cells that the plane z = centre cuts, at frame number ``frame``."""
+        return section(self._frames[frame], self._title, self._scene.nutrients)
+
+    def profiles(self, frame: int = -1) -> Figure:
+        """Concentration (or pressure) and states against the distance from the centre."""
+        return profiles(self._frames[frame], self._title, self._scene.nutrients)
+
+
+@styled
+def growth(history: History, title: str) -> Figure:
+    """Draw number of cells, diameter and states against time.
+
+    Parameters
+    ----------
+    history : column name -> (m,)
+        Columns of :func:`multicell.observables.history_row`.
+    title
+        Heading.
+
+    Raises
+    ------
+    ValueError
+        If the history is empty.
+    """
+    if len(history.get("time", ())) == 0:
+        raise ValueError("the history is empty: there is nothing to draw")
+    unit = time_unit(float(history["time"][-1]))
+    time, cells = history["time"] / unit.seconds, history["cells"]
+    subtitle = f"{cell_count(cells[-1])} after {unit.text(float(history['time'][-1]))}"
+    figure = blank(title, subtitle)
+    grid = figure.add_gridspec(
+        2, 2, left=0.09, right=0.97, top=0.82, bottom=0.11, wspace=0.3, hspace=0.34
+    )
+    _draw_count(figure.add_subplot(grid[0, 0]), time, cells)
+    _draw_size(figure.add_subplot(grid[1, 0]), time, history)
+    _draw_states(figure.add_subplot(grid[:, 1]), time, history)
+    for axes in figure.axes:
+        axes.set_xlim(*_span(time))
+        axes.set_xlabel(f"time ({unit.name})")
+    figure.axes[0].set_xlabel("")
+    return figure
+
+
+def _span(time: FloatArray) -> tuple[float, float]:
+    """Return the range of times to show, which has a width even for one moment."""
+    first, last = float(time[0]), float(time[-1])
+    return (first, last) if last > first else (first - 0.5, first + 0.5)
+
+
+def _mark(time: FloatArray) -> str:
+    """Return a line, or a point where one moment makes no line."""
+    return "-" if len(time) > 1 else "o"
+
+
+def _draw_count(axes: Axes, time: FloatArray, cells: FloatArray) -> None:
+    """Draw the number of cells, on a log scale where it grows much."""
+    axes.set_title("Cells")
+    axes.plot(time, cells, _mark(time), color=INK, lw=2)
+    if cells.min() > 0 and cells.max() >= 5 * cells.min():
+        axes.set_yscale("log")
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
+        axes.yaxis.set_minor_formatter(NullFormatter())
+        axes.set_ylabel("number (log scale)")
+    else:
+        _count_axis(axes, 1.08 * float(cells.max()))
+
+
+def _count_axis(axes: Axes, largest: float) -> None:
+    """Give an axis of counts that starts at zero."""
+    axes.set_ylim(0.0, largest if largest > 0 else 1.0)
+    axes.yaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
+    axes.set_ylabel("number")
+
+
+def _draw_size(axes: Axes, time: FloatArray, history: History) -> None:
+    """Draw the diameters of the population and of its necrotic core."""
+    axes.set_title("Diameter")
+    whole, core = history["diameter"], 2.0 * history["necrotic_radius"]
+    axes.plot(time, whole, _mark(time), color=BLUE, lw=2, label="whole")
+    if core.max() > 0:
+        shown = np.where(core > 0, core, np.nan)
+        axes.plot(time, shown, color=COLOURS["necrotic"], lw=2, ls="--", label="necrotic core")
+        axes.legend(loc="upper left")
+    # room for the legend above the line
+    room = 1.5 if core.max() > 0 else 1.1
+    axes.set_ylim(0.0, room * max(float(whole.max()), 1.0))
+    axes.set_ylabel("diameter (µm)")
+
+
+def _draw_states(axes: Axes, time: FloatArray, history: History) -> None:
+    """Draw the numbers of cells in each state on top of each other, necrotic ones below."""
+    axes.set_title("Cells by state")
+    names = [name for name in reversed(COLOURS) if history[name].max() > 0]
+    single = len(time) == 1
+    axes.stackplot(
+        _span(time) if single else time,
+        [np.repeat(history[name], 2 if single else 1) for name in names],
+        colors=[COLOURS[name] for name in names],
+        labels=names,
+        lw=0,
+    )
+    # room for the legend above a flat top
+    _count_axis(axes, 1.25 * float(history["cells"].max()))
+    handles, labels = axes.get_legend_handles_labels()
+    axes.legend(handles[::-1], labels[::-1], loc="upper left", handlelength=1.0)
+
+
+@styled
+def profiles(frame: Frame, title: str, nutrients: Mapping[str, Nutrient]) -> Figure:
+    """Draw concentrations, or pressure without nutrients, and states against the radius.
+
+    Parameters
+    ----------
+    frame
+        What to draw.
+    title
+        Heading.
+    nutrients : name -> Nutrient
+        Thresholds to mark.
+
+    Raises
+    ------
+    ValueError
+        If the frame has no cells.
+    """
+    middle = centre(frame.cells)
+    # shells about a cell wide, but never so few that a profile cannot be seen
+    bins = int(
+        np.clip(sphere_radius(frame.cells, middle) / (2.0 * frame.cells.radius.mean()), 4, 40)
+    )
+    profile = radial_profile(frame, bins)
+    figure = blank(title, f"{moment(frame)}: averages over shells about the centre")
+    grid = figure.add_gridspec(2, 1, left=0.09, right=0.77, top=0.82, bottom=0.11, hspace=0.32)
+    upper = figure.add_subplot(grid[0])
+    lower = figure.add_subplot(grid[1], sharex=upper)
+    r, edge = profile.middles, float(profile.edges[-1])
+    if frame.concentrations:
+        for name, values in profile.concentrations.items():
+            _draw_concentration(upper, r, values, name, nutrients[name])
+            if name in frame.fields:
+                _draw_field_line(upper, frame.fields[name], middle, profile.edges)
+        upper.set(title="Concentration", ylabel="concentration (mM)")
+        upper.set_ylim(bottom=0.0)
+    else:
+        upper.plot(r, 1000.0 * profile.pressure, "o-", color=BLUE, lw=2, label="mean pressure")
+        upper.set(title="Pressure", ylabel="pressure (Pa)")
+    bottom = np.zeros(len(r))
+    width = np.diff(profile.edges)
+    for name in [n for n in reversed(COLOURS) if np.nansum(profile.fractions[n]) > 0]:
+        part = np.nan_to_num(100.0 * profile.fractions[name])
+        lower.bar(r, part, width, bottom, color=COLOURS[name], label=name, lw=0)
+        bottom += part
+    lower.set(title="Cells by state", ylabel="part of the cells (%)", ylim=(0, 100))
+    lower.set(xlabel="distance from the centre (µm)", xlim=(0.0, edge))
+    for axes in (upper, lower):
+        handles, labels = axes.get_legend_handles_labels()
+        axes.legend(handles[::-1], labels[::-1], loc="upper left", bbox_to_anchor=(1.01, 1.03))
+    return figure
+
+
+def _draw_concentration(
+    axes: Axes, r: FloatArray, values: FloatArray, name: str, nutrient: Nutrient
+) -> None:
+    """Draw the mean concentration at the cells, and thresholds that lie in its range."""
+    top = float(np.nanmax(values))
+    for meaning, level, style in thresholds(nutrient):
+        if 0.0 < level < 1.2 * top:
+            label = f"below {level:.3g} mM:\ncells {meaning}"
+            axes.axhline(level, color=RED, lw=1.4, ls=style, label=label)
+    axes.plot(r, values, "o", color=BLUE, ms=6, label=f"{name}\nat the cells", zorder=4)
+
+
+def _draw_field_line(axes: Axes, field: Field, middle: FloatArray, edges: FloatArray) -> None:
+    """Draw the mean of the field by shell, one shell to a grid spacing."""
+    shells = np.arange(0.0, edges[-1] + field.spacing, field.spacing)
+    means = field_profile(field, middle, shells)
+    filled = np.isfinite(means)
+    axes.plot(
+        0.5 * (shells[1:] + shells[:-1])[filled],
+        means[filled],
+        color=BLUE,
+        lw=2,
+        alpha=0.6,
+        label=f"{field.name}\nfield",
+    )

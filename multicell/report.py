@@ -1,0 +1,297 @@
+"""The report of a run: one HTML page that holds its pictures and needs nothing else."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import fields, is_dataclass
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from multicell.drawing import save, time_unit
+from multicell.errors import OutputError
+from multicell.folder import package_version, words, write_text
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from multicell.result import Result
+    from multicell.scene import Scene
+
+# the page may load nothing at all: pictures are part of it
+_POLICY: Final = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+
+_CSS: Final = """
+:root { --ink:#22303c; --quiet:#64737f; --line:#e1e7ec; --green:#1f7f54; --page:#f4f6f8; }
+* { box-sizing:border-box; }
+body { margin:0; background:var(--page); color:var(--ink);
+  font:16px/1.5 system-ui,-apple-system,"Segoe UI",Roboto,"Helvetica Neue",Arial,sans-serif; }
+header { background:#17323f; color:#fff; padding:2.4rem 1.2rem 4.6rem; }
+header > div, main { max-width:68rem; margin:0 auto; }
+h1 { margin:0 0 .3rem; font-size:clamp(1.5rem,4vw,2.2rem); line-height:1.2;
+  overflow-wrap:anywhere; }
+header p { margin:0; color:#bfd3dc; }
+header .warning { display:inline-block; margin-top:.9rem; padding:.3rem .8rem; border-radius:6px;
+  background:#f2b63c; color:#3a2a05; font-weight:600; }
+main { padding:0 1.2rem 3rem; margin-top:-3.2rem; }
+.tiles { display:grid; gap:.8rem; grid-template-columns:repeat(auto-fit,minmax(9.5rem,1fr)); }
+.tile, section { background:#fff; border:1px solid var(--line); border-radius:10px;
+  box-shadow:0 1px 3px rgb(20 40 60 / .07); }
+.tile { padding:.9rem 1rem; }
+.tile b { display:block; font-size:1.5rem; line-height:1.25; color:var(--green);
+  font-variant-numeric:tabular-nums; }
+.tile span { color:var(--quiet); font-size:.9rem; }
+section { margin-top:1.2rem; padding:1.2rem 1.4rem; }
+h2 { margin:0 0 .8rem; font-size:1.2rem; }
+h3 { margin:1.1rem 0 .3rem; font-size:1rem; color:var(--green); }
+figure { margin:0; }
+figure img { display:block; width:100%; height:auto; }
+figcaption, .note { color:var(--quiet); font-size:.95rem; }
+.columns { display:grid; gap:0 1.2rem; grid-template-columns:repeat(auto-fit,minmax(19rem,1fr));
+  align-items:start; }
+.scroll { overflow-x:auto; }
+table { border-collapse:collapse; width:100%; font-size:.95rem; }
+td, th { padding:.34rem .6rem .34rem 0; border-bottom:1px solid var(--line); text-align:left;
+  vertical-align:top; }
+tr:last-child td, tr:last-child th { border-bottom:0; }
+th { font-weight:500; }
+td.number { text-align:right; white-space:nowrap; font-variant-numeric:tabular-nums; }
+td.doc { color:var(--quiet); width:52%; }
+.bar { display:block; height:.6rem; min-width:2px; margin-top:.45rem; border-radius:3px;
+  background:#2a9d6a; }
+td.track { width:40%; }
+footer { margin-top:1.4rem; color:var(--quiet); font-size:.9rem; text-align:center; }
+@media (max-width:34rem) { section { padding:1rem .9rem; } td.doc { display:none; }
+  .tiles { grid-template-columns:repeat(2,1fr); } .tile b { font-size:1.25rem; } }
+@media print { header { color:#000; background:none; padding-bottom:1rem; }
+  main { margin-top:0; } section { break-inside:avoid; box-shadow:none; } }
+"""
+
+_CAPTIONS: Final = {
+    "growth": "Number of cells, size and states in the course of the run.",
+    "section": "Cells that the plane z = centre cuts, each drawn with the radius of its cut.",
+    "profiles": "Averages over spherical shells about the centre.",
+}
+
+
+def write_report(result: Result, folder: str | Path | None = None) -> Path:
+    """Write ``report.html`` and its three pictures beside it.
+
+    Parameters
+    ----------
+    result
+        The run; it may be unfinished.
+    folder
+        Where to write, by default the folder of the run.
+
+    Returns
+    -------
+    pathlib.Path
+        The page.
+
+    Raises
+    ------
+    OutputError
+        If there is no folder to write to, or it cannot be written to.
+    """
+    place = result.folder if folder is None else Path(folder)
+    if place is None:
+        raise OutputError("the run has no output folder: say where the report shall go")
+    with words("use the output folder", place):
+        place.mkdir(parents=True, exist_ok=True)
+    pictures = "".join(_picture(place, name, draw) for name, draw in _drawings(result))
+    path = place / "report.html"
+    write_text(path, page(result.scene, result.summary(), pictures))
+    return path
+
+
+def page(scene: Scene, summary: Mapping[str, Any], pictures: str) -> str:
+    """Return the page; ``pictures`` is HTML, everything else is escaped here."""
+    title = escape(scene.title or "Untitled run")
+    interrupted = bool(summary.get("interrupted"))
+    warning = '<p class="warning">Interrupted before its end</p>' if interrupted else ""
+    return f"""<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta http-equiv="Content-Security-Policy" content="{_POLICY}">
+<title>{title}</title>
+<style>{_CSS}</style>
+</head>
+<body>
+<header><div><h1>{title}</h1><p>{_subtitle(scene, summary)}</p>{warning}</div></header>
+<main>
+<div class="tiles">{"".join(_tiles(summary))}</div>
+{pictures}
+<div class="columns">{"".join(_work(summary))}</div>
+{_settings(scene)}
+<footer>multicell {escape(package_version())}</footer>
+</main>
+</body>
+</html>
+"""
+
+
+def clock(seconds: float) -> str:
+    """Return a wall time in words, for example ``"2 min 14 s"``."""
+    if seconds < 60.0:
+        return f"{seconds:.2g} s" if seconds < 10.0 else f"{seconds:.0f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours} h {minutes} min" if hours else f"{minutes} min {rest} s"
+
+
+def measures(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield the name and the value in words of each key figure that a summary has."""
+    formats: dict[str, tuple[str, Callable[[Any], str]]] = {
+        "cells": ("cells", lambda n: f"{n:,}"),
+        "time": ("simulated time", lambda t: time_unit(t).text(t)),
+        "diameter": ("diameter", lambda d: f"{d:.0f} µm"),
+        "viable_rim": ("viable rim", lambda d: f"{d:.0f} µm"),
+        "necrotic_radius": ("radius of the necrotic core", lambda d: f"{d:.0f} µm"),
+        "divisions": ("divisions", lambda n: f"{n:,}"),
+        "removals": ("cells removed", lambda n: f"{n:,}"),
+    }
+    for key, (name, shown) in formats.items():
+        if summary.get(key) is not None:
+            yield name, shown(summary[key])
+    total = (summary.get("wall") or {}).get("total")
+    if total is not None:
+        yield "wall time", clock(total)
+    balance = (summary.get("ledger") or {}).get("relative_remainder")
+    if balance is not None:
+        yield "nutrient unaccounted for", f"{balance:.1e}"
+
+
+def _drawings(result: Result) -> Iterator[tuple[str, Callable[[], Figure]]]:
+    """Yield the pictures that this run has enough data for."""
+    if len(result.history.get("time", ())):
+        yield "growth", result.plot.growth
+    if len(result.frames) and len(result.frames[-1].cells):
+        yield "section", result.plot.section
+        yield "profiles", result.plot.profiles
+
+
+def _picture(place: Path, name: str, draw: Callable[[], Figure]) -> str:
+    """Save a picture and return it as HTML."""
+    path = place / f"{name}.png"
+    save(draw(), path)
+    with words("read", path):
+        data = base64.b64encode(path.read_bytes()).decode("ascii")
+    caption = escape(_CAPTIONS[name])
+    return (
+        f'<section><figure><img alt="{caption}" src="data:image/png;base64,{data}">'
+        f"<figcaption>{caption}</figcaption></figure></section>\n"
+    )
+
+
+def _subtitle(scene: Scene, summary: Mapping[str, Any]) -> str:
+    """Return one line: method, seed, steps."""
+    method = (summary.get("integrator") or {}).get("method", scene.integrator.method)
+    parts = [f"method {method}", f"seed {summary.get('seed', scene.seed)}"]
+    if summary.get("steps") is not None:
+        parts.append(f"{summary['steps']:,} coupling steps")
+    return escape(" · ".join(parts))
+
+
+def _tiles(summary: Mapping[str, Any]) -> Iterator[str]:
+    for name, value in measures(summary):
+        yield f'<div class="tile"><b>{escape(value)}</b><span>{escape(name)}</span></div>'
+
+
+def _work(summary: Mapping[str, Any]) -> Iterator[str]:
+    """Yield cards: cells by state, wall time, work of the integrator, ledger, versions."""
+    yield _table("Cells by state", summary.get("states"))
+    yield _wall(summary.get("wall"))
+    yield _table("Work of the integrator", summary.get("integrator"))
+    ledger = {k: v for k, v in (summary.get("ledger") or {}).items() if isinstance(v, Mapping)}
+    for name, entries in ledger.items():
+        yield _table(f"Ledger of {name} (amol)", entries)
+    yield _table("Versions", summary.get("versions"))
+
+
+def _table(title: str, entries: Mapping[str, Any] | None) -> str:
+    """Return a card with a table of two columns, or nothing without entries."""
+    if not entries:
+        return ""
+    rows = "".join(
+        f'<tr><th>{_name(name)}</th><td class="number">{escape(_text(value))}</td></tr>'
+        for name, value in entries.items()
+    )
+    table = f'<div class="scroll"><table>{rows}</table></div>'
+    return f"<section><h2>{escape(title)}</h2>{table}</section>"
+
+
+def _wall(wall: Mapping[str, float] | None) -> str:
+    """Return a card with the wall time by phase as bars."""
+    if not wall:
+        return ""
+    phases = {name: value for name, value in wall.items() if name != "total"}
+    longest = max(phases.values(), default=0.0) or 1.0
+    rows = "".join(
+        f'<tr><th>{_name(name)}</th><td class="track"><span class="bar" '
+        f'style="width:{100.0 * value / longest:.1f}%"></span></td>'
+        f'<td class="number">{escape(clock(value))}</td></tr>'
+        for name, value in phases.items()
+    )
+    if "total" in wall:
+        rows += (
+            f'<tr><th><b>total</b></th><td></td><td class="number">{clock(wall["total"])}</td></tr>'
+        )
+    return f"<section><h2>Wall time</h2><table>{rows}</table></section>"
+
+
+def _settings(scene: Scene) -> str:
+    """Return a card with every parameter of the scene, its unit and its meaning."""
+    blocks = "".join(
+        f'<h3>{escape(title)}</h3><div class="scroll"><table>{"".join(rows)}</table></div>'
+        for title, rows in _parts(scene, "run")
+        if rows
+    )
+    return f"<section><h2>Scene</h2>{blocks}</section>"
+
+
+def _parts(part: Any, title: str) -> Iterator[tuple[str, list[str]]]:
+    """Yield the rows of a part, then those of the parts in it."""
+    rows, below = [], []
+    for spec in fields(part):
+        value = getattr(part, spec.name)
+        inner = spec.name if title == "run" else f"{title}.{spec.name}"
+        if is_dataclass(value):
+            kind = f" ({type(value).__name__})" if spec.name == "contact" else ""
+            below.append((value, inner + kind))
+        elif isinstance(value, Mapping):
+            below += [(entry, f"{inner}.{name}") for name, entry in value.items()]
+        else:
+            rows.append(_setting(spec.name, value, spec.metadata["parameter"]))
+    yield title, rows
+    for value, name in below:
+        yield from _parts(value, name)
+
+
+def _setting(name: str, value: Any, parameter: Any) -> str:
+    """Return one row of the settings."""
+    text = "not set" if value is None else f"{_text(value)} {parameter.unit}".strip()
+    if parameter.unit == "s" and value is not None and value >= 180.0:
+        text += f" ({time_unit(value).text(value)})"
+    return (
+        f'<tr><th>{_name(name)}</th><td class="number">{escape(text)}</td>'
+        f'<td class="doc">{escape(parameter.doc)}</td></tr>'
+    )
+
+
+def _name(key: str) -> str:
+    return escape(str(key).replace("_", " "))
+
+
+def _text(value: Any) -> str:
+    """Return a value in words: thousands separated, seven digits at most."""
+    if isinstance(value, bool) or value is None:
+        return {True: "yes", False: "no", None: "unknown"}[value]
+    if isinstance(value, int):
+        return f"{value:,}"
+    if isinstance(value, float):
+        return f"{value:,.0f}" if value.is_integer() and abs(value) < 1e7 else f"{value:.4g}"
+    return str(value)

@@ -1,0 +1,156 @@
+"""From a scene to a result: the loop with its record on disk."""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, final
+
+from multicell.folder import write_summary
+from multicell.frame import Frame
+from multicell.result import Result, history_arrays
+from multicell.simulation import Simulation
+
+if TYPE_CHECKING:
+    from multicell.scene import Scene
+    from multicell.store import Store
+
+
+def run(
+    scene: Scene,
+    *,
+    output: str | Path | None = None,
+    integrator: str | None = None,
+    overwrite: bool = False,
+    threads: int | None = None,
+    progress: Callable[[Simulation], None] | None = None,
+    report: bool = True,
+) -> Result:
+    """Run a scene from its start to its end.
+
+    Parameters
+    ----------
+    scene
+        What to run.
+    output
+        Folder for scene, frames, summary and report; None keeps all in memory.
+    integrator
+        Name of an integration method, instead of the scene's.
+    overwrite
+        Whether an earlier run in the folder may be replaced.
+    threads
+        Number of threads for large populations, by default all; it does not change results.
+    progress
+        Called after every coupling step.
+    report
+        Whether to write pictures and ``report.html``; only with a folder.
+
+    Returns
+    -------
+    Result
+
+    Raises
+    ------
+    SceneError, OutputError
+        For input that cannot be used, before the first step.
+    StepFailed
+        If a step cannot be solved. Like after Ctrl-C, the folder then holds all frames so far,
+        the history and a summary with ``"interrupted": true``.
+    """
+    if integrator is not None:
+        scene = scene.with_changes({"integrator": integrator})
+    begin = clock.perf_counter()
+    recorder = _Recorder(scene, output, overwrite)
+    with ExitStack() as stack:
+        stack.callback(recorder.close)
+        simulation = Simulation(scene, threads=threads)
+        recorder.startup = clock.perf_counter() - begin
+        recorder.record(simulation)
+        try:
+            while not simulation.finished:
+                simulation.step()
+                recorder.record(simulation)
+                if progress is not None:
+                    progress(simulation)
+        except BaseException:
+            recorder.finish(simulation, interrupted=True)
+            raise
+        recorder.finish(simulation, interrupted=False)
+    result = recorder.result()
+    if report and result.folder is not None:
+        result.report()
+    return result
+
+
+@final
+class _Recorder:
+    """Frames and history of a run, on disk or in memory."""
+
+    def __init__(self, scene: Scene, output: str | Path | None, overwrite: bool) -> None:
+        self._scene = scene
+        self._store = _open_store(scene, output, overwrite)
+        self._frames: list[Frame] = []
+        self._rows: list[dict[str, float]] = []
+        self._next_frame = 0.0
+        self._last_frame = -1
+        self._summary: dict[str, object] = {}
+        self.startup = 0.0
+
+    def record(self, simulation: Simulation) -> None:
+        """Add a row to the history, and a frame if one is due."""
+        begin = clock.perf_counter()
+        row = simulation.history_row()
+        self._rows.append(row)
+        if self._store is not None:
+            self._store.append_history(row)
+        if simulation.time >= self._next_frame * (1.0 - 1e-12) or simulation.finished:
+            self._frame(simulation)
+        simulation.wall["record"] += clock.perf_counter() - begin
+
+    def finish(self, simulation: Simulation, *, interrupted: bool) -> None:
+        """Write the last state and the summary."""
+        if simulation.step_index > self._last_frame:
+            self._frame(simulation)
+        self._summary = simulation.summary()
+        wall = self._summary["wall"]
+        assert isinstance(wall, dict)
+        wall["startup"] = self.startup
+        if interrupted:
+            self._summary["interrupted"] = True
+        if self._store is not None:
+            write_summary(self._store.folder, self._summary)
+
+    def close(self) -> None:
+        """Close the file."""
+        if self._store is not None:
+            self._store.close()
+
+    def result(self) -> Result:
+        """Return the result of a run that has ended."""
+        if self._store is None:
+            history = history_arrays(self._rows)
+            return Result(None, self._frames, history, self._summary, self._scene)
+        from multicell.result import load_result
+
+        return load_result(self._store.folder)
+
+    def _frame(self, simulation: Simulation) -> None:
+        every = self._scene.output.every
+        while self._next_frame <= simulation.time * (1.0 + 1e-12):
+            self._next_frame += every
+        self._last_frame = simulation.step_index
+        frame = simulation.frame()
+        if self._store is None:
+            self._frames.append(frame)
+        else:
+            self._store.append(frame)
+
+
+def _open_store(scene: Scene, output: str | Path | None, overwrite: bool) -> Store | None:
+    if output is None:
+        return None
+    from multicell.store import Store
+
+    return Store.create(output, scene, overwrite)

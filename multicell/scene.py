@@ -1,0 +1,398 @@
+"""What there is: the typed description of a scene, read from TOML or a dict.
+
+Every part is a frozen dataclass whose attributes are the keys of the TOML file. Quantities are
+numbers in base units (µm, s, nN, amol; kPa, mM) or strings with units; inside they are floats.
+``growth``, ``death`` and ``nutrients`` are optional: an absent part costs nothing.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping
+from copy import deepcopy
+from pathlib import Path
+from typing import Any, final
+
+from multicell.contact import JKR, LAWS, Hertz
+from multicell.errors import SceneError
+from multicell.integrators.names import METHODS
+from multicell.parameters import (
+    Parameter,
+    Tables,
+    build,
+    choice,
+    count,
+    near_miss,
+    number,
+    parameters,
+    plain,
+    quantity,
+    specs,
+    table,
+    tables,
+    text,
+    variant,
+)
+from multicell.units import BASE_UNITS, shown
+
+
+@final
+@parameters
+class Initial:
+    """The cells at the start."""
+
+    count: int = count(default=1, at_least=1, doc="number of cells")
+    arrangement: str = choice(
+        ["ball"], default="ball", doc="hexagonal close packing that is cut to a ball"
+    )
+    spacing: float = number(default=1.0, above=0, doc="centre distance / mean diameter")
+    jitter: float = number(
+        default=0.0, at_least=0, doc="standard deviation of a random shift / mean diameter"
+    )
+    stage: str = choice(
+        ["birth", "uniform"],
+        default="birth",
+        doc="volumes: all as at birth, or spread uniformly between birth and division",
+    )
+
+
+@final
+@parameters
+class CellParameters:
+    """Size and elasticity of the cells."""
+
+    division_radius: float = quantity("um", default=5.0, above=0, doc="at which a cell divides")
+    young: float = quantity("kPa", default=1.0, above=0, doc="mean Young's modulus")
+    young_variation: float = number(
+        default=0.1, at_least=0, at_most=0.5, doc="coefficient of variation of Young's modulus"
+    )
+    poisson: float = number(
+        default=0.5,
+        above=-1,
+        at_most=0.5,
+        doc="Poisson ratio",
+        hint="No isotropic solid has a Poisson ratio outside this range.",
+    )
+    reaction_time: float = quantity(
+        "s",
+        default=7200.0,
+        above=0,
+        doc="between two decisions of a cell to rest or to proliferate (assumed, not measured)",
+    )
+
+
+@final
+@parameters
+class Drag:
+    """Stokes drag 6πηr of the medium on every cell."""
+
+    viscosity: float = quantity(
+        "kPa s",
+        default=5.0,
+        above=0,
+        doc="viscosity η of the medium",
+        hint="Motion is overdamped: without drag no velocity is defined.",
+    )
+
+
+@final
+@parameters
+class Growth:
+    """Growth and division: the volume doubles, linearly in time, in one cycle."""
+
+    cycle_time: float = quantity("s", default=54000.0, above=0, doc="mean shortest cycle time")
+    cycle_variation: float = number(
+        default=0.1, at_least=0, at_most=0.5, doc="coefficient of variation of the cycle time"
+    )
+    critical_pressure: float | None = quantity(
+        "kPa", default=None, above=0, doc="at which growth stops; absent: pressure has no effect"
+    )
+
+
+@final
+@parameters
+class Death:
+    """Loss of necrotic cells: their volume decays exponentially, then they are removed."""
+
+    lysis_time: float = quantity("s", default=172800.0, above=0, doc="mean time of the decay")
+    removal_fraction: float = number(
+        default=0.1, above=0, below=1, doc="of the birth volume, below which a cell is removed"
+    )
+
+
+@final
+@parameters
+class Nutrient:
+    """A dissolved nutrient: diffusion, Michaelis–Menten uptake, effect on the cells."""
+
+    diffusion: float = quantity("um^2/s", default=2000.0, above=0, doc="diffusion coefficient")
+    boundary: float = quantity("mM", default=0.07, at_least=0, doc="concentration in the medium")
+    uptake: float = quantity("amol/s", default=20.0, at_least=0, doc="largest uptake of a cell")
+    half_saturation: float = quantity(
+        "mM", default=0.005, above=0, doc="concentration of half the largest uptake"
+    )
+    quiescent_uptake: float = number(
+        default=0.5, at_least=0, at_most=1, doc="uptake of a quiescent / of a proliferating cell"
+    )
+    growth_half_saturation: float = quantity(
+        "mM", default=0.01, above=0, doc="concentration of half the largest growth (Monod)"
+    )
+    quiescence: float = quantity("mM", default=0.02, at_least=0, doc="below: quiescent")
+    necrosis: float = quantity("mM", default=0.005, at_least=0, doc="below: necrotic")
+    spacing: float = quantity("um", default=10.0, above=0, doc="spacing of the grid")
+    margin: float = quantity("um", default=50.0, above=0, doc="of the grid around the cells")
+
+    def check(self) -> None:
+        """Raise ``SceneError`` unless cells become quiescent before they become necrotic."""
+        if not self.necrosis < self.quiescence:
+            problem = (
+                f"is {self.necrosis:g} mM, must be below quiescence ({self.quiescence:g} mM): "
+                "thresholds in the wrong order"
+            )
+            raise SceneError("necrosis", problem, "Starving cells first rest, then die.")
+
+
+@final
+@parameters
+class IntegratorOptions:
+    """How the equations of motion are integrated."""
+
+    method: str = choice(METHODS, default="cvode", doc="name of the method")
+    rtol: float = number(default=1e-6, at_least=1e-14, at_most=0.1, doc="relative tolerance")
+    atol: float = quantity("um", default=0.01, above=0, doc="absolute tolerance")
+    max_steps: int = count(default=10000, at_least=1, doc="most steps in one coupling step")
+    step: float = quantity("s", default=10.0, above=0, doc="step of the methods with a fixed step")
+    max_displacement: float = number(
+        default=0.5, above=0, at_most=1, doc="largest move in one step / radius of the cell"
+    )
+
+
+@final
+@parameters
+class OutputOptions:
+    """What is recorded."""
+
+    every: float = quantity("s", default=21600.0, above=0, doc="simulated time between frames")
+
+
+@final
+@parameters
+class Scene:
+    """All that a simulation starts from; a part given as a dict is converted.
+
+    Attributes
+    ----------
+    title : str
+    duration, coupling_step : float, s
+    seed : int
+        The same seed gives the same run.
+    stop_cells : int or None
+        The run ends after the coupling step in which this many cells exist.
+    initial, cells, contact, drag, integrator, output
+        The parts that each scene has.
+    growth, death
+        None where the scene has no such part.
+    nutrients : mapping of name to Nutrient, read-only
+
+    Raises
+    ------
+    SceneError
+        For any value that cannot be accepted, with its dotted path.
+    """
+
+    title: str = text(default="", doc="one line about the scene")
+    duration: float = quantity("s", above=0, doc="Simulated time, for example duration = '11 d'.")
+    seed: int = count(default=0, at_least=0, at_most=2**63 - 1, doc="of the random numbers")
+    coupling_step: float = quantity("s", default=600.0, above=0, doc="between exchanges of parts")
+    stop_cells: int | None = count(default=None, at_least=1, doc="the run ends at so many cells")
+    initial: Initial = table(Initial, default_factory=Initial, doc="the cells at the start")
+    cells: CellParameters = table(CellParameters, default_factory=CellParameters, doc="the cells")
+    contact: Hertz | JKR = variant(
+        LAWS, key="law", usual="jkr", default_factory=JKR, doc="the law of touching cells"
+    )
+    drag: Drag = table(Drag, default_factory=Drag, doc="friction with the medium")
+    growth: Growth | None = table(Growth, default=None, doc="absent: no growth, no division")
+    death: Death | None = table(Death, default=None, doc="absent: necrotic cells stay")
+    nutrients: Mapping[str, Nutrient] = tables(
+        Nutrient, default_factory=Tables, doc="absent: no cell ever starves"
+    )
+    integrator: IntegratorOptions = table(
+        IntegratorOptions, default_factory=IntegratorOptions, shorthand="method", doc="the method"
+    )
+    output: OutputOptions = table(OutputOptions, default_factory=OutputOptions, doc="the record")
+
+    def check(self) -> None:
+        """Raise ``SceneError`` for parts that do not fit together."""
+        if len(self.nutrients) > 1:
+            names = ", ".join(self.nutrients)
+            raise SceneError("nutrients", f"has {names}: one nutrient for now")
+        for name, nutrient in self.nutrients.items():
+            widest = 4.0 * self.cells.division_radius
+            if nutrient.spacing > widest:
+                problem = (
+                    f"is {nutrient.spacing:g} um, must be at most {widest:g} um "
+                    "(two diameters of a dividing cell): grid too coarse for its cells"
+                )
+                raise SceneError(f"nutrients.{name}.spacing", problem, "Take about one diameter.")
+
+    @classmethod
+    def from_dict(cls, entries: Mapping[str, Any]) -> Scene:
+        """Return the scene that a dict with the keys of the TOML file describes.
+
+        Raises
+        ------
+        SceneError
+            For an unknown or missing key and for any value that is refused.
+        """
+        return build(cls, entries)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the scene as nested dicts of base-unit numbers; what is absent has no key."""
+        entries = plain(self)
+        if not self.nutrients:
+            del entries["nutrients"]
+        return entries
+
+    def with_changes(self, changes: Mapping[str, Any]) -> Scene:
+        """Return a scene with other values.
+
+        Parameters
+        ----------
+        changes
+            Dotted key -> value, as in ``{"nutrients.oxygen.boundary": "0.07 mM"}``, applied in
+            order. An optional table is made when a key in it is set. A dict replaces a whole
+            table, None removes an optional part. ``"integrator": "euler"`` changes the method
+            and keeps the rest. A new ``contact.law`` drops the parameters that it does not have.
+
+        Raises
+        ------
+        SceneError
+            For a key that does not exist and for any value that is refused.
+        """
+        entries = self.to_dict()
+        for key, value in changes.items():
+            _change(entries, key, value)
+        return build(type(self), entries)
+
+    def to_toml(self, extra: Mapping[str, Any] | None = None) -> str:
+        """Return the scene as a TOML file that :func:`load_scene` reads back exactly.
+
+        Parameters
+        ----------
+        extra
+            Facts for the header, such as the versions of packages; one comment line each.
+        """
+        import tomli_w
+
+        facts = {"units": BASE_UNITS, "seed": self.seed, **(extra or {})}
+        header = [f"# {name}: {value}" for name, value in facts.items()]
+        lines = [" ".join(line.split()) for line in ["# A scene of multicell", *header]]
+        safe = [line.encode("ascii", "backslashreplace").decode() for line in lines]
+        return "\n".join([*safe, _with_units(tomli_w.dumps(self.to_dict()))])
+
+
+def scene_names() -> list[str]:
+    """Return the names of the built-in scenes."""
+    from importlib.resources import files
+
+    found = (entry.name for entry in files("multicell.scenes").iterdir())
+    return sorted(name.removesuffix(".toml") for name in found if name.endswith(".toml"))
+
+
+def load_scene(source: str | Path) -> Scene:
+    """Return a built-in scene or one that is read from a TOML file.
+
+    Parameters
+    ----------
+    source
+        Name of a built-in scene (see :func:`scene_names`) or path of a file. A built-in name
+        wins; ``Path(...)`` or a suffix always means a file.
+
+    Raises
+    ------
+    SceneError
+        For an unknown name, a file that is missing or cannot be read, broken TOML (with its
+        line) and for any value that is refused.
+    """
+    import tomllib
+
+    content = _read(source)
+    try:
+        entries = tomllib.loads(content)
+    except RecursionError:
+        raise SceneError("", f"{str(source)!r} is nested too deeply") from None
+    except ValueError as error:  # tomllib's own error, and integers of thousands of digits
+        raise SceneError("", f"{str(source)!r} is not valid TOML: {error}") from None
+    return Scene.from_dict(entries)
+
+
+def _read(source: str | Path) -> str:
+    """Return the text of a built-in scene or of a file."""
+    from importlib.resources import files
+
+    if isinstance(source, str) and source in (names := scene_names()):
+        return (files("multicell.scenes") / f"{source}.toml").read_text(encoding="utf-8")
+    path = Path(os.path.expanduser(source))
+    bare = isinstance(source, str) and not path.suffix and path.name == source
+    try:
+        return path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        if bare:
+            hint = near_miss(str(source), names)
+            raise SceneError("", f"there is no scene named {source!r}", hint) from None
+        hint = f"The built-in scenes are {', '.join(scene_names())}."
+        raise SceneError("", f"the scene file {str(source)!r} does not exist", hint) from None
+    except UnicodeDecodeError as error:
+        problem = f"the scene file {str(source)!r} is not UTF-8 text (byte {error.start})"
+        raise SceneError("", problem) from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise SceneError("", f"the scene file {str(source)!r} cannot be read: {reason}") from None
+
+
+def _change(entries: dict[str, Any], key: str, value: Any) -> None:
+    """Set (or with None remove) one dotted key in a scene's dict."""
+    if not isinstance(key, str) or not all(key.split(".")):
+        raise SceneError("", f"{shown(key)} is not a dotted key such as 'drag.viscosity'")
+    spec = specs(Scene).get(key)
+    if spec is not None and spec.shorthand and isinstance(value, str):
+        key = f"{key}.{spec.shorthand}"
+    *parents, last = key.split(".")
+    node = entries
+    for depth, name in enumerate(parents, start=1):
+        if value is None and name not in node:
+            problem = f"cannot be removed: the scene has no '{'.'.join(parents[:depth])}'"
+            raise SceneError(key, problem)
+        node = node.setdefault(name, {})
+        if not isinstance(node, dict):
+            problem = f"is not a key: '{'.'.join(parents[:depth])}' is a value, not a table"
+            raise SceneError(key, problem)
+    if value is None and last in node:
+        del node[last]
+    else:
+        node[last] = deepcopy(value)  # a later key may write into it
+    if key == "contact.law" and isinstance(value, str) and value in LAWS:
+        allowed = {"law", *specs(LAWS[value])}
+        entries["contact"] = {k: v for k, v in node.items() if k in allowed}
+
+
+def _with_units(toml: str) -> str:
+    """Return TOML text with the unit of each quantity as a comment behind it."""
+    lines = []
+    known: dict[str, Parameter] = specs(Scene)
+    for line in toml.splitlines():
+        if line.startswith("["):
+            known = _specs_of_table(line.strip("[]").split(".")[0])
+        match = re.match(r"(\w+) = ", line)
+        unit = known[match[1]].unit if match and match[1] in known else ""
+        lines.append(f"{line}  # {unit}" if unit else line)
+    return "\n".join(lines) + "\n"
+
+
+def _specs_of_table(name: str) -> dict[str, Parameter]:
+    """Return the declarations of a scene's table; of the contact those of all laws."""
+    if name == "contact":
+        return {key: spec for law in LAWS.values() for key, spec in specs(law).items()}
+    part = specs(Scene)[name].table
+    return specs(part) if part is not None else {}

@@ -1,0 +1,196 @@
+"""A section through the middle of a population, with the nutrient around it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from matplotlib.collections import EllipseCollection
+from matplotlib.colors import ListedColormap, to_rgb
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
+
+from multicell.cells import FloatArray, State
+from multicell.drawing import (
+    COLOURS,
+    HEADING,
+    INK,
+    RED,
+    SIZE,
+    blank,
+    cell_count,
+    moment,
+    styled,
+    thresholds,
+)
+from multicell.frame import Field, Frame
+from multicell.observables import centre, sphere_radius
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from multicell.scene import Nutrient
+
+# white to a light blue: cells must stand out against it
+_WATER: Final = ListedColormap(np.linspace(to_rgb("#ffffff"), to_rgb("#8fbce0"), 256))
+
+
+@styled
+def section(frame: Frame, title: str, nutrients: Mapping[str, Nutrient]) -> Figure:
+    """Draw the cells that the plane z = centre cuts, each with the radius of its cut.
+
+    Parameters
+    ----------
+    frame
+        What to draw.
+    title
+        Heading.
+    nutrients : name -> Nutrient
+        Thresholds, drawn as contour lines, and the concentration around the grid.
+
+    Raises
+    ------
+    ValueError
+        If the frame has no cells.
+    """
+    middle = centre(frame.cells)
+    cut = frame.cells.radius**2 - (frame.cells.position[:, 2] - middle[2]) ** 2
+    cells = frame.cells.take(cut > 0.0)
+    radius = np.sqrt(cut[cut > 0.0])
+    figure = blank(title, f"{moment(frame)}: section through the centre ({cell_count(len(cells))})")
+    axes = figure.add_axes((0.03, 0.04, 0.66, 0.83))
+    half = 1.22 * sphere_radius(frame.cells, middle) + 2.0 * float(frame.cells.radius.max())
+    _frame_section(axes, middle, half)
+    _draw_circles(axes, cells.position[:, :2], radius, cells.state)
+    for name, field in frame.fields.items():
+        _draw_field(figure, axes, field, float(middle[2]), nutrients[name])
+    _scale_bar(axes, middle, half)
+    _section_legend(figure, cells.state)
+    return figure
+
+
+def _frame_section(axes: Axes, middle: FloatArray, half: float) -> None:
+    """Prepare axes of equal scale about the centre; a scale bar replaces ticks."""
+    width = half * (0.66 * SIZE[0]) / (0.83 * SIZE[1])
+    axes.set_xlim(middle[0] - width, middle[0] + width)
+    axes.set_ylim(middle[1] - half, middle[1] + half)
+    axes.set_aspect("equal")
+    axes.set_xticks([])
+    axes.set_yticks([])
+    axes.spines[["top", "right"]].set_visible(True)
+
+
+def _draw_circles(
+    axes: Axes, position: FloatArray, radius: FloatArray, state: NDArray[np.int8]
+) -> None:
+    """Draw circles of true size in the colour of the cells' states."""
+    palette = np.array([to_rgb(COLOURS[s.name.lower()]) for s in State])
+    size = 2.0 * radius
+    axes.add_collection(
+        EllipseCollection(
+            size,
+            size,
+            np.zeros(len(size)),
+            units="xy",
+            offsets=position,
+            offset_transform=axes.transData,
+            facecolors=palette[state],
+            edgecolors="white",
+            linewidths=0.5 if len(size) > 200 else 1.2,
+            zorder=2,
+        )
+    )
+
+
+def slice_at(field: Field, z: float) -> FloatArray:
+    """Return the field on the plane at height z (µm), interpolated linearly: (nx, ny).
+
+    Raises
+    ------
+    ValueError
+        If the plane lies outside the grid.
+    """
+    heights = field.axis(2)
+    if not heights[0] <= z <= heights[-1]:
+        raise ValueError(f"the plane z = {z:g} um lies outside the grid of {field.name}")
+    below = min(max(int(np.searchsorted(heights, z)) - 1, 0), max(len(heights) - 2, 0))
+    above = min(below + 1, len(heights) - 1)
+    weight = (z - heights[below]) / field.spacing
+    layers = field.values
+    return np.asarray((1.0 - weight) * layers[:, :, below] + weight * layers[:, :, above])
+
+
+def _refined(field: Field, z: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return x, y and the field on the plane at z, four points to a grid spacing.
+
+    The cubic spline is for the eye only: lines through the bare grid would look like polygons.
+    """
+    from scipy.ndimage import map_coordinates
+
+    plane = slice_at(field, z)
+    x, y = (np.linspace(0, n - 1, 4 * (n - 1) + 1) for n in plane.shape)
+    fine = map_coordinates(plane, np.meshgrid(x, y, indexing="ij"), order=3, mode="nearest")
+    at = [field.axis(k)[0] + index * field.spacing for k, index in enumerate((x, y))]
+    return at[0], at[1], fine.T
+
+
+def _draw_field(figure: Figure, axes: Axes, field: Field, z: float, nutrient: Nutrient) -> None:
+    """Draw a field as shades behind the cells, and its thresholds as lines over them."""
+    x, y, plane = _refined(field, z)
+    top = max(float(plane.max()), nutrient.boundary)
+    if not top > 0.0:
+        return
+    # around the grid lies the medium
+    axes.set_facecolor(_WATER(nutrient.boundary / top))
+    window = axes.axis()
+    half = 0.5 * (x[1] - x[0])
+    extent = (x[0] - half, x[-1] + half, y[0] - half, y[-1] + half)
+    shades = axes.imshow(
+        plane, extent=extent, origin="lower", cmap=_WATER, vmin=0.0, vmax=top, zorder=0
+    )
+    axes.axis(window)
+    bar = figure.colorbar(shades, cax=figure.add_axes((0.73, 0.28, 0.018, 0.27)))
+    bar.outline.set_visible(False)
+    bar.ax.grid(False)
+    figure.text(0.725, 0.585, f"{field.name.capitalize()} ({field.unit})", **HEADING)
+    handles = []
+    for meaning, level, style in thresholds(nutrient):
+        if plane.min() < level < plane.max():
+            line: dict[str, Any] = {"levels": [level], "zorder": 3}
+            axes.contour(x, y, plane, colors="white", linewidths=3.6, **line)
+            axes.contour(x, y, plane, colors=RED, linewidths=1.8, linestyles=style, **line)
+            bar.ax.axhline(level, color=RED, ls=style, lw=1.8)
+            label = f"below {level:.3g}: cells {meaning}"
+            handles.append(Line2D([], [], color=RED, ls=style, lw=1.8, label=label))
+    if handles:
+        figure.legend(handles=handles, loc="upper left", bbox_to_anchor=(0.713, 0.25))
+
+
+def _scale_bar(axes: Axes, middle: FloatArray, half: float) -> None:
+    """Draw a bar of a round length in the lower left corner."""
+    length = max(
+        n for n in (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000) if n <= 0.6 * half
+    )
+    left = axes.get_xlim()[0] + 0.07 * half
+    low = middle[1] - 0.93 * half
+    axes.plot([left, left + length], [low, low], color=INK, lw=5, solid_capstyle="butt", zorder=5)
+    axes.text(left + 0.5 * length, low + 0.035 * half, f"{length} µm", ha="center", zorder=5)
+
+
+def _section_legend(figure: Figure, state: NDArray[np.int8]) -> None:
+    """Explain the colours, with the number of cells of each state in the section."""
+    counts = {s.name.lower(): int((state == s).sum()) for s in State}
+    shown = {name: count for name, count in counts.items() if count}
+    handles = [Line2D([], [], ls="", marker="o", ms=11, color=COLOURS[name]) for name in shown]
+    labels = [f"{name} ({count:,})" for name, count in shown.items()]
+    figure.legend(
+        handles,
+        labels,
+        loc="upper left",
+        bbox_to_anchor=(0.71, 0.87),
+        title="Cells in this section",
+        title_fontproperties={"weight": "bold", "size": 13},
+        alignment="left",
+    )

@@ -1,0 +1,287 @@
+"""A simulation: a scene plus state, which advances in coupling steps.
+
+In each step the data goes one way: growth rates from what the cells find around them, motion
+while the radii grow, then all events (division, removal), then the nutrient field of the new
+configuration, and from it the cells' new states. So a frame taken between two steps is
+consistent: its concentrations are those of its own cells.
+"""
+
+from __future__ import annotations
+
+import math
+import time as clock
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any, final
+
+import numpy as np
+
+from multicell import integrators, neighbours, observables, streams
+from multicell.biology import (
+    divide,
+    growth_factor,
+    initial_cells,
+    remove_lysed,
+    update_states,
+    volumes_after,
+)
+from multicell.cells import SPHERE, Cells, FloatArray, State
+from multicell.errors import StepFailed
+from multicell.folder import versions
+from multicell.frame import Field, Frame
+from multicell.ledger import Ledger
+from multicell.mechanics import Mechanics, Motion, Work
+from multicell.threads import thread_count
+
+if TYPE_CHECKING:
+    from multicell.nutrient.field import NutrientField
+    from multicell.nutrient.steady import SolveReport
+    from multicell.scene import Scene
+
+PHASES = ("nutrient", "biology", "mechanics", "events", "record")
+"""Phases of the loop whose wall time is measured."""
+
+_STALE_ORDER = 0.05
+"""Part of the cells that may be new before all are sorted in space again."""
+
+
+@final
+class Simulation:
+    """Cells of a scene, and what moves, feeds and divides them.
+
+    Parameters
+    ----------
+    scene
+        What there is.
+    threads
+        Number of threads for large populations, by default all that there are. The results
+        have the same bits for any number.
+    cells
+        Cells to start from instead of the scene's initial ones.
+
+    Attributes
+    ----------
+    cells : Cells
+        The state at ``time``.
+    time : float, s
+    step_index : int
+        Number of coupling steps done.
+    concentrations : name -> (n,) float64, mM
+        Concentration of each nutrient at the cells.
+    ledger : name -> Ledger
+        What has come in and been taken up of each nutrient.
+    divisions, removals : int
+        Events so far.
+    wall : phase -> s
+        Wall time of each phase of the loop.
+
+    Raises
+    ------
+    SceneError
+        If there are not as many threads.
+    """
+
+    def __init__(
+        self, scene: Scene, *, threads: int | None = None, cells: Cells | None = None
+    ) -> None:
+        self.scene = scene
+        self.wall = dict.fromkeys(PHASES, 0.0)
+        self.step_index = self.divisions = self.removals = 0
+        self.cells = _separated(scene, initial_cells(scene) if cells is None else cells)
+        self._next_id = int(self.cells.id.max(initial=-1)) + 1
+        self._mechanics = Mechanics(
+            scene.contact, scene.drag.viscosity, thread_count(threads), work=Work()
+        )
+        self._integrator = integrators.make(scene.integrator)
+        self._nutrients = _nutrient_fields(scene)
+        self.ledger = {name: Ledger() for name in self._nutrients}
+        self.concentrations: dict[str, FloatArray] = {}
+        self._unsorted = len(self.cells)
+        self._sort()
+        with self._phase("nutrient"):
+            self._feed()
+        with self._phase("biology"):
+            self._change_states()
+
+    @property
+    def time(self) -> float:
+        """Simulated time, s: a multiple of the coupling step, or the end."""
+        return min(self.step_index * self.scene.coupling_step, self.scene.duration)
+
+    @property
+    def steps(self) -> int:
+        """Number of coupling steps from the start to the scene's end."""
+        return max(1, math.ceil(self.scene.duration / self.scene.coupling_step * (1.0 - 1e-12)))
+
+    @property
+    def finished(self) -> bool:
+        """Whether the scene's duration or its number of cells is reached."""
+        enough = self.scene.stop_cells
+        return self.step_index >= self.steps or (enough is not None and len(self.cells) >= enough)
+
+    @property
+    def fields(self) -> dict[str, Field]:
+        """The nutrient fields as they were last solved."""
+        return {name: field.field() for name, field in self._nutrients.items()}
+
+    def step(self) -> None:
+        """Advance by one coupling step.
+
+        Raises
+        ------
+        StepFailed
+            If positions or a field cannot be solved for; the state is then still that of
+            the step's beginning.
+        """
+        begin = self.time
+        end = min(begin + self.scene.coupling_step, self.scene.duration)
+        with self._phase("biology"):
+            radius = self._radius_after(end - begin)
+        with self._phase("mechanics"):
+            position, pressure = self._move(begin, end, radius)
+        fed = self._reports
+        with self._phase("events"):
+            self._take(position, radius, pressure, end - begin)
+            self._divide_and_remove()
+            self._sort()
+        with self._phase("nutrient"):
+            for name, report in fed.items():
+                self.ledger[name].add(report.inflow, report.uptake, end - begin)
+            self._feed()
+        with self._phase("biology"):
+            self._change_states()
+
+    def frame(self) -> Frame:
+        """Return the state as a frame that later steps do not change."""
+        return Frame(
+            self.time,
+            self.step_index,
+            self.cells.take(np.arange(len(self.cells))),
+            {name: values.copy() for name, values in self.concentrations.items()},
+            self.fields,
+        )
+
+    def history_row(self) -> dict[str, float]:
+        """Return the observables of the state (see :func:`observables.history_row`)."""
+        return observables.history_row(self.time, self.step_index, self.cells)
+
+    def energy(self) -> float:
+        """Return the contact energy of the cells, fJ."""
+        cells = self.cells
+        self._mechanics.begin(
+            Motion(cells.radius, np.zeros(len(cells)), cells.young, cells.poisson, 0.0, 0.0)
+        )
+        return self._mechanics.energy(0.0, cells.position)
+
+    def summary(self) -> dict[str, Any]:
+        """Return the numbers that describe the run so far; ``units`` names the units."""
+        ledgers = {name: ledger.summary() for name, ledger in self.ledger.items()}
+        remainders = [entry["relative_remainder"] for entry in ledgers.values()]
+        whole: dict[str, Any] = {"relative_remainder": max(remainders)} if remainders else {}
+        return {
+            **observables.state_summary(self.time, self.cells),
+            "title": self.scene.title,
+            "seed": self.scene.seed,
+            "steps": self.step_index,
+            "divisions": self.divisions,
+            "removals": self.removals,
+            "integrator": {"method": self.scene.integrator.method, **asdict(self._mechanics.work)},
+            "ledger": {**ledgers, **whole},
+            "wall": {**self.wall, "total": sum(self.wall.values())},
+            "threads": self._mechanics.threads,
+            "versions": versions(),
+            "units": dict(observables.SUMMARY_UNITS),
+        }
+
+    @contextmanager
+    def _phase(self, name: str) -> Iterator[None]:
+        begin = clock.perf_counter()
+        try:
+            yield
+        finally:
+            self.wall[name] += clock.perf_counter() - begin
+
+    def _radius_after(self, dt: float) -> FloatArray:
+        factor = growth_factor(self.scene, self.concentrations, self.cells.pressure)
+        volume = volumes_after(self.scene, self.cells, factor, dt)
+        return np.asarray(np.cbrt(volume / SPHERE))
+
+    def _move(self, begin: float, end: float, radius: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Integrate the positions; return them and the pressures at the end."""
+        cells = self.cells
+        rate = (radius - cells.radius) / (end - begin)
+        self._mechanics.begin(Motion(cells.radius, rate, cells.young, cells.poisson, begin, end))
+        if len(cells) == 0:
+            return cells.position, cells.pressure
+        outcome = self._integrator.integrate(self._mechanics, cells.position)
+        if not outcome.done:
+            cell = None if outcome.cell is None else int(cells.id[outcome.cell])
+            raise StepFailed(outcome.time, outcome.problem, outcome.hint, cell)
+        return outcome.position, self._mechanics.pressure(end, outcome.position)
+
+    def _take(
+        self, position: FloatArray, radius: FloatArray, pressure: FloatArray, dt: float
+    ) -> None:
+        """Make the end of the motion the state."""
+        cells = self.cells.take(np.arange(len(self.cells)))
+        cells.position, cells.radius, cells.pressure = position, radius, pressure
+        cells.age = cells.age + dt
+        self.cells = cells
+        self.step_index += 1
+
+    def _divide_and_remove(self) -> None:
+        first = self._next_id
+        self.cells, self._next_id = divide(self.scene, self.cells, self.step_index, first)
+        self.cells, removed = remove_lysed(self.scene, self.cells)
+        self.divisions += (self._next_id - first) // 2
+        self.removals += removed
+        self._unsorted += self._next_id - first + removed
+
+    def _sort(self) -> None:
+        """Sort the cells in space when many are new: neighbours then share memory."""
+        if self._unsorted > _STALE_ORDER * len(self.cells):
+            width = 2.0 * float(self.cells.radius.max(initial=1.0))
+            self.cells = self.cells.take(neighbours.spatial_order(self.cells.position, width))
+            self._unsorted = 0
+
+    def _feed(self) -> None:
+        """Solve every field for the present cells and sample it at them."""
+        self._reports: dict[str, SolveReport] = {}
+        for name, field in self._nutrients.items():
+            nutrient = self.scene.nutrients[name]
+            of_state = np.zeros(len(State))
+            of_state[State.PROLIFERATING] = nutrient.uptake
+            of_state[State.QUIESCENT] = nutrient.uptake * nutrient.quiescent_uptake
+            capacity = of_state[self.cells.state]
+            self._reports[name] = field.solve(self.cells.position, capacity)
+            self.concentrations[name] = field.sample(self.cells.position)
+
+    def _change_states(self) -> None:
+        self.cells.state = update_states(self.scene, self.cells, self.concentrations)
+
+
+def _nutrient_fields(scene: Scene) -> dict[str, NutrientField]:
+    """Return the scene's fields; a scene without nutrients does not load them."""
+    if not scene.nutrients:
+        return {}
+    from multicell.nutrient.field import NutrientField
+
+    return {name: NutrientField(name, nutrient) for name, nutrient in scene.nutrients.items()}
+
+
+def _separated(scene: Scene, cells: Cells) -> Cells:
+    """Move cells apart whose centres coincide: between them no force has a direction.
+
+    Each but one of them moves by a millionth of its radius along a random direction; the
+    contact forces do the rest.
+    """
+    if len(cells) < 2:
+        return cells
+    pairs = neighbours.neighbour_pairs(cells.position, 1e-9 * float(cells.radius.min()))
+    moved = np.unique(pairs[:, 1])
+    if len(moved):
+        cells = cells.take(np.arange(len(cells)))
+        axis = streams.unit_vectors(scene.seed, streams.Purpose.SEPARATION, 0, cells.id[moved])
+        cells.position[moved] += 1e-6 * cells.radius[moved, None] * axis
+    return cells

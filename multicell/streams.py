@@ -1,0 +1,178 @@
+"""Random numbers that depend on what they are for, not on when or where they are drawn.
+
+A number is a pure function of (seed, purpose, step, cell id): the same seed gives the same bits
+whatever the order of the cells, the number of threads, the integration method or a resume in
+between. The generator is Philox4x64-10, whose counter mode needs no state at all.
+
+References
+----------
+J. K. Salmon, M. A. Moraes, R. O. Dror, D. E. Shaw, "Parallel random numbers: as easy as 1, 2, 3",
+Proc. SC11 (2011), https://doi.org/10.1145/2063384.2063405
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multicell.cells import FloatArray
+from multicell.errors import SceneError
+
+UIntArray = NDArray[np.uint64]
+
+_WORD = 2**64
+_MASK = _WORD - 1
+_LOW = np.uint64(0xFFFFFFFF)
+_HALF = np.uint64(32)
+# the multipliers and the key increments of the paper (golden ratio, sqrt(3) - 1)
+_MULTIPLIERS = (np.uint64(0xD2E7470EE14C6C93), np.uint64(0xCA5A826395121157))
+_WEYL = (0x9E3779B97F4A7C15, 0xBB67AE8584CAA73B)
+_ROUNDS = 10
+
+
+@final
+class Purpose(IntEnum):
+    """What a random number is for; the values are part of every result and never change."""
+
+    PLACEMENT = 1
+    STAGE = 2
+    CYCLE = 3
+    MODULI = 4
+    AXIS = 5
+    SEPARATION = 6
+
+
+def _product(a: np.uint64, b: UIntArray) -> tuple[UIntArray, UIntArray]:
+    """Return the high and the low word of the 128-bit product ``a * b``."""
+    a_high, a_low = a >> _HALF, a & _LOW
+    b_high, b_low = b >> _HALF, b & _LOW
+    middle = a_high * b_low + ((a_low * b_low) >> _HALF)
+    other = a_low * b_high + (middle & _LOW)
+    return a_high * b_high + (middle >> _HALF) + (other >> _HALF), a * b
+
+
+def philox(counter: UIntArray, key: tuple[int, int]) -> UIntArray:
+    """Return the Philox4x64-10 block of each counter.
+
+    Parameters
+    ----------
+    counter : (4, ...) uint64
+        Four words a block.
+    key
+        Two words, each in 0 ... 2**64 - 1.
+
+    Returns
+    -------
+    (4, ...) uint64
+        Four random words a block, bit for bit those of ``numpy.random.Philox``.
+    """
+    # at least one axis a word: NumPy warns of the intended overflow on bare numbers only
+    x0, x1, x2, x3 = counter.reshape(4, -1)
+    k0, k1 = key
+    for _ in range(_ROUNDS):
+        high0, low0 = _product(_MULTIPLIERS[0], x0)
+        high1, low1 = _product(_MULTIPLIERS[1], x2)
+        x0, x1, x2, x3 = high1 ^ x1 ^ np.uint64(k0), low1, high0 ^ x3 ^ np.uint64(k1), low0
+        k0, k1 = (k0 + _WEYL[0]) & _MASK, (k1 + _WEYL[1]) & _MASK
+    return np.stack([x0, x1, x2, x3]).reshape(counter.shape)
+
+
+def uniform(
+    seed: int, purpose: Purpose, step: int, ids: NDArray[np.int64], count: int = 1, attempt: int = 0
+) -> FloatArray:
+    """Return uniform random numbers in [0, 1) with 53 bits.
+
+    Parameters
+    ----------
+    seed
+        Seed of the run, 0 ... 2**64 - 1.
+    purpose
+        What the numbers are for: purposes are independent of each other.
+    step
+        Index of the coupling step, 0 or more.
+    ids : (n,) int64
+        Identities of the cells, 0 or more.
+    count
+        Numbers a cell.
+    attempt
+        Tells repeated draws for the same cell, step and purpose apart.
+
+    Returns
+    -------
+    (n, count) float64
+
+    Raises
+    ------
+    SceneError
+        If the seed does not fit into 64 bits.
+    ValueError
+        If ``step``, ``count``, ``attempt`` or an identity is negative.
+    """
+    ids = np.asarray(ids, dtype=np.int64)
+    if not 0 <= seed < _WORD:
+        raise SceneError("seed", f"is {seed}, must be a whole number from 0 to 2**64 - 1")
+    if min(step, count, attempt) < 0 or (ids < 0).any():
+        raise ValueError("step, count, attempt and cell ids must not be negative")
+    blocks = -(-count // 4)
+    counter = np.empty((4, len(ids), blocks), dtype=np.uint64)
+    counter[0] = np.arange(blocks, dtype=np.uint64)
+    counter[1] = step
+    counter[2] = ids.astype(np.uint64)[:, None]
+    counter[3] = attempt
+    words = np.moveaxis(philox(counter, (seed, int(purpose))), 0, -1)
+    bits = words.reshape(len(ids), 4 * blocks)[:, :count] >> np.uint64(11)
+    return np.ascontiguousarray(bits.astype(np.float64) * 2.0**-53)
+
+
+def normal(
+    seed: int, purpose: Purpose, step: int, ids: NDArray[np.int64], count: int = 1, attempt: int = 0
+) -> FloatArray:
+    """Return standard normal random numbers, (n, count), by the method of Box and Muller.
+
+    Parameters and errors are those of :func:`uniform`.
+    """
+    pairs = -(-count // 2)
+    u = uniform(seed, purpose, step, ids, 2 * pairs, attempt)
+    # 1 - u lies in (0, 1]: its logarithm is finite
+    length = np.sqrt(-2.0 * np.log(1.0 - u[:, :pairs]))
+    angle = 2.0 * np.pi * u[:, pairs:]
+    both = np.concatenate([length * np.cos(angle), length * np.sin(angle)], axis=1)
+    return np.ascontiguousarray(both[:, :count])
+
+
+def truncated_normal(
+    seed: int, purpose: Purpose, step: int, ids: NDArray[np.int64], limit: float = 3.0
+) -> FloatArray:
+    """Return standard normal random numbers with ``abs(z) <= limit``, (n,).
+
+    Numbers outside are drawn again (never moved to the limit), so the distribution is the normal
+    one conditioned on the interval. ``limit`` is at least 0.1; other parameters and errors are
+    those of :func:`uniform`.
+    """
+    if not limit >= 0.1:
+        raise ValueError(f"limit is {limit}, must be at least 0.1")
+    ids = np.asarray(ids, dtype=np.int64)
+    z = normal(seed, purpose, step, ids)[:, 0]
+    attempt = 0
+    outside = np.flatnonzero(np.abs(z) > limit)
+    while outside.size:
+        attempt += 1
+        z[outside] = normal(seed, purpose, step, ids[outside], attempt=attempt)[:, 0]
+        outside = outside[np.abs(z[outside]) > limit]
+    return z
+
+
+def unit_vectors(seed: int, purpose: Purpose, step: int, ids: NDArray[np.int64]) -> FloatArray:
+    """Return directions spread uniformly over the unit sphere, (n, 3).
+
+    By Archimedes' theorem the height is uniform in [-1, 1) and the azimuth uniform in [0, 2 pi).
+    Parameters and errors are those of :func:`uniform`.
+    """
+    u = uniform(seed, purpose, step, ids, 2)
+    height = 2.0 * u[:, 0] - 1.0
+    azimuth = 2.0 * np.pi * u[:, 1]
+    waist = np.sqrt((1.0 - height) * (1.0 + height))
+    return np.stack([waist * np.cos(azimuth), waist * np.sin(azimuth), height], axis=1)

@@ -1,0 +1,160 @@
+"""Quantities at the door: ``"15 h"`` or ``"1 kPa"`` becomes a float in base units.
+
+The base units are µm, s, nN and amol. Then stress is kPa = nN/µm², surface energy mN/m = nN/µm,
+viscosity kPa·s and concentration mM = amol/µm³, all without a factor. pint is imported only when
+a string arrives, so that numbers cost nothing.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import re
+from decimal import Decimal
+from numbers import Real
+from typing import Any
+
+from multicell.errors import SceneError
+
+BASE_UNITS = "um, s, nN, amol; hence kPa = nN/um^2, nN/um = mN/m, kPa s, mM = amol/um^3"
+"""The base units in words, for headers and messages."""
+
+_KINDS = {
+    "um": ("a length", "5 um"),
+    "s": ("a time", "15 h"),
+    "kPa": ("a pressure or modulus", "1 kPa"),
+    "nN/um": ("a surface energy", "0.1 nN/um"),
+    "kPa s": ("a viscosity", "5 kPa s"),
+    "um^2/s": ("a diffusion coefficient", "2000 um^2/s"),
+    "mM": ("a concentration", "0.07 mM"),
+    "amol/s": ("an amount per time", "20 amol/s"),
+}
+_QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)(.*)", re.DOTALL)
+_UNIT_TEXT = re.compile(r"[A-Za-zµμ0-9 */^().²³¹⁻-]{1,40}")
+# A power of a power or a long exponent would keep the parser busy for ever.
+_RUNAWAY = re.compile(r"[\d)]\s*(?:\^|\*\*)|\d\d|\.\d")
+
+
+def to_base(value: object, unit: str, path: str = "") -> float:
+    """Return a quantity as a number of base units.
+
+    Parameters
+    ----------
+    value
+        A number, taken to be in ``unit`` already, or a string of a number and a unit.
+    unit
+        The wanted unit, a product of base units such as ``"um^2/s"``.
+    path
+        Where the value stands, for the error.
+
+    Returns
+    -------
+    float
+        The value in ``unit``. The product with the unit's factor is rounded once, so that
+        ``"1.1 h"`` is exactly 3960 s.
+
+    Raises
+    ------
+    SceneError
+        For a wrong type, nan, inf, a string without a unit, an unknown unit or one of another
+        dimension.
+    """
+    if isinstance(value, str):
+        return _from_text(value, unit, path)
+    return finite(value, path, f"a number in {unit} or a string with a unit", _example(unit))
+
+
+def finite(value: object, path: str, wanted: str, hint: str = "") -> float:
+    """Return a real, finite number as a float.
+
+    Raises
+    ------
+    SceneError
+        For any other type (booleans too), nan, inf and numbers beyond a float's range.
+    """
+    if isinstance(value, bool) or not isinstance(value, Real):
+        raise SceneError(path, f"is {shown(value)}, must be {wanted}", hint)
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise SceneError(path, f"is {shown(value)}, must be a finite number", hint)
+    return number
+
+
+def shown(value: object) -> str:
+    """Return a value as an error message shows it: short, tables and lists by their kind."""
+    if isinstance(value, dict):
+        return "a table"
+    if isinstance(value, list | tuple):
+        return "a list"
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _from_text(text: str, unit: str, path: str) -> float:
+    """Return the quantity that a string spells, in ``unit``."""
+    match = _QUANTITY.fullmatch(text) if len(text) <= 100 else None
+    if match is None:
+        raise SceneError(path, f"is {shown(text)}, must be a number and a unit", _example(unit))
+    digits, unit_text = match[1], match[2].strip()
+    if not unit_text:
+        raise SceneError(path, f"is {shown(text)}, a string without a unit", _example(unit))
+    factor = _factor(unit_text, unit, text, path)
+    number = finite(float(digits), path, "a number")
+    if number == 0.0:
+        return 0.0
+    product = float(Decimal(digits) * Decimal(repr(factor)))
+    return finite(product, path, "a number", _example(unit))
+
+
+def _factor(unit_text: str, unit: str, text: str, path: str) -> float:
+    """Return how many ``unit`` one ``unit_text`` is; ``text`` is what the user wrote."""
+    import pint
+
+    if not _UNIT_TEXT.fullmatch(unit_text) or _RUNAWAY.search(unit_text):
+        raise SceneError(path, f"is {shown(text)}, its unit cannot be read", _example(unit))
+    try:
+        return _conversion(unit_text, unit)
+    except pint.DimensionalityError:
+        kind = _KINDS.get(unit, (f"a quantity in {unit}", ""))[0]
+        problem = f"is {shown(text)}, must be {kind}, which '{unit_text}' is not"
+        raise SceneError(path, problem, _example(unit)) from None
+    except _parse_errors():
+        problem = f"is {shown(text)}, with the unknown unit '{unit_text}'"
+        hint = f"{_example(unit)} Capitals matter: kPa, mM, um."
+        raise SceneError(path, problem, hint) from None
+
+
+def _parse_errors() -> tuple[type[Exception], ...]:
+    """Return what pint raises for text that is not a unit."""
+    import tokenize
+
+    import pint
+
+    # pint's parser lets Python's own errors through for malformed expressions
+    python = (ArithmeticError, AssertionError, AttributeError, LookupError, TypeError, ValueError)
+    return (pint.PintError, tokenize.TokenError, SyntaxError, *python)
+
+
+@functools.cache
+def _conversion(unit_text: str, unit: str) -> float:
+    """Return the factor from one unit to another; a short decimal is freed of rounding."""
+    registry = _registry()
+    quantity = registry.Quantity(1.0, registry.parse_units(unit_text))
+    factor = float(quantity.to(unit).magnitude)
+    short = float(f"{factor:.12g}")
+    return short if math.isclose(short, factor, rel_tol=1e-15) else factor
+
+
+@functools.cache
+def _registry() -> Any:
+    """Return the one unit registry; private, so that a user's own definitions stay apart."""
+    import pint
+
+    return pint.UnitRegistry()
+
+
+def _example(unit: str) -> str:
+    return f"Write for example '{_KINDS.get(unit, ('', f'1 {unit}'))[1]}'."

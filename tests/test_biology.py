@@ -1,0 +1,459 @@
+"""Biology: conservation, order independence, thresholds, and growth against closed forms."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import optimize, stats
+from scipy.spatial import cKDTree
+
+from multicell import biology
+from multicell.biology.initial import packed_ball, scattered
+from multicell.biology.phases import deciding
+from multicell.cells import SPHERE, Cells, State
+from multicell.scene import Scene
+from multicell.streams import Purpose
+
+HOUR = 3600.0
+CYCLE = 15 * HOUR
+
+
+BASE = {
+    "duration": "1 d",
+    "seed": 1,
+    "initial": {"count": 200},
+    "growth": {"cycle_time": CYCLE, "cycle_variation": 0.1, "critical_pressure": 0.1},
+    "death": {"lysis_time": "48 h", "removal_fraction": 0.1},
+    "nutrients": {"oxygen": {}},
+}
+
+
+def make_scene(**changes: Any) -> Scene:
+    """Return a scene with all parts of biology; None takes a part away."""
+    return Scene.from_dict({k: v for k, v in (BASE | changes).items() if v is not None})
+
+
+def growth(**changes: Any) -> dict[str, Any]:
+    """Return a growth that does not feel pressure."""
+    return {"cycle_time": CYCLE, "cycle_variation": 0.1} | changes
+
+
+def initial(**changes: Any) -> dict[str, Any]:
+    return {"count": 200} | changes
+
+
+def some_cells(n: int, seed: int = 0) -> Cells:
+    """Return ``n`` cells of all sizes and states in no particular order."""
+    rng = np.random.default_rng(seed)
+    return Cells(
+        id=rng.permutation(5 * n)[:n],
+        parent=np.full(n, -1),
+        position=rng.normal(scale=50.0, size=(n, 3)),
+        radius=rng.uniform(3.0, 5.5, n),
+        young=rng.uniform(0.8, 1.2, n),
+        poisson=np.full(n, 0.5),
+        state=rng.choice(3, n, p=[0.6, 0.2, 0.2]),
+        age=rng.uniform(0, CYCLE, n),
+        cycle_time=rng.uniform(0.9, 1.1, n) * CYCLE,
+        pressure=rng.uniform(-0.05, 0.2, n),
+    )
+
+
+def by_id(cells: Cells) -> dict[str, np.ndarray]:
+    order = np.argsort(cells.id)
+    return {name: column[order] for name, column in cells.columns()}
+
+
+# --- start ---------------------------------------------------------------------------------------
+
+
+@settings(deadline=None, max_examples=25)
+@given(st.integers(1, 3000))
+def test_packed_ball_is_a_close_packing_in_a_ball(count: int) -> None:
+    sites = packed_ball(count)
+    assert sites.shape == (count, 3)
+    np.testing.assert_allclose(sites.mean(axis=0), 0.0, atol=1e-12)
+    if count > 1:
+        nearest = cKDTree(sites).query(sites, k=2)[0][:, 1]
+        np.testing.assert_allclose(nearest, 1.0, atol=1e-12)
+        # volume of the ball that holds `count` sites of a packing of density sqrt(2)
+        radius = (3 * count / (4 * np.pi * np.sqrt(2))) ** (1 / 3)
+        assert np.linalg.norm(sites, axis=1).max() < radius + 1.0
+
+
+def test_inner_sites_have_twelve_neighbours_in_two_layers_abab() -> None:
+    sites = packed_ball(2000)
+    tree = cKDTree(sites)
+    inner = np.linalg.norm(sites, axis=1) < 5.0
+    counts = np.array([len(x) - 1 for x in tree.query_ball_point(sites[inner], 1.0 + 1e-9)])
+    assert (counts == 12).all()
+    # hexagonal (not cubic) packing: the layer after the next lies straight above
+    above = sites[inner] + [0.0, 0.0, 2.0 * np.sqrt(2.0 / 3.0)]
+    assert tree.query(above)[0].max() < 1e-9
+
+
+def test_initial_cells_start_at_birth_or_spread_over_the_cycle() -> None:
+    birth = biology.initial_cells(make_scene())
+    np.testing.assert_allclose(birth.radius, 5.0 * 2 ** (-1 / 3), rtol=1e-15)
+    assert (birth.age == 0).all()
+    scene = make_scene(initial=initial(count=5000, stage="uniform"))
+    cells = biology.initial_cells(scene)
+    progress = cells.volume / biology.birth_volume(scene) - 1.0
+    assert stats.kstest(progress, "uniform").pvalue > 1e-3
+    np.testing.assert_allclose(cells.age, progress * cells.cycle_time, rtol=1e-10, atol=1e-6)
+    assert cells.id.tolist() == list(range(5000))
+    assert (cells.parent == -1).all()
+    assert (cells.state == State.PROLIFERATING).all()
+    assert (cells.poisson == 0.5).all()
+    assert (cells.pressure == 0).all()
+
+
+def test_initial_spacing_and_jitter_are_relative_to_the_diameter() -> None:
+    exact = biology.initial_cells(make_scene(initial=initial(count=3000, spacing=0.8)))
+    nearest = cKDTree(exact.position).query(exact.position, k=2)[0][:, 1]
+    np.testing.assert_allclose(nearest, 0.8 * 2 * exact.radius, rtol=1e-12)
+    moved = biology.initial_cells(make_scene(initial=initial(count=3000, spacing=0.8, jitter=0.05)))
+    shift = (moved.position - exact.position) / (2 * exact.radius[:, None])
+    assert stats.kstest(shift.ravel(), stats.norm(scale=0.05).cdf).pvalue > 1e-3
+
+
+def test_moduli_and_cycle_times_are_truncated_normal_and_independent() -> None:
+    cells = biology.initial_cells(make_scene(initial=initial(count=20_000)))
+    law = stats.truncnorm(-3, 3)
+    z_young, z_cycle = (cells.young - 1.0) / 0.1, (cells.cycle_time / CYCLE - 1.0) / 0.1
+    assert stats.kstest(z_young, law.cdf).pvalue > 1e-3
+    assert stats.kstest(z_cycle, law.cdf).pvalue > 1e-3
+    assert abs(np.corrcoef(z_young, z_cycle)[0, 1]) < 4 / np.sqrt(20_000)
+
+
+def test_largest_variation_stays_positive_and_keeps_the_mean() -> None:
+    values = scattered(1, Purpose.MODULI, 0, np.arange(20_000), 2.0, 0.5)
+    assert values.min() >= 0.2
+    law = stats.truncnorm(-1.8, 1.8, loc=2.0, scale=1.0)
+    assert stats.kstest(values, law.cdf).pvalue > 1e-3
+    assert values.mean() == pytest.approx(2.0, abs=4 * law.std() / np.sqrt(20_000))
+
+
+def test_without_growth_cycles_are_infinite_and_ages_finite() -> None:
+    scene = make_scene(growth=None, initial=initial(stage="uniform"))
+    cells = biology.initial_cells(scene)
+    assert np.isinf(cells.cycle_time).all()
+    assert (cells.age == 0).all()
+    ripe = replace(cells, radius=np.full(200, 6.0))
+    assert biology.divide(scene, ripe, 1, 200) == (ripe, 200)
+
+
+def test_seed_decides_everything() -> None:
+    first, again = (biology.initial_cells(make_scene(seed=3)) for _ in range(2))
+    other = biology.initial_cells(make_scene(seed=4))
+    for name, column in first.columns():
+        np.testing.assert_array_equal(column, getattr(again, name))
+    assert not np.isin(first.young, other.young).any()
+
+
+# --- growth --------------------------------------------------------------------------------------
+
+
+def test_growth_factor_values_by_hand() -> None:
+    scene = make_scene()
+    c = {"oxygen": np.array([0.01, 0.03, 0.0, 0.01, 0.01, 0.01])}
+    p = np.array([0.0, 0.0, 0.0, 0.05, 0.2, -0.05])
+    expected = [0.5, 0.75, 0.0, 0.25, 0.0, 0.5]
+    np.testing.assert_allclose(biology.growth_factor(scene, c, p), expected, rtol=1e-15)
+
+
+def test_growth_factor_multiplies_nutrients_and_absent_parts_do_nothing() -> None:
+    # a scene has one nutrient for now; the rule is written for any number
+    scene = SimpleNamespace(
+        growth=make_scene(growth=growth()).growth,
+        nutrients={
+            "oxygen": make_scene().nutrients["oxygen"],
+            "glucose": SimpleNamespace(growth_half_saturation=1.0),
+        },
+    )
+    c = {"oxygen": np.array([0.03]), "glucose": np.array([3.0])}
+    high = np.array([5.0])
+    assert biology.growth_factor(scene, c, high)[0] == pytest.approx(0.75**2)
+    assert biology.growth_factor(make_scene(nutrients={}, growth=growth()), {}, high)[0] == 1.0
+    assert biology.growth_factor(make_scene(nutrients={}, growth=None), {}, high)[0] == 0.0
+    with pytest.raises(KeyError, match="glucose"):
+        biology.growth_factor(scene, {"oxygen": np.array([0.03])}, high)
+
+
+def test_volumes_after_follow_the_state() -> None:
+    scene = make_scene()
+    cells = some_cells(60)
+    factor = np.linspace(0.0, 1.0, 60)
+    dt = 600.0
+    gain = (biology.volumes_after(scene, cells, factor, dt) - cells.volume) / cells.volume
+    for state in State:
+        mine = cells.state == state
+        expected = {
+            State.PROLIFERATING: factor * dt / cells.cycle_time
+            * (0.5 * SPHERE * 125.0) / cells.volume,
+            State.QUIESCENT: np.zeros(60),
+            State.NECROTIC: np.full(60, np.expm1(-dt / (48 * HOUR))),
+        }[state]  # fmt: skip
+        assert mine.any()
+        np.testing.assert_allclose(gain[mine], expected[mine], rtol=1e-11, atol=1e-14)
+    still = biology.volumes_after(make_scene(growth=None, death=None), cells, factor, dt)
+    np.testing.assert_array_equal(still, cells.volume)
+
+
+def test_two_half_steps_equal_one_step() -> None:
+    scene = make_scene()
+    cells = some_cells(60)
+    factor = np.full(60, 0.7)
+    half = biology.volumes_after(scene, cells, factor, 300.0)
+    middle = replace(cells, radius=np.cbrt(half / SPHERE))
+    twice = biology.volumes_after(scene, middle, factor, 300.0)
+    np.testing.assert_allclose(
+        twice, biology.volumes_after(scene, cells, factor, 600.0), rtol=1e-13
+    )
+
+
+# --- phases --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("before", "oxygen", "pressure", "after"),
+    [
+        (State.PROLIFERATING, 0.02, 0.0, State.PROLIFERATING),
+        (State.PROLIFERATING, 0.0199, 0.0, State.QUIESCENT),
+        (State.QUIESCENT, 0.03, 0.0, State.PROLIFERATING),
+        (State.PROLIFERATING, 0.03, 0.1, State.QUIESCENT),
+        (State.PROLIFERATING, 0.03, 0.0999, State.PROLIFERATING),
+        (State.QUIESCENT, 0.005, 0.0, State.QUIESCENT),
+        (State.QUIESCENT, 0.0049, 0.0, State.NECROTIC),
+        (State.PROLIFERATING, 0.0049, 0.5, State.NECROTIC),
+        (State.NECROTIC, 0.07, 0.0, State.NECROTIC),
+    ],
+)
+def test_state_changes(before: State, oxygen: float, pressure: float, after: State) -> None:
+    cells = some_cells(1)
+    cells = replace(cells, state=np.array([before]), pressure=np.array([pressure]), age=np.zeros(1))
+    got = biology.update_states(make_scene(), cells, {"oxygen": np.array([oxygen])})
+    assert got.dtype == np.int8
+    assert got.tolist() == [after]
+    assert cells.state.tolist() == [before]
+
+
+def test_states_without_the_parts_that_change_them() -> None:
+    cells = some_cells(50)
+    none = biology.update_states(make_scene(nutrients={}, growth=growth()), cells, {})
+    np.testing.assert_array_equal(none, cells.state)
+    none[:] = 0
+    assert cells.state.any()
+    newborn = replace(cells, age=np.zeros(50))
+    pressed = biology.update_states(make_scene(nutrients={}), newborn, {})
+    living = cells.state != State.NECROTIC
+    np.testing.assert_array_equal(pressed[living], cells.pressure[living] >= 0.1)
+
+
+def test_a_cell_decides_at_birth_and_once_in_each_reaction_time() -> None:
+    cells = replace(some_cells(500), id=np.arange(500), age=np.zeros(500))
+    assert deciding(cells, 600.0, 7200.0).all()
+    ticks = []
+    for step in range(1, 37):
+        ticks.append(deciding(replace(cells, age=np.full(500, 600.0 * step)), 600.0, 7200.0))
+    per_window = np.array(ticks).reshape(3, 12, 500)
+    assert (per_window.sum(axis=1) == 1).all()
+    # and always an even share of the population, here a twelfth of 500
+    assert abs(per_window.sum(axis=2) - 500 / 12).max() < 2
+    assert deciding(replace(cells, age=np.full(500, 7200.0)), 7200.0, 7200.0).all()
+
+
+def test_a_cell_that_is_not_due_keeps_its_state_but_dies_at_once() -> None:
+    cells = replace(some_cells(500), age=np.full(500, 1e5), pressure=np.zeros(500))
+    due = deciding(cells, 600.0, 7200.0)
+    living = cells.state != State.NECROTIC
+    starved = biology.update_states(make_scene(), cells, {"oxygen": np.full(500, 0.01)})
+    np.testing.assert_array_equal(starved[~due], cells.state[~due])
+    assert (starved[due & living] == State.QUIESCENT).all()
+    assert 20 < due.sum() < 60
+    dead = biology.update_states(make_scene(), cells, {"oxygen": np.full(500, 0.001)})
+    assert (dead == State.NECROTIC).all()
+
+
+@pytest.mark.parametrize("dt", [600.0, 300.0])
+def test_uptake_feedback_settles_instead_of_switching_all_cells(dt: float) -> None:
+    # A field in which all cells see the same: it lies below the threshold of 0.02 mM if none
+    # rests, above if all do, and at it if half of them do.
+    scene = make_scene(coupling_step=dt, growth=growth())
+    cells = replace(some_cells(600), state=np.zeros(600, dtype=np.int8), age=np.zeros(600))
+    parts = []
+    for step in range(1, int(86_400 / dt)):
+        resting = float((cells.state == State.QUIESCENT).mean())
+        parts.append(resting)
+        oxygen = np.full(600, 0.019 + 0.002 * resting)
+        cells = replace(cells, age=np.full(600, step * dt))
+        cells.state = biology.update_states(scene, cells, {"oxygen": oxygen})
+    late = np.array(parts[len(parts) // 2 :])
+    assert np.abs(late - 0.5).max() < 1.5 * dt / scene.cells.reaction_time
+
+
+# --- division ------------------------------------------------------------------------------------
+
+
+def test_division_conserves_volume_and_centre_of_mass_of_every_mother() -> None:
+    scene = make_scene()
+    before = some_cells(400)
+    after, next_id = biology.divide(scene, before, 12, 5000)
+    born = after.take(after.id >= 5000)
+    ripe = (before.state == State.PROLIFERATING) & (before.radius >= 5.0)
+    assert next_id == 5000 + 2 * ripe.sum() == 5000 + len(born)
+    assert ripe.sum() > 20
+    mothers = before.take(ripe)
+    mothers = mothers.take(np.argsort(mothers.id))
+    a, b = born.take(np.arange(0, len(born), 2)), born.take(np.arange(1, len(born), 2))
+    np.testing.assert_array_equal(a.parent, mothers.id)
+    np.testing.assert_array_equal(b.parent, mothers.id)
+    np.testing.assert_allclose(a.volume, mothers.volume / 2, rtol=1e-12)
+    np.testing.assert_allclose(b.volume, mothers.volume / 2, rtol=1e-12)
+    centre = 0.5 * (a.position + b.position)
+    np.testing.assert_allclose(centre, mothers.position, rtol=1e-12, atol=1e-12)
+    # each daughter touches the mother's surface from within
+    reach = np.linalg.norm(a.position - mothers.position, axis=1) + a.radius
+    np.testing.assert_allclose(reach, mothers.radius, rtol=1e-12)
+    assert (born.age == 0).all()
+    np.testing.assert_array_equal(a.pressure, mothers.pressure)
+    assert len(np.unique(born.young)) == len(np.unique(born.cycle_time)) == len(born)
+    assert not np.isin(born.young, before.young).any()
+
+
+def test_only_ripe_proliferating_cells_divide_and_the_rest_are_untouched() -> None:
+    scene = make_scene()
+    before = some_cells(400)
+    untouched = {name: column.copy() for name, column in before.columns()}
+    after, _ = biology.divide(scene, before, 12, 5000)
+    kept = before.take((before.state != State.PROLIFERATING) | (before.radius < 5.0))
+    for name, column in kept.columns():
+        np.testing.assert_array_equal(getattr(after, name)[: len(kept)], column)
+    for name, column in before.columns():
+        np.testing.assert_array_equal(column, untouched[name])
+
+
+def test_a_cell_at_the_division_volume_up_to_rounding_divides() -> None:
+    cells = replace(
+        some_cells(2),
+        state=np.zeros(2, dtype=np.int8),
+        radius=np.array([np.nextafter(5.0, 0.0), 5.0 * (1.0 - 1e-9)]),
+    )
+    after, next_id = biology.divide(make_scene(), cells, 1, 100)
+    assert next_id == 102
+    assert after.id.tolist() == [cells.id[1], 100, 101]
+
+
+def test_division_does_not_depend_on_the_order_of_the_arrays() -> None:
+    scene = make_scene()
+    cells = some_cells(400)
+    shuffled = cells.take(np.random.default_rng(5).permutation(400))
+    one, next_one = biology.divide(scene, cells, 3, 9000)
+    two, next_two = biology.divide(scene, shuffled, 3, 9000)
+    assert next_one == next_two
+    for name, column in by_id(one).items():
+        np.testing.assert_array_equal(column, by_id(two)[name])
+
+
+def test_division_axes_are_isotropic_and_change_with_the_step() -> None:
+    scene = make_scene()
+    mothers = replace(
+        some_cells(4000), radius=np.full(4000, 5.0), state=np.zeros(4000, dtype=np.int8)
+    )
+    axes = []
+    for step in (1, 2):
+        born, _ = biology.divide(scene, mothers, step, 20_000)
+        difference = born.position[0::2] - born.position[1::2]
+        axes.append(difference / np.linalg.norm(difference, axis=1)[:, None])
+    for column in axes[0].T:
+        assert stats.kstest(column, stats.uniform(-1, 2).cdf).pvalue > 1e-3
+    assert abs((axes[0] * axes[1]).sum(axis=1).mean()) < 4 / np.sqrt(3 * 4000)
+
+
+def grown(scene: Scene, cells: Cells, dt: float, steps: int) -> list[int]:
+    """Return the number of cells after each of ``steps`` steps of free growth."""
+    next_id = int(cells.id.max()) + 1
+    counts = []
+    for step in range(1, steps + 1):
+        factor = biology.growth_factor(scene, {}, cells.pressure)
+        volume = biology.volumes_after(scene, cells, factor, dt)
+        cells = replace(cells, radius=np.cbrt(volume / SPHERE), age=cells.age + dt)
+        cells, next_id = biology.divide(scene, cells, step, next_id)
+        counts.append(len(cells))
+    return counts
+
+
+def test_cells_without_variation_double_exactly_at_each_cycle_time() -> None:
+    scene = make_scene(nutrients={}, growth=growth(cycle_variation=0.0), initial=initial(count=1))
+    counts = grown(scene, biology.initial_cells(scene), 600.0, 5 * 90)
+    assert counts == [2 ** (step // 90) for step in range(1, 451)]
+
+
+def stable_population(scene: Scene, count: int) -> Cells:
+    """Return cells whose volumes have the stable density 2^(1 - p) ln 2 of a growing population."""
+    cells = biology.initial_cells(scene.with_changes({"initial.count": count}))
+    progress = 1.0 - np.log2(2.0 - (np.arange(count) + 0.5) / count)
+    volume = biology.birth_volume(scene) * (1.0 + progress)
+    return replace(cells, radius=np.cbrt(volume / SPHERE))
+
+
+def euler_lotka(cycle: float, variation: float) -> float:
+    """Return the growth rate r of 2 E[exp(-r T)] = 1, T normal with the given moments."""
+
+    def excess(rate: float) -> float:
+        return np.log(2.0) - rate * cycle + 0.5 * (rate * cycle * variation) ** 2
+
+    return optimize.brentq(excess, 0.5 * np.log(2) / cycle, 1.5 * np.log(2) / cycle)
+
+
+def test_free_growth_is_exponential_and_its_bias_shrinks_with_the_step() -> None:
+    scene = make_scene(nutrients={}, growth=growth())
+    start = stable_population(scene, 600)
+    errors = []
+    for parts in (6, 12, 48):
+        counts = grown(scene, start, CYCLE / parts, 5 * parts)
+        rate = np.log(counts[-1] / counts[parts - 1]) / (4 * CYCLE)
+        # A mother outgrows the division volume by half a step on average, and her two daughters
+        # share what each of them would have grown: a cycle takes a quarter of a step longer.
+        expected = euler_lotka(CYCLE * (1 + 0.25 / parts), 0.1)
+        assert rate == pytest.approx(expected, rel=0.003)
+        errors.append(abs(rate / euler_lotka(CYCLE, 0.1) - 1.0))
+    assert errors[0] > errors[1] > errors[2]
+    assert errors[0] == pytest.approx(0.25 / 6, rel=0.1)
+    assert errors[2] < 0.012
+    assert rate == pytest.approx(np.log(2) / CYCLE, rel=0.012)
+
+
+# --- death ---------------------------------------------------------------------------------------
+
+
+def test_lysed_cells_are_removed_below_the_fraction_of_the_birth_volume() -> None:
+    scene = make_scene()
+    limit = 5.0 * (0.1 / 2) ** (1 / 3)
+    cells = replace(
+        some_cells(4),
+        radius=np.array([limit * 0.999, limit * 1.001, limit * 0.5, 5.0]),
+        state=np.array([State.NECROTIC, State.NECROTIC, State.QUIESCENT, State.NECROTIC]),
+    )
+    left, removed = biology.remove_lysed(scene, cells)
+    assert removed == 1
+    assert left.id.tolist() == cells.id[1:].tolist()
+    assert biology.remove_lysed(make_scene(death=None), cells) == (cells, 0)
+
+
+def test_a_dead_cell_lasts_the_time_of_its_exponential() -> None:
+    scene = make_scene()
+    cells = replace(some_cells(1), radius=np.array([5.0]), state=np.array([State.NECROTIC]))
+    steps = 0
+    while len(cells):
+        volume = biology.volumes_after(scene, cells, np.zeros(1), 600.0)
+        cells, _ = biology.remove_lysed(scene, replace(cells, radius=np.cbrt(volume / SPHERE)))
+        steps += 1
+    # from the division volume to a tenth of the birth volume: a factor of 20
+    assert steps == int(np.ceil(48 * HOUR * np.log(20) / 600.0))

@@ -1,0 +1,247 @@
+"""The command: what it prints, and the exit codes."""
+
+import json
+import math
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import click
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from rich.console import Console
+from synthetic import BARE, SCENE
+
+from multicell import __version__, progress
+from multicell.cells import SPHERE
+from multicell.cli import main, parse_changes
+from multicell.explain import daughters_stiffness, drag, explain
+from multicell.scene import load_scene, scene_names
+
+
+def call(*arguments):
+    return CliRunner().invoke(main, list(arguments))
+
+
+def numbers(scene, **changes):
+    described = scene.with_changes({k.replace("__", "."): v for k, v in changes.items()})
+    return {entry["name"]: entry["value"] for entry in explain(described)["numbers"]}
+
+
+def test_help_lists_the_commands_and_every_command_has_help():
+    assert call("--version").output == f"multicell {__version__}\n"
+    answer = call("--help")
+    assert answer.exit_code == 0
+    for command in main.commands:
+        assert command in answer.output
+        page = call(command, "--help")
+        assert page.exit_code == 0
+        assert "--json" in page.output
+
+
+def test_help_loads_nothing_heavy():
+    code = (
+        "import sys; from multicell.cli import main; main(['explain', 'settle', '--json'], "
+        "standalone_mode=False); "
+        "heavy = {'numba', 'matplotlib', 'h5py', 'pde', 'sksundae', 'rich'} & set(sys.modules); "
+        "print(sorted(heavy), file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stderr.strip() == "[]"
+
+
+def test_scenes_are_listed():
+    answer = call("scenes")
+    assert answer.exit_code == 0
+    for name in scene_names():
+        assert name in answer.output
+    listed = json.loads(call("scenes", "--json").output)
+    assert [row["name"] for row in listed] == scene_names()
+    assert {row["name"]: row["duration"] for row in listed}["settle"] == 3600.0
+    assert all(row["title"] for row in listed)
+
+
+@pytest.mark.parametrize("name", ["spheroid", "growth", "settle"])
+def test_explain_prints_parts_numbers_and_json(name):
+    answer = call("explain", name)
+    assert answer.exit_code == 0
+    assert "derived number" in answer.output
+    facts = json.loads(call("explain", name, "--json").output)
+    assert facts["scene"] == name
+    scene = load_scene(name)
+    used = {part["part"]: part["used"] for part in facts["parts"]}
+    assert used["growth"] is (scene.growth is not None)
+    assert used["death"] is (scene.death is not None)
+    assert ("nutrients.oxygen" in used) is ("oxygen" in scene.nutrients)
+    assert all(math.isfinite(entry["value"]) for entry in facts["numbers"])
+
+
+def test_explain_takes_changes_and_files(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text('title = "[bold]mine[/bold]"\nduration = "2 h"\n')
+    answer = call("explain", str(path), "--set", "coupling_step=5 min")
+    assert answer.exit_code == 0
+    assert "[bold]mine[/bold]" in answer.output
+    facts = json.loads(call("explain", str(path), "--set", "duration=8 d", "--json").output)
+    assert facts["numbers"][0]["value"] == 8 * 86400.0
+
+
+def test_derived_numbers_against_closed_forms():
+    known = numbers(SCENE)
+    assert known["birth radius"] == pytest.approx(5.0 / 2 ** (1 / 3))
+    radius = 5.0 / 2 ** (1 / 6)
+    assert known["typical radius"] == pytest.approx(radius)
+    assert known["drag"] == pytest.approx(6 * np.pi * 5.0 * radius)
+    assert known["cycle time"] == 54000.0
+    demand = 20.0 / (SPHERE * radius**3)
+    assert known["oxygen: largest uptake"] == pytest.approx(demand)
+    # at the starving radius the zeroth-order profile is zero in the centre
+    starving = known["oxygen: starving radius"]
+    assert 0.07 - demand * starving**2 / (6 * 2000.0) == pytest.approx(0.0, abs=1e-15)
+    # a wall fed from one side has no flux and no oxygen at the diffusion length
+    depth = known["oxygen: diffusion length"]
+    assert 0.07 - demand * depth**2 / (2 * 2000.0) == pytest.approx(0.0, abs=1e-15)
+
+
+def test_contact_numbers_of_the_reference_pair():
+    """Two cells of radius 10 µm with E = 1, ν = 0.5, σ = 0.1 rest at 17.178 µm, pull 2.3562 nN."""
+    known = numbers(BARE, cells__division_radius=10.0 * 2 ** (1 / 6))
+    assert known["typical radius"] == pytest.approx(10.0)
+    assert known["equilibrium distance"] == pytest.approx(17.178, abs=5e-4)
+    assert known["pull-off force"] == pytest.approx(2.3562, abs=5e-5)
+
+
+def test_relaxation_time_is_that_of_the_linearised_pair():
+    known = numbers(BARE)
+    radius, gap = known["typical radius"], 1e-4
+    modulus = 1.0 / (2 * 0.75 * (1 - 0.25) / 1.0)
+    rest = 2 * radius - known["equilibrium distance"]
+    force = [BARE.contact.force(rest + x, modulus, radius / 2) for x in (-gap, gap)]
+    stiffness = (force[1] - force[0]) / (2 * gap)
+    assert known["relaxation time"] == pytest.approx(known["drag"] / (2 * stiffness), rel=1e-6)
+
+
+def test_explicit_step_limit_is_where_euler_on_two_daughters_turns_unstable():
+    """Euler on the linearised separation: x' = -2k/Γ x is unstable beyond Γ/k."""
+    limit = numbers(BARE)["explicit step limit"]
+    rate = 2.0 * daughters_stiffness(BARE) / drag(BARE, 5.0 / 2 ** (1 / 3))
+    growth = [abs(1.0 - rate * step) for step in (0.99 * limit, 1.01 * limit)]
+    assert growth[0] < 1.0 < growth[1]
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"death.lysis_time": "48 h"}, "necrotic"),
+        ({"contact.surface_energy": 0.0}, "Hertz"),
+        ({"integrator.method": "euler", "integrator.step": 200.0}, "stability"),
+        ({"growth.cycle_time": "15 h", "coupling_step": "2 h"}, "coupling step"),
+        ({"nutrients.oxygen.boundary": 0.01}, "quiescent"),
+    ],
+)
+def test_explain_notes_what_does_not_fit(changes, words):
+    assert explain(BARE)["notes"] == []
+    (note,) = explain(BARE.with_changes(changes))["notes"]
+    assert words in note
+
+
+@pytest.mark.parametrize("scene", ["spheroid", "growth", "settle"])
+def test_built_in_scenes_need_no_note(scene):
+    assert explain(load_scene(scene))["notes"] == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["explain", "speroid"], "Did you mean 'spheroid'"),
+        (["explain", "nowhere.toml"], "does not exist"),
+        (["explain", "spheroid", "--set", "drag.viskosity=5"], "Did you mean 'viscosity'"),
+        (["explain", "spheroid", "--set", "duration=-3 d"], "must be above 0 s"),
+        (["explain", "spheroid", "--set", "duration"], "not KEY=VALUE"),
+        (["explain"], "Missing argument"),
+        (["run", "spheroid"], "Missing option '-o'"),
+        (["run", "spheroid", "-o", "x", "--integrator", "eular"], "Did you mean 'euler'"),
+        (["run", "spheroid", "-o", "x", "--threads", "0"], "--threads"),
+        (["simulate"], "No such command"),
+    ],
+)
+def test_bad_input_ends_with_2_and_a_sentence(arguments, words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    answer = call(*arguments)
+    assert answer.exit_code == 2
+    assert words in answer.stderr
+    assert "Traceback" not in answer.output
+    assert answer.stdout == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_error_with_json_is_one_document():
+    answer = call("explain", "speroid", "--json")
+    assert answer.exit_code == 2
+    document = json.loads(answer.stdout)
+    assert document["kind"] == "SceneError"
+    assert "speroid" in document["error"]
+    assert document["error"] in answer.stderr
+
+
+def test_values_of_set_are_toml_or_text():
+    items = ("a=5", "b=0.5", "c=8 d", 'd="x"', "e=true", "f={ g = 1 }", "h = euler ", "i=", "j=1=2")
+    assert parse_changes(items) == {
+        "a": 5,
+        "b": 0.5,
+        "c": "8 d",
+        "d": "x",
+        "e": True,
+        "f": {"g": 1},
+        "h": "euler",
+        "i": None,
+        "j": "1=2",
+    }
+
+
+def test_set_cannot_smuggle_in_a_second_key_or_a_date():
+    assert parse_changes(["a=1\nb = 2", "c=1979-05-27"]) == {"a": "1\nb = 2", "c": "1979-05-27"}
+    for item in ("=5", " =5", "a"):
+        with pytest.raises(click.BadParameter, match="KEY=VALUE"):
+            parse_changes([item])
+
+
+def test_empty_value_removes_a_part():
+    facts = json.loads(call("explain", "spheroid", "--set", "death=", "--json").output)
+    assert {part["part"]: part["used"] for part in facts["parts"]}["death"] is False
+
+
+def moment(time, cells=120, step=3):
+    scene = SimpleNamespace(duration=36000.0)
+    return SimpleNamespace(time=time, scene=scene, cells=range(cells), step_index=step)
+
+
+def test_status_tells_time_cells_step_and_speed():
+    text = progress.status(moment(7200.0, cells=1204), wall=4.0)
+    assert text == "2.00 of 10.00 h · 1,204 cells · step 3 · 0.5 h simulated per s"
+
+
+def test_log_has_a_line_for_every_tenth(capsys):
+    scene = load_scene("settle").with_changes({"duration": "10 h"})
+    with progress.reporter(scene) as report:
+        for step in range(1, 101):
+            report(moment(360.0 * step, step=step))
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    lines = shown.err.splitlines()
+    assert [line.split(" %")[0].strip() for line in lines] == [str(k) for k in range(10, 101, 10)]
+    assert "120 cells" in lines[0]
+
+
+def test_bar_in_a_terminal_shows_the_status():
+    console = Console(force_terminal=True, width=120, record=True, file=sys.stderr)
+    with progress._bar(SimpleNamespace(duration=36000.0), console) as report:
+        report(moment(18000.0))
+    assert "50%" in console.export_text()
+
+
+def test_quiet_run_reports_nothing(capsys):
+    with progress.reporter(load_scene("settle"), show=False) as report:
+        assert report is None
+    assert capsys.readouterr() == ("", "")

@@ -1,0 +1,95 @@
+"""The examples run, and what they return agrees with closed forms and SciPy."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+from scipy import optimize
+
+EXAMPLES = Path(__file__).parent.parent / "examples"
+
+
+def load(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(f"example_{name}", EXAMPLES / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    # dataclasses look their module up by name
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def is_picture(path: Path) -> bool:
+    return path.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n" and path.stat().st_size > 10_000
+
+
+def test_every_example_states_problem_cost_and_command() -> None:
+    files = sorted(EXAMPLES.glob("*.py"))
+    assert [f.stem for f in files] == ["jkr_curves", "small_spheroid", "two_cells"]
+    for file in files:
+        words = load(file.stem).__doc__
+        for word in ("Problem", "Scaling", "Cost", f"python examples/{file.name}"):
+            assert word in words
+
+
+def test_jkr_curves_reproduce_the_published_figure(tmp_path: Path) -> None:
+    results = load("jkr_curves").main(tmp_path)
+    expected = [(17.178, -2.3562), (18.030, -2.3562), (18.222, -2.3562), (15.520, -4.7124)]
+    np.testing.assert_allclose(list(results.values()), expected, atol=5e-4)
+    assert is_picture(tmp_path / "jkr_curves.png")
+
+
+def test_jkr_curves_cross_zero_where_they_say() -> None:
+    for curve in load("jkr_curves").setup():
+        root = optimize.brentq(curve.force, 10.0, 19.0, xtol=1e-12)
+        assert curve.equilibrium() == pytest.approx(root, abs=1e-9)
+        assert curve.force(np.array([20.0, 25.0])).tolist() == [0.0, 0.0]
+
+
+def test_two_cells_agree_with_scipy(tmp_path: Path) -> None:
+    errors = load("two_cells").main(tmp_path)
+    assert list(errors) == ["cvode", "euler"]
+    assert errors["cvode"] < 0.005
+    assert 0.005 < errors["euler"] < 0.2
+    assert is_picture(tmp_path / "two_cells.png")
+
+
+def test_two_cells_come_to_rest_at_the_equilibrium_distance() -> None:
+    example = load("two_cells")
+    time, distance = example.distances(example.setup("cvode", atol=1e-6, rtol=1e-8))
+    assert time[0] == 0.0
+    assert time[-1] == 3600.0
+    assert distance[0] == pytest.approx(example.START, rel=1e-12)
+    h = (6 * np.pi * 0.1 * np.sqrt(5.0) / (8.0 / 9.0)) ** (2 / 3)
+    assert distance[-1] == pytest.approx(20.0 - h, abs=1e-4)
+    assert example.reference(time)[-1] == pytest.approx(20.0 - h, abs=1e-6)
+
+
+def test_euler_is_of_first_order_on_two_cells() -> None:
+    example = load("two_cells")
+    errors = []
+    for step in (10.0, 5.0, 2.5):
+        time, distance = example.distances(example.setup("euler", step=step))
+        errors.append(np.abs(distance - example.reference(time)).max())
+    order = np.polyfit(np.log([10.0, 5.0, 2.5]), np.log(errors), 1)[0]
+    assert order == pytest.approx(1.0, abs=0.15)
+
+
+def test_small_spheroid_is_limited_by_oxygen(tmp_path: Path) -> None:
+    summary = load("small_spheroid").main(tmp_path / "out")
+    states = summary["states"]
+    assert summary["cells"] == sum(states.values())
+    assert all(count > 10 for count in states.values())
+    # without a limit 80 cells would have become 80 * 2^(72 / 15), about 2200
+    assert 300 < summary["cells"] < 1000
+    assert 0.0 < summary["necrotic_radius"] < 0.5 * summary["diameter"]
+    assert summary["ledger"]["relative_remainder"] < 1e-8
+    for name in ("growth", "section", "profiles"):
+        assert is_picture(tmp_path / "out" / f"{name}.png")
+    assert (tmp_path / "out" / "report.html").stat().st_size > 10_000

@@ -1,0 +1,212 @@
+"""Forces, Jacobian, energy and pressure of populations."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial import cKDTree
+from strategies import cluster, laws, mechanics, radii, seeds
+
+from multicell import JKR, Hertz, neighbours
+from multicell.contact import effective_modulus, effective_radius
+from multicell.mechanics import StateRejected
+
+
+def velocity(system, position, time=0.0):
+    out = np.empty_like(position)
+    system.velocity(time, position, out)
+    return out
+
+
+def reference_forces(position, radius, young, law):
+    """Sum the vectorised law over the pairs of a k-d tree."""
+    pairs = cKDTree(position).query_pairs(2 * radius.max(), output_type="ndarray")
+    i, j = pairs.T
+    vector = position[j] - position[i]
+    distance = np.linalg.norm(vector, axis=1)
+    force = law.force(
+        radius[i] + radius[j] - distance,
+        effective_modulus(young[i], 0.5, young[j], 0.5),
+        effective_radius(radius[i], radius[j]),
+    )
+    total = np.zeros_like(position)
+    np.add.at(total, i, -(force / distance)[:, None] * vector)
+    np.add.at(total, j, (force / distance)[:, None] * vector)
+    return total
+
+
+@pytest.mark.parametrize("law", [Hertz(), JKR(surface_energy=0.1)])
+@pytest.mark.parametrize("n", [2, 700, 2 * neighbours.CHUNK + 10])
+def test_forces_are_sums_of_the_pair_law(law, n):
+    position, radius, young = cluster(n, 1)
+    found = mechanics(radius, young, law).force(0.0, position)
+    expected = reference_forces(position, radius, young, law)
+    np.testing.assert_allclose(found, expected, atol=1e-12 * np.abs(expected).max())
+
+
+@given(seeds, laws, st.integers(2, 40))
+def test_forces_sum_to_zero(seed, law, n):
+    position, radius, young = cluster(n, seed, variation=0.3)
+    force = mechanics(radius, young, law).force(0.0, position)
+    assert np.abs(force.sum(axis=0)).max() <= 1e-12 * max(np.abs(force).sum(), 1e-300)
+
+
+@given(seeds, laws, st.integers(2, 25))
+def test_force_is_minus_the_gradient_of_the_energy(seed, law, n):
+    """Away from first contact, where the stiffness of JKR is unbounded."""
+    position, radius, young = _away_from_first_contact(n, seed)
+    system = mechanics(radius, young, law)
+    direction = np.random.default_rng(seed).normal(size=position.shape)
+    step = 1e-5
+    slope = (
+        system.energy(0.0, position + step * direction)
+        - system.energy(0.0, position - step * direction)
+    ) / (2 * step)
+    force = system.force(0.0, position)
+    scale = np.abs(force * direction).sum() + 1e-9
+    assert slope == pytest.approx(-(force * direction).sum(), abs=1e-6 * scale)
+
+
+@given(seeds, laws, st.integers(2, 25))
+def test_jacobian_product_is_the_directional_derivative(seed, law, n):
+    position, radius, young = _away_from_first_contact(n, seed)
+    system = mechanics(radius, young, law)
+    direction = np.random.default_rng(seed).normal(size=position.shape)
+    system.linearise(0.0, position)
+    product = np.empty_like(position)
+    system.jacobian_product(direction, product)
+    step = 2e-6
+    slope = (
+        velocity(system, position + step * direction)
+        - velocity(system, position - step * direction)
+    ) / (2 * step)
+    np.testing.assert_allclose(product, slope, atol=1e-6 * np.abs(slope).max() + 1e-12)
+
+
+def _away_from_first_contact(n, seed):
+    """Return a cluster in which no two cells are within 0.01 µm of first contact."""
+    for attempt in range(100):
+        position, radius, young = cluster(n, [seed, attempt], variation=0.3)
+        pairs = cKDTree(position).query_pairs(2 * radius.max() + 1, output_type="ndarray")
+        distance = np.linalg.norm(position[pairs[:, 0]] - position[pairs[:, 1]], axis=1)
+        if (np.abs(radius[pairs].sum(axis=1) - distance) > 0.01).all():
+            return position, radius, young
+    raise AssertionError("no cluster away from first contact was found")
+
+
+def test_velocity_is_force_over_stokes_drag_of_the_growing_radius():
+    position, radius, young = cluster(60, 2)
+    rate = np.linspace(0.0, 2e-3, 60)
+    growing = mechanics(radius, young, rate=rate, duration=100.0)
+    later = mechanics(radius + 40.0 * rate, young)
+    found = velocity(growing, position, 40.0)
+    drag = 6 * np.pi * 5.0 * (radius + 40.0 * rate)
+    np.testing.assert_allclose(found, velocity(later, position), rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(found, later.force(0.0, position) / drag[:, None], rtol=1e-9)
+
+
+def test_threads_do_not_change_a_bit():
+    position, radius, young = cluster(3000, 3)
+    vector = np.random.default_rng(0).normal(size=position.shape)
+    results = []
+    for threads in (1, 2):
+        system = mechanics(radius, young, threads=threads, chunk=256)
+        assert system._shared(neighbours.build(position, radius, 0.5, chunk=256)) == (threads > 1)
+        product = np.empty_like(position)
+        v = velocity(system, position)
+        system.linearise(0.0, position)
+        system.jacobian_product(vector, product)
+        results.append((v, product))
+    assert np.array_equal(results[0][0], results[1][0])
+    assert np.array_equal(results[0][1], results[1][1])
+
+
+def test_list_survives_motion_within_its_skin_and_is_rebuilt_beyond():
+    position, radius, young = cluster(400, 6)
+    system = mechanics(radius, young)
+    rng = np.random.default_rng(0)
+    for scale in (0.0, 0.01, 0.1, 1.0, 30.0):
+        moved = position + rng.normal(0.0, scale, position.shape)
+        fresh = mechanics(radius, young)
+        # the order of the pairs, and with it the last bits, may differ
+        np.testing.assert_allclose(
+            velocity(system, moved), velocity(fresh, moved), rtol=1e-9, atol=1e-12
+        )
+    assert 2 <= system.work.list_builds <= 4
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_position_that_is_no_number_is_rejected(bad):
+    position, radius, young = cluster(10, 0)
+    system = mechanics(radius, young)
+    velocity(system, position)
+    position[3, 1] = bad
+    with pytest.raises(StateRejected, match="not a number"):
+        velocity(system, position)
+
+
+def test_coincident_and_far_cells_give_finite_forces():
+    position, radius, young = cluster(50, 0)
+    position[1] = position[0]
+    position[2] = [1e15, -1e15, 1e15]
+    position[3] = [1e300, 0, 0]
+    system = mechanics(radius, young)
+    assert np.isfinite(velocity(system, position)).all()
+    assert np.isfinite(system.energy(0.0, position))
+    assert np.isfinite(system.pressure(0.0, position)).all()
+    assert np.isfinite(system.stiffness_bound(0.0, position))
+
+
+@given(radii, st.floats(0.05, 0.6))
+def test_pressure_of_a_pair_is_its_virial(r, fraction):
+    law, distance = JKR(surface_energy=0.1), 2 * r * (1 - fraction / 2)
+    system = mechanics(np.array([r, r]), np.array([1.0, 1.0]), law)
+    position = np.array([[0.0, 0, 0], [0, distance, 0]])
+    force = law.force(2 * r - distance, effective_modulus(1, 0.5, 1, 0.5), r / 2)
+    expected = force * distance / 2 / (3 * 4 / 3 * np.pi * r**3)
+    np.testing.assert_allclose(system.pressure(0.0, position), expected, rtol=1e-10)
+
+
+@pytest.mark.parametrize("law", [Hertz(), JKR(surface_energy=0.02)])
+def test_stiffness_bound_encloses_the_decay_rates(law):
+    position, radius, young = cluster(40, 8)
+    system = mechanics(radius, young, law)
+    bound = system.stiffness_bound(0.0, position)
+    columns = np.empty((120, 120))
+    for k in range(120):
+        unit, out = np.zeros(120), np.empty((40, 3))
+        unit[k] = 1.0
+        system.jacobian_product(unit.reshape(-1, 3), out)
+        columns[:, k] = out.ravel()
+    largest = -np.linalg.eigvals(columns).real.min()
+    assert largest <= bound <= 2.5 * largest
+
+
+def test_preconditioner_solves_the_block_diagonal_system():
+    position, radius, young = cluster(30, 9)
+    system = mechanics(radius, young, Hertz())
+    system.linearise(0.0, position)
+    gamma = 25.0
+    system.setup_preconditioner(gamma)
+    vector = np.random.default_rng(0).normal(size=position.shape)
+    found = np.empty_like(vector)
+    system.precondition(vector, found)
+    pairs = neighbours.neighbour_pairs(position, 2 * radius.max())
+    for cell in range(30):
+        block = np.eye(3)
+        for i, j in pairs[(pairs == cell).any(axis=1)]:
+            n = position[j] - position[i]
+            d = np.linalg.norm(n)
+            k = Hertz().stiffness(
+                radius[i] + radius[j] - d,
+                effective_modulus(young[i], 0.5, young[j], 0.5),
+                effective_radius(radius[i], radius[j]),
+            )
+            block += gamma * k / (6 * np.pi * 5 * radius[cell]) * np.outer(n, n) / d**2
+        np.testing.assert_allclose(block @ found[cell], vector[cell], rtol=1e-9, atol=1e-12)
+
+
+def test_products_need_a_linearisation():
+    position, radius, young = cluster(5, 0)
+    with pytest.raises(RuntimeError, match="linearise"):
+        mechanics(radius, young).jacobian_product(position, np.empty_like(position))

@@ -1,0 +1,115 @@
+"""Neighbour search against SciPy's k-d tree."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial import cKDTree
+from strategies import cluster, seeds
+
+from multicell import neighbours
+
+
+def oracle(position, cutoff):
+    pairs = cKDTree(position).query_pairs(cutoff, output_type="ndarray")
+    return np.unique(np.sort(pairs, axis=1), axis=0).reshape(-1, 2)
+
+
+def uniform(n, width, seed=0):
+    return np.random.default_rng(seed).uniform(-width, width, (n, 3))
+
+
+def far_flung():
+    """A tissue, stray cells up to 10¹² µm away, and groups of close cells out there."""
+    rng = np.random.default_rng(1)
+    stray = rng.normal(0, 1, (200, 3)) * 10.0 ** rng.uniform(0, 12, (200, 1))
+    return np.concatenate([uniform(2000, 40), stray, stray[:50] + rng.normal(0, 2, (50, 3))])
+
+
+CONFIGURATIONS = {
+    "random": (uniform(6000, 60), 8.0),
+    "dense": (uniform(1500, 6), 3.0),
+    "empty": (np.zeros((0, 3)), 1.0),
+    "single": (np.zeros((1, 3)), 1.0),
+    "two": (np.array([[0.0, 0, 0], [0, 0, 2]]), 2.0),
+    "coincident": (np.full((300, 3), 7.25), 1.0),
+    "far-flung": (far_flung(), 6.0),
+    "line": (uniform(4000, 1e7) * [1, 0, 0], 1000.0),
+    "plane": (uniform(3000, 50) * [1, 1, 0], 4.0),
+    "several chunks": (cluster(3 * neighbours.CHUNK + 5, 0)[0], 11.0),
+}
+
+
+@pytest.mark.parametrize("name", CONFIGURATIONS)
+@pytest.mark.parametrize("threads", [1, 2])
+def test_pairs_equal_those_of_a_kd_tree(name, threads):
+    position, cutoff = CONFIGURATIONS[name]
+    half = np.full(len(position), 0.5 * cutoff)
+    found = neighbours.build(position, half, 0.0, threads).pairs()
+    np.testing.assert_array_equal(found, oracle(position, cutoff))
+    np.testing.assert_array_equal(neighbours.neighbour_pairs(position, cutoff), found)
+
+
+@given(seeds, st.integers(0, 60), st.floats(-3, 9), st.floats(-2, 2))
+def test_any_cloud(seed, n, decades, log_cutoff):
+    rng = np.random.default_rng(seed)
+    position = rng.normal(0, 1, (n, 3)) * 10.0 ** rng.uniform(-3, decades, (n, 1))
+    cutoff = 10.0**log_cutoff
+    np.testing.assert_array_equal(
+        neighbours.neighbour_pairs(position, cutoff), oracle(position, cutoff)
+    )
+
+
+def test_the_largest_numbers_there_are():
+    """Here the k-d tree gives up; two pairs are close, by construction."""
+    big = np.finfo(float).max
+    position = np.array(
+        [[big, 0, 0], [big, 0, 0], [-big, 0, 5], [-big, 0, 6], [0, -big, big], [1e300, 2, 3]]
+    )
+    assert neighbours.neighbour_pairs(position, 2.0).tolist() == [[0, 1], [2, 3]]
+
+
+def test_unlike_radii_and_skin():
+    position, radius, _ = cluster(900, 3, variation=0.4)
+    skin = 0.7
+    pairs = oracle(position, 2 * radius.max() + skin)
+    distance = np.linalg.norm(position[pairs[:, 0]] - position[pairs[:, 1]], axis=1)
+    expected = pairs[distance <= radius[pairs].sum(axis=1) + skin]
+    np.testing.assert_array_equal(neighbours.build(position, radius, skin).pairs(), expected)
+
+
+def test_a_chunk_owns_its_cells():
+    position, radius, _ = cluster(2 * neighbours.CHUNK + 100, 4)
+    found = neighbours.build(position, radius, 0.5)
+    for c in range(len(found.start)):
+        low, high = c * neighbours.CHUNK, (c + 1) * neighbours.CHUNK
+        inner = slice(found.start[c], found.inner_end[c])
+        outer = slice(found.inner_end[c], found.outer_end[c])
+        for array in (found.first[inner], found.second[inner], found.first[outer]):
+            assert ((array >= low) & (array < high)).all()
+        beyond = found.second[outer]
+        assert ((beyond < low) | (beyond >= high)).all()
+    assert len(found) == len(found.pairs())
+
+
+def test_too_many_pairs_is_an_error_and_not_a_full_memory():
+    with pytest.raises(neighbours.TooManyPairsError, match="pairs among 20000 cells"):
+        neighbours.neighbour_pairs(np.zeros((20_000, 3)), 1.0)
+
+
+def test_spatial_order_keeps_neighbours_together():
+    position = cluster(5000, 5)[0]
+    order = neighbours.spatial_order(position, 10.0)
+    assert np.array_equal(np.sort(order), np.arange(5000))
+    steps = np.linalg.norm(np.diff(position[order], axis=0), axis=1)
+    assert np.median(steps) < 12.0
+    before = np.linalg.norm(np.diff(position, axis=0), axis=1)
+    assert np.median(before) > 50.0
+
+
+def test_spatial_order_of_any_finite_input():
+    big = np.finfo(float).max
+    position = np.array([[big, 0, 0], [-big, 1, 2], [0, 0, 0], [big, 0, 0]])
+    assert sorted(neighbours.spatial_order(position, 1.0)) == [0, 1, 2, 3]
+    assert len(neighbours.spatial_order(np.zeros((0, 3)), 1.0)) == 0
+    assert neighbours.spatial_order(np.zeros((4, 3)), 1.0).tolist() == [0, 1, 2, 3]

@@ -1,0 +1,243 @@
+"""The nutrient field: laying, keeping and moving its grid, and what it gives to the cells."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pde import ScalarField
+
+from multicell.errors import MulticellError
+from multicell.nutrient.field import NutrientField
+from multicell.nutrient.grid import MAX_NODES, Box, NutrientFailed, extent, fits, lay, moved
+
+OXYGEN = {
+    "diffusion": 2000.0,
+    "boundary": 0.07,
+    "half_saturation": 0.005,
+    "spacing": 10.0,
+    "margin": 50.0,
+}
+
+
+def oxygen(**changes):
+    return NutrientField("oxygen", SimpleNamespace(**{**OXYGEN, **changes}))
+
+
+def ball(radius, seed=0, centre=(0.0, 0.0, 0.0)):
+    """Return the centres of cells of 5 µm packed at random in a ball, and their uptake."""
+    rng = np.random.default_rng(seed)
+    n = max(1, int(0.64 * (radius / 5.0) ** 3))
+    direction = rng.normal(size=(n, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    position = direction * radius * rng.random((n, 1)) ** (1 / 3) + np.asarray(centre)
+    return position, np.full(n, 20.0)
+
+
+coordinate = st.floats(-2000.0, 2000.0)
+
+
+@given(
+    st.lists(st.tuples(coordinate, coordinate, coordinate), min_size=1, max_size=10),
+    st.floats(50.0, 100.0),
+    st.floats(0.0, 100.0),
+)
+def test_a_laid_box_covers_all_cells_and_the_margin(rows, spacing, margin):
+    low, high = extent(np.array(rows), margin)
+    box = lay(low, high, spacing)
+    assert fits(box, low, high)
+    assert np.all(low >= box.origin)
+    assert np.all(high <= box.upper)
+    room = np.minimum(low - box.origin, np.array(box.upper) - high)
+    assert np.all(room >= 0.4 * spacing)  # not to be laid anew at once
+    assert np.all(room <= 0.15 * (high - low) + 3.0 * spacing)
+    assert box.nodes == np.prod(box.shape)
+
+
+@given(st.integers(1, 1000))
+def test_the_number_of_nodes_suits_the_sine_transform(cells):
+    box = lay(np.zeros(3), np.array([10.0 * cells, 10.0, 10.0]), 10.0)
+    n = box.shape[0]
+    for factor in (2, 3, 5):
+        while n % factor == 0:
+            n //= factor
+    assert n == 1
+
+
+def test_the_grid_of_pde_has_the_same_nodes():
+    box = Box(first=(-3, 4, 0), shape=(4, 6, 5), spacing=2.5)
+    grid = box.to_pde()
+    assert grid.shape == box.shape
+    np.testing.assert_allclose(grid.discretization, 2.5)
+    np.testing.assert_allclose(grid.cell_coords[0, 0, 0], np.array(box.origin) + 1.25)
+
+
+def test_moved_keeps_the_values_at_their_places():
+    old = Box(first=(0, 0, 0), shape=(4, 5, 6), spacing=2.0)
+    new = Box(first=(-2, 1, 3), shape=(8, 3, 9), spacing=2.0)
+    values = np.random.default_rng(1).random(old.shape)
+    there = moved(values, old, new, 0.5)
+    np.testing.assert_array_equal(there[2:6, :3, :3], values[:, 1:4, 3:])
+    assert np.count_nonzero(there != 0.5) == 4 * 3 * 3
+    far = Box(first=(100, 0, 0), shape=(4, 5, 6), spacing=2.0)
+    assert (moved(values, old, far, 0.5) == 0.5).all()
+    with pytest.raises(ValueError, match="different spacing"):
+        moved(values, old, Box((0, 0, 0), (4, 5, 6), 1.0), 0.5)
+
+
+def test_the_concentration_is_lower_inside_and_the_balance_holds():
+    field = oxygen()
+    position, capacity = ball(100.0)
+    report = field.solve(position, capacity)
+    at_cells = field.sample(position)
+    r = np.linalg.norm(position, axis=1)
+    assert at_cells.min() > 0.0
+    assert at_cells.max() < 0.07
+    assert at_cells[r > 90].mean() > 1.5 * at_cells[r < 50].mean()
+    assert report.inflow == pytest.approx(report.uptake, rel=1e-9)
+
+
+def test_the_uptake_of_the_cells_adds_up_to_the_uptake_of_the_field():
+    """Per cell it is the mean of c / (K + c) over its nodes' weights: the gather's transpose."""
+    field = oxygen()
+    position, capacity = ball(100.0)
+    report = field.solve(position, capacity)
+    values = field.field().values
+    ratio = values / (0.005 + values)
+    grid = field.box.to_pde()
+    of_cells = capacity * ScalarField(grid, ratio).interpolate(position)
+    assert of_cells.sum() == pytest.approx(report.uptake, rel=1e-12)
+
+
+def test_far_from_one_cell_the_field_is_that_of_a_point_sink():
+    """Differences between a cell's neighbourhoods: c(r2) - c(r1) = q / (4 pi D) (1/r1 - 1/r2)."""
+    field = oxygen(margin=400.0, half_saturation=1e-6, spacing=10.0)
+    field.solve(np.array([[1.0, 2.0, 3.0]]), np.array([20.0]))
+    a, b = 40.0, 80.0
+    directions = np.vstack([np.eye(3), -np.eye(3)])
+    near, far = (field.sample(directions * r + [1.0, 2.0, 3.0]).mean() for r in (a, b))
+    exact = 20.0 / (4 * np.pi * 2000.0) * (1 / a - 1 / b)
+    assert far - near == pytest.approx(exact, rel=0.02)
+
+
+def test_the_field_object_holds_the_last_solution():
+    field = oxygen()
+    position, capacity = ball(60.0)
+    field.solve(position, capacity)
+    kept = field.field()
+    assert (kept.name, kept.unit, kept.spacing) == ("oxygen", "mM", 10.0)
+    theirs = ScalarField(field.box.to_pde(), kept.values).interpolate(position)
+    np.testing.assert_allclose(field.sample(position), theirs, rtol=1e-13)
+    before = kept.values.copy()
+    field.solve(position, 3.0 * capacity)
+    np.testing.assert_array_equal(kept.values, before)
+    assert not kept.values.flags.writeable
+
+
+def test_the_grid_stays_while_the_cells_fit_and_is_laid_seldom():
+    field = oxygen()
+    radii = np.geomspace(60.0, 150.0, 60)
+    for radius in radii:
+        field.solve(*ball(radius))
+        low, high = extent(ball(radius)[0], 50.0)
+        assert fits(field.box, low, high)
+    assert 2 <= field.layings <= 12
+    assert max(field.box.shape) * 10.0 < 1.3 * (2 * 150 + 100)
+
+
+def test_the_grid_follows_cells_that_move_away_and_shrinks_again():
+    field = oxygen()
+    field.solve(*ball(120.0))
+    big = field.box.nodes
+    field.solve(*ball(40.0, centre=(500.0, -300.0, 0.0)))
+    assert field.layings == 2
+    assert field.box.nodes < 0.5 * big
+    middle = 0.5 * (np.array(field.box.origin) + field.box.upper)
+    np.testing.assert_allclose(middle, [500.0, -300.0, 0.0], atol=15.0)
+
+
+def test_a_new_grid_starts_from_the_old_field():
+    position, capacity = ball(150.0)
+    cold, warm = oxygen(), oxygen()
+    warm.solve(position, capacity)
+    larger = np.vstack([position, [[185.0, 0.0, 0.0]]])
+    uptake = np.append(capacity, 20.0)
+    reports = cold.solve(larger, uptake), warm.solve(larger, uptake)
+    assert warm.layings == 2
+    assert warm.box.nodes > 0
+    assert reports[1].cg < reports[0].cg
+
+
+def test_where_the_grid_lies_hardly_matters():
+    position, capacity = ball(80.0)
+    first, second = oxygen(), oxygen()
+    first.solve(position, capacity)
+    second.solve(position + [130.0, -70.0, 10.0], capacity)  # whole nodes: the same box, shifted
+    np.testing.assert_allclose(
+        second.sample(position + [130.0, -70.0, 10.0]), first.sample(position), rtol=1e-9
+    )
+
+
+def test_the_same_bits_every_time():
+    def history():
+        field = oxygen()
+        for radius in (50.0, 60.0, 110.0):
+            field.solve(*ball(radius))
+        return field.field().values
+
+    np.testing.assert_array_equal(history(), history())
+
+
+def test_no_cells_leave_the_medium():
+    field = oxygen()
+    report = field.solve(np.empty((0, 3)), np.empty(0))
+    np.testing.assert_allclose(field.field().values, 0.07, rtol=1e-13)
+    assert report.uptake == 0.0
+    assert field.sample(np.empty((0, 3))).shape == (0,)
+
+
+def test_absurd_uptake_starves_the_cells_without_negative_values():
+    field = oxygen()
+    position, capacity = ball(100.0)
+    report = field.solve(position, 1e6 * capacity)
+    inner = np.linalg.norm(position, axis=1) < 70.0
+    assert field.field().values.min() >= -1e-12 * 0.07
+    assert np.all(field.sample(position)[inner] < 1e-8)
+    assert report.inflow == pytest.approx(report.uptake, rel=1e-9)
+
+
+@pytest.mark.parametrize("distance", [1e5, 1e9, 1e200])
+def test_cells_far_apart_are_refused_in_words_and_the_field_stays(distance):
+    field = oxygen()
+    field.solve(*ball(40.0))
+    before, box = field.field().values, field.box
+    far = np.array([[0.0, 0.0, 0.0], [distance, distance, distance]])
+    with pytest.raises(MulticellError, match=rf"nodes.*more than the {MAX_NODES} allowed.*larger"):
+        field.solve(far, np.ones(2))
+    assert field.box == box
+    assert field.field().values is before
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_positions_that_are_not_finite_are_refused(bad):
+    with pytest.raises(NutrientFailed, match="not a finite number"):
+        oxygen().solve(np.array([[0.0, bad, 0.0]]), np.ones(1))
+
+
+def test_bad_input_is_refused():
+    field = oxygen()
+    with pytest.raises(ValueError, match="no grid before the first solve"):
+        field.field()
+    with pytest.raises(ValueError, match="no grid before the first solve"):
+        field.sample(np.zeros((1, 3)))
+    for capacity in (np.array([-1.0]), np.array([np.nan])):
+        with pytest.raises(ValueError, match="negative or not finite"):
+            field.solve(np.zeros((1, 3)), capacity)
+    with pytest.raises(ValueError, match="capacity has shape"):
+        field.solve(np.zeros((1, 3)), np.ones(2))
+    with pytest.raises(ValueError, match="position has shape"):
+        field.solve(np.zeros(3), np.ones(1))
+    field.solve(np.zeros((1, 3)), np.ones(1))
+    with pytest.raises(ValueError, match="outside the nutrient grid"):
+        field.sample(np.array([[1e4, 0.0, 0.0]]))

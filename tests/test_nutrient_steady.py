@@ -1,0 +1,296 @@
+"""The steady solver against exact solutions, py-pde's operator and SciPy's sparse solver."""
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from pde.grids.cartesian import CartesianGrid
+from scipy.fft import dstn, idstn
+from scipy.sparse.linalg import spsolve
+
+from multicell.nutrient import stencil
+from multicell.nutrient.grid import NutrientFailed
+from multicell.nutrient.steady import Diffusion, sine_eigenvalues, solve_steady
+from multicell.nutrient.transfer import scatter
+
+D = 2000.0
+RADIUS = 100.0
+HALF_WIDTH = 150.0
+CENTRE = np.array([3.1, -5.3, 1.7])  # off every symmetry of the grid
+SIZES = (20, 28, 40, 56)
+
+
+def cube(n, half_width=HALF_WIDTH):
+    return CartesianGrid([(-half_width, half_width)] * 3, n)
+
+
+def ball_quadrature():
+    """Return points and volumes that integrate over the ball by Gauss's rules."""
+    s, ws = np.polynomial.legendre.leggauss(48)
+    r, wr = 0.5 * RADIUS * (s + 1.0), 0.5 * RADIUS * ws
+    m, wm = np.polynomial.legendre.leggauss(60)
+    phi = 2.0 * np.pi * (np.arange(120) + 0.25) / 120
+    r, m, phi = np.meshgrid(r, m, phi, indexing="ij")
+    ring = np.sqrt(1.0 - m**2)
+    points = np.stack([r * ring * np.cos(phi), r * ring * np.sin(phi), r * m], axis=-1)
+    volumes = r**2 * wr[:, None, None] * wm[:, None] * (2.0 * np.pi / 120)
+    return points.reshape(-1, 3) + CENTRE, volumes.ravel()
+
+
+POINTS, VOLUMES = ball_quadrature()
+
+
+def ball_sink(grid, density):
+    """Return a uniform sink in the ball, spread over the nodes like the cells are."""
+    low = tuple(bounds[0] for bounds in grid.axes_bounds)
+    return scatter(POINTS, density * VOLUMES, low, float(grid.discretization[0]), grid.shape)
+
+
+def faces(grid, law):
+    """Return py-pde's Dirichlet conditions with an exact solution's values on all faces."""
+    middle = grid.axes_coords[0]
+    a, b = np.meshgrid(middle, middle, indexing="ij")
+    conditions = {}
+    for axis, name in enumerate("xyz"):
+        for side, at in (("-", -HALF_WIDTH), ("+", HALF_WIDTH)):
+            x = np.insert(np.stack([a, b], axis=-1), axis, at, axis=-1)
+            conditions[name + side] = {"value": law(np.linalg.norm(x - CENTRE, axis=-1))}
+    return conditions
+
+
+def zero_order(uptake, surface, necrotic=0.0):
+    """Return c(r) for a constant uptake in the shell from ``necrotic`` to the ball's surface."""
+
+    def law(r):
+        inner = np.clip(r, max(necrotic, 1e-300), RADIUS)
+        shape = inner**2 - 3.0 * necrotic**2 + 2.0 * necrotic**3 / inner
+        at_rim = RADIUS**2 - 3.0 * necrotic**2 + 2.0 * necrotic**3 / RADIUS
+        flow = uptake * (RADIUS**3 - necrotic**3) / (3.0 * D)
+        outer = flow * (1.0 / RADIUS - 1.0 / np.maximum(r, RADIUS))
+        return surface + uptake / (6.0 * D) * (shape - at_rim) + outer
+
+    return law
+
+
+def first_order(rate, medium):
+    """Return c(r) for an uptake ``rate * c`` in the ball and ``medium`` far away."""
+    k = np.sqrt(rate / D)
+    slope = k * RADIUS * np.cosh(k * RADIUS) - np.sinh(k * RADIUS)
+    b = medium / (np.sinh(k * RADIUS) / RADIUS + slope / RADIUS)
+
+    def law(r):
+        inner = np.minimum(np.maximum(r, 1e-12), RADIUS)
+        inside = b * np.sinh(k * inner) / inner
+        return np.where(r < RADIUS, inside, medium - b * slope / np.maximum(r, RADIUS))
+
+    return law
+
+
+def rms_error(n, law, density, half):
+    grid = cube(n)
+    start = np.full(grid.shape, float(law(np.array(2 * RADIUS))))
+    c, report = solve_steady(
+        Diffusion(grid, D, faces(grid, law)), ball_sink(grid, density), half, start
+    )
+    r = np.linalg.norm(grid.cell_coords - CENTRE, axis=-1)
+    return np.sqrt(np.mean((c - law(r)) ** 2)), c, report
+
+
+def order(errors, sizes=SIZES):
+    return -np.polyfit(np.log(sizes), np.log(errors), 1)[0]
+
+
+def test_second_order_for_zero_order_uptake_without_a_core():
+    law = zero_order(uptake=0.03, surface=0.06)
+    errors, flows = [], []
+    for n in SIZES:
+        error, _, report = rms_error(n, law, density=0.03, half=1e-9)
+        errors.append(error)
+        flows.append(report.inflow)
+    assert law(np.array(0.0)) > 0.03  # nothing starves
+    assert order(errors) == pytest.approx(2.0, abs=0.2)
+    np.testing.assert_allclose(flows, 0.03 * 4 / 3 * np.pi * RADIUS**3, rtol=1e-6)
+
+
+def test_second_order_for_zero_order_uptake_with_a_necrotic_core():
+    necrotic, uptake = 55.0, 0.05
+    rim = RADIUS**2 - 3.0 * necrotic**2 + 2.0 * necrotic**3 / RADIUS
+    law = zero_order(uptake, surface=uptake / (6.0 * D) * rim, necrotic=necrotic)
+    errors, radii = [], []
+    for n in SIZES:
+        error, c, report = rms_error(n, law, density=uptake, half=1e-8)
+        errors.append(error)
+        radii.append((RADIUS**3 - report.uptake / (4 / 3 * np.pi * uptake)) ** (1 / 3))
+        assert c.min() >= -1e-12 * c.max()
+    assert order(errors) == pytest.approx(2.0, abs=0.2)
+    assert radii[-1] == pytest.approx(necrotic, rel=2e-3)
+    assert order(np.abs(np.array(radii) - necrotic)) > 1.6
+
+
+def test_second_order_for_first_order_uptake():
+    rate, half = 1.2, 1e6
+    law = first_order(rate, medium=0.07)
+    errors = [rms_error(n, law, density=rate * half, half=half)[0] for n in SIZES]
+    assert law(np.array(0.0)) < 0.5 * law(np.array(RADIUS))
+    assert order(errors) == pytest.approx(2.0, abs=0.2)
+
+
+def test_the_sine_transform_diagonalises_the_laplacian_of_pde():
+    grid = CartesianGrid([(0, 24), (0, 36), (0, 40)], (6, 9, 10))
+    laplacian = grid.make_operator("laplace", bc={"value": 0.0}, backend="scipy")
+    u = np.random.default_rng(1).normal(size=grid.shape)
+    ax, ay, az = (sine_eigenvalues(n) / 16.0 for n in grid.shape)
+    total = ax[:, None, None] + ay[:, None] + az
+    spectral = idstn(total * dstn(u, type=2, norm="ortho"), type=2, norm="ortho")
+    np.testing.assert_allclose(-laplacian(u), spectral, rtol=0, atol=1e-12 * np.abs(u).max())
+
+
+def test_invert_solves_the_shifted_equation_of_pde():
+    operator = Diffusion(cube(12), D, 0.0)
+    y = np.random.default_rng(2).normal(size=operator.shape)
+    u, product = operator.invert(y.copy(), 0.7)
+    np.testing.assert_allclose(0.7 * u - operator.divergence(u), y, atol=1e-12)
+    assert product == pytest.approx(np.sum(u * y), rel=1e-12)
+
+
+@pytest.mark.parametrize("shape", [(1, 1, 1), (2, 1, 3), (5, 6, 7), (2, 2, 2)])
+def test_the_stencil_agrees_with_pde(shape):
+    grid = CartesianGrid([(0, 10.0 * n) for n in shape], shape)
+    operator = Diffusion(grid, D, 0.07)
+    rng = np.random.default_rng(3)
+    c, sink = rng.random(shape), rng.random(shape)
+    out, rate = np.empty(shape), np.empty(shape)
+    product = stencil.apply_operator(c, sink, operator.stiffness, out)
+    np.testing.assert_allclose(
+        out, operator.source - operator.divergence(c) + sink * c, rtol=0, atol=1e-12
+    )
+    assert product == pytest.approx(np.sum(c * out), rel=1e-12)
+    squares, uptake, size = stencil.imbalance(
+        c, sink, operator.source, 0.2, operator.stiffness, out, rate
+    )
+    np.testing.assert_allclose(out, operator.divergence(c) - sink * c / (0.2 + c), atol=1e-12)
+    np.testing.assert_allclose(rate, sink * 0.2 / (0.2 + c) ** 2, rtol=1e-13)
+    assert (squares, uptake, size) == pytest.approx(
+        (np.sum(out**2), np.sum(sink * c / (0.2 + c)), np.sum(c**2)), rel=1e-12
+    )
+
+
+def test_below_zero_the_law_goes_on_along_its_tangent():
+    c = np.full((3, 3, 3), -0.4)
+    out, rate = np.empty_like(c), np.empty_like(c)
+    _, uptake, _ = stencil.imbalance(c, np.ones_like(c), np.zeros_like(c), 0.1, 0.0, out, rate)
+    np.testing.assert_allclose(rate, 10.0)
+    assert uptake == pytest.approx(-4.0 * c.size)
+
+
+def test_a_linear_problem_agrees_with_a_sparse_direct_solve():
+    n, half = 9, 1e8
+    operator = Diffusion(cube(n), D, 0.07)
+    rate = np.random.default_rng(4).random(operator.shape) * 5.0
+    line = sp.diags([-1.0, 2.0, -1.0], [-1, 0, 1], shape=(n, n)).tolil()
+    line[0, 0] = line[-1, -1] = 3.0  # ghost value 2 c_b - c
+    eye = sp.identity(n)
+    total = sum(
+        sp.kron(sp.kron(*pair[:2]), pair[2])
+        for pair in ((line, eye, eye), (eye, line, eye), (eye, eye, line))
+    )
+    matrix = (operator.stiffness * total + sp.diags(rate.ravel())).tocsc()
+    exact = spsolve(matrix, operator.source.ravel()).reshape(operator.shape)
+    c, _ = solve_steady(operator, rate * half, half, np.zeros(operator.shape))
+    np.testing.assert_allclose(c, exact, rtol=1e-8)
+
+
+def starved(n=24, factor=1.0, half=0.005):
+    """Return operator, sink and half saturation of a ball that starves in its middle."""
+    grid = cube(n)
+    return Diffusion(grid, D, 0.07), ball_sink(grid, 0.15 * factor), half
+
+
+@pytest.mark.parametrize("factor", [1.0, 1e3, 1e6])
+@pytest.mark.parametrize("half", [0.005, 1e-6])
+@pytest.mark.parametrize("guess", [0.07, 0.0, 50.0, -3.0])
+def test_converges_without_negative_values_from_any_guess(factor, half, guess):
+    operator, sink, half = starved(16, factor, half)
+    c, report = solve_steady(operator, sink, half, np.full(operator.shape, guess))
+    assert c.min() >= -1e-12 * 0.07
+    assert c.max() <= 0.07 * (1 + 1e-12)
+    assert c[8, 8, 8] < 1e-3
+    assert report.inflow == pytest.approx(report.uptake, rel=1e-9)
+    imbalance = operator.divergence(c) - sink * c / (half + c)
+    assert np.abs(imbalance).sum() * operator.spacing**3 <= 2e-9 * report.uptake
+
+
+def test_inflow_is_the_sum_of_the_face_fluxes():
+    operator, sink, half = starved()
+    c, report = solve_steady(operator, sink, half, np.full(operator.shape, 0.07))
+    faces = [c[0], c[-1], c[:, 0], c[:, -1], c[:, :, 0], c[:, :, -1]]
+    flow = sum(float(np.sum(0.07 - face)) for face in faces) * 2.0 * D * operator.spacing
+    assert report.inflow == pytest.approx(flow, rel=1e-12)
+    uptake = np.sum(sink * c / (half + c)) * operator.spacing**3
+    assert report.uptake == pytest.approx(uptake, rel=1e-12)
+    assert abs(report.inflow - report.uptake) <= 1e-9 * uptake
+    assert abs(report.inflow - report.uptake) <= report.residual * (1 + 1e-3) + 1e-9
+
+
+def test_the_solution_does_not_depend_on_the_guess():
+    operator, sink, half = starved()
+    low, _ = solve_steady(operator, sink, half, np.zeros(operator.shape))
+    high, _ = solve_steady(operator, sink, half, np.full(operator.shape, 1.0))
+    np.testing.assert_allclose(low, high, rtol=0, atol=1e-9 * 0.07)
+
+
+def test_a_warm_start_takes_fewer_iterations():
+    operator, sink, half = starved()
+    c, cold = solve_steady(operator, sink, half, np.full(operator.shape, 0.07))
+    _, warm = solve_steady(operator, 1.01 * sink, half, c)
+    assert warm.newton < cold.newton
+    assert warm.cg < 0.7 * cold.cg
+    _, again = solve_steady(operator, sink, half, c)
+    assert (again.newton, again.cg) == (0, 0)
+
+
+def test_iterations_do_not_grow_with_the_grid():
+    """Without the sine transform they would double with every halving of the spacing."""
+    reports = []
+    for n in (24, 48, 72):
+        operator, sink, half = starved(n)
+        reports.append(solve_steady(operator, sink, half, np.full(operator.shape, 0.07))[1])
+    newton, cg = ([getattr(r, key) for r in reports] for key in ("newton", "cg"))
+    assert max(newton) <= min(newton) + 1
+    assert max(cg) <= 1.25 * min(cg)
+
+
+def test_nothing_taken_up_leaves_the_boundary_value():
+    operator = Diffusion(cube(10), D, 0.07)
+    c, report = solve_steady(operator, np.zeros(operator.shape), 0.005, np.zeros(operator.shape))
+    np.testing.assert_allclose(c, 0.07, rtol=1e-12)
+    assert report.uptake == 0.0
+    assert abs(report.inflow) < 1e-6
+
+
+def test_no_nutrient_outside_leaves_none_inside():
+    operator, sink, half = starved()
+    empty = Diffusion(cube(24), D, 0.0)
+    c, report = solve_steady(empty, sink, half, np.zeros(empty.shape))
+    assert not c.any()
+    assert report.uptake == 0.0
+
+
+def test_the_same_bits_every_time():
+    operator, sink, half = starved()
+    start = np.full(operator.shape, 0.07)
+    first, _ = solve_steady(operator, sink, half, start)
+    second, _ = solve_steady(starved()[0], sink.copy(), half, start)
+    np.testing.assert_array_equal(first, second)
+    assert (start == 0.07).all()
+
+
+def test_values_that_are_not_finite_end_with_words():
+    operator, sink, half = starved(8)
+    sink[3, 3, 3] = np.nan
+    with pytest.raises(NutrientFailed, match="did not converge.*Check uptake"):
+        solve_steady(operator, sink, half, np.full(operator.shape, 0.07))
+
+
+def test_cubes_only():
+    with pytest.raises(ValueError, match="spacing differs"):
+        Diffusion(CartesianGrid([(0, 10)] * 3, (5, 5, 10)), D, 0.07)

@@ -1,0 +1,141 @@
+"""Measures of a population against closed forms."""
+
+import numpy as np
+import pytest
+from synthetic import ball, cells_at, spheroid
+
+from multicell import observables
+from multicell.cells import Cells, State
+from multicell.frame import Field, Frame
+
+
+def _uniform_ball(radius, count=200_000, seed=3):
+    """Return points of a uniform ball, with the radius by inversion of its distribution."""
+    rng = np.random.default_rng(seed)
+    direction = rng.normal(size=(count, 3))
+    direction /= np.linalg.norm(direction, axis=1)[:, None]
+    return direction * (radius * rng.random(count) ** (1 / 3))[:, None]
+
+
+def test_one_cell_has_its_own_size_wherever_it_lies():
+    cells = cells_at([[40.0, -3.0, 7.0]], radius=4.5)
+    assert observables.diameter(cells) == pytest.approx(9.0, rel=1e-14)
+    assert observables.viable_rim(cells) == pytest.approx(4.5, rel=1e-14)
+    assert observables.necrotic_radius(cells) == 0.0
+
+
+def test_one_necrotic_cell_is_all_core():
+    cells = cells_at([[1.0, 2.0, 3.0]], radius=4.5, state=State.NECROTIC)
+    assert observables.necrotic_radius(cells) == pytest.approx(4.5, rel=1e-14)
+    assert observables.viable_rim(cells) == pytest.approx(0.0, abs=1e-14)
+
+
+def test_two_cells_follow_the_parallel_axis_theorem():
+    cells = cells_at([[-6.0, 0.0, 0.0], [6.0, 0.0, 0.0]], radius=5.0)
+    expected = np.sqrt(5.0 / 3.0 * (36.0 + 0.6 * 25.0))
+    assert observables.diameter(cells) == pytest.approx(2.0 * expected, rel=1e-14)
+
+
+def test_centre_is_weighted_by_volume():
+    cells = cells_at([[0.0, 0.0, 0.0], [9.0, 0.0, 0.0]], radius=[2.0, 1.0])
+    np.testing.assert_allclose(observables.centre(cells), [1.0, 0.0, 0.0], rtol=1e-14)
+
+
+def test_uniform_ball_is_measured_with_its_own_radius():
+    cells = cells_at(_uniform_ball(100.0) + np.array([30.0, 0.0, -8.0]), radius=0.5)
+    # standard error of the mean square distance: sqrt(12/175) R^2 / sqrt(n), half of it in R
+    assert observables.diameter(cells) == pytest.approx(200.0, rel=4 * 0.262 / 2 / 447)
+
+
+def test_packed_ball_does_not_depend_on_the_cells_overlap():
+    position = ball(4000, jitter=0.0)
+    small, large = (observables.diameter(cells_at(position, radius=r)) for r in (1.0, 5.0))
+    expected = 2.0 * (3 * 4000 * 8.4**3 / np.sqrt(2) / (4 * np.pi)) ** (1 / 3)
+    assert small == pytest.approx(expected, rel=5e-3)
+    # exactly R^2 + r^2: only the cells' own extent differs
+    assert large**2 - small**2 == pytest.approx(4.0 * (25.0 - 1.0), rel=1e-9)
+
+
+def test_ball_with_core_gives_core_and_rim():
+    position = _uniform_ball(100.0)
+    core = np.linalg.norm(position, axis=1) < 60.0
+    state = np.where(core, State.NECROTIC, State.PROLIFERATING)
+    cells = cells_at(position, radius=0.2, state=state)
+    assert observables.necrotic_radius(cells) == pytest.approx(60.0, rel=4e-3)
+    assert observables.viable_rim(cells) == pytest.approx(40.0, rel=1e-2)
+    counts = observables.state_counts(cells)
+    assert counts == {"proliferating": int((~core).sum()), "quiescent": 0, "necrotic": core.sum()}
+
+
+def test_no_cells_have_no_size_and_no_centre():
+    cells = Cells.empty()
+    row = observables.history_row(600.0, 1, cells)
+    assert row["cells"] == row["diameter"] == row["necrotic_radius"] == row["viable_rim"] == 0.0
+    with pytest.raises(ValueError, match="no centre"):
+        observables.centre(cells)
+
+
+def test_measures_do_not_depend_on_the_order_of_cells():
+    cells = spheroid(500).cells
+    turned = cells.take(np.random.default_rng(5).permutation(len(cells)))
+    first, second = (observables.history_row(0.0, 0, c) for c in (cells, turned))
+    assert second == pytest.approx(first, rel=1e-12)
+
+
+def test_history_row_holds_floats_and_extra_columns():
+    frame = spheroid(300)
+    row = observables.history_row(frame.time, frame.step, frame.cells, evaluations=17)
+    assert all(type(value) is float for value in row.values())
+    assert row["evaluations"] == 17.0
+    assert row["cells"] == row["proliferating"] + row["quiescent"] + row["necrotic"]
+    assert row["largest_pressure"] == frame.cells.pressure.max()
+
+
+def test_profile_counts_every_cell_once_and_fractions_add_up():
+    frame = spheroid(4000)
+    profile = observables.radial_profile(frame, bins=12)
+    assert profile.counts.sum() == len(frame.cells)
+    filled = profile.counts > 0
+    np.testing.assert_allclose(sum(profile.fractions.values())[filled], 1.0, rtol=1e-14)
+    assert profile.fractions["necrotic"][0] == 1.0
+    assert profile.fractions["proliferating"][-1] == 1.0
+
+
+def test_profile_of_a_linear_concentration_is_its_mean_by_shell():
+    cells = cells_at([[-9.0, 0, 0], [9.0, 0, 0], [-3.0, 0, 0], [3.0, 0, 0]], radius=1.0)
+    frame = Frame(0.0, 0, cells, {"oxygen": np.array([9.0, 11.0, 2.0, 4.0])})
+    profile = observables.radial_profile(frame, bins=3)
+    np.testing.assert_allclose(profile.edges, [0.0, 3.0, 6.0, 9.0])
+    np.testing.assert_array_equal(profile.counts, [0, 2, 2])
+    np.testing.assert_allclose(profile.concentrations["oxygen"], [np.nan, 3.0, 10.0])
+
+
+def test_profile_refuses_no_bins():
+    with pytest.raises(ValueError, match="at least 1 bin"):
+        observables.radial_profile(spheroid(20), bins=0)
+
+
+def test_field_profile_of_the_squared_radius():
+    n, spacing = 40, 2.0
+    axis = (np.arange(n) + 0.5) * spacing
+    middle = np.full(3, 0.5 * n * spacing)
+    x, y, z = np.meshgrid(*[axis - middle[0]] * 3, indexing="ij")
+    field = Field("oxygen", "mM", np.zeros(3), spacing, x**2 + y**2 + z**2)
+    edges = np.array([0.0, 15.0, 30.0, 39.0])
+    means = observables.field_profile(field, middle, edges)
+    a, b = edges[:-1], edges[1:]
+    np.testing.assert_allclose(means, 0.6 * (b**5 - a**5) / (b**3 - a**3), rtol=2e-2)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"origin": np.zeros(2)}, "origin"),
+        ({"spacing": 0.0}, "spacing"),
+        ({"values": [1.0]}, "1 d"),
+    ],
+)
+def test_field_refuses_wrong_shapes(change, words):
+    good = {"origin": np.zeros(3), "spacing": 1.0, "values": np.zeros((2, 2, 2))}
+    with pytest.raises(ValueError, match=words):
+        Field(name="oxygen", unit="mM", **(good | change))

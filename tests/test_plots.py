@@ -1,0 +1,267 @@
+"""Pictures and report: what they show, and that the page stands alone."""
+
+import re
+from html.parser import HTMLParser
+from itertools import pairwise
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import EllipseCollection
+from matplotlib.image import imread
+from synthetic import BARE, SCENE, ball, cells_at, growing_frames, history_of, spheroid
+
+from multicell import drawing
+from multicell.cells import Cells, State
+from multicell.drawing import save, time_unit
+from multicell.errors import OutputError
+from multicell.frame import Field, Frame
+from multicell.observables import state_summary
+from multicell.plots import Plots
+from multicell.report import clock
+from multicell.result import Result, history_arrays
+from multicell.section import slice_at
+
+
+@pytest.fixture(scope="module")
+def frames():
+    return growing_frames(count=6, last=1500)
+
+
+@pytest.fixture(scope="module")
+def result(frames):
+    last = frames[-1]
+    summary = state_summary(last.time, last.cells) | {
+        "divisions": 1700,
+        "steps": 1296,
+        "integrator": {"method": "cvode", "evaluations": 12345},
+        "wall": {"nutrient": 2.0, "mechanics": 60.0, "total": 133.0},
+        "ledger": {
+            "oxygen": {"inflow": 1.5e9, "relative_remainder": 3e-10},
+            "relative_remainder": 3e-10,
+        },
+        "versions": {"numpy": "2.4"},
+    }
+    return Result(None, frames, history_arrays(history_of(frames)), summary, SCENE)
+
+
+def texts(figure):
+    found = [text.get_text() for text in figure.findobj(mpl.text.Text)]
+    return [text for text in found if text]
+
+
+def rendered(figure):
+    """Draw a figure and return its renderer."""
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return canvas.get_renderer()
+
+
+def hidden_labels(axes):
+    for axis in (axes.xaxis, axes.yaxis):
+        low, high = sorted(axis.get_view_interval())
+        for tick in axis.get_major_ticks() + axis.get_minor_ticks():
+            if not low <= tick.get_loc() <= high:
+                yield from (tick.label1, tick.label2)
+
+
+@pytest.mark.parametrize("name", ["growth", "section", "profiles"])
+def test_picture_has_title_time_cells_and_size(result, tmp_path, name):
+    figure = getattr(result.plot, name)()
+    words = texts(figure)
+    assert SCENE.title in words
+    count = f"{len(result.frames[-1].cells):,} cells after 9 d"
+    assert any(text.startswith(count) for text in words)
+    save(figure, tmp_path / "picture.png")
+    assert imread(tmp_path / "picture.png").shape[:2] == (1000, 1600)
+
+
+@pytest.mark.parametrize("name", ["growth", "section", "profiles"])
+def test_no_text_leaves_the_picture_or_covers_another(result, name):
+    figure = getattr(result.plot, name)()
+    drawn = rendered(figure)
+    box = figure.get_tightbbox()
+    assert box.x0 >= 0
+    assert box.y0 >= 0
+    assert box.x1 <= drawing.SIZE[0]
+    assert box.y1 <= drawing.SIZE[1]
+    # matplotlib keeps, but does not draw, the labels of ticks beyond the limits of an axis
+    hidden = {id(label) for axes in figure.axes for label in hidden_labels(axes)}
+    boxes = [
+        (text.get_text(), text.get_window_extent(drawn))
+        for text in figure.findobj(mpl.text.Text)
+        if text.get_text() and text.get_visible() and id(text) not in hidden
+    ]
+    assert len(boxes) > 10
+    for k, (text, box) in enumerate(boxes):
+        for other, second in boxes[k + 1 :]:
+            assert not box.overlaps(second), (text, other)
+
+
+def test_pictures_leave_matplotlib_as_it_was(result):
+    before = dict(mpl.rcParams)
+    result.plot.growth()
+    assert dict(mpl.rcParams) == before
+
+
+def test_section_draws_the_cut_of_each_cell():
+    position = [
+        [0.0, 0, 0],
+        [12.0, 0, 3.0],
+        [0, 12.0, -3.0],
+        [-12.0, 0, 0],
+        [0, 0, 8.0],
+        [0, 0, -8],
+    ]
+    cells = cells_at(position, radius=5.0, state=[0, 1, 2, 0, 0, 0])
+    figure = Plots([Frame(0.0, 0, cells)], {}, BARE).section()
+    (circles,) = figure.axes[0].findobj(EllipseCollection)
+    # the centre of mass lies at z = 0: the cells at ±8 µm are not cut, those at ±3 show 4 µm
+    np.testing.assert_allclose(circles.get_widths(), [10.0, 8.0, 8.0, 10.0])
+    np.testing.assert_allclose(circles.get_offsets(), np.array(position)[:4, :2])
+    expected = [mpl.colors.to_rgb(drawing.COLOURS[State(s).name.lower()]) for s in (0, 1, 2, 0)]
+    np.testing.assert_allclose(circles.get_facecolor()[:, :3], expected)
+
+
+def test_section_marks_thresholds_of_the_field():
+    figure = Plots([spheroid(3000)], {}, SCENE).section()
+    legend = texts(figure)
+    assert "below 0.02: cells rest" in legend
+    assert "below 0.005: cells die" in legend
+    assert "Oxygen (mM)" in legend
+
+
+def test_slice_interpolates_between_layers():
+    values = np.broadcast_to(np.array([1.0, 2.0, 4.0]), (2, 2, 3))
+    field = Field("oxygen", "mM", np.zeros(3), 10.0, values)
+    np.testing.assert_allclose(slice_at(field, 5.0), 1.0)
+    np.testing.assert_allclose(slice_at(field, 20.0), 3.0)
+    np.testing.assert_allclose(slice_at(field, 25.0), 4.0)
+    with pytest.raises(ValueError, match="outside"):
+        slice_at(field, 26.0)
+
+
+def test_count_is_logarithmic_only_where_it_grows(frames):
+    growing = Plots(frames, history_arrays(history_of(frames)), SCENE).growth()
+    assert growing.axes[0].get_yscale() == "log"
+    still = [Frame(t, t, cells_at(ball(50))) for t in (0, 60, 120)]
+    figure = Plots(still, history_arrays(history_of(still)), BARE).growth()
+    assert figure.axes[0].get_yscale() == "linear"
+    assert figure.axes[0].get_ylim()[0] == 0.0
+
+
+def test_one_cell_at_one_time_can_be_drawn():
+    one = [Frame(0.0, 0, cells_at([[0, 0, 0]]))]
+    pictures = Plots(one, history_arrays(history_of(one)), BARE)
+    for figure in (pictures.growth(), pictures.section(), pictures.profiles()):
+        rendered(figure)
+        assert any("1 cell after 0 s" in text for text in texts(figure))
+
+
+def test_nothing_to_draw_is_said():
+    with pytest.raises(ValueError, match="empty"):
+        Plots([], {}, BARE).growth()
+    with pytest.raises(ValueError, match="no centre"):
+        Plots([Frame(0.0, 0, Cells.empty())], {}, BARE).section()
+
+
+def test_states_differ_in_lightness():
+    weights = np.array([0.2126, 0.7152, 0.0722])
+    light = sorted(
+        weights @ np.array(mpl.colors.to_rgb(c)) ** 2.2 for c in drawing.COLOURS.values()
+    )
+    # the contrast that WCAG asks of graphics against their neighbours is 3, of pairs here 1.8
+    assert min((b + 0.05) / (a + 0.05) for a, b in pairwise(light)) > 1.8
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"), [(30, "30 s"), (3600, "60 min"), (36000, "10 h"), (950400, "11 d")]
+)
+def test_times_have_units_that_suit_them(seconds, text):
+    assert time_unit(seconds).text(seconds) == text
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"), [(0.5, "0.5 s"), (42.3, "42 s"), (134, "2 min 14 s"), (7500, "2 h 5 min")]
+)
+def test_wall_times_are_in_words(seconds, text):
+    assert clock(seconds) == text
+
+
+class Page(HTMLParser):
+    """Collects tags and checks that every element that is opened is closed in order."""
+
+    VOID = frozenset({"meta", "img", "br", "hr", "link", "input"})
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.tags, self.text = [], [], []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] not in ("style", "title"):
+            self.text.append(data.strip())
+
+
+def read(path):
+    page = Page()
+    page.feed(path.read_text(encoding="utf-8"))
+    page.close()
+    assert page.open == []
+    return page
+
+
+def test_report_stands_alone(result, tmp_path):
+    path = result.report(tmp_path)
+    page = read(path)
+    html = path.read_text(encoding="utf-8")
+    assert not re.search(r"https?:|//[a-z]|@import|url\(", re.sub(r"base64,[\w+/=]+", "", html))
+    assert not {"script", "link", "iframe", "object", "embed"} & {tag for tag, _ in page.tags}
+    sources = [attrs["src"] for tag, attrs in page.tags if tag == "img"]
+    assert len(sources) == 3
+    assert all(source.startswith("data:image/png;base64,") for source in sources)
+    assert all(attrs.get("alt") for tag, attrs in page.tags if tag == "img")
+
+
+def test_report_shows_figures_work_wall_time_and_settings(result, tmp_path):
+    text = read(result.report(tmp_path)).text
+    cells = f"{len(result.frames[-1].cells):,}"
+    for words in (cells, "9 d", "1,700", "2 min 13 s", "12,345", "3.0e-10", "nutrients.oxygen"):
+        assert words in text, words
+    assert "0.07 mM" in text
+    assert "54,000 s (15 h)" in text
+
+
+def test_report_escapes_text(result, tmp_path):
+    title = "<script>alert('x')</script> & \"co\""
+    scene = SCENE.with_changes({"title": title})
+    summary = result.summary() | {"versions": {"<b>": "<img src=x>"}}
+    changed = Result(None, result.frames[-1:], {}, summary, scene)
+    path = changed.report(tmp_path)
+    page = read(path)
+    assert "script" not in {tag for tag, _ in page.tags}
+    assert "<b>" in page.text
+    assert title in page.text
+    assert "<img src=x>" in page.text
+    assert "<script" not in path.read_text(encoding="utf-8")
+
+
+def test_report_of_an_interrupted_run_says_so(tmp_path):
+    result = Result(None, [], {}, {"interrupted": True}, BARE)
+    page = read(result.report(tmp_path))
+    assert "Interrupted before its end" in page.text
+    assert [tag for tag, _ in page.tags if tag == "img"] == []
+
+
+def test_report_refuses_a_folder_that_cannot_be_written(result, tmp_path):
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(OutputError, match="Not a directory"):
+        result.report(tmp_path / "file" / "out")

@@ -1,0 +1,476 @@
+"""Scenes: reading, checking, changing, writing."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from multicell.contact import JKR, Hertz
+from multicell.errors import SceneError
+from multicell.integrators.names import METHODS
+from multicell.scene import Growth, Nutrient, Scene, load_scene, scene_names
+
+
+def refusal(entries):
+    """Return the error that a scene of these entries causes."""
+    with pytest.raises(SceneError) as caught:
+        Scene.from_dict({"duration": 3600, **entries})
+    assert caught.value.exit_code == 2
+    return caught.value
+
+
+# --- built-in scenes ---------------------------------------------------------------------------
+
+
+def test_built_in_scenes_have_names_and_titles():
+    assert scene_names() == ["growth", "settle", "spheroid"]
+    titles = {load_scene(name).title for name in scene_names()}
+    assert len(titles) == 3
+    assert all(len(title) > 10 for title in titles)
+
+
+def test_spheroid_has_all_parts():
+    scene = load_scene("spheroid")
+    assert scene.initial.count == 1
+    assert list(scene.nutrients) == ["oxygen"]
+    assert scene.growth is not None
+    assert scene.death is not None
+    assert isinstance(scene.contact, JKR)
+
+
+def test_growth_has_no_nutrient():
+    scene = load_scene("growth")
+    assert (scene.duration, scene.initial.count) == (5 * 86400.0, 1)
+    assert scene.growth is not None
+    assert len(scene.nutrients) == 0
+    assert scene.death is None
+
+
+def test_settle_is_mechanics_only():
+    scene = load_scene("settle")
+    assert (scene.duration, scene.coupling_step) == (3600.0, 60.0)
+    assert (scene.initial.count, scene.initial.spacing, scene.initial.jitter) == (200, 0.8, 0.05)
+    assert scene.growth is None
+    assert scene.death is None
+    assert not scene.nutrients
+
+
+def test_reading_a_scene_loads_nothing_heavy():
+    heavy = [
+        "numba",
+        "pde",
+        "scipy.sparse",
+        "scipy.fft",
+        "matplotlib",
+        "h5py",
+        "rich",
+        "sksundae",
+        "tomli_w",
+    ]
+    code = (
+        "import sys; import multicell.scene as s; pint = 'pint' in sys.modules; "
+        f"s.load_scene('spheroid'); print(pint, [m for m in {heavy} if m in sys.modules])"
+    )
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert out.stdout.strip() == "False []"
+
+
+# --- files -------------------------------------------------------------------------------------
+
+
+def test_file_is_read(tmp_path):
+    file = tmp_path / "mine.toml"
+    file.write_text('duration = "2 h"\nintegrator = "euler"\n[drag]\nviscosity = "70 Pa s"\n')
+    scene = load_scene(file)
+    assert (scene.duration, scene.integrator.method, scene.drag.viscosity) == (7200, "euler", 0.07)
+    assert load_scene(str(file)) == scene
+
+
+def test_bare_name_of_a_file_is_read_and_a_built_in_name_wins(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("mine").write_text("duration = 1")
+    Path("settle").write_text("duration = 2")
+    assert load_scene("mine").duration == 1
+    assert load_scene("settle").duration == 3600
+    assert load_scene(Path("settle")).duration == 2
+
+
+@pytest.mark.parametrize("as_path", [True, False])
+def test_missing_file(tmp_path, as_path):
+    file = tmp_path / "absent.toml"
+    with pytest.raises(SceneError, match=r"absent.toml' does not exist.*growth, settle, spheroid"):
+        load_scene(file if as_path else str(file))
+
+
+@pytest.mark.parametrize("name", ["spherod", "Spheroid", "spheroids"])
+def test_unknown_name_gets_its_near_miss(name):
+    with pytest.raises(SceneError, match=f"no scene named '{name}'") as caught:
+        load_scene(name)
+    assert caught.value.hint.startswith("Did you mean 'spheroid'?")
+    assert "settle" in caught.value.hint
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b'duration = "1 h"\n\n[drag\n', "line 3"),
+        (b"duration = 1\nduration = 2\n", "line 2"),
+        (b"duration = 1 h\n", "line 1"),
+        (b"seed = " + b"9" * 5000, "not valid TOML"),
+        (b"seed = " + b"[" * 100000, "nested too deeply"),
+        (b"title = '\xff'", "not UTF-8"),
+        (b"", "duration: is missing"),
+        (b"[drag]\nviscosity = 0\n", "duration: is missing"),
+        (b"duration = 1\n[drag]\nviscosity = 0\n", "drag.viscosity: is 0 kPa s, must be above 0"),
+    ],
+)
+def test_broken_file(tmp_path, content, words):
+    file = tmp_path / "broken.toml"
+    file.write_bytes(content)
+    with pytest.raises(SceneError) as caught:
+        load_scene(file)
+    assert words in str(caught.value)
+
+
+@pytest.mark.parametrize("source", ["", ".", "/", "a\0b", "~nobody-here/x.toml", "x" * 5000])
+def test_what_is_not_a_file_is_refused(source):
+    with pytest.raises(SceneError):
+        load_scene(source)
+
+
+def test_a_folder_is_not_a_scene(tmp_path):
+    with pytest.raises(SceneError, match=r"cannot be read: Is a directory"):
+        load_scene(tmp_path)
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root reads anything")
+def test_unreadable_file(tmp_path):
+    file = tmp_path / "secret.toml"
+    file.write_text("duration = 1")
+    file.chmod(0)
+    with pytest.raises(SceneError, match="cannot be read: Permission denied"):
+        load_scene(file)
+
+
+# --- bad values --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("entries", "path", "words"),
+    [
+        ({"duration": 0}, "duration", "is 0 s, must be above 0 s"),
+        ({"duration": "-1 d"}, "duration", "is -1 d, must be above 0 s"),
+        ({"duration": "5"}, "duration", "without a unit"),
+        ({"duration": "5 um"}, "duration", "must be a time"),
+        ({"duration": float("nan")}, "duration", "finite"),
+        ({"duration": float("inf")}, "duration", "finite"),
+        ({"duration": True}, "duration", "is True, must be a number"),
+        ({"duration": [1]}, "duration", "is a list"),
+        ({"duration": {}}, "duration", "is a table"),
+        ({"coupling_step": 0}, "coupling_step", "above 0 s"),
+        ({"seed": -1}, "seed", "at least 0"),
+        ({"seed": 1.5}, "seed", "whole number"),
+        ({"seed": 2**63}, "seed", "at most"),
+        ({"stop_cells": 0}, "stop_cells", "at least 1"),
+        ({"title": 3}, "title", "one line of text"),
+        ({"initial": {"count": 0}}, "initial.count", "at least 1"),
+        ({"initial": {"arrangement": "cube"}}, "initial.arrangement", "must be one of 'ball'"),
+        ({"initial": {"spacing": 0}}, "initial.spacing", "above 0"),
+        ({"initial": {"jitter": -0.1}}, "initial.jitter", "at least 0"),
+        ({"initial": {"stage": "old"}}, "initial.stage", "'birth', 'uniform'"),
+        ({"cells": {"division_radius": "-3 um"}}, "cells.division_radius", "is -3 um, must be ab"),
+        ({"cells": {"division_radius": "5"}}, "cells.division_radius", "without a unit"),
+        ({"cells": {"young": 0}}, "cells.young", "above 0 kPa"),
+        ({"cells": {"young_variation": 0.6}}, "cells.young_variation", "at most 0.5"),
+        ({"cells": {"poisson": 0.75}}, "cells.poisson", "is 0.75, must be above -1 and at most"),
+        ({"cells": {"poisson": -1}}, "cells.poisson", "above -1"),
+        ({"cells": {"poisson": "0.5"}}, "cells.poisson", "without unit and quotes"),
+        ({"cells": [1]}, "cells", "is a list, must be a table"),
+        ({"contact": {"law": "yukawa"}}, "contact.law", "must be one of 'hertz', 'jkr'"),
+        ({"contact": {"surface_energy": -1}}, "contact.surface_energy", "at least 0 nN/um"),
+        (
+            {"contact": {"law": "hertz", "surface_energy": 0.1}},
+            "contact.surface_energy",
+            "is not a known key here",
+        ),
+        ({"drag": {"viscosity": 0}}, "drag.viscosity", "is 0 kPa s, must be above 0 kPa s"),
+        ({"drag": {"viscosity": "0 kPa s"}}, "drag.viscosity", "must be above 0 kPa s"),
+        ({"drag": {"viscosity": "5 kPa"}}, "drag.viscosity", "must be a viscosity"),
+        ({"growth": {"cycle_time": 0}}, "growth.cycle_time", "above 0 s"),
+        ({"growth": {"cycle_variation": 0.51}}, "growth.cycle_variation", "at most 0.5"),
+        ({"growth": {"critical_pressure": 0}}, "growth.critical_pressure", "above 0 kPa"),
+        ({"growth": True}, "growth", "is True, must be a table"),
+        ({"death": {"lysis_time": "0 h"}}, "death.lysis_time", "above 0 s"),
+        ({"death": {"removal_fraction": 1}}, "death.removal_fraction", "below 1"),
+        ({"death": {"removal_fraction": 0}}, "death.removal_fraction", "above 0"),
+        ({"nutrients": {"oxygen": {}, "glucose": {}}}, "nutrients", "one nutrient for now"),
+        ({"nutrients": 5}, "nutrients", "must be a table"),
+        ({"nutrients": {"2,3-DPG": {}}}, "nutrients", "letters, digits"),
+        (
+            {"nutrients": {"oxygen": {"necrosis": "0.03 mM"}}},
+            "nutrients.oxygen.necrosis",
+            "thresholds in the wrong order",
+        ),
+        (
+            {"nutrients": {"oxygen": {"necrosis": 0.02, "quiescence": 0.02}}},
+            "nutrients.oxygen.necrosis",
+            "thresholds in the wrong order",
+        ),
+        (
+            {"nutrients": {"oxygen": {"spacing": "20.1 um"}}},
+            "nutrients.oxygen.spacing",
+            "must be at most 20 um (two diameters of a dividing cell): grid too coarse",
+        ),
+        (
+            {"nutrients": {"o2": {"spacing": 9}}, "cells": {"division_radius": 2}},
+            "nutrients.o2.spacing",
+            "must be at most 8 um",
+        ),
+        ({"nutrients": {"o2": {"diffusion": 0}}}, "nutrients.o2.diffusion", "above 0 um^2/s"),
+        ({"nutrients": {"o2": {"boundary": -1}}}, "nutrients.o2.boundary", "at least 0 mM"),
+        ({"nutrients": {"o2": {"uptake": "20 amol"}}}, "nutrients.o2.uptake", "amount per time"),
+        ({"nutrients": {"o2": {"half_saturation": 0}}}, "nutrients.o2.half_saturation", "above 0"),
+        ({"nutrients": {"o2": {"quiescent_uptake": 2}}}, "nutrients.o2.quiescent_uptake", "most 1"),
+        ({"integrator": "rk99"}, "integrator.method", "is 'rk99', must be one of 'cvode', 'euler'"),
+        ({"integrator": 3}, "integrator", "must be a table"),
+        ({"integrator": {"rtol": 1e-15}}, "integrator.rtol", "at least 1e-14"),
+        ({"integrator": {"rtol": 0.2}}, "integrator.rtol", "at most 0.1"),
+        ({"integrator": {"atol": 0}}, "integrator.atol", "above 0 um"),
+        ({"integrator": {"max_steps": 0}}, "integrator.max_steps", "at least 1"),
+        ({"integrator": {"step": 0}}, "integrator.step", "above 0 s"),
+        ({"integrator": {"max_displacement": 1.1}}, "integrator.max_displacement", "at most 1"),
+        ({"output": {"every": 0}}, "output.every", "above 0 s"),
+    ],
+)
+def test_bad_value(entries, path, words):
+    error = refusal(entries)
+    assert error.path == path
+    assert words in error.problem
+
+
+@pytest.mark.parametrize(
+    ("entries", "hint"),
+    [
+        ({"durration": 1}, "Did you mean 'duration'?"),
+        ({"drag": {"viscositty": 1}}, "Did you mean 'viscosity'? Allowed: viscosity"),
+        ({"nutrients": {"o2": {"difusion": 1}}}, "Did you mean 'diffusion'?"),
+        ({"integrator": "cvodes"}, "Did you mean 'cvode'?"),
+        ({"contact": {"law": "JKR"}}, "Did you mean 'jkr'?"),
+        ({"cells": {"poisson": 0.75}}, "No isotropic solid"),
+        ({"drag": {"viscosity": 0}}, "without drag no velocity"),
+        ({"contact": {"law": "hertz", "surface_energy": 0.1}}, "Allowed: law"),
+    ],
+)
+def test_hint(entries, hint):
+    assert hint in refusal(entries).hint
+
+
+def test_limits_that_are_allowed():
+    scene = Scene.from_dict(
+        {
+            "duration": 1e-3,
+            "cells": {"poisson": 0.5, "young_variation": 0},
+            "contact": {"surface_energy": 0},
+            "nutrients": {"o2": {"spacing": 20, "boundary": 0, "uptake": 0, "necrosis": 0}},
+        }
+    )
+    assert scene.nutrients["o2"].spacing == 20
+    assert scene.cells.poisson == 0.5
+
+
+def test_defaults_are_those_of_the_documentation():
+    scene = Scene(duration="1 h")
+    assert (scene.title, scene.seed, scene.coupling_step) == ("", 0, 600.0)
+    assert (scene.growth, scene.death, scene.stop_cells) == (None, None, None)
+    assert scene.contact == JKR(surface_energy="0.1 nN/um")
+    assert (scene.drag.viscosity, scene.cells.division_radius) == (5.0, 5.0)
+    assert (scene.integrator.method, scene.integrator.rtol) == ("cvode", 1e-6)
+    assert scene.output.every == 6 * 3600
+
+
+# --- changes -----------------------------------------------------------------------------------
+
+
+def test_changes_make_a_new_scene():
+    scene = load_scene("spheroid")
+    other = scene.with_changes({"nutrients.oxygen.boundary": "0.05 mM", "duration": "8 d"})
+    assert (other.nutrients["oxygen"].boundary, other.duration) == (0.05, 8 * 86400)
+    assert scene == load_scene("spheroid")
+    assert other.with_changes({}) == other
+
+
+def test_optional_tables_come_and_go():
+    scene = Scene(duration=1).with_changes({"growth.cycle_time": "20 h", "death": {}})
+    assert scene.growth == Growth(cycle_time=72000)
+    assert scene.death is not None
+    bare = scene.with_changes({"growth": None, "death": None})
+    assert bare == Scene(duration=1)
+    with_oxygen = bare.with_changes({"nutrients.oxygen.boundary": 0.1})
+    assert dict(with_oxygen.nutrients) == {"oxygen": Nutrient(boundary=0.1)}
+    assert with_oxygen.with_changes({"nutrients.oxygen": None}) == bare
+    assert with_oxygen.with_changes({"nutrients": None}) == bare
+
+
+def test_optional_keys_come_and_go():
+    scene = Scene(duration=1).with_changes({"growth.critical_pressure": "1 kPa", "stop_cells": 9})
+    assert (scene.growth.critical_pressure, scene.stop_cells) == (1.0, 9)
+    scene = scene.with_changes({"growth.critical_pressure": None, "stop_cells": None})
+    assert (scene.growth.critical_pressure, scene.stop_cells) == (None, None)
+    assert scene.with_changes({"stop_cells": None}) == scene
+
+
+def test_a_part_can_be_given_as_an_object():
+    assert Scene(duration=1).with_changes({"contact": Hertz()}).contact == Hertz()
+
+
+def test_bare_integrator_keeps_the_other_options():
+    scene = Scene(duration=1, integrator={"step": 2, "rtol": 1e-4})
+    changed = scene.with_changes({"integrator": "euler"}).integrator
+    assert (changed.method, changed.step, changed.rtol) == ("euler", 2.0, 1e-4)
+    assert Scene(duration=1, integrator="euler").integrator.method == "euler"
+
+
+def test_new_law_drops_what_it_does_not_have():
+    scene = Scene(duration=1, contact={"surface_energy": 0.3})
+    assert scene.with_changes({"contact.law": "hertz"}).contact == Hertz()
+    assert scene.with_changes({"contact.law": "jkr"}).contact == JKR(surface_energy=0.3)
+    with pytest.raises(SceneError, match="surface_energy: is not a known key"):
+        scene.with_changes({"contact.law": "hertz", "contact.surface_energy": 0.1})
+
+
+def test_changes_leave_their_input_alone():
+    oxygen = {"oxygen": {}}
+    changes = {"nutrients": oxygen, "nutrients.oxygen.boundary": 0.2}
+    assert Scene(duration=1).with_changes(changes).nutrients["oxygen"].boundary == 0.2
+    assert oxygen == {"oxygen": {}}
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"cels.young": 1}, "Did you mean 'cells'?"),
+        ({"cells.yong": 1}, "Did you mean 'young'?"),
+        ({"growht": None}, "Did you mean 'growth'?"),
+        ({"death.lysis_time": None}, "cannot be removed: the scene has no 'death'"),
+        ({"duration.x": 1}, "'duration' is a value, not a table"),
+        ({"duration": None}, "duration: is missing"),
+        ({"cells.young": -1}, "cells.young: is -1 kPa, must be above 0 kPa"),
+        ({"integrator": "eular"}, "Did you mean 'euler'?"),
+        ({"contact.law": "jrk"}, "Did you mean 'jkr'?"),
+        ({"nutrients.glucose": {}, "nutrients.oxygen": {}}, "one nutrient for now"),
+        ({"": 1}, "not a dotted key"),
+        ({"cells..young": 1}, "not a dotted key"),
+        ({3: 1}, "not a dotted key"),
+    ],
+)
+def test_bad_change(changes, words):
+    with pytest.raises(SceneError) as caught:
+        Scene(duration=1).with_changes(changes)
+    assert words in str(caught.value)
+
+
+# --- writing -----------------------------------------------------------------------------------
+
+
+def test_dict_has_base_unit_numbers_and_no_absent_parts():
+    entries = load_scene("growth").to_dict()
+    assert entries["duration"] == 432000.0
+    assert entries["growth"] == {"cycle_time": 54000.0, "cycle_variation": 0.1}
+    assert entries["contact"] == {"law": "jkr", "surface_energy": 0.1}
+    assert {"death", "nutrients", "stop_cells"}.isdisjoint(entries)
+
+
+def test_toml_names_units_seed_and_extra_facts():
+    text = load_scene("spheroid").to_toml({"numpy": "2.4.6", "note": "two\nlines = 1 \u2028 µ"})
+    head = text[: text.index("title =")]
+    assert "# units: um, s, nN, amol" in head
+    assert "# seed: 1\n" in head
+    assert "# numpy: 2.4.6\n" in head
+    assert all(line.startswith("#") for line in head.splitlines())
+    assert "duration = 1036800.0  # s\n" in text
+    assert "viscosity = 5.0  # kPa s\n" in text
+    assert "surface_energy = 0.02  # nN/um\n" in text
+    assert "boundary = 0.05  # mM\n" in text
+    assert tomllib.loads(text) == load_scene("spheroid").to_dict()
+
+
+def test_scene_survives_pickle_and_hash():
+    scene = load_scene("spheroid")
+    assert pickle.loads(pickle.dumps(scene)) == scene
+    assert hash(scene) == hash(load_scene("spheroid"))
+
+
+def positive(top=1e6):
+    return st.floats(1e-6, top)
+
+
+NUTRIENTS = st.fixed_dictionaries(
+    {
+        "diffusion": positive(),
+        "necrosis": st.floats(0, 0.01),
+        "quiescence": st.floats(0.011, 1),
+        "spacing": st.floats(0.1, 4.0),
+    },
+    optional={"uptake": st.floats(0, 1e3), "margin": positive()},
+)
+SCENES = st.fixed_dictionaries(
+    {"duration": positive() | st.integers(1, 30).map("{} d".format)},
+    optional={
+        "title": st.text(max_size=30).filter(str.isprintable),
+        "seed": st.integers(0, 2**63 - 1),
+        "stop_cells": st.integers(1, 10**6),
+        "initial": st.fixed_dictionaries(
+            {}, optional={"count": st.integers(1, 10**5), "stage": st.sampled_from(["uniform"])}
+        ),
+        "cells": st.fixed_dictionaries(
+            {"division_radius": st.floats(1, 50)},
+            optional={"poisson": st.floats(-0.99, 0.5), "young": positive()},
+        ),
+        "contact": st.just({"law": "hertz"})
+        | st.builds(lambda energy: {"surface_energy": energy}, st.floats(0, 1e3)),
+        "growth": st.fixed_dictionaries({}, optional={"critical_pressure": positive()}),
+        "death": st.fixed_dictionaries({}, optional={"removal_fraction": st.floats(0.01, 0.99)}),
+        "nutrients": st.dictionaries(
+            st.from_regex(r"[a-z]\w{0,8}", fullmatch=True).filter(str.isascii),
+            NUTRIENTS,
+            max_size=1,
+        ),
+        "integrator": st.sampled_from(sorted(METHODS)),
+    },
+)
+
+
+@given(entries=SCENES)
+def test_dict_round_trip(entries):
+    scene = Scene.from_dict(entries)
+    assert Scene.from_dict(scene.to_dict()) == scene
+    assert None not in scene.to_dict().values()
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(entries=SCENES)
+def test_toml_round_trip(tmp_path, entries):
+    scene = Scene.from_dict(entries)
+    file = tmp_path / "scene.toml"
+    file.write_text(scene.to_toml({"entries": entries}), encoding="utf-8")
+    assert load_scene(file) == scene
+
+
+@given(entries=SCENES, boundary=st.floats(0, 10))
+def test_changes_touch_nothing_else(entries, boundary):
+    scene = Scene.from_dict(entries)
+    name = next(iter(scene.nutrients), "oxygen")
+    spacing = {f"nutrients.{name}.spacing": 1.0}
+    changed = scene.with_changes({f"nutrients.{name}.boundary": boundary, **spacing}).to_dict()
+    assert changed["nutrients"][name]["boundary"] == boundary
+    rest = {key: value for key, value in scene.to_dict().items() if key != "nutrients"}
+    del changed["nutrients"]
+    assert changed == rest

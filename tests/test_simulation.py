@@ -1,0 +1,261 @@
+"""The coupling loop: order of events, bits, ledgers, optional parts, failures."""
+
+import functools
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import multicell as mc
+from multicell import Simulation, State
+from multicell.biology import initial_cells
+from multicell.mechanics import Mechanics
+
+SMALL = {
+    "duration": "30 h",
+    "initial.count": 60,
+    "initial.stage": "uniform",
+    "initial.spacing": 0.9,
+    "nutrients.oxygen.boundary": "0.032 mM",
+    "nutrients.oxygen.uptake": "150 amol/s",
+    "nutrients.oxygen.necrosis": "0.0135 mM",
+    "nutrients.oxygen.spacing": "12 um",
+}
+"""A spheroid that grows, starves and dies within seconds."""
+
+
+def small(**changes):
+    return mc.load_scene("spheroid").with_changes(SMALL | changes)
+
+
+def state_of(simulation):
+    return dict(simulation.cells.columns()) | {
+        "oxygen": simulation.concentrations["oxygen"],
+        "field": simulation.fields["oxygen"].values,
+    }
+
+
+def run(scene, **options):
+    simulation = Simulation(scene, **options)
+    while not simulation.finished:
+        simulation.step()
+    return simulation
+
+
+@pytest.fixture(scope="module")
+def grown():
+    return run(small())
+
+
+def test_small_spheroid_has_all_three_states(grown):
+    counts = np.bincount(grown.cells.state, minlength=3)
+    assert (counts > 0).all()
+    assert len(grown.cells) > 100
+    assert grown.divisions > 0
+    assert grown.time == 30 * 3600.0
+
+
+def test_same_seed_same_bits_for_any_number_of_threads(grown, monkeypatch):
+    """Small chunks make even this population one that threads share."""
+    small_chunks = functools.partial(Mechanics, chunk=16, shared_chunks=2)
+    monkeypatch.setattr("multicell.simulation.Mechanics", small_chunks)
+    one, two = run(small(), threads=1), run(small(), threads=2)
+    for name, column in state_of(one).items():
+        assert np.array_equal(column, state_of(two)[name]), name
+    monkeypatch.undo()
+    again = run(small())
+    for name, column in state_of(grown).items():
+        assert np.array_equal(column, state_of(again)[name]), name
+
+
+def test_another_seed_differs(grown):
+    other = run(small(seed=2))
+    assert len(other.cells) != len(grown.cells) or not np.array_equal(
+        np.sort(other.cells.radius), np.sort(grown.cells.radius)
+    )
+
+
+def test_every_cell_is_accounted_for(grown):
+    """Each division adds one cell, each removal takes one, and identities are unique."""
+    assert len(grown.cells) == 60 + grown.divisions - grown.removals
+    assert len(np.unique(grown.cells.id)) == len(grown.cells)
+    assert (grown.cells.parent < grown.cells.id).all()
+
+
+def test_removals_are_counted():
+    lysing = run(small(**{"death.lysis_time": "2 h"}))
+    assert lysing.removals > 0
+    assert len(lysing.cells) == 60 + lysing.divisions - lysing.removals
+
+
+def test_nutrient_ledger_balances(grown):
+    ledger = grown.summary()["ledger"]
+    assert ledger["oxygen"]["uptake"] > 0
+    assert ledger["relative_remainder"] <= 1e-6
+    assert ledger["oxygen"]["inflow"] == pytest.approx(ledger["oxygen"]["uptake"], rel=1e-6)
+
+
+def test_uptake_is_what_the_cells_take_up_by_michaelis_menten():
+    """For one cell in a coarse, nearly uniform field the law is evaluated by hand."""
+    scene = small(
+        **{"initial.count": 1, "duration": "10 min", "nutrients.oxygen.boundary": "0.2 mM"}
+    )
+    simulation = run(scene)
+    oxygen = scene.nutrients["oxygen"]
+    c = simulation.concentrations["oxygen"][0]
+    expected = oxygen.uptake * c / (oxygen.half_saturation + c) * 600.0
+    assert simulation.ledger["oxygen"].uptake == pytest.approx(expected, rel=1e-4)
+
+
+def test_states_follow_the_thresholds():
+    prompt = run(small(**{"cells.reaction_time": "10 min", "duration": "10 h"}))
+    oxygen = prompt.scene.nutrients["oxygen"]
+    c, state = prompt.concentrations["oxygen"], prompt.cells.state
+    assert len(np.unique(state)) > 1
+    assert (state[c < oxygen.necrosis] == State.NECROTIC).all()
+    assert (c[state == State.PROLIFERATING] >= oxygen.quiescence).all()
+    assert (c[state == State.QUIESCENT] < oxygen.quiescence).all()
+
+
+def test_radii_grow_during_a_step():
+    """Free growth is linear in volume: after a step the volume is exactly the law's."""
+    scene = mc.load_scene("growth").with_changes({"duration": "20 min"})
+    simulation = Simulation(scene)
+    before = simulation.cells.volume.copy()
+    simulation.step()
+    birth = 0.5 * 4 / 3 * np.pi * scene.cells.division_radius**3
+    rate = birth / simulation.cells.cycle_time
+    np.testing.assert_allclose(simulation.cells.volume, before + 600.0 * rate, rtol=1e-12)
+
+
+def test_last_step_is_shortened_to_the_end():
+    scene = mc.load_scene("settle").with_changes({"duration": "150 s", "coupling_step": "60 s"})
+    simulation = run(scene)
+    assert simulation.step_index == simulation.steps == 3
+    assert simulation.time == 150.0
+
+
+def test_stop_cells_ends_the_run():
+    simulation = run(small(stop_cells=80))
+    assert 80 <= len(simulation.cells) < 100
+    assert simulation.time < 30 * 3600.0
+
+
+def test_settling_lowers_the_energy_and_keeps_the_centre():
+    simulation = Simulation(mc.load_scene("settle"))
+    drag = simulation.cells.radius[:, None]
+    centre = (drag * simulation.cells.position).sum(axis=0) / drag.sum()
+    energies = [simulation.energy()]
+    for _ in range(10):
+        simulation.step()
+        energies.append(simulation.energy())
+    assert (np.diff(energies) < 0).all()
+    drag = simulation.cells.radius[:, None]
+    after = (drag * simulation.cells.position).sum(axis=0) / drag.sum()
+    np.testing.assert_allclose(after, centre, atol=1e-4)
+
+
+def test_methods_agree_on_observables():
+    scene = mc.load_scene("settle").with_changes({"duration": "10 min"})
+    ends = [
+        run(scene.with_changes({"integrator": method, "integrator.step": "1 s"}))
+        for method in ("cvode", "euler")
+    ]
+    a, b = (simulation.summary()["diameter"] for simulation in ends)
+    assert a == pytest.approx(b, rel=1e-3)
+
+
+def test_coincident_cells_come_apart():
+    scene = mc.load_scene("settle").with_changes({"initial.count": 4, "duration": "1 h"})
+    cells = initial_cells(scene)
+    cells.position[:] = 0.0
+    simulation = Simulation(scene, cells=cells)
+    while not simulation.finished:
+        simulation.step()
+    assert np.isfinite(simulation.cells.position).all()
+    pairs = simulation.cells.position[:, None] - simulation.cells.position
+    distance = np.linalg.norm(pairs, axis=-1)[np.triu_indices(4, 1)]
+    assert (distance > 4.0).all()
+
+
+def test_a_cell_far_outside_stays_finite_and_where_it_is():
+    scene = mc.load_scene("settle").with_changes({"duration": "5 min"})
+    cells = initial_cells(scene)
+    cells.position[7] = [1e7, -1e7, 1e7]
+    stray = cells.id[7]
+    simulation = Simulation(scene, cells=cells)
+    while not simulation.finished:
+        simulation.step()
+    index = int(np.flatnonzero(simulation.cells.id == stray)[0])
+    np.testing.assert_array_equal(simulation.cells.position[index], [1e7, -1e7, 1e7])
+    assert np.isfinite(simulation.cells.position).all()
+
+
+def test_a_step_that_cannot_be_solved_names_cell_time_and_remedy():
+    scene = mc.load_scene("settle").with_changes(
+        {"integrator": "euler", "integrator.step": "1 h", "coupling_step": "1 h"}
+    )
+    simulation = Simulation(scene)
+    before = simulation.cells
+    with pytest.raises(mc.StepFailed, match=r"cell \d+, t = 0 s.*Choose a shorter") as caught:
+        simulation.step()
+    assert caught.value.cell in before.id
+    assert simulation.cells is before
+    assert simulation.step_index == 0
+
+
+def test_all_cells_may_die():
+    simulation = run(
+        small(
+            **{
+                "nutrients.oxygen.boundary": 0,
+                "death.lysis_time": "1 h",
+                "death.removal_fraction": 0.5,
+                "initial.count": 5,
+            }
+        )
+    )
+    assert len(simulation.cells) == 0
+    assert simulation.summary()["diameter"] == 0.0
+
+
+def test_a_scene_without_nutrients_loads_no_pde_package():
+    program = (
+        "import sys, multicell as mc\n"
+        "s = mc.load_scene('settle').with_changes({'duration': '1 min', 'initial.count': 3})\n"
+        "mc.run(s)\n"
+        "print([m for m in ('pde', 'matplotlib', 'h5py', 'rich', 'sympy') if m in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "[]"
+
+
+def test_importing_the_package_loads_no_compiler():
+    program = (
+        "import sys, multicell\n"
+        "heavy = ('numba', 'scipy', 'sksundae', 'pde', 'pint', 'h5py')\n"
+        "print([name for name in heavy if name in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "[]"
+
+
+def test_more_threads_than_there_are_is_refused():
+    with pytest.raises(mc.SceneError, match="threads: is 100000"):
+        Simulation(mc.load_scene("settle"), threads=100000)
+
+
+def test_public_names():
+    assert set(mc.__all__) == {
+        "JKR", "Cells", "Hertz", "MulticellError", "OutputError", "Result", "Scene",
+        "SceneError", "Simulation", "State", "StepFailed", "load_result", "load_scene", "run",
+        "scene_names",
+    }  # fmt: skip
+    assert all(hasattr(mc, name) for name in mc.__all__)
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        _ = mc.nothing

@@ -1,0 +1,318 @@
+"""Result files: every bit comes back, whatever happened to the writer."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from synthetic import BARE, SCENE, cells_at, growing_frames, history_of, spheroid
+
+import multicell
+from multicell import store as store_module
+from multicell.cells import Cells
+from multicell.errors import OutputError
+from multicell.folder import FILES, prepare_folder, to_json, write_summary
+from multicell.frame import Field, Frame
+from multicell.result import Result, history_arrays, load_result
+from multicell.scene import load_scene
+from multicell.store import Store, open_frames, open_history
+
+# writes frames 0, 1, 2, ... of growing size for ever, and says which are done
+WRITER = """
+import sys
+from synthetic import SCENE, growing_frames, history_of
+from multicell.store import Store
+
+frames = growing_frames(count=6, last=900)
+rows = history_of(frames)
+store = Store.create(sys.argv[1], SCENE)
+k = 0
+while True:
+    store.append(frames[k % 6])
+    store.append_history(rows[k % 6])
+    k += 1
+    print(k, flush=True)
+"""
+
+
+def assert_same_frame(first, second):
+    assert (first.time, first.step) == (second.time, second.step)
+    for name, column in first.cells.columns():
+        other = getattr(second.cells, name)
+        assert other.dtype == column.dtype
+        np.testing.assert_array_equal(other, column, err_msg=name)
+    assert set(first.concentrations) == set(second.concentrations)
+    for name, values in first.concentrations.items():
+        np.testing.assert_array_equal(second.concentrations[name], values)
+    assert set(first.fields) == set(second.fields)
+    for name, field in first.fields.items():
+        other = second.fields[name]
+        assert (other.name, other.unit, other.spacing) == (field.name, field.unit, field.spacing)
+        np.testing.assert_array_equal(other.origin, field.origin)
+        np.testing.assert_array_equal(other.values, field.values)
+
+
+def written(folder, frames, scene=SCENE):
+    with Store.create(folder, scene) as store:
+        for frame, row in zip(frames, history_of(frames), strict=True):
+            store.append(frame)
+            store.append_history(row)
+    return folder
+
+
+def test_round_trip_is_exact_to_the_bit(tmp_path):
+    frames = growing_frames(count=5, last=700)
+    written(tmp_path / "out", frames)
+    back = open_frames(tmp_path / "out")
+    assert len(back) == 5
+    for first, second in zip(frames, back, strict=True):
+        assert_same_frame(first, second)
+    history = open_history(tmp_path / "out")
+    for name, values in history_arrays(history_of(frames)).items():
+        np.testing.assert_array_equal(history[name], values)
+
+
+def test_frames_are_a_lazy_sequence(tmp_path):
+    frames = growing_frames(count=4, last=50)
+    back = open_frames(written(tmp_path / "out", frames))
+    assert_same_frame(frames[-1], back[-1])
+    assert [frame.time for frame in back[1:3]] == [frames[1].time, frames[2].time]
+    assert [frame.time for frame in back[::-1]] == [frame.time for frame in frames[::-1]]
+    np.testing.assert_array_equal(back.times, [frame.time for frame in frames])
+    for wrong in (4, -5):
+        with pytest.raises(IndexError, match="of 4"):
+            back[wrong]
+
+
+def test_frames_without_nutrients_without_cells_and_without_field(tmp_path):
+    frames = [Frame(0.0, 0, cells_at([[0, 0, 0]])), Frame(60.0, 1, Cells.empty())]
+    back = open_frames(written(tmp_path / "bare", frames, BARE))
+    for first, second in zip(frames, back, strict=True):
+        assert_same_frame(first, second)
+    full = spheroid(60)
+    frames = [Frame(0.0, 0, full.cells, full.concentrations), full]
+    back = open_frames(written(tmp_path / "late", frames))
+    assert back[0].fields == {}
+    assert_same_frame(full, back[1])
+
+
+def test_values_that_are_not_numbers_survive(tmp_path):
+    cells = cells_at([[np.nan, np.inf, -0.0]])
+    with Store.create(tmp_path / "out", BARE) as store:
+        store.append(Frame(0.0, 0, cells))
+    back = open_frames(tmp_path / "out")
+    assert back[0].cells.position.tobytes() == cells.position.tobytes()
+
+
+def test_folder_holds_the_scene_and_the_file_its_units(tmp_path):
+    written(tmp_path / "out", [spheroid(30)])
+    assert load_scene(tmp_path / "out" / "scene.toml") == SCENE
+    with h5py.File(tmp_path / "out" / "frames.h5") as file:
+        assert file.attrs["format"] == 1
+        assert file.attrs["multicell"] == multicell.__version__
+        for name, spec in Cells.schema().items():
+            assert file["cells"][name].attrs["unit"] == spec["unit"]
+        assert file["history/diameter"].attrs["unit"] == "um"
+
+
+def test_file_can_be_read_while_it_is_written(tmp_path):
+    frames = growing_frames(count=3, last=200)
+    with Store.create(tmp_path / "out", SCENE) as store:
+        assert len(open_frames(tmp_path / "out")) == 0
+        for done, frame in enumerate(frames, start=1):
+            store.append(frame)
+            back = open_frames(tmp_path / "out")
+            assert len(back) == done
+            assert_same_frame(frame, back[-1])
+
+
+@pytest.mark.parametrize("wait", [0.0, 0.013, 0.037])
+def test_killed_writer_leaves_all_finished_frames(tmp_path, wait):
+    folder = tmp_path / "out"
+    package = Path(multicell.__file__).parents[1]
+    path = os.pathsep.join([str(package), str(Path(__file__).parent)])
+    command = [sys.executable, "-c", WRITER, str(folder)]
+    environment = {**os.environ, "PYTHONPATH": path}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as writer:
+        done = 0
+        while done < 8:
+            line = writer.stdout.readline()
+            assert line, "the writer ended by itself"
+            done = int(line)
+        time.sleep(wait)  # so that the signal arrives in the middle of another append
+        writer.send_signal(signal.SIGKILL)
+        done = max([done, *map(int, writer.stdout.read().split())])
+    assert writer.returncode == -signal.SIGKILL
+    frames, history = open_frames(folder), open_history(folder)
+    assert done <= len(frames) <= done + 1
+    expected = growing_frames(count=6, last=900)
+    for k, frame in enumerate(frames):
+        assert_same_frame(expected[k % 6], frame)
+    assert done <= len(history["time"]) <= done + 1
+    result = load_result(folder)
+    assert result.summary()["interrupted"] is True
+    assert result.summary()["cells"] == len(frames[-1].cells)
+
+
+def test_append_that_breaks_off_leaves_no_trace(tmp_path, monkeypatch):
+    frames = growing_frames(count=3, last=300)
+    put = store_module._put
+
+    for stop in (1, 5, 11, 13, 17, 19):
+        calls = 0
+
+        def interrupted(column, start, values, stop=stop):
+            nonlocal calls
+            calls += 1
+            if calls == stop:
+                raise KeyboardInterrupt
+            put(column, start, values)
+
+        folder = tmp_path / str(stop)
+        with Store.create(folder, SCENE) as store:
+            store.append(frames[0])
+            with monkeypatch.context() as patch:
+                patch.setattr(store_module, "_put", interrupted)
+                with pytest.raises(KeyboardInterrupt):
+                    store.append(frames[1])
+            store.append(frames[2])
+        back = open_frames(folder)
+        assert len(back) == 2
+        assert_same_frame(frames[0], back[0])
+        assert_same_frame(frames[2], back[1])
+
+
+def test_wrong_frames_and_rows_are_refused(tmp_path):
+    frame = spheroid(30)
+    with Store.create(tmp_path / "out", SCENE) as store:
+        with pytest.raises(ValueError, match="oxygen"):
+            store.append(Frame(0.0, 0, frame.cells))
+        with pytest.raises(ValueError, match="2 values of oxygen"):
+            store.append(Frame(0.0, 0, frame.cells, {"oxygen": np.zeros(2)}))
+        store.append_history({"time": 0.0, "cells": 1.0})
+        with pytest.raises(ValueError, match="energy"):
+            store.append_history({"time": 1.0, "cells": 1.0, "energy": 2.0})
+    assert len(open_frames(tmp_path / "out")) == 0
+    assert len(open_history(tmp_path / "out")["time"]) == 1
+
+
+def test_folder_that_holds_something_is_refused_unless_overwritten(tmp_path):
+    folder = tmp_path / "out"
+    written(folder, [spheroid(30)])
+    (folder / "notes.txt").write_text("mine")
+    with pytest.raises(OutputError, match=r"not empty.*--overwrite"):
+        Store.create(folder, SCENE)
+    assert len(open_frames(folder)) == 1
+    write_summary(folder, {"cells": 30})
+    Store.create(folder, SCENE, overwrite=True).close()
+    assert len(open_frames(folder)) == 0
+    assert not (folder / "summary.json").exists()
+    assert (folder / "notes.txt").read_text() == "mine"
+
+
+def test_empty_folder_and_deep_new_folder_are_taken(tmp_path):
+    (tmp_path / "empty").mkdir()
+    assert prepare_folder(tmp_path / "empty") == tmp_path / "empty"
+    assert prepare_folder(tmp_path / "a" / "b").is_dir()
+
+
+def test_folder_that_cannot_be_used_is_refused_with_words(tmp_path):
+    (tmp_path / "file").write_text("x")
+    cases = {
+        tmp_path / "file": "is a file, not a folder",
+        tmp_path / "file" / "out": "Not a directory",
+        Path("/proc/multicell-out"): "No such file",
+        tmp_path / ("n" * 300): "File name too long",
+    }
+    for folder, words in cases.items():
+        with pytest.raises(OutputError, match=words):
+            Store.create(folder, SCENE)
+
+
+def test_foreign_folder_in_the_place_of_a_file_is_not_removed(tmp_path):
+    (tmp_path / "frames.h5").mkdir()
+    with pytest.raises(OutputError, match="cannot remove"):
+        prepare_folder(tmp_path, overwrite=True)
+    assert (tmp_path / "frames.h5").is_dir()
+
+
+def test_results_that_cannot_be_read_are_refused_with_words(tmp_path):
+    with pytest.raises(OutputError, match="no results"):
+        open_frames(tmp_path / "nowhere")
+    (tmp_path / "frames.h5").write_bytes(b"not HDF5")
+    with pytest.raises(OutputError, match="cannot read"):
+        open_frames(tmp_path)
+    with h5py.File(tmp_path / "frames.h5", "w", libver=("v110", "v110")) as file:
+        file.attrs["format"] = 99
+    with pytest.raises(OutputError, match="format 99"):
+        open_history(tmp_path)
+
+
+def test_broken_summary_is_refused(tmp_path):
+    folder = written(tmp_path / "out", [spheroid(30)])
+    for text in ("{", "[1]"):
+        (folder / "summary.json").write_text(text)
+        with pytest.raises(OutputError, match="cannot read"):
+            load_result(folder)
+
+
+def test_summary_is_strict_json(tmp_path):
+    summary = {"cells": np.int64(3), "wall": {"total": np.float64(np.nan)}, "list": (1, np.inf)}
+    path = write_summary(tmp_path, summary)
+    assert json.loads(path.read_text()) == {
+        "cells": 3,
+        "wall": {"total": None},
+        "list": [1, None],
+    }
+    assert to_json(np.arange(2)) == "[\n  0,\n  1\n]"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["summary.json"]
+
+
+def test_result_gives_a_copy_of_its_summary(tmp_path):
+    folder = written(tmp_path / "out", [spheroid(30)])
+    write_summary(folder, {"states": {"necrotic": 1}})
+    result = load_result(folder)
+    result.summary()["states"]["necrotic"] = 5
+    assert result.summary() == {"states": {"necrotic": 1}}
+    assert result.scene == SCENE
+
+
+def test_history_rows_must_agree():
+    assert history_arrays([]) == {}
+    with pytest.raises(ValueError, match="same columns"):
+        history_arrays([{"time": 0.0}, {"time": 1.0, "cells": 2.0}])
+
+
+def test_report_writes_only_files_that_overwriting_removes(tmp_path):
+    frames = growing_frames(count=3, last=60)
+    folder = written(tmp_path / "out", frames)
+    write_summary(folder, {"cells": len(frames[-1].cells)})
+    load_result(folder).report()
+    assert sorted(entry.name for entry in folder.iterdir()) == sorted(FILES)
+
+
+def test_result_in_memory_needs_a_folder_for_its_report(tmp_path):
+    frames = growing_frames(count=2, last=30)
+    result = Result(None, frames, history_arrays(history_of(frames)), {}, SCENE)
+    with pytest.raises(OutputError, match="no output folder"):
+        result.report()
+    assert result.report(tmp_path / "here").is_file()
+
+
+def test_fields_of_different_size_keep_their_order(tmp_path):
+    full = spheroid(20)
+    shapes = [(2, 3, 4), (5, 1, 2), (3, 3, 3)]
+    frames = []
+    for k, shape in enumerate(shapes):
+        values = np.arange(np.prod(shape), dtype=float).reshape(shape) + k
+        field = Field("oxygen", "mM", np.full(3, -k, float), 1.0 + k, values)
+        frames.append(Frame(k, k, full.cells, full.concentrations, {"oxygen": field}))
+    back = open_frames(written(tmp_path / "out", frames))
+    for first, second in zip(frames, back, strict=True):
+        assert_same_frame(first, second)

@@ -1,0 +1,182 @@
+"""Units: strings with units become base-unit floats, or an error in words."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import constants
+
+from multicell.errors import SceneError
+from multicell.units import shown, to_base
+
+# (text, base unit, value from SI factors that SciPy and the SI brochure define)
+KNOWN = [
+    ("5 um", "um", 5.0),
+    ("5um", "um", 5.0),
+    ("5 µm", "um", 5.0),
+    ("  +0.5e1  um ", "um", 5.0),
+    ("0.1 mm", "um", 0.1 * constants.milli / constants.micro),
+    ("15 h", "s", 15 * constants.hour),
+    ("1.1 h", "s", 3960.0),
+    ("11 d", "s", 11 * constants.day),
+    ("10 min", "s", 10 * constants.minute),
+    ("2 weeks", "s", 2 * constants.week),
+    ("3 Pa", "kPa", 0.003),
+    ("1 MPa", "kPa", 1000.0),
+    ("1 nN/um^2", "kPa", 1.0),
+    ("0.1 nN/um", "nN/um", 0.1),
+    ("0.1 mN/m", "nN/um", 0.1),
+    ("0.1 mJ/m**2", "nN/um", 0.1),
+    ("5 kPa s", "kPa s", 5.0),
+    ("70 Pa*s", "kPa s", 0.07),
+    ("10 poise", "kPa s", 0.001),
+    ("2000 um^2/s", "um^2/s", 2000.0),
+    ("2000 µm²/s", "um^2/s", 2000.0),
+    ("2e-5 cm^2/s", "um^2/s", 2000.0),
+    ("0.07 mM", "mM", 0.07),
+    ("0.07 amol/um^3", "mM", 0.07),
+    ("70 umol/l", "mM", 0.07),
+    ("0.07 mol/m^3", "mM", 0.07),
+    ("20 amol/s", "amol/s", 20.0),
+    ("72 fmol/(h)", "amol/s", 20.0),
+    ("-3 um", "um", -3.0),
+    ("0 um", "um", 0.0),
+]
+
+
+@pytest.mark.parametrize(("text", "unit", "value"), KNOWN)
+def test_text_gives_the_known_value(text, unit, value):
+    assert to_base(text, unit) == pytest.approx(value, rel=1e-15, abs=0)
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "value"),
+    [("1.1 h", "s", 3960.0), ("3 Pa", "kPa", 0.003), ("0.07 mM", "mM", 0.07)],
+)
+def test_product_is_rounded_once(text, unit, value):
+    assert to_base(text, unit) == value
+
+
+@pytest.mark.parametrize("value", [5, 5.0, np.float32(5), np.int64(5)])
+def test_numbers_are_base_units(value):
+    result = to_base(value, "um")
+    assert result == 5.0
+    assert type(result) is float
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        ("5", "without a unit"),
+        ("", "number and a unit"),
+        ("um", "number and a unit"),
+        ("five um", "number and a unit"),
+        ("nan um", "number and a unit"),
+        ("inf um", "number and a unit"),
+        ("1e999 um", "finite"),
+        ("1e308 km", "finite"),
+        ("5 kPa", "must be a length, which 'kPa' is not"),
+        ("37 degC", "must be a length"),
+        ("5 parsecks", "unknown unit 'parsecks'"),
+        ("5 2 um", "unknown unit"),
+        ("5 um **", "unknown unit"),
+        ("5 um ()", "unit"),
+        ("5 um^9^9^9^9", "cannot be read"),
+        ("5 um^99999999", "cannot be read"),
+        ("5 " + "(" * 80 + "um", "cannot be read"),
+        ("5 __import__('os')", "cannot be read"),
+        ("0" * 200 + " um", "number and a unit"),
+        (True, "must be a number"),
+        (np.True_, "must be a number"),
+        (float("nan"), "finite"),
+        (float("inf"), "finite"),
+        (10**400, "finite"),
+        (1j, "must be a number"),
+        (None, "must be a number"),
+        ([5], "a list"),
+        ({}, "a table"),
+    ],
+)
+def test_bad_value_is_refused_in_words(value, words):
+    with pytest.raises(SceneError, match=r"^cells\.size: ") as caught:
+        to_base(value, "um", "cells.size")
+    assert words in caught.value.problem
+    assert caught.value.path == "cells.size"
+
+
+def test_error_names_the_wanted_unit_and_an_example():
+    with pytest.raises(SceneError) as caught:
+        to_base("3 um", "kPa s", "drag.viscosity")
+    assert caught.value.problem == "is '3 um', must be a viscosity, which 'um' is not"
+    assert caught.value.hint == "Write for example '5 kPa s'."
+
+
+def test_a_case_mistake_gets_the_reason():
+    with pytest.raises(SceneError, match="Capitals matter"):
+        to_base("1 kpa", "kPa")
+
+
+def test_unit_without_an_entry_has_an_example_too():
+    assert to_base("2 m/s", "um/s") == 2e6
+    with pytest.raises(SceneError, match=r"a quantity in um/s.*'1 um/s'"):
+        to_base("2 m", "um/s")
+
+
+@given(
+    value=st.floats(-1e200, 1e200, allow_subnormal=False),
+    unit=st.sampled_from(["um", "s", "kPa", "nN/um", "kPa s", "um^2/s", "mM", "amol/s"]),
+)
+def test_base_units_round_trip_exactly(value, unit):
+    assert to_base(f"{value!r} {unit}", unit) == value
+
+
+@given(
+    value=st.floats(1e-100, 1e100),
+    pair=st.sampled_from([("mm", "um"), ("d", "s"), ("Pa", "kPa"), ("mol/l", "mM")]),
+)
+def test_there_and_back_again(value, pair):
+    other, base = pair
+    there = to_base(f"{value!r} {other}", base)
+    assert to_base(f"{there!r} {base}", other) == pytest.approx(value, rel=1e-15)
+
+
+def outcome(text, unit):
+    """Return the value or the error of a text that may be anything."""
+    try:
+        return to_base(text, unit)
+    except SceneError as error:
+        return error
+
+
+@settings(max_examples=300)
+@given(unit=st.text("umskPah1 */^().²-M", max_size=12))
+def test_any_unit_gives_a_finite_float_or_a_scene_error(unit):
+    result = outcome(f"2 {unit}", "kPa s")
+    assert math.isfinite(result) if isinstance(result, float) else result.problem.startswith("is ")
+
+
+@given(text=st.text(max_size=30))
+def test_any_text_gives_a_finite_float_or_a_scene_error(text):
+    result = outcome(text, "um")
+    assert math.isfinite(result) if isinstance(result, float) else "'5 um'" in result.hint
+
+
+def test_numbers_do_not_import_pint():
+    code = (
+        "import sys; from multicell.units import to_base; to_base(5, 'um');"
+        "before = 'pint' in sys.modules; to_base('5 um', 'um');"
+        "print(before, 'pint' in sys.modules)"
+    )
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert out.stdout.split() == ["False", "True"]
+
+
+def test_long_values_are_shown_shortened():
+    assert len(shown("x" * 1000)) == 60
+    assert shown({"a": 1}) == "a table"
