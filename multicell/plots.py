@@ -92,7 +92,7 @@ def growth(history: History, title: str) -> Figure:
     subtitle = f"{cell_count(cells[-1])} after {unit.text(float(history['time'][-1]))}"
     figure = blank(title, subtitle)
     grid = figure.add_gridspec(
-        2, 2, left=0.09, right=0.97, top=0.82, bottom=0.11, wspace=0.3, hspace=0.34
+        2, 2, left=0.1, right=0.97, top=0.82, bottom=0.11, wspace=0.3, hspace=0.34
     )
     _draw_count(figure.add_subplot(grid[0, 0]), time, cells)
     _draw_size(figure.add_subplot(grid[1, 0]), time, history)

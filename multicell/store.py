@@ -11,11 +11,13 @@ Layout of ``frames.h5`` for k frames and m history rows::
     /history/<column> (m)
 
 The file is written in HDF5's single-writer multiple-reader mode: it can be opened while the run
-goes on, and a run that is killed at any moment leaves all frames that it had finished.
+goes on, and a run that is killed at any moment leaves all frames that it had finished, and the
+history up to about a second before.
 """
 
 from __future__ import annotations
 
+import time as clock
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self, final
@@ -72,6 +74,7 @@ class Store:
         self._file = file
         self._nutrients = tuple(nutrients)
         self._history: tuple[str, ...] = ()
+        self._flushed = clock.monotonic()
         # what is complete: the only truth about where the next rows go
         self._frames = self._history_rows = self._rows = 0
         self._points = dict.fromkeys(nutrients, 0)
@@ -187,8 +190,11 @@ class Store:
             group = self._file["history"]
             for name in self._history:
                 _put(group[name], self._history_rows, [float(row[name])])
-            self._file.flush()
             self._history_rows += 1
+            # a flush costs more than a small coupling step: a killed run loses one second
+            if clock.monotonic() - self._flushed > 1.0:
+                self._file.flush()
+                self._flushed = clock.monotonic()
 
     def _lay_out_history(self, names: tuple[str, ...]) -> None:
         """Create the history's arrays: HDF5 allows that only outside its SWMR mode."""
@@ -201,7 +207,7 @@ class Store:
         self._history = names
 
     def flush(self) -> None:
-        """Hand everything to the operating system; appending does so by itself."""
+        """Hand everything to the operating system; appending a frame does so by itself."""
         with words("write", self._path):
             self._file.flush()
 

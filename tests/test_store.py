@@ -154,7 +154,8 @@ def test_killed_writer_leaves_all_finished_frames(tmp_path, wait):
     expected = growing_frames(count=6, last=900)
     for k, frame in enumerate(frames):
         assert_same_frame(expected[k % 6], frame)
-    assert done <= len(history["time"]) <= done + 1
+    # a row of the history reaches the disk with the next frame, or after a second
+    assert done - 1 <= len(history["time"]) <= done + 1
     result = load_result(folder)
     assert result.summary()["interrupted"] is True
     assert result.summary()["cells"] == len(frames[-1].cells)

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Protocol, final
 import numpy as np
 
 from multicell.cells import FloatArray
-from multicell.nutrient.grid import Box, extent, fits, lay, moved
-from multicell.nutrient.steady import Diffusion, SolveReport, solve_steady
+from multicell.nutrient.diffusion import Diffusion
+from multicell.nutrient.grid import Box, extent, lay, moved
+from multicell.nutrient.steady import SolveReport, solve_steady
 from multicell.nutrient.transfer import gather, scatter
 
 if TYPE_CHECKING:
@@ -44,8 +45,7 @@ class NutrientField:
     """One nutrient that diffuses, is taken up by the cells and settles at once.
 
     The medium value stands on the faces of a box round all cells, at ``margin`` from the outermost
-    centres and up to about a tenth of the box further: the box grows in steps, and the layer of
-    medium without convection round the cells is as thick as that.
+    centres: a layer of medium without convection lies round the cells, always as thick as that.
 
     Parameters
     ----------
@@ -134,12 +134,11 @@ class NutrientField:
         )
 
     def _placed(self, position: FloatArray) -> tuple[Box, Diffusion, FloatArray]:
-        """Return the present grid if the cells fit, else a new one, and the first guess on it."""
+        """Return the grid round the cells, kept if they have not moved, and the first guess."""
         p = self.parameters
-        low, high = extent(position, p.margin)
-        if self._box is not None and self._operator is not None and fits(self._box, low, high):
+        box = lay(*extent(position, p.margin), p.spacing)
+        if self._box is not None and self._operator is not None and box == self._box:
             return self._box, self._operator, self._values
-        box = lay(low, high, p.spacing)
         operator = Diffusion(box.to_pde(), p.diffusion, p.boundary)
         if self._box is None:
             return box, operator, np.full(box.shape, p.boundary)

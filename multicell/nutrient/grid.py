@@ -1,4 +1,4 @@
-"""Where the nutrient grid lies: laid round the cells, kept while it fits, laid anew otherwise."""
+"""Where the nutrient grid lies: round the cells at every moment."""
 
 from __future__ import annotations
 
@@ -9,14 +9,17 @@ import numpy as np
 
 from multicell.cells import FloatArray
 from multicell.errors import MulticellError
+from multicell.nutrient.transfer import gather
 
 if TYPE_CHECKING:
     from pde.grids.cartesian import CartesianGrid
 
 MAX_NODES = 256**3
-"""Largest grid that is ever laid (one array of it takes 128 MiB)."""
+"""Largest grid that is ever laid: an array of it takes 128 MiB, a solve about fifteen of them."""
 
-_TOO_LONG = 1.5  # an axis that is longer than this times what is needed is laid anew
+_FARTHEST = 1e9  # spacings from the origin; beyond, rounding would eat into the grid's spacing
+
+_NEARLY = 0.75  # an axis longer than this part of the longest gets as many nodes
 
 
 @final
@@ -42,34 +45,25 @@ class NutrientFailed(MulticellError):  # noqa: N818 - it names what happened, li
 @final
 @dataclass(frozen=True)
 class Box:
-    """A cell-centred grid of cubes, aligned with the multiples of its spacing.
-
-    Boxes of the same spacing share their nodes where they overlap, so that a field moves from one
-    to the next without interpolation error.
+    """A cell-centred grid of cubes.
 
     Attributes
     ----------
-    first : (3,) int
-        Lower corner in units of the spacing.
+    origin : (3,) float, µm
+        Lower corner.
     shape : (3,) int
     spacing : float, µm
     """
 
-    first: tuple[int, int, int]
+    origin: tuple[float, float, float]
     shape: tuple[int, int, int]
     spacing: float
 
     @property
-    def origin(self) -> tuple[float, float, float]:
-        """Lower corner, µm."""
-        i, j, k = self.first
-        return (i * self.spacing, j * self.spacing, k * self.spacing)
-
-    @property
     def upper(self) -> tuple[float, float, float]:
         """Upper corner, µm."""
-        i, j, k = (f + n for f, n in zip(self.first, self.shape, strict=True))
-        return (i * self.spacing, j * self.spacing, k * self.spacing)
+        x, y, z = (o + n * self.spacing for o, n in zip(self.origin, self.shape, strict=True))
+        return (x, y, z)
 
     @property
     def nodes(self) -> int:
@@ -102,56 +96,54 @@ def extent(position: FloatArray, margin: float) -> tuple[FloatArray, FloatArray]
     return low, high
 
 
-def fits(box: Box, low: FloatArray, high: FloatArray) -> bool:
-    """Say whether the box covers all from ``low`` to ``high`` (µm) without being far too long."""
-    covers = bool(np.all(low >= box.origin) and np.all(high <= box.upper))
-    longest = [_TOO_LONG * _axis_nodes(n) for n in (high - low) / box.spacing]
-    return covers and all(n <= most for n, most in zip(box.shape, longest, strict=True))
-
-
 def lay(low: FloatArray, high: FloatArray, spacing: float) -> Box:
-    """Lay a box round the corners ``low`` and ``high`` (µm), with some room to grow.
+    """Lay a box round the corners ``low`` and ``high`` (µm).
 
-    The number of nodes along an axis has only the factors 2, 3 and 5, where the sine transform is
-    fast, and at least a sixteenth more than needed, so that a growing population seldom needs a
-    new box.
+    The faces across the longest axis lie exactly there, and so do those across axes nearly as
+    long: the layer of medium between cells and faces is as thick as the margin at every moment.
+    (A box that grew in steps would make supply, and with it the states of the cells, jump.) So
+    it is the spacing that gives way: it is at most ``spacing``, and the number of nodes along
+    an axis has only small factors, where the sine transform is fast.
 
     Raises
     ------
     NutrientFailed
         If more than :data:`MAX_NODES` nodes would be needed; nothing is allocated before.
     """
-    needed = (high - low) / spacing
-    _refuse_too_large(needed, high - low, spacing)
-    shape = tuple(_axis_nodes(n) for n in needed)
-    middle = 0.5 * (low + high) / spacing
-    first = tuple(int(np.floor(m - 0.5 * n + 0.5)) for m, n in zip(middle, shape, strict=True))
-    box = Box(first=first, shape=shape, spacing=spacing)  # type: ignore[arg-type]
-    _refuse_too_large(np.array(shape, dtype=float), high - low, spacing)
-    return box
+    size = high - low
+    _refuse_too_large(size / spacing, size, spacing)
+    _refuse_too_far(low, high, spacing)
+    longest = float(size.max())
+    most = _fast(longest / spacing)
+    step = longest / most
+    x, y, z = (most if s > _NEARLY * longest else _fast(s / step) for s in size)
+    shape = (x, y, z)
+    _refuse_too_large(np.array(shape, dtype=float), size, spacing)
+    a, b, c = (float(m - 0.5 * n * step) for m, n in zip(0.5 * (low + high), shape, strict=True))
+    return Box(origin=(a, b, c), shape=shape, spacing=step)
 
 
 def moved(values: FloatArray, old: Box, new: Box, fill: float) -> FloatArray:
-    """Return node values on ``new``: those of ``old`` where it has the node, ``fill`` elsewhere."""
-    if old.spacing != new.spacing:
-        raise ValueError(f"boxes of different spacing: {old.spacing} and {new.spacing} um")
+    """Return node values on ``new``, interpolated from ``old`` and ``fill`` outside it."""
+    nodes = [o + (np.arange(n) + 0.5) * new.spacing for o, n in zip(new.origin, new.shape)]
+    inside = [
+        (axis >= low) & (axis <= high)
+        for axis, low, high in zip(nodes, old.origin, old.upper, strict=True)
+    ]
     out = np.full(new.shape, fill)
-    source, target = [], []
-    for a, n, b, m in zip(old.first, old.shape, new.first, new.shape, strict=True):
-        start, stop = max(a, b), max(min(a + n, b + m), a, b)
-        source.append(slice(start - a, stop - a))
-        target.append(slice(start - b, stop - b))
-    out[tuple(target)] = values[tuple(source)]
+    kept = [axis[mask] for axis, mask in zip(nodes, inside, strict=True)]
+    points = np.stack(np.meshgrid(*kept, indexing="ij"), axis=-1)
+    block = gather(points.reshape(-1, 3), values, old.origin, old.spacing)
+    out[np.ix_(*inside)] = block.reshape(points.shape[:-1])
     return out
 
 
-def _axis_nodes(needed: float) -> int:
-    """Return the nodes to lay along an axis that needs this many (not rounded)."""
+def _fast(needed: float) -> int:
+    """Return a number of nodes, not below ``needed``, that suits the sine transform."""
     from scipy.fft import next_fast_len
 
-    # two more than needed: one for rounding up, one for aligning the corner
-    n = int(np.ceil(needed))
-    return int(next_fast_len(n + max(2, n // 16), real=True))
+    # rounding must not add a node to a length that is a whole number of spacings
+    return int(next_fast_len(max(2, int(np.ceil(needed * (1.0 - 1e-12)))), real=False))
 
 
 def _refuse_too_large(nodes: FloatArray, size: FloatArray, spacing: float) -> None:
@@ -165,3 +157,13 @@ def _refuse_too_large(nodes: FloatArray, size: FloatArray, spacing: float) -> No
         f"{total:.3g} nodes at a spacing of {spacing:g} um, more than the {MAX_NODES} allowed",
         "Use a larger spacing of the nutrient, or find out why cells are so far apart",
     )
+
+
+def _refuse_too_far(low: FloatArray, high: FloatArray, spacing: float) -> None:
+    farthest = float(np.maximum(np.abs(low), np.abs(high)).max())
+    if farthest > _FARTHEST * spacing:
+        raise NutrientFailed(
+            f"a cell is {farthest:.3g} um away from the origin, where a grid with a spacing of "
+            f"{spacing:g} um is lost in rounding",
+            "Start the cells near the origin, or find out why they are so far away",
+        )

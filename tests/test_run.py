@@ -1,0 +1,201 @@
+"""Whole runs from the command line and from Python: what is left behind, and exit codes."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import h5py
+import numpy as np
+import pytest
+
+import multicell as mc
+
+QUICK = ["--set", "duration=30 min", "--set", "initial.count=20", "--set", "output.every=10 min"]
+PICTURES = {"growth.png", "section.png", "profiles.png"}
+FILES = {"scene.toml", "frames.h5", "summary.json", "report.html"}
+
+
+def multicell(*arguments, check=None, cwd=None):
+    done = subprocess.run(
+        [sys.executable, "-m", "multicell", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        cwd=cwd,
+        check=False,
+    )
+    if check is not None:
+        assert done.returncode == check, done.stderr
+    assert "Traceback" not in done.stderr
+    return done
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    out = tmp_path_factory.mktemp("run") / "out"
+    done = multicell("run", "spheroid", "-o", out, *QUICK, check=0)
+    assert "20" in done.stdout
+    assert str(out) in done.stdout.replace("\n", "")
+    return out
+
+
+def test_a_run_leaves_scene_frames_summary_and_report(folder):
+    assert {entry.name for entry in folder.iterdir()} == FILES | PICTURES
+    summary = json.loads((folder / "summary.json").read_text())
+    for key in ("cells", "time", "diameter", "necrotic_radius", "viable_rim", "states",
+                "integrator", "wall", "ledger", "units", "seed", "versions"):  # fmt: skip
+        assert key in summary
+    assert summary["cells"] == 20
+    assert summary["time"] == 1800.0
+    assert summary["ledger"]["relative_remainder"] <= 1e-6
+    assert summary["integrator"]["method"] == "cvode"
+    assert sum(summary["states"].values()) == 20
+    assert "interrupted" not in summary
+
+
+def test_frames_are_flat_arrays_with_offsets(folder):
+    with h5py.File(folder / "frames.h5") as file:
+        assert file["frames/time"][:].tolist() == [0.0, 600.0, 1200.0, 1800.0]
+        offset = file["frames/offset"][:]
+        assert offset.tolist() == [0, 20, 40, 60, 80]
+        assert set(file["cells/id"][60:80]) == set(range(20))
+        assert file["cells/position"].shape == (80, 3)
+        assert file["cells/radius"].attrs["unit"] == "um"
+        assert "oxygen" in file["fields"]
+
+
+def test_the_resolved_scene_gives_the_same_bits(folder, tmp_path):
+    text = (folder / "scene.toml").read_text()
+    assert "numpy" in text
+    assert "seed = 1" in text
+    again = mc.run(mc.load_scene(folder / "scene.toml"), output=tmp_path / "again", report=False)
+    first = mc.load_result(folder)
+    assert len(first.frames) == len(again.frames) == 4
+    for one, two in zip(first.frames, again.frames, strict=True):
+        for (name, a), (_, b) in zip(one.cells.columns(), two.cells.columns(), strict=True):
+            assert np.array_equal(a, b), name
+        assert np.array_equal(one.fields["oxygen"].values, two.fields["oxygen"].values)
+    assert not PICTURES & {entry.name for entry in (tmp_path / "again").iterdir()}
+
+
+def test_in_memory_run_equals_the_one_on_disk(folder):
+    scene = mc.load_scene(folder / "scene.toml")
+    result = mc.run(scene, output=None)
+    assert result.folder is None
+    stored = mc.load_result(folder)
+    for one, two in zip(stored.frames, result.frames, strict=True):
+        assert np.array_equal(one.cells.position, two.cells.position)
+    assert np.array_equal(stored.history["diameter"], result.history["diameter"])
+    assert result.summary()["cells"] == stored.summary()["cells"]
+
+
+def test_python_surface_of_the_design(tmp_path):
+    scene = mc.load_scene("spheroid")
+    scene = scene.with_changes({"nutrients.oxygen.boundary": "0.07 mM", "duration": "20 min"})
+    seen = []
+    result = mc.run(
+        scene, output=tmp_path / "out", integrator="euler", progress=lambda s: seen.append(s.time)
+    )
+    assert seen == [600.0, 1200.0]
+    assert result.summary()["integrator"]["method"] == "euler"
+    assert len(result.frames[-1].cells) == 1
+    assert result.plot.growth() is not None
+
+
+def test_json_prints_one_document(tmp_path):
+    done = multicell("run", "settle", "-o", tmp_path / "o", "--json", "--no-report",
+                     "--set", "duration=2 min", "--set", "initial.count=5", check=0)  # fmt: skip
+    summary = json.loads(done.stdout)
+    assert summary["cells"] == 5
+    assert summary["ledger"] == {}
+
+
+def test_quiet_prints_nothing(tmp_path):
+    done = multicell("run", "settle", "-o", tmp_path / "o", "--quiet", "--no-report",
+                     "--set", "duration=1 min", "--set", "initial.count=5", check=0)  # fmt: skip
+    assert done.stdout == done.stderr == ""
+
+
+def test_existing_folder_is_refused_and_overwritten_on_request(folder, tmp_path):
+    out = tmp_path / "o"
+    arguments = ["run", "settle", "-o", out, "--no-report", "--set", "duration=1 min"]
+    multicell(*arguments, check=0)
+    (out / "mine.txt").write_text("keep")
+    refused = multicell(*arguments, check=2)
+    assert "not empty" in refused.stderr
+    assert "--overwrite" in refused.stderr
+    multicell(*arguments, "--overwrite", check=0)
+    assert (out / "mine.txt").read_text() == "keep"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["run", "no-such-scene.toml", "-o", "o"], "does not exist"),
+        (["run", "spheriod", "-o", "o"], "spheroid"),
+        (["run", "spheroid", "-o", "o", "--set", "drag.viscosty=3"], "viscosity"),
+        (["run", "spheroid", "-o", "o", "--set", "cells.division_radius=-5 um"], "above 0"),
+        (["run", "spheroid", "-o", "o", "--set", "cells.poisson=0.75"], "0.5"),
+        (["run", "spheroid", "-o", "o", "--set", "drag.viscosity=0"], "drag.viscosity"),
+        (["run", "spheroid", "-o", "o", "--set", "nutrients.oxygen.necrosis=0.05 mM"], "order"),
+        (["run", "spheroid", "-o", "o", "--set", "nutrients.oxygen.spacing=50 um"], "coarse"),
+        (["run", "spheroid", "-o", "o", "--set", "duration=5 kPa"], "duration"),
+        (["run", "spheroid", "-o", "o", "--integrator", "cvod"], "cvode"),
+        (["run", "spheroid", "-o", "o", "--threads", "4096"], "threads"),
+        (["run", "spheroid", "-o", "/proc/nothing/here"], "/proc/nothing"),
+        (["run", "broken.toml", "-o", "o"], "line 2"),
+    ],
+)
+def test_bad_input_exits_with_2_and_words(arguments, words, tmp_path):
+    (tmp_path / "broken.toml").write_text('duration = "1 h"\nseed = = 3\n')
+    done = multicell(*arguments, check=2, cwd=tmp_path)
+    assert words in done.stderr
+    assert not (tmp_path / "o" / "frames.h5").exists()
+
+
+def test_a_step_that_cannot_be_solved_exits_with_1_and_keeps_the_frames(tmp_path):
+    done = multicell(
+        "run", "settle", "-o", tmp_path / "o", "--set", "integrator=euler",
+        "--set", "integrator.step=1 h", "--set", "coupling_step=1 h", check=1,
+    )  # fmt: skip
+    assert "cell " in done.stderr
+    assert "t = 0 s" in done.stderr
+    assert "shorter integrator.step" in done.stderr
+    result = mc.load_result(tmp_path / "o")
+    assert len(result.frames) == 1
+    assert len(result.frames[0].cells) == 200
+    assert result.summary()["interrupted"] is True
+
+
+def test_ctrl_c_leaves_a_readable_store(tmp_path):
+    out = tmp_path / "o"
+    process = subprocess.Popen(
+        [sys.executable, "-m", "multicell", "run", "growth", "-o", str(out), "--set",
+         "initial.count=300", "--set", "output.every=10 min", "--set", "duration=30 d"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    deadline = time.monotonic() + 60
+    while _frames(out) < 3:
+        assert time.monotonic() < deadline
+        assert process.poll() is None
+        time.sleep(0.1)
+    os.kill(process.pid, signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "Traceback" not in errors
+    result = mc.load_result(out)
+    assert len(result.frames) >= 3
+    assert result.summary()["interrupted"] is True
+    assert result.summary()["cells"] == len(result.frames[-1].cells)
+    assert (out / "report.html").exists()
+
+
+def _frames(out):
+    if not (out / "frames.h5").exists():
+        return 0
+    try:
+        return len(mc.load_result(out).frames)
+    except mc.MulticellError:
+        return 0  # the file is being laid out
