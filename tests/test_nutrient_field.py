@@ -80,15 +80,23 @@ def test_moved_interpolates_and_fills():
     """A linear field survives the move where the old nodes surround the new ones."""
     old = Box(origin=(0.0, 0.0, 0.0), shape=(8, 9, 10), spacing=2.0)
     new = Box(origin=(-3.0, 1.7, 2.9), shape=(12, 8, 20), spacing=1.5)
-    x, y, z = (o + (np.arange(n) + 0.5) * old.spacing for o, n in zip(old.origin, old.shape))
+    x, y, z = (
+        o + (np.arange(n) + 0.5) * old.spacing for o, n in zip(old.origin, old.shape, strict=True)
+    )
     values = x[:, None, None] + 2 * y[None, :, None] - 3 * z
     there = moved(values, old, new, 77.0)
-    x, y, z = (o + (np.arange(n) + 0.5) * new.spacing for o, n in zip(new.origin, new.shape))
+    x, y, z = (
+        o + (np.arange(n) + 0.5) * new.spacing for o, n in zip(new.origin, new.shape, strict=True)
+    )
     linear = x[:, None, None] + 2 * y[None, :, None] - 3 * z
-    within = np.ix_(*[(a >= 1.0) & (a <= 2.0 * n - 1.0) for a, n in zip((x, y, z), old.shape)])
+    within = np.ix_(
+        *[(a >= 1.0) & (a <= 2.0 * n - 1.0) for a, n in zip((x, y, z), old.shape, strict=True)]
+    )
     np.testing.assert_allclose(there[within], linear[within], rtol=1e-12)
     outside = np.ones(new.shape, bool)
-    outside[np.ix_(*[(a >= 0.0) & (a <= 2.0 * n) for a, n in zip((x, y, z), old.shape)])] = False
+    outside[
+        np.ix_(*[(a >= 0.0) & (a <= 2.0 * n) for a, n in zip((x, y, z), old.shape, strict=True)])
+    ] = False
     assert outside.any()
     assert (there[outside] == 77.0).all()
 

@@ -125,7 +125,9 @@ def lay(low: FloatArray, high: FloatArray, spacing: float) -> Box:
 
 def moved(values: FloatArray, old: Box, new: Box, fill: float) -> FloatArray:
     """Return node values on ``new``, interpolated from ``old`` and ``fill`` outside it."""
-    nodes = [o + (np.arange(n) + 0.5) * new.spacing for o, n in zip(new.origin, new.shape)]
+    nodes = [
+        o + (np.arange(n) + 0.5) * new.spacing for o, n in zip(new.origin, new.shape, strict=True)
+    ]
     inside = [
         (axis >= low) & (axis <= high)
         for axis, low, high in zip(nodes, old.origin, old.upper, strict=True)
