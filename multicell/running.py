@@ -12,6 +12,7 @@ from multicell.folder import write_summary
 from multicell.frame import Frame
 from multicell.result import Result, history_arrays
 from multicell.simulation import Simulation
+from multicell.threads import thread_count
 
 if TYPE_CHECKING:
     from multicell.scene import Scene
@@ -62,6 +63,7 @@ def run(
     if integrator is not None:
         scene = scene.with_changes({"integrator": integrator})
     begin = clock.perf_counter()
+    threads = thread_count(threads)  # before the folder is made
     recorder = _Recorder(scene, output, overwrite)
     with ExitStack() as stack:
         stack.callback(recorder.close)

@@ -18,8 +18,9 @@ from multicell.cells import FloatArray
 
 Float32Array = NDArray[np.float32]
 _F = TypeVar("_F", bound=Callable[..., Any])
-# sums may be reordered for vector units; NaN and infinity keep their meaning
-_jit = cast(Callable[[_F], _F], njit(cache=True, fastmath={"reassoc", "nsz", "arcp", "contract"}))
+# No fastmath: with it, a function compiled now and the same one read from numba's disk cache were
+# seen to differ in the last bits. Division as NumPy does it has no branch.
+_jit = cast(Callable[[_F], _F], njit(cache=True, error_model="numpy"))
 
 
 @_jit
