@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, final
 
 from multicell.folder import write_summary
 from multicell.frame import Frame
+from multicell.interrupts import between_steps
 from multicell.result import Result, history_arrays
 from multicell.simulation import Simulation
 from multicell.threads import thread_count
@@ -66,6 +67,7 @@ def run(
     threads = thread_count(threads)  # before the folder is made
     recorder = _Recorder(scene, output, overwrite)
     with ExitStack() as stack:
+        interrupt = stack.enter_context(between_steps())
         stack.callback(recorder.close)
         simulation = Simulation(scene, threads=threads)
         recorder.startup = clock.perf_counter() - begin
@@ -76,6 +78,7 @@ def run(
                 recorder.record(simulation)
                 if progress is not None:
                     progress(simulation)
+                interrupt()
         except BaseException:
             recorder.finish(simulation, interrupted=True)
             raise

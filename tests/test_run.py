@@ -192,6 +192,21 @@ def test_ctrl_c_leaves_a_readable_store(tmp_path):
     assert (out / "report.html").exists()
 
 
+def test_a_second_ctrl_c_does_not_wait_for_the_step():
+    program = (
+        "import os, signal, time\n"
+        "from multicell.interrupts import between_steps\n"
+        "with between_steps() as check:\n"
+        "    os.kill(os.getpid(), signal.SIGINT)\n"
+        "    print('held back', flush=True)\n"
+        "    os.kill(os.getpid(), signal.SIGINT)\n"
+        "    print('never reached')"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.stdout == "held back\n"
+    assert "KeyboardInterrupt" in done.stderr
+
+
 def _frames(out):
     if not (out / "frames.h5").exists():
         return 0
