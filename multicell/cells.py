@@ -26,9 +26,13 @@ class State(IntEnum):
     NECROTIC = 2
 
 
-def _column(dtype: type, unit: str, *, width: int | None = None) -> Any:
-    """Declare an array with one entry (or one row of ``width``) per cell."""
-    return field(metadata={"dtype": dtype, "unit": unit, "width": width})
+def _column(dtype: type, unit: str, *, width: int | None = None, optional: bool = False) -> Any:
+    """Declare an array with one entry (or one row of ``width``) per cell.
+
+    An optional one is zero where it is not given.
+    """
+    metadata = {"dtype": dtype, "unit": unit, "width": width}
+    return field(default=None, metadata=metadata) if optional else field(metadata=metadata)
 
 
 @final
@@ -59,6 +63,10 @@ class Cells:
         Time in which the cell doubles its volume when nothing limits it.
     pressure : (n,) float64, kPa
         Compression by the neighbours at the end of the last step, tension negative.
+    kind : (n,) int16
+        Index of the cell's type among the types of the scene, 0 where all cells are alike.
+    receptor, ligand : (n,) float64
+        Concentrations of adhesion molecules on the surface, zero where the scene has none.
     """
 
     id: IntArray = _column(np.int64, "")
@@ -71,12 +79,16 @@ class Cells:
     age: FloatArray = _column(np.float64, "s")
     cycle_time: FloatArray = _column(np.float64, "s")
     pressure: FloatArray = _column(np.float64, "kPa")
+    kind: NDArray[np.int16] = _column(np.int16, "", optional=True)
+    receptor: FloatArray = _column(np.float64, "", optional=True)
+    ligand: FloatArray = _column(np.float64, "", optional=True)
 
     def __post_init__(self) -> None:
         n = len(self.id)
         for name, column in self.columns():
             spec = self.__dataclass_fields__[name].metadata
             shape = (n,) if spec["width"] is None else (n, spec["width"])
+            column = np.zeros(shape) if column is None else column
             array = np.ascontiguousarray(column, dtype=spec["dtype"])
             if array.shape != shape:
                 raise ValueError(f"cells.{name} has shape {array.shape}, expected {shape}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -14,10 +14,12 @@ from multicell.folder import words
 from multicell.frame import Frame
 
 if TYPE_CHECKING:
-    from multicell.scene import Nutrient
+    from multicell.parts import Nutrient
 
 COLOURS: Final = {"proliferating": "#2a9d6a", "quiescent": "#f2b63c", "necrotic": "#4b3a5e"}
 INK, QUIET, BLUE, RED = "#22303c", "#6b7a86", "#2f6fb0", "#b5432f"
+# blue and orange first: they differ in lightness and for any colour vision (Okabe & Ito)
+_TYPES: Final = ("#0072b2", "#e69f00", "#7fd0a8", "#cc79a7", "#56b4e9", "#a04000", "#b8b000")
 DPI: Final = 160
 HEADING: Final[dict[str, Any]] = {"weight": "bold", "fontsize": 13, "parse_math": False}
 SIZE: Final = (10.0, 6.25)  # inches: 1600 x 1000 pixels
@@ -41,6 +43,7 @@ _STYLE: Final[dict[Any, Any]] = {
     "ytick.color": INK,
     "legend.frameon": False,
     "figure.facecolor": "white",
+    "text.parse_math": False,  # a dollar sign or an underscore in a name is no formula
 }
 
 
@@ -104,6 +107,25 @@ def save(figure: Figure, path: Path) -> None:
     """
     with words("write", path):
         figure.savefig(path, dpi=DPI, metadata={"Software": "multicell"})
+
+
+def type_colours(names: Iterable[str]) -> dict[str, str]:
+    """Return a colour for each cell type; more than seven take theirs from a scale."""
+    from matplotlib.colors import to_hex
+
+    names = list(names)
+    if len(names) <= len(_TYPES):
+        return dict(zip(names, _TYPES, strict=False))
+    scale = mpl.colormaps["cividis"]
+    # the darkest end is left to necrotic cells
+    places = (0.15 + 0.85 * k / (len(names) - 1) for k in range(len(names)))
+    return {name: to_hex(scale(place)) for name, place in zip(names, places, strict=True)}
+
+
+def type_label(name: str) -> str:
+    """Return a type's name as a legend shows it: short, and never taken for a hidden label."""
+    short = name if len(name) <= 22 else name[:21] + "…"
+    return f"\u200b{short}" if short.startswith("_") else short
 
 
 def thresholds(nutrient: Nutrient) -> list[tuple[str, float, str]]:

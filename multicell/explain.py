@@ -3,41 +3,23 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, Final, final
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from multicell.cells import SPHERE, Cells
-from multicell.contact import JKR, effective_modulus, effective_radius
+from multicell.explain_contact import contact_notes, contact_numbers, contact_parts
+from multicell.facts import Number, Part, hours
 from multicell.integrators.names import METHODS
+from multicell.pairs import birth_radius, daughters_stiffness, drag, typical_radius
 
 if TYPE_CHECKING:
-    from multicell.scene import Nutrient, Scene
+    from multicell.parts import Nutrient
+    from multicell.scene import Scene
 
 _GRID_ARRAYS: Final = 12  # arrays of the size of the grid that a solve holds at once
 _NEIGHBOURS: Final = 12  # of a cell in dense packing
-
-
-@final
-@dataclass(frozen=True)
-class Part:
-    """A part of a scene: whether it is used, and what that means."""
-
-    part: str
-    used: bool
-    what: str
-
-
-@final
-@dataclass(frozen=True)
-class Number:
-    """A derived number with its unit and its meaning."""
-
-    name: str
-    value: float
-    unit: str
-    meaning: str
 
 
 def explain(scene: Scene) -> dict[str, Any]:
@@ -50,7 +32,7 @@ def explain(scene: Scene) -> dict[str, Any]:
         ``name``, ``value``, ``unit``, ``meaning``; ``notes``: list of remarks on settings that
         do not fit together. Only plain values, so that it can be written as JSON.
     """
-    numbers = [*_run(scene), *_contact(scene), *_growth(scene), *_memory(scene)]
+    numbers = [*_run(scene), *contact_numbers(scene), *_growth(scene), *_memory(scene)]
     for name, nutrient in scene.nutrients.items():
         numbers += _nutrient(scene, name, nutrient)
     return {
@@ -61,66 +43,29 @@ def explain(scene: Scene) -> dict[str, Any]:
     }
 
 
-def birth_radius(scene: Scene) -> float:
-    """Return the radius of a cell of half the division volume, µm."""
-    return float(scene.cells.division_radius / np.cbrt(2.0))
-
-
-def typical_radius(scene: Scene) -> float:
-    """Return the radius half-way (geometrically) between birth and division, µm."""
-    return math.sqrt(birth_radius(scene) * scene.cells.division_radius)
-
-
-def drag(scene: Scene, radius: float) -> float:
-    """Return the Stokes drag 6πηr of a cell in nN·s/µm."""
-    return 6.0 * math.pi * scene.drag.viscosity * radius
-
-
-def daughters_stiffness(scene: Scene) -> float:
-    """Return dF/dh in nN/µm of two daughters that have just separated.
-
-    They stand at ±r(1 - 2^(-1/3)) about the centre of their mother of radius r.
-    """
-    mother, daughter = scene.cells.division_radius, birth_radius(scene)
-    overlap = 2.0 * daughter - 2.0 * (mother - daughter)
-    return _stiffness(scene, overlap, daughter)
-
-
-def _stiffness(scene: Scene, overlap: float, radius: float) -> float:
-    """Return dF/dh in nN/µm for two equal cells of mean stiffness."""
-    return float(
-        scene.contact.stiffness(overlap, _modulus(scene), effective_radius(radius, radius))
-    )
-
-
-def _modulus(scene: Scene) -> float:
-    young, poisson = scene.cells.young, scene.cells.poisson
-    return float(effective_modulus(young, poisson, young, poisson))
-
-
 def _parts(scene: Scene) -> list[Part]:
     """Return every part a scene can have, with the consequence of its presence or absence."""
     start = scene.initial
     growth = (
-        f"cells double their volume in {_hours(scene.growth.cycle_time)} and divide"
+        f"cells double their volume in {hours(scene.growth.cycle_time)} and divide"
         if scene.growth
         else "absent: the number of cells stays, no growth and no division is computed"
     )
     death = (
-        f"necrotic cells lose their volume in about {_hours(scene.death.lysis_time)}"
+        f"necrotic cells lose their volume in about {hours(scene.death.lysis_time)}"
         if scene.death
         else "absent: necrotic cells keep their place and volume"
     )
     method = scene.integrator.method
+    shape = start.arrangement if scene.dimensions == 3 else "plane, where they stay"
     return [
-        Part("initial", True, f"{start.count:,} cell(s) in a {start.arrangement}"),
-        Part("contact", True, _law(scene)),
-        Part("drag", True, f"Stokes drag in a medium of {scene.drag.viscosity:g} kPa s"),
+        Part("initial", True, f"{start.count:,} cell(s) in a {shape}"),
+        *contact_parts(scene),
         Part("growth", scene.growth is not None, growth),
         Part("death", scene.death is not None, death),
         *_nutrient_parts(scene),
         Part("integrator", True, f"{method}: {METHODS[method]}"),
-        Part("output", True, f"a frame every {_hours(scene.output.every)}"),
+        Part("output", True, f"a frame every {hours(scene.output.every)}"),
     ]
 
 
@@ -134,51 +79,15 @@ def _nutrient_parts(scene: Scene) -> list[Part]:
     ]
 
 
-def _law(scene: Scene) -> str:
-    if isinstance(scene.contact, JKR):
-        return f"JKR: elastic and sticky, surface energy {scene.contact.surface_energy:g} nN/um"
-    return "Hertz: elastic, nothing sticks"
-
-
 def _run(scene: Scene) -> list[Number]:
     """Return the numbers of coupling steps and frames."""
     steps = math.ceil(scene.duration / scene.coupling_step * (1.0 - 1e-12))
     frames = math.floor(scene.duration / scene.output.every * (1.0 + 1e-12)) + 1
     return [
-        Number("duration", scene.duration, "s", f"simulated time: {_hours(scene.duration)}"),
+        Number("duration", scene.duration, "s", f"simulated time: {hours(scene.duration)}"),
         Number("coupling steps", steps, "", f"of {scene.coupling_step:g} s each"),
         Number("frames", frames, "", "saved in a full run, the first and the last included"),
     ]
-
-
-def _contact(scene: Scene) -> list[Number]:
-    """Return what two equal cells of typical size do."""
-    radius = typical_radius(scene)
-    pair = float(effective_radius(radius, radius))
-    rest = float(scene.contact.equilibrium_overlap(_modulus(scene), pair))
-    # spheres that do not stick are not stiff at first contact: take a tenth of the radius
-    overlap = rest if rest > 0.0 else 0.1 * radius
-    where = "at rest" if rest > 0.0 else "at an overlap of a tenth of the radius"
-    friction = drag(scene, radius)
-    settle = friction / (2.0 * _stiffness(scene, overlap, radius))
-    limit = drag(scene, birth_radius(scene)) / daughters_stiffness(scene)
-    numbers = [
-        Number("birth radius", birth_radius(scene), "um", "of half the division volume"),
-        Number("typical radius", radius, "um", "half-way between birth and division"),
-        Number("drag", friction, "nN s/um", "6 pi eta r of a typical cell"),
-        Number("equilibrium distance", 2.0 * radius - rest, "um", "of two typical cells"),
-        Number("relaxation time", settle, "s", f"of two typical cells {where}"),
-        Number(
-            "explicit step limit",
-            limit,
-            "s",
-            "for two fresh daughters alone; several times less in tissue",
-        ),
-    ]
-    if isinstance(scene.contact, JKR):
-        force = 1.5 * math.pi * scene.contact.surface_energy * pair
-        numbers.append(Number("pull-off force", force, "nN", "of two typical cells"))
-    return numbers
 
 
 def _growth(scene: Scene) -> list[Number]:
@@ -188,7 +97,7 @@ def _growth(scene: Scene) -> list[Number]:
     cycle = scene.growth.cycle_time
     generations = scene.duration / cycle
     numbers = [
-        Number("cycle time", cycle, "s", f"{_hours(cycle)} where nothing limits growth"),
+        Number("cycle time", cycle, "s", f"{hours(cycle)} where nothing limits growth"),
         Number("generations", generations, "", "in the whole run where nothing limits growth"),
     ]
     if generations < 60.0:
@@ -240,8 +149,7 @@ def _notes(scene: Scene) -> list[str]:
     notes = []
     if scene.death is not None and not scene.nutrients:
         notes.append("Without a nutrient no cell becomes necrotic: [death] has no effect.")
-    if isinstance(scene.contact, JKR) and scene.contact.surface_energy == 0.0:
-        notes.append("A surface energy of zero makes JKR the same as Hertz.")
+    notes += contact_notes(scene)
     if scene.growth is not None and scene.coupling_step > 0.05 * scene.growth.cycle_time:
         notes.append(
             "The coupling step is above a twentieth of the cycle time: divisions come late. "
@@ -257,11 +165,3 @@ def _notes(scene: Scene) -> list[str]:
         if n.boundary < n.quiescence:
             notes.append(f"The medium has too little {name} for growth: all cells are quiescent.")
     return notes
-
-
-def _hours(seconds: float) -> str:
-    """Return a simulated time in a unit that is easy to read."""
-    for unit, size in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
-        if seconds >= (3.0 if unit == "d" else 1.0) * size:
-            return f"{seconds / size:.3g} {unit}"
-    return f"{seconds:.3g} s"

@@ -23,6 +23,8 @@ FILES: Final = (
     "growth.png",
     "section.png",
     "profiles.png",
+    "contacts.png",
+    "pull.png",
 )
 """Everything that multicell writes into an output folder, and all that overwriting removes."""
 

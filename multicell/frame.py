@@ -9,7 +9,7 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.cells import Cells, FloatArray
+from multicell.cells import Cells, FloatArray, IntArray
 
 
 @final
@@ -73,6 +73,8 @@ class Frame:
         Concentration of each nutrient at the cells, in the order of ``cells``.
     fields : name -> Field
         The nutrient fields as they were last solved.
+    contacts : (m, 2) int64
+        Identities of the pairs in contact, where the contact law remembers them (exact JKR).
     """
 
     time: float
@@ -80,3 +82,4 @@ class Frame:
     cells: Cells
     concentrations: Mapping[str, FloatArray] = field(default_factory=dict)
     fields: Mapping[str, Field] = field(default_factory=dict)
+    contacts: IntArray = field(default_factory=lambda: np.empty((0, 2), dtype=np.int64))

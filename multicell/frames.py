@@ -83,12 +83,14 @@ class Frames(Sequence[Frame]):
         rows = slice(int(self._offset[place]), int(self._offset[place + 1]))
         names = list(file["fields"]) if "fields" in file else []
         fields = {name: _read_field(file["fields"][name], name, place) for name in names}
+        first, last = file["contacts"]["offset"][place : place + 2]
         return Frame(
             time=float(self._time[place]),
             step=int(self._step[place]),
             cells=Cells(**{name: file["cells"][name][rows] for name in Cells.schema()}),
             concentrations={name: file["cells"][f"concentration_{name}"][rows] for name in names},
             fields={name: field for name, field in fields.items() if field is not None},
+            contacts=file["contacts"]["pair"][first:last],
         )
 
 

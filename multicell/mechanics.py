@@ -8,17 +8,25 @@ values at the two ends, so that volumes are exact at both ends.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from typing import Any, final
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from multicell import kernels, neighbours
 from multicell.cells import SPHERE
-from multicell.contact import PairLaw, compliance
+from multicell.contact import PairLaw, compliance, effective_radius
+from multicell.laws import exact_units
+
+if TYPE_CHECKING:
+    from multicell.rubbing import Rubbing
 
 FloatArray = NDArray[np.float64]
+
+
+_NOTHING = np.empty((0, 0))
+_NO_VALUES = np.empty(0)
 
 
 class StateRejected(Exception):  # noqa: N818 - what happened to a trial state, not a fault
@@ -38,6 +46,13 @@ class Work:
     list_builds: int = 0
     steps: int = 0
     rejections: int = 0
+    newton_iterations: int = 0
+    linear_iterations: int = 0
+    factorisations: int = 0
+    steps_dopri5: int = 0
+    steps_rkc2: int = 0
+    steps_cvode: int = 0
+    friction_iterations: int = 0
 
     def add(self, other: Work) -> None:
         """Add the counts of ``other`` to these."""
@@ -58,6 +73,14 @@ class Motion:
         Elastic constants, kPa and dimensionless.
     begin, end : float
         Time, s.
+    bonds : (n, 4), optional
+        Receptors and ligands at ``begin`` and their constant rates, 1/s.
+    push : (n, 6), optional
+        External force on each cell at ``begin``, nN, and its constant rate, nN/s.
+    kind : (n,) int, optional
+        Type of each cell, an index into the matrix of surface energies.
+    touching : (m, 2) int, optional
+        Pairs in contact at ``begin``, smaller index first; only exact JKR asks.
     """
 
     radius: FloatArray
@@ -66,10 +89,14 @@ class Motion:
     poisson: FloatArray
     begin: float
     end: float
+    bonds: FloatArray | None = None
+    push: FloatArray | None = None
+    kind: NDArray[Any] | None = None
+    touching: NDArray[Any] | None = None
 
 
 @final
-@dataclass(frozen=True)
+@dataclass
 class Linearisation:
     """Direction, dF/dh + F/d and F/d of every pair at one state."""
 
@@ -77,6 +104,7 @@ class Linearisation:
     normal: FloatArray
     along: FloatArray
     across: FloatArray
+    data: kernels.PairData | None = None
 
     @classmethod
     def room(cls, pairs: neighbours.PairList) -> Linearisation:
@@ -107,6 +135,13 @@ class Mechanics:
     shared_chunks
         Number of chunks from which on threads are used: below, waking them costs more
         than they save.
+    bond_strength
+        f_ad of differential adhesion (eq. 3.7), nN/µm²; felt by cells with receptors.
+    friction : (float, float)
+        Friction of touching cells per contact area, along the line of centres and across it,
+        nN s/µm³; see :mod:`multicell.friction`.
+    surface_energies : (k, k), optional
+        Symmetric matrix over the cell types, nN/µm, in place of the law's surface energy.
     """
 
     law: PairLaw
@@ -115,26 +150,47 @@ class Mechanics:
     skin: float = 0.15
     chunk: int = neighbours.CHUNK
     shared_chunks: int = 8
+    bond_strength: float = 0.0
+    friction: tuple[float, float] = (0.0, 0.0)
+    surface_energies: FloatArray | None = None
     work: Work = field(default_factory=Work)
 
     def __post_init__(self) -> None:
         self.drag = 6.0 * math.pi * self.viscosity
+        self._law = kernels.LawData(
+            self.law.code,
+            self.law.adhesion,
+            self._constant("smoothing"),
+            self._constant("stiffness_at_rest"),
+            self._constant("cutoff"),
+            self._constant("decay"),
+            float(self.bond_strength),
+            self.drag,
+        )
         self._pairs: neighbours.PairList | None = None
         self._linear: Linearisation | None = None
+        self._rubbing: Rubbing | None = None
+
+    def _constant(self, name: str) -> float:
+        """Return a parameter of the law, zero where the law has none of that name."""
+        return float(getattr(self.law, name, 0.0))
 
     def begin(self, motion: Motion) -> None:
         """Take the radii and moduli for a coupling step; the old list is dropped."""
         self.motion = motion
         n = len(motion.radius)
-        self._compliance = compliance(motion.young, motion.poisson)
-        self._rows = np.zeros((n, 5))
-        self._rows[:, 4] = self._compliance
-        end_radius = motion.radius + motion.radius_rate * (motion.end - motion.begin)
-        self._list_radius = np.maximum(motion.radius, end_radius)
-        self._skin = self.skin * float(self._list_radius.mean()) if n else 0.0
+        width = 5 if motion.bonds is None else 7
+        self._rows = np.zeros((n, width))
+        self._rows[:, 4] = compliance(motion.young, motion.poisson)
+        self._end_radius = motion.radius + motion.radius_rate * (motion.end - motion.begin)
+        largest = np.maximum(motion.radius, self._end_radius)
+        self._skin = self.skin * float(largest.mean()) if n else 0.0
+        self._list_radius = self._reaching(largest)
         self._pairs = self._linear = None
         self._blocks = np.empty((n, 6))
         self._inverse = np.empty((n, 6))
+        if max(self.friction) > 0.0:
+            self._rubbing = _rubbing(self.friction, n, self.drag, self.chunk)
 
     def __len__(self) -> int:
         """Return the number of cells."""
@@ -146,18 +202,20 @@ class Mechanics:
         Raises
         ------
         StateRejected
-            If the positions are not finite or too many cells overlap.
+            If the positions are not finite, too many cells overlap, or friction cannot be
+            solved for.
         """
         self.work.evaluations += 1
-        position = _frozen(position)
-        pairs = self._pairs if self._pairs is not None else self._rebuild(position)
-        while self._velocities(pairs)(
-            self.chunk, position, self._reference, self.motion.radius,
-            self.motion.radius_rate, time - self.motion.begin, self._drift_limit, self._rows,
-            pairs.first, pairs.second, pairs.start, pairs.inner_end, pairs.outer_end,
-            self.law.code, self.law.adhesion, self.drag, out,
-        ):  # fmt: skip
-            pairs = self._rebuild(position)
+        rubbing = self._rubbing
+        if rubbing is None:
+            self._forces(time, position, True, out)
+            return
+        pairs = self._forces(time, position, False, rubbing.force)
+        try:
+            iterations = rubbing.velocity(self._rows, pairs, self._shared(pairs), out)
+        except rubbing.failure as error:
+            raise StateRejected(str(error)) from error
+        self.work.friction_iterations += iterations
 
     def linearise(self, time: float, position: FloatArray) -> None:
         """Prepare :meth:`jacobian_product` at a state."""
@@ -171,22 +229,35 @@ class Mechanics:
         linear = self._linear
         run = kernels.linearise_parallel if self._shared(pairs) else kernels.linearise
         run(
-            self._rows, pairs.first, pairs.second, pairs.start, pairs.outer_end,
-            self.law.code, self.law.adhesion, linear.normal, linear.along, linear.across,
+            self._rows, self._pair_data, self._law, time - self.motion.begin,
+            linear.normal, linear.along, linear.across,
         )  # fmt: skip
+        linear.data = self._pair_data
+        if self._rubbing is not None:
+            self._rubbing.linearise(self._rows, pairs, self._shared(pairs))
         return linear
+
+    @property
+    def linearisation(self) -> Linearisation:
+        """The pairs' stiffness at the last state given to :meth:`linearise`."""
+        return self._linearised()
+
+    @property
+    def rows(self) -> FloatArray:
+        """The cells at the last state seen, as :mod:`multicell.kernels` takes them."""
+        return self._rows
 
     def jacobian_product(self, vector: FloatArray, out: FloatArray) -> None:
         """Write J v, (n, 3) µm/s, for ``vector`` (n, 3) µm at the last linearisation."""
         self.work.jacobian_products += 1
         linear = self._linearised()
-        pairs = linear.pairs
-        run = kernels.products_parallel if self._shared(pairs) else kernels.products
+        run = kernels.products_parallel if self._shared(linear.pairs) else kernels.products
         run(
-            self.chunk, self._rows, pairs.first, pairs.second, pairs.start,
-            pairs.inner_end, pairs.outer_end, linear.normal, linear.along, linear.across,
-            self.drag, _frozen(vector), out,
+            self.chunk, self._rows, linear.data, linear.normal, linear.along, linear.across,
+            self.drag if self._rubbing is None else 0.0, _frozen(vector), out,
         )  # fmt: skip
+        if self._rubbing is not None:
+            self.work.friction_iterations += self._rubbing.divide(out)
 
     def setup_preconditioner(self, gamma: float) -> None:
         """Invert the 3 x 3 diagonal blocks of I - γJ, stable part, at the linearisation."""
@@ -200,14 +271,29 @@ class Mechanics:
         kernels.apply_blocks(self._inverse, _frozen(vector), out)
 
     def force(self, time: float, position: FloatArray) -> FloatArray:
-        """Return the contact force on each cell, (n, 3) nN."""
+        """Return the contact and external force on each cell, (n, 3) nN."""
         out = np.empty_like(position)
-        self.velocity(time, position, out)
-        return np.asarray(out * (self.drag * self._rows[:, 3:4]))
+        self._forces(time, position, False, out)
+        return out
+
+    def contacts(self, time: float, position: FloatArray) -> NDArray[np.int64]:
+        """Return the pairs in contact, (m, 2), smaller index first, in lexicographic order.
+
+        Contact means an overlap above zero; under exact JKR a pair that was in contact at the
+        step's beginning stays so until it breaks.
+        """
+        pairs = self._settle(time, position)
+        marked = np.empty(len(pairs.first), dtype=np.bool_)
+        kernels.contacts(self._rows, self._pair_data, self._law, time - self.motion.begin, marked)
+        found = np.stack([pairs.first[marked], pairs.second[marked]], axis=1).astype(np.int64)
+        found.sort(axis=1)
+        return found[np.lexsort((found[:, 1], found[:, 0]))]
 
     def energy(self, time: float, position: FloatArray) -> float:
         """Return the contact energy Σ U(h) over all pairs, fJ."""
-        return self._energy_and_virials(time, position)[0]
+        self._settle(time, position)
+        elapsed = time - self.motion.begin
+        return float(kernels.energy(self._rows, self._pair_data, self._law, elapsed))
 
     def pressure(self, time: float, position: FloatArray) -> FloatArray:
         """Return the virial pressure of each cell, (n,) kPa, tension negative.
@@ -216,7 +302,11 @@ class Mechanics:
         the trace of the contact stress of one cell. It is zero on average in a cluster at
         rest, where adhesion and repulsion balance.
         """
-        virials = self._energy_and_virials(time, position)[1]
+        self._settle(time, position)
+        virials = np.empty(len(self))
+        kernels.half_virials(
+            self._rows, self._pair_data, self._law, time - self.motion.begin, virials
+        )
         return np.asarray(virials / (3.0 * SPHERE * self._rows[:, 3] ** 3))
 
     def stiffness_bound(self, time: float, position: FloatArray) -> float:
@@ -235,47 +325,113 @@ class Mechanics:
         return float((2.0 * largest / (self.drag * self._rows[:, 3])).max())
 
     def _fill_blocks(self, linear: Linearisation) -> None:
-        pairs = linear.pairs
         kernels.diagonal_blocks(
-            self._rows, pairs.first, pairs.second, pairs.start, pairs.inner_end,
-            pairs.outer_end, linear.normal, linear.along, linear.across, self._blocks,
-        )  # fmt: skip
+            linear.data, linear.normal, linear.along, linear.across, self._blocks
+        )
 
-    def _energy_and_virials(self, time: float, position: FloatArray) -> tuple[float, FloatArray]:
-        pairs = self._settle(time, position)
-        virials = np.empty(len(self))
-        energy = kernels.energy_and_virials(
-            self._rows, pairs.first, pairs.second, pairs.start, pairs.inner_end,
-            pairs.outer_end, self.law.code, self.law.adhesion, virials,
-        )  # fmt: skip
-        return float(energy), virials
+    def _forces(
+        self, time: float, position: FloatArray, stokes: bool, out: FloatArray
+    ) -> neighbours.PairList:
+        """Write forces or velocities; return the list that holds at this state."""
+        position = _frozen(position)
+        pairs = self._pairs if self._pairs is not None else self._rebuild(position)
+        run = kernels.forces_parallel if self._shared(pairs) else kernels.forces
+        while run(
+            self._cells, self._pair_data, self._law, position, time - self.motion.begin, stokes,
+            self._rows, out,
+        ):  # fmt: skip
+            pairs = self._rebuild(position)
+        return pairs
 
     def _settle(self, time: float, position: FloatArray) -> neighbours.PairList:
         """Bring rows and list to a state; return the list."""
         position = _frozen(position)
         pairs = self._pairs if self._pairs is not None else self._rebuild(position)
-        while kernels.pack(
-            self.chunk, position, self._reference, self.motion.radius,
-            self.motion.radius_rate, time - self.motion.begin, self._drift_limit, self._rows,
-        ):  # fmt: skip
+        while kernels.pack(self._cells, position, time - self.motion.begin, self._rows):
             pairs = self._rebuild(position)
         return pairs
 
     def _rebuild(self, position: FloatArray) -> neighbours.PairList:
-        """Build the neighbour list at a state."""
+        """Build the neighbour list at a state, and what the law keeps for each pair."""
         if not np.isfinite(position).all():
             raise StateRejected("a position is not a number")
         self.work.list_builds += 1
-        self._reference = np.array(position)
-        self._drift_limit = (0.5 * self._skin) ** 2
+        reference = np.array(position)
         try:
             pairs = neighbours.build(
-                self._reference, self._list_radius, self._skin, self._list_threads(), self.chunk
+                reference, self._list_radius, self._skin, self._list_threads(), self.chunk
             )
         except neighbours.TooManyPairsError as error:
             raise StateRejected(f"cells lie on top of each other ({error})") from error
+        motion = self.motion
+        self._cells = kernels.CellData(
+            self.chunk,
+            (0.5 * self._skin) ** 2,
+            reference,
+            motion.radius,
+            motion.radius_rate,
+            _NOTHING if motion.bonds is None else motion.bonds,
+            _NOTHING if motion.push is None else motion.push,
+        )
+        sticky = self._sticky(pairs)
+        unit, onset = self._exact(pairs, sticky)
+        self._pair_data = kernels.PairData(
+            pairs.first, pairs.second, pairs.start, pairs.inner_end, pairs.outer_end,
+            sticky, unit, onset,
+        )  # fmt: skip
         self._pairs = pairs
         return pairs
+
+    def _reaching(self, radius: FloatArray) -> FloatArray:
+        """Return the radii that the list is built with: half of all distances that matter."""
+        if len(radius) == 0:
+            return radius
+        if hasattr(self.law, "cutoff"):
+            return np.asarray(self.law.cutoff * radius)
+        softest = 0.5 / float(self._rows[:, 4].max())
+        largest = float(radius.max())
+        law = self.law
+        if self.surface_energies is not None and hasattr(law, "surface_energy"):
+            law = replace(law, surface_energy=float(self.surface_energies.max()))  # type: ignore[type-var]
+        reach = law.reach(softest, 0.5 * largest, rest=2.0 * largest)
+        return np.asarray(radius + 0.5 * float(reach))
+
+    def _sticky(self, pairs: neighbours.PairList) -> FloatArray:
+        """Return √(6πσ_ij) for each pair, or nothing where all pairs are alike."""
+        if self.surface_energies is None or self.motion.kind is None:
+            return _NO_VALUES
+        table = np.sqrt(6.0 * np.pi * self.surface_energies)
+        kind = self.motion.kind
+        first, second = _listed(pairs)
+        return np.ascontiguousarray(table[kind[first], kind[second]])
+
+    def _exact(
+        self, pairs: neighbours.PairList, sticky: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return exact JKR's unit of overlap with its rate, and the onset of each pair."""
+        if self.law.code != kernels.EXACT_JKR:
+            return _NOTHING, _NO_VALUES
+        first, second = _listed(pairs)
+        soft = self._rows[:, 4]
+        modulus = 1.0 / (soft[first] + soft[second])
+        adhesion = sticky if sticky.size else np.full(len(first), self.law.adhesion)
+        energy = adhesion**2 / (6.0 * np.pi)
+        ends = [
+            exact_units(modulus, effective_radius(radius[first], radius[second]), energy)[0]
+            for radius in (self.motion.radius, self._end_radius)
+        ]
+        length = self.motion.end - self.motion.begin
+        rate = (ends[1] - ends[0]) / length if length > 0.0 else np.zeros(len(first))
+        onset = np.zeros(len(first))
+        touching = self.motion.touching
+        if touching is not None and len(touching):
+            low, high = np.minimum(first, second), np.maximum(first, second)
+            n = np.int64(len(self))
+            known = np.sort(touching[:, 0] * n + touching[:, 1])
+            key = low * n + high
+            place = np.minimum(np.searchsorted(known, key), len(known) - 1)
+            onset[known[place] == key] = -3.0
+        return np.stack([ends[0], rate]), onset
 
     def _linearised(self) -> Linearisation:
         if self._linear is None:
@@ -288,8 +444,21 @@ class Mechanics:
     def _shared(self, pairs: neighbours.PairList) -> bool:
         return self.threads > 1 and len(pairs.start) >= self.shared_chunks
 
-    def _velocities(self, pairs: neighbours.PairList) -> Any:
-        return kernels.velocities_parallel if self._shared(pairs) else kernels.velocities
+
+def _rubbing(coefficients: tuple[float, float], n: int, drag: float, chunk: int) -> Rubbing:
+    """Return the friction of a coupling step; scenes without it do not load its kernels."""
+    from multicell.rubbing import Rubbing
+
+    return Rubbing(coefficients, n, drag, chunk)
+
+
+def _listed(pairs: neighbours.PairList) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the cells of all places of a list; spare room stands for cell 0 twice."""
+    used = np.zeros(len(pairs.first), dtype=np.bool_)
+    for start, end in zip(pairs.start, pairs.outer_end, strict=True):
+        used[start:end] = True
+    first = np.where(used, pairs.first, 0).astype(np.int64)
+    return first, np.where(used, pairs.second, 0).astype(np.int64)
 
 
 def _frozen(array: FloatArray) -> FloatArray:

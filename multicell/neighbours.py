@@ -14,6 +14,7 @@ made from the sorted coordinates instead, and memory stays proportional to cells
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import final
 
@@ -127,34 +128,15 @@ def build(
         If there are more than 500 pairs per cell beyond the first four million.
     """
     n = len(position)
-    chunks = -(-n // chunk)
-    empty = np.zeros(chunks, dtype=np.int64)
     if n < 2:
+        empty = np.zeros(-(-n // chunk), dtype=np.int64)
         none = np.empty(0, dtype=np.int32)
         return PairList(none, none, empty, empty.copy(), empty.copy(), chunk, n)
-    order, rows, columns, bin_start, shape = _bins(position, 2.0 * radius.max() + skin)
-    sorted_rows = _sorted_rows(position, radius, order)
-    search = _search_parallel if threads > 1 and chunks > 1 else _search
-    limit = 500 * n + 4_000_000
-    inner, outer = _guess(n, chunk), _guess(n, chunk)
-    while True:
-        base = np.concatenate([[0], np.cumsum(inner + outer)]).astype(np.int64)
-        first = np.empty(base[-1], dtype=np.int32)
-        second = np.empty(base[-1], dtype=np.int32)
-        found_inner, found_outer = empty.copy(), empty.copy()
-        search(
-            chunk, order, sorted_rows, rows, columns, bin_start, shape, skin,
-            base, inner, outer, first, second, found_inner, found_outer, limit,
-        )  # fmt: skip
-        if found_inner.sum() + found_outer.sum() > limit:
-            raise TooManyPairsError(f"more than {limit} pairs among {n} cells")
-        if (found_inner <= inner).all() and (found_outer <= outer).all():
-            break
-        inner, outer = np.maximum(inner, found_inner), np.maximum(outer, found_outer)
-    # outer pairs were written behind the room for inner ones: close the gap
-    _close_gaps(first, second, base, inner, found_inner, found_outer)
-    inner_end = base[:-1] + found_inner
-    return PairList(first, second, base[:-1].copy(), inner_end, inner_end + found_outer, chunk, n)
+    run = rebuild_parallel if threads > 1 and n > chunk else rebuild
+    crowded, first, second, start, inner_end, outer_end = run(position, radius, skin, chunk)
+    if crowded:
+        raise TooManyPairsError(f"more than {_limit(n)} pairs among {n} cells")
+    return PairList(first, second, start, inner_end, outer_end, chunk, n)
 
 
 def spatial_order(position: FloatArray, width: float) -> OffsetArray:
@@ -200,14 +182,23 @@ def _spread(value: NDArray[np.uint64]) -> NDArray[np.uint64]:
     return value
 
 
-def _guess(n: int, chunk: int) -> OffsetArray:
+@njit(cache=True)
+def _limit(n):
+    """Return how many entries a list may have."""
+    return 500 * n + 4_000_000
+
+
+@njit(cache=True)
+def _guess(n, chunk):
     """Return the room per chunk that a packed tissue needs."""
-    return np.full(-(-n // chunk), 9 * min(n, chunk) + 64, dtype=np.int64)
+    room = np.empty(-(-n // chunk), np.int64)
+    for c in range(room.size):
+        room[c] = 9 * min(n, chunk) + 64
+    return room
 
 
-def _bins(
-    position: FloatArray, width: float
-) -> tuple[OffsetArray, OffsetArray, OffsetArray, OffsetArray, OffsetArray]:
+@njit(cache=True, error_model="numpy")
+def _bins(position, width):
     """Sort the cells into bins at least as wide as the cutoff.
 
     Returns
@@ -222,37 +213,81 @@ def _bins(
         ``(nx, ny, nz)`` of a dense grid, or zeros where the bins are listed sparsely, with
         ``bin_start`` then holding the keys of the sorted cells.
     """
-    low, high = position.min(axis=0), position.max(axis=0)
-    with np.errstate(over="ignore"):
-        counts = np.floor((high - low) / width) + 1.0
-        dense = np.prod(counts) <= _BINS_PER_CELL * len(position) + _SPARE_BINS
-    if dense:
-        shape = counts.astype(np.int64)
-        return (*_dense_bins(position, low, width, shape), shape)
-    return (*_sparse_bins(position, width), np.zeros(3, dtype=np.int64))
-
-
-def _sparse_bins(
-    position: FloatArray, width: float
-) -> tuple[OffsetArray, OffsetArray, OffsetArray, OffsetArray]:
-    """Bin far-flung cells by sorted coordinates; memory does not depend on the distances."""
-    n = len(position)
-    ix, iy, iz = (_sweep(position[:, a], np.argsort(position[:, a], kind="stable"), width)
-                  for a in range(3))  # fmt: skip
-    # a row key is below 9 n², so that neither key overflows for any n that fits in memory
-    stride = np.int64(n + 2)
-    row = iz * stride + iy
-    _, rank = np.unique(row, return_inverse=True)
-    key = rank.astype(np.int64) * stride + ix
-    order = np.argsort(key, kind="stable")
-    table = np.concatenate([key[order], np.unique(row)])
-    return order, row, ix, table
+    n = position.shape[0]
+    low, counts, total = np.empty(3), np.empty(3), 1.0
+    for a in range(3):
+        low[a], high = position[0, a], position[0, a]
+        for i in range(n):
+            low[a], high = min(low[a], position[i, a]), max(high, position[i, a])
+        counts[a] = math.floor((high - low[a]) / width) + 1.0
+        total *= counts[a]
+    shape = np.zeros(3, np.int64)
+    if total <= _BINS_PER_CELL * n + _SPARE_BINS:
+        for a in range(3):
+            shape[a] = np.int64(counts[a])
+        order, row, column, start = _dense_bins(position, low, width, shape)
+    else:
+        order, row, column, start = _sparse_bins(position, width)
+    return order, row, column, start, shape
 
 
 @njit(cache=True)
-def _sweep(coordinate, order, width):
-    """Return the number of each cell's bin along one axis; close cells differ by at most one."""
-    index = np.empty(order.size, np.int64)
+def _stable_order(values):
+    """Return the places of ``values`` in ascending order, ties in their order (merge sort)."""
+    n = values.size
+    order, other = np.empty(n, np.int64), np.empty(n, np.int64)
+    for place in range(n):
+        order[place] = place
+    width = 1
+    while width < n:
+        for begin in range(0, n, 2 * width):
+            middle, end = min(begin + width, n), min(begin + 2 * width, n)
+            left, right = begin, middle
+            for place in range(begin, end):
+                if left < middle and (right >= end or values[order[left]] <= values[order[right]]):
+                    other[place] = order[left]
+                    left += 1
+                else:
+                    other[place] = order[right]
+                    right += 1
+        order, other = other, order
+        width *= 2
+    return order
+
+
+@njit(cache=True)
+def _sparse_bins(position, width):
+    """Bin far-flung cells by sorted coordinates; memory does not depend on the distances."""
+    n = position.shape[0]
+    index = np.empty((3, n), np.int64)
+    coordinate = np.empty(n)
+    for a in range(3):
+        for i in range(n):
+            coordinate[i] = position[i, a]
+        _sweep(coordinate, _stable_order(coordinate), width, index[a])
+    # a row key is below 9 n², so that neither key overflows for any n that fits in memory
+    stride = np.int64(n + 2)
+    row, column = np.empty(n, np.int64), np.empty(n, np.int64)
+    for i in range(n):
+        row[i], column[i] = index[2, i] * stride + index[1, i], index[0, i]
+    # number the rows that are occupied, in the order of their keys
+    table = np.empty(2 * n, np.int64)
+    key = np.empty(n, np.int64)
+    rank = -1
+    for place in _stable_order(row):
+        if rank < 0 or table[n + rank] != row[place]:
+            rank += 1
+            table[n + rank] = row[place]
+        key[place] = rank * stride + column[place]
+    order = _stable_order(key)
+    for place in range(n):
+        table[place] = key[order[place]]
+    return order, row, column, table[: n + rank + 1]
+
+
+@njit(cache=True)
+def _sweep(coordinate, order, width, index):
+    """Write the number of each cell's bin along one axis; close cells differ by at most one."""
     start = coordinate[order[0]]
     number = 0
     for place in order:
@@ -261,7 +296,6 @@ def _sweep(coordinate, order, width):
             start = coordinate[place]
             number += 1
         index[place] = number
-    return index
 
 
 @njit(cache=True)
@@ -430,11 +464,113 @@ def _search_parallel(
 
 
 @njit(cache=True)
+def _room(inner, outer):
+    """Return where each chunk's entries begin, and arrays for all of them."""
+    base = np.zeros(inner.size + 1, np.int64)
+    for c in range(inner.size):
+        base[c + 1] = base[c] + inner[c] + outer[c]
+    return base, np.empty(base[-1], np.int32), np.empty(base[-1], np.int32)
+
+
+@njit(cache=True)
+def _largest(values):
+    most = values[0]
+    for value in values:
+        most = max(most, value)
+    return most
+
+
+@njit(cache=True)
+def _count(found_inner, found_outer):
+    """Return the number of entries that were found."""
+    total = 0
+    for c in range(found_inner.size):
+        total += found_inner[c] + found_outer[c]
+    return total
+
+
+@njit(cache=True)
+def _ranges(base, found_inner, found_outer):
+    """Return where the pairs of each chunk begin and end."""
+    start, inner_end = np.empty_like(found_inner), np.empty_like(found_inner)
+    outer_end = np.empty_like(found_inner)
+    for c in range(start.size):
+        start[c], inner_end[c] = base[c], base[c] + found_inner[c]
+        outer_end[c] = inner_end[c] + found_outer[c]
+    return start, inner_end, outer_end
+
+
+@njit(cache=True)
+def _fits(inner, outer, found_inner, found_outer):
+    """Return whether the room was enough, and make it so."""
+    enough = True
+    for c in range(inner.size):
+        enough &= found_inner[c] <= inner[c] and found_outer[c] <= outer[c]
+        inner[c] = max(inner[c], found_inner[c])
+        outer[c] = max(outer[c], found_outer[c])
+    return enough
+
+
+@njit(cache=True)
 def _close_gaps(first, second, base, inner, found_inner, found_outer):
-    """Move the outer pairs of each chunk up to the end of its inner pairs."""
+    """Move the outer pairs of each chunk up: they were written behind the room for inner ones."""
     for c in range(found_inner.size):
         source = base[c] + inner[c]
         target = base[c] + found_inner[c]
         for k in range(found_outer[c]):
             first[target + k] = first[source + k]
             second[target + k] = second[source + k]
+
+
+@njit(cache=True)
+def rebuild(position, radius, skin, chunk):
+    """Do the work of :func:`build` for one cell and more, for callers inside numba.
+
+    Returns
+    -------
+    crowded : bool
+        Whether there are too many pairs; the list is then of no use.
+    first, second, start, inner_end, outer_end
+        As in :class:`PairList`.
+    """
+    order, rows, columns, bin_start, shape = _bins(position, 2.0 * _largest(radius) + skin)
+    sorted_rows = _sorted_rows(position, radius, order)
+    inner, outer = _guess(order.size, chunk), _guess(order.size, chunk)
+    limit = _limit(order.size)
+    while True:
+        base, first, second = _room(inner, outer)
+        found_inner, found_outer = np.empty_like(inner), np.empty_like(inner)
+        _search(
+            chunk, order, sorted_rows, rows, columns, bin_start, shape, skin,
+            base, inner, outer, first, second, found_inner, found_outer, limit,
+        )  # fmt: skip
+        crowded = _count(found_inner, found_outer) > limit
+        if crowded or _fits(inner, outer, found_inner, found_outer):
+            break
+    if not crowded:
+        _close_gaps(first, second, base, inner, found_inner, found_outer)
+    start, inner_end, outer_end = _ranges(base, found_inner, found_outer)
+    return crowded, first, second, start, inner_end, outer_end
+
+
+@njit(cache=True)
+def rebuild_parallel(position, radius, skin, chunk):
+    """Do the same as :func:`rebuild`, with the chunks shared among threads."""
+    order, rows, columns, bin_start, shape = _bins(position, 2.0 * _largest(radius) + skin)
+    sorted_rows = _sorted_rows(position, radius, order)
+    inner, outer = _guess(order.size, chunk), _guess(order.size, chunk)
+    limit = _limit(order.size)
+    while True:
+        base, first, second = _room(inner, outer)
+        found_inner, found_outer = np.empty_like(inner), np.empty_like(inner)
+        _search_parallel(
+            chunk, order, sorted_rows, rows, columns, bin_start, shape, skin,
+            base, inner, outer, first, second, found_inner, found_outer, limit,
+        )  # fmt: skip
+        crowded = _count(found_inner, found_outer) > limit
+        if crowded or _fits(inner, outer, found_inner, found_outer):
+            break
+    if not crowded:
+        _close_gaps(first, second, base, inner, found_inner, found_outer)
+    start, inner_end, outer_end = _ranges(base, found_inner, found_outer)
+    return crowded, first, second, start, inner_end, outer_end

@@ -102,6 +102,23 @@ def state_counts(cells: Cells) -> dict[str, int]:
     return {state.name.lower(): int(counts[state]) for state in State}
 
 
+def heterotypic_fraction(cells: Cells, contacts: IntArray) -> float:
+    """Return the part of all contacts that join cells of different types, NaN without contacts.
+
+    Parameters
+    ----------
+    cells
+        All cells.
+    contacts : (m, 2)
+        Identities of the cells of each pair in contact.
+    """
+    order = np.argsort(cells.id)
+    place = np.searchsorted(cells.id[order], contacts)
+    present = np.isin(contacts, cells.id).all(axis=1)
+    kind = cells.kind[order[np.minimum(place[present], max(len(cells) - 1, 0))]]
+    return float((kind[:, 0] != kind[:, 1]).mean()) if len(kind) else float("nan")
+
+
 def largest_pressure(cells: Cells) -> float:
     """Return the largest pressure of any cell in kPa, 0 without cells."""
     return float(cells.pressure.max()) if len(cells) else 0.0

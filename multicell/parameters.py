@@ -15,6 +15,7 @@ A part is declared once and the declaration says everything: unit, default, what
 from __future__ import annotations
 
 import difflib
+import itertools
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, field, fields
 from numbers import Integral
@@ -229,6 +230,63 @@ def variant(
     return _field(Parameter(convert, to_plain, allowed=allowed, doc=doc), MISSING, default_factory)
 
 
+def flag(*, default: Any = MISSING, doc: str = "") -> Any:
+    """Declare a yes or no."""
+
+    def convert(value: object, path: str) -> bool:
+        if not isinstance(value, bool):
+            raise SceneError(path, f"is {shown(value)}, must be true or false")
+        return value
+
+    return _field(Parameter(convert, allowed="true or false", doc=doc), default)
+
+
+def quantities(unit: str, *, at_least: float | None = None, doc: str = "") -> Any:
+    """Declare an optional table of names to quantities."""
+    bounds = Bounds(at_least=at_least)
+
+    def convert(value: object, path: str) -> Tables[float]:
+        entries = dict(value) if isinstance(value, Tables) else _mapping(value, path)
+        return Tables({name: one(name, entry, path) for name, entry in entries.items()})
+
+    def one(name: str, entry: object, path: str) -> float:
+        where = f"{path}.{name}"
+        converted = to_base(entry, unit, where)
+        bounds.require(converted, entry, where, unit, "")
+        return converted
+
+    return _field(Parameter(convert, dict, unit=unit, doc=doc), None)
+
+
+def course(*, default: float, at_least: float | None = None, doc: str = "") -> Any:
+    """Declare a number that may change with time: a number, or a list of ``[time, value]``.
+
+    The stored value is a tuple of (time in s, value), with times that rise.
+    """
+    bounds = Bounds(at_least=at_least)
+
+    def convert(value: object, path: str) -> tuple[tuple[float, float], ...]:
+        points = value if isinstance(value, list | tuple) else [(0.0, value)]
+        if not points or not all(isinstance(p, list | tuple) and len(p) == 2 for p in points):
+            problem = f"is {shown(value)}, must be a number or a list of [time, value]"
+            raise SceneError(path, problem, "For example [[0, 0.9], ['10 h', 0.1]].")
+        result = tuple((to_base(t, "s", path), one(v, path)) for t, v in points)
+        times = [time for time, _ in result]
+        if any(b <= a for a, b in itertools.pairwise(times)):
+            raise SceneError(path, f"has the times {times} s, must have times that rise")
+        return result
+
+    def one(value: object, path: str) -> float:
+        converted = finite(value, path, "a number")
+        bounds.require(converted, value, path, "", "")
+        return converted
+
+    def to_plain(value: tuple[tuple[float, float], ...]) -> Any:
+        return value[0][1] if len(value) == 1 else [list(point) for point in value]
+
+    return _field(Parameter(convert, to_plain, doc=doc), ((0.0, default),))
+
+
 def tables(part: type[Any], *, default_factory: Any, doc: str = "") -> Any:
     """Declare a table of named tables, each of them a ``part``."""
 
@@ -274,7 +332,19 @@ class Tables(Mapping[str, V]):
 @dataclass_transform(
     frozen_default=True,
     kw_only_default=True,
-    field_specifiers=(quantity, number, count, choice, text, table, variant, tables),
+    field_specifiers=(
+        quantity,
+        number,
+        count,
+        choice,
+        text,
+        table,
+        variant,
+        tables,
+        flag,
+        quantities,
+        course,
+    ),
 )
 def parameters(cls: type[T]) -> type[T]:
     """Make a frozen dataclass, with keyword arguments only, that converts and checks its fields.

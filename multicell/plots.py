@@ -1,4 +1,4 @@
-"""Pictures of a run: growth, a section through the middle, radial profiles.
+"""Pictures of a run: growth, section, radial profiles, contacts of types, pull.
 
 Every function returns a :class:`matplotlib.figure.Figure` of about 1600 x 1000 pixels and
 leaves matplotlib's global state alone. The colours of the states differ in lightness too, so
@@ -16,26 +16,37 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
+from multicell.contact_plots import contacts, pull
 from multicell.drawing import (
     BLUE,
     COLOURS,
     INK,
     RED,
+    TimeUnit,
     blank,
     cell_count,
     moment,
     styled,
     thresholds,
     time_unit,
+    type_colours,
+    type_label,
 )
 from multicell.frame import Field, Frame
-from multicell.observables import centre, field_profile, radial_profile, sphere_radius
+from multicell.observables import (
+    centre,
+    distances,
+    field_profile,
+    radial_profile,
+    sphere_radius,
+)
 from multicell.section import section
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from multicell.scene import Nutrient, Scene
+    from multicell.parts import Nutrient
+    from multicell.scene import Scene
 
 History = Mapping[str, NDArray[np.float64]]
 
@@ -53,20 +64,46 @@ class Plots:
     def growth(self) -> Figure:
         """Draw number of cells, diameter and states against time.
 
+        Where nothing grows or starves these numbers stay: it is diameter and pressure then.
+
         Raises
         ------
         ValueError
             If the run has no history yet.
         """
-        return growth(self._history, self._title)
+        alive = self._scene.growth is not None or len(self._scene.nutrients) > 0
+        return (growth if alive else motion)(self._history, self._title)
 
     def section(self, frame: int = -1) -> Figure:
         """Show the cells that the plane z = centre cuts, at frame number ``frame``."""
-        return section(self._frames[frame], self._title, self._scene.nutrients)
+        return section(
+            self._frames[frame], self._title, self._scene.nutrients, list(self._scene.types)
+        )
 
     def profiles(self, frame: int = -1) -> Figure:
         """Concentration (or pressure) and states against the distance from the centre."""
-        return profiles(self._frames[frame], self._title, self._scene.nutrients)
+        scene = self._scene
+        return profiles(self._frames[frame], self._title, scene.nutrients, list(scene.types))
+
+    def contacts(self) -> Figure:
+        """Draw the contacts between unlike cells against time, and where each type is.
+
+        Raises
+        ------
+        ValueError
+            If the scene has fewer than two cell types, or there is no history yet.
+        """
+        return contacts(self._frames, self._history, self._scene, self._title)
+
+    def pull(self) -> Figure:
+        """Draw the pull against the distance of two cells, or the diameter of more.
+
+        Raises
+        ------
+        ValueError
+            If the scene does not pull, or there is no history yet.
+        """
+        return pull(self._frames, self._history, self._scene, self._title)
 
 
 @styled
@@ -85,11 +122,8 @@ def growth(history: History, title: str) -> Figure:
     ValueError
         If the history is empty.
     """
-    if len(history.get("time", ())) == 0:
-        raise ValueError("the history is empty: there is nothing to draw")
-    unit = time_unit(float(history["time"][-1]))
-    time, cells = history["time"] / unit.seconds, history["cells"]
-    subtitle = f"{cell_count(cells[-1])} after {unit.text(float(history['time'][-1]))}"
+    unit, time, subtitle = _course(history)
+    cells = history["cells"]
     figure = blank(title, subtitle)
     grid = figure.add_gridspec(
         2, 2, left=0.1, right=0.97, top=0.82, bottom=0.11, wspace=0.3, hspace=0.34
@@ -102,6 +136,40 @@ def growth(history: History, title: str) -> Figure:
         axes.set_xlabel(f"time ({unit.name})")
     figure.axes[0].set_xlabel("")
     return figure
+
+
+@styled
+def motion(history: History, title: str) -> Figure:
+    """Draw diameter and largest pressure against time, for cells that only move.
+
+    Parameters and errors are those of :func:`growth`.
+    """
+    unit, time, subtitle = _course(history)
+    figure = blank(title, subtitle)
+    grid = figure.add_gridspec(2, 1, left=0.1, right=0.97, top=0.82, bottom=0.11, hspace=0.32)
+    upper = figure.add_subplot(grid[0])
+    _draw_size(upper, time, history)
+    size = history["diameter"]
+    room = float(np.ptp(size))
+    if room > 0.01 * float(size.max()):  # else noise would fill the picture
+        upper.set_ylim(float(size.min()) - 0.1 * room, float(size.max()) + 0.1 * room)
+    lower = figure.add_subplot(grid[1])
+    lower.plot(time, 1000.0 * history["largest_pressure"], _mark(time), color=RED, lw=2)
+    lower.set(title="Largest pressure of a cell", ylabel="pressure (Pa)")
+    lower.set_xlabel(f"time ({unit.name})")
+    for axes in (upper, lower):
+        axes.set_xlim(*_span(time))
+    return figure
+
+
+def _course(history: History) -> tuple[TimeUnit, FloatArray, str]:
+    """Return the unit of time, the times in it, and number of cells and time in words."""
+    if len(history.get("time", ())) == 0:
+        raise ValueError("the history is empty: there is nothing to draw")
+    last = float(history["time"][-1])
+    unit = time_unit(last)
+    subtitle = f"{cell_count(history['cells'][-1])} after {unit.text(last)}"
+    return unit, history["time"] / unit.seconds, subtitle
 
 
 def _span(time: FloatArray) -> tuple[float, float]:
@@ -170,8 +238,12 @@ def _draw_states(axes: Axes, time: FloatArray, history: History) -> None:
 
 
 @styled
-def profiles(frame: Frame, title: str, nutrients: Mapping[str, Nutrient]) -> Figure:
+def profiles(
+    frame: Frame, title: str, nutrients: Mapping[str, Nutrient], types: Sequence[str] = ()
+) -> Figure:
     """Draw concentrations, or pressure without nutrients, and states against the radius.
+
+    Where there is more than one cell type the lower part shows types instead of states.
 
     Parameters
     ----------
@@ -181,6 +253,8 @@ def profiles(frame: Frame, title: str, nutrients: Mapping[str, Nutrient]) -> Fig
         Heading.
     nutrients : name -> Nutrient
         Thresholds to mark.
+    types
+        Names of the cell types.
 
     Raises
     ------
@@ -210,16 +284,30 @@ def profiles(frame: Frame, title: str, nutrients: Mapping[str, Nutrient]) -> Fig
         upper.set(title="Pressure", ylabel="pressure (Pa)")
     bottom = np.zeros(len(r))
     width = np.diff(profile.edges)
-    for name in [n for n in reversed(COLOURS) if np.nansum(profile.fractions[n]) > 0]:
-        part = np.nan_to_num(100.0 * profile.fractions[name])
-        lower.bar(r, part, width, bottom, color=COLOURS[name], label=name, lw=0)
+    by_type = len(types) > 1
+    parts = _types_by_shell(frame, middle, profile.edges, types) if by_type else profile.fractions
+    colours = {**COLOURS, **(type_colours(types) if by_type else {})}
+    for name in [n for n in reversed(colours) if n in parts and np.nansum(parts[n]) > 0]:
+        part = np.nan_to_num(100.0 * parts[name])
+        lower.bar(r, part, width, bottom, color=colours[name], label=type_label(name), lw=0)
         bottom += part
-    lower.set(title="Cells by state", ylabel="part of the cells (%)", ylim=(0, 100))
+    title_below = "Cells by type" if by_type else "Cells by state"
+    lower.set(title=title_below, ylabel="part of the cells (%)", ylim=(0, 100))
     lower.set(xlabel="distance from the centre (µm)", xlim=(0.0, edge))
     for axes in (upper, lower):
         handles, labels = axes.get_legend_handles_labels()
         axes.legend(handles[::-1], labels[::-1], loc="upper left", bbox_to_anchor=(1.01, 1.03))
     return figure
+
+
+def _types_by_shell(
+    frame: Frame, middle: FloatArray, edges: FloatArray, types: Sequence[str]
+) -> dict[str, FloatArray]:
+    """Return the part of the cells of each shell that are of a type: name -> (b,)."""
+    radius = distances(frame.cells, middle)
+    counts = [np.histogram(radius[frame.cells.kind == k], edges)[0] for k in range(len(types))]
+    whole = np.maximum(np.sum(counts, axis=0), 1)
+    return {name: count / whole for name, count in zip(types, counts, strict=True)}
 
 
 def _draw_concentration(

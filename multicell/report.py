@@ -68,15 +68,19 @@ footer { margin-top:1.4rem; color:var(--quiet); font-size:.9rem; text-align:cent
   main { margin-top:0; } section { break-inside:avoid; box-shadow:none; } }
 """
 
+_CROWD: Final = 10  # cells, below which averages over shells say nothing
+_SEPARATION, _MIXED = "separation force", "contacts between unlike cells"
 _CAPTIONS: Final = {
-    "growth": "Number of cells, size and states in the course of the run.",
-    "section": "Cells that the plane z = centre cuts, each drawn with the radius of its cut.",
+    "growth": "The population in the course of the run.",
+    "section": "Cells that a plane through the centre cuts, each drawn with the radius of its cut.",
     "profiles": "Averages over spherical shells about the centre.",
+    "contacts": "Contacts between cells of different types, and where each type is.",
+    "pull": "Force that pulls the cells apart, beside what their contact can bear.",
 }
 
 
 def write_report(result: Result, folder: str | Path | None = None) -> Path:
-    """Write ``report.html`` and its three pictures beside it.
+    """Write ``report.html`` and its pictures beside it.
 
     Parameters
     ----------
@@ -102,12 +106,18 @@ def write_report(result: Result, folder: str | Path | None = None) -> Path:
         place.mkdir(parents=True, exist_ok=True)
     pictures = "".join(_picture(place, name, draw) for name, draw in _drawings(result))
     path = place / "report.html"
-    write_text(path, page(result.scene, result.summary(), pictures))
+    figures = dict(measures(result.summary())) | dict(_contact_measures(result))
+    write_text(path, page(result.scene, result.summary(), pictures, figures))
     return path
 
 
-def page(scene: Scene, summary: Mapping[str, Any], pictures: str) -> str:
-    """Return the page; ``pictures`` is HTML, everything else is escaped here."""
+def page(
+    scene: Scene, summary: Mapping[str, Any], pictures: str, figures: Mapping[str, str]
+) -> str:
+    """Return the page; ``pictures`` is HTML, everything else is escaped here.
+
+    ``figures`` are the key figures: name and value in words.
+    """
     title = escape(scene.title or "Untitled run")
     interrupted = bool(summary.get("interrupted"))
     warning = '<p class="warning">Interrupted before its end</p>' if interrupted else ""
@@ -123,7 +133,7 @@ def page(scene: Scene, summary: Mapping[str, Any], pictures: str) -> str:
 <body>
 <header><div><h1>{title}</h1><p>{_subtitle(scene, summary)}</p>{warning}</div></header>
 <main>
-<div class="tiles">{"".join(_tiles(summary))}</div>
+<div class="tiles">{"".join(_tiles(figures))}</div>
 {pictures}
 <div class="columns">{"".join(_work(summary))}</div>
 {_settings(scene)}
@@ -153,10 +163,13 @@ def measures(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         "necrotic_radius": ("radius of the necrotic core", lambda d: f"{d:.0f} µm"),
         "divisions": ("divisions", lambda n: f"{n:,}"),
         "removals": ("cells removed", lambda n: f"{n:,}"),
+        "separation": (_SEPARATION, lambda s: f"{s['force']:.4g} nN"),
+        "heterotypic_fraction": (_MIXED, _percent),
     }
     for key, (name, shown) in formats.items():
-        if summary.get(key) is not None:
-            yield name, shown(summary[key])
+        value = summary.get(key)
+        if value is not None and value == value:  # a fraction of no contacts is NaN
+            yield name, shown(value)
     total = (summary.get("wall") or {}).get("total")
     if total is not None:
         yield "wall time", clock(total)
@@ -165,13 +178,37 @@ def measures(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         yield "nutrient unaccounted for", f"{balance:.1e}"
 
 
+def _percent(part: float) -> str:
+    return f"{100.0 * part:.1f} %"
+
+
+def _contact_measures(result: Result) -> Iterator[tuple[str, str]]:
+    """Yield the key figures of contact that a summary alone does not tell."""
+    from multicell.contact_plots import separation_theory
+
+    separation = result.summary().get("separation")
+    if separation:
+        theory = separation_theory(result.frames, result.scene, separation["time"])
+        if theory is not None:
+            yield _SEPARATION, f"{separation['force']:.4g} nN (theory {theory:.4g})"
+    mixed = result.history.get("heterotypic_fraction", ())
+    known = [float(part) for part in mixed if part == part]
+    if known:
+        yield _MIXED, f"{_percent(known[0])} → {_percent(known[-1])}"
+
+
 def _drawings(result: Result) -> Iterator[tuple[str, Callable[[], Figure]]]:
     """Yield the pictures that this run has enough data for."""
     if len(result.history.get("time", ())):
         yield "growth", result.plot.growth
     if len(result.frames) and len(result.frames[-1].cells):
         yield "section", result.plot.section
-        yield "profiles", result.plot.profiles
+        if len(result.frames[-1].cells) >= _CROWD:
+            yield "profiles", result.plot.profiles
+    if len(result.frames) and len(result.history.get("heterotypic_fraction", ())):
+        yield "contacts", result.plot.contacts
+    if len(result.frames) and len(result.history.get("pull", ())):
+        yield "pull", result.plot.pull
 
 
 def _picture(place: Path, name: str, draw: Callable[[], Figure]) -> str:
@@ -196,8 +233,8 @@ def _subtitle(scene: Scene, summary: Mapping[str, Any]) -> str:
     return escape(" · ".join(parts))
 
 
-def _tiles(summary: Mapping[str, Any]) -> Iterator[str]:
-    for name, value in measures(summary):
+def _tiles(figures: Mapping[str, str]) -> Iterator[str]:
+    for name, value in figures.items():
         yield f'<div class="tile"><b>{escape(value)}</b><span>{escape(name)}</span></div>'
 
 
@@ -262,7 +299,7 @@ def _parts(part: Any, title: str) -> Iterator[tuple[str, list[str]]]:
         if is_dataclass(value):
             kind = f" ({type(value).__name__})" if spec.name == "contact" else ""
             below.append((value, inner + kind))
-        elif isinstance(value, Mapping):
+        elif isinstance(value, Mapping) and all(map(is_dataclass, value.values())):
             below += [(entry, f"{inner}.{name}") for name, entry in value.items()]
         else:
             rows.append(_setting(spec.name, value, spec.metadata["parameter"]))
@@ -274,7 +311,7 @@ def _parts(part: Any, title: str) -> Iterator[tuple[str, list[str]]]:
 def _setting(name: str, value: Any, parameter: Any) -> str:
     """Return one row of the settings."""
     text = "not set" if value is None else f"{_text(value)} {parameter.unit}".strip()
-    if parameter.unit == "s" and value is not None and value >= 180.0:
+    if parameter.unit == "s" and isinstance(value, float) and value >= 180.0:
         text += f" ({time_unit(value).text(value)})"
     return (
         f'<tr><th>{_name(name)}</th><td class="number">{escape(text)}</td>'
@@ -294,4 +331,10 @@ def _text(value: Any) -> str:
         return f"{value:,}"
     if isinstance(value, float):
         return f"{value:,.0f}" if value.is_integer() and abs(value) < 1e7 else f"{value:.4g}"
+    if isinstance(value, Mapping):
+        return ", ".join(f"{name} {_text(entry)}" for name, entry in value.items())
+    if isinstance(value, tuple):  # points of a course: time and value
+        first = _text(value[0][1])
+        points = [f"{_text(v)} at {time_unit(t).text(t)}" for t, v in value]
+        return first if len(value) == 1 else ", ".join(points)
     return str(value)

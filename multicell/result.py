@@ -52,7 +52,7 @@ class Result:
 
     @property
     def plot(self) -> Plots:
-        """Pictures of the run: ``plot.growth()``, ``plot.section()``, ``plot.profiles()``."""
+        """Pictures of the run, such as ``plot.growth()`` or ``plot.section()``."""
         from multicell.plots import Plots  # matplotlib is loaded for pictures only
 
         return Plots(self.frames, self.history, self.scene)

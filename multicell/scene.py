@@ -14,17 +14,15 @@ from copy import deepcopy
 from pathlib import Path
 from typing import Any, final
 
-from multicell.contact import JKR, LAWS, Hertz
+from multicell.celltypes import check_types
+from multicell.contact import LAWS, PairLaw
 from multicell.errors import SceneError
-from multicell.integrators.names import METHODS
 from multicell.parameters import (
     Parameter,
     Tables,
     build,
-    choice,
     count,
     near_miss,
-    number,
     parameters,
     plain,
     quantity,
@@ -34,146 +32,22 @@ from multicell.parameters import (
     text,
     variant,
 )
+from multicell.parts import (
+    Adhesion,
+    CellParameters,
+    CellType,
+    Death,
+    Drag,
+    Friction,
+    Growth,
+    Initial,
+    IntegratorOptions,
+    Motility,
+    Nutrient,
+    OutputOptions,
+    Pull,
+)
 from multicell.units import BASE_UNITS, shown
-
-
-@final
-@parameters
-class Initial:
-    """The cells at the start."""
-
-    count: int = count(default=1, at_least=1, doc="number of cells")
-    arrangement: str = choice(
-        ["ball"], default="ball", doc="hexagonal close packing that is cut to a ball"
-    )
-    spacing: float = number(default=1.0, above=0, doc="centre distance / mean diameter")
-    jitter: float = number(
-        default=0.0, at_least=0, doc="standard deviation of a random shift / mean diameter"
-    )
-    stage: str = choice(
-        ["birth", "uniform"],
-        default="birth",
-        doc="volumes: all as at birth, or spread uniformly between birth and division",
-    )
-
-
-@final
-@parameters
-class CellParameters:
-    """Size and elasticity of the cells."""
-
-    division_radius: float = quantity("um", default=5.0, above=0, doc="at which a cell divides")
-    young: float = quantity("kPa", default=1.0, above=0, doc="mean Young's modulus")
-    young_variation: float = number(
-        default=0.1, at_least=0, at_most=0.5, doc="coefficient of variation of Young's modulus"
-    )
-    poisson: float = number(
-        default=0.5,
-        above=-1,
-        at_most=0.5,
-        doc="Poisson ratio",
-        hint="No isotropic solid has a Poisson ratio outside this range.",
-    )
-    reaction_time: float = quantity(
-        "s",
-        default=7200.0,
-        above=0,
-        doc="between two decisions of a cell to rest or to proliferate (assumed, not measured)",
-    )
-
-
-@final
-@parameters
-class Drag:
-    """Stokes drag 6πηr of the medium on every cell."""
-
-    viscosity: float = quantity(
-        "kPa s",
-        default=5.0,
-        above=0,
-        doc="viscosity η of the medium",
-        hint="Motion is overdamped: without drag no velocity is defined.",
-    )
-
-
-@final
-@parameters
-class Growth:
-    """Growth and division: the volume doubles, linearly in time, in one cycle."""
-
-    cycle_time: float = quantity("s", default=54000.0, above=0, doc="mean shortest cycle time")
-    cycle_variation: float = number(
-        default=0.1, at_least=0, at_most=0.5, doc="coefficient of variation of the cycle time"
-    )
-    critical_pressure: float | None = quantity(
-        "kPa", default=None, above=0, doc="at which growth stops; absent: pressure has no effect"
-    )
-
-
-@final
-@parameters
-class Death:
-    """Loss of necrotic cells: their volume decays exponentially, then they are removed."""
-
-    lysis_time: float = quantity("s", default=172800.0, above=0, doc="mean time of the decay")
-    removal_fraction: float = number(
-        default=0.1, above=0, below=1, doc="of the birth volume, below which a cell is removed"
-    )
-
-
-@final
-@parameters
-class Nutrient:
-    """A dissolved nutrient: diffusion, Michaelis–Menten uptake, effect on the cells."""
-
-    diffusion: float = quantity("um^2/s", default=2000.0, above=0, doc="diffusion coefficient")
-    boundary: float = quantity("mM", default=0.07, at_least=0, doc="concentration in the medium")
-    uptake: float = quantity("amol/s", default=20.0, at_least=0, doc="largest uptake of a cell")
-    half_saturation: float = quantity(
-        "mM", default=0.005, above=0, doc="concentration of half the largest uptake"
-    )
-    quiescent_uptake: float = number(
-        default=0.5, at_least=0, at_most=1, doc="uptake of a quiescent / of a proliferating cell"
-    )
-    growth_half_saturation: float = quantity(
-        "mM", default=0.01, above=0, doc="concentration of half the largest growth (Monod)"
-    )
-    quiescence: float = quantity("mM", default=0.02, at_least=0, doc="below: quiescent")
-    necrosis: float = quantity("mM", default=0.005, at_least=0, doc="below: necrotic")
-    spacing: float = quantity("um", default=10.0, above=0, doc="spacing of the grid")
-    margin: float = quantity("um", default=50.0, above=0, doc="of the grid around the cells")
-
-    def check(self) -> None:
-        """Raise ``SceneError`` unless cells become quiescent before they become necrotic."""
-        if not self.necrosis < self.quiescence:
-            problem = (
-                f"is {self.necrosis:g} mM, must be below quiescence ({self.quiescence:g} mM): "
-                "thresholds in the wrong order"
-            )
-            raise SceneError("necrosis", problem, "Starving cells first rest, then die.")
-
-
-@final
-@parameters
-class IntegratorOptions:
-    """How the equations of motion are integrated."""
-
-    method: str = choice(METHODS, default="cvode", doc="name of the method")
-    rtol: float = number(default=1e-6, at_least=1e-14, at_most=0.1, doc="relative tolerance")
-    atol: float = quantity("um", default=0.01, above=0, doc="absolute tolerance")
-    max_steps: int = count(default=10000, at_least=1, doc="most steps in one coupling step")
-    step: float = quantity("s", default=10.0, above=0, doc="step of the methods with a fixed step")
-    max_displacement: float = number(
-        default=0.5, above=0, at_most=1, doc="largest move in one step / radius of the cell"
-    )
-
-
-@final
-@parameters
-class OutputOptions:
-    """What is recorded."""
-
-    every: float = quantity("s", default=21600.0, above=0, doc="simulated time between frames")
 
 
 @final
@@ -191,8 +65,10 @@ class Scene:
         The run ends after the coupling step in which this many cells exist.
     initial, cells, contact, drag, integrator, output
         The parts that each scene has.
-    growth, death
+    growth, death, adhesion, friction, motility, pull
         None where the scene has no such part.
+    types : mapping of name to CellType, read-only
+        Empty where all cells are alike.
     nutrients : mapping of name to Nutrient, read-only
 
     Raises
@@ -205,15 +81,23 @@ class Scene:
     duration: float = quantity("s", above=0, doc="Simulated time, for example duration = '11 d'.")
     seed: int = count(default=0, at_least=0, at_most=2**63 - 1, doc="of the random numbers")
     coupling_step: float = quantity("s", default=600.0, above=0, doc="between exchanges of parts")
+    dimensions: int = count(default=3, at_least=2, at_most=3, doc="2: all cells in one plane")
     stop_cells: int | None = count(default=None, at_least=1, doc="the run ends at so many cells")
     initial: Initial = table(Initial, default_factory=Initial, doc="the cells at the start")
     cells: CellParameters = table(CellParameters, default_factory=CellParameters, doc="the cells")
-    contact: Hertz | JKR = variant(
-        LAWS, key="law", usual="jkr", default_factory=JKR, doc="the law of touching cells"
+    contact: PairLaw = variant(
+        LAWS, key="law", usual="jkr", default_factory=LAWS["jkr"], doc="the law of touching cells"
     )
     drag: Drag = table(Drag, default_factory=Drag, doc="friction with the medium")
     growth: Growth | None = table(Growth, default=None, doc="absent: no growth, no division")
     death: Death | None = table(Death, default=None, doc="absent: necrotic cells stay")
+    types: Mapping[str, CellType] = tables(
+        CellType, default_factory=Tables, doc="absent: all cells are alike"
+    )
+    adhesion: Adhesion | None = table(Adhesion, default=None, doc="absent: no receptors")
+    friction: Friction | None = table(Friction, default=None, doc="absent: only Stokes drag")
+    motility: Motility | None = table(Motility, default=None, doc="absent: no active motion")
+    pull: Pull | None = table(Pull, default=None, doc="absent: no external force")
     nutrients: Mapping[str, Nutrient] = tables(
         Nutrient, default_factory=Tables, doc="absent: no cell ever starves"
     )
@@ -224,6 +108,12 @@ class Scene:
 
     def check(self) -> None:
         """Raise ``SceneError`` for parts that do not fit together."""
+        check_types(self)
+        smallest = 0.5 ** (1.0 / 3.0) * self.cells.division_radius
+        smoothing = getattr(self.contact, "smoothing", 0.0)
+        if smoothing > smallest:
+            problem = f"is {smoothing:g} um, must be at most the birth radius {smallest:g} um"
+            raise SceneError("contact.smoothing", problem, "0 turns it off.")
         if len(self.nutrients) > 1:
             names = ", ".join(self.nutrients)
             raise SceneError("nutrients", f"has {names}: one nutrient for now")
@@ -250,8 +140,9 @@ class Scene:
     def to_dict(self) -> dict[str, Any]:
         """Return the scene as nested dicts of base-unit numbers; what is absent has no key."""
         entries = plain(self)
-        if not self.nutrients:
-            del entries["nutrients"]
+        for optional in ("nutrients", "types"):
+            if not entries[optional]:
+                del entries[optional]
         return entries
 
     def with_changes(self, changes: Mapping[str, Any]) -> Scene:

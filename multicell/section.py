@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -10,9 +10,8 @@ from matplotlib.collections import EllipseCollection
 from matplotlib.colors import ListedColormap, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from numpy.typing import NDArray
 
-from multicell.cells import FloatArray, State
+from multicell.cells import Cells, FloatArray, IntArray, State
 from multicell.drawing import (
     COLOURS,
     HEADING,
@@ -24,6 +23,8 @@ from multicell.drawing import (
     moment,
     styled,
     thresholds,
+    type_colours,
+    type_label,
 )
 from multicell.frame import Field, Frame
 from multicell.observables import centre, sphere_radius
@@ -31,15 +32,21 @@ from multicell.observables import centre, sphere_radius
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from multicell.scene import Nutrient
+    from multicell.parts import Nutrient
 
 # white to a light blue: cells must stand out against it
 _WATER: Final = ListedColormap(np.linspace(to_rgb("#ffffff"), to_rgb("#8fbce0"), 256))
 
 
 @styled
-def section(frame: Frame, title: str, nutrients: Mapping[str, Nutrient]) -> Figure:
+def section(
+    frame: Frame, title: str, nutrients: Mapping[str, Nutrient], types: Sequence[str] = ()
+) -> Figure:
     """Draw the cells that the plane z = centre cuts, each with the radius of its cut.
+
+    Two or three cells without a field are cut by the plane that holds their centres. The colour
+    shows the state or, where there is more than one type, the type; cells that are necrotic are
+    dark in both.
 
     Parameters
     ----------
@@ -49,6 +56,8 @@ def section(frame: Frame, title: str, nutrients: Mapping[str, Nutrient]) -> Figu
         Heading.
     nutrients : name -> Nutrient
         Thresholds, drawn as contour lines, and the concentration around the grid.
+    types
+        Names of the cell types.
 
     Raises
     ------
@@ -56,19 +65,41 @@ def section(frame: Frame, title: str, nutrients: Mapping[str, Nutrient]) -> Figu
         If the frame has no cells.
     """
     middle = centre(frame.cells)
-    cut = frame.cells.radius**2 - (frame.cells.position[:, 2] - middle[2]) ** 2
+    few = 1 < len(frame.cells) <= 3 and not frame.fields
+    place = _in_plane(frame.cells.position, middle) if few else frame.cells.position
+    cut = frame.cells.radius**2 - (place[:, 2] - middle[2]) ** 2
     cells = frame.cells.take(cut > 0.0)
     radius = np.sqrt(cut[cut > 0.0])
     figure = blank(title, f"{moment(frame)}: section through the centre ({cell_count(len(cells))})")
     axes = figure.add_axes((0.03, 0.04, 0.66, 0.83))
     half = 1.22 * sphere_radius(frame.cells, middle) + 2.0 * float(frame.cells.radius.max())
     _frame_section(axes, middle, half)
-    _draw_circles(axes, cells.position[:, :2], radius, cells.state)
+    group, palette = _groups(cells, types)
+    _draw_circles(axes, place[cut > 0.0, :2], radius, group, list(palette.values()))
     for name, field in frame.fields.items():
         _draw_field(figure, axes, field, float(middle[2]), nutrients[name])
     _scale_bar(axes, middle, half)
-    _section_legend(figure, cells.state)
+    _section_legend(figure, group, palette)
     return figure
+
+
+def _in_plane(position: FloatArray, middle: FloatArray) -> FloatArray:
+    """Return positions turned about the centre so that the last axis is their thinnest one."""
+    _, _, axes = np.linalg.svd(position - middle)
+    return np.asarray(middle + (position - middle) @ axes.T)
+
+
+def _groups(cells: Cells, types: Sequence[str]) -> tuple[IntArray, dict[str, str]]:
+    """Return the group of each cell, and name and colour of the groups in their order."""
+    if len(types) < 2:
+        return cells.state.astype(np.int64), {
+            s.name.lower(): COLOURS[s.name.lower()] for s in State
+        }
+    dead = cells.state == State.NECROTIC
+    colours = type_colours(types)
+    # a type may be named like the state
+    name = "necrotic" if "necrotic" not in colours else "dead (necrotic)"
+    return np.where(dead, len(types), cells.kind), {**colours, name: COLOURS["necrotic"]}
 
 
 def _frame_section(axes: Axes, middle: FloatArray, half: float) -> None:
@@ -83,10 +114,10 @@ def _frame_section(axes: Axes, middle: FloatArray, half: float) -> None:
 
 
 def _draw_circles(
-    axes: Axes, position: FloatArray, radius: FloatArray, state: NDArray[np.int8]
+    axes: Axes, position: FloatArray, radius: FloatArray, group: IntArray, colours: list[str]
 ) -> None:
-    """Draw circles of true size in the colour of the cells' states."""
-    palette = np.array([to_rgb(COLOURS[s.name.lower()]) for s in State])
+    """Draw circles of true size in the colour of the cells' groups."""
+    palette = np.array([to_rgb(colour) for colour in colours])
     size = 2.0 * radius
     axes.add_collection(
         EllipseCollection(
@@ -96,7 +127,7 @@ def _draw_circles(
             units="xy",
             offsets=position,
             offset_transform=axes.transData,
-            facecolors=palette[state],
+            facecolors=palette[group],
             edgecolors="white",
             linewidths=0.5 if len(size) > 200 else 1.2,
             zorder=2,
@@ -179,12 +210,12 @@ def _scale_bar(axes: Axes, middle: FloatArray, half: float) -> None:
     axes.text(left + 0.5 * length, low + 0.035 * half, f"{length} µm", ha="center", zorder=5)
 
 
-def _section_legend(figure: Figure, state: NDArray[np.int8]) -> None:
-    """Explain the colours, with the number of cells of each state in the section."""
-    counts = {s.name.lower(): int((state == s).sum()) for s in State}
-    shown = {name: count for name, count in counts.items() if count}
-    handles = [Line2D([], [], ls="", marker="o", ms=11, color=COLOURS[name]) for name in shown]
-    labels = [f"{name} ({count:,})" for name, count in shown.items()]
+def _section_legend(figure: Figure, group: IntArray, palette: Mapping[str, str]) -> None:
+    """Explain the colours, with the number of cells of each group in the section."""
+    counts = np.bincount(group, minlength=len(palette)).tolist()
+    shown = [(name, palette[name], n) for name, n in zip(palette, counts, strict=True) if n]
+    handles = [Line2D([], [], ls="", marker="o", ms=11, color=colour) for _, colour, _ in shown]
+    labels = [f"{type_label(name)} ({n:,})" for name, _, n in shown]
     figure.legend(
         handles,
         labels,

@@ -17,21 +17,22 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from multicell import integrators, neighbours, observables, streams
+from multicell import celltypes, integrators, neighbours, observables, streams
 from multicell.biology import (
     divide,
     growth_factor,
     initial_cells,
+    push,
     remove_lysed,
     update_states,
     volumes_after,
 )
-from multicell.cells import SPHERE, Cells, FloatArray, State
+from multicell.cells import SPHERE, Cells, FloatArray, IntArray, State
 from multicell.errors import StepFailed
 from multicell.folder import versions
 from multicell.frame import Field, Frame
 from multicell.ledger import Ledger
-from multicell.mechanics import Mechanics, Motion, Work
+from multicell.mechanics import Mechanics, Motion
 from multicell.threads import thread_count
 
 if TYPE_CHECKING:
@@ -89,16 +90,20 @@ class Simulation:
         self.wall = dict.fromkeys(PHASES, 0.0)
         self.step_index = self.divisions = self.removals = 0
         self.cells = _separated(scene, initial_cells(scene) if cells is None else cells)
+        self._set_bonds()
         self._next_id = int(self.cells.id.max(initial=-1)) + 1
-        self._mechanics = Mechanics(
-            scene.contact, scene.drag.viscosity, thread_count(threads), work=Work()
-        )
+        self._mechanics = _mechanics(scene, thread_count(threads))
+        # identities of the pairs in contact, (m, 2): what exact JKR remembers, and others count
+        self.contacts = np.empty((0, 2), dtype=np.int64)
+        self.separation: dict[str, float] | None = None
         self._integrator = integrators.make(scene.integrator)
         self._nutrients = _nutrient_fields(scene)
         self.ledger = {name: Ledger() for name in self._nutrients}
         self.concentrations: dict[str, FloatArray] = {}
         self._unsorted = len(self.cells)
         self._sort()
+        with self._phase("mechanics"):
+            self._find_first_contacts()
         with self._phase("nutrient"):
             self._feed()
         with self._phase("biology"):
@@ -116,9 +121,10 @@ class Simulation:
 
     @property
     def finished(self) -> bool:
-        """Whether the scene's duration or its number of cells is reached."""
+        """Whether the duration or the number of cells is reached, or all are pulled apart."""
         enough = self.scene.stop_cells
-        return self.step_index >= self.steps or (enough is not None and len(self.cells) >= enough)
+        grown = enough is not None and len(self.cells) >= enough
+        return self.step_index >= self.steps or grown or self.separation is not None
 
     @property
     def fields(self) -> dict[str, Field]:
@@ -160,19 +166,30 @@ class Simulation:
             self.cells.take(np.arange(len(self.cells))),
             {name: values.copy() for name, values in self.concentrations.items()},
             self.fields,
+            self.contacts if _remembers(self.scene) else np.empty((0, 2), dtype=np.int64),
         )
 
     def history_row(self) -> dict[str, float]:
         """Return the observables of the state (see :func:`observables.history_row`)."""
-        return observables.history_row(self.time, self.step_index, self.cells)
+        extra: dict[str, float] = {}
+        if _counts_contacts(self.scene):
+            extra["contacts"] = float(len(self.contacts))
+        extra |= self._mixing()
+        if self.scene.pull is not None:
+            extra["pull"] = self.scene.pull.force + self.scene.pull.rate * self.time
+        return observables.history_row(self.time, self.step_index, self.cells, **extra)
+
+    def _mixing(self) -> dict[str, float]:
+        """Return how the types mix, where there is more than one."""
+        if len(self.scene.types) < 2:
+            return {}
+        fraction = observables.heterotypic_fraction(self.cells, self.contacts)
+        return {"heterotypic_fraction": fraction}
 
     def energy(self) -> float:
         """Return the contact energy of the cells, fJ."""
-        cells = self.cells
-        self._mechanics.begin(
-            Motion(cells.radius, np.zeros(len(cells)), cells.young, cells.poisson, 0.0, 0.0)
-        )
-        return self._mechanics.energy(0.0, cells.position)
+        self._mechanics.begin(self._motion(self.time, self.time, self.cells.radius))
+        return self._mechanics.energy(self.time, self.cells.position)
 
     def summary(self) -> dict[str, Any]:
         """Return the numbers that describe the run so far; ``units`` names the units."""
@@ -188,6 +205,8 @@ class Simulation:
             "removals": self.removals,
             "integrator": {"method": self.scene.integrator.method, **asdict(self._mechanics.work)},
             "ledger": {**ledgers, **whole},
+            **({"separation": self.separation} if self.separation else {}),
+            **self._mixing(),
             "wall": {**self.wall, "total": sum(self.wall.values())},
             "threads": self._mechanics.threads,
             "versions": versions(),
@@ -207,18 +226,55 @@ class Simulation:
         volume = volumes_after(self.scene, self.cells, factor, dt)
         return np.asarray(np.cbrt(volume / SPHERE))
 
+    def _motion(self, begin: float, end: float, radius: FloatArray) -> Motion:
+        """Return what mechanics must know of the cells between two times."""
+        cells, scene = self.cells, self.scene
+        length = end - begin
+        rate = (radius - cells.radius) / length if length > 0.0 else np.zeros(len(cells))
+        return Motion(
+            cells.radius, rate, cells.young, cells.poisson, begin, end,
+            bonds=celltypes.bonds(scene, cells.kind, begin, end),
+            push=push(scene, cells, begin),
+            kind=cells.kind if scene.types else None,
+            touching=self._touching() if _remembers(scene) else None,
+        )  # fmt: skip
+
     def _move(self, begin: float, end: float, radius: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Integrate the positions; return them and the pressures at the end."""
         cells = self.cells
-        rate = (radius - cells.radius) / (end - begin)
-        self._mechanics.begin(Motion(cells.radius, rate, cells.young, cells.poisson, begin, end))
+        self._mechanics.begin(self._motion(begin, end, radius))
         if len(cells) == 0:
             return cells.position, cells.pressure
         outcome = self._integrator.integrate(self._mechanics, cells.position)
         if not outcome.done:
             cell = None if outcome.cell is None else int(cells.id[outcome.cell])
             raise StepFailed(outcome.time, outcome.problem, outcome.hint, cell)
-        return outcome.position, self._mechanics.pressure(end, outcome.position)
+        pressure = self._mechanics.pressure(end, outcome.position)
+        if _counts_contacts(self.scene):
+            self._note_contacts(self._mechanics.contacts(end, outcome.position), end)
+        return outcome.position, pressure
+
+    def _find_first_contacts(self) -> None:
+        """Find the pairs that overlap at the start, before any of them has touched."""
+        if _counts_contacts(self.scene) and len(self.cells):
+            self._mechanics.begin(self._motion(self.time, self.time, self.cells.radius))
+            found = self._mechanics.contacts(self.time, self.cells.position)
+            self.contacts = self.cells.id[found]
+
+    def _note_contacts(self, found: IntArray, time: float) -> None:
+        """Remember contacts by identity, and the pull at which the last one broke."""
+        before, self.contacts = len(self.contacts), self.cells.id[found]
+        if self.scene.pull is not None and before and not len(found):
+            force = self.scene.pull.force + self.scene.pull.rate * time
+            self.separation = {"time": time, "force": force}
+
+    def _touching(self) -> IntArray:
+        """Return the remembered contacts as indices of the present cells; dead ones are gone."""
+        order = np.argsort(self.cells.id)
+        ids = self.cells.id[order]
+        place = np.minimum(np.searchsorted(ids, self.contacts), max(len(ids) - 1, 0))
+        known = (ids[place] == self.contacts).all(axis=1)
+        return np.sort(order[place[known]], axis=1)
 
     def _take(
         self, position: FloatArray, radius: FloatArray, pressure: FloatArray, dt: float
@@ -229,6 +285,7 @@ class Simulation:
         cells.age = cells.age + dt
         self.cells = cells
         self.step_index += 1
+        self._set_bonds()
 
     def _divide_and_remove(self) -> None:
         first = self._next_id
@@ -237,6 +294,12 @@ class Simulation:
         self.divisions += (self._next_id - first) // 2
         self.removals += removed
         self._unsorted += self._next_id - first + removed
+
+    def _set_bonds(self) -> None:
+        """Set receptors and ligands of all cells to their values now."""
+        bonds = celltypes.bonds(self.scene, self.cells.kind, self.time, self.time)
+        if bonds is not None:
+            self.cells.receptor, self.cells.ligand = bonds[:, 0].copy(), bonds[:, 1].copy()
 
     def _sort(self) -> None:
         """Sort the cells in space when many are new: neighbours then share memory."""
@@ -261,6 +324,29 @@ class Simulation:
         self.cells.state = update_states(self.scene, self.cells, self.concentrations)
 
 
+def _mechanics(scene: Scene, threads: int) -> Mechanics:
+    """Return the mechanics that a scene asks for."""
+    rubbing = scene.friction
+    return Mechanics(
+        scene.contact,
+        scene.drag.viscosity,
+        threads,
+        bond_strength=0.0 if scene.adhesion is None else scene.adhesion.strength,
+        friction=(0.0, 0.0) if rubbing is None else (rubbing.normal, rubbing.tangential),
+        surface_energies=celltypes.surface_energies(scene),
+    )
+
+
+def _remembers(scene: Scene) -> bool:
+    """Return whether the contact law needs to know which pairs were in contact."""
+    return hasattr(scene.contact, "in_contact")
+
+
+def _counts_contacts(scene: Scene) -> bool:
+    """Return whether anything asks for the pairs in contact; to find them costs a little."""
+    return _remembers(scene) or len(scene.types) > 1 or scene.pull is not None
+
+
 def _nutrient_fields(scene: Scene) -> dict[str, NutrientField]:
     """Return the scene's fields; a scene without nutrients does not load them."""
     if not scene.nutrients:
@@ -282,6 +368,8 @@ def _separated(scene: Scene, cells: Cells) -> Cells:
     moved = np.unique(pairs[:, 1])
     if len(moved):
         cells = cells.take(np.arange(len(cells)))
-        axis = streams.unit_vectors(scene.seed, streams.Purpose.SEPARATION, 0, cells.id[moved])
+        axis = streams.directions(
+            scene.seed, streams.Purpose.SEPARATION, 0, cells.id[moved], scene.dimensions
+        )
         cells.position[moved] += 1e-6 * cells.radius[moved, None] * axis
     return cells

@@ -8,6 +8,8 @@ Layout of ``frames.h5`` for k frames and m history rows::
     /frames/time, /frames/step (k)
     /fields/<nutrient>/values        grids one after another in C order, with their offset
     /fields/<nutrient>/offset (k + 1), shape (k, 3), origin (k, 3), spacing (k)
+    /contacts/pair (., 2)            identities of pairs in contact, where the law remembers them
+    /contacts/offset (k + 1)
     /history/<column> (m)
 
 The file is written in HDF5's single-writer multiple-reader mode: it can be opened while the run
@@ -76,7 +78,7 @@ class Store:
         self._history: tuple[str, ...] = ()
         self._flushed = clock.monotonic()
         # what is complete: the only truth about where the next rows go
-        self._frames = self._history_rows = self._rows = 0
+        self._frames = self._history_rows = self._rows = self._pairs = 0
         self._points = dict.fromkeys(nutrients, 0)
 
     @classmethod
@@ -118,6 +120,10 @@ class Store:
         _column(frames, "time", np.float64, unit="s")
         _column(frames, "step", np.int64)
         _put(frames["offset"], 0, [0])
+        contacts = self._file.create_group("contacts")
+        _column(contacts, "pair", np.int64, width=2)
+        _column(contacts, "offset", np.int64)
+        _put(contacts["offset"], 0, [0])
         for name in self._nutrients:
             _column(cells, f"concentration_{name}", np.float64, unit="mM")
             group = self._file.create_group(f"fields/{name}")
@@ -151,6 +157,9 @@ class Store:
                 _put(cells[name], self._rows, column)
             for name in self._nutrients:
                 _put(cells[f"concentration_{name}"], self._rows, frame.concentrations[name])
+            pairs = self._pairs + len(frame.contacts)
+            _put(self._file["contacts"]["pair"], self._pairs, frame.contacts)
+            _put(self._file["contacts"]["offset"], self._frames + 1, [pairs])
             points = {name: self._put_field(name, frame) for name in self._nutrients}
             # the rows must be on disk before the index that makes them a frame
             self._file.flush()
@@ -160,6 +169,7 @@ class Store:
             _put(index["time"], self._frames, [frame.time])
             self._file.flush()
             self._frames, self._rows, self._points = self._frames + 1, rows, points
+            self._pairs = pairs
 
     def _put_field(self, name: str, frame: Frame) -> int:
         """Write a field, an absent one as a grid of no points; return where it ends."""

@@ -43,6 +43,8 @@ class Purpose(IntEnum):
     MODULI = 4
     AXIS = 5
     SEPARATION = 6
+    KIND = 7
+    MOTILITY = 8
 
 
 def _product(a: np.uint64, b: UIntArray) -> tuple[UIntArray, UIntArray]:
@@ -176,3 +178,16 @@ def unit_vectors(seed: int, purpose: Purpose, step: int, ids: NDArray[np.int64])
     azimuth = 2.0 * np.pi * u[:, 1]
     waist = np.sqrt((1.0 - height) * (1.0 + height))
     return np.stack([waist * np.cos(azimuth), waist * np.sin(azimuth), height], axis=1)
+
+
+def directions(
+    seed: int, purpose: Purpose, step: int, ids: NDArray[np.int64], dimensions: int
+) -> FloatArray:
+    """Return random unit vectors (n, 3): on the sphere, or in two dimensions in its equator.
+
+    Parameters and errors are those of :func:`uniform`.
+    """
+    if dimensions == 3:
+        return unit_vectors(seed, purpose, step, ids)
+    azimuth = 2.0 * np.pi * uniform(seed, purpose, step, ids)[:, 0]
+    return np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(len(azimuth))], axis=1)

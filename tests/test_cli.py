@@ -62,7 +62,7 @@ def test_scenes_are_listed():
     assert all(row["title"] for row in listed)
 
 
-@pytest.mark.parametrize("name", ["spheroid", "growth", "settle"])
+@pytest.mark.parametrize("name", ["spheroid", "growth", "settle", "doublet", "sorting"])
 def test_explain_prints_parts_numbers_and_json(name):
     answer = call("explain", name)
     assert answer.exit_code == 0
@@ -106,7 +106,8 @@ def test_derived_numbers_against_closed_forms():
 
 def test_contact_numbers_of_the_reference_pair():
     """Two cells of radius 10 µm with E = 1, ν = 0.5, σ = 0.1 rest at 17.178 µm, pull 2.3562 nN."""
-    known = numbers(BARE, cells__division_radius=10.0 * 2 ** (1 / 6))
+    known = numbers(BARE, cells__division_radius=10.0 * 2 ** (1 / 3))
+    # nothing grows: the cells stay as they are born
     assert known["typical radius"] == pytest.approx(10.0)
     assert known["equilibrium distance"] == pytest.approx(17.178, abs=5e-4)
     assert known["pull-off force"] == pytest.approx(2.3562, abs=5e-5)
@@ -120,6 +121,90 @@ def test_relaxation_time_is_that_of_the_linearised_pair():
     force = [BARE.contact.force(rest + x, modulus, radius / 2) for x in (-gap, gap)]
     stiffness = (force[1] - force[0]) / (2 * gap)
     assert known["relaxation time"] == pytest.approx(known["drag"] / (2 * stiffness), rel=1e-6)
+
+
+def test_doublet_is_explained_with_its_critical_load():
+    facts = explain(load_scene("doublet"))
+    used = {part["part"]: part for part in facts["parts"]}
+    assert used["pull"]["used"] is True
+    assert [used[name]["used"] for name in ("types", "adhesion", "friction", "motility")] == [
+        False
+    ] * 4
+    known = {entry["name"]: entry["value"] for entry in facts["numbers"]}
+    radius = 12.6 / 2 ** (1 / 3)
+    load = 1.5 * np.pi * 0.1 * radius / 2
+    assert known["critical load"] == pytest.approx(load, rel=1e-9)
+    assert known["time to the critical load"] == pytest.approx(load / 0.0005, rel=1e-9)
+    assert known["equilibrium distance"] == pytest.approx(17.18, abs=5e-3)
+
+
+def test_sorting_is_explained_by_pairs_of_types():
+    facts = explain(load_scene("sorting"))
+    used = {part["part"]: part for part in facts["parts"]}
+    assert used["types"]["what"] == "50 % cohesive, 50 % loose"
+    assert "by type" in used["contact"]["what"]
+    assert used["motility"]["used"] is True
+    known = {entry["name"]: entry["value"] for entry in facts["numbers"]}
+    radius, stiff = known["typical radius"], 5.0 * (8 / 9)
+    for pair, energy in (("cohesive-cohesive", 0.2), ("cohesive-loose", 0.1), ("loose-loose", 0.1)):
+        load = 1.5 * np.pi * energy * radius / 2
+        assert known[f"pull-off force, {pair}"] == pytest.approx(load, rel=1e-9)
+        overlap = (6 * np.pi * energy * np.sqrt(radius / 2) / stiff) ** (2 / 3)
+        assert known[f"equilibrium distance, {pair}"] == pytest.approx(2 * radius - overlap)
+    speed = 0.8 / (6 * np.pi * 0.5 * radius)
+    assert known["run length of motility"] == pytest.approx(600.0 * speed)
+    assert known["diffusion by motility"] == pytest.approx(speed**2 * 600.0 / 6)
+
+
+def test_friction_is_compared_with_drag_for_one_contact():
+    known = numbers(BARE, friction__normal=0.2, friction__tangential=0.05)
+    radius = known["typical radius"]
+    overlap = 2 * radius - known["equilibrium distance"]
+    area = np.pi * radius / 2 * overlap
+    assert known["normal friction / drag"] == pytest.approx(0.2 * area / known["drag"])
+    assert known["tangential friction / drag"] == pytest.approx(0.05 * area / known["drag"])
+    # friction slows the pair down: Γ + 2 γ A in place of Γ
+    bare = numbers(BARE)["relaxation time"]
+    slower = 1 + 2 * known["normal friction / drag"]
+    assert known["relaxation time"] == pytest.approx(bare * slower)
+
+
+def test_smoothing_is_explained_with_its_model_error():
+    known = numbers(BARE, contact__smoothing=0.3)
+    radius = known["typical radius"]
+    modulus = 1.0 / (2 * 0.75 * (1 - 0.25) / 1.0)
+    smooth = BARE.with_changes({"contact.smoothing": 0.3}).contact
+    rest = 2 * radius - known["equilibrium distance"]
+    deep, less = (float(law.energy(rest, modulus, radius / 2)) for law in (BARE.contact, smooth))
+    assert known["smoothing / equilibrium overlap"] == pytest.approx(0.3 / rest)
+    assert known["binding energy lost"] == pytest.approx(100 * (1 - less / deep), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("law", "words", "distance"),
+    [
+        ("hertz", "nothing sticks", 2.0),
+        ("exact-jkr", "one flag per pair", None),
+        ("linear", "a spring of 1 nN/um", 2.0),
+        ("cubic", "up to 1.5 times", 2.0),
+        ("generalised-linear", "whatever Young's modulus", 2.0),
+    ],
+)
+def test_each_contact_law_is_explained(law, words, distance):
+    scene = BARE.with_changes({"contact.law": law})
+    facts = explain(scene)
+    contact = next(part for part in facts["parts"] if part["part"] == "contact")
+    assert words in contact["what"]
+    known = {entry["name"]: entry["value"] for entry in facts["numbers"]}
+    assert all(math.isfinite(value) for value in known.values())
+    radius = known["typical radius"]
+    if distance is not None:
+        assert known["equilibrium distance"] == pytest.approx(distance * radius)
+    else:  # a third of the overlap of the approximate law
+        approximate = 2 * radius - numbers(BARE)["equilibrium distance"]
+        overlap = 2 * radius - known["equilibrium distance"]
+        assert overlap == pytest.approx(approximate / 3, rel=1e-9)
+        assert known["breaking distance"] > 2 * radius
 
 
 def test_explicit_step_limit_is_where_euler_on_two_daughters_turns_unstable():
@@ -138,6 +223,11 @@ def test_explicit_step_limit_is_where_euler_on_two_daughters_turns_unstable():
         ({"integrator.method": "euler", "integrator.step": 200.0}, "stability"),
         ({"growth.cycle_time": "15 h", "coupling_step": "2 h"}, "coupling step"),
         ({"nutrients.oxygen.boundary": 0.01}, "quiescent"),
+        ({"motility.force": "3 nN"}, "stronger than the weakest contact"),
+        ({"motility.persistence": "10 s"}, "ends of coupling steps"),
+        ({"pull.force": "0.1 nN"}, "too little"),
+        ({"friction.normal": 0, "friction.tangential": 0}, "no effect"),
+        ({"contact.smoothing": "3 um"}, "longer than the equilibrium overlap"),
     ],
 )
 def test_explain_notes_what_does_not_fit(changes, words):
@@ -146,7 +236,7 @@ def test_explain_notes_what_does_not_fit(changes, words):
     assert words in note
 
 
-@pytest.mark.parametrize("scene", ["spheroid", "growth", "settle"])
+@pytest.mark.parametrize("scene", ["spheroid", "growth", "settle", "doublet", "sorting"])
 def test_built_in_scenes_need_no_note(scene):
     assert explain(load_scene(scene))["notes"] == []
 

@@ -16,7 +16,8 @@ from hypothesis import strategies as st
 from multicell.contact import JKR, Hertz
 from multicell.errors import SceneError
 from multicell.integrators.names import METHODS
-from multicell.scene import Growth, Nutrient, Scene, load_scene, scene_names
+from multicell.parts import Growth, Nutrient
+from multicell.scene import Scene, load_scene, scene_names
 
 
 def refusal(entries):
@@ -31,9 +32,10 @@ def refusal(entries):
 
 
 def test_built_in_scenes_have_names_and_titles():
-    assert scene_names() == ["growth", "settle", "spheroid"]
+    assert {"doublet", "growth", "settle", "sorting", "spheroid"} <= set(scene_names())
+    assert scene_names() == sorted(scene_names())
     titles = {load_scene(name).title for name in scene_names()}
-    assert len(titles) == 3
+    assert len(titles) == len(scene_names())
     assert all(len(title) > 10 for title in titles)
 
 
@@ -106,7 +108,7 @@ def test_bare_name_of_a_file_is_read_and_a_built_in_name_wins(tmp_path, monkeypa
 @pytest.mark.parametrize("as_path", [True, False])
 def test_missing_file(tmp_path, as_path):
     file = tmp_path / "absent.toml"
-    with pytest.raises(SceneError, match=r"absent.toml' does not exist.*growth, settle, spheroid"):
+    with pytest.raises(SceneError, match=r"absent.toml' does not exist.*growth, settle.*spheroid"):
         load_scene(file if as_path else str(file))
 
 
@@ -239,7 +241,7 @@ def test_unreadable_file(tmp_path):
         ({"nutrients": {"o2": {"uptake": "20 amol"}}}, "nutrients.o2.uptake", "amount per time"),
         ({"nutrients": {"o2": {"half_saturation": 0}}}, "nutrients.o2.half_saturation", "above 0"),
         ({"nutrients": {"o2": {"quiescent_uptake": 2}}}, "nutrients.o2.quiescent_uptake", "most 1"),
-        ({"integrator": "rk99"}, "integrator.method", "is 'rk99', must be one of 'cvode', 'euler'"),
+        ({"integrator": "rk99"}, "integrator.method", "is 'rk99', must be one of 'auto', 'cvode'"),
         ({"integrator": 3}, "integrator", "must be a table"),
         ({"integrator": {"rtol": 1e-15}}, "integrator.rtol", "at least 1e-14"),
         ({"integrator": {"rtol": 0.2}}, "integrator.rtol", "at most 0.1"),
@@ -384,7 +386,7 @@ def test_dict_has_base_unit_numbers_and_no_absent_parts():
     entries = load_scene("growth").to_dict()
     assert entries["duration"] == 432000.0
     assert entries["growth"] == {"cycle_time": 54000.0, "cycle_variation": 0.1}
-    assert entries["contact"] == {"law": "jkr", "surface_energy": 0.1}
+    assert entries["contact"] == {"law": "jkr", "surface_energy": 0.1, "smoothing": 0.0}
     assert {"death", "nutrients", "stop_cells"}.isdisjoint(entries)
 
 

@@ -4,6 +4,7 @@ from multicell.biology.death import remove_lysed
 from multicell.biology.division import divide
 from multicell.biology.growth import birth_volume, division_volume, growth_factor, volumes_after
 from multicell.biology.initial import initial_cells
+from multicell.biology.motility import push
 from multicell.biology.phases import update_states
 
 __all__ = [
@@ -12,6 +13,7 @@ __all__ = [
     "division_volume",
     "growth_factor",
     "initial_cells",
+    "push",
     "remove_lysed",
     "update_states",
     "volumes_after",

@@ -66,7 +66,7 @@ def divide(scene: Scene, cells: Cells, step: int, next_id: int) -> tuple[Cells, 
 
 def _daughters(scene: Scene, mothers: Cells, step: int, ids: NDArray[np.int64]) -> Cells:
     """Return two daughters for each of the ``mothers``, side by side, named ``ids``."""
-    axis = streams.unit_vectors(scene.seed, Purpose.AXIS, step, mothers.id)
+    axis = streams.directions(scene.seed, Purpose.AXIS, step, mothers.id, scene.dimensions)
     offset = (mothers.radius * (1.0 - HALF))[:, None] * axis
     daughters = mothers.take(np.repeat(np.arange(len(mothers)), 2))
     daughters.position[0::2] += offset
@@ -75,6 +75,6 @@ def _daughters(scene: Scene, mothers: Cells, step: int, ids: NDArray[np.int64]) 
     daughters.id = ids
     daughters.radius = daughters.radius * HALF
     daughters.age = np.zeros(len(ids))
-    daughters.young = draw_moduli(scene, step, ids)
+    daughters.young = draw_moduli(scene, step, ids, daughters.kind)
     daughters.cycle_time = draw_cycle_times(scene, step, ids)
     return daughters

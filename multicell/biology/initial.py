@@ -43,10 +43,48 @@ def packed_ball(count: int) -> FloatArray:
     return np.asarray(sites[order] - sites[order].mean(axis=0))
 
 
-def draw_moduli(scene: Scene, step: int, ids: NDArray[np.int64]) -> FloatArray:
+def packed_disc(count: int) -> FloatArray:
+    """Return ``count`` sites of a hexagonal packing in the plane z = 0, cut to a disc.
+
+    Like :func:`packed_ball` in two dimensions.
+
+    Returns
+    -------
+    (count, 3) float64
+    """
+    half = int(np.ceil(np.sqrt(count))) + 2
+    i, j = np.indices((2 * half + 1, 2 * half + 1)).reshape(2, -1) - half
+    sites = np.stack([i + 0.5 * (j % 2), np.sqrt(0.75) * j, np.zeros(len(i))], axis=1)
+    square = (sites**2).sum(axis=1)
+    order = np.lexsort((*sites.T, np.round(square, 6)))[:count]
+    return np.asarray(sites[order] - sites[order].mean(axis=0))
+
+
+def draw_kinds(scene: Scene, ids: NDArray[np.int64]) -> NDArray[np.int16]:
+    """Return the type of each cell at the start, (n,): the scene's fractions, mixed at random.
+
+    The numbers of cells are the fractions rounded, not drawn: only who is what is random.
+    """
+    if len(scene.types) < 2:
+        return np.zeros(len(ids), dtype=np.int16)
+    share = np.cumsum([kind.fraction for kind in scene.types.values()])
+    ends = np.round(share / share[-1] * len(ids))
+    place = np.empty(len(ids))
+    place[np.argsort(streams.uniform(scene.seed, Purpose.KIND, 0, ids)[:, 0])] = np.arange(len(ids))
+    return np.searchsorted(ends, place, side="right").astype(np.int16)
+
+
+def draw_moduli(
+    scene: Scene, step: int, ids: NDArray[np.int64], kind: NDArray[np.int16]
+) -> FloatArray:
     """Return Young's moduli of new cells, (n,), kPa: see :func:`scattered`."""
     cells = scene.cells
-    return scattered(scene.seed, Purpose.MODULI, step, ids, cells.young, cells.young_variation)
+    drawn = scattered(scene.seed, Purpose.MODULI, step, ids, cells.young, cells.young_variation)
+    own = [part.young for part in scene.types.values()]
+    if not any(own):
+        return drawn
+    ratio = np.array([1.0 if young is None else young / cells.young for young in own])
+    return np.asarray(drawn * ratio[kind])
 
 
 def draw_cycle_times(scene: Scene, step: int, ids: NDArray[np.int64]) -> FloatArray:
@@ -92,6 +130,7 @@ def initial_cells(scene: Scene) -> Cells:
     """
     initial = scene.initial
     ids = np.arange(initial.count, dtype=np.int64)
+    kind = draw_kinds(scene, ids)
     cycle_time = draw_cycle_times(scene, 0, ids)
     progress = np.zeros(initial.count)
     if initial.stage == "uniform":
@@ -103,19 +142,23 @@ def initial_cells(scene: Scene) -> Cells:
         parent=np.full(initial.count, -1),
         position=_positions(scene, ids, 2.0 * float(radius.mean())),
         radius=radius,
-        young=draw_moduli(scene, 0, ids),
+        young=draw_moduli(scene, 0, ids, kind),
         poisson=np.full(initial.count, scene.cells.poisson),
         state=np.full(initial.count, State.PROLIFERATING, dtype=np.int8),
         age=age,
         cycle_time=cycle_time,
         pressure=np.zeros(initial.count),
+        kind=kind,
     )
 
 
 def _positions(scene: Scene, ids: NDArray[np.int64], diameter: float) -> FloatArray:
     """Return the starting positions (n, 3), µm, of cells of a mean ``diameter`` in µm."""
-    position = packed_ball(len(ids)) * (scene.initial.spacing * diameter)
+    flat = scene.dimensions == 2
+    packed = packed_disc if flat else packed_ball
+    position = packed(len(ids)) * (scene.initial.spacing * diameter)
     if scene.initial.jitter > 0.0:
         z = streams.normal(scene.seed, Purpose.PLACEMENT, 0, ids, 3)
+        z[:, 2] *= not flat
         position = position + scene.initial.jitter * diameter * z
     return position

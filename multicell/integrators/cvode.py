@@ -1,4 +1,4 @@
-"""Implicit integration by SUNDIALS CVODE: BDF, Newton–Krylov, error control.
+"""Implicit integration by SUNDIALS CVODE: BDF or Adams, Newton, error control.
 
 scikit-sundae hands every callback read-only views of the solver's memory, and counts only
 part of the evaluations; the counts that are reported are those of :class:`Mechanics`.
@@ -12,19 +12,19 @@ from typing import Any, final
 import numpy as np
 from sksundae.cvode import CVODE, CVODEJacTimes, CVODEPrecond
 
-from multicell.integrators.base import FloatArray, Outcome, furthest
-from multicell.mechanics import Mechanics, StateRejected
-
-_MOST_REFUSALS = 12
+from multicell.integrators.base import FloatArray, Outcome
+from multicell.integrators.preconditioners import preconditioner
+from multicell.integrators.restarts import Run, StepImpossible
+from multicell.mechanics import Mechanics
+from multicell.sparse import limit
 
 
 @final
 @dataclass(frozen=True)
 class Cvode:
-    """Variable-order, variable-step BDF with GMRES and block-Jacobi preconditioning.
+    """Variable-order, variable-step BDF with a preconditioned Krylov method.
 
-    The Jacobian–vector product is analytic and refreshed at every linear solve;
-    preconditioning is on the right, so that the Krylov method measures the true residual.
+    The defaults are what ``tests/benchmarks/tune_cvode.py`` found best over its scenes.
 
     Parameters
     ----------
@@ -37,141 +37,142 @@ class Cvode:
         moves a cell further is refused and tried again with a quarter of the step.
     krylov_dim
         Dimension of the Krylov space.
+    preconditioner
+        A key of ``preconditioners.PRECONDITIONERS``, or ``"none"``.
+    side
+        ``"left"``, ``"right"`` or ``"both"``. On the right the Krylov method measures the
+        true residual.
+    refresh
+        When the Jacobian is taken anew: ``"moved"``, where some coordinate has changed by
+        more than ``far`` since; ``"solve"``, before every linear solve, with the
+        preconditioner; ``"product"``, the same, but the preconditioner only when
+        SUNDIALS sets it up; ``"setup"``, both only then; ``"asked"``, the Jacobian only
+        when SUNDIALS asks for it (``jok`` is zero).
+    far
+        See ``refresh``, in mean radii.
+    max_order
+        Highest order.
+    linear
+        Krylov method: ``"gmres"``, ``"bicgstab"`` or ``"tfqmr"``.
+    newton
+        Most Newton iterations in a step.
+    softening
+        Newton's matrix shows no dF/dh below minus this times E_ij r_ij (JKR's slope tends to
+        -∞ at first contact); infinite for the true slope. It leaves the solution as it is.
+    formula
+        ``"BDF"`` or ``"Adams"``. Adams formulas are solved by the same Newton method.
     """
 
     rtol: float = 1e-6
     atol: float = 1e-2
     max_steps: int = 10_000
     max_displacement: float = 0.5
-    krylov_dim: int = 5
+    krylov_dim: int = 8
+    preconditioner: str = "blocks"
+    side: str = "right"
+    refresh: str = "moved"
+    far: float = 0.01
+    max_order: int = 5
+    linear: str = "gmres"
+    newton: int = 3
+    softening: float = 0.5
+    formula: str = "BDF"
+
+    @classmethod
+    def adams(cls, rtol: float, atol: float, max_steps: int, max_displacement: float) -> Cvode:
+        """Return the method with Adams formulas up to order 12.
+
+        There is no functional iteration in scikit-sundae: this is an implicit method, solved
+        by Newton's, and not an explicit one to compare with.
+        """
+        return cls(rtol, atol, max_steps, max_displacement, max_order=12, formula="Adams")
 
     def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
         """Integrate over the coupling step of ``system``; see :class:`Integrator`."""
-        motion = system.motion
-        run = _Run(system, np.array(position))
-        for _ in range(_MOST_REFUSALS):
-            try:
-                self._advance(run)
-            except _Refused as refusal:
-                system.work.rejections += 1
-                run.ceiling = 0.25 * (refusal.step or motion.end - motion.begin)
-                run.problem, run.cell = str(refusal), refusal.cell
-                continue
-            break
-        time = motion.begin + run.elapsed
-        return Outcome(time, run.position, run.problem, run.hint, run.cell)
-
-    def _advance(self, run: _Run) -> None:
-        """Step until the end, or until something is wrong; raise ``_Refused`` to try again."""
-        system, length = run.system, run.length
-        solver = CVODE(run.velocity, **self._options(run))
-        solver.init_step(0.0, np.zeros(0) if run.position.size == 0 else run.position.ravel())
-        begun = run.elapsed
-        run.offset = begun
-        while run.elapsed < length:
-            try:
-                result = solver.step(length - begun, method="onestep", tstop=length - begun)
-            except StateRejected as error:
-                raise _Refused(str(error), run.latest - (run.elapsed - begun)) from error
-            if not result.success:
-                raise _Refused(f"SUNDIALS: {result.message}", run.latest - (run.elapsed - begun))
-            moved_to = result.y.reshape(-1, 3)
-            step = begun + result.t - run.elapsed
-            cell, moved = furthest(run.position, moved_to, system.motion.radius)
-            if moved > self.max_displacement:
-                raise _Refused(
-                    f"a step of {step:.3g} s would move the cell by {moved:.3g} of its radius "
-                    f"(allowed: {self.max_displacement:g})", step, cell,
-                )  # fmt: skip
-            run.accept(moved_to.copy(), length if result.t >= length - begun else begun + result.t)
-            if run.steps >= self.max_steps and run.elapsed < length:
-                run.give_up(f"{run.steps} internal steps did not reach the end", cell)
-                return
-        run.problem = ""
-
-    def _options(self, run: _Run) -> dict[str, Any]:
-        return {
-            "method": "BDF",
-            "rtol": self.rtol,
-            "atol": self.atol,
-            "max_step": run.ceiling,
-            "linsolver": "gmres",
-            "krylov_dim": self.krylov_dim,
-            "jactimes": CVODEJacTimes(run.linearise, run.product),
-            "precond": CVODEPrecond(run.setup, run.solve, side="right"),
-        }
-
-
-class _Refused(Exception):  # noqa: N818 - control flow inside this module
-    """A step that must not be taken; ``step`` is its length in s, where it is known."""
-
-    def __init__(self, problem: str, step: float, cell: int | None = None) -> None:
-        super().__init__(problem)
-        self.step = max(step, 0.0)
-        self.cell = cell
+        run = Run(system, np.array(position), self.max_steps, self.max_displacement)
+        return run.integrate(lambda run, ceiling: _Krylov(self, run, ceiling))
 
 
 @final
-class _Run:
-    """One integration under way: the last accepted state, and the callbacks of CVODE.
+class _Krylov:
+    """One life of a CVODE object, and the callbacks it needs."""
 
-    CVODE's time counts from the last restart: a step of 1e-10 s is lost on a clock that
-    shows days.
-    """
+    def __init__(self, method: Cvode, run: Run, ceiling: float) -> None:
+        self.run, self.system = run, run.system
+        self.method = method
+        self._fresh, self._stale = False, True
+        self._reference = np.full(3 * len(run.position), np.inf)
+        self._far = method.far * float(run.system.motion.radius.mean())
+        options: dict[str, Any] = {}
+        if method.preconditioner != "none":
+            self._preconditioner = preconditioner(method.preconditioner, run.system)
+            options["precond"] = CVODEPrecond(self.setup, self.solve, side=method.side)
+        self.solver = CVODE(
+            run.velocity,
+            method=method.formula,
+            rtol=method.rtol,
+            atol=method.atol,
+            max_step=ceiling,
+            max_order=method.max_order,
+            max_nonlin_iters=method.newton,
+            linsolver=method.linear,
+            krylov_dim=method.krylov_dim,
+            jactimes=CVODEJacTimes(self.linearise, self.product),
+            **options,
+        )
+        self.solver.init_step(0.0, run.position.ravel())
 
-    def __init__(self, system: Mechanics, position: FloatArray) -> None:
-        self.system = system
-        self.position = position
-        self.length = system.motion.end - system.motion.begin
-        self.elapsed = 0.0
-        self.offset = 0.0
-        self.latest = 0.0
-        self.ceiling = 0.0
-        self.steps = 0
-        self.problem = ""
-        self.hint = "Choose a shorter coupling_step or a tighter integrator.atol"
-        self.cell: int | None = None
-
-    def accept(self, position: FloatArray, elapsed: float) -> None:
-        """Take a step."""
-        self.position, self.elapsed = position, elapsed
-        self.steps += 1
-        self.system.work.steps += 1
-
-    def give_up(self, problem: str, cell: int) -> None:
-        """End with the number of steps used up."""
-        self.problem, self.cell = problem, cell
-        self.hint = "Raise integrator.max_steps, loosen integrator.atol or shorten coupling_step"
-
-    def velocity(self, t: float, y: FloatArray, yp: FloatArray) -> None:
-        """Right-hand side."""
-        self.latest = t
-        self.system.velocity(self._clock(t), y.reshape(-1, 3), yp.reshape(-1, 3))
+    def step(self) -> tuple[float, FloatArray]:
+        """Take one step."""
+        left = self.run.left
+        result = self.solver.step(left, method="onestep", tstop=left)
+        if not result.success:
+            raise StepImpossible(f"SUNDIALS: {result.message}")
+        return float(result.t), result.y.reshape(-1, 3).copy()
 
     def linearise(self, t: float, y: FloatArray, yp: FloatArray) -> None:
-        """Fresh Jacobian before every linear solve."""
-        self.system.linearise(self._clock(t), y.reshape(-1, 3))
+        """Get ready for products before a linear solve."""
+        self.system.work.newton_iterations += 1
+        refresh = self.method.refresh
+        if self._fresh:
+            self._fresh = False
+        elif refresh in ("solve", "product") or (refresh == "moved" and self._moved(y)):
+            self._take_jacobian(t, y)
+            self._stale = refresh == "solve"
+
+    def _take_jacobian(self, t: float, y: FloatArray) -> None:
+        self.system.linearise(self.run.clock(t), y.reshape(-1, 3))
+        limit(self.system, self.method.softening)
+        self._reference = np.array(y)
+
+    def _moved(self, y: FloatArray) -> bool:
+        """Return whether some cell has moved too far for the last Jacobian."""
+        return bool(np.abs(y - self._reference).max() > self._far)
 
     def product(
         self, t: float, y: FloatArray, yp: FloatArray, v: FloatArray, jv: FloatArray
     ) -> None:
         """Jacobian times vector."""
+        self.system.work.linear_iterations += self.method.linear == "gmres"
         self.system.jacobian_product(v.reshape(-1, 3), jv.reshape(-1, 3))
 
     def setup(
         self, t: float, y: FloatArray, yp: FloatArray, jok: int, jnew: list[int], gamma: float
     ) -> None:
-        """Preconditioner for a new γ; its Jacobian is always refreshed (it costs one RHS)."""
-        self.system.linearise(self._clock(t), y.reshape(-1, 3))
-        self.system.setup_preconditioner(gamma)
-        jnew[0] = 1
+        """Preconditioner for a new γ."""
+        refresh = self.method.refresh
+        if not jok or refresh not in ("asked", "moved") or (refresh == "moved" and self._moved(y)):
+            self._take_jacobian(t, y)
+            self._fresh = True
+            jnew[0] = 1
+        self._stale = True
 
     def solve(
         self, t: float, y: FloatArray, yp: FloatArray, r: FloatArray, z: FloatArray,
         gamma: float, delta: float, lr: int,
     ) -> None:  # fmt: skip
         """Apply the preconditioner."""
-        self.system.precondition(r.reshape(-1, 3), z.reshape(-1, 3))
-
-    def _clock(self, t: float) -> float:
-        return self.system.motion.begin + self.offset + t
+        if self._stale:
+            self._preconditioner.setup(self.system, gamma)
+            self._stale = False
+        self._preconditioner.solve(self.system, r.reshape(-1, 3), z.reshape(-1, 3))

@@ -1,0 +1,120 @@
+"""What `auto` expects of its candidates, what they cost, and how well it chooses.
+
+Problem: one interval of 600 s (360 s after division) of 100 to 5000 JKR cells, see
+``tune_cvode.py``, in media from 5 to 0.005 kPa s, at tolerances of 0.01 and 0.0001 µm. For each
+candidate: seconds (the shortest of ``--repeats`` runs after a warm-up), error against a run
+with a thousandth of the tolerance, evaluations, and the cost in evaluations that ``auto``
+predicts. The last line of a scene is ``auto`` itself, with its time over that of the fastest.
+Cost: about two minutes on one core.
+Command: python tests/benchmarks/calibrate_auto.py [--repeats 3] [--scenes settle,thin] [--csv FILE]
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+import tune_cvode
+
+from multicell.integrators.auto import Auto, choose
+from multicell.integrators.cvode import Cvode
+
+CANDIDATES = ("dopri5", "rkc2", "cvode")
+MOST_EVALUATIONS = 20_000
+"""A candidate that is expected to need more is left out."""
+
+
+def thinner(case, viscosity):
+    case.viscosity = viscosity
+    return case
+
+
+def grown(n, viscosity, divided):
+    return tune_cvode.settled(n, viscosity, 600.0, divided, 2.4e-5)
+
+
+SCENES = {
+    "settle": tune_cvode.SCENES["settle"],
+    "settle 100 cells": lambda: tune_cvode.ball(100, 0.8, 5.0, 600.0),
+    "settle 0.5 kPa s": lambda: tune_cvode.ball(1000, 0.8, 0.5, 600.0),
+    "division": tune_cvode.SCENES["division"],
+    "clump": tune_cvode.clump,
+    "clump 0.05 kPa s": lambda: thinner(tune_cvode.clump(), 0.05),
+    "inclusions": tune_cvode.inclusions,
+    "inclusions 0.05 kPa s": lambda: thinner(tune_cvode.inclusions(), 0.05),
+    "grown 2000, 0.5 kPa s": lambda: grown(2000, 0.5, 20),
+    "grown 2000, 0.05 kPa s": lambda: grown(2000, 0.05, 20),
+    "grown 2000, 0.005 kPa s": lambda: grown(2000, 0.005, 20),
+    "grown 200, 0.05 kPa s": lambda: grown(200, 0.05, 2),
+    "spheroid": tune_cvode.SCENES["spheroid"],
+    "spheroid 0.5 kPa s": lambda: grown(5000, 0.5, 5),
+    "spheroid 0.05 kPa s": lambda: grown(5000, 0.05, 5),
+}
+
+
+def measure(case, method, repeats):
+    """Return the shortest time, the end and the work."""
+    times = []
+    for _ in range(repeats + 1):
+        system = case.system()
+        begin = time.perf_counter()
+        outcome = method.integrate(system, case.position)
+        times.append(time.perf_counter() - begin)
+        if times[-1] > 1.0:
+            break
+    return min(times[1:] or times), outcome, system.work
+
+
+def main():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--scenes", default=",".join(name.split(",")[0] for name in SCENES))
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--csv", type=Path)
+    given = parser.parse_args()
+    wanted = given.scenes.split(",")
+    rows = [["scene", "atol_um", "stiffness", "method", "s", "error_um", "steps",
+             "evaluations", "predicted", "over_fastest"]]  # fmt: skip
+    ratios = []
+    for name, make in SCENES.items():
+        if not any(name.startswith(part) for part in wanted):
+            continue
+        case = make()
+        for atol in (1e-2, 1e-4):
+            choice = choose(case.system(), case.position, 1e-6, atol)
+            tight = Cvode(1e-10, 1e-3 * atol, 10**6)
+            exact = tight.integrate(case.system(), case.position).position
+            print(f"\n{name}: {len(case.radius)} cells, atol {atol:g}, z = {choice.stiffness:.3g}")
+            auto = Auto(1e-6, atol, 100_000)
+            fastest = np.inf
+            for method in (*CANDIDATES, "auto"):
+                predicted = choice.costs.get(method, min(choice.costs.values()))
+                if predicted > MOST_EVALUATIONS:
+                    continue
+                runner = auto if method == "auto" else auto.method(method)
+                seconds, outcome, work = measure(case, runner, given.repeats)
+                error = np.square(outcome.position - exact).sum(axis=1).mean() ** 0.5
+                fastest = min(fastest, seconds)
+                over = seconds / fastest
+                label = f"auto ({choice.method})" if method == "auto" else method
+                print(f"  {label:14}{seconds:9.4f} s  error {error:8.1e}  steps {work.steps:5} "
+                      f"f {work.evaluations:6}  predicted {predicted:7.0f}  x {over:.2f}",
+                      outcome.problem, flush=True)  # fmt: skip
+                rows.append([name, atol, f"{choice.stiffness:.4g}", label, f"{seconds:.4f}",
+                             f"{error:.2e}", work.steps, work.evaluations, f"{predicted:.0f}",
+                             f"{over:.2f}"])  # fmt: skip
+            ratios.append(over)
+    print(f"\nauto over the fastest: median {np.median(ratios):.2f}, worst {max(ratios):.2f}")
+    if given.csv:
+        with given.csv.open("w", newline="") as file:
+            csv.writer(file).writerows(rows)
+
+
+if __name__ == "__main__":
+    main()

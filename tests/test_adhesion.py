@@ -1,0 +1,329 @@
+"""Scenes with adhesion, types, friction and pull: physics, courses in time, bad input."""
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+import multicell as mc
+from multicell import Simulation
+from multicell.contact import JKR, ExactJKR, effective_modulus, effective_radius
+from multicell.integrators.cvode import Cvode
+from multicell.integrators.euler import Euler
+from multicell.mechanics import Mechanics, Motion
+
+
+def run(scene, **options):
+    simulation = Simulation(scene, **options)
+    while not simulation.finished:
+        simulation.step()
+    return simulation
+
+
+def sorting(**changes):
+    return mc.load_scene("sorting").with_changes({"initial.count": 80} | changes)
+
+
+@pytest.mark.parametrize("law", ["jkr", "exact-jkr"])
+def test_doublet_separates_at_three_halves_pi_sigma_r(law):
+    scene = mc.load_scene("doublet").with_changes({"contact.law": law})
+    if law == "exact-jkr":  # it rests at a third of the overlap
+        scene = scene.with_changes({"initial.spacing": 0.95})
+    simulation = Simulation(scene)
+    radius = effective_radius(*simulation.cells.radius)
+    while not simulation.finished:
+        simulation.step()
+    expected = 1.5 * np.pi * 0.1 * radius
+    assert simulation.separation["force"] == pytest.approx(expected, rel=0.01)
+    assert simulation.separation["force"] > expected
+    assert simulation.time < scene.duration
+    assert simulation.summary()["separation"] == simulation.separation
+
+
+def test_the_more_cohesive_type_gathers_inside():
+    simulation = Simulation(sorting(duration="16 h"))
+    first = simulation.history_row()["heterotypic_fraction"]
+    while not simulation.finished:
+        simulation.step()
+    assert first == pytest.approx(0.5, abs=0.07)
+    assert simulation.history_row()["heterotypic_fraction"] < 0.8 * first
+    distance = np.linalg.norm(
+        simulation.cells.position - simulation.cells.position.mean(axis=0), axis=1
+    )
+    cohesive, loose = (distance[simulation.cells.kind == kind].mean() for kind in (0, 1))
+    assert cohesive < 0.9 * loose
+
+
+def test_like_types_do_not_sort():
+    same = {"cohesive": 0.1, "loose": 0.1}
+    scene = sorting(
+        **{
+            "duration": "4 h",
+            "types.cohesive.surface_energy": same,
+            "types.loose.surface_energy": same,
+        }
+    )
+    plain = scene.with_changes({"types": None})
+    a, b = run(scene), run(plain)
+    assert np.array_equal(a.cells.position, b.cells.position)
+
+
+def ramp(step, ligand):
+    """Return where four cells with receptors and a course of ligands are after ten minutes."""
+    scene = mc.load_scene("settle").with_changes(
+        {
+            "duration": "10 min",
+            "coupling_step": step,
+            "initial.count": 4,
+            "initial.spacing": 0.9,
+            "contact": {"law": "hertz"},
+            "adhesion": {"strength": "0.1 nN/um^2"},
+            "types": {"a": {"receptor": 0.9, "ligand": ligand}},
+            "integrator.rtol": 1e-10,
+            "integrator.atol": 1e-9,
+            "drag.viscosity": 0.5,
+        }
+    )
+    cells = run(scene).cells
+    return cells.position[np.argsort(cells.id)], cells
+
+
+def test_ligands_that_ramp_to_zero_within_one_step():
+    """One coupling step with rates ends where 600 short ones with nearly constant values do."""
+    position, cells = ramp("10 min", [[0, 0.9], ["10 min", 0.0]])
+    fine, _ = ramp("1 s", [[0, 0.9], ["10 min", 0.0]])
+    constant, _ = ramp("10 min", 0.9)
+    np.testing.assert_allclose(position, fine, atol=1e-6)
+    assert np.abs(position - constant).max() > 1e-2
+    assert (cells.ligand == 0.0).all()
+    assert (cells.receptor == 0.9).all()
+
+
+def quasi_static(law, path, radius=10.0):
+    """Follow two cells along distances; the contact flag is renewed after every step."""
+    young, radii = np.ones(2), np.full(2, radius)
+    touching, forces = np.empty((0, 2), dtype=np.int64), []
+    for distance in path:
+        system = Mechanics(law, 5.0)
+        system.begin(
+            Motion(radii, np.zeros(2), young, np.full(2, 0.5), 0.0, 1.0, touching=touching)
+        )
+        position = np.array([[0.0, 0, 0], [distance, 0, 0]])
+        forces.append(-system.force(0.0, position)[0, 0])
+        touching = system.contacts(0.0, position)
+    return np.array(forces)
+
+
+@pytest.mark.parametrize("step", [0.05, 0.02, 0.007])
+def test_approach_and_retreat_trace_the_two_branches(step):
+    """Contact forms at h = 0 with a jump to 8/9 of pull-off, and breaks at the turning point."""
+    law = ExactJKR(surface_energy=0.1)
+    modulus, radius = effective_modulus(1, 0.5, 1, 0.5), 5.0
+    gap = float(law.reach(modulus, radius))
+    approach = np.arange(20.0 + 1.5 * gap, 17.0, -step)
+    there = quasi_static(law, approach)
+    overlap = 20.0 - approach
+    branch = law.force(overlap, modulus, radius, touching=True)
+    np.testing.assert_allclose(there, np.where(overlap >= 0, branch, 0.0), atol=1e-12)
+    path = np.concatenate([approach, approach[::-1]])
+    back = quasi_static(law, path)[len(approach) :][::-1]
+    np.testing.assert_allclose(back, np.where(overlap >= -gap, branch, 0.0), atol=1e-12)
+    assert ((there == 0) & (back != 0)).any()
+
+
+@pytest.mark.parametrize("method", [Cvode(rtol=1e-8, atol=1e-7), Euler(0.0005)])
+@pytest.mark.parametrize("step", [2.0, 0.5])
+def test_hysteresis_does_not_depend_on_integrator_or_step(method, step):
+    """Load, unload and pull: overlaps follow the loaded branch, the pair parts under pull-off."""
+    law, radii, young = ExactJKR(surface_energy=0.1), np.full(2, 10.0), np.ones(2)
+    modulus, radius = effective_modulus(1, 0.5, 1, 0.5), 5.0
+    rest = float(law.equilibrium_overlap(modulus, radius))
+    position = np.array([[0.0, 0, 0], [20.0 - rest, 0, 0]])
+    pull_off = -float(law.pull_off_force(radius))
+    touching, rate = np.array([[0, 1]]), 0.05
+    for k in range(int(60.0 / step)):
+        begin = k * step
+        system = Mechanics(law, 1e-5)
+        along = np.array([[-1.0, 0, 0], [1, 0, 0]])
+        push = np.hstack([rate * begin * along, rate * along])
+        system.begin(
+            Motion(radii, np.zeros(2), young, np.full(2, 0.5), begin, begin + step,
+                   push=push, touching=touching)
+        )  # fmt: skip
+        outcome = method.integrate(system, position)
+        load = rate * (begin + step)
+        if not outcome.done or load > pull_off:
+            break
+        position = outcome.position
+        touching = system.contacts(begin + step, position)
+        overlap = 20.0 - np.linalg.norm(position[1] - position[0])
+        static = brentq(
+            lambda h, load=load: float(law.force(h, modulus, radius, touching=True)) + load,
+            float(law.pull_off_overlap(modulus, radius)), rest + 1e-9,
+        )  # fmt: skip
+        assert overlap == pytest.approx(static, abs=2e-3)
+        assert len(touching) == 1
+    assert load > pull_off
+    assert load - rate * step <= pull_off
+
+
+def test_exact_contacts_are_stored_and_read(tmp_path):
+    scene = mc.load_scene("settle").with_changes(
+        {"contact.law": "exact-jkr", "duration": "3 min", "initial.count": 30}
+    )
+    result = mc.run(scene, output=tmp_path / "o", report=False)
+    memory = mc.run(scene)
+    for stored, kept in zip(result.frames, memory.frames, strict=True):
+        assert np.array_equal(stored.contacts, kept.contacts)
+        assert len(stored.contacts) > 30
+
+
+def test_contacts_follow_cells_through_sorting_and_death():
+    scene = mc.load_scene("settle").with_changes({"contact.law": "exact-jkr", "duration": "2 min"})
+    simulation = Simulation(scene)
+    simulation.step()
+    ids = {frozenset(pair) for pair in simulation.contacts.tolist()}
+    simulation.cells = simulation.cells.take(np.arange(len(simulation.cells))[::-1][:-20])
+    index = simulation._touching()
+    found = {frozenset(pair) for pair in simulation.cells.id[index].tolist()}
+    alive = set(simulation.cells.id.tolist())
+    assert found == {pair for pair in ids if pair <= alive}
+    assert len(found) < len(ids)
+
+
+def test_friction_slows_the_settling_and_keeps_its_end():
+    scene = mc.load_scene("settle").with_changes(
+        {"initial.count": 30, "duration": "20 min", "drag.viscosity": 0.5}
+    )
+    rubbing = scene.with_changes({"friction.normal": 0.5, "friction.tangential": 0.1})
+    free, slow = Simulation(scene), Simulation(rubbing)
+    free.step(), slow.step()
+    assert slow.energy() > free.energy()
+    assert slow.summary()["integrator"]["friction_iterations"] > 0
+    while not free.finished:
+        free.step(), slow.step()
+    assert slow.summary()["diameter"] == pytest.approx(free.summary()["diameter"], rel=0.02)
+
+
+@pytest.mark.parametrize("part", ["exact-jkr", "friction", "types"])
+def test_same_bits_twice(part):
+    changes = {
+        "exact-jkr": {"contact.law": "exact-jkr"},
+        "friction": {"friction.normal": 0.1},
+        "types": {"types": {"a": {"young": 2.0}, "b": {"fraction": 2.0}}},
+    }[part]
+    scene = mc.load_scene("settle").with_changes({"duration": "3 min"} | changes)
+    one, two = run(scene, threads=1), run(scene, threads=2)
+    assert np.array_equal(one.cells.position, two.cells.position)
+
+
+def test_types_share_the_cells_and_their_stiffness():
+    scene = mc.load_scene("settle").with_changes(
+        {
+            "cells.young_variation": 0,
+            "initial.count": 100,
+            "types": {"soft": {"fraction": 3}, "hard": {"fraction": 1, "young": "7 kPa"}},
+        }
+    )
+    cells = Simulation(scene).cells
+    assert np.bincount(cells.kind).tolist() == [75, 25]
+    assert set(cells.young[cells.kind == 0]) == {1.0}
+    assert set(cells.young[cells.kind == 1]) == {7.0}
+
+
+def test_daughters_inherit_their_type():
+    scene = mc.load_scene("growth").with_changes(
+        {"duration": "45 h", "initial.count": 8, "types": {"a": {}, "b": {"young": 3.0}}}
+    )
+    simulation, kind, checked = Simulation(scene), {}, 0
+    while not simulation.finished:
+        cells = simulation.cells
+        for cell, parent, own in zip(cells.id, cells.parent, cells.kind, strict=True):
+            if cell not in kind and parent in kind:
+                assert own == kind[parent]
+                checked += 1
+            kind[cell] = own
+        simulation.step()
+    assert checked >= 16
+    assert len(set(kind.values())) == 2
+
+
+def test_two_dimensions_stay_in_their_plane():
+    scene = mc.load_scene("growth").with_changes({"dimensions": 2, "duration": "3 d"})
+    simulation = run(scene)
+    assert len(simulation.cells) > 15
+    assert (simulation.cells.position[:, 2] == 0.0).all()
+    assert np.ptp(simulation.cells.position[:, 1]) > 10.0
+
+
+def test_persistent_motion_has_the_mean_square_displacement_of_a_random_walk():
+    """A free cell takes n steps of speed times persistence in random directions."""
+    scene = mc.load_scene("settle").with_changes(
+        {"initial.count": 400, "initial.spacing": 40.0, "duration": "10 h",
+         "coupling_step": "10 min", "motility": {"force": 0.5, "persistence": "10 min"}}
+    )  # fmt: skip
+    simulation = Simulation(scene)
+    start = simulation.cells.position[np.argsort(simulation.cells.id)]
+    speed = 0.5 / (6 * np.pi * 5.0 * simulation.cells.radius[0])
+    while not simulation.finished:
+        simulation.step()
+    end = simulation.cells.position[np.argsort(simulation.cells.id)]
+    found = ((end - start) ** 2).sum(axis=1).mean()
+    expected = 60 * (speed * 600.0) ** 2
+    # the square displacement of 60 steps scatters by √(2/3) of its mean from cell to cell
+    assert found == pytest.approx(expected, rel=4 * np.sqrt(2 / 3 / 400))
+
+
+def symmetric(name="b"):
+    return {
+        "types.a.surface_energy": {"a": 0.1, name: 0.02},
+        "types.b.surface_energy": {"a": 0.02, "b": 0.05},
+    }
+
+
+@pytest.mark.parametrize(
+    ("changes", "path", "words"),
+    [
+        (symmetric() | {"types.a.surface_energy.b": 0.03}, "types.a.surface_energy.b", "symmetric"),
+        (symmetric("c"), "types.a.surface_energy.c", "not a type"),
+        (symmetric() | {"types.a.surface_energy.b": None}, "types.a.surface_energy.b", "missing"),
+        (symmetric() | {"contact.law": "hertz"}, "types.a.surface_energy", "law"),
+        ({"types.a.surface_energy": {"a": -0.1}}, "types.a.surface_energy.a", "at least 0"),
+        ({"types.a.fraction": 0}, "types", "add up to 0"),
+        ({"types.a.receptor": -0.5, "adhesion": {}}, "types.a.receptor", "at least 0"),
+        ({"types.a.ligand": [[0, 1], [5, -1]], "adhesion": {}}, "types.a.ligand", "at least 0"),
+        ({"types.a.ligand": [[5, 1], [0, 1]], "adhesion": {}}, "types.a.ligand", "rise"),
+        ({"types.a.ligand": [3, 4], "adhesion": {}}, "types.a.ligand", "list of"),
+        ({"types.a.ligand": "0.4", "adhesion": {}}, "types.a.ligand", "number"),
+        ({"types.a.receptor": 0.5}, "types.a.receptor", "no adhesion"),
+        ({"adhesion": {}}, "adhesion", "no type"),
+        ({"cells.poisson": 0.75}, "cells.poisson", "at most 0.5"),
+        ({"cells.poisson": -1}, "cells.poisson", "above -1"),
+        ({"contact.smoothing": "5 um"}, "contact.smoothing", "birth radius"),
+        ({"types.a.recepter": 1}, "types.a.recepter", "receptor"),
+        ({"friction.normal": -1}, "friction.normal", "at least 0"),
+        ({"dimensions": 4}, "dimensions", "at most 3"),
+        ({"motility.persistence": 0}, "motility.persistence", "above 0"),
+    ],
+)
+def test_bad_input(changes, path, words):
+    with pytest.raises(mc.SceneError, match=words) as caught:
+        mc.load_scene("settle").with_changes(changes)
+    assert caught.value.path == path
+
+
+def test_unphysical_poisson_ratio_on_request():
+    scene = mc.load_scene("settle").with_changes(
+        {"cells.allow_unphysical_poisson": True, "cells.poisson": 0.75}
+    )
+    assert scene.cells.poisson == 0.75
+
+
+def test_smoothed_law_rests_where_eq_3_6_does():
+    modulus = effective_modulus(1, 0.5, 1, 0.5)
+    scene = mc.load_scene("doublet").with_changes(
+        {"pull": None, "contact.smoothing": "0.5 um", "duration": "10 min", "initial.spacing": 0.95}
+    )
+    cells = run(scene).cells
+    distance = np.linalg.norm(cells.position[1] - cells.position[0])
+    rest = cells.radius.sum() - JKR().equilibrium_overlap(modulus, effective_radius(*cells.radius))
+    assert distance == pytest.approx(rest, abs=1e-3)

@@ -1,0 +1,255 @@
+"""Every jitted law against its vectorised twin; receptors, matrices and external forces."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial import cKDTree
+from strategies import cluster, seeds
+
+from multicell.contact import (
+    JKR,
+    Cubic,
+    ExactJKR,
+    GeneralisedLinear,
+    Hertz,
+    Linear,
+    effective_modulus,
+    effective_radius,
+)
+from multicell.mechanics import Mechanics, Motion
+
+LAWS = {
+    "hertz": Hertz(),
+    "jkr": JKR(surface_energy=0.1),
+    "smooth jkr": JKR(surface_energy=0.1, smoothing=0.6),
+    "exact jkr": ExactJKR(surface_energy=0.1),
+    "linear": Linear(stiffness_at_rest=2.0),
+    "repulsive": Linear(stiffness_at_rest=2.0, cutoff=1.0),
+    "cubic": Cubic(stiffness_at_rest=2.0),
+    "generalised linear": GeneralisedLinear(stiffness_at_rest=2.0),
+}
+
+
+def system(law, radius, young, *, duration=10.0, rate=None, options=None, **motion):
+    n = len(radius)
+    rate = np.zeros(n) if rate is None else rate
+    made = Mechanics(law, 5.0, **(options or {}))
+    made.begin(Motion(radius, rate, young, np.full(n, 0.5), 0.0, duration, **motion))
+    return made
+
+
+class Oracle:
+    """Forces and energies of all pairs by the vectorised functions, pair by pair."""
+
+    def __init__(self, position, radius, young, law, touching=None, sigma=None):
+        pairs = cKDTree(position).query_pairs(4.0 * radius.max(), output_type="ndarray")
+        self.i, self.j = np.sort(pairs, axis=1).T
+        i, j = self.i, self.j
+        self.vector = position[j] - position[i]
+        self.distance = np.linalg.norm(self.vector, axis=1)
+        self.rest = radius[i] + radius[j]
+        self.modulus = effective_modulus(young[i], 0.5, young[j], 0.5)
+        self.radius = effective_radius(radius[i], radius[j])
+        known = {tuple(pair) for pair in (touching if touching is not None else [])}
+        self.touching = np.array([pair in known for pair in zip(i, j, strict=True)])
+        self.law, self.sigma = law, sigma
+
+    def __call__(self, name):
+        if self.sigma is None:
+            return self._of(self.law, name, slice(None))
+        parts = np.zeros(len(self.i))
+        for value in np.unique(self.sigma):
+            mask = self.sigma == value
+            law = type(self.law)(surface_energy=float(value))
+            parts[mask] = self._of(law, name, mask)
+        return parts
+
+    def _of(self, law, name, mask):
+        return getattr(law, name)(
+            (self.rest - self.distance)[mask],
+            self.modulus[mask],
+            self.radius[mask],
+            rest=self.rest[mask],
+            touching=self.touching[mask],
+        )
+
+    def forces(self, magnitude, n):
+        total = np.zeros((n, 3))
+        pull = (magnitude / self.distance)[:, None] * self.vector
+        np.add.at(total, self.i, -pull)
+        np.add.at(total, self.j, pull)
+        return total
+
+
+@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("n", [2, 400])
+def test_kernels_agree_with_the_vectorised_law(name, n):
+    law = LAWS[name]
+    position, radius, young = cluster(n, 11, spacing=0.97, variation=0.3)
+    touching = np.array([[0, 1]] if n == 2 else [[3, 4], [0, 7]])
+    if name == "exact jkr" and n > 2:
+        tree = cKDTree(position).query_pairs(11.0, output_type="ndarray")
+        touching = np.sort(tree, axis=1)[::2]
+    made = system(law, radius, young, touching=touching)
+    oracle = Oracle(position, radius, young, law, touching)
+    expected = oracle.forces(oracle("force"), n)
+    scale = np.abs(expected).max()
+    assert scale > 0
+    np.testing.assert_allclose(made.force(0.0, position), expected, atol=1e-11 * scale)
+    assert made.energy(0.0, position) == pytest.approx(oracle("energy").sum(), rel=1e-11)
+    virial = np.zeros(n)
+    for cell in (oracle.i, oracle.j):
+        np.add.at(virial, cell, 0.5 * oracle("force") * oracle.distance)
+    expected = virial / (4 * np.pi * radius**3)
+    np.testing.assert_allclose(
+        made.pressure(0.0, position), expected, atol=1e-11 * np.abs(expected).max()
+    )
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_jacobian_of_every_law(name):
+    law = LAWS[name]
+    position, radius, young = cluster(40, 5, spacing=0.9, variation=0.2)
+    bonds = np.tile([0.9, 0.8, 0.0, 0.0], (40, 1))
+    pairs = np.sort(cKDTree(position).query_pairs(12.0, output_type="ndarray"), axis=1)
+    made = system(law, radius, young, bonds=bonds, touching=pairs, options={"bond_strength": 0.1})
+    direction = np.random.default_rng(0).normal(size=position.shape)
+    made.linearise(0.0, position)
+    product = np.empty_like(position)
+    made.jacobian_product(direction, product)
+    step, ends = 1e-6, []
+    for sign in (1, -1):
+        out = np.empty_like(position)
+        made.velocity(0.0, position + sign * step * direction, out)
+        ends.append(out)
+    slope = (ends[0] - ends[1]) / (2 * step)
+    np.testing.assert_allclose(product, slope, atol=2e-6 * np.abs(slope).max())
+
+
+@given(seeds, st.integers(2, 25))
+def test_differential_adhesion_is_equation_3_7(seed, n):
+    position, radius, young = cluster(n, seed, spacing=0.9, variation=0.3)
+    rng = np.random.default_rng(seed)
+    receptor, ligand = rng.random(n), rng.random(n)
+    bonds = np.stack([receptor, ligand, np.zeros(n), np.zeros(n)], axis=1)
+    law = Hertz()
+    made = system(law, radius, young, bonds=bonds, options={"bond_strength": 0.3})
+    oracle = Oracle(position, radius, young, law)
+    i, j = oracle.i, oracle.j
+    area = np.pi * law.contact_radius(oracle.rest - oracle.distance, 1.0, oracle.radius) ** 2
+    adhesion = area * 0.3 * 0.5 * (receptor[i] * ligand[j] + ligand[i] * receptor[j])
+    expected = oracle.forces(oracle("force") - adhesion, n)
+    np.testing.assert_allclose(
+        made.force(0.0, position), expected, atol=1e-12 * np.abs(expected).max() + 1e-15
+    )
+
+
+def pull(receptor, ligand, strength=0.1):
+    """Return the bond force between two touching cells that would not stick otherwise."""
+    position = np.array([[0.0, 0, 0], [9.0, 0, 0]])
+    radius, young = np.array([5.0, 5.5]), np.ones(2)
+    bonds = np.stack([receptor, ligand, np.zeros(2), np.zeros(2)], axis=1)
+    options = {"bond_strength": strength}
+    bare = system(Hertz(), radius, young).force(0.0, position)
+    return (system(Hertz(), radius, young, bonds=bonds, options=options).force(0.0, position)
+            - bare)[0, 0]  # fmt: skip
+
+
+def test_bonds_are_symmetric_need_both_partners_and_scale_with_receptors():
+    one = pull(np.array([0.9, 0.2]), np.array([0.1, 0.8]))
+    assert one > 0  # cell 0 is pulled towards cell 1
+    assert pull(np.array([0.2, 0.9]), np.array([0.8, 0.1])) == pytest.approx(one, rel=1e-12)
+    assert pull(np.array([0.0, 0.9]), np.array([0.0, 0.9])) == 0.0
+    assert pull(np.array([0.9, 0.0]), np.array([0.9, 0.0])) == 0.0
+    assert pull(np.array([1.8, 0.4]), np.array([0.1, 0.8])) == pytest.approx(2 * one, rel=1e-12)
+    expected = np.pi * (5 * 5.5 / 10.5) * 1.5 * 0.1 * 0.5 * (0.9 * 0.8 + 0.1 * 0.2)
+    assert one == pytest.approx(expected, rel=1e-12)
+
+
+def test_bonds_change_during_a_step():
+    position, radius, young = cluster(30, 2)
+    rates = np.tile([0.9, 0.8, -0.09, -0.02], (30, 1))
+    there = np.tile([0.45, 0.7, 0.0, 0.0], (30, 1))
+    options = {"bond_strength": 0.1}
+    moving = system(JKR(), radius, young, bonds=rates, options=options)
+    frozen = system(JKR(), radius, young, bonds=there, options=options)
+    np.testing.assert_allclose(
+        moving.force(5.0, position), frozen.force(0.0, position), rtol=1e-10, atol=1e-12
+    )
+
+
+@pytest.mark.parametrize("law", [JKR(), ExactJKR()])
+def test_surface_energy_by_type(law):
+    n = 150
+    position, radius, young = cluster(n, 8, spacing=0.95)
+    kind = np.random.default_rng(3).integers(0, 2, n)
+    matrix = np.array([[0.1, 0.02], [0.02, 0.05]])
+    touching = np.sort(cKDTree(position).query_pairs(12.0, output_type="ndarray"), axis=1)
+    made = system(
+        law, radius, young, kind=kind, touching=touching, options={"surface_energies": matrix}
+    )
+    oracle = Oracle(position, radius, young, law, touching)
+    oracle.sigma = matrix[kind[oracle.i], kind[oracle.j]]
+    expected = oracle.forces(oracle("force"), n)
+    found = made.force(0.0, position)
+    np.testing.assert_allclose(found, expected, atol=1e-11 * np.abs(expected).max())
+    assert made.energy(0.0, position) == pytest.approx(oracle("energy").sum(), rel=1e-11)
+
+
+def test_one_type_is_the_plain_law():
+    position, radius, young = cluster(80, 4)
+    alike = system(
+        JKR(surface_energy=0.7), radius, young, kind=np.zeros(80, int),
+        options={"surface_energies": np.array([[0.1]])},
+    )  # fmt: skip
+    plain = system(JKR(surface_energy=0.1), radius, young)
+    assert np.array_equal(alike.force(0.0, position), plain.force(0.0, position))
+
+
+def test_external_force_and_its_rate():
+    position, radius, young = np.array([[0.0, 0, 0]]), np.array([5.0]), np.array([1.0])
+    push = np.array([[1.0, 0.0, -2.0, 0.5, 0.25, 0.0]])
+    made = system(JKR(), radius, young, push=push)
+    np.testing.assert_allclose(made.force(4.0, position), [[3.0, 1.0, -2.0]], rtol=1e-14)
+    out = np.empty((1, 3))
+    made.velocity(4.0, position, out)
+    np.testing.assert_allclose(out, np.array([[3.0, 1.0, -2.0]]) / (30 * np.pi * 5.0), rtol=1e-14)
+
+
+def test_contacts_and_hysteresis():
+    """Two cells between breaking and first contact touch only if they touched before."""
+    law = ExactJKR(surface_energy=0.1)
+    radius, young = np.full(2, 10.0), np.ones(2)
+    gap = 0.5 * float(law.reach(effective_modulus(1, 0.5, 1, 0.5), 5.0))
+    position = np.array([[0.0, 0, 0], [20.0 + gap, 0, 0]])
+    apart = system(law, radius, young)
+    assert len(apart.contacts(0.0, position)) == 0
+    assert (apart.force(0.0, position) == 0).all()
+    bound = system(law, radius, young, touching=np.array([[0, 1]]))
+    assert bound.contacts(0.0, position).tolist() == [[0, 1]]
+    assert bound.force(0.0, position)[0, 0] > 0
+    beyond = position * (1 + gap / 10)
+    assert len(bound.contacts(0.0, beyond)) == 0
+    assert (bound.force(0.0, beyond) == 0).all()
+
+
+def test_contacts_of_several_chunks_stand_once():
+    position, radius, young = cluster(300, 6)
+    made = system(JKR(), radius, young, options={"chunk": 64})
+    pairs = cKDTree(position).query_pairs(2 * radius.max(), output_type="ndarray")
+    distance = np.linalg.norm(position[pairs[:, 0]] - position[pairs[:, 1]], axis=1)
+    expected = np.sort(pairs[distance <= radius[pairs].sum(axis=1)], axis=1)
+    expected = expected[np.lexsort((expected[:, 1], expected[:, 0]))]
+    np.testing.assert_array_equal(made.contacts(0.0, position), expected)
+
+
+def test_growing_exact_contacts_end_at_the_right_unit():
+    law = ExactJKR(surface_energy=0.1)
+    position, radius, young = cluster(40, 9, spacing=0.9)
+    rate = np.full(40, 0.01)
+    growing = system(law, radius, young, rate=rate, duration=10.0)
+    grown = system(law, radius + 0.1, young)
+    np.testing.assert_allclose(
+        growing.force(10.0, position), grown.force(0.0, position), rtol=1e-9, atol=1e-12
+    )
