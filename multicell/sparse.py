@@ -79,18 +79,21 @@ def _collect_chunk(
 
 @njit(cache=True)
 def limit_softening(rows, first, second, start, outer_end, fraction, along, across):
-    """Raise dF/dh of every pair to at least -``fraction`` E_ij r_ij.
+    """Raise dF/dh of every pair to at least -``fraction`` E_ij r_ij; return the largest, nN/µm.
 
     The slope of JKR tends to -∞ at first contact. It is the slope of a corner that Newton's
     step leaves at once, and taken at its word it sends the iteration astray.
     """
+    stiffest = 0.0
     for c in range(start.size):
         for p in range(start[c], outer_end[c]):
+            stiffest = max(stiffest, along[p] - across[p])
             if along[p] < across[p]:
                 i, j = first[p], second[p]
                 radius = rows[i, 3] * rows[j, 3] / (rows[i, 3] + rows[j, 3])
                 least = -fraction * radius / (rows[i, 4] + rows[j, 4])
                 along[p] = max(along[p], across[p] + least)
+    return stiffest
 
 
 @njit(cache=True)
@@ -382,19 +385,19 @@ class Pattern:
         return csc_matrix((values, self.index, self.pointer), shape=(size, size))
 
 
-def limit(system: Mechanics, fraction: float) -> None:
-    """Bound the softening of every pair in the last linearisation, for Newton's method.
+def limit(system: Mechanics, fraction: float) -> float:
+    """Bound the softening of every pair in the last linearisation; return the largest dF/dh.
 
     Where dF/dh is below -``fraction`` E_ij r_ij it is raised to that, until the next
     :meth:`Mechanics.linearise`. Only the way to the solution changes, not the solution.
     """
-    if fraction == np.inf:
-        return
     linear = system.linearisation
     pairs = linear.pairs
-    limit_softening(
-        system.rows, pairs.first, pairs.second, pairs.start, pairs.outer_end, fraction,
-        linear.along, linear.across,
+    return float(
+        limit_softening(
+            system.rows, pairs.first, pairs.second, pairs.start, pairs.outer_end, fraction,
+            linear.along, linear.across,
+        )
     )  # fmt: skip
 
 

@@ -18,6 +18,11 @@ from multicell.integrators.restarts import Run, StepImpossible
 from multicell.mechanics import Mechanics
 from multicell.sparse import limit
 
+_CONTACTS = 8.0
+"""Largest decay rate of packed cells, in stiffness of the stiffest pair over drag."""
+_MILD, _STIFF = 3.0, 10.0
+"""Products γλ up to which there is no preconditioning, and beyond which J is kept fresh."""
+
 
 @final
 @dataclass(frozen=True)
@@ -38,16 +43,17 @@ class Cvode:
     krylov_dim
         Dimension of the Krylov space.
     preconditioner
-        A key of ``preconditioners.PRECONDITIONERS``, or ``"none"``.
+        A key of ``preconditioners.PRECONDITIONERS``, or ``"none"``. Mild steps, γλ < 3, go
+        without.
     side
         ``"left"``, ``"right"`` or ``"both"``. On the right the Krylov method measures the
         true residual.
     refresh
         When the Jacobian is taken anew: ``"moved"``, where some coordinate has changed by
-        more than ``far`` since; ``"solve"``, before every linear solve, with the
-        preconditioner; ``"product"``, the same, but the preconditioner only when
-        SUNDIALS sets it up; ``"setup"``, both only then; ``"asked"``, the Jacobian only
-        when SUNDIALS asks for it (``jok`` is zero).
+        more than ``far`` since (further where the step is mild); ``"solve"``, before every
+        linear solve, with the preconditioner; ``"product"``, the same, but the
+        preconditioner only when SUNDIALS sets it up; ``"setup"``, both only then;
+        ``"asked"``, the Jacobian only when SUNDIALS asks for it (``jok`` is zero).
     far
         See ``refresh``, in mean radii.
     max_order
@@ -71,7 +77,7 @@ class Cvode:
     preconditioner: str = "blocks"
     side: str = "right"
     refresh: str = "moved"
-    far: float = 0.01
+    far: float = 0.003
     max_order: int = 5
     linear: str = "gmres"
     newton: int = 3
@@ -102,6 +108,8 @@ class _Krylov:
         self.method = method
         self._fresh, self._stale = False, True
         self._reference = np.full(3 * len(run.position), np.inf)
+        # without a preconditioner γ is not told: J is then kept as fresh as for stiff steps
+        self._gamma, self._rate = np.inf, 1.0
         self._far = method.far * float(run.system.motion.radius.mean())
         options: dict[str, Any] = {}
         if method.preconditioner != "none":
@@ -138,16 +146,23 @@ class _Krylov:
             self._fresh = False
         elif refresh in ("solve", "product") or (refresh == "moved" and self._moved(y)):
             self._take_jacobian(t, y)
-            self._stale = refresh == "solve"
+            self._stale |= refresh == "solve"
 
     def _take_jacobian(self, t: float, y: FloatArray) -> None:
         self.system.linearise(self.run.clock(t), y.reshape(-1, 3))
-        limit(self.system, self.method.softening)
+        stiffest = limit(self.system, self.method.softening)
         self._reference = np.array(y)
+        drag = self.system.drag * float(self.system.motion.radius.mean())
+        self._rate = _CONTACTS * stiffest / drag
 
     def _moved(self, y: FloatArray) -> bool:
-        """Return whether some cell has moved too far for the last Jacobian."""
-        return bool(np.abs(y - self._reference).max() > self._far)
+        """Return whether some cell has moved too far for the last Jacobian.
+
+        Newton's method with an old J converges like γ times its error: the milder the step,
+        the further cells may have moved.
+        """
+        far = self._far * max(1.0, _STIFF / max(self._gamma * self._rate, 1e-9))
+        return not np.abs(y - self._reference).max() <= far
 
     def product(
         self, t: float, y: FloatArray, yp: FloatArray, v: FloatArray, jv: FloatArray
@@ -160,6 +175,7 @@ class _Krylov:
         self, t: float, y: FloatArray, yp: FloatArray, jok: int, jnew: list[int], gamma: float
     ) -> None:
         """Preconditioner for a new γ."""
+        self._gamma = gamma
         refresh = self.method.refresh
         if not jok or refresh not in ("asked", "moved") or (refresh == "moved" and self._moved(y)):
             self._take_jacobian(t, y)
@@ -171,7 +187,10 @@ class _Krylov:
         self, t: float, y: FloatArray, yp: FloatArray, r: FloatArray, z: FloatArray,
         gamma: float, delta: float, lr: int,
     ) -> None:  # fmt: skip
-        """Apply the preconditioner."""
+        """Apply the preconditioner; where the step is mild it would cost more than it saves."""
+        if gamma * self._rate < _MILD:
+            z[:] = r
+            return
         if self._stale:
             self._preconditioner.setup(self.system, gamma)
             self._stale = False

@@ -1,0 +1,134 @@
+"""One point of a comparison: a solve, its errors and its wall time."""
+
+from __future__ import annotations
+
+import math
+import time as clock
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, final
+
+from multicell.compare.methods import Method, weighted_cost
+from multicell.compare.norms import errors, no_errors, observe
+from multicell.compare.problem import Problem, Trajectory, replay
+from multicell.compare.reference import Reference
+from multicell.integrators.base import Integrator
+from multicell.mechanics import Work
+
+Row = dict[str, Any]
+DONE, FAILED, SKIPPED = "done", "failed", "skipped"
+
+
+@final
+@dataclass(frozen=True)
+class Effort:
+    """How much time a comparison may take.
+
+    Attributes
+    ----------
+    repeats : int
+        Number of timed solves of a point.
+    patience : float, s
+        Wall time of one solve.
+    budget : float, s
+        Wall time of all solves of one method.
+    points : int
+        Number of points of that method: repeats end when they have taken a fair share.
+    """
+
+    repeats: int
+    patience: float
+    budget: float
+    points: int
+
+    @property
+    def share(self) -> float:
+        """Wall time in s that the repeats of a point may take."""
+        return min(self.patience / 5.0, max(self.budget, 0.0) / (2.0 * self.points))
+
+
+def climb(
+    method: Method,
+    ladder: Sequence[float],
+    exact: Reference,
+    effort: Effort,
+    tell: Callable[[str], None],
+) -> list[Row]:
+    """Return the rows of one method, from coarse to fine, until patience or budget end."""
+    rows: list[Row] = []
+    foreseen = 0.0
+    # compiled and loaded before the clock of the first point runs
+    replay(replace(exact.problem, steps=exact.problem.steps[:1]), method.make(ladder[0]))
+    begin = clock.perf_counter()
+    for k, setting in enumerate(ladder):
+        tell(f"{method.name} at {setting:.3g}")
+        spent = clock.perf_counter() - begin
+        # a point takes two solves at least; the first one is tried in any case
+        dear = foreseen > effort.patience or spent + 2.0 * foreseen > effort.budget
+        if rows and dear:
+            text = f"not tried: it would take about {foreseen:.2g} s, after {spent:.2g} s"
+            rows.append(_row(method, setting, SKIPPED, text))
+            continue
+        found = replay(exact.problem, method.make(setting), effort.patience)
+        rows.append(_measured(method, setting, found, exact, effort))
+        finer = ladder[k] / ladder[k + 1] if k + 1 < len(ladder) else 1.0
+        # half the step takes twice as long; a tolerance costs less the higher the order
+        growth = finer if method.control == "step" else 1.0
+        foreseen = growth * (rows[-1]["wall"] if found.done else found.wall)
+    return rows
+
+
+def _measured(
+    method: Method,
+    setting: float,
+    found: Trajectory,
+    exact: Reference,
+    effort: Effort,
+) -> Row:
+    """Return the row of a solve; one that succeeded is timed."""
+    if not found.done:
+        return _row(method, setting, FAILED, found.problem, spent=found.wall)
+    wall = _timed(exact.problem, method.make(setting), found.wall, effort)
+    error = errors(exact.problem, observe(exact.problem, found), exact.observed)
+    return _row(method, setting, DONE, "", wall, found, error, spent=found.wall)
+
+
+def _timed(problem: Problem, integrator: Integrator, first: float, effort: Effort) -> float:
+    """Return the minimum wall time of several solves, s.
+
+    The solve that gave the error has compiled the kernels and filled the caches; if it was
+    short another one warms up. Of a long solve one repetition is enough.
+    """
+    if first < effort.share:
+        replay(problem, integrator)
+    times: list[float] = []
+    while not times or (len(times) < effort.repeats and sum(times) < effort.share):
+        times.append(replay(problem, integrator).wall)
+    return min(times)
+
+
+def _row(
+    method: Method,
+    setting: float,
+    status: str,
+    text: str,
+    wall: float = math.nan,
+    found: Trajectory | None = None,
+    error: Mapping[str, float] | None = None,
+    *,
+    spent: float = math.nan,
+) -> Row:
+    """Return one row of the table; what is not known is NaN."""
+    counts = dict.fromkeys(vars(Work()), math.nan) if found is None else vars(found.work)
+    return {
+        "method": method.name,
+        "control": method.control,
+        "setting": setting,
+        "status": status,
+        "words": text,
+        "wall": wall,
+        "spent": spent,
+        **{f"error_{norm}": value for norm, value in (error or no_errors()).items()},
+        "cost": math.nan if found is None else weighted_cost(found.work),
+        **counts,
+    }

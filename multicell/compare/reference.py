@@ -1,0 +1,289 @@
+"""The reference solution, how far it can be trusted, and its cache on disk.
+
+The solution is computed twice, by two methods or with two tolerances. The difference of the two,
+in every norm, is the uncertainty of the reference: what a method is off by less than that says
+nothing about the method.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, final
+
+import numpy as np
+
+from multicell.cells import Cells
+from multicell.compare import archive
+from multicell.compare.methods import Method, named
+from multicell.compare.norms import Observed, errors, observe
+from multicell.compare.problem import Problem, Trajectory, record, replay
+from multicell.errors import StepFailed
+from multicell.folder import package_version, versions
+from multicell.integrators import METHODS
+from multicell.scene import Scene
+from multicell.simulation import Simulation
+
+Pair = tuple[tuple[Method, float], tuple[Method, float]]
+"""Method and setting of the reference, and of the one that it is checked against."""
+
+_FEW, _FEW_AT_REST = 500, 2000  # cells up to which CVODE is fast at the tightest tolerance
+_TIGHT, _LESS_TIGHT = 1e-12, 1e-9
+_PRESENTATION: Final = ("cli", "drawing", "plots", "report", "section", "progress", "explain")
+_PRESENTATION_HERE: Final = ("chart", "page", "result", "measure", "workprecision")
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """A problem with its solution.
+
+    Attributes
+    ----------
+    problem : Problem
+    trajectory : Trajectory
+    observed : Observed
+    uncertainty : norm -> float
+        Difference from the second solution, in the norms of :data:`multicell.compare.norms`.
+    wall : float, s
+        What it cost when it was computed.
+    words : str
+        How the two were computed.
+    cached : bool
+        Whether it comes from the cache.
+    """
+
+    problem: Problem
+    trajectory: Trajectory
+    observed: Observed
+    uncertainty: dict[str, float]
+    wall: float
+    words: str
+    cached: bool
+
+
+def reference(
+    scene: Scene,
+    *,
+    pair: Pair | None = None,
+    cells: Cells | None = None,
+    cache: str | Path | bool = True,
+    threads: int | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Reference:
+    """Return the reference solution of a scene, from the cache if it is there.
+
+    Parameters
+    ----------
+    scene
+        The scene; its integrator is not used.
+    pair
+        Two methods with their settings, by default :func:`default_pairs`. The first one records
+        the events and gives the reference, the second one replays them.
+    cells
+        Cells to start from instead of the scene's initial ones.
+    cache
+        Folder of the cache; True for that of the user (:func:`cache_folder`), False for none.
+    threads
+        See :class:`multicell.simulation.Simulation`.
+    progress
+        Called with a few words about what is being done.
+
+    Raises
+    ------
+    StepFailed
+        If one of the two cannot be computed.
+    OutputError
+        If the cache cannot be written.
+    """
+    tell = progress or (lambda _: None)
+    unsolved = blank(scene, cells, threads)
+    pairs = default_pairs(scene, unsolved) if pair is None else [pair]
+    for k, chosen in enumerate(pairs):
+        path = _path(cache, scene, cells, chosen)
+        held = None if path is None else archive.load(path, unsolved)
+        if held is not None:
+            problem, trajectory, facts = held
+            tell("reference: from the cache")
+            return Reference(
+                problem, trajectory, observe(problem, trajectory), **facts, cached=True
+            )
+        try:
+            solved = _solve(scene, chosen, cells, threads, tell)
+        except StepFailed as error:
+            if k + 1 == len(pairs):
+                raise
+            tell(f"reference: {error}")
+            continue
+        _keep(solved, path, tell)
+        return solved
+    raise AssertionError("there is always a pair")
+
+
+def default_pairs(scene: Scene, unsolved: Problem) -> list[Pair]:
+    """Return the tightest methods that a scene of its size can afford, the best first.
+
+    SciPy's DOP853 of order 8 needs least evaluations for twelve digits. It is checked by CVODE,
+    or, where that would take long, by the embedded pair of order 5. Where these cannot hold the
+    scene CVODE is used with two tolerances.
+    """
+    few = _expected(scene, len(unsolved.start)) <= (_FEW if scene.growth else _FEW_AT_REST)
+    tolerance = _TIGHT if few else _LESS_TIGHT
+    radius = unsolved.mean_radius
+    cvode = named("cvode", scene, radius)
+    pairs: list[Pair] = [((cvode, tolerance), (cvode, 10.0 * tolerance))]
+    if "scipy-dop853" in METHODS:
+        exact = named("scipy-dop853", scene, radius)
+        check = (cvode, _TIGHT)
+        if not few:
+            other = "dopri5" if "dopri5" in METHODS else "scipy-dop853"
+            check = (named(other, scene, radius), 10.0 * _TIGHT)
+        pairs.insert(0, ((exact, _TIGHT), check))
+    return pairs
+
+
+def _expected(scene: Scene, count: int) -> float:
+    """Return about how many cells there will be at the end of a run that starts with ``count``."""
+    if scene.growth is None:
+        return count
+    cycles: float = min(scene.duration / scene.growth.cycle_time, 60.0)
+    grown: float = count * 2.0**cycles
+    return min(grown, scene.stop_cells or math.inf)
+
+
+def cache_folder() -> Path:
+    """Return the folder of the user's cache: ``$MULTICELL_CACHE``, or below ``~/.cache``."""
+    own = os.environ.get("MULTICELL_CACHE")
+    if own:
+        return Path(own)
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "multicell" / "references"
+
+
+def source_hash(folder: Path | None = None) -> str:
+    """Return a hash of all sources that can change a number of a reference.
+
+    Parameters
+    ----------
+    folder
+        Folder of the package, by default that of multicell.
+    """
+    root = Path(__file__).parent.parent if folder is None else folder
+    digest = hashlib.sha256()
+    for path in sorted(root.rglob("*.py")):
+        here = path.parent.name == "compare"
+        if path.stem in (_PRESENTATION_HERE if here else _PRESENTATION):
+            continue
+        digest.update(str(path.relative_to(root)).encode())
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def key(scene: Scene, cells: Cells | None, pair: Pair) -> str:
+    """Return what a reference depends on as one hash: scene, cells, methods, sources, versions."""
+    entries = scene.to_dict()
+    entries.pop("output", None)
+    entries["integrator"] = {"max_displacement": scene.integrator.max_displacement}
+    described: dict[str, Any] = {
+        "scene": entries,
+        "pair": [(method.name, method.control, setting) for method, setting in pair],
+        "version": package_version(),
+        "versions": versions(),
+        "source": source_hash(),
+    }
+    digest = hashlib.sha256(json.dumps(described, sort_keys=True).encode())
+    if cells is not None:
+        for name, column in cells.columns():
+            digest.update(name.encode())
+            digest.update(np.ascontiguousarray(column).tobytes())
+    return digest.hexdigest()[:32]
+
+
+def blank(scene: Scene, cells: Cells | None, threads: int | None) -> Problem:
+    """Return the problem before anything has moved: it has no steps yet."""
+    simulation = Simulation(scene, threads=threads, cells=cells)
+    cells = simulation.cells
+    return Problem(scene, simulation._mechanics, cells.position, cells.radius)
+
+
+def _path(cache: str | Path | bool, scene: Scene, cells: Cells | None, pair: Pair) -> Path | None:
+    if cache is False:
+        return None
+    folder = cache_folder() if cache is True else Path(cache)
+    return folder / f"{key(scene, cells, pair)}.npz"
+
+
+def _solve(
+    scene: Scene,
+    pair: Pair,
+    cells: Cells | None,
+    threads: int | None,
+    tell: Callable[[str], None],
+) -> Reference:
+    """Record the scene by the first method and check it by the second."""
+    (method, setting), second = pair
+    tell(f"reference: {method.name} at {setting:g}")
+    problem, trajectory = record(
+        scene, method.make(setting), cells=cells, threads=threads, progress=_share(tell)
+    )
+    observed = observe(problem, trajectory)
+    uncertainty = _uncertainty(problem, observed, second, tell)
+    text = f"{method.name} at {setting:g}, checked by {second[0].name} at {second[1]:g}"
+    return Reference(
+        problem, trajectory, observed, uncertainty, trajectory.wall, text, cached=False
+    )
+
+
+def _keep(solved: Reference, path: Path | None, tell: Callable[[str], None]) -> None:
+    """Write a reference to the cache."""
+    if path is None:
+        return
+    facts = {"uncertainty": solved.uncertainty, "wall": solved.wall, "words": solved.words}
+    if not archive.save(path, solved.problem, solved.trajectory, facts):
+        tell("reference: this scene has no plain form for the cache")
+
+
+def _uncertainty(
+    problem: Problem,
+    observed: Observed,
+    second: tuple[Method, float],
+    tell: Callable[[str], None],
+) -> dict[str, float]:
+    """Return the difference from the solution of a second method."""
+    method, setting = second
+    tell(f"reference: checked by {method.name} at {setting:g}")
+    check: Trajectory = replay(problem, method.make(setting))
+    if not check.done:
+        raise StepFailed(
+            float(problem.times[len(check.positions)]),
+            f"the check of the reference by {method.name} failed: {check.problem}",
+            "Choose other methods for the reference",
+        )
+    return errors(problem, observe(problem, check), observed)
+
+
+def _share(tell: Callable[[str], None]) -> Callable[[float], None]:
+    """Return a callback that tells of every tenth of a run."""
+    told = [0]
+
+    def share(part: float) -> None:
+        if int(10.0 * part) > told[0]:
+            told[0] = int(10.0 * part)
+            tell(f"reference: {10 * told[0]} % of the scene")
+
+    return share
+
+
+def paired(
+    methods: Sequence[tuple[str, float] | tuple[Method, float]], scene: Scene, radius: float
+) -> Pair:
+    """Return two methods with settings; a method may be given by its name."""
+    first, second = (
+        (m if isinstance(m, Method) else named(m, scene, radius), float(s)) for m, s in methods
+    )
+    return first, second

@@ -1,0 +1,191 @@
+"""The result of a comparison: a table of points, and what can be asked of it."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multicell.compare.measure import DONE, FAILED, Row
+from multicell.compare.norms import NORMS
+from multicell.folder import to_json, words, write_text
+from multicell.scene import Scene
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FILES: Final = (
+    "workprecision.csv",
+    "workprecision.json",
+    "workprecision.png",
+    "norms.png",
+    "report.html",
+)
+"""What a comparison writes into its folder."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class WorkPrecision:
+    """What each method reached, and at what cost.
+
+    Attributes
+    ----------
+    scene : Scene
+    table : list of dict
+        One row for each method and setting, from coarse to fine: ``method``, ``control``
+        (``"tolerance"`` in mean radii, or ``"step"`` in s), ``setting``, ``status`` (``"done"``,
+        ``"failed"``, or ``"skipped"`` where it would have taken too long), ``words`` (of a
+        failure), ``wall`` (s, the minimum of several solves), ``spent`` (s, the one solve that
+        the errors are of, also of a failure), ``error_...`` in every norm of
+        :data:`multicell.compare.norms.NORMS`, ``cost`` (evaluations, with linearisations and
+        Jacobian products by their weights), and the counts of
+        :class:`multicell.mechanics.Work`. What a failed or skipped solve lacks is NaN.
+    uncertainty : norm -> float
+        Of the reference: an error is known no better than this.
+    facts : dict
+        About the problem and the reference.
+    """
+
+    scene: Scene
+    table: list[Row]
+    uncertainty: dict[str, float]
+    facts: dict[str, Any]
+
+    @property
+    def methods(self) -> list[str]:
+        """Names of the methods in the order of the table."""
+        return list(dict.fromkeys(row["method"] for row in self.table))
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Return the table as one array for each column."""
+        return {name: np.array([row[name] for row in self.table]) for name in self.table[0]}
+
+    def rows(self, method: str, status: str = DONE) -> list[Row]:
+        """Return the rows of a method that have a status."""
+        return [r for r in self.table if r["method"] == method and r["status"] == status]
+
+    def failures(self) -> list[Row]:
+        """Return the rows of all solves that failed."""
+        return [row for row in self.table if row["status"] == FAILED]
+
+    def within(self, error: float, norm: str = "position") -> dict[str, Row]:
+        """Return for each method that reaches an error its cheapest row that does.
+
+        Parameters
+        ----------
+        error
+            Largest error; the uncertainty of the reference is added to what was measured.
+        norm
+            One of :data:`multicell.compare.norms.NORMS`.
+
+        Returns
+        -------
+        dict
+            Method -> row, the fastest first. Only measured points count: nothing is interpolated.
+        """
+        self._check(norm)
+        reached: dict[str, Row] = {}
+        slack = self.uncertainty[norm]
+        for row in self.table:
+            if row["status"] == DONE and row[f"error_{norm}"] + slack <= error:
+                best = reached.get(row["method"])
+                if best is None or row["wall"] < best["wall"]:
+                    reached[row["method"]] = row
+        return dict(sorted(reached.items(), key=lambda item: item[1]["wall"]))
+
+    def fastest(self, error: float = 0.01, norm: str = "position") -> Row | None:
+        """Return the row of least wall time that reaches an error, or None (:meth:`within`)."""
+        return next(iter(self.within(error, norm).values()), None)
+
+    def order(self, method: str, norm: str = "position_final", finest: int | None = None) -> float:
+        """Return the slope of log error over log setting: the order, if the setting is a step.
+
+        Parameters
+        ----------
+        method
+            Name of the method.
+        norm
+            One of :data:`multicell.compare.norms.NORMS`.
+        finest
+            Number of finest settings to take, by default all. Points closer to the reference
+            than ten times its uncertainty are left out.
+
+        Returns
+        -------
+        float
+            NaN if fewer than three points are left.
+        """
+        self._check(norm)
+        floor = 10.0 * self.uncertainty[norm]
+        points = [(r["setting"], r[f"error_{norm}"]) for r in self.rows(method)]
+        points = [(s, e) for s, e in points if e > floor][-(finest or len(points) or 1) :]
+        if len(points) < 3:
+            return math.nan
+        s, e = np.log(np.array(points)).T
+        return float(np.polyfit(s, e, 1)[0])
+
+    def figure(self, norm: str = "position") -> Figure:
+        """Draw error over wall time and over evaluations; failures as crosses on top."""
+        from multicell.compare.chart import workprecision
+
+        self._check(norm)
+        return workprecision(self, norm)
+
+    def norms_figure(self) -> Figure:
+        """Draw error over wall time in every norm."""
+        from multicell.compare.chart import norms
+
+        return norms(self)
+
+    def to_csv(self) -> str:
+        """Return the table as CSV; NaN is written as ``nan``."""
+        text = io.StringIO()
+        writer = csv.DictWriter(text, list(self.table[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(self.table)
+        return text.getvalue()
+
+    def to_json(self) -> str:
+        """Return table, uncertainty, facts and scene as JSON; NaN becomes null."""
+        return to_json(
+            {
+                "scene": self.scene.to_dict(),
+                "uncertainty": self.uncertainty,
+                "norms": NORMS,
+                "facts": self.facts,
+                "table": self.table,
+            }
+        )
+
+    def save(self, folder: str | Path) -> Path:
+        """Write CSV, JSON, pictures and ``report.html`` (:data:`FILES`) and return the page.
+
+        Raises
+        ------
+        OutputError
+            If the folder cannot be written to.
+        """
+        from multicell.compare.page import page
+        from multicell.drawing import save
+
+        folder = Path(folder)
+        with words("use the output folder", folder):
+            folder.mkdir(parents=True, exist_ok=True)
+        write_text(folder / "workprecision.csv", self.to_csv())
+        write_text(folder / "workprecision.json", self.to_json() + "\n")
+        save(self.figure(), folder / "workprecision.png")
+        save(self.norms_figure(), folder / "norms.png")
+        path = folder / "report.html"
+        write_text(path, page(self, [folder / "workprecision.png", folder / "norms.png"]))
+        return path
+
+    def _check(self, norm: str) -> None:
+        if norm not in NORMS:
+            raise ValueError(f"there is no norm {norm!r}: choose from {', '.join(NORMS)}")

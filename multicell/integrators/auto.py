@@ -1,0 +1,163 @@
+"""The method that should cost least for a coupling step, from its stiffness and tolerance.
+
+The choice depends on the state at the beginning of the coupling step and on the options, on
+nothing else: a run that is resumed chooses as the uninterrupted one. Costs are counted in
+evaluations of the velocity, calibrated with ``tests/benchmarks/calibrate_auto.py`` (15 scenes
+of 100 to 5000 cells, z = λΔt from 9 to 2·10⁶, tolerances of 0.01 and 0.0001 µm). With
+θ = (atol + rtol r) / 0.01 µm and n cells:
+
+- ``dopri5``: 6 max(12 θ^-0.1, z / 3), 2.5 times that where stability limits the step at a loose
+  tolerance: modes at the edge of stability then rattle, and lists are built at every step;
+- ``rkc2``: a (√(1 + 1.54 z / a) + 3) with a = 22 z^0.17 θ^-0.4 steps;
+- ``cvode``: a ((6 + 2.5 lg z) θ^0.1 + 2000 / n) with a = 8 z^0.22 θ^-0.25 steps; the last term is
+  the cost of calling Python.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from multicell.integrators.base import FloatArray, Integrator, Outcome
+from multicell.mechanics import Mechanics, StateRejected
+
+_ITERATIONS = 6
+_CALL = 2.0e3
+"""Evaluations times cells that one call from Python costs."""
+
+
+@final
+@dataclass(frozen=True)
+class Choice:
+    """What was chosen and why.
+
+    Attributes
+    ----------
+    method : str
+        ``"dopri5"``, ``"rkc2"`` or ``"cvode"``.
+    rate : float
+        Estimate of the largest decay rate λ, 1/s.
+    stiffness : float
+        λ times the length of the coupling step.
+    costs : name -> float
+        Predicted cost of each candidate, in evaluations.
+    """
+
+    method: str
+    rate: float
+    stiffness: float
+    costs: dict[str, float]
+
+    @property
+    def order(self) -> list[str]:
+        """The candidates, the cheapest first."""
+        return sorted(self.costs, key=lambda name: self.costs[name])
+
+    @property
+    def reason(self) -> str:
+        """One sentence for a person."""
+        costs = ", ".join(f"{name} {self.costs[name]:.0f}" for name in self.order)
+        return (
+            f"stiffness λΔt is {self.stiffness:.3g} (λ = {self.rate:.3g}/s); "
+            f"expected evaluations: {costs}"
+        )
+
+
+@final
+@dataclass(frozen=True)
+class Auto:
+    """Chooses for each coupling step between Dormand-Prince, RKC2 and CVODE.
+
+    The steps by each method are counted in ``Work``. If a method cannot go on, the next
+    one starts from the beginning of the coupling step.
+
+    Parameters
+    ----------
+    rtol, atol, max_steps, max_displacement
+        As for :class:`~multicell.integrators.cvode.Cvode`.
+    """
+
+    rtol: float = 1e-6
+    atol: float = 1e-2
+    max_steps: int = 10_000
+    max_displacement: float = 0.5
+
+    def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
+        """Integrate over the coupling step of ``system``; see :class:`Integrator`."""
+        outcome = Outcome(system.motion.end, np.array(position))
+        for name in choose(system, position, self.rtol, self.atol).order:
+            work = system.work
+            before = work.steps
+            outcome = self.method(name).integrate(system, position)
+            counter = f"steps_{name}"
+            setattr(work, counter, getattr(work, counter) + work.steps - before)
+            if outcome.done:
+                break
+        return outcome
+
+    def method(self, name: str) -> Integrator:
+        """Return a candidate with these options."""
+        options = (self.rtol, self.atol, self.max_steps, self.max_displacement)
+        if name == "cvode":
+            from multicell.integrators.cvode import Cvode
+
+            return Cvode(*options)
+        from multicell.integrators.explicit import Dopri5, Rkc2
+
+        return Dopri5(*options) if name == "dopri5" else Rkc2(*options)
+
+
+def choose(system: Mechanics, position: FloatArray, rtol: float, atol: float) -> Choice:
+    """Return the cheapest method for the coupling step of ``system`` at its beginning."""
+    motion = system.motion
+    rate = decay_rate(system, position)
+    z = max(rate * (motion.end - motion.begin), 1.0)
+    n = max(len(system), 1)
+    theta = (atol + rtol * float(motion.radius.mean() if len(system) else 1.0)) / 0.01
+    called = _CALL / n if _through_python(system) else 0.0
+
+    accurate, stable = 12.0 * theta**-0.1, z / 3.0
+    rattle = 2.5 if stable > accurate and theta > 0.03 else 1.0
+    dopri5 = 6.0 * max(accurate, stable) * rattle
+    steps = 22.0 * z**0.17 * theta**-0.4
+    rkc2 = steps * (math.sqrt(1.0 + 1.54 * z / steps) + 3.0)
+    steps = 8.0 * z**0.22 * theta**-0.25
+    cvode = steps * ((6.0 + 2.5 * math.log10(z)) * theta**0.1 + _CALL / n + called)
+    costs = {"dopri5": dopri5 * (1.0 + called), "rkc2": rkc2 * (1.0 + called), "cvode": cvode}
+    return Choice(min(costs, key=lambda name: costs[name]), rate, z, costs)
+
+
+def decay_rate(system: Mechanics, position: FloatArray) -> float:
+    """Return an estimate of the largest |eigenvalue| of J, 1/s, from a few products.
+
+    Power iteration in the scalar product of the drag coefficients, in which J is symmetric;
+    the start is fixed. The estimate is from below: a random start of 3n numbers finds the upper
+    end of a dense spectrum to a tenth or so.
+    """
+    if len(system) < 2:
+        return 0.0
+    try:
+        system.linearise(system.motion.begin, position)
+    except StateRejected:
+        return 0.0
+    weight = system.motion.radius[:, None]
+    vector = np.random.default_rng(0).normal(size=position.shape)
+    image = np.empty_like(vector)
+    rate = 0.0
+    for _ in range(_ITERATIONS):
+        vector /= math.sqrt(float((weight * vector * vector).sum()))
+        system.jacobian_product(vector, image)
+        rate = math.sqrt(float((weight * image * image).sum()))
+        if rate == 0.0:
+            return 0.0
+        vector, image = image, vector
+    return rate
+
+
+def _through_python(system: Mechanics) -> bool:
+    from multicell.integrators.explicit import needs_python
+
+    return needs_python(system)

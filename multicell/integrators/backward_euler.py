@@ -1,0 +1,209 @@
+"""Backward Euler with a fixed step: Newton's method, conjugate gradients, line search.
+
+In the scalar product ⟨u, v⟩ = Σ_i Γ_i u_i·v_i of the drag coefficients I - γJ is symmetric,
+so that conjugate gradients apply to it as it stands. It is not always positive definite: a
+compressed cluster buckles sideways. Where a direction of negative curvature shows up, GMRES
+takes over.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, final
+
+import numpy as np
+
+from multicell.integrators.base import FloatArray, Outcome, furthest
+from multicell.integrators.preconditioners import Preconditioner, preconditioner
+from multicell.mechanics import Mechanics, StateRejected
+from multicell.sparse import limit
+
+_HALVINGS = 8
+_MOST_ITERATIONS = 200
+_DECREASE = 1e-4
+"""Least relative decrease of the residual for a full Newton step (Armijo's rule)."""
+
+
+@final
+@dataclass(frozen=True)
+class BackwardEuler:
+    """x_{k+1} = x_k + Δt v(t_{k+1}, x_{k+1}), first order.
+
+    Parameters
+    ----------
+    step
+        Largest step, s; a coupling step is cut into equal steps no longer than this.
+    tolerance
+        Newton's method ends when the largest correction of a coordinate is below this, µm.
+    max_displacement
+        Fraction of its radius that a cell may move in one step. The step is fixed, so a
+        cell that would move further ends the integration.
+    preconditioner
+        A key of ``preconditioners.PRECONDITIONERS``.
+    newton
+        Most Newton iterations in a step.
+    forcing
+        Relative residual to which each linear system is solved.
+    softening
+        As for :class:`~multicell.integrators.cvode.Cvode`.
+    """
+
+    step: float
+    tolerance: float = 1e-4
+    max_displacement: float = 0.5
+    preconditioner: str = "gauss-seidel"
+    newton: int = 30
+    forcing: float = 1e-2
+    softening: float = 0.5
+
+    def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
+        """Integrate over the coupling step of ``system``; see :class:`Integrator`."""
+        motion = system.motion
+        count = max(1, math.ceil((motion.end - motion.begin) / self.step * (1.0 - 1e-12)))
+        step = (motion.end - motion.begin) / count
+        position = np.array(position)
+        for k in range(count):
+            time = motion.begin + k * step
+            hint = "Choose a shorter integrator.step, or the method 'cvode'"
+            implicit = _Step(self, system, position, motion.begin + (k + 1) * step, step)
+            try:
+                problem = implicit.solve()
+            except StateRejected as error:
+                problem = str(error)
+            if problem:
+                return Outcome(time, position, problem, hint, implicit.worst)
+            cell, moved = furthest(position, implicit.trial, motion.radius)
+            if moved > self.max_displacement:
+                return Outcome(
+                    time, position,
+                    f"a step of {step:.3g} s would move the cell by {moved:.3g} of its radius "
+                    f"(allowed: {self.max_displacement:g})", hint, cell,
+                )  # fmt: skip
+            position = implicit.trial
+            system.work.steps += 1
+        return Outcome(motion.end, position)
+
+
+@final
+class _Step:
+    """The equation of one step, x - x_0 - Δt v(t_1, x) = 0, and its solution so far."""
+
+    def __init__(
+        self, method: BackwardEuler, system: Mechanics, start: FloatArray, end: float, step: float
+    ) -> None:
+        self.method, self.system, self.start, self.end, self.step = method, system, start, end, step
+        self.trial = start.copy()
+        self.weight = system.drag * system.motion.radius[:, None]
+        self.worst: int | None = None
+
+    def solve(self) -> str:
+        """Find the end of the step; return what went wrong, if anything did."""
+        method, system = self.method, self.system
+        approximate = preconditioner(method.preconditioner, system)
+        residual = self._residual(self.trial)
+        for _ in range(method.newton):
+            system.work.newton_iterations += 1
+            system.linearise(self.end, self.trial)
+            limit(system, method.softening)
+            approximate.setup(system, self.step)
+            correction = self._correction(residual, approximate)
+            found = self._search(residual, correction)
+            if found is None:
+                self.worst = int(np.square(residual).sum(axis=1).argmax())
+                return (
+                    f"backward Euler's step of {self.step:.3g} s has no solution that a line "
+                    "search finds"
+                )
+            residual, taken = found
+            if taken * np.abs(correction).max(initial=0.0) <= method.tolerance:
+                return ""
+        self.worst = int(np.square(residual).sum(axis=1).argmax())
+        return (
+            f"Newton's method did not converge in {method.newton} iterations in a step of "
+            f"{self.step:.3g} s"
+        )
+
+    def _residual(self, trial: FloatArray) -> FloatArray:
+        out = np.empty_like(trial)
+        self.system.velocity(self.end, trial, out)
+        return np.asarray(trial - self.start - self.step * out)
+
+    def _search(
+        self, residual: FloatArray, correction: FloatArray
+    ) -> tuple[FloatArray, float] | None:
+        """Take as much of a correction as lowers the residual; None if nothing does."""
+        before = self._norm(residual)
+        largest = float(np.sqrt(np.square(correction).sum(axis=1)).max(initial=0.0))
+        room = 0.5 * float(self.system.motion.radius.min(initial=np.inf))
+        taken = 1.0 if largest <= room else room / largest
+        for _ in range(_HALVINGS):
+            trial = self.trial + taken * correction
+            after = self._residual(trial)
+            # at the end of the iteration only rounding is left
+            if self._norm(after) <= (1.0 - _DECREASE * taken) * before or (
+                taken * largest <= self.method.tolerance
+            ):
+                self.trial = trial
+                return after, taken
+            taken *= 0.5
+        return None
+
+    def _norm(self, vector: FloatArray) -> float:
+        return float(np.sqrt((self.weight * vector * vector).sum()))
+
+    def _operator(self, vector: FloatArray) -> FloatArray:
+        out = np.empty_like(vector)
+        self.system.work.linear_iterations += 1
+        self.system.jacobian_product(vector, out)
+        return np.asarray(vector - self.step * out)
+
+    def _correction(self, residual: FloatArray, approximate: Preconditioner) -> FloatArray:
+        """Solve (I - ΔtJ) x = -residual as far as ``forcing`` asks."""
+        if max(self.system.friction) == 0.0:
+            found = self._conjugate_gradients(residual, approximate)
+            if found is not None:
+                return found
+        return self._gmres(residual, approximate)
+
+    def _conjugate_gradients(
+        self, residual: FloatArray, approximate: Preconditioner
+    ) -> FloatArray | None:
+        """Return the solution, or None where the curvature is not positive."""
+        solution, left = np.zeros_like(residual), -residual
+        better = np.empty_like(residual)
+        target = self.method.forcing * self._norm(residual)
+        direction, before = np.zeros_like(residual), 1.0
+        for _ in range(_MOST_ITERATIONS):
+            if self._norm(left) <= target:
+                return solution
+            approximate.solve(self.system, left, better)
+            product = float((self.weight * left * better).sum())
+            direction = better + product / before * direction
+            before = product
+            image = self._operator(direction)
+            curvature = float((self.weight * direction * image).sum())
+            if curvature <= 0.0:
+                return None
+            solution += product / curvature * direction
+            left -= product / curvature * image
+        return None
+
+    def _gmres(self, residual: FloatArray, approximate: Preconditioner) -> FloatArray:
+        from scipy.sparse.linalg import LinearOperator, gmres
+
+        shape = (residual.size, residual.size)
+
+        def apply(vector: FloatArray) -> Any:
+            return self._operator(vector.reshape(-1, 3)).ravel()
+
+        def approximately(vector: FloatArray) -> Any:
+            out = np.empty_like(residual)
+            approximate.solve(self.system, vector.reshape(-1, 3), out)
+            return out.ravel()
+
+        solution, _ = gmres(
+            LinearOperator(shape, matvec=apply), -residual.ravel(), rtol=self.method.forcing,
+            restart=30, maxiter=10, M=LinearOperator(shape, matvec=approximately),
+        )  # fmt: skip
+        return np.asarray(solution).reshape(-1, 3)

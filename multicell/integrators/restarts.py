@@ -1,0 +1,165 @@
+"""Stepping through a coupling step with solvers of others, starting again where one goes wrong.
+
+A solver with its own error control may accept a step that throws a cell away, or give up on
+a state that has no meaning. Its internal step cannot be taken back, so a new solver is
+started at the last good state, with a ceiling on its steps, which is lifted again bit by bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol, final
+
+import numpy as np
+
+from multicell.integrators.base import FloatArray, Outcome
+from multicell.mechanics import Mechanics, StateRejected
+
+_MOST_REFUSALS = 30
+_STEPS_BEFORE_LIFT = 8
+
+
+class StepImpossible(Exception):  # noqa: N818 - what happened to a solver, not a fault
+    """A solver cannot go on from where it is; the text is its own reason."""
+
+
+class Restart(Exception):  # noqa: N818 - a request
+    """A solver asks to be made anew at its last accepted state."""
+
+
+class Solver(Protocol):
+    """A solver under way; its clock counts from its start.
+
+    A step of 1e-10 s would be lost on a clock that shows days.
+    """
+
+    def step(self) -> tuple[float, FloatArray]:
+        """Take one step; return the time since the start, and positions that stay valid."""
+
+
+Start = Callable[["Run", float], Solver]
+"""Makes a solver for the rest of the interval; the number is the ceiling of its steps, or 0."""
+
+
+@final
+class Run:
+    """One integration under way: the last accepted state, and how it is getting on.
+
+    Attributes
+    ----------
+    position : (n, 3)
+        At the last accepted state, µm.
+    elapsed, length : float
+        Time since the beginning of the interval, and its length, s.
+    offset : float
+        ``elapsed`` when the present solver was started.
+    latest : float
+        Time of the last evaluation, on the present solver's clock.
+    """
+
+    def __init__(
+        self, system: Mechanics, position: FloatArray, max_steps: int, max_displacement: float
+    ) -> None:
+        self.system = system
+        self.position = position
+        self.max_steps = max_steps
+        self.max_displacement = max_displacement
+        self._per_radius = 1.0 / np.square(system.motion.radius)
+        self.length = system.motion.end - system.motion.begin
+        self.elapsed = 0.0
+        self.offset = 0.0
+        self.latest = 0.0
+        self.steps = 0
+        self.problem = ""
+        self.hint = ""
+        self.cell: int | None = None
+
+    @property
+    def left(self) -> float:
+        """What was left of the interval when the present solver was started, s."""
+        return self.length - self.offset
+
+    def clock(self, t: float) -> float:
+        """Return the scene's time for the present solver's."""
+        return self.system.motion.begin + self.offset + t
+
+    def velocity(self, t: float, y: FloatArray, out: FloatArray) -> None:
+        """Write the velocities, flat, at flat positions."""
+        self.latest = t
+        self.system.velocity(self.clock(t), y.reshape(-1, 3), out.reshape(-1, 3))
+
+    def integrate(self, start: Start) -> Outcome:
+        """Step to the end of the interval, starting again where that helps."""
+        ceiling = 0.0
+        refusals = 0
+        while True:
+            self.offset, self.latest = self.elapsed, 0.0
+            try:
+                lifted = self._advance(start(self, ceiling), ceiling)
+            except _Refused as refusal:
+                self.system.work.rejections += 1
+                self.problem, self.cell = str(refusal), refusal.cell
+                self.hint = "Choose a shorter coupling_step or a tighter integrator.atol"
+                refusals += 1
+                if refusals > _MOST_REFUSALS:
+                    break
+                ceiling = 0.25 * (refusal.step or self.left)
+                continue
+            except Restart:
+                continue
+            if not lifted:
+                break
+            ceiling = 4.0 * ceiling if 4.0 * ceiling < self.length else 0.0
+        time = self.system.motion.begin + self.elapsed
+        if self.elapsed >= self.length:
+            return Outcome(self.system.motion.end, self.position)
+        return Outcome(time, self.position, self.problem, self.hint, self.cell)
+
+    def _advance(self, solver: Solver, ceiling: float) -> bool:
+        """Step until the end, or until the ceiling may be lifted (then return True)."""
+        held = 0
+        while self.elapsed < self.length:
+            if self.steps >= self.max_steps:
+                self.problem = f"{self.steps} internal steps did not reach the end"
+                self.hint = (
+                    "Raise integrator.max_steps, loosen integrator.atol or shorten coupling_step"
+                )
+                return False
+            step = self._step(solver)
+            held = held + 1 if step > 0.9 * ceiling else 0
+            if ceiling > 0.0 and held >= _STEPS_BEFORE_LIFT and self.elapsed < self.length:
+                return True
+        return False
+
+    def _step(self, solver: Solver) -> float:
+        """Take one step if it may be taken; return its length."""
+        before = self.elapsed - self.offset
+        try:
+            reached, moved_to = solver.step()
+        except (StateRejected, StepImpossible) as error:
+            raise _Refused(str(error), self.latest - before) from error
+        moves = moved_to - self.position
+        squares = np.einsum("ij,ij->i", moves, moves) * self._per_radius
+        cell = int(squares.argmax())
+        moved = float(np.sqrt(squares[cell]))
+        # a move that is no number is the largest
+        if not moved <= self.max_displacement:
+            raise _Refused(
+                f"a step of {reached - before:.3g} s would move the cell by {moved:.3g} of its "
+                f"radius (allowed: {self.max_displacement:g})", reached - before, cell,
+            )  # fmt: skip
+        self.position = moved_to
+        self.elapsed = self.length if reached >= self.left else self.offset + reached
+        self.steps += 1
+        self.system.work.steps += 1
+        self.cell = cell
+        return reached - before
+
+
+class _Refused(Exception):  # noqa: N818 - control flow inside this module
+    """A step that must not be taken; ``step`` is its length in s, where it is known."""
+
+    def __init__(self, problem: str, step: float, cell: int | None = None) -> None:
+        super().__init__(problem)
+        self.step = max(step, 0.0)
+        self.cell = cell

@@ -1,0 +1,295 @@
+"""What each part of the tuning of ``cvode`` brings, scene by scene.
+
+Problem: six scenes of JKR cells (radius 5 µm, E 1 kPa, σ 0.1 nN/µm, ν ½) over one interval:
+``settle``, a jittered ball of 1000 cells at 0.8 of their diameter settles for 600 s;
+``division``, 2 % of 1000 settled cells have just divided, 360 s; ``inclusions``, ``settle``
+with 1 % of the cells 1000 times stiffer, 600 s; ``clump``, with its ten innermost cells so;
+``thin``, 2000 settled cells that grow, 1 % just
+divided, in a medium of 0.05 kPa s, 600 s; ``spheroid``, 5000 settled cells that grow, 5
+just divided, at 5 kPa s, 600 s. The error is the root mean square distance of the cells from
+a run with a ten-thousandth of the tolerance; where contacts form and break in the thousands
+(``inclusions``, ``thin``) it says little more than that both found a pocket to settle in.
+Each row is a warm-up and the shortest of ``--repeats`` runs.
+Cost: about two minutes on one core. The times leave out setting up the problem.
+Command: python tests/benchmarks/tune_cvode.py
+    [--scenes settle,thin] [--atol 0.01] [--expensive] [--csv FILE]
+
+Found (on a machine that others used: differences below a fifth mean little): a Jacobian that is
+fresh where contacts change, and a bound on its softening at first contact (``softening``), decide.
+In a medium of 0.005 kPa s, runs from starts 1e-6 µm apart took from 65 to 1452 steps without
+the bound and a preconditioner, from 77 to 120 with the bound, 51 with both. Then it matters
+little which preconditioner is taken, since Newton's systems are solved loosely: the diagonal
+blocks cost next to nothing; Gauss-Seidel and the incomplete factorisation save up to a half of
+the products and cost as much; multigrid takes 0.7 s and a direct factorisation 6.5 s where the
+blocks take 0.05 s (``thin``). The left side saves a fifth on ``thin`` and loses as much on
+``clump``, where it is further off; the right one, which measures the true residual, is kept.
+Against scikit-sundae's defaults: 1.0 to 1.25 times the time on mild scenes of 1000 cells, up to
+1.6 times with 100 or 200 cells, where calls from Python rule; from a half down to a thirtieth on
+stiff or large ones at 0.01 µm, about the same (0.5 to 1.1) at 0.0001 µm.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import sys
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from sksundae.cvode import CVODE
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from strategies import cluster
+
+from multicell import JKR, neighbours
+from multicell.integrators import preconditioners
+from multicell.integrators.base import Outcome
+from multicell.integrators.cvode import Cvode
+from multicell.mechanics import Mechanics, Motion
+
+EXPENSIVE = ["multigrid", "exact"]
+"""Preconditioners that take seconds; left out unless asked for. The first needs pyamg."""
+
+LAW = JKR(surface_energy=0.1)
+ATTEMPT = Cvode(rtol=1e-6, max_steps=20_000)
+
+
+@dataclass
+class Case:
+    """Cells at the start of an interval."""
+
+    position: np.ndarray
+    radius: np.ndarray
+    young: np.ndarray
+    rate: np.ndarray
+    viscosity: float
+    duration: float
+
+    def system(self, law=LAW):
+        system = Mechanics(law, self.viscosity)
+        half = np.full(len(self.radius), 0.5)
+        system.begin(Motion(self.radius, self.rate, self.young, half, 0.0, self.duration))
+        return system
+
+
+def ball(n, spacing, viscosity, duration):
+    position, radius, young = cluster(n, 1, spacing=spacing)
+    order = neighbours.spatial_order(position, 10.0)
+    return Case(position[order], radius[order], young[order], np.zeros(n), viscosity, duration)
+
+
+def settled(n, viscosity, duration, divided, growth):
+    """Return a ball at rest in which the first of a random order of cells have divided."""
+    case = ball(n, 0.88, 0.5, 2000.0)
+    case.position = Cvode(atol=1e-2).integrate(case.system(), case.position).position
+    mothers = np.random.default_rng(2).permutation(n)[:divided]
+    axis = np.random.default_rng(3).normal(size=(divided, 3))
+    axis /= np.linalg.norm(axis, axis=1)[:, None]
+    shift = case.radius[mothers, None] * (1.0 - 2.0 ** (-1 / 3)) * axis
+    radius = case.radius.copy()
+    radius[mothers] *= 2.0 ** (-1 / 3)
+    position = case.position.copy()
+    position[mothers] += shift
+    position = np.concatenate([position, case.position[mothers] - shift])
+    radius = np.concatenate([radius, radius[mothers]])
+    young = np.concatenate([case.young, case.young[mothers]])
+    order = neighbours.spatial_order(position, 10.0)
+    rate = np.full(len(order), growth)
+    return Case(position[order], radius[order], young[order], rate, viscosity, duration)
+
+
+def inclusions():
+    case = ball(1000, 0.8, 5.0, 600.0)
+    case.young[np.random.default_rng(4).permutation(1000)[:10]] *= 1000.0
+    return case
+
+
+def clump():
+    """Return ``settle`` with its ten innermost cells 1000 times stiffer."""
+    case = ball(1000, 0.8, 5.0, 600.0)
+    inner = np.argsort(np.square(case.position).sum(axis=1), kind="stable")[:10]
+    case.young[inner] *= 1000.0
+    return case
+
+
+SCENES = {
+    "settle": lambda: ball(1000, 0.8, 5.0, 600.0),
+    "division": lambda: settled(1000, 5.0, 360.0, 20, 0.0),
+    "inclusions": inclusions,
+    "clump": clump,
+    "thin": lambda: settled(2000, 0.05, 600.0, 20, 2.4e-5),
+    "spheroid": lambda: settled(5000, 5.0, 600.0, 5, 2.4e-5),
+}
+
+
+@dataclass
+class Defaults:
+    """Scikit-sundae as it comes: GMRES of dimension 5, difference quotients."""
+
+    atol: float = 1e-2
+
+    def integrate(self, system, position):
+        def velocity(t, y, out):
+            system.velocity(t, y.reshape(-1, 3), out.reshape(-1, 3))
+
+        solver = CVODE(
+            velocity, rtol=1e-6, atol=self.atol, linsolver="gmres", max_num_steps=100_000
+        )
+        result = solver.solve([0.0, system.motion.end], position.ravel())
+        system.work.steps = result.t.size
+        return Outcome(system.motion.end, result.y[-1].reshape(-1, 3))
+
+
+class Multigrid:
+    """One V-cycle of pyamg's smoothed aggregation on the symmetric matrix, stable part."""
+
+    def setup(self, system, gamma):
+        import pyamg
+
+        system.work.preconditioner_setups += 1
+        matrix, self.weight = stable_matrix(system, gamma)
+        n = matrix.shape[0] // 3
+        translations = np.tile(np.eye(3), (n, 1))
+        self.solver = pyamg.smoothed_aggregation_solver(matrix.tobsr((3, 3)), B=translations)
+
+    def solve(self, system, vector, out):
+        system.work.preconditioner_solves += 1
+        right = self.weight * vector.ravel()
+        out[:] = self.solver.solve(right, maxiter=1, tol=1e-14).reshape(-1, 3)
+
+
+class Exact:
+    """Direct factorisation of I - γJ itself: the limit of any preconditioner."""
+
+    def setup(self, system, gamma):
+        from scipy.sparse import identity
+        from scipy.sparse.linalg import splu
+
+        from multicell.sparse import sparse_jacobian
+
+        system.work.preconditioner_setups += 1
+        jacobian = sparse_jacobian(system)
+        whole = identity(jacobian.shape[0], format="csc") - gamma * jacobian
+        self.solver = splu(whole.tocsc(), permc_spec="MMD_AT_PLUS_A")
+
+    def solve(self, system, vector, out):
+        system.work.preconditioner_solves += 1
+        out[:] = self.solver.solve(np.array(vector).ravel()).reshape(-1, 3)
+
+
+def stable_matrix(system, gamma):
+    """Return Γ - γK with the stable part of each pair, and the diagonal of Γ."""
+    from scipy.sparse import diags
+
+    from multicell.sparse import sparse_jacobian
+
+    linear = system.linearisation
+    along, across = linear.along.copy(), linear.across.copy()
+    linear.across[:] = np.minimum(across, 0.0)
+    linear.along[:] = np.maximum(along - across, 0.0) + linear.across
+    weight = np.repeat(system.drag * system.rows[:, 3], 3)
+    matrix = diags(weight) - gamma * diags(weight) @ sparse_jacobian(system)
+    linear.along[:], linear.across[:] = along, across
+    return matrix.tocsr(), weight
+
+
+preconditioners.PRECONDITIONERS["multigrid"] = Multigrid
+preconditioners.PRECONDITIONERS["exact"] = Exact
+
+
+def variants(atol, expensive):
+    """Return the rows of the table: what is changed, the method, and the law."""
+    base = replace(ATTEMPT, atol=atol)
+    plain = replace(base, preconditioner="none", krylov_dim=5, refresh="solve", softening=np.inf)
+    rows = [
+        ("scikit-sundae as it comes", Defaults(atol), LAW),
+        ("cvode", base, LAW),
+        ("analytic products alone", plain, LAW),
+    ]
+    changes = {
+        "preconditioner": ["none", "blocks", "incomplete", "gauss-seidel"],
+        "side": ["left", "both"],
+        "krylov_dim": [3, 5, 12, 20],
+        "refresh": ["solve", "product", "setup", "asked"],
+        "far": [0.001, 0.01, 0.05],
+        "linear": ["bicgstab"],
+        "max_order": [1, 2, 3],
+        "newton": [4, 6],
+        "softening": [0.1, 1.0, np.inf],
+    }
+    if expensive:
+        changes["preconditioner"] += EXPENSIVE
+    for name, values in changes.items():
+        for value in values:
+            if value != getattr(base, name):
+                rows.append((f"{name} {value}", replace(base, **{name: value}), LAW))
+    smooth = JKR(surface_energy=0.1, smoothing=0.5)
+    rows.append(("smoothing 0.5 um (another model)", base, smooth))
+    return rows
+
+
+def measure(case, method, law, repeats, reference):
+    """Return the row of one method on one case."""
+    best, outcome, work = np.inf, None, None
+    for k in range(repeats + 1):
+        system = case.system(law)
+        begin = time.perf_counter()
+        outcome = method.integrate(system, case.position)
+        seconds = time.perf_counter() - begin
+        best = min(best, seconds) if k else best
+        work = system.work
+    moved = np.square(outcome.position - reference).sum(axis=1).mean() ** 0.5
+    error = moved if outcome.done and law is LAW else np.nan
+    return best, error, work
+
+
+def main():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--scenes", default=",".join(SCENES))
+    parser.add_argument("--atol", type=float, default=1e-2)
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--expensive", action="store_true", help="multigrid and direct solves too")
+    parser.add_argument("--only", default="", help="rows whose name contains this")
+    parser.add_argument("--csv", type=Path)
+    given = parser.parse_args()
+    table = [["scene", "variant", "s", "error_um", "steps", "rejections", "evaluations",
+              "linearisations", "products", "setups", "solves", "lists"]]  # fmt: skip
+    for name in given.scenes.split(","):
+        case = SCENES[name]()
+        tight = Cvode(rtol=1e-10, atol=1e-4 * given.atol, max_steps=10**6)
+        reference = tight.integrate(case.system(), case.position).position
+        print(f"\n{name}: {len(case.radius)} cells, {case.duration:g} s, atol {given.atol:g} um")
+        print(f"{'':34}{'s':>8}{'error':>9}{'steps':>6}{'f':>6}{'J':>6}{'Jv':>6}{'P':>5}")
+        for label, method, law in variants(given.atol, given.expensive):
+            if given.only and not any(part in label for part in given.only.split(",")):
+                continue
+            seconds, error, w = measure(case, method, law, given.repeats, reference)
+            print(f"{label:34}{seconds:8.4f}{error:9.1e}{w.steps:6}{w.evaluations:6}"
+                  f"{w.linearisations:6}{w.jacobian_products:6}{w.preconditioner_setups:5}",
+                  flush=True)  # fmt: skip
+            table.append(
+                [
+                    name,
+                    label,
+                    f"{seconds:.4f}",
+                    f"{error:.2e}",
+                    w.steps,
+                    w.rejections,
+                    w.evaluations,
+                    w.linearisations,
+                    w.jacobian_products,
+                    w.preconditioner_setups,
+                    w.preconditioner_solves,
+                    w.list_builds,
+                ]
+            )
+    if given.csv:
+        with given.csv.open("w", newline="") as file:
+            csv.writer(file).writerows(table)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,733 @@
+"""The work-precision harness: planted errors are found, planted failures are drawn."""
+
+import csv
+import io
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from synthetic import cells_at
+
+import multicell.compare.measure as measure
+import multicell.compare.reference as references
+from multicell import OutputError, SceneError, Simulation, StepFailed
+from multicell.compare import Method, compare, run_compare
+from multicell.compare.methods import named, settings, stiffness, weighted_cost
+from multicell.compare.norms import NORMS, errors, observe, pair_distances
+from multicell.compare.problem import Trajectory, _events, record, replay
+from multicell.compare.reference import reference
+from multicell.integrators import METHODS
+from multicell.integrators.base import Outcome
+from multicell.integrators.euler import Euler
+from multicell.mechanics import Work
+from multicell.scene import Scene, load_scene
+
+PAIR = Scene.from_dict(
+    {
+        "title": "Two Hertz cells <b>part</b>",
+        "duration": "300 s",
+        "coupling_step": "60 s",
+        "initial": {"count": 2, "spacing": 0.8},
+        "cells": {"young_variation": 0.0},
+        "contact": {"law": "hertz"},
+    }
+)
+GROWING = Scene.from_dict(
+    {
+        "title": "Twelve cells grow",
+        "duration": "12 h",
+        "coupling_step": "20 min",
+        "initial": {"count": 12, "stage": "uniform"},
+        "growth": {"cycle_time": "15 h"},
+    }
+)
+RADIUS = PAIR.cells.division_radius * 0.5 ** (1 / 3)
+
+
+def two_hertz_cells(time):
+    """Return the exact positions: dh/dt = -2 k h^1.5 / Γ, so that h^-1/2 grows linearly."""
+    modulus = 1.0 / (0.75 * (1.0 - 0.25) * 2.0 / PAIR.cells.young)
+    stiff = modulus * math.sqrt(0.5 * RADIUS)
+    drag = 6.0 * math.pi * PAIR.drag.viscosity * RADIUS
+    overlap = ((0.4 * RADIUS) ** -0.5 + stiff * time / drag) ** -2
+    return 2.0 * RADIUS - overlap
+
+
+@dataclass(frozen=True)
+class Planted:
+    """The exact solution of the pair, with an error: shifted, or drawn apart."""
+
+    shift: float = 0.0
+    apart: float = 0.0
+    fail_after: float = math.inf
+    words: str = "the planted end"
+
+    def integrate(self, system, position):
+        """Return the exact solution at the end of the coupling step, whatever the start."""
+        end = system.motion.end
+        system.work.evaluations += 7
+        if end > self.fail_after:
+            return Outcome(end, position, self.words, "plant none", 0)
+        axis = (position[1] - position[0]) / np.linalg.norm(position[1] - position[0])
+        half = 0.5 * (two_hertz_cells(end) + self.apart) * axis
+        middle = np.array([0.0, 0.0, self.shift])
+        return Outcome(end, np.array([middle - half, middle + half]))
+
+
+class Raising:
+    def integrate(self, system, position):
+        raise ArithmeticError("planted fault")
+
+
+class NotANumber:
+    def integrate(self, system, position):
+        return Outcome(system.motion.end, np.full_like(position, np.nan))
+
+
+def step_method(make, name="planted"):
+    return Method(name, "step", make)
+
+
+EXACT = step_method(lambda _: Planted(), "exact")
+BOTH_EXACT = [(EXACT, 1.0), (EXACT, 1.0)]
+
+
+def compared(methods, ladder, scene=PAIR, **options):
+    options = {"cache": False, "references": BOTH_EXACT, "repeats": 1, **options}
+    return compare(scene, methods, {"step": ladder}, **options)
+
+
+def only(result, **wanted):
+    rows = [r for r in result.table if all(r[k] == v for k, v in wanted.items())]
+    assert len(rows) == 1
+    return rows[0]
+
+
+# the reference
+
+
+def test_the_reference_meets_the_closed_form_and_its_own_uncertainty():
+    found = reference(PAIR, cache=False)
+    exact = [np.linalg.norm(p[1] - p[0]) for p in found.trajectory.positions]
+    np.testing.assert_allclose(exact, two_hertz_cells(found.problem.times), atol=1e-9 * RADIUS)
+    assert 0.0 < found.uncertainty["position"] < 1e-9
+
+
+@pytest.mark.parametrize("planted", [1e-2, 1e-6])
+def test_a_planted_uncertainty_is_measured_and_withheld_from_the_verdict(planted):
+    checked = step_method(lambda s: Planted(shift=planted * RADIUS), "off")
+    result = compared([EXACT], [1.0], references=[(EXACT, 1.0), (checked, 1.0)])
+    assert result.uncertainty["position"] == pytest.approx(planted, rel=1e-8)
+    assert result.uncertainty["gyration"] == pytest.approx(0.0, abs=1e-12)
+    # the method is exact, but that cannot be known better than the reference is
+    assert result.table[0]["error_position"] == 0.0
+    assert result.fastest(1.1 * planted)["method"] == "exact"
+    assert result.fastest(0.9 * planted) is None
+
+
+def test_a_reference_that_cannot_be_computed_says_so():
+    failing = step_method(lambda s: Planted(fail_after=130.0), "stuck")
+    with pytest.raises(StepFailed, match="planted end"):
+        compared([EXACT], [1.0], references=[(failing, 1.0), (EXACT, 1.0)])
+    with pytest.raises(StepFailed, match="check of the reference by stuck failed"):
+        compared([EXACT], [1.0], references=[(EXACT, 1.0), (failing, 1.0)])
+
+
+def test_the_next_pair_is_tried_where_the_best_one_cannot_hold_the_scene(monkeypatch):
+    failing = step_method(lambda s: Planted(fail_after=0.0), "stuck")
+    pairs = [((failing, 1.0), (EXACT, 1.0)), ((EXACT, 2.0), (EXACT, 1.0))]
+    monkeypatch.setattr(references, "default_pairs", lambda scene, unsolved: pairs)
+    told = []
+    found = reference(PAIR, cache=False, progress=told.append)
+    assert found.words == "exact at 2, checked by exact at 1"
+    assert any("planted end" in line for line in told)
+
+
+# planted errors
+
+
+@pytest.mark.parametrize("size", [0.3, 1e-3, 1e-8])
+def test_a_planted_shift_is_found_in_the_positions_only(size):
+    result = compared([step_method(lambda s: Planted(shift=s * RADIUS))], [size])
+    row = only(result)
+    for norm in ("position", "position_median", "position_final"):
+        assert row[f"error_{norm}"] == pytest.approx(size, rel=1e-6)
+    for norm in ("energy", "gyration", "pair_distance"):
+        assert row[f"error_{norm}"] == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("size", [0.1, 1e-4])
+def test_cells_drawn_apart_are_found_in_every_norm(size):
+    row = only(compared([step_method(lambda s: Planted(apart=s * RADIUS))], [size]))
+    # each of the two cells is off by half of what they are apart
+    assert row["error_position"] == pytest.approx(0.5 * size, rel=1e-6)
+    assert row["error_pair_distance"] == pytest.approx(size, rel=1e-6)
+    closest = two_hertz_cells(60.0) / RADIUS
+    assert row["error_gyration"] == pytest.approx(size / closest, rel=1e-6)
+    overlap = 2.0 * RADIUS - two_hertz_cells(60.0 * np.arange(1, 6))
+    loss = np.maximum(overlap - size * RADIUS, 0.0) ** 2.5 - overlap**2.5
+    expected = np.abs(loss).max() / (overlap**2.5).max()
+    assert row["error_energy"] == pytest.approx(expected, rel=1e-6)
+
+
+def test_pair_distances_of_many_cells_are_those_of_a_part():
+    position = np.random.default_rng(1).normal(size=(4000, 3))
+    assert len(pair_distances(position)) == 1334 * 1333 // 2
+    assert pair_distances(position[:2]) == pytest.approx(np.linalg.norm(position[0] - position[1]))
+
+
+def test_wasserstein_distance_agrees_with_scipy():
+    from scipy.stats import wasserstein_distance
+
+    rng = np.random.default_rng(2)
+    found = reference(PAIR, cache=False, pair=references.paired(BOTH_EXACT, PAIR, 1.0))
+    a = Trajectory([*found.trajectory.positions[:-1], rng.normal(0, 5, (2, 3))])
+    error = errors(found.problem, observe(found.problem, a), found.observed)["pair_distance"]
+    distances = pair_distances(a.positions[-1]), found.observed.distances
+    assert error == pytest.approx(wasserstein_distance(*distances) / RADIUS, rel=1e-12)
+
+
+@pytest.mark.parametrize("order", [1, 2, 4])
+def test_a_planted_order_is_found_by_regression(order):
+    method = step_method(lambda s: Planted(apart=RADIUS * 1e-3 * s**order))
+    result = compared([method], [4.0, 2.0, 1.0, 0.5])
+    assert result.order("planted") == pytest.approx(order, abs=1e-3)
+    assert [row["setting"] for row in result.table] == [4.0, 2.0, 1.0, 0.5]
+
+
+def test_an_order_needs_three_points_above_the_uncertainty():
+    method = step_method(lambda s: Planted(apart=RADIUS * s))
+    off = step_method(lambda s: Planted(shift=0.021 * RADIUS))
+    result = compared([method], [0.8, 0.6, 0.4, 0.2], references=[(EXACT, 1.0), (off, 1.0)])
+    assert math.isnan(result.order("planted"))
+
+
+def test_euler_has_order_one_on_two_cells():
+    result = compared(["euler"], [8.0, 4.0, 2.0, 1.0])
+    assert result.order("euler", "position") == pytest.approx(1.0, abs=0.15)
+    assert [r["evaluations"] for r in result.table] == [40, 75, 150, 300]
+    assert [r["cost"] for r in result.table] == [40, 75, 150, 300]
+
+
+def test_cvode_follows_its_tolerance():
+    ladder = {"tolerance": [1e-3, 1e-5, 1e-7]}
+    result = compare(PAIR, ["cvode"], ladder, cache=False, references=BOTH_EXACT, repeats=1)
+    for row in result.table:
+        assert row["error_position"] < 30.0 * row["setting"]
+        assert row["jacobian_products"] > 0
+        work = Work(row["evaluations"], row["linearisations"], row["jacobian_products"])
+        assert row["cost"] == weighted_cost(work) > row["evaluations"]
+
+
+# planted failures
+
+
+@pytest.fixture(scope="module")
+def failing():
+    """Return a comparison in which one setting of one method fails, and two methods always."""
+    make = {2.0: Planted(fail_after=130.0, words="out of <steps>"), 1.0: Planted(shift=0.01)}
+    methods = [
+        EXACT,
+        step_method(make.__getitem__, "fragile"),
+        step_method(lambda _: Raising(), "raising"),
+        step_method(lambda _: NotANumber(), "nan"),
+    ]
+    off = step_method(lambda s: Planted(shift=1e-4 * RADIUS), "off")
+    return compared(methods, [2.0, 1.0], references=[(EXACT, 1.0), (off, 1.0)])
+
+
+def test_a_planted_failure_stays_in_the_table_as_nan_with_its_words(failing):
+    row = only(failing, method="fragile", setting=2.0)
+    assert row["status"] == "failed"
+    assert row["words"] == "out of <steps> (t = 180 s)"
+    numbers = ["wall", "cost", "evaluations", "steps", *(f"error_{norm}" for norm in NORMS)]
+    assert all(math.isnan(row[name]) for name in numbers)
+    assert row["spent"] > 0.0
+    assert only(failing, method="fragile", setting=1.0)["status"] == "done"
+    assert "planted fault (ArithmeticError" in failing.rows("raising", "failed")[0]["words"]
+    assert "not a number" in failing.rows("nan", "failed")[1]["words"]
+    assert len(failing.failures()) == 5
+    assert failing.methods == ["exact", "fragile", "raising", "nan"]
+
+
+def test_failures_are_drawn_as_crosses_in_the_colour_of_their_method(failing):
+    from multicell.compare.chart import look
+
+    figure = failing.figure()
+    strip = next(axes for axes in figure.axes if axes.get_label() == "failures")
+    crosses = {line.get_label(): line for line in strip.lines}
+    assert set(crosses) == {"fragile failed", "raising failed", "nan failed"}
+    for name, count in (("fragile", 1), ("raising", 2), ("nan", 2)):
+        line = crosses[f"{name} failed"]
+        assert line.get_marker() == "x"
+        assert line.get_color() == look(name, failing.methods)[0]
+        spent = [row["spent"] for row in failing.rows(name, "failed")]
+        np.testing.assert_array_equal(line.get_xdata(), spent)
+        assert len(spent) == count
+    assert any(text.get_text() == "failed solve" for text in figure.legends[0].get_texts())
+
+
+def test_the_curves_are_those_of_the_table(failing):
+    figure = failing.figure("position_final")
+    axes = {a.get_label(): a for a in figure.axes}
+    for cost in ("wall", "cost"):
+        (line,) = (
+            line for line in axes[f"position_final {cost}"].lines if line.get_label() == "fragile"
+        )
+        row = only(failing, method="fragile", setting=1.0)
+        assert line.get_xdata() == pytest.approx([row[cost]])
+        assert line.get_ydata() == pytest.approx([row["error_position_final"]])
+    band = next(p for p in axes["position_final wall"].patches if p.get_label() == "_uncertainty")
+    top = max(band.get_path().transformed(band.get_patch_transform()).vertices[:, 1])
+    assert top == pytest.approx(failing.uncertainty["position_final"])
+    assert {f"{norm} wall" for norm in NORMS} <= {
+        a.get_label() for a in failing.norms_figure().axes
+    }
+
+
+def test_without_failures_there_is_no_strip():
+    result = compared([step_method(lambda s: Planted(shift=s))], [0.1])
+    assert all(axes.get_label() != "failures" for axes in result.figure().axes)
+    assert result.failures() == []
+
+
+def test_the_fastest_is_the_least_time_of_those_that_reach_the_error(failing):
+    times = {"exact": 3.0, "fragile": 1.0}
+    for row in failing.table:
+        if row["status"] == "done":
+            row["wall"] = times[row["method"]] + row["setting"]
+    slack = failing.uncertainty["position"]
+    assert failing.fastest(0.01)["method"] == "fragile"
+    assert failing.fastest(slack + 0.009 / RADIUS)["method"] == "exact"
+    assert failing.fastest(slack + 0.009 / RADIUS)["setting"] == 1.0
+    assert list(failing.within(0.01)) == ["fragile", "exact"]
+    assert failing.fastest(0.5 * slack) is None
+    with pytest.raises(ValueError, match="no norm 'size'"):
+        failing.fastest(0.1, norm="size")
+
+
+# time
+
+
+def planted_walls(monkeypatch, walls):
+    left = list(walls)
+
+    def planted(problem, integrator, limit=math.inf):
+        found = replay(problem, integrator)
+        return Trajectory(found.positions, found.work, left.pop(0), found.problem)
+
+    monkeypatch.setattr(measure, "replay", planted)
+    return left
+
+
+def test_the_wall_time_is_the_minimum_after_a_warm_up(monkeypatch):
+    # loading, the solve of the errors, warm-up, then three that count
+    left = planted_walls(monkeypatch, [9.0, 0.8, 0.01, 0.5, 0.3, 0.4])
+    row = only(compared([EXACT], [1.0], repeats=3))
+    assert (row["wall"], row["spent"], left) == (0.3, 0.8, [])
+
+
+def test_a_long_solve_is_repeated_once(monkeypatch):
+    left = planted_walls(monkeypatch, [9.0, 6.0, 5.0])
+    row = only(compared([EXACT], [1.0], repeats=3, patience=10.0))
+    assert (row["wall"], left) == (5.0, [])
+
+
+def test_what_would_take_too_long_is_skipped_and_not_called_a_failure(monkeypatch):
+    planted_walls(monkeypatch, [9.0, 6.0, 5.0, 11.0, 11.0])
+    result = compared([EXACT], [4.0, 2.0, 1.0], patience=10.0)
+    assert [row["status"] for row in result.table] == ["done", "done", "skipped"]
+    assert "about 22 s" in result.table[2]["words"]
+    assert math.isnan(result.table[2]["wall"])
+    assert result.failures() == []
+
+
+def test_the_budget_is_shared_by_the_methods_that_are_left(monkeypatch):
+    now = iter(range(0, 10**6, 3))  # every look at the clock is three seconds later
+    monkeypatch.setattr(measure.clock, "perf_counter", lambda: float(next(now)))
+    planted_walls(monkeypatch, [1.0] * 100)
+    result = compared([EXACT], [8.0, 4.0, 2.0, 1.0], budget=1000.0, patience=100.0)
+    assert [row["status"] for row in result.table] == ["done"] * 4
+    result = compared([EXACT], [8.0, 4.0, 2.0, 1.0], budget=1.0, patience=100.0)
+    assert [row["status"] for row in result.table] == ["done"] + ["skipped"] * 3
+
+
+def test_a_solve_beyond_patience_ends_with_words():
+    found = reference(PAIR, cache=False, pair=references.paired(BOTH_EXACT, PAIR, 1.0))
+    stopped = replay(found.problem, Planted(), limit=0.0)
+    assert stopped.problem == "not done after 0 s of wall time (t = 60 s)"
+
+
+# cache
+
+
+@pytest.fixture
+def counted(tmp_path):
+    """Return a function that gets the reference of a scene, and a list of solved steps."""
+    calls = []
+
+    @dataclass(frozen=True)
+    class Counted:
+        def integrate(self, system, position):
+            calls.append(system.motion.end)
+            return Planted().integrate(system, position)
+
+    method = step_method(lambda _: Counted(), "counted")
+
+    def get(scene=PAIR, setting=1.0, **options):
+        pair = ((method, setting), (method, 1.0))
+        return reference(scene, pair=pair, cache=tmp_path / "cache", **options)
+
+    return get, calls
+
+
+def test_a_cached_reference_is_used_again(counted):
+    get, calls = counted
+    first = get()
+    assert (len(calls), first.cached) == (10, False)
+    second = get()
+    assert (len(calls), second.cached) == (10, True)
+    assert second.uncertainty == first.uncertainty
+    assert second.words == first.words
+    for name in ("energy", "gyration", "distances"):
+        np.testing.assert_array_equal(getattr(second.observed, name), getattr(first.observed, name))
+    assert second.wall == first.wall
+    # output and integrator of the scene have no part in a reference
+    get(PAIR.with_changes({"output.every": "1 min", "integrator.rtol": 1e-3}))
+    assert len(calls) == 10
+
+
+@pytest.mark.parametrize(
+    "change",
+    ["scene", "source", "version", "pair", "cells", "damage"],
+)
+def test_a_cached_reference_is_not_used_when_anything_changed(
+    counted, monkeypatch, tmp_path, change
+):
+    get, calls = counted
+    get()
+    options, scene = {}, PAIR
+    if change == "scene":
+        scene = PAIR.with_changes({"drag.viscosity": 4.0})
+    elif change == "source":
+        monkeypatch.setattr(references, "source_hash", lambda: "another")
+    elif change == "version":
+        monkeypatch.setattr(references, "package_version", lambda: "9.9")
+    elif change == "pair":
+        options["setting"] = 2.0
+    elif change == "cells":
+        options["cells"] = cells_at([[0.0, 0, 0], [7.0, 0, 0]], radius=RADIUS)
+    else:
+        (file,) = (tmp_path / "cache").glob("*.npz")
+        file.write_bytes(file.read_bytes()[:200])
+    assert not get(scene, **options).cached
+    assert len(calls) == 20
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "tolerance"),
+    [
+        ("settle", {}, 1e-12),
+        ("settle", {"initial.count": 5000}, 1e-9),
+        ("growth", {"stop_cells": 300}, 1e-12),
+        ("growth", {"stop_cells": 3000, "initial.count": 20}, 1e-9),
+        ("growth", {"duration": "2 d"}, 1e-12),
+        ("growth", {"initial.count": 100, "duration": "2 d"}, 1e-9),
+    ],
+)
+def test_cvode_as_reference_is_as_tight_as_the_scene_allows(monkeypatch, name, changes, tolerance):
+    monkeypatch.setattr(references, "METHODS", {"cvode": ""})
+    scene = load_scene(name).with_changes(changes)
+    (pair,) = references.default_pairs(scene, references.blank(scene, None, 1))
+    assert [(method.name, setting) for method, setting in pair] == [
+        ("cvode", tolerance),
+        ("cvode", 10.0 * tolerance),
+    ]
+
+
+def test_an_order_of_eight_is_the_reference_where_there_is_one(monkeypatch):
+    made = []
+    monkeypatch.setattr(references, "METHODS", {"cvode": "", "scipy-dop853": ""})
+    monkeypatch.setattr(references, "named", lambda name, *_: made.append(name) or EXACT)
+    pairs = references.default_pairs(PAIR, references.blank(PAIR, None, 1))
+    assert made == ["cvode", "scipy-dop853"]
+    assert pairs[0][0][1] == pairs[0][1][1] == 1e-12
+    assert len(pairs) == 2
+
+
+def test_the_source_hash_follows_the_sources_but_not_the_pictures(tmp_path):
+    (tmp_path / "compare").mkdir()
+    for name in ("kernels.py", "report.py", "compare/problem.py", "compare/chart.py"):
+        (tmp_path / name).write_text("a = 1\n")
+    before = references.source_hash(tmp_path)
+    (tmp_path / "report.py").write_text("a = 2\n")
+    (tmp_path / "compare/chart.py").write_text("a = 2\n")
+    assert references.source_hash(tmp_path) == before
+    (tmp_path / "compare/problem.py").write_text("a = 2\n")
+    changed = references.source_hash(tmp_path)
+    (tmp_path / "kernels.py").write_text("a = 2\n")
+    assert len({before, changed, references.source_hash(tmp_path)}) == 3
+
+
+def test_the_cache_folder_can_be_chosen(monkeypatch, tmp_path):
+    monkeypatch.setenv("MULTICELL_CACHE", str(tmp_path))
+    assert references.cache_folder() == tmp_path
+    monkeypatch.delenv("MULTICELL_CACHE")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert references.cache_folder() == tmp_path / "multicell" / "references"
+
+
+# replay
+
+
+@dataclass(frozen=True)
+class Spy:
+    """Euler's method that notes what it is given."""
+
+    inner: Euler
+    seen: list
+
+    def integrate(self, system, position):
+        motion = system.motion
+        ends = motion.radius + motion.radius_rate * (motion.end - motion.begin)
+        self.seen.append((motion.begin, motion.end, motion.radius, ends, motion.young))
+        return self.inner.integrate(system, position)
+
+
+@pytest.fixture(scope="module")
+def grown():
+    return record(GROWING, Euler(5.0))
+
+
+def test_the_record_is_the_simulation(grown):
+    problem, trajectory = grown
+    simulation = Simulation(GROWING.with_changes({"integrator": "euler", "integrator.step": 5.0}))
+    while not simulation.finished:
+        before = simulation.cells
+        simulation.step()
+        k = simulation.step_index - 1
+        np.testing.assert_array_equal(before.radius, problem.steps[k].motion.radius)
+        if k + 1 < len(problem.steps):
+            after = problem.steps[k + 1].before
+            ends = trajectory.positions[k]
+            ends = ends if after is None else after.apply(ends)
+            np.testing.assert_allclose(simulation.cells.position, ends, atol=1e-12)
+    assert simulation.divisions >= 5
+    assert len(problem.steps) == simulation.steps == 36
+    assert problem.times[-1] == GROWING.duration
+
+
+def test_a_replay_by_the_recording_method_retraces_it_to_rounding(grown):
+    problem, trajectory = grown
+    again = replay(problem, Euler(5.0))
+    assert again.done
+    assert again.work == trajectory.work
+    for a, b in zip(again.positions, trajectory.positions, strict=True):
+        np.testing.assert_allclose(a, b, rtol=0, atol=1e-11)
+
+
+def test_all_methods_get_the_same_cells_events_and_times(grown):
+    problem, _ = grown
+    coarse, fine = Spy(Euler(30.0), []), Spy(Euler(2.0), [])
+    ends = [replay(problem, spy) for spy in (coarse, fine)]
+    assert all(end.done for end in ends)
+    assert len(coarse.seen) == len(fine.seen) == 36
+    for a, b in zip(coarse.seen, fine.seen, strict=True):
+        for x, y in zip(a, b, strict=True):
+            np.testing.assert_array_equal(x, y)
+    counts = [[len(p) for p in end.positions] for end in ends]
+    assert counts[0] == counts[1] == problem.counts.tolist()
+    assert counts[0][-1] > counts[0][0] == 12
+    assert np.abs(ends[0].positions[-1] - ends[1].positions[-1]).max() > 1e-6
+
+
+def test_a_daughter_is_laid_beside_her_mother_wherever_a_method_has_led_her(grown):
+    problem, trajectory = grown
+    k, events = next((k, s.before) for k, s in enumerate(problem.steps) if s.before is not None)
+    moved = trajectory.positions[k - 1] + [3.0, -2.0, 1.0]
+    radius = problem.steps[k - 1].motion
+    mother = radius.radius + radius.radius_rate * (radius.end - radius.begin)
+    after = events.apply(moved)
+    daughters = np.flatnonzero(np.linalg.norm(events.offset, axis=1) > 0)
+    assert len(daughters) % 2 == 0
+    distance = np.linalg.norm(after - moved[events.source], axis=1)
+    expected = mother[events.source[daughters]] * (1 - 0.5 ** (1 / 3))
+    np.testing.assert_allclose(distance[daughters], expected, rtol=1e-9)
+    others = np.setdiff1d(np.arange(len(after)), daughters)
+    np.testing.assert_array_equal(distance[others], 0.0)
+
+
+def test_division_removal_and_a_new_order_at_once():
+    before = cells_at(np.arange(12.0).reshape(4, 3))
+    before.id[:] = [7, 3, 9, 5]
+    after = cells_at(np.zeros((4, 3)))
+    after.id[:] = [11, 9, 10, 7]  # 3 divided into 10 and 11, 5 is gone
+    after.parent[:] = [3, -1, 3, -1]
+    after.position[:] = before.position[[1, 2, 1, 0]]
+    after.position[0] += [0.0, 1.5, 0.0]
+    after.position[2] -= [0.0, 1.5, 0.0]
+    events = _events(before, before.position, after)
+    np.testing.assert_array_equal(events.source, [1, 2, 1, 0])
+    np.testing.assert_array_equal(events.offset[:, 1], [1.5, 0.0, -1.5, 0.0])
+    np.testing.assert_array_equal(events.apply(before.position), after.position)
+    assert _events(before, before.position, before) is None
+
+
+def test_a_growing_problem_survives_the_cache(tmp_path):
+    pair = references.paired([("euler", 5.0), ("euler", 10.0)], GROWING, 4.0)
+    first = reference(GROWING, pair=pair, cache=tmp_path)
+    second = reference(GROWING, pair=pair, cache=tmp_path)
+    assert (first.cached, second.cached) == (False, True)
+    for one, two in zip(first.problem.steps, second.problem.steps, strict=True):
+        assert (one.before is None) == (two.before is None)
+        np.testing.assert_array_equal(one.motion.radius_rate, two.motion.radius_rate)
+        assert (one.motion.begin, one.motion.end) == (two.motion.begin, two.motion.end)
+    ends = [replay(r.problem, Euler(10.0)).positions[-1] for r in (first, second)]
+    np.testing.assert_array_equal(ends[0], ends[1])
+
+
+SORTING = GROWING.with_changes(
+    {
+        "duration": "40 min",
+        "contact.law": "exact-jkr",
+        "types.a": {"fraction": 0.5},
+        "types.b": {"fraction": 0.5, "young": "3 kPa"},
+    }
+)
+
+
+def test_pairs_and_types_of_a_motion_survive_the_cache(tmp_path):
+    pair = references.paired([("euler", 10.0), ("euler", 20.0)], SORTING, 4.0)
+    first, second = (reference(SORTING, pair=pair, cache=tmp_path) for _ in range(2))
+    assert second.cached
+    for one, two in zip(first.problem.steps, second.problem.steps, strict=True):
+        assert one.motion.touching is not None
+        assert one.motion.kind is not None
+        assert one.motion.bonds is two.motion.bonds is None
+        np.testing.assert_array_equal(one.motion.touching, two.motion.touching)
+        np.testing.assert_array_equal(one.motion.kind, two.motion.kind)
+        assert one.motion.kind.dtype == two.motion.kind.dtype
+    assert second.observed.energy == pytest.approx(first.observed.energy, rel=1e-14)
+
+
+# methods and ladders
+
+
+def test_the_kind_of_a_method_is_seen_from_its_integrator():
+    assert named("euler", PAIR, 4.0).control == "step"
+    assert named("euler", PAIR, 4.0).make(3.0).step == 3.0
+    assert named("backward-euler", PAIR, 4.0).control == "step"
+    cvode = named("cvode", PAIR, 4.0)
+    assert cvode.control == "tolerance"
+    made = cvode.make(1e-4)
+    assert (made.rtol, made.atol) == pytest.approx((1e-6, 4e-4))
+
+
+def test_default_steps_halve_from_four_times_the_limit_of_euler(grown):
+    problem, trajectory = grown
+    rate = stiffness(problem, trajectory)
+    steps = settings(named("euler", GROWING, 4.0), None, problem, rate)
+    np.testing.assert_allclose(np.array(steps[:-1]) / steps[1:], 2.0)
+    length = GROWING.coupling_step
+    assert 0.5 * min(8.0 / rate, length) < steps[0] <= min(8.0 / rate, length)
+    counts = length / np.array(steps)
+    np.testing.assert_allclose(counts, counts.round())
+    # a hundred times less viscous, a hundred times faster
+    assert settings(named("euler", GROWING, 4.0), None, problem, 100 * rate)[0] < 0.02 * steps[0]
+
+
+def test_the_bound_on_decay_rates_is_above_the_true_rate():
+    exact = reference(PAIR, cache=False, pair=references.paired(BOTH_EXACT, PAIR, 1.0))
+    overlap = 0.4 * RADIUS
+    modulus = 1.0 / (0.75 * 0.75 * 2.0)
+    slope = 1.5 * modulus * math.sqrt(0.5 * RADIUS * overlap)
+    rate = 2.0 * slope / (6.0 * math.pi * 5.0 * RADIUS)
+    found = stiffness(exact.problem, exact.trajectory)
+    assert rate * (1.0 - 1e-12) <= found <= 2.0 * rate
+
+
+@pytest.mark.parametrize(
+    ("methods", "ladder", "match"),
+    [
+        (["cvod"], None, "no method is called 'cvod'.*'cvode'"),
+        (["cvode"], {"tolerance": [1e-16]}, "tolerance: is 1e-16.*Double precision"),
+        (["euler"], {"euler": [0.0]}, "ladder.euler: is 0.0, must be above 0 s"),
+        (["euler"], {"step": [math.nan]}, "must be above 0 s"),
+        (["euler"], {"step": []}, "is empty"),
+        (["euler"], {"steps": [1.0]}, "ladder.steps: is no method here.*'step'"),
+    ],
+)
+def test_bad_input_is_refused_with_words(methods, ladder, match):
+    with pytest.raises(SceneError, match=match):
+        compare(PAIR, methods, ladder, cache=False, references=BOTH_EXACT)
+
+
+def test_no_methods_are_refused():
+    with pytest.raises(ValueError, match="methods is empty"):
+        compare(PAIR, [], cache=False)
+
+
+def test_every_method_there_is_meets_the_exact_solution():
+    ladder = {"tolerance": [1e-6], "step": [0.5]}
+    result = compare(PAIR, None, ladder, cache=False, references=BOTH_EXACT, repeats=1)
+    assert result.methods == list(METHODS)
+    assert result.failures() == []
+    for row in result.table:
+        assert row["error_position"] < (1e-3 if row["control"] == "step" else 3e-5), row["method"]
+
+
+# files
+
+
+def test_the_folder_holds_table_pictures_and_page(failing, tmp_path):
+    page = failing.save(tmp_path / "out").read_text(encoding="utf-8")
+    rows = list(csv.DictReader(io.StringIO((tmp_path / "out/workprecision.csv").read_text())))
+    assert [r["method"] for r in rows] == [r["method"] for r in failing.table]
+    assert [math.isnan(float(r["wall"])) for r in rows] == [
+        r["status"] != "done" for r in failing.table
+    ]
+    for name in ("workprecision.png", "norms.png"):
+        assert (tmp_path / "out" / name).read_bytes().startswith(b"\x89PNG")
+    assert "out of &lt;steps&gt;" in page
+    assert "out of <steps>" not in page
+    assert "Two Hertz cells &lt;b&gt;part&lt;/b&gt;" in page
+    assert page.count("data:image/png;base64,") == 2
+    assert "http" not in page.replace("http-equiv", "")
+
+
+def test_columns_are_arrays(failing):
+    columns = failing.columns()
+    assert columns["error_energy"].shape == (8,)
+    assert np.isnan(columns["cost"]).sum() == 5
+    assert set(columns["status"]) == {"done", "failed"}
+
+
+def test_run_compare_writes_and_does_not_overwrite(tmp_path):
+    path = tmp_path / "pair.toml"
+    path.write_text(PAIR.to_toml())
+    options = {
+        "methods": ["euler"],
+        "ladder": {"step": [30.0]},
+        "references": BOTH_EXACT,
+        "cache": False,
+    }
+    result = run_compare(path, tmp_path / "out", changes={"duration": "120 s"}, **options)
+    assert result.facts["coupling_steps"] == 2
+    assert (tmp_path / "out" / "report.html").exists()
+    with pytest.raises(OutputError, match="not empty"):
+        run_compare(path, tmp_path / "out", **options)
+    (tmp_path / "out" / "notes.txt").write_text("mine")
+    run_compare(path, tmp_path / "out", overwrite=True, **options)
+    assert (tmp_path / "out" / "notes.txt").read_text() == "mine"
+
+
+def test_a_comparison_may_start_from_given_cells():
+    cells = cells_at([[0.0, 0, 0], [7.0, 0, 0], [0.0, 7.5, 0]], radius=4.0)
+    result = compare(
+        PAIR, ["euler"], {"step": [10.0]}, cells=cells, cache=False, repeats=1,
+        references=[("euler", 1.0), ("euler", 2.0)],
+    )  # fmt: skip
+    assert result.facts["cells"] == [3, 3]
+    assert result.facts["mean_radius"] == 4.0
+    assert 0.0 < result.uncertainty["position"] < result.table[0]["error_position"]

@@ -1,0 +1,417 @@
+"""Implicit methods: against SciPy, the sparse Jacobian, what they refuse, what they say."""
+
+import numpy as np
+import pytest
+from strategies import cluster, mechanics
+
+from multicell import JKR, Hertz
+from multicell.errors import SceneError
+from multicell.integrators import METHODS, make
+from multicell.integrators.auto import Auto, choose, decay_rate
+from multicell.integrators.backward_euler import BackwardEuler
+from multicell.integrators.cvode import Cvode
+from multicell.integrators.cvode_sparse import CvodeSparse
+from multicell.integrators.preconditioners import PRECONDITIONERS, preconditioner
+from multicell.integrators.restarts import Run, StepImpossible
+from multicell.integrators.scipy_methods import Scipy
+from multicell.mechanics import Linearisation
+from multicell.neighbours import spatial_order
+from multicell.parts import IntegratorOptions
+from multicell.sparse import Pattern, limit, sparse_jacobian
+
+IMPLICIT = {
+    "cvode": Cvode,
+    "cvode-sparse": CvodeSparse,
+    "cvode-adams": lambda rtol, atol: Cvode.adams(rtol, atol, 10_000, 0.5),
+    "scipy-radau": lambda rtol, atol: Scipy("radau", rtol, atol),
+    "scipy-bdf": lambda rtol, atol: Scipy("bdf", rtol, atol),
+    "scipy-lsoda": lambda rtol, atol: Scipy("lsoda", rtol, atol),
+    "scipy-rk45": lambda rtol, atol: Scipy("rk45", rtol, atol),
+    "auto": Auto,
+}
+
+
+def smooth_scene():
+    """Twenty cells in a helix of tetrahedra: each keeps its contacts, and no kink is passed."""
+    k, edge = np.arange(20), 6.6
+    angle, width = k * np.arccos(-2 / 3), 0.3 * np.sqrt(3) * edge
+    position = np.stack(
+        [width * np.cos(angle), width * np.sin(angle), k * edge / np.sqrt(10)], axis=1
+    ) + np.random.default_rng(3).normal(0.0, 0.1, (20, 3))
+    return position, lambda: mechanics(np.full(20, 5.0), np.ones(20), duration=60.0)
+
+
+def reference(system, position, tolerance=1e-13):
+    outcome = Scipy("dop853", 3e-14, tolerance).integrate(system, position)
+    assert outcome.done
+    return outcome.position
+
+
+def test_the_smooth_scene_is_smooth():
+    position, system = smooth_scene()
+    cells = system()
+    end = reference(system(), position)
+    np.testing.assert_array_equal(cells.contacts(0.0, position), cells.contacts(60.0, end))
+    assert len(cells.contacts(60.0, end)) == 3 * 20 - 6
+    assert np.abs(end - position).max() > 0.5
+
+
+@pytest.mark.parametrize("name", IMPLICIT)
+def test_error_follows_the_tolerance(name):
+    position, system = smooth_scene()
+    exact = reference(system(), position)
+    for tolerance in (1e-3, 1e-5, 1e-7, 1e-9):
+        outcome = IMPLICIT[name](1e-13, tolerance).integrate(system(), position)
+        assert outcome.done
+        assert np.abs(outcome.position - exact).max() < 30 * tolerance
+
+
+def test_cvode_reaches_a_billionth():
+    position, system = smooth_scene()
+    exact = reference(system(), position)
+    outcome = Cvode(1e-13, 1e-12, 100_000).integrate(system(), position)
+    assert np.abs(outcome.position - exact).max() < 1e-9 * np.abs(exact).max()
+
+
+def test_backward_euler_is_of_first_order():
+    position, system = smooth_scene()
+    exact = reference(system(), position)
+    steps = np.array([6.0, 3.0, 1.5, 0.75])
+    errors = [
+        np.abs(BackwardEuler(step, 1e-8).integrate(system(), position).position - exact).max()
+        for step in steps
+    ]
+    assert np.polyfit(np.log(steps), np.log(errors), 1)[0] == pytest.approx(1.0, abs=0.15)
+
+
+def test_no_step_limit_from_stability():
+    """A settled cluster in a thin medium: steps far beyond Euler's limit, and it stays."""
+    position, radius, young = cluster(100, 3, spacing=0.85)
+    settled = Cvode(atol=1e-6).integrate(
+        mechanics(radius, young, duration=20_000.0), position
+    ).position  # fmt: skip
+    for method in (Cvode(), CvodeSparse(), BackwardEuler(100.0), BackwardEuler(1000.0)):
+        system = mechanics(radius, young, duration=1000.0, viscosity=0.01)
+        limit_of_euler = 2.0 / decay_rate(system, settled)
+        outcome = method.integrate(system, settled)
+        assert outcome.done
+        assert system.work.steps < 0.02 * 1000.0 / limit_of_euler
+        assert np.abs(outcome.position - settled).max() < 0.05
+
+
+@pytest.mark.parametrize("chunk", [2048, 40])
+@pytest.mark.parametrize("law", [Hertz(), JKR(surface_energy=0.1)])
+def test_sparse_jacobian_is_the_derivative(law, chunk):
+    position, radius, young = cluster(60, 5, spacing=0.8)
+    system = mechanics(radius, young, law, chunk=chunk)
+    system.linearise(0.0, position)
+    matrix = sparse_jacobian(system)
+    assert matrix.has_sorted_indices
+    vector = np.random.default_rng(0).normal(size=position.shape)
+    product = np.empty_like(vector)
+    system.jacobian_product(vector, product)
+    np.testing.assert_allclose(matrix @ vector.ravel(), product.ravel(), rtol=0, atol=1e-14)
+    dense = np.empty((180, 180))
+    plus, minus = np.empty_like(position), np.empty_like(position)
+    step = 1e-6
+    for k in range(180):
+        shift = np.zeros(180)
+        shift[k] = step
+        system.velocity(0.0, position + shift.reshape(-1, 3), plus)
+        system.velocity(0.0, position - shift.reshape(-1, 3), minus)
+        dense[:, k] = (plus - minus).ravel() / (2 * step)
+    scale = np.abs(dense).max()
+    np.testing.assert_allclose(matrix.toarray(), dense, rtol=0, atol=2e-5 * scale)
+
+
+def test_pattern_counts_the_pairs_that_it_cannot_hold():
+    position, radius, young = cluster(40, 5, spacing=0.8)
+    far = mechanics(radius, young)
+    far.linearise(0.0, 3.0 * position)
+    near = mechanics(radius, young)
+    near.linearise(0.0, position)
+    pattern = Pattern.of(far.linearisation.pairs)
+    touching = len(near.contacts(0.0, position))
+    assert pattern.fill(near, np.empty(len(pattern.index))) == 2 * touching
+    whole = Pattern.of(near.linearisation.pairs)
+    assert whole.fill(near, np.empty(len(whole.index))) == 0
+
+
+def stable_system(system, gamma):
+    """Return I - γJ with the stable part of each pair, dense, from the stored stiffness."""
+    linear = system.linearisation
+    along, across = linear.along.copy(), linear.across.copy()
+    with np.errstate(all="ignore"):  # the spare room of a list holds anything
+        linear.across[:] = np.minimum(across, 0.0)
+        linear.along[:] = np.maximum(along - across, 0.0) + linear.across
+    matrix = np.eye(3 * len(system)) - gamma * sparse_jacobian(system).toarray()
+    linear.along[:], linear.across[:] = along, across
+    return matrix
+
+
+def test_gauss_seidel_sweeps_are_those_of_linear_algebra():
+    position, radius, young = cluster(50, 6, spacing=0.8)
+    system = mechanics(radius, young)
+    system.linearise(0.0, position)
+    gamma = 200.0
+    weight = np.repeat(system.drag * system.rows[:, 3], 3)
+    matrix = weight[:, None] * stable_system(system, gamma)
+    cell = np.arange(150) // 3
+    upper = np.where(cell[:, None] < cell, matrix, 0.0)
+    diagonal = np.where(cell[:, None] == cell, matrix, 0.0)
+    vector = np.random.default_rng(1).normal(size=(50, 3))
+    whole = (diagonal + upper.T) @ np.linalg.solve(diagonal, diagonal + upper)
+    expected = np.linalg.solve(whole, weight * vector.ravel())
+    sweeps, out = preconditioner("gauss-seidel", system), np.empty((50, 3))
+    sweeps.setup(system, gamma)
+    sweeps.solve(system, vector, out)
+    np.testing.assert_allclose(out.ravel(), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", PRECONDITIONERS)
+@pytest.mark.parametrize("threads", [1, 2])
+def test_preconditioners_approximate_and_give_the_same_bits(name, threads):
+    position, radius, young = cluster(120, 6, spacing=0.8)
+    position = position[spatial_order(position, 10.0)]
+    young[::7] *= 30.0
+    results = []
+    for count in (1, threads):
+        system = mechanics(radius, young, threads=count, chunk=60, shared_chunks=2)
+        system.linearise(0.0, position)
+        matrix = stable_system(system, 3000.0)
+        system.linearise(0.0, position)
+        vector = np.random.default_rng(1).normal(size=(120, 3))
+        inverse, out = preconditioner(name, system), np.empty((120, 3))
+        inverse.setup(system, 3000.0)
+        inverse.solve(system, vector, out)
+        results.append(out)
+        # the preconditioned matrix is much closer to the identity than the matrix
+        columns = np.empty((360, 360))
+        for k in range(360):
+            inverse.solve(system, np.ascontiguousarray(matrix[:, k].reshape(-1, 3)), out)
+            columns[:, k] = out.ravel()
+        before, after = (np.linalg.cond(m) for m in (matrix, columns))
+        assert after < 0.7 * before
+    np.testing.assert_array_equal(results[0], results[1])
+
+
+def test_bounded_softening_changes_nothing_else():
+    position = np.array([[0.0, 0, 0], [9.999999, 0, 0], [0.0, 8.0, 0]])
+    system = mechanics(np.full(3, 5.0), np.ones(3))
+    system.linearise(0.0, position)
+    before = sparse_jacobian(system).toarray()
+    limit(system, 0.5)
+    after = sparse_jacobian(system).toarray()
+    # E_ij r_ij = 2/3 · 1 / ¾ ... of two alike cells: E = 1 / (2 · 9/16), r = 2.5
+    least = 0.5 * 2.5 / (2 * 0.75 * 0.75)
+    assert before[0, 3] * system.drag * 5.0 < -2 * least
+    assert after[0, 3] * system.drag * 5.0 == pytest.approx(-least, rel=1e-3)
+    np.testing.assert_array_equal(before[:3, 6:], after[:3, 6:])
+
+
+@pytest.mark.parametrize("change", [
+    {"preconditioner": "none"}, {"preconditioner": "gauss-seidel"},
+    {"preconditioner": "incomplete"}, {"side": "left"}, {"side": "both"}, {"krylov_dim": 3},
+    {"refresh": "solve"}, {"refresh": "product"}, {"refresh": "setup"}, {"refresh": "asked"},
+    {"linear": "bicgstab"}, {"softening": np.inf},
+])  # fmt: skip
+def test_settings_change_the_way_and_not_the_end(change):
+    position, radius, young = cluster(80, 6, spacing=0.8)
+    exact = reference(mechanics(radius, young, Hertz()), position, 1e-10)
+    outcome = Cvode(1e-12, 1e-6, **change).integrate(mechanics(radius, young, Hertz()), position)
+    assert outcome.done
+    assert np.abs(outcome.position - exact).max() < 3e-5
+
+
+def test_new_contacts_start_a_new_pattern():
+    """Cells that fall together from far apart meet pairs that the first pattern lacks."""
+    position, radius, young = cluster(60, 4, spacing=0.7)
+    system = mechanics(radius, young, JKR(surface_energy=0.1), duration=600.0, viscosity=0.5)
+    outcome = CvodeSparse(1e-8, 1e-4, margin=0.0).integrate(system, position)
+    other = mechanics(radius, young, JKR(surface_energy=0.1), duration=600.0, viscosity=0.5)
+    exact = Cvode(1e-10, 1e-7).integrate(other, position)
+    assert outcome.done
+    np.testing.assert_allclose(
+        other.energy(600.0, outcome.position), other.energy(600.0, exact.position), rtol=1e-2
+    )
+
+
+@pytest.mark.parametrize("name", sorted(METHODS))
+def test_every_name_makes_a_method_that_runs(name):
+    position, radius, young = cluster(12, 4, spacing=0.9)
+    method = make(IntegratorOptions(method=name, step=1.0, atol=1e-3))
+    system = mechanics(radius, young, duration=10.0)
+    outcome = method.integrate(system, position)
+    assert outcome.done
+    assert outcome.time == 10.0
+    assert system.work.steps >= 1
+    exact = Cvode(1e-10, 1e-8).integrate(mechanics(radius, young, duration=10.0), position)
+    assert np.abs(outcome.position - exact.position).max() < 0.05
+
+
+@pytest.mark.parametrize(
+    ("method", "n"), [(Scipy("lsoda"), 1001), (Scipy("radau"), 3001), (CvodeSparse(), 10_001)]
+)
+def test_a_method_that_cannot_hold_a_scene_says_why(method, n):
+    position = 20.0 * np.arange(3 * n, dtype=float).reshape(n, 3)
+    system = mechanics(np.full(n, 5.0), np.ones(n))
+    with pytest.raises(SceneError, match=rf"holds at most {n - 1} cells, not {n}.*'cvode'"):
+        method.integrate(system, position)
+
+
+@pytest.mark.parametrize("method", [CvodeSparse(), Scipy("bdf")])
+def test_friction_makes_the_jacobian_full(method):
+    position, radius, young = cluster(5, 1)
+    system = mechanics(radius, young, friction=(0.1, 0.1))
+    with pytest.raises(SceneError, match="friction between cells"):
+        method.integrate(system, position)
+
+
+def test_scipy_refuses_a_tolerance_that_doubles_cannot_carry():
+    with pytest.raises(SceneError, match="double precision"):
+        Scipy("rk45", rtol=1e-14)
+
+
+@pytest.mark.parametrize("method", [
+    Cvode(0.1, 5.0, max_displacement=0.3), CvodeSparse(0.1, 5.0, max_displacement=0.3),
+    Scipy("rk45", 0.1, 5.0, max_displacement=0.3),
+])  # fmt: skip
+def test_no_method_returns_cells_thrown_away(method):
+    position, radius, young = cluster(100, 9, spacing=0.5)
+    system = mechanics(radius, young, duration=600.0)
+    outcome = method.integrate(system, position)
+    assert outcome.done
+    assert system.work.rejections > 0
+    assert np.linalg.norm(outcome.position - outcome.position.mean(axis=0), axis=1).max() < 120.0
+
+
+def test_backward_euler_ends_with_words():
+    position, radius, young = cluster(60, 8, spacing=0.6)
+    system = mechanics(radius, young, duration=4000.0)
+    outcome = BackwardEuler(2000.0).integrate(system, position)
+    assert "step of 2e+03 s has no solution that a line search finds" in outcome.problem
+    outcome = BackwardEuler(10.0, max_displacement=0.01).integrate(system, position)
+    assert "step of 10 s would move the cell" in outcome.problem
+    assert "shorter integrator.step" in outcome.hint
+    assert outcome.cell in range(60)
+    system = mechanics(radius, young, duration=100.0)
+    stopped = BackwardEuler(100.0, newton=1, tolerance=1e-12).integrate(system, position)
+    assert "did not converge in 1 iterations in a step of 100 s" in stopped.problem
+    assert stopped.time == 0.0
+    np.testing.assert_array_equal(stopped.position, position)
+
+
+def test_backward_euler_where_conjugate_gradients_are_not_safe():
+    """A compressed cluster: some direction has negative curvature, and GMRES takes over."""
+    position, radius, young = cluster(60, 2, spacing=0.55)
+    system = mechanics(radius, young, Hertz(), duration=4.0, viscosity=0.01)
+    system.linearise(0.0, position)
+    spectrum = np.linalg.eigvals(sparse_jacobian(system).toarray()).real
+    assert spectrum.max() * 4.0 > 1.0
+    outcome = BackwardEuler(4.0, max_displacement=1.0).integrate(system, position)
+    if outcome.done:
+        residual = np.empty_like(position)
+        system.velocity(4.0, outcome.position, residual)
+        assert np.abs(outcome.position - position - 4.0 * residual).max() < 1e-2
+    else:
+        assert "step of 4 s" in outcome.problem
+
+
+@pytest.mark.parametrize("method", [Cvode(max_steps=2), Scipy("rk45", 1e-10, 1e-10, max_steps=2)])
+def test_out_of_steps_says_so(method):
+    position, radius, young = cluster(50, 8, spacing=0.6)
+    outcome = method.integrate(mechanics(radius, young, duration=600.0), position)
+    assert "2 internal steps" in outcome.problem
+    assert "max_steps" in outcome.hint
+    assert 0.0 < outcome.time < 600.0
+
+
+@pytest.mark.parametrize("name", ["cvode", "cvode-sparse", "cvode-adams", "auto"])
+def test_coincident_and_far_cells(name):
+    position, radius, young = cluster(30, 1)
+    position[1] = position[0]
+    position[2] = [1e7, 1e7, -1e7]
+    outcome = IMPLICIT[name](1e-6, 1e-2).integrate(
+        mechanics(radius, young, duration=20.0), position
+    )
+    assert outcome.done
+    assert np.isfinite(outcome.position).all()
+
+
+class Breaking:
+    """A solver that takes two steps of a second and then gives up, always."""
+
+    def __init__(self, run, ceiling):
+        self.run, self.taken = run, 0
+
+    def step(self):
+        if self.run.elapsed >= 2.0:
+            raise StepImpossible("it broke")
+        self.taken += 1
+        return float(self.taken), self.run.position.copy()
+
+
+def test_a_solver_that_keeps_breaking_ends_with_its_words():
+    position, radius, young = cluster(4, 1)
+    system = mechanics(radius, young)
+    outcome = Run(system, position, 100, 0.5).integrate(Breaking)
+    assert outcome.problem == "it broke"
+    assert outcome.time == 2.0
+    assert system.work.steps == 2
+    assert system.work.rejections > 1
+
+
+def test_auto_chooses_by_stiffness_and_says_why():
+    position, radius, young = cluster(400, 2, spacing=0.9)
+    soft = choose(mechanics(radius, young, duration=60.0), position, 1e-6, 1e-2)
+    stiff = choose(mechanics(radius, young, duration=6e4, viscosity=0.05), position, 1e-6, 1e-2)
+    assert (soft.method, stiff.method) == ("dopri5", "cvode")
+    assert stiff.stiffness > 1e4 * soft.stiffness
+    assert f"{stiff.rate:.3g}/s" in stiff.reason
+    assert stiff.order[0] == "cvode"
+    again = choose(mechanics(radius, young, duration=60.0), position, 1e-6, 1e-2)
+    assert again == soft
+
+
+def test_auto_counts_the_steps_of_each_method():
+    position, radius, young = cluster(60, 2, spacing=0.9)
+    system = mechanics(radius, young, duration=60.0)
+    Auto().integrate(system, position)
+    assert system.work.steps_dopri5 == system.work.steps > 0
+    assert system.work.steps_cvode == system.work.steps_rkc2 == 0
+
+
+def test_decay_rate_is_the_end_of_the_spectrum():
+    position, radius, young = cluster(80, 2, spacing=0.85)
+    system = mechanics(radius, young)
+    rate = decay_rate(system, position)
+    exact = np.abs(np.linalg.eigvals(sparse_jacobian(system).toarray())).max()
+    assert 0.7 * exact < rate <= exact * (1 + 1e-12)
+    lone = mechanics(np.array([5.0]), np.array([1.0]))
+    assert decay_rate(lone, np.zeros((1, 3))) == 0.0
+
+
+@pytest.mark.parametrize("name", ["blocks", "gauss-seidel", "incomplete", "none"])
+@pytest.mark.parametrize("viscosity", [5.0, 0.5, 0.05])
+def test_memory_that_nothing_was_written_to_decides_nothing(monkeypatch, name, viscosity):
+    """Spare room of the pairs and blocks not yet inverted, filled with what would be found out."""
+    position, radius, young = cluster(80, 6, spacing=0.8)
+    room = Linearisation.room
+    results = []
+    for filling in (np.nan, 1e30, 0.0):
+
+        def filled(pairs, filling=filling):
+            linear = room(pairs)
+            for array in (linear.normal, linear.along, linear.across):
+                array[:] = filling
+            return linear
+
+        monkeypatch.setattr(Linearisation, "room", filled)
+        system = mechanics(radius, young, duration=600.0, viscosity=viscosity)
+        system._inverse[:] = filling
+        outcome = Cvode(atol=1e-3, preconditioner=name).integrate(system, position)
+        assert outcome.done
+        results.append((system.work, outcome.position))
+    for work, end in results[1:]:
+        assert work == results[0][0]
+        np.testing.assert_array_equal(end, results[0][1])
