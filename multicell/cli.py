@@ -6,34 +6,28 @@ sentence on stderr. With ``--json`` stdout holds exactly one JSON document.
 
 from __future__ import annotations
 
-import tomllib
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from multicell import __version__
-from multicell.errors import MulticellError, OutputError, StepFailed
+from multicell.cli_common import (
+    as_json_option,
+    changes_option,
+    console,
+    errors,
+    parse_changes,
+    print_json,
+)
+from multicell.cli_compare import compare, stability
+from multicell.errors import OutputError, StepFailed
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from multicell.scene import Scene
-
-INTERRUPTED = 130
-
-_json = click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
-_set = click.option(
-    "--set",
-    "changes",
-    multiple=True,
-    metavar="KEY=VALUE",
-    help="Change one value of the scene, for example --set duration='8 d' or "
-    "--set nutrients.oxygen.boundary='0.07 mM'. An empty value removes an optional part "
-    "(--set growth=). May be given several times.",
-)
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
@@ -47,15 +41,15 @@ def main() -> None:
 
 
 @main.command()
-@_json
+@as_json_option
 def scenes(as_json: bool) -> None:
     """List the built-in scenes."""
-    with _errors(as_json):
+    with errors(as_json):
         from multicell.scene import load_scene, scene_names
 
         rows = [_scene_row(name, load_scene(name)) for name in scene_names()]
         if as_json:
-            _print_json(rows)
+            print_json(rows)
             return
         from rich.table import Table
 
@@ -65,23 +59,23 @@ def scenes(as_json: bool) -> None:
         for row in rows:
             time = _time(row["duration"])
             table.add_row(*map(_plain, (row["name"], time, ", ".join(row["parts"]), row["title"])))
-        _console().print(table)
+        console().print(table)
 
 
 @main.command()
 @click.argument("scene")
-@_set
-@_json
+@changes_option
+@as_json_option
 def explain(scene: str, changes: Sequence[str], as_json: bool) -> None:
     """Tell what a SCENE uses and why, without running it."""
-    with _errors(as_json):
+    with errors(as_json):
         from multicell.explain import explain as explained
 
         facts = explained(_scene(scene, changes))
         if as_json:
-            _print_json({"scene": scene, **facts})
+            print_json({"scene": scene, **facts})
         else:
-            _print_facts(_console(), scene, facts)
+            _print_facts(console(), scene, facts)
 
 
 @main.command()
@@ -93,13 +87,13 @@ def explain(scene: str, changes: Sequence[str], as_json: bool) -> None:
     required=True,
     help="Folder for the results; it must be empty or new.",
 )
-@_set
+@changes_option
 @click.option("--overwrite", is_flag=True, help="Replace the results of an earlier run.")
 @click.option("--integrator", metavar="NAME", help="Method, for example cvode or euler.")
 @click.option("--threads", type=click.IntRange(min=1), help="Number of threads.")
 @click.option("--no-report", is_flag=True, help="Write no report and no pictures.")
 @click.option("--quiet", is_flag=True, help="Print nothing but errors.")
-@_json
+@as_json_option
 def run(
     scene: str,
     output: Path,
@@ -112,7 +106,7 @@ def run(
     as_json: bool,
 ) -> None:
     """Run a SCENE and write frames, summary, pictures and a report to a folder."""
-    with _errors(as_json):
+    with errors(as_json):
         described = _scene(scene, changes)
         if integrator is not None:
             described = described.with_changes({"integrator": integrator})
@@ -134,43 +128,13 @@ def run(
             _finish_early(error, output, no_report, as_json)
             raise
         if as_json:
-            _print_json(result.summary())
+            print_json(result.summary())
         elif not quiet:
-            _print_summary(_console(), result.summary(), output)
+            _print_summary(console(), result.summary(), output)
 
 
-def parse_changes(items: Sequence[str]) -> dict[str, Any]:
-    """Return the values of ``KEY=VALUE`` items.
-
-    A value that is valid TOML (number, true, quoted text, table) is taken as such, any other
-    text as a string; an empty one becomes None.
-
-    Raises
-    ------
-    click.BadParameter
-        If an item has no ``=`` or no key.
-    """
-    changes: dict[str, Any] = {}
-    for item in items:
-        key, equals, text = item.partition("=")
-        if not equals or not key.strip():
-            raise click.BadParameter(f"'{item}' is not KEY=VALUE", param_hint="'--set'")
-        changes[key.strip()] = _value(text.strip())
-    return changes
-
-
-def _value(text: str) -> Any:
-    """Return a TOML value, or the text itself where it is none."""
-    if not text:
-        return None
-    try:
-        parsed = tomllib.loads(f"value = {text}")
-    except tomllib.TOMLDecodeError:
-        return text
-    value = parsed["value"]
-    known = isinstance(value, bool | int | float | str | list | dict)
-    # a line break would smuggle in a second key; a date is no value of a scene
-    return value if known and set(parsed) == {"value"} else text
+main.add_command(compare)
+main.add_command(stability)
 
 
 def _scene(source: str, changes: Sequence[str]) -> Scene:
@@ -179,21 +143,6 @@ def _scene(source: str, changes: Sequence[str]) -> Scene:
     from multicell.scene import load_scene
 
     return load_scene(source).with_changes(parsed)
-
-
-@contextmanager
-def _errors(as_json: bool) -> Iterator[None]:
-    """End with one sentence and the exit code of the error, without traceback."""
-    try:
-        yield
-    except MulticellError as error:
-        if as_json:
-            _print_json({"error": str(error), "kind": type(error).__name__})
-        click.echo(f"Error: {error}", err=True)
-        raise click.exceptions.Exit(error.exit_code) from None
-    except KeyboardInterrupt:
-        click.echo("Interrupted.", err=True)
-        raise click.exceptions.Exit(INTERRUPTED) from None
 
 
 def _finish_early(error: BaseException, output: Path, no_report: bool, as_json: bool) -> None:
@@ -212,7 +161,7 @@ def _finish_early(error: BaseException, output: Path, no_report: bool, as_json: 
     last = result.frames[-1].time if count else 0.0
     click.echo(f"{count} frame(s) up to {_time(last)} are kept in '{output}'.", err=True)
     if as_json and isinstance(error, KeyboardInterrupt):
-        _print_json({**result.summary(), "interrupted": True})
+        print_json({**result.summary(), "interrupted": True})
 
 
 def _scene_row(name: str, scene: Scene) -> dict[str, Any]:
@@ -235,23 +184,11 @@ def _time(seconds: float) -> str:
     return f"{seconds:.3g} s"
 
 
-def _console() -> Console:
-    from rich.console import Console
-
-    return Console(highlight=False)
-
-
 def _plain(text: object) -> Any:
     """Return text in which square brackets are no markup."""
     from rich.text import Text
 
     return Text(str(text))
-
-
-def _print_json(document: Any) -> None:
-    from multicell.folder import to_json
-
-    click.echo(to_json(document))
 
 
 def _print_facts(console: Console, scene: str, facts: dict[str, Any]) -> None:

@@ -502,7 +502,7 @@ def forces(cells, pairs, law, position, elapsed, stokes, rows, out):
 def forces_parallel(cells, pairs, law, position, elapsed, stokes, rows, out):
     """Do the same as :func:`forces`, with the chunks shared among threads."""
     drifted = 0
-    for c in prange(pairs.start.size):
+    for c in prange(-(-rows.shape[0] // cells.chunk)):
         drifted += _pack_chunk(c, cells, position, elapsed, rows)
     if drifted > 0:
         return True

@@ -25,6 +25,8 @@ SUMMARY_UNITS: Final[Mapping[str, str]] = {
     "largest_pressure": "kPa",
     "wall": "s",
     "ledger": "amol",
+    "separation.time": "s",
+    "separation.force": "nN",
 }
 """Units of the dimensional entries of a summary; everything else is a count or a ratio."""
 

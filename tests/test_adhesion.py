@@ -8,7 +8,7 @@ import multicell as mc
 from multicell import Simulation
 from multicell.contact import JKR, ExactJKR, effective_modulus, effective_radius
 from multicell.integrators.cvode import Cvode
-from multicell.integrators.euler import Euler
+from multicell.integrators.explicit import Euler
 from multicell.mechanics import Mechanics, Motion
 
 

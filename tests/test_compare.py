@@ -19,7 +19,7 @@ from multicell.compare.problem import Trajectory, _events, record, replay
 from multicell.compare.reference import reference
 from multicell.integrators import METHODS
 from multicell.integrators.base import Outcome
-from multicell.integrators.euler import Euler
+from multicell.integrators.explicit import Euler
 from multicell.mechanics import Work
 from multicell.scene import Scene, load_scene
 

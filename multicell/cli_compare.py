@@ -1,0 +1,135 @@
+"""The commands ``multicell compare`` and ``multicell stability``: parse, call, print."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+from multicell.cli_common import (
+    as_json_option,
+    changes_option,
+    console,
+    errors,
+    parse_changes,
+    print_json,
+)
+
+_output = click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    required=True,
+    help="Folder for the results; it must be empty or new.",
+)
+_methods = click.option(
+    "--methods",
+    metavar="NAMES",
+    help="Methods to compare, separated by commas; by default all.",
+)
+_overwrite = click.option("--overwrite", is_flag=True, help="Replace earlier results.")
+_quiet = click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+
+
+@click.command()
+@click.argument("scene")
+@_output
+@changes_option
+@_methods
+@click.option("--repeats", type=click.IntRange(min=1), default=3, help="Timed solves per point.")
+@click.option("--patience", type=float, default=10.0, help="Longest solve in s.")
+@click.option("--budget", type=float, help="Time for all methods together in s.")
+@click.option("--threads", type=click.IntRange(min=1), help="Number of threads.")
+@_overwrite
+@_quiet
+@as_json_option
+def compare(
+    scene: str,
+    output: Path,
+    changes: Sequence[str],
+    methods: str | None,
+    repeats: int,
+    patience: float,
+    budget: float | None,
+    threads: int | None,
+    overwrite: bool,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Chart error against cost of integration methods on a SCENE.
+
+    All methods replay the same events at the same times; the reference is computed twice, and
+    its own uncertainty is part of the chart.
+    """
+    with errors(as_json):
+        parsed = parse_changes(changes)
+        from multicell.comparison.workprecision import run_compare
+
+        result = run_compare(
+            scene,
+            output,
+            changes=parsed,
+            methods=_names(methods),
+            repeats=repeats,
+            patience=patience,
+            budget=budget,
+            threads=threads,
+            overwrite=overwrite,
+            progress=None if quiet else _say,
+        )
+        if as_json:
+            print_json(result.table)
+        elif not quiet:
+            console().print(f"Results are in '{output}'.", markup=False)
+
+
+@click.command()
+@click.argument("scene")
+@_output
+@changes_option
+@_methods
+@click.option("--threads", type=click.IntRange(min=1), help="Number of threads.")
+@_overwrite
+@_quiet
+@as_json_option
+def stability(
+    scene: str,
+    output: Path,
+    changes: Sequence[str],
+    methods: str | None,
+    threads: int | None,
+    overwrite: bool,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Find the largest stable step of each method on a SCENE, and how it fails beyond.
+
+    Parameters of the scene are swept one at a time; limits stand beside theory.
+    """
+    with errors(as_json):
+        parsed = parse_changes(changes)
+        from multicell.comparison.stability import run_stability
+
+        result = run_stability(
+            scene,
+            output,
+            changes=parsed,
+            methods=_names(methods),
+            threads=threads,
+            overwrite=overwrite,
+            progress=None if quiet else _say,
+        )
+        if as_json:
+            print_json(result.table)
+        elif not quiet:
+            console().print(f"Results are in '{output}'.", markup=False)
+
+
+def _names(methods: str | None) -> list[str] | None:
+    """Return the methods of a comma-separated list."""
+    return [name.strip() for name in methods.split(",") if name.strip()] if methods else None
+
+
+_say: Callable[[Any], None] = lambda text: click.echo(str(text), err=True)  # noqa: E731

@@ -1,0 +1,502 @@
+"""Stability: planted failures are found and named, limits meet the theory, pictures show them."""
+
+import csv
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from multicell import OutputError, SceneError
+from multicell.compare.methods import Method
+from multicell.compare.stability import (
+    OVERLAP,
+    RATIO,
+    _bisect,
+    _search_around,
+    default_sweeps,
+    limit_in_theory,
+    run_stability,
+    stability,
+)
+from multicell.compare.stability_chart import COLOURS
+from multicell.compare.stability_result import FILES, StabilityMap
+from multicell.compare.stability_state import NOTICED, PUSH, divided, largest_decay, settled
+from multicell.compare.stability_trial import (
+    BLOW_UP,
+    KINDS,
+    OSCILLATION,
+    PASSING,
+    SEPARATION,
+    STABLE,
+    STALL,
+    STEPS,
+    WRONG,
+    judge,
+    turned_pairs,
+    watch,
+)
+from multicell.integrators.base import Outcome
+from multicell.integrators.explicit import Rkc2
+from multicell.scene import Scene, load_scene
+
+CLUSTER = Scene.from_dict(
+    {
+        "title": "Fifty <b>sticky</b> cells",
+        "duration": "1 h",
+        "initial": {"count": 50, "spacing": 0.86, "jitter": 0.03},
+        "contact": {"law": "jkr", "surface_energy": 0.1},
+    }
+)
+SMALL = CLUSTER.with_changes({"initial.count": 14})
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    return settled(CLUSTER, 1)
+
+
+@pytest.fixture(scope="module")
+def small():
+    return settled(SMALL, 1)
+
+
+# the state
+
+
+def jacobian(state, position):
+    """Return J by central differences of the velocity, column by column."""
+    system = state.system(0.0, 1.0)
+    flat, size = position.ravel(), position.size
+    columns = []
+    for k in range(size):
+        sides = []
+        for sign in (1.0, -1.0):
+            moved = flat.copy()
+            moved[k] += sign * 1e-5
+            out = np.empty_like(position)
+            system.velocity(0.0, moved.reshape(-1, 3), out)
+            sides.append(out.ravel().copy())
+        columns.append((sides[0] - sides[1]) / 2e-5)
+    return np.stack(columns, axis=1)
+
+
+def test_largest_decay_rate_is_the_lowest_eigenvalue_of_a_differenced_jacobian(small):
+    rate, mode = largest_decay(small.system(0.0, 1.0), small.start)
+    matrix = jacobian(small, small.start)
+    assert -np.linalg.eigvals(matrix).real.min() == pytest.approx(rate, rel=1e-5)
+    np.testing.assert_allclose(
+        matrix @ mode.ravel(), -rate * mode.ravel(), atol=1e-4 * rate * np.abs(mode).max()
+    )
+
+
+@pytest.mark.parametrize("friction", [False, True])
+def test_lanczos_meets_the_dense_eigenvalues(cluster, friction, monkeypatch):
+    system = cluster.system(0.0, 1.0)
+    if friction:
+        system = replace(system, friction=(0.05, 0.05))
+        cluster.ready(system, 0.0, 1.0)
+    dense, mode = largest_decay(system, cluster.start)
+    monkeypatch.setattr("multicell.compare.stability_state._DENSE", 10)
+    sparse, other = largest_decay(system, cluster.start)
+    # with friction a product itself is a linear system, solved to 1e-4
+    assert sparse == pytest.approx(dense, rel=1e-3 if friction else 1e-6)
+    cosine = (mode * other).sum() / np.linalg.norm(mode) / np.linalg.norm(other)
+    assert abs(cosine) == pytest.approx(1.0, abs=0.02 if friction else 1e-6)
+
+
+def test_a_settled_cluster_starts_with_the_push_and_comes_to_rest(cluster):
+    time = 400.0 / cluster.rate
+    moved = np.linalg.norm(cluster.at(time) - cluster.start, axis=1).max()
+    assert moved == pytest.approx(PUSH / NOTICED * cluster.noticed, rel=0.05)
+    system = cluster.system(0.0, 1.0)
+    force = system.force(0.0, cluster.at(time))
+    assert np.abs(force).max() < 1e-7 * system.drag * cluster.radius**2 * cluster.rate
+    # the answer does not depend on what was asked before
+    again = settled(CLUSTER, 1)
+    np.testing.assert_allclose(again.at(0.5 * time), cluster.at(0.5 * time), atol=1e-7)
+
+
+def test_in_a_plane_nothing_leaves_it():
+    flat = settled(SMALL.with_changes({"dimensions": 2}), 1)
+    assert np.all(flat.start[:, 2] == 0.0)
+    assert flat.rate > 0.0
+
+
+def test_division_replaces_the_innermost_cell_by_two_with_the_overlap_asked_for(small):
+    state = divided(SMALL, 0.6, 1)
+    assert len(state.start) == 15
+    inner = int(np.flatnonzero(state.motion.radius[:-1] < 0.9 * small.radius)[0])
+    distance = np.linalg.norm(state.start[inner] - state.start[-1])
+    assert distance == pytest.approx(0.4 * 2.0 * state.motion.radius[-1])
+    volume = (state.motion.radius**3).sum()
+    assert volume == pytest.approx((small.motion.radius**3).sum())
+    assert state.rate > small.rate
+
+
+# planted failures
+
+
+@dataclass(frozen=True)
+class Planted:
+    """A true method; where ``fault`` is given it has the last word on each step."""
+
+    fault: object = None
+    rest: object = None
+
+    def integrate(self, system, position):
+        """Return the true end of the step, or a false one."""
+        if self.rest is None:
+            outcome = Rkc2(1e-8, 1e-6).integrate(system, position)
+        else:
+            outcome = Outcome(system.motion.end, 0.5 * (position + self.rest))
+        if self.fault is None:
+            return outcome
+        return self.fault(system, position, outcome)
+
+
+def index_of(system):
+    motion = system.motion
+    return round(motion.begin / (motion.end - motion.begin))
+
+
+def blows_up(system, position, outcome):
+    grown = position + 0.05 * position * 2.0 ** min(index_of(system), 30)
+    return Outcome(outcome.time, grown)
+
+
+def becomes_no_number(system, position, outcome):
+    return Outcome(outcome.time, np.full_like(position, np.nan))
+
+
+def refuses(system, position, outcome):
+    words = "a step of 9 s would move the cell by 0.9 of its radius (allowed: 0.5)"
+    return Outcome(system.motion.begin, position, words, "", 3)
+
+
+def stalls(system, position, outcome):
+    return Outcome(system.motion.begin, position, "steps became too short to go on", "", 0)
+
+
+def oscillates(system, position, outcome):
+    shifted = outcome.position.copy()
+    shifted[3] += 0.04 * (-1.0) ** index_of(system) * np.array([4.0, 0.0, 0.0])
+    return Outcome(outcome.time, shifted)
+
+
+def swaps(system, position, outcome):
+    after = outcome.position.copy()
+    if index_of(system) == 7:
+        i, j = system.contacts(system.motion.begin, position)[0]
+        after[[i, j]] = after[[j, i]]
+    return Outcome(outcome.time, after)
+
+
+def outermost(position):
+    away = np.linalg.norm(position - position.mean(axis=0), axis=1)
+    return int(away.argmax())
+
+
+def separates(system, position, outcome):
+    """Draw the outermost cell away slowly until nothing touches it."""
+    cell = outermost(position)
+    after = outcome.position.copy()
+    touching = system.contacts(system.motion.begin, position)
+    if (touching == cell).any():
+        outward = position[cell] - position.mean(axis=0)
+        after[cell] = position[cell] + 0.08 * outward / np.linalg.norm(outward)
+    else:
+        after[cell] = position[cell]
+    return Outcome(outcome.time, after)
+
+
+def settles_wrongly(system, position, outcome):
+    """Squeeze the cluster by two per cent within forty steps, and leave it so."""
+    if index_of(system) >= 40:
+        return Outcome(outcome.time, position)
+    middle = position.mean(axis=0)
+    return Outcome(outcome.time, middle + 0.98 ** (1 / 40) * (position - middle))
+
+
+PLANTS = {
+    "grows": (blows_up, BLOW_UP),
+    "no number": (becomes_no_number, BLOW_UP),
+    "refused": (refuses, BLOW_UP),
+    "out of steps": (stalls, STALL),
+    "alternates": (oscillates, OSCILLATION),
+    "swaps": (swaps, PASSING),
+    "separates": (separates, SEPARATION),
+    "squeezed": (settles_wrongly, WRONG),
+}
+
+
+def planted(name, fault, above, control="step", rest=None):
+    return Method(name, control, lambda s: Planted(fault if s > above else None, rest))
+
+
+@pytest.mark.parametrize("name", PLANTS)
+def test_a_planted_failure_is_found_and_named(small, name):
+    fault, kind = PLANTS[name]
+    setting = 0.5 * small.stiff_limit
+    verdict = judge(small, watch(small, planted(name, fault, 0.0), setting))
+    assert verdict.kind == kind
+    assert verdict.words
+    assert judge(small, watch(small, planted(name, None, 0.0), setting)).kind == STABLE
+
+
+def test_no_progress_where_cells_should_move_is_a_stall():
+    state = divided(SMALL, 0.7, 1)
+
+    def stays(system, position, outcome):
+        return Outcome(outcome.time, position)
+
+    verdict = judge(state, watch(state, planted("stays", stays, 0.0), state.stiff_limit))
+    assert verdict.kind == STALL
+    assert "no progress" in verdict.words
+    assert judge(state, watch(state, planted("true", None, 0.0), state.stiff_limit)).kind == STABLE
+
+
+def test_a_method_that_takes_too_long_is_a_stall(small):
+    trace = watch(small, planted("slow", None, 0.0), small.stiff_limit, patience=0.0)
+    assert len(trace.times) == 2
+    assert judge(small, trace).kind == STALL
+
+
+def test_a_swap_under_error_control_is_seen_and_a_true_turn_is_not(small):
+    def swaps_once(system, position, outcome):
+        after = outcome.position.copy()
+        if index_of(system) == 2:
+            i, j = system.contacts(system.motion.begin, position)[0]
+            after[[i, j]] = after[[j, i]]
+        return Outcome(outcome.time, after)
+
+    method = planted("swaps", swaps_once, 0.0, "tolerance")
+    assert judge(small, watch(small, method, 1e-3)).kind == PASSING
+    known = replace(small, known=[])
+    # what the reference does as well is no failure: plant the swap in the reference
+    length = 2000.0 / (8 * small.rate)
+    trace = watch(known, method, 1e-3)
+    true = replace(small, known=[(k * length, x) for k, x in enumerate(trace.positions)])
+    assert watch(true, method, 1e-3).turned == []
+    assert len(trace.turned) >= 1
+
+
+def test_a_line_turned_by_exactly_what_is_asked():
+    before = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    pairs = np.array([[0, 1]])
+    for degrees, found in ((0, 0), (89, 0), (91, 1), (180, 1)):
+        angle = math.radians(degrees)
+        after = np.array([[0.0, 0.0, 0.0], [math.cos(angle), math.sin(angle), 0.0]])
+        assert len(turned_pairs(before, after, pairs)) == found
+
+
+@pytest.fixture(scope="module")
+def map_of_plants():
+    state = settled(SMALL, 1)
+    scale = state.stiff_limit
+    # where no fault is planted the cells simply come half the way to rest in each step
+    rest = state.at(400.0 / state.rate)
+    methods = [planted(n, fault, 3.0 * scale, rest=rest) for n, (fault, _) in PLANTS.items()]
+    return scale, stability(SMALL, methods, sweeps={}, threads=1)
+
+
+def test_the_limit_of_a_planted_failure_is_found_to_three_per_cent(map_of_plants):
+    scale, result = map_of_plants
+    for row in result.limits():
+        assert row["limit"] <= 3.0 * scale < row["beyond"] <= 1.031 * row["limit"]
+        assert row["kind"] == PLANTS[row["method"]][1]
+    assert set(result.kinds) == set(KINDS)
+
+
+def test_the_picture_shows_every_kind_planted_where_it_was_planted(map_of_plants):
+    from matplotlib.colors import to_hex
+
+    _, result = map_of_plants
+    figure = result.figure()
+    axes = figure.axes[0]
+    assert [tick.get_text() for tick in axes.get_yticklabels()] == list(PLANTS)
+    for level, (name, (_, kind)) in enumerate(PLANTS.items()):
+        bars = [bar for bar in axes.patches if (bar.get_gid() or "").startswith(f"{name}|")]
+        failed = [bar for bar in bars if bar.get_gid() == f"{name}|{kind}"]
+        assert failed
+        assert {to_hex(bar.get_facecolor()) for bar in failed} == {COLOURS[kind]}
+        assert min(bar.get_x() for bar in failed) == pytest.approx(3.0, rel=0.03)
+        assert all(abs(bar.get_y() + 0.5 * bar.get_height() - level) < 1e-9 for bar in bars)
+        assert len(bars) == len(result.rows(name))
+    legend = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert set(KINDS) <= set(legend)
+    assert len(set(COLOURS.values())) == len(KINDS)
+
+
+# real methods
+
+LAWS = {"euler": 2.0, "heun": 2.0, "rk4": 2.785, "ab2": 1.0}
+
+
+@pytest.fixture(scope="module")
+def limits():
+    methods = [*LAWS, "rkc2-4", "rkc2-9", "backward-euler", "cvode"]
+    return stability(CLUSTER, methods, sweeps={}, threads=1)
+
+
+@pytest.mark.parametrize(
+    ("method", "within"), [("euler", 0.05), ("heun", 0.05), ("rk4", 0.1), ("ab2", 0.05)]
+)
+def test_the_limit_of_an_explicit_method_meets_the_theory(limits, method, within):
+    row = limits.limit(method)
+    assert row["limit"] == pytest.approx(LAWS[method] / row["rate"], rel=within)
+    assert row["beyond"] <= 1.031 * row["limit"]
+
+
+@pytest.mark.parametrize("stages", [4, 9])
+def test_the_limit_of_rkc2_meets_its_law(limits, stages):
+    row = limits.limit(f"rkc2-{stages}")
+    law = 2.0 / 3.0 * (stages**2 - 1) * (1.0 - 2.0 / 15.0 * 2.0 / 13.0)
+    assert row["limit"] == pytest.approx(law / row["rate"], rel=0.1)
+
+
+def test_euler_alternates_and_heun_settles_wrongly_just_beyond(limits):
+    """R(z) leaves the unit disc at -1 for Euler, but at +1 for Heun: no alternation."""
+    assert limits.limit("euler")["kind"] == OSCILLATION
+    assert limits.limit("ab2")["kind"] == OSCILLATION
+    assert limits.limit("heun")["kind"] == WRONG
+    assert limits.rows("euler")[-1]["kind"] == BLOW_UP
+
+
+def test_implicit_methods_have_no_limit(limits):
+    cvode, backward = limits.limit("cvode"), limits.limit("backward-euler")
+    assert math.isinf(cvode["beyond"])
+    assert cvode["limit"] == pytest.approx(0.1)
+    assert cvode["of_euler"] > 5.0
+    assert math.isinf(backward["beyond"])
+    assert backward["of_euler"] == pytest.approx(1000.0)
+    assert math.isinf(backward["theory"])
+
+
+def test_limits_follow_the_viscosity_and_the_ratio_of_moduli():
+    result = stability(
+        SMALL, ["euler"], {"drag.viscosity": [0.05, 5.0], RATIO: [1.0, 30.0]}, threads=1
+    )
+    thin, thick = result.limits("drag.viscosity")
+    assert thick["limit"] == pytest.approx(100.0 * thin["limit"], rel=0.05)
+    even, stiff = result.limits(RATIO)
+    assert even["limit"] == pytest.approx(result.limit("euler")["limit"], rel=0.05)
+    assert stiff["limit"] < 0.8 * even["limit"]
+    for row in result.all_limits():
+        assert row["of_theory"] == pytest.approx(1.0, abs=0.05)
+
+
+# search and input
+
+
+@pytest.mark.parametrize("true", [1e-3, 0.7, 5.0, 300.0])
+def test_bisection_ends_within_three_per_cent_below_the_limit(true):
+    found = _search_around(lambda s: s <= true, 1.0, 1000.0, 0.03)
+    assert true / 1.03 <= found <= true
+    assert 2.0 / 1.01 <= _bisect(lambda s: s <= 2.0, 1.0, 8.0, 0.01) <= 2.0
+
+
+@pytest.mark.parametrize("ratio", [30.0, 1000.0])
+def test_the_push_stays_within_a_contact_that_hardly_overlaps(ratio):
+    """The overlap of two stiff cells is small: beyond it the motion is not linear any more."""
+    result = stability(SMALL, ["euler", "ab2"], {RATIO: [ratio]}, threads=1)
+    for row in result.limits(RATIO):
+        assert row["of_theory"] == pytest.approx(1.0, abs=0.05)
+
+
+def test_after_a_division_the_true_course_is_no_failure_whichever_pocket_it_takes():
+    state = divided(CLUSTER, 0.5, 1)
+    twin = state.twins[0]
+    method = planted("true", None, 0.0)
+    trace = watch(replace(twin, twins=state.twins, known=[]), method, 0.5 * state.stiff_limit)
+    assert judge(state, trace).kind == STABLE
+    shift = np.linalg.norm(trace.positions[0] - state.start, axis=1).max()
+    assert shift > state.noticed
+
+
+def test_theory_of_methods():
+    def method(name):
+        return Method(name, "step", lambda s: Planted())
+
+    assert limit_in_theory(method("euler"), 0.5) == 4.0
+    assert limit_in_theory(method("rk4"), 1.0) == 2.785
+    assert limit_in_theory(method("rkc2-10"), 1.0) == pytest.approx(0.65 * 100, rel=0.02)
+    assert math.isinf(limit_in_theory(method("cvode"), 1.0))
+    assert math.isnan(limit_in_theory(method("planted"), 1.0))
+
+
+def test_default_sweeps_leave_out_what_collapses():
+    sweeps = default_sweeps(load_scene("settle"))
+    assert list(sweeps) == [
+        "cells.young", "contact.surface_energy", "drag.viscosity", OVERLAP, RATIO,
+    ]  # fmt: skip
+    assert all(len(values) == 5 for values in sweeps.values())
+    assert min(sweeps["cells.young"]) == 1.0
+    hertz = default_sweeps(Scene.from_dict({"duration": "1 h", "contact": {"law": "hertz"}}))
+    assert "contact.surface_energy" not in hertz
+
+
+def test_files_hold_what_was_found(tmp_path):
+    folder = tmp_path / "out"
+    told = []
+    result = run_stability(
+        "settle",
+        folder,
+        ["euler", "dopri5"],
+        changes={"initial.count": 12, "title": "A <b>title</b>"},
+        sweeps={OVERLAP: [0.3, 0.7]},
+        progress=told.append,
+        threads=1,
+    )
+    assert isinstance(result, StabilityMap)
+    assert sorted(path.name for path in folder.iterdir()) == sorted(FILES)
+    with (folder / "stability.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == len(result.table)
+    assert float(rows[3]["setting"]) == result.table[3]["setting"]
+    with (folder / "limits.csv").open() as file:
+        assert len(list(csv.DictReader(file))) == len(result.all_limits()) == 4
+    text = (folder / "report.html").read_text()
+    assert "A &lt;b&gt;title&lt;/b&gt;" in text
+    assert "<b>title</b>" not in text
+    assert text.count("data:image/png;base64,") == 2
+    assert "http" not in text.replace("http-equiv", "")
+    assert any("euler" in line for line in told)
+    assert len(result.sweeps_figure().axes) == 1
+    with pytest.raises(OutputError, match="not empty"):
+        run_stability("settle", folder, ["euler"], sweeps={})
+
+
+@pytest.mark.parametrize(
+    ("scene", "options", "words"),
+    [
+        (SMALL, {"methods": ["eluer"]}, "euler"),
+        (SMALL, {"methods": ["euler"], "sweeps": {"drag.viscosty": [1.0]}}, "viscosity"),
+        (SMALL, {"methods": ["euler"], "sweeps": {OVERLAP: [1.2]}}, "below 1"),
+        (SMALL, {"methods": ["euler"], "sweeps": {RATIO: [math.nan]}}, "must be a number"),
+        (SMALL, {"methods": ["euler"], "sweep_methods": ["heun"]}, "heun"),
+        (SMALL.with_changes({"initial.count": 1}), {"methods": ["euler"]}, "two cells"),
+        (SMALL.with_changes({"initial.spacing": 3.0}), {"methods": ["euler"]}, "touch"),
+    ],
+)
+def test_bad_input_is_refused_with_words(scene, options, words):
+    with pytest.raises(SceneError, match=words):
+        stability(scene, **{"sweeps": {}, **options})
+
+
+def test_a_point_that_cannot_be_settled_is_left_out_with_words():
+    result = stability(SMALL, ["euler"], {"initial.spacing": [0.86, 3.0]}, threads=1)
+    assert [row["value"] for row in result.limits("initial.spacing")] == [0.86]
+    assert "touch" in result.facts["skipped"]["initial.spacing = 3"]
+
+
+def test_a_fixed_step_is_watched_step_by_step_also_for_a_method_that_looks_back(small):
+    """Seen one by one, the states of AB2 are those of one integration in a single go."""
+    from multicell.compare.methods import named
+
+    method = named("ab2", SMALL, small.radius)
+    step = 0.4 * small.stiff_limit
+    trace = watch(small, method, step)
+    assert len(trace.positions) == STEPS + 1
+    whole = method.make(step).integrate(small.system(0.0, STEPS * step), small.start)
+    np.testing.assert_allclose(trace.positions[-1], whole.position, atol=1e-9)
