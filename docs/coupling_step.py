@@ -52,9 +52,7 @@ def main() -> None:
     for atol, rows in values.items():
         for minutes, row in zip(STEPS, rows, strict=True):
             print(f"| {minutes:g} min | {atol} | {row[0]:.0f} | {row[1]:.1f} | {row[2]:.1f} |")
-    for axes, (k, (_, label)) in zip(
-        figure.subplots(1, 3), enumerate(WHAT.items()), strict=True
-    ):
+    for axes, (k, (_, label)) in zip(figure.subplots(1, 3), enumerate(WHAT.items()), strict=True):
         splitting = np.abs(values[TOLERANCES[1]][:-1, k] / finest[k] - 1.0)
         integrator = np.abs(values[TOLERANCES[0]][:, k] / values[TOLERANCES[1]][:, k] - 1.0)
         axes.loglog(STEPS[:-1], 100 * splitting, "o-", label="coupling step (splitting)")

@@ -15,6 +15,9 @@ from multicell.contact import JKR, Hertz
 from multicell.errors import MulticellError, OutputError, SceneError, StepFailed
 
 if TYPE_CHECKING:
+    from multicell.comparison.result import WorkPrecision
+    from multicell.comparison.stability import StabilityMap, stability
+    from multicell.comparison.workprecision import compare
     from multicell.result import Result, load_result
     from multicell.running import run
     from multicell.scene import Scene, load_scene, scene_names
@@ -32,12 +35,16 @@ __all__ = [
     "Scene",
     "SceneError",
     "Simulation",
+    "StabilityMap",
     "State",
     "StepFailed",
+    "WorkPrecision",
+    "compare",
     "load_result",
     "load_scene",
     "run",
     "scene_names",
+    "stability",
 ]
 
 _LAZY = {
@@ -46,8 +53,12 @@ _LAZY = {
     "Simulation": "multicell.simulation",
     "load_result": "multicell.result",
     "load_scene": "multicell.scene",
+    "WorkPrecision": "multicell.comparison.result",
+    "StabilityMap": "multicell.comparison.stability",
+    "compare": "multicell.comparison.workprecision",
     "run": "multicell.running",
     "scene_names": "multicell.scene",
+    "stability": "multicell.comparison.stability",
 }
 
 

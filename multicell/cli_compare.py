@@ -90,6 +90,7 @@ def compare(
 @_output
 @changes_option
 @_methods
+@click.option("--no-sweeps", is_flag=True, help="Only the scene as it is.")
 @click.option("--threads", type=click.IntRange(min=1), help="Number of threads.")
 @_overwrite
 @_quiet
@@ -99,6 +100,7 @@ def stability(
     output: Path,
     changes: Sequence[str],
     methods: str | None,
+    no_sweeps: bool,
     threads: int | None,
     overwrite: bool,
     quiet: bool,
@@ -117,6 +119,7 @@ def stability(
             output,
             changes=parsed,
             methods=_names(methods),
+            sweeps={} if no_sweeps else None,
             threads=threads,
             overwrite=overwrite,
             progress=None if quiet else _say,

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from synthetic import cells_at
 
-import multicell.compare.measure as measure
-import multicell.compare.reference as references
+import multicell.comparison.measure as measure
+import multicell.comparison.reference as references
 from multicell import OutputError, SceneError, Simulation, StepFailed
-from multicell.compare import Method, compare, run_compare
-from multicell.compare.methods import named, settings, stiffness, weighted_cost
-from multicell.compare.norms import NORMS, errors, observe, pair_distances
-from multicell.compare.problem import Trajectory, _events, record, replay
-from multicell.compare.reference import reference
+from multicell.comparison import Method, compare, run_compare
+from multicell.comparison.methods import named, settings, stiffness, weighted_cost
+from multicell.comparison.norms import NORMS, errors, observe, pair_distances
+from multicell.comparison.problem import Trajectory, _events, record, replay
+from multicell.comparison.reference import reference
 from multicell.integrators import METHODS
 from multicell.integrators.base import Outcome
 from multicell.integrators.explicit import Euler
@@ -252,7 +252,7 @@ def test_a_planted_failure_stays_in_the_table_as_nan_with_its_words(failing):
 
 
 def test_failures_are_drawn_as_crosses_in_the_colour_of_their_method(failing):
-    from multicell.compare.chart import look
+    from multicell.comparison.chart import look
 
     figure = failing.figure()
     strip = next(axes for axes in figure.axes if axes.get_label() == "failures")
@@ -457,14 +457,14 @@ def test_an_order_of_eight_is_the_reference_where_there_is_one(monkeypatch):
 
 
 def test_the_source_hash_follows_the_sources_but_not_the_pictures(tmp_path):
-    (tmp_path / "compare").mkdir()
-    for name in ("kernels.py", "report.py", "compare/problem.py", "compare/chart.py"):
+    (tmp_path / "comparison").mkdir()
+    for name in ("kernels.py", "report.py", "comparison/problem.py", "comparison/chart.py"):
         (tmp_path / name).write_text("a = 1\n")
     before = references.source_hash(tmp_path)
     (tmp_path / "report.py").write_text("a = 2\n")
-    (tmp_path / "compare/chart.py").write_text("a = 2\n")
+    (tmp_path / "comparison/chart.py").write_text("a = 2\n")
     assert references.source_hash(tmp_path) == before
-    (tmp_path / "compare/problem.py").write_text("a = 2\n")
+    (tmp_path / "comparison/problem.py").write_text("a = 2\n")
     changed = references.source_hash(tmp_path)
     (tmp_path / "kernels.py").write_text("a = 2\n")
     assert len({before, changed, references.source_hash(tmp_path)}) == 3

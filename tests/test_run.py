@@ -169,6 +169,34 @@ def test_a_step_that_cannot_be_solved_exits_with_1_and_keeps_the_frames(tmp_path
     assert result.summary()["interrupted"] is True
 
 
+def test_compare_command_writes_table_chart_and_page(tmp_path):
+    done = multicell(
+        "compare", "settle", "-o", tmp_path / "o", "--methods", "euler,cvode", "--repeats", "1",
+        "--set", "initial.count=10", "--set", "duration=5 min", "--json", check=0,
+    )  # fmt: skip
+    rows = json.loads(done.stdout)
+    assert {row["method"] for row in rows} == {"euler", "cvode"}
+    assert min(row["error_position"] or 1 for row in rows) < 1e-4
+    names = {entry.name for entry in (tmp_path / "o").iterdir()}
+    assert {"workprecision.csv", "workprecision.png", "report.html"} <= names
+
+
+def test_stability_command_writes_limits_map_and_page(tmp_path):
+    done = multicell(
+        "stability", "settle", "-o", tmp_path / "o", "--methods", "euler", "--no-sweeps",
+        "--set", "initial.count=12", "--json", check=0,
+    )  # fmt: skip
+    assert {row["method"] for row in json.loads(done.stdout)} == {"euler"}
+    names = {entry.name for entry in (tmp_path / "o").iterdir()}
+    assert {"limits.csv", "stability.png", "report.html"} <= names
+
+
+@pytest.mark.parametrize("command", ["compare", "stability"])
+def test_unknown_method_names_the_near_ones(command, tmp_path):
+    done = multicell(command, "settle", "-o", tmp_path / "o", "--methods", "rkc", check=2)
+    assert "rkc2" in done.stderr
+
+
 def test_ctrl_c_leaves_a_readable_store(tmp_path):
     out = tmp_path / "o"
     process = subprocess.Popen(

@@ -276,8 +276,8 @@ def test_more_threads_than_there_are_is_refused():
 def test_public_names():
     assert set(mc.__all__) == {
         "JKR", "Cells", "Hertz", "MulticellError", "OutputError", "Result", "Scene",
-        "SceneError", "Simulation", "State", "StepFailed", "load_result", "load_scene", "run",
-        "scene_names",
+        "SceneError", "Simulation", "StabilityMap", "State", "StepFailed", "WorkPrecision",
+        "compare", "load_result", "load_scene", "run", "scene_names", "stability",
     }  # fmt: skip
     assert all(hasattr(mc, name) for name in mc.__all__)
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):

@@ -8,10 +8,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, final
 
-from multicell.compare.methods import Method, weighted_cost
-from multicell.compare.norms import errors, no_errors, observe
-from multicell.compare.problem import Problem, Trajectory, replay
-from multicell.compare.reference import Reference
+from multicell.comparison.methods import Method, weighted_cost
+from multicell.comparison.norms import errors, no_errors, observe
+from multicell.comparison.problem import Problem, Trajectory, replay
+from multicell.comparison.reference import Reference
 from multicell.integrators.base import Integrator
 from multicell.mechanics import Work
 

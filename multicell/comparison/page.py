@@ -9,14 +9,14 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from multicell.compare.norms import NORMS
+from multicell.comparison.norms import NORMS
 from multicell.drawing import time_unit
 from multicell.folder import package_version, words
 from multicell.report import _CSS, _POLICY, _settings, _table, clock
 
 if TYPE_CHECKING:
-    from multicell.compare.measure import Row
-    from multicell.compare.result import WorkPrecision
+    from multicell.comparison.measure import Row
+    from multicell.comparison.result import WorkPrecision
 
 VERDICT_NORMS: Final = ("position", "position_median", "energy", "gyration")
 """Norms in which the page gives the time to reach an error."""

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from multicell.cells import Cells
-from multicell.compare.measure import Effort, climb
-from multicell.compare.methods import Ladder, Method, named, settings, stiffness
-from multicell.compare.reference import Reference, blank, paired, reference
-from multicell.compare.result import FILES, WorkPrecision
+from multicell.comparison.measure import Effort, climb
+from multicell.comparison.methods import Ladder, Method, named, settings, stiffness
+from multicell.comparison.reference import Reference, blank, paired, reference
+from multicell.comparison.result import FILES, WorkPrecision
 from multicell.errors import OutputError, SceneError
 from multicell.folder import prepare_folder, versions, words
 from multicell.integrators import METHODS
@@ -40,7 +40,7 @@ def compare(
     """Measure error and cost of integration methods on one scene.
 
     The scene is recorded once by the reference method; every method replays the same events at
-    the same times (:mod:`multicell.compare.problem`). The errors of a point come from one solve;
+    the same times (:mod:`multicell.comparison.problem`). The errors of a point come from one solve;
     its time is the minimum of several solves after that one.
 
     Parameters
@@ -51,13 +51,13 @@ def compare(
         Names (:data:`multicell.integrators.METHODS`) or :class:`Method` objects; by default all
         that there are.
     ladder
-        Settings of the methods, see :func:`multicell.compare.methods.settings`.
+        Settings of the methods, see :func:`multicell.comparison.methods.settings`.
     output
         Folder for the files of :meth:`WorkPrecision.save`.
     cells
         Cells to start from instead of the scene's initial ones.
     references
-        Two methods with their settings (see :func:`multicell.compare.reference.reference`).
+        Two methods with their settings (see :func:`multicell.comparison.reference.reference`).
     cache
         Folder of cached references; True for the user's own, False for none.
     repeats

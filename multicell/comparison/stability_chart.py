@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from multicell.compare.chart import look
-from multicell.compare.stability_trial import (
+from multicell.comparison.chart import look
+from multicell.comparison.stability_trial import (
     BLOW_UP,
     OSCILLATION,
     PASSING,
@@ -26,8 +26,8 @@ from multicell.drawing import INK, QUIET, blank, cell_count, styled
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from multicell.compare.measure import Row
-    from multicell.compare.stability_result import StabilityMap
+    from multicell.comparison.measure import Row
+    from multicell.comparison.stability_result import StabilityMap
 
 # told apart by lightness as well as by hue (Okabe & Ito, darkened where white text is near)
 COLOURS: Final = {

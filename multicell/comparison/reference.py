@@ -19,10 +19,10 @@ from typing import Any, Final, final
 import numpy as np
 
 from multicell.cells import Cells
-from multicell.compare import archive
-from multicell.compare.methods import Method, named
-from multicell.compare.norms import Observed, errors, observe
-from multicell.compare.problem import Problem, Trajectory, record, replay
+from multicell.comparison import archive
+from multicell.comparison.methods import Method, named
+from multicell.comparison.norms import Observed, errors, observe
+from multicell.comparison.problem import Problem, Trajectory, record, replay
 from multicell.errors import StepFailed
 from multicell.folder import package_version, versions
 from multicell.integrators import METHODS
@@ -35,7 +35,19 @@ Pair = tuple[tuple[Method, float], tuple[Method, float]]
 _FEW, _FEW_AT_REST = 500, 2000  # cells up to which CVODE is fast at the tightest tolerance
 _TIGHT, _LESS_TIGHT = 1e-12, 1e-9
 _PRESENTATION: Final = ("cli", "drawing", "plots", "report", "section", "progress", "explain")
-_PRESENTATION_HERE: Final = ("chart", "page", "result", "measure", "workprecision")
+_PRESENTATION_HERE: Final = (
+    "chart",
+    "page",
+    "result",
+    "measure",
+    "workprecision",
+    "stability",
+    "stability_chart",
+    "stability_page",
+    "stability_result",
+    "stability_state",
+    "stability_trial",
+)
 
 
 @final
@@ -49,7 +61,7 @@ class Reference:
     trajectory : Trajectory
     observed : Observed
     uncertainty : norm -> float
-        Difference from the second solution, in the norms of :data:`multicell.compare.norms`.
+        Difference from the second solution, in the norms of :data:`multicell.comparison.norms`.
     wall : float, s
         What it cost when it was computed.
     words : str
@@ -176,7 +188,7 @@ def source_hash(folder: Path | None = None) -> str:
     root = Path(__file__).parent.parent if folder is None else folder
     digest = hashlib.sha256()
     for path in sorted(root.rglob("*.py")):
-        here = path.parent.name == "compare"
+        here = path.parent.name == "comparison"
         if path.stem in (_PRESENTATION_HERE if here else _PRESENTATION):
             continue
         digest.update(str(path.relative_to(root)).encode())

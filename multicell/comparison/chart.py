@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any, Final
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from multicell.compare.norms import NORMS
+from multicell.comparison.norms import NORMS
 from multicell.drawing import QUIET, blank, cell_count, styled, time_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from multicell.compare.result import WorkPrecision
+    from multicell.comparison.result import WorkPrecision
 
 # implicit methods green, explicit ones blue to violet, stabilised orange, outside ones grey
 _LOOKS: Final[dict[str, tuple[str, str, str]]] = {

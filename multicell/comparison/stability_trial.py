@@ -10,9 +10,9 @@ from typing import Final, final
 import numpy as np
 
 from multicell.cells import FloatArray, IntArray
-from multicell.compare.methods import Method
-from multicell.compare.problem import _one_step
-from multicell.compare.stability_state import State
+from multicell.comparison.methods import Method
+from multicell.comparison.problem import _one_step
+from multicell.comparison.stability_state import State
 from multicell.mechanics import Mechanics, StateRejected
 
 STABLE: Final = "stable"
@@ -183,7 +183,7 @@ class _Watch:
                 problem = f"not done after {self.patience:g} s of wall time" if late else ""
                 break
             touching = system.contacts((k + 1) * self.length, position)
-        times = self.length * np.arange(len(positions))
+        times = np.asarray(self.length * np.arange(len(positions)), dtype=np.float64)
         return Trace(
             times, positions, np.array(energy), first, self.turned, problem, lost,
             self.count * self.length, steps, clock.perf_counter() - begin,
@@ -222,7 +222,7 @@ def turned_pairs(before: FloatArray, after: FloatArray, pairs: IntArray) -> IntA
     """Return those of some pairs whose line turns by more than 90° between two states."""
     first, second = pairs[:, 0], pairs[:, 1]
     old, new = before[second] - before[first], after[second] - after[first]
-    return pairs[np.einsum("ij,ij->i", old, new) < 0.0]
+    return np.asarray(pairs[np.einsum("ij,ij->i", old, new) < 0.0])
 
 
 def judge(state: State, trace: Trace) -> Verdict:

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from multicell.compare.problem import Events, Problem, Step, Trajectory
+from multicell.comparison.problem import Events, Problem, Step, Trajectory
 from multicell.folder import words
 from multicell.mechanics import Motion
 

@@ -10,7 +10,7 @@ from typing import Any, Final, Literal, final
 import numpy as np
 
 from multicell import integrators
-from multicell.compare.problem import Problem, Trajectory
+from multicell.comparison.problem import Problem, Trajectory
 from multicell.errors import SceneError
 from multicell.integrators import METHODS
 from multicell.integrators.base import Integrator

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
-from multicell.compare.measure import Row
-from multicell.compare.stability_trial import KINDS, STABLE
+from multicell.comparison.measure import Row
+from multicell.comparison.stability_trial import KINDS, STABLE
 from multicell.folder import words, write_text
 from multicell.scene import Scene
 
@@ -35,7 +35,7 @@ class StabilityMap:
         ``rate`` (λ_max, 1/s), ``method``, ``control`` (``"tolerance"`` in mean radii or ``"step"``
         in s), ``setting``, ``theory`` (largest stable step, s; infinite for implicit methods, NaN
         where there is none), ``of_theory``, ``of_euler`` (mean step over 2/λ_max), ``kind`` (a key
-        of :data:`multicell.compare.stability_trial.KINDS`), ``also`` (other kinds), ``words``,
+        of :data:`multicell.comparison.stability_trial.KINDS`), ``also`` (other kinds), ``words``,
         ``climb`` (largest rise of the energy over what is noticed), ``deviation`` (largest error
         of a pair distance at the end, mean radii), ``steps``, ``wall`` (s).
     facts : dict
@@ -97,13 +97,13 @@ class StabilityMap:
 
     def figure(self) -> Figure:
         """Draw how each method goes over its step or tolerance."""
-        from multicell.compare.stability_chart import stability_map
+        from multicell.comparison.stability_chart import stability_map
 
         return stability_map(self)
 
     def sweeps_figure(self) -> Figure:
         """Draw the largest stable steps along the sweeps, beside the theory."""
-        from multicell.compare.stability_chart import sweeps
+        from multicell.comparison.stability_chart import sweeps
 
         return sweeps(self)
 
@@ -123,7 +123,7 @@ class StabilityMap:
         OutputError
             If the folder cannot be written to.
         """
-        from multicell.compare.stability_page import page
+        from multicell.comparison.stability_page import page
         from multicell.drawing import save
 
         folder = Path(folder)

@@ -9,14 +9,14 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from multicell.compare.stability_chart import COLOURS
-from multicell.compare.stability_trial import KINDS, STABLE
+from multicell.comparison.stability_chart import COLOURS
+from multicell.comparison.stability_trial import KINDS, STABLE
 from multicell.folder import package_version, words
 from multicell.report import _CSS, _POLICY, _settings, _table, clock
 
 if TYPE_CHECKING:
-    from multicell.compare.measure import Row
-    from multicell.compare.stability_result import StabilityMap
+    from multicell.comparison.measure import Row
+    from multicell.comparison.stability_result import StabilityMap
 
 _CAPTIONS: Final = {
     "stability": "What happens at each step or tolerance. Each dot is one trial; a bar is the "

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.compare.measure import DONE, FAILED, Row
-from multicell.compare.norms import NORMS
+from multicell.comparison.measure import DONE, FAILED, Row
+from multicell.comparison.norms import NORMS
 from multicell.folder import to_json, words, write_text
 from multicell.scene import Scene
 
@@ -44,7 +44,7 @@ class WorkPrecision:
         ``"failed"``, or ``"skipped"`` where it would have taken too long), ``words`` (of a
         failure), ``wall`` (s, the minimum of several solves), ``spent`` (s, the one solve that
         the errors are of, also of a failure), ``error_...`` in every norm of
-        :data:`multicell.compare.norms.NORMS`, ``cost`` (evaluations, with linearisations and
+        :data:`multicell.comparison.norms.NORMS`, ``cost`` (evaluations, with linearisations and
         Jacobian products by their weights), and the counts of
         :class:`multicell.mechanics.Work`. What a failed or skipped solve lacks is NaN.
     uncertainty : norm -> float
@@ -83,7 +83,7 @@ class WorkPrecision:
         error
             Largest error; the uncertainty of the reference is added to what was measured.
         norm
-            One of :data:`multicell.compare.norms.NORMS`.
+            One of :data:`multicell.comparison.norms.NORMS`.
 
         Returns
         -------
@@ -112,7 +112,7 @@ class WorkPrecision:
         method
             Name of the method.
         norm
-            One of :data:`multicell.compare.norms.NORMS`.
+            One of :data:`multicell.comparison.norms.NORMS`.
         finest
             Number of finest settings to take, by default all. Points closer to the reference
             than ten times its uncertainty are left out.
@@ -133,14 +133,14 @@ class WorkPrecision:
 
     def figure(self, norm: str = "position") -> Figure:
         """Draw error over wall time and over evaluations; failures as crosses on top."""
-        from multicell.compare.chart import workprecision
+        from multicell.comparison.chart import workprecision
 
         self._check(norm)
         return workprecision(self, norm)
 
     def norms_figure(self) -> Figure:
         """Draw error over wall time in every norm."""
-        from multicell.compare.chart import norms
+        from multicell.comparison.chart import norms
 
         return norms(self)
 
@@ -172,7 +172,7 @@ class WorkPrecision:
         OutputError
             If the folder cannot be written to.
         """
-        from multicell.compare.page import page
+        from multicell.comparison.page import page
         from multicell.drawing import save
 
         folder = Path(folder)

@@ -8,11 +8,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from multicell.compare.measure import Row
-from multicell.compare.methods import Method, named
-from multicell.compare.stability_result import FILES, StabilityMap
-from multicell.compare.stability_state import State, divided, settled
-from multicell.compare.stability_trial import STABLE, judge, watch
+from multicell.comparison.measure import Row
+from multicell.comparison.methods import Method, named
+from multicell.comparison.stability_result import FILES, StabilityMap
+from multicell.comparison.stability_state import State, divided, settled
+from multicell.comparison.stability_trial import STABLE, judge, watch
 from multicell.contact import effective_modulus
 from multicell.errors import OutputError, SceneError, StepFailed
 from multicell.folder import prepare_folder, versions, words
