@@ -248,7 +248,13 @@ class Mechanics:
         return self._rows
 
     def jacobian_product(self, vector: FloatArray, out: FloatArray) -> None:
-        """Write J v, (n, 3) µm/s, for ``vector`` (n, 3) µm at the last linearisation."""
+        """Write J v, (n, 3) µm/s, for ``vector`` (n, 3) µm at the last linearisation.
+
+        Raises
+        ------
+        StateRejected
+            If friction cannot be solved for.
+        """
         self.work.jacobian_products += 1
         linear = self._linearised()
         run = kernels.products_parallel if self._shared(linear.pairs) else kernels.products
@@ -256,8 +262,12 @@ class Mechanics:
             self.chunk, self._rows, linear.data, linear.normal, linear.along, linear.across,
             self.drag if self._rubbing is None else 0.0, _frozen(vector), out,
         )  # fmt: skip
-        if self._rubbing is not None:
-            self.work.friction_iterations += self._rubbing.divide(out)
+        rubbing = self._rubbing
+        if rubbing is not None:
+            try:
+                self.work.friction_iterations += rubbing.divide(out)
+            except rubbing.failure as error:
+                raise StateRejected(str(error)) from error
 
     def setup_preconditioner(self, gamma: float) -> None:
         """Invert the 3 x 3 diagonal blocks of I - γJ, stable part, at the linearisation."""

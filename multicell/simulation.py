@@ -270,9 +270,11 @@ class Simulation:
 
     def _touching(self) -> IntArray:
         """Return the remembered contacts as indices of the present cells; dead ones are gone."""
+        if len(self.cells) == 0:
+            return np.empty((0, 2), dtype=np.int64)
         order = np.argsort(self.cells.id)
         ids = self.cells.id[order]
-        place = np.minimum(np.searchsorted(ids, self.contacts), max(len(ids) - 1, 0))
+        place = np.minimum(np.searchsorted(ids, self.contacts), len(ids) - 1)
         known = (ids[place] == self.contacts).all(axis=1)
         return np.sort(order[place[known]], axis=1)
 

@@ -7,9 +7,10 @@ from scipy.optimize import brentq
 import multicell as mc
 from multicell import Simulation
 from multicell.contact import JKR, ExactJKR, effective_modulus, effective_radius
+from multicell.friction import FrictionMatrix, FrictionNotSolvedError
 from multicell.integrators.cvode import Cvode
 from multicell.integrators.explicit import Euler
-from multicell.mechanics import Mechanics, Motion
+from multicell.mechanics import Mechanics, Motion, StateRejected
 
 
 def run(scene, **options):
@@ -202,6 +203,26 @@ def test_friction_slows_the_settling_and_keeps_its_end():
     while not free.finished:
         free.step(), slow.step()
     assert slow.summary()["diameter"] == pytest.approx(free.summary()["diameter"], rel=0.02)
+
+
+def test_friction_that_cannot_be_solved_for_rejects_the_state(monkeypatch):
+    """In the right-hand side and in a Jacobian product alike."""
+    position = np.array([[0.0, 0, 0], [8.0, 0, 0]])
+    system = Mechanics(JKR(), 5.0, friction=(0.1, 0.1))
+    half = np.full(2, 0.5)
+    system.begin(Motion(np.full(2, 5.0), np.zeros(2), np.ones(2), half, 0.0, 10.0))
+    out = np.empty_like(position)
+    system.velocity(0.0, position, out)
+    system.linearise(0.0, position)
+
+    def fails(*_, **__):
+        raise FrictionNotSolvedError("after 2000 iterations")
+
+    monkeypatch.setattr(FrictionMatrix, "solve", fails)
+    with pytest.raises(StateRejected, match="2000 iterations"):
+        system.velocity(0.0, position, out)
+    with pytest.raises(StateRejected, match="2000 iterations"):
+        system.jacobian_product(position, out)
 
 
 @pytest.mark.parametrize("part", ["exact-jkr", "friction", "types"])
