@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import NullFormatter
 
 from multicell.comparison.norms import NORMS
 from multicell.drawing import QUIET, blank, cell_count, styled, time_unit
@@ -113,6 +114,9 @@ def _curves(axes: Axes, result: WorkPrecision, norm: str, cost: str, size: float
             axes.plot(x, y, line, color=colour, marker=marker, ms=size, lw=1.5, label=method)
     axes.set_xscale("log")
     axes.set_yscale("log")
+    # labels of minor ticks run into each other where an axis spans little more than a decade
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_minor_formatter(NullFormatter())
 
 
 def _band(axes: Axes, uncertainty: float, *, words: bool = False) -> None:
