@@ -8,18 +8,13 @@ Command   python docs/coupling_step.py
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
-from matplotlib.figure import Figure
 
 import multicell as mc
 
-HERE = Path(__file__).parent
 STEPS = (40.0, 20.0, 10.0, 5.0, 2.5)
 TOLERANCES = ("0.01 um", "0.0001 um")
 SEEDS = (1, 2, 3)
-WHAT = {"cells": "number of cells", "diameter": "diameter", "viable_rim": "viable rim"}
 
 
 def setup(minutes: float, atol: str, seed: int) -> mc.Scene:
@@ -37,32 +32,22 @@ def setup(minutes: float, atol: str, seed: int) -> mc.Scene:
 
 
 def observed(minutes: float, atol: str) -> np.ndarray:
-    """Return the mean of the observables over the seeds, (3,)."""
+    """Return the observables of all seeds, (seeds, 2)."""
     runs = [mc.run(setup(minutes, atol, seed)).summary() for seed in SEEDS]
-    return np.array([[run[name] for name in WHAT] for run in runs]).mean(axis=0)
+    return np.array([[run["cells"], run["diameter"]] for run in runs])
 
 
 def main() -> None:
-    """Print the table and draw the chart."""
-    values = {atol: np.array([observed(m, atol) for m in STEPS]) for atol in TOLERANCES}
-    finest = values[TOLERANCES[1]][-1]
-    figure = Figure(figsize=(10.0, 4.2), dpi=130, layout="constrained")
-    print("| coupling step | atol | cells | diameter / µm | viable rim / µm |")
-    print("|---|---|---|---|---|")
-    for atol, rows in values.items():
-        for minutes, row in zip(STEPS, rows, strict=True):
-            print(f"| {minutes:g} min | {atol} | {row[0]:.0f} | {row[1]:.1f} | {row[2]:.1f} |")
-    for axes, (k, (_, label)) in zip(figure.subplots(1, 3), enumerate(WHAT.items()), strict=True):
-        splitting = np.abs(values[TOLERANCES[1]][:-1, k] / finest[k] - 1.0)
-        integrator = np.abs(values[TOLERANCES[0]][:, k] / values[TOLERANCES[1]][:, k] - 1.0)
-        axes.loglog(STEPS[:-1], 100 * splitting, "o-", label="coupling step (splitting)")
-        axes.loglog(STEPS, 100 * integrator, "s--", label="integrator: 0.01 against 0.0001 µm")
-        axes.set_xlabel("coupling step (min)")
-        axes.set_ylabel("difference (%)")
-        axes.set_title(label)
-        axes.grid(alpha=0.3)
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2)
-    figure.savefig(HERE / "figures" / "coupling-step.png")
+    """Print the table: means, and their standard errors over the seeds."""
+    print("| coupling step | atol | cells | diameter / µm |")
+    print("|---|---|---|---|")
+    for atol in TOLERANCES:
+        for minutes in STEPS:
+            values = observed(minutes, atol)
+            (cells, size), (c, d) = values.mean(axis=0), values.std(axis=0, ddof=1)
+            root = len(SEEDS) ** 0.5
+            print(f"| {minutes:g} min | {atol} | {cells:.0f} ± {c / root:.0f} "
+                  f"| {size:.1f} ± {d / root:.1f} |", flush=True)  # fmt: skip
 
 
 if __name__ == "__main__":
