@@ -32,7 +32,7 @@ def is_picture(path: Path) -> bool:
 def test_every_example_states_problem_cost_and_command() -> None:
     files = sorted(EXAMPLES.glob("*.py"))
     expected = ["exact_jkr", "figure_3_3", "jkr_curves", "small_spheroid", "table_3_2", "two_cells"]
-    assert set(expected) <= {f.stem for f in files}
+    assert [f.stem for f in files] == expected
     for file in files:
         words = load(file.stem).__doc__
         for word in ("Problem", "Scaling", "Cost", f"python examples/{file.name}"):
