@@ -14,7 +14,7 @@ from multicell.folder import words
 from multicell.frame import Frame
 
 if TYPE_CHECKING:
-    from multicell.parts import Nutrient
+    from multicell.nutrient.parts import Nutrient
 
 COLOURS: Final = {"proliferating": "#2a9d6a", "quiescent": "#f2b63c", "necrotic": "#4b3a5e"}
 INK, QUIET, BLUE, RED = "#22303c", "#6b7a86", "#2f6fb0", "#b5432f"
@@ -130,4 +130,5 @@ def type_label(name: str) -> str:
 
 def thresholds(nutrient: Nutrient) -> list[tuple[str, float, str]]:
     """Return the meaning, the value (mM) and the line style of a nutrient's thresholds."""
-    return [("rest", nutrient.quiescence, "-"), ("die", nutrient.necrosis, "--")]
+    known = [("rest", nutrient.quiescence, "-"), ("die", nutrient.necrosis, "--")]
+    return [(meaning, value, style) for meaning, value, style in known if value is not None]

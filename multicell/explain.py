@@ -8,17 +8,16 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from multicell.cells import SPHERE, Cells
+from multicell.cells import Cells
 from multicell.explain_contact import contact_notes, contact_numbers, contact_parts
+from multicell.explain_nutrient import nutrient_notes, nutrient_numbers, nutrient_parts
 from multicell.facts import Number, Part, hours
 from multicell.integrators.names import METHODS
-from multicell.pairs import birth_radius, daughters_stiffness, drag, typical_radius
+from multicell.pairs import birth_radius, daughters_stiffness, drag
 
 if TYPE_CHECKING:
-    from multicell.parts import Nutrient
     from multicell.scene import Scene
 
-_GRID_ARRAYS: Final = 12  # arrays of the size of the grid that a solve holds at once
 _NEIGHBOURS: Final = 12  # of a cell in dense packing
 
 
@@ -33,8 +32,7 @@ def explain(scene: Scene) -> dict[str, Any]:
         do not fit together. Only plain values, so that it can be written as JSON.
     """
     numbers = [*_run(scene), *contact_numbers(scene), *_growth(scene), *_memory(scene)]
-    for name, nutrient in scene.nutrients.items():
-        numbers += _nutrient(scene, name, nutrient)
+    numbers += nutrient_numbers(scene)
     return {
         "title": scene.title,
         "parts": [asdict(part) for part in _parts(scene)],
@@ -63,19 +61,9 @@ def _parts(scene: Scene) -> list[Part]:
         *contact_parts(scene),
         Part("growth", scene.growth is not None, growth),
         Part("death", scene.death is not None, death),
-        *_nutrient_parts(scene),
+        *nutrient_parts(scene),
         Part("integrator", True, f"{method}: {METHODS[method]}"),
         Part("output", True, f"a frame every {hours(scene.output.every)}"),
-    ]
-
-
-def _nutrient_parts(scene: Scene) -> list[Part]:
-    if not scene.nutrients:
-        return [Part("nutrients", False, "absent: no field is solved, no cell starves")]
-    what = "steady field on a grid of {:g} um that follows the cells, {:g} mM in the medium"
-    return [
-        Part(f"nutrients.{name}", True, what.format(n.spacing, n.boundary))
-        for name, n in scene.nutrients.items()
     ]
 
 
@@ -103,32 +91,6 @@ def _growth(scene: Scene) -> list[Number]:
     if generations < 60.0:
         most = scene.initial.count * 2.0**generations
         numbers.append(Number("cells at most", most, "", "if nothing limited growth"))
-    return numbers
-
-
-def _nutrient(scene: Scene, name: str, nutrient: Nutrient) -> list[Number]:
-    """Return the sizes at which a nutrient runs short.
-
-    With the uptake q of full strength everywhere (zeroth order), a ball of radius R and surface
-    concentration c has c - q R² / (6 D) at its centre, and a thick layer is fed to the depth
-    √(2 D c / q).
-    """
-    supply = nutrient.diffusion * nutrient.boundary
-    demand = nutrient.uptake / (SPHERE * typical_radius(scene) ** 3)
-    numbers = [
-        Number(f"{name}: largest uptake", demand, "mM/s", "of tissue of typical cells, no gaps")
-    ]
-    if supply > 0.0 and demand > 0.0:
-        critical, depth = math.sqrt(6.0 * supply / demand), math.sqrt(2.0 * supply / demand)
-        settle = critical**2 / nutrient.diffusion
-        points = math.ceil(2.0 * (critical + nutrient.margin) / nutrient.spacing) ** 3
-        memory = 8e-6 * _GRID_ARRAYS * points
-        numbers += [
-            Number(f"{name}: starving radius", critical, "um", "of a ball starved at its centre"),
-            Number(f"{name}: diffusion length", depth, "um", "the depth to which a wall is fed"),
-            Number(f"{name}: settling time", settle, "s", "of the field: the steady state holds"),
-            Number(f"{name}: grid memory", memory, "MB", f"about, at that size: {points:,} points"),
-        ]
     return numbers
 
 
@@ -161,7 +123,5 @@ def _notes(scene: Scene) -> list[str]:
             f"Euler's step of {scene.integrator.step:g} s is near or above its limit of stability "
             f"(about {limit / 3.0:.2g} s in tissue). Take a smaller integrator.step or cvode."
         )
-    for name, n in scene.nutrients.items():
-        if n.boundary < n.quiescence:
-            notes.append(f"The medium has too little {name} for growth: all cells are quiescent.")
+    notes += nutrient_notes(scene)
     return notes

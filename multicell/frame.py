@@ -15,7 +15,7 @@ from multicell.cells import Cells, FloatArray, IntArray
 @final
 @dataclass(frozen=True, eq=False)
 class Field:
-    """A concentration on a regular grid of cubes.
+    """A concentration on a regular grid of cubes, of squares in a plane, or on spherical shells.
 
     Attributes
     ----------
@@ -28,7 +28,13 @@ class Field:
     spacing
         Edge of a grid cube in µm.
     values : (nx, ny, nz) float64
-        Values at the centres of the cubes, ``origin + (i + 1/2) * spacing``.
+        Values at the centres of the cubes, ``origin + (i + 1/2) * spacing``; of a plane with
+        ``nz = 1``. Of shells with ``ny = nz = 1``: at the distances ``(i + 1/2) * spacing`` from
+        ``origin``, which is their centre.
+    kind
+        ``"box"`` or ``"radial"``.
+    height
+        Of the layer in two dimensions, µm; else 0.
 
     Raises
     ------
@@ -41,6 +47,8 @@ class Field:
     origin: FloatArray
     spacing: float
     values: NDArray[np.float64]
+    kind: str = "box"
+    height: float = 0.0
 
     def __post_init__(self) -> None:
         if np.shape(self.origin) != (3,):
@@ -49,6 +57,17 @@ class Field:
             raise ValueError(f"field {self.name}: values have {np.ndim(self.values)} dimensions")
         if not self.spacing > 0.0:
             raise ValueError(f"field {self.name}: spacing is {self.spacing}, must be above 0")
+
+    def in_plane(self, z: float) -> Field:
+        """Return a radial field on squares in the plane at height z (µm), as a flat box."""
+        away = z - float(self.origin[2])
+        count = self.values.shape[0]
+        middles = (np.arange(count) + 0.5) * self.spacing
+        axis = np.concatenate([-middles[::-1], middles])
+        distance = np.sqrt(axis[:, None] ** 2 + axis[None, :] ** 2 + away**2)
+        plane = np.interp(distance, middles, self.values.ravel())
+        corner = np.array([*(self.origin[:2] - count * self.spacing), z - 0.5 * self.spacing])
+        return Field(self.name, self.unit, corner, self.spacing, plane[:, :, None])
 
     def axis(self, direction: int) -> FloatArray:
         """Return the coordinates of the grid centres along one direction, in µm."""

@@ -105,6 +105,8 @@ def _read_field(group: Any, name: str, place: int) -> Field | None:
         origin=group["origin"][place],
         spacing=float(group["spacing"][place]),
         values=group["values"][start:stop].reshape(group["shape"][place]),
+        kind="radial" if group["radial"][place] else "box",
+        height=float(group["height"][place]),
     )
 
 

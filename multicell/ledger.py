@@ -1,4 +1,4 @@
-"""What came into the box of a nutrient and what the cells took up, over a whole run."""
+"""Where every molecule of a field came from and went to, over a whole run."""
 
 from __future__ import annotations
 
@@ -9,31 +9,75 @@ from typing import final
 @final
 @dataclass
 class Ledger:
-    """Running totals of one nutrient, amol.
+    """Running totals of one field, amol.
 
-    A quasi-steady field stores nothing: inflow and uptake must agree up to the solver's
-    tolerance, and the remainder says how well they do.
+    A steady field stores nothing: what comes in and is secreted is taken up or decays at once.
+    A transient one stores the rest. The remainder says how well the account is balanced.
+
+    Attributes
+    ----------
+    inflow
+        Over the sides of the grid and, where the field is perfused, from the flow.
+    uptake, secreted, decayed
+        By the cells; by the cells; by first-order decay.
+    relaid
+        What the grid gained with medium that it came to enclose when it followed the tissue.
+    stored
+        What a transient field holds now beyond what it held at the start.
     """
 
     inflow: float = 0.0
     uptake: float = 0.0
+    secreted: float = 0.0
+    decayed: float = 0.0
+    relaid: float = 0.0
+    stored: float = 0.0
 
-    def add(self, inflow: float, uptake: float, dt: float) -> None:
-        """Add rates (amol/s) that held for a time ``dt`` (s)."""
+    def add(
+        self,
+        inflow: float,
+        uptake: float,
+        dt: float = 1.0,
+        *,
+        secreted: float = 0.0,
+        decayed: float = 0.0,
+        relaid: float = 0.0,
+        stored: float = 0.0,
+    ) -> None:
+        """Add rates (amol/s) that held for a time ``dt`` (s), or amounts where it is left out.
+
+        ``relaid`` and ``stored`` are amounts always.
+        """
         self.inflow += inflow * dt
         self.uptake += uptake * dt
+        self.secreted += secreted * dt
+        self.decayed += decayed * dt
+        self.relaid += relaid
+        self.stored += stored
 
     @property
     def remainder(self) -> float:
-        """Inflow minus uptake, amol."""
-        return self.inflow - self.uptake
+        """What came in and was secreted but neither left nor is there, amol."""
+        gained = self.inflow + self.secreted + self.relaid
+        return gained - self.uptake - self.decayed - self.stored
+
+    @property
+    def turnover(self) -> float:
+        """The larger of all that was gained and all that was spent, amol."""
+        gained = max(self.inflow, 0.0) + self.secreted + max(self.relaid, 0.0)
+        spent = self.uptake + self.decayed + max(-self.inflow, 0.0) + max(-self.relaid, 0.0)
+        return max(gained, spent, abs(self.stored))
 
     def summary(self) -> dict[str, float]:
         """Return totals in amol, and the remainder relative to the turnover."""
-        turnover = max(abs(self.inflow), abs(self.uptake))
+        turnover = self.turnover
         return {
             "inflow": self.inflow,
             "uptake": self.uptake,
+            "secreted": self.secreted,
+            "decayed": self.decayed,
+            "relaid": self.relaid,
+            "stored": self.stored,
             "remainder": self.remainder,
             "relative_remainder": abs(self.remainder) / turnover if turnover else 0.0,
         }

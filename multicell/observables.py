@@ -237,6 +237,8 @@ def field_profile(field: Field, origin: FloatArray, edges: FloatArray) -> FloatA
     (b,) float64
         Means over the grid points; NaN in a shell that holds none.
     """
+    if field.kind == "radial":
+        return _means(field.axis(0) - field.origin[0], edges, field.values.ravel())
     axes = np.meshgrid(*(field.axis(k) - origin[k] for k in range(3)), indexing="ij", sparse=True)
     radius = np.sqrt(sum(axis**2 for axis in axes)).ravel()
     return _means(radius, edges, field.values.ravel())

@@ -242,7 +242,7 @@ def flag(*, default: Any = MISSING, doc: str = "") -> Any:
 
 
 def quantities(unit: str, *, at_least: float | None = None, doc: str = "") -> Any:
-    """Declare an optional table of names to quantities."""
+    """Declare an optional table of names to quantities, or to numbers where ``unit`` is empty."""
     bounds = Bounds(at_least=at_least)
 
     def convert(value: object, path: str) -> Tables[float]:
@@ -251,7 +251,7 @@ def quantities(unit: str, *, at_least: float | None = None, doc: str = "") -> An
 
     def one(name: str, entry: object, path: str) -> float:
         where = f"{path}.{name}"
-        converted = to_base(entry, unit, where)
+        converted = to_base(entry, unit, where) if unit else finite(entry, where, "a number")
         bounds.require(converted, entry, where, unit, "")
         return converted
 
@@ -263,23 +263,10 @@ def course(*, default: float, at_least: float | None = None, doc: str = "") -> A
 
     The stored value is a tuple of (time in s, value), with times that rise.
     """
-    bounds = Bounds(at_least=at_least)
 
     def convert(value: object, path: str) -> tuple[tuple[float, float], ...]:
         points = value if isinstance(value, list | tuple) else [(0.0, value)]
-        if not points or not all(isinstance(p, list | tuple) and len(p) == 2 for p in points):
-            problem = f"is {shown(value)}, must be a number or a list of [time, value]"
-            raise SceneError(path, problem, "For example [[0, 0.9], ['10 h', 0.1]].")
-        result = tuple((to_base(t, "s", path), one(v, path)) for t, v in points)
-        times = [time for time, _ in result]
-        if any(b <= a for a, b in itertools.pairwise(times)):
-            raise SceneError(path, f"has the times {times} s, must have times that rise")
-        return result
-
-    def one(value: object, path: str) -> float:
-        converted = finite(value, path, "a number")
-        bounds.require(converted, value, path, "", "")
-        return converted
+        return _course(points, path, "", Bounds(at_least=at_least))
 
     def to_plain(value: tuple[tuple[float, float], ...]) -> Any:
         return value[0][1] if len(value) == 1 else [list(point) for point in value]
@@ -287,15 +274,58 @@ def course(*, default: float, at_least: float | None = None, doc: str = "") -> A
     return _field(Parameter(convert, to_plain, doc=doc), ((0.0, default),))
 
 
-def tables(part: type[Any], *, default_factory: Any, doc: str = "") -> Any:
-    """Declare a table of named tables, each of them a ``part``."""
+def schedule(unit: str, *, at_least: float | None = None, doc: str = "") -> Any:
+    """Declare a list of ``[time, quantity]`` with times that rise, by default None.
+
+    The stored value is a tuple of (time in s, value in ``unit``).
+    """
+
+    def convert(value: object, path: str) -> tuple[tuple[float, float], ...]:
+        return _course(value, path, unit, Bounds(at_least=at_least))
+
+    def to_plain(value: tuple[tuple[float, float], ...]) -> Any:
+        return [list(point) for point in value]
+
+    return _field(Parameter(convert, to_plain, unit=unit, doc=doc), None)
+
+
+def _course(
+    points: object, path: str, unit: str, bounds: Bounds
+) -> tuple[tuple[float, float], ...]:
+    """Return (time in s, value in ``unit``) for each point of a course, or raise ``SceneError``."""
+    listed = list(points) if isinstance(points, list | tuple) else []
+    if not listed or not all(isinstance(p, list | tuple) and len(p) == 2 for p in listed):
+        single = "" if unit else "a number or "
+        problem = f"is {shown(points)}, must be {single}a list of [time, value]"
+        example = f"0.1 {unit}" if unit else "0.1"
+        raise SceneError(path, problem, f"For example [['10 h', '{example}']].")
+
+    def one(value: object) -> float:
+        converted = to_base(value, unit, path) if unit else finite(value, path, "a number")
+        bounds.require(converted, value, path, unit, "")
+        return converted
+
+    result = tuple((to_base(t, "s", path), one(v)) for t, v in listed)
+    times = [time for time, _ in result]
+    if any(b <= a for a, b in itertools.pairwise(times)):
+        raise SceneError(path, f"has the times {times} s, must have times that rise")
+    return result
+
+
+def tables(
+    part: type[Any], *, default_factory: Any, names: Iterable[str] | None = None, doc: str = ""
+) -> Any:
+    """Declare a table of named tables, each of them a ``part``; ``names`` are all that may be."""
+    known = None if names is None else list(names)
 
     def convert(value: object, path: str) -> Tables[Any]:
         entries = dict(value) if isinstance(value, Tables) else _mapping(value, path)
         return Tables({name: one(name, entry, path) for name, entry in entries.items()})
 
     def one(name: str, entry: object, path: str) -> Any:
-        if not (name.isidentifier() and name.isascii()):
+        if known is not None and name not in known:
+            raise SceneError(f"{path}.{name}", "is not a known name here", near_miss(name, known))
+        if known is None and not (name.isidentifier() and name.isascii()):
             problem = f"is named {shown(name)}, must have a name of letters, digits and '_'"
             raise SceneError(path, problem)
         return entry if isinstance(entry, part) else build(part, entry, f"{path}.{name}")
@@ -344,6 +374,7 @@ class Tables(Mapping[str, V]):
         flag,
         quantities,
         course,
+        schedule,
     ),
 )
 def parameters(cls: type[T]) -> type[T]:
@@ -403,11 +434,12 @@ def build(part: type[T], value: object, path: str = "", also: tuple[str, ...] = 
 
 
 def plain(part: Any) -> dict[str, Any]:
-    """Return a part as a dict of base-unit numbers, strings and dicts, without what is absent."""
+    """Return a part as a dict of plain values in base units; what is absent has no key."""
     result = {}
     for name, spec in specs(part).items():
         value = getattr(part, name)
-        if value is not None:
+        empty = isinstance(value, Tables) and not value
+        if value is not None and not empty:
             result[name] = spec.plain(value)
     return result
 

@@ -120,38 +120,6 @@ class Death:
 
 @final
 @parameters
-class Nutrient:
-    """A dissolved nutrient: diffusion, Michaelis–Menten uptake, effect on the cells."""
-
-    diffusion: float = quantity("um^2/s", default=2000.0, above=0, doc="diffusion coefficient")
-    boundary: float = quantity("mM", default=0.07, at_least=0, doc="concentration in the medium")
-    uptake: float = quantity("amol/s", default=20.0, at_least=0, doc="largest uptake of a cell")
-    half_saturation: float = quantity(
-        "mM", default=0.005, above=0, doc="concentration of half the largest uptake"
-    )
-    quiescent_uptake: float = number(
-        default=0.5, at_least=0, at_most=1, doc="uptake of a quiescent / of a proliferating cell"
-    )
-    growth_half_saturation: float = quantity(
-        "mM", default=0.01, above=0, doc="concentration of half the largest growth (Monod)"
-    )
-    quiescence: float = quantity("mM", default=0.02, at_least=0, doc="below: quiescent")
-    necrosis: float = quantity("mM", default=0.005, at_least=0, doc="below: necrotic")
-    spacing: float = quantity("um", default=10.0, above=0, doc="spacing of the grid")
-    margin: float = quantity("um", default=50.0, above=0, doc="of the grid around the cells")
-
-    def check(self) -> None:
-        """Raise ``SceneError`` unless cells become quiescent before they become necrotic."""
-        if not self.necrosis < self.quiescence:
-            problem = (
-                f"is {self.necrosis:g} mM, must be below quiescence ({self.quiescence:g} mM): "
-                "thresholds in the wrong order"
-            )
-            raise SceneError("necrosis", problem, "Starving cells first rest, then die.")
-
-
-@final
-@parameters
 class IntegratorOptions:
     """How the equations of motion are integrated."""
 

@@ -45,7 +45,7 @@ from multicell.section import section
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from multicell.parts import Nutrient
+    from multicell.nutrient.parts import Nutrient
     from multicell.scene import Scene
 
 History = Mapping[str, NDArray[np.float64]]

@@ -17,6 +17,8 @@ from typing import Any, final
 from multicell.celltypes import check_types
 from multicell.contact import LAWS, PairLaw
 from multicell.errors import SceneError
+from multicell.nutrient.parts import Nutrient
+from multicell.nutrient.plan import check_nutrients
 from multicell.parameters import (
     Parameter,
     Tables,
@@ -43,7 +45,6 @@ from multicell.parts import (
     Initial,
     IntegratorOptions,
     Motility,
-    Nutrient,
     OutputOptions,
     Pull,
 )
@@ -114,17 +115,7 @@ class Scene:
         if smoothing > smallest:
             problem = f"is {smoothing:g} um, must be at most the birth radius {smallest:g} um"
             raise SceneError("contact.smoothing", problem, "0 turns it off.")
-        if len(self.nutrients) > 1:
-            names = ", ".join(self.nutrients)
-            raise SceneError("nutrients", f"has {names}: one nutrient for now")
-        for name, nutrient in self.nutrients.items():
-            widest = 4.0 * self.cells.division_radius
-            if nutrient.spacing > widest:
-                problem = (
-                    f"is {nutrient.spacing:g} um, must be at most {widest:g} um "
-                    "(two diameters of a dividing cell): grid too coarse for its cells"
-                )
-                raise SceneError(f"nutrients.{name}.spacing", problem, "Take about one diameter.")
+        check_nutrients(self)
 
     @classmethod
     def from_dict(cls, entries: Mapping[str, Any]) -> Scene:
@@ -139,11 +130,7 @@ class Scene:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the scene as nested dicts of base-unit numbers; what is absent has no key."""
-        entries = plain(self)
-        for optional in ("nutrients", "types"):
-            if not entries[optional]:
-                del entries[optional]
-        return entries
+        return plain(self)
 
     def with_changes(self, changes: Mapping[str, Any]) -> Scene:
         """Return a scene with other values.

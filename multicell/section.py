@@ -32,7 +32,7 @@ from multicell.observables import centre, sphere_radius
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from multicell.parts import Nutrient
+    from multicell.nutrient.parts import Nutrient
 
 # white to a light blue: cells must stand out against it
 _WATER: Final = ListedColormap(np.linspace(to_rgb("#ffffff"), to_rgb("#8fbce0"), 256))
@@ -143,6 +143,8 @@ def slice_at(field: Field, z: float) -> FloatArray:
     ValueError
         If the plane lies outside the grid.
     """
+    if field.kind == "radial":
+        field = field.in_plane(z)
     heights = field.axis(2)
     if not heights[0] <= z <= heights[-1]:
         raise ValueError(f"the plane z = {z:g} um lies outside the grid of {field.name}")
@@ -169,6 +171,7 @@ def _refined(field: Field, z: float) -> tuple[FloatArray, FloatArray, FloatArray
 
 def _draw_field(figure: Figure, axes: Axes, field: Field, z: float, nutrient: Nutrient) -> None:
     """Draw a field as shades behind the cells, and its thresholds as lines over them."""
+    field = field.in_plane(z) if field.kind == "radial" else field
     x, y, plane = _refined(field, z)
     top = max(float(plane.max()), nutrient.boundary)
     if not top > 0.0:

@@ -27,7 +27,7 @@ from multicell.biology import (
     update_states,
     volumes_after,
 )
-from multicell.cells import SPHERE, Cells, FloatArray, IntArray, State
+from multicell.cells import SPHERE, Cells, FloatArray, IntArray
 from multicell.errors import StepFailed
 from multicell.folder import versions
 from multicell.frame import Field, Frame
@@ -36,8 +36,7 @@ from multicell.mechanics import Mechanics, Motion
 from multicell.threads import thread_count
 
 if TYPE_CHECKING:
-    from multicell.nutrient.field import NutrientField
-    from multicell.nutrient.steady import SolveReport
+    from multicell.nutrient.feeding import Feeding
     from multicell.scene import Scene
 
 PHASES = ("nutrient", "biology", "mechanics", "events", "record")
@@ -68,10 +67,6 @@ class Simulation:
     time : float, s
     step_index : int
         Number of coupling steps done.
-    concentrations : name -> (n,) float64, mM
-        Concentration of each nutrient at the cells.
-    ledger : name -> Ledger
-        What has come in and been taken up of each nutrient.
     divisions, removals : int
         Events so far.
     wall : phase -> s
@@ -97,17 +92,26 @@ class Simulation:
         self.contacts = np.empty((0, 2), dtype=np.int64)
         self.separation: dict[str, float] | None = None
         self._integrator = integrators.make(scene.integrator)
-        self._nutrients = _nutrient_fields(scene)
-        self.ledger = {name: Ledger() for name in self._nutrients}
-        self.concentrations: dict[str, FloatArray] = {}
+        self._feeding = _feeding(scene)
         self._unsorted = len(self.cells)
         self._sort()
         with self._phase("mechanics"):
             self._find_first_contacts()
         with self._phase("nutrient"):
-            self._feed()
+            if self._feeding is not None:
+                self._feeding.begin(self.cells, self.time)
         with self._phase("biology"):
             self._change_states()
+
+    @property
+    def concentrations(self) -> dict[str, FloatArray]:
+        """Concentration of each nutrient at the cells, name -> (n,) mM."""
+        return {} if self._feeding is None else self._feeding.concentrations
+
+    @property
+    def ledger(self) -> dict[str, Ledger]:
+        """What has come in, been taken up, secreted, stored ... of each nutrient."""
+        return {} if self._feeding is None else self._feeding.ledger
 
     @property
     def time(self) -> float:
@@ -129,7 +133,7 @@ class Simulation:
     @property
     def fields(self) -> dict[str, Field]:
         """The nutrient fields as they were last solved."""
-        return {name: field.field() for name, field in self._nutrients.items()}
+        return {} if self._feeding is None else self._feeding.snapshot()
 
     def step(self) -> None:
         """Advance by one coupling step.
@@ -146,15 +150,13 @@ class Simulation:
             radius = self._radius_after(end - begin)
         with self._phase("mechanics"):
             position, pressure = self._move(begin, end, radius)
-        fed = self._reports
         with self._phase("events"):
             self._take(position, radius, pressure, end - begin)
             self._divide_and_remove()
             self._sort()
         with self._phase("nutrient"):
-            for name, report in fed.items():
-                self.ledger[name].add(report.inflow, report.uptake, end - begin)
-            self._feed()
+            if self._feeding is not None:
+                self._feeding.advance(self.cells, begin, end)
         with self._phase("biology"):
             self._change_states()
 
@@ -310,18 +312,6 @@ class Simulation:
             self.cells = self.cells.take(neighbours.spatial_order(self.cells.position, width))
             self._unsorted = 0
 
-    def _feed(self) -> None:
-        """Solve every field for the present cells and sample it at them."""
-        self._reports: dict[str, SolveReport] = {}
-        for name, field in self._nutrients.items():
-            nutrient = self.scene.nutrients[name]
-            of_state = np.zeros(len(State))
-            of_state[State.PROLIFERATING] = nutrient.uptake
-            of_state[State.QUIESCENT] = nutrient.uptake * nutrient.quiescent_uptake
-            capacity = of_state[self.cells.state]
-            self._reports[name] = field.solve(self.cells.position, capacity)
-            self.concentrations[name] = field.sample(self.cells.position)
-
     def _change_states(self) -> None:
         self.cells.state = update_states(self.scene, self.cells, self.concentrations)
 
@@ -349,13 +339,13 @@ def _counts_contacts(scene: Scene) -> bool:
     return _remembers(scene) or len(scene.types) > 1 or scene.pull is not None
 
 
-def _nutrient_fields(scene: Scene) -> dict[str, NutrientField]:
+def _feeding(scene: Scene) -> Feeding | None:
     """Return the scene's fields; a scene without nutrients does not load them."""
     if not scene.nutrients:
-        return {}
-    from multicell.nutrient.field import NutrientField
+        return None
+    from multicell.nutrient.feeding import Feeding
 
-    return {name: NutrientField(name, nutrient) for name, nutrient in scene.nutrients.items()}
+    return Feeding(scene)
 
 
 def _separated(scene: Scene, cells: Cells) -> Cells:

@@ -7,7 +7,7 @@ Layout of ``frames.h5`` for k frames and m history rows::
     /frames/offset (k + 1)           frame j owns the rows offset[j] ... offset[j + 1] - 1
     /frames/time, /frames/step (k)
     /fields/<nutrient>/values        grids one after another in C order, with their offset
-    /fields/<nutrient>/offset (k + 1), shape (k, 3), origin (k, 3), spacing (k)
+    /fields/<nutrient>/offset (k + 1), shape (k, 3), origin (k, 3), spacing, height, radial (k)
     /contacts/pair (., 2)            identities of pairs in contact, where the law remembers them
     /contacts/offset (k + 1)
     /history/<column> (m)
@@ -132,6 +132,8 @@ class Store:
             _column(group, "shape", np.int64, width=3)
             _column(group, "origin", np.float64, width=3, unit="um")
             _column(group, "spacing", np.float64, unit="um")
+            _column(group, "height", np.float64, unit="um")
+            _column(group, "radial", np.int8)
             _put(group["offset"], 0, [0])
 
     def append(self, frame: Frame) -> None:
@@ -181,6 +183,8 @@ class Store:
         _put(group["shape"], self._frames, [values.shape])
         _put(group["origin"], self._frames, [np.full(3, np.nan) if field is None else field.origin])
         _put(group["spacing"], self._frames, [np.nan if field is None else field.spacing])
+        _put(group["height"], self._frames, [np.nan if field is None else field.height])
+        _put(group["radial"], self._frames, [field is not None and field.kind == "radial"])
         return end
 
     def append_history(self, row: Mapping[str, float]) -> None:

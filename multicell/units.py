@@ -28,6 +28,9 @@ _KINDS = {
     "um^2/s": ("a diffusion coefficient", "2000 um^2/s"),
     "mM": ("a concentration", "0.07 mM"),
     "amol/s": ("an amount per time", "20 amol/s"),
+    "1/s": ("a rate", "1e-5 1/s"),
+    "1/um": ("an inverse length", "0.01 1/um"),
+    "mM/um": ("a gradient of concentration", "1e-4 mM/um"),
 }
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)(.*)", re.DOTALL)
 _UNIT_TEXT = re.compile(r"[A-Za-zµμ0-9 */^().²³¹⁻-]{1,40}")

@@ -1,7 +1,5 @@
 """The nutrient field: laying, keeping and moving its grid, and what it gives to the cells."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -11,6 +9,8 @@ from pde import ScalarField
 from multicell.errors import MulticellError
 from multicell.nutrient.field import NutrientField
 from multicell.nutrient.grid import MAX_NODES, Box, NutrientFailed, extent, lay, moved
+from multicell.nutrient.parts import Nutrient
+from multicell.nutrient.plan import FieldParameters
 
 OXYGEN = {
     "diffusion": 2000.0,
@@ -22,7 +22,10 @@ OXYGEN = {
 
 
 def oxygen(**changes):
-    return NutrientField("oxygen", SimpleNamespace(**{**OXYGEN, **changes}))
+    nutrient = Nutrient(**{**OXYGEN, **changes})
+    return NutrientField(
+        "oxygen", FieldParameters(nutrient, nutrient.spacing, 10.0, "steady", dimensions=3)
+    )
 
 
 def ball(radius, seed=0, centre=(0.0, 0.0, 0.0)):

@@ -16,7 +16,8 @@ from hypothesis import strategies as st
 from multicell.contact import JKR, Hertz
 from multicell.errors import SceneError
 from multicell.integrators.names import METHODS
-from multicell.parts import Growth, Nutrient
+from multicell.nutrient.parts import Nutrient
+from multicell.parts import Growth
 from multicell.scene import Scene, load_scene, scene_names
 
 

@@ -28,10 +28,11 @@ def growth_factor(
 ) -> FloatArray:
     """Return how fast cells would grow here, as a fraction of unlimited growth.
 
-    The factor is the product of Monod's c / (K + c) over all nutrients and of
-    min(1, max(0, 1 - p / p_crit)): pressure slows growth linearly and stops it at the critical
-    pressure, tension does not speed it up. It describes the surroundings only; which cells do
-    grow is decided by their state in :func:`volumes_after`.
+    The factor is the product of Monod's c / (K + c) over all nutrients that growth needs, of
+    I / (I + c) over those that inhibit it, and of min(1, max(0, 1 - p / p_crit)): pressure slows
+    growth linearly and stops it at the critical pressure, tension does not speed it up. It
+    describes the surroundings only; which cells do grow is decided by their state in
+    :func:`volumes_after`.
 
     Parameters
     ----------
@@ -63,7 +64,10 @@ def growth_factor(
     factor = np.ones_like(pressure)
     for name, nutrient in scene.nutrients.items():
         c = np.asarray(concentrations[name])
-        factor *= c / (nutrient.growth_half_saturation + c)
+        if nutrient.growth_half_saturation is not None:
+            factor *= c / (nutrient.growth_half_saturation + c)
+        if nutrient.growth_inhibition is not None:
+            factor *= nutrient.growth_inhibition / (nutrient.growth_inhibition + c)
     critical = scene.growth.critical_pressure
     if critical is not None:
         factor *= np.minimum(1.0, np.maximum(0.0, 1.0 - pressure / critical))

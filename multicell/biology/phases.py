@@ -29,11 +29,11 @@ def update_states(
 ) -> NDArray[np.int8]:
     """Return the new state of each cell.
 
-    A cell turns necrotic at once where a nutrient is below its ``necrosis`` threshold and stays so
-    for ever. Another cell that is due to decide (:func:`deciding`) rests (quiescent) if a nutrient
-    is below its ``quiescence`` threshold or its pressure reaches the critical pressure, and
-    proliferates if neither holds. A scene that has neither nutrients nor a critical pressure
-    leaves all states as they are.
+    A cell turns necrotic at once where a nutrient is below its ``necrosis`` threshold, or above
+    ``necrosis_above``, and stays so for ever. Another cell that is due to decide
+    (:func:`deciding`) rests (quiescent) if a nutrient is below its ``quiescence`` threshold or its
+    pressure reaches the critical pressure, and proliferates if neither holds. A scene that has
+    neither nutrients nor a critical pressure leaves all states as they are.
 
     Parameters
     ----------
@@ -63,8 +63,12 @@ def update_states(
         resting |= cells.pressure >= critical
     for name, nutrient in scene.nutrients.items():
         c = np.asarray(concentrations[name])
-        dead |= c < nutrient.necrosis
-        resting |= c < nutrient.quiescence
+        if nutrient.necrosis is not None:
+            dead |= c < nutrient.necrosis
+        if nutrient.necrosis_above is not None:
+            dead |= c > nutrient.necrosis_above
+        if nutrient.quiescence is not None:
+            resting |= c < nutrient.quiescence
     wanted = np.where(resting, State.QUIESCENT, State.PROLIFERATING)
     living = np.where(
         deciding(cells, scene.coupling_step, scene.cells.reaction_time), wanted, cells.state

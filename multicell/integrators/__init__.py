@@ -18,7 +18,12 @@ _FIXED_STEP = {
     "ab2": "AdamsBashforth2",
     "rk4": "RungeKutta4",
 }
-_EXPLICIT_ADAPTIVE = {"euler-adaptive": "AdaptiveEuler", "dopri5": "Dopri5", "rkc2": "Rkc2"}
+_EXPLICIT_ADAPTIVE = {
+    "euler-adaptive": "AdaptiveEuler",
+    "ab2-adaptive": "AdaptiveAdams",
+    "dopri5": "Dopri5",
+    "rkc2": "Rkc2",
+}
 
 
 def make(options: IntegratorOptions) -> Integrator:

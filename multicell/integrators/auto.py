@@ -1,11 +1,21 @@
 """The method that should cost least for a coupling step, from its stiffness and tolerance.
 
+Most coupling steps are mild, and there any measurement of stiffness costs as much as the step
+itself. So every coupling step is begun by Adams-Bashforth of order 2 under error control, which
+needs one evaluation a step. Only where that would take more than ``_PATIENCE`` evaluations, as its
+own steps show after a few of them, is the largest decay rate measured, and the cheapest method
+goes over the coupling step from its beginning.
+
 The choice depends on the state at the beginning of the coupling step and on the options, on
 nothing else: a run that is resumed chooses as the uninterrupted one. Costs are counted in
 evaluations of the velocity, calibrated with ``tests/benchmarks/calibrate_auto.py`` (15 scenes
 of 100 to 5000 cells, z = λΔt from 9 to 2·10⁶, tolerances of 0.01 and 0.0001 µm). With
 θ = (atol + rtol r) / 0.01 µm and n cells:
 
+- ``ab2-adaptive``: as many as it expects itself. Where that is less than z / 0.4 its steps are held
+  down by stability, not by accuracy, and the others' predictions, which are high where only a few
+  cells are stiff, would lose against it: then it is taken only if it needs fewer evaluations than
+  the least that RKC2 gets by with, √(8 z) + 15;
 - ``dopri5``: 6 max(12 θ^-0.1, z / 3), 2.5 times that where stability limits the step at a loose
   tolerance: modes at the edge of stability then rattle, and lists are built at every step;
 - ``rkc2``: a (√(1 + 1.54 z / a) + 3) with a = 22 z^0.17 θ^-0.4 steps;
@@ -25,6 +35,10 @@ from multicell.integrators.base import FloatArray, Integrator, Outcome
 from multicell.mechanics import Mechanics, StateRejected
 
 _ITERATIONS = 6
+_PATIENCE = 150
+"""Evaluations up to which nothing but Adams-Bashforth is tried."""
+_TIGHT = 1e-3
+"""θ up to which a method of order 5 may cost less than Adams-Bashforth."""
 _CALL = 2.0e3
 """Evaluations times cells that one call from Python costs."""
 
@@ -37,7 +51,7 @@ class Choice:
     Attributes
     ----------
     method : str
-        ``"dopri5"``, ``"rkc2"`` or ``"cvode"``.
+        ``"ab2-adaptive"``, ``"dopri5"``, ``"rkc2"`` or ``"cvode"``.
     rate : float
         Estimate of the largest decay rate λ, 1/s.
     stiffness : float
@@ -69,7 +83,7 @@ class Choice:
 @final
 @dataclass(frozen=True)
 class Auto:
-    """Chooses for each coupling step between Dormand-Prince, RKC2 and CVODE.
+    """Chooses for each coupling step between Adams-Bashforth, Dormand-Prince, RKC2 and CVODE.
 
     The steps by each method are counted in ``Work``. If a method cannot go on, the next
     one starts from the beginning of the coupling step.
@@ -87,16 +101,28 @@ class Auto:
 
     def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
         """Integrate over the coupling step of ``system``; see :class:`Integrator`."""
-        outcome = Outcome(system.motion.end, np.array(position))
-        for name in choose(system, position, self.rtol, self.atol).order:
-            work = system.work
-            before = work.steps
+        outcome, expected = self._mild(system, position)
+        if outcome.done:
+            return outcome
+        for name in choose(system, position, self.rtol, self.atol, expected).order:
+            before = system.work.steps
             outcome = self.method(name).integrate(system, position)
-            counter = f"steps_{name}"
-            setattr(work, counter, getattr(work, counter) + work.steps - before)
+            _count(system, name, before)
             if outcome.done:
                 break
         return outcome
+
+    def _mild(self, system: Mechanics, position: FloatArray) -> tuple[Outcome, float]:
+        """Try the method for mild problems; return how many evaluations it expected."""
+        from multicell.integrators.explicit import AdaptiveAdams
+
+        before = system.work.steps
+        first = AdaptiveAdams(
+            self.rtol, self.atol, self.max_steps, self.max_displacement, _PATIENCE
+        )
+        found = first.attempt(system, position)
+        _count(system, "ab2-adaptive", before)
+        return found
 
     def method(self, name: str) -> Integrator:
         """Return a candidate with these options."""
@@ -105,13 +131,31 @@ class Auto:
             from multicell.integrators.cvode import Cvode
 
             return Cvode(*options)
-        from multicell.integrators.explicit import Dopri5, Rkc2
+        from multicell.integrators import explicit
 
-        return Dopri5(*options) if name == "dopri5" else Rkc2(*options)
+        kind = {
+            "ab2-adaptive": explicit.AdaptiveAdams,
+            "dopri5": explicit.Dopri5,
+            "rkc2": explicit.Rkc2,
+        }[name]
+        return kind(*options)  # type: ignore[no-any-return]
 
 
-def choose(system: Mechanics, position: FloatArray, rtol: float, atol: float) -> Choice:
-    """Return the cheapest method for the coupling step of ``system`` at its beginning."""
+def _count(system: Mechanics, name: str, before: int) -> None:
+    """Count the steps since ``before`` as those of a method."""
+    work = system.work
+    counter = f"steps_{name.replace('-', '_')}"
+    setattr(work, counter, getattr(work, counter) + work.steps - before)
+
+
+def choose(
+    system: Mechanics, position: FloatArray, rtol: float, atol: float, expected: float = 0.0
+) -> Choice:
+    """Return the cheapest method for the coupling step of ``system`` at its beginning.
+
+    ``expected`` is the number of evaluations that ``ab2-adaptive`` expects; without it that method
+    is no candidate.
+    """
     motion = system.motion
     rate = decay_rate(system, position)
     z = max(rate * (motion.end - motion.begin), 1.0)
@@ -127,6 +171,11 @@ def choose(system: Mechanics, position: FloatArray, rtol: float, atol: float) ->
     steps = 8.0 * z**0.22 * theta**-0.25
     cvode = steps * ((6.0 + 2.5 * math.log10(z)) * theta**0.1 + _CALL / n + called)
     costs = {"dopri5": dopri5 * (1.0 + called), "rkc2": rkc2 * (1.0 + called), "cvode": cvode}
+    if expected > 0.0 and (z < 0.4 * expected or expected < math.sqrt(8.0 * z) + 15.0):
+        costs["ab2-adaptive"] = expected * (1.0 + called)
+        if theta > _TIGHT:
+            # the order of Dormand-Prince does not pay where contacts form and break
+            costs["dopri5"] = max(costs["dopri5"], 1.01 * costs["ab2-adaptive"])
     return Choice(min(costs, key=lambda name: costs[name]), rate, z, costs)
 
 

@@ -173,6 +173,54 @@ class Dopri5:
 
 @final
 @dataclass(frozen=True)
+class AdaptiveAdams:
+    """Adams-Bashforth of order 2 under error control, one evaluation a step; to 1/λ_max.
+
+    Parameters
+    ----------
+    rtol, atol, max_steps, max_displacement
+        As for :class:`AdaptiveEuler`.
+    patience
+        Largest number of evaluations that a coupling step may be expected to take; beyond, the
+        integration ends early, with ``problem`` set. Zero for any number.
+    """
+
+    rtol: float = 1e-6
+    atol: float = 1e-2
+    max_steps: int = 10_000
+    max_displacement: float = 0.5
+    patience: int = 0
+
+    def __post_init__(self) -> None:
+        _check_tolerances(self.rtol, self.atol)
+
+    def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
+        """Integrate over the coupling step of ``system``; see :class:`Integrator`."""
+        return self.attempt(system, position)[0]
+
+    def attempt(self, system: Mechanics, position: FloatArray) -> tuple[Outcome, float]:
+        """Integrate; return also how many evaluations were expected where it gave up, or 0."""
+        from multicell.integrators import adams
+
+        strictness = math.sqrt(_share(self.rtol, self.atol, system))
+        control = loops.Control(
+            self.rtol, self.atol, strictness, 3.0, self.max_steps, self.max_displacement
+        )
+        motion = system.motion
+
+        def run(source: Any, pairs: Any, state: FloatArray, length: float, counts: Any) -> Any:
+            return _loop(adams.adaptive_adams, source)(
+                source, pairs, control, self.patience, state, length, motion.radius, counts
+            )
+
+        ended: list[loops.Report] = []
+        outcome = _integrate(system, position, run, self.max_displacement, _TOLERANCE_HINT, ended)
+        long = bool(ended) and ended[0].status == loops.TOO_LONG
+        return outcome, float(ended[0].moved) if long else 0.0
+
+
+@final
+@dataclass(frozen=True)
 class Rkc2:
     """Stabilised Runge-Kutta of order 2 with s stages, stable for Δt < 0.65 s²/λ_max.
 
@@ -298,9 +346,17 @@ def _equal_steps(system: Mechanics, step: float) -> int:
 
 
 def _integrate(
-    system: Mechanics, position: FloatArray, run: Any, max_displacement: float, hint: str
+    system: Mechanics,
+    position: FloatArray,
+    run: Any,
+    max_displacement: float,
+    hint: str,
+    ended: list[loops.Report] | None = None,
 ) -> Outcome:
-    """Run a loop on a copy of the positions; count its work; put its end into words."""
+    """Run a loop on a copy of the positions; count its work; put its end into words.
+
+    Its report is appended to ``ended``.
+    """
     motion = system.motion
     length = motion.end - motion.begin
     state = np.array(position, dtype=float, order="C")
@@ -319,6 +375,8 @@ def _integrate(
     work.list_builds += int(counts[loops.LIST_BUILDS])
     work.steps += int(counts[loops.STEPS])
     work.rejections += int(counts[loops.REJECTIONS])
+    if ended is not None:
+        ended.append(report)
     if report.status == loops.DONE:
         return Outcome(motion.end, state)
     return _failure(motion.begin, state, report, source, max_displacement, hint)
@@ -342,6 +400,9 @@ def _failure(
     elif report.status == loops.OUT_OF_STEPS:
         problem = f"the largest number of internal steps did not reach the end (last {step})"
         hint = "Raise integrator.max_steps, loosen integrator.atol or shorten coupling_step"
+    elif report.status == loops.TOO_LONG:
+        problem = f"the whole interval would take about {report.moved:.0f} evaluations"
+        hint = "Take a method for stiff problems, such as 'cvode' or 'rkc2'"
     elif report.status == loops.STALLED:
         problem = f"steps became too short to go on (last {step})"
     elif report.status == loops.REJECTED:

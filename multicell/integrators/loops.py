@@ -27,7 +27,7 @@ from multicell.mechanics import Mechanics, StateRejected
 
 FloatArray = NDArray[np.float64]
 
-DONE, REJECTED, NOT_FINITE, MOVED, STALLED, OUT_OF_STEPS = range(6)
+DONE, REJECTED, NOT_FINITE, MOVED, STALLED, OUT_OF_STEPS, TOO_LONG = range(7)
 """How a loop, or one evaluation, ended."""
 EVALUATIONS, LIST_BUILDS, STEPS, REJECTIONS = range(4)
 """Places in the array of counts."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 METHODS: dict[str, str] = {
-    "auto": "dopri5, rkc2 or cvode, chosen for each coupling step by stiffness and tolerance",
+    "auto": "ab2-adaptive, dopri5, rkc2 or cvode, chosen for each coupling step",
     "cvode": "implicit: SUNDIALS CVODE, BDF with Newton-Krylov",
     "cvode-sparse": "implicit: SUNDIALS CVODE, BDF with a direct sparse solver (SuperLU_MT)",
     "cvode-adams": "implicit: SUNDIALS CVODE, Adams formulas, solved by the same Newton-Krylov",
@@ -12,6 +12,7 @@ METHODS: dict[str, str] = {
     "euler-adaptive": "explicit Euler under error control",
     "heun": "explicit Runge-Kutta of order 2 with a fixed step",
     "ab2": "explicit Adams-Bashforth of order 2 with a fixed step",
+    "ab2-adaptive": "explicit Adams-Bashforth of order 2 under error control",
     "rk4": "explicit Runge-Kutta of order 4 with a fixed step",
     "dopri5": "explicit Runge-Kutta of Dormand and Prince, order 5, under error control",
     "rkc2": "explicit, stabilised: Runge-Kutta-Chebyshev of order 2 under error control",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
@@ -14,19 +14,42 @@ from multicell.nutrient import stencil
 if TYPE_CHECKING:
     from pde.grids.cartesian import CartesianGrid
 
+_NOTHING: FloatArray = np.empty((0, 0, 0))
+
+# What diagonalises the second difference on n cell-centred nodes, by what stands at its two ends
+# (True: a value, False: a slope): the name and the type of SciPy's transform.
+_TRANSFORMS = {
+    (True, True): ("dst", 2),
+    (False, False): ("dct", 2),
+    (True, False): ("dst", 4),
+    (False, True): ("dct", 4),
+}
+
 
 @final
 class Diffusion:
-    """The Laplacian of py-pde on a grid with Dirichlet values on all faces, and its inverse.
+    """The Laplacian of py-pde on a box with conditions on its faces, and an inverse.
+
+    In two dimensions nodes are prisms: squares in the plane, ``height`` across it. Arrays have
+    three axes all the same, the last one of length 1.
 
     Parameters
     ----------
     grid
-        Cartesian grid of cubes in three dimensions, cell-centred, not periodic.
+        Cartesian grid of cubes in three dimensions or of squares in two, cell-centred, not
+        periodic.
     diffusion : float, µm²/s
+        In tissue.
     boundary
-        Concentration in mM on all faces, or py-pde's description of Dirichlet conditions
-        (``{"x-": {"value": array}, ...}``). Never pass text from users: py-pde executes it.
+        Concentration in mM on all faces, or py-pde's description of its conditions
+        (``{"x-": {"value": array}, "x+": {"derivative": 0.0}, ...}``), of one kind on each
+        face. Never pass text from users: py-pde executes it.
+    height : float, µm
+        Of the layer in two dimensions.
+    varied : (nx, ny, nz), optional
+        Coefficient of diffusion at the nodes over that of tissue; absent: one everywhere. At
+        faces between nodes it is the harmonic mean, for which the flow is continuous where the
+        coefficient jumps.
 
     Raises
     ------
@@ -35,52 +58,180 @@ class Diffusion:
     """
 
     def __init__(
-        self, grid: CartesianGrid, diffusion: float, boundary: float | Mapping[str, Any]
+        self,
+        grid: CartesianGrid,
+        diffusion: float,
+        boundary: float | Mapping[str, Any],
+        *,
+        height: float | None = None,
+        varied: FloatArray | None = None,
     ) -> None:
         if not np.allclose(grid.discretization, grid.discretization[0], rtol=1e-9):
             raise ValueError(f"spacing differs between axes: {grid.discretization} um")
-        nx, ny, nz = grid.shape
+        self.dimensions = len(grid.shape)
+        nx, ny, nz = (*grid.shape, 1)[:3]
         self.shape = (nx, ny, nz)
         self.spacing = float(grid.discretization[0])
+        self.volume = self.spacing**2 * (height or self.spacing)
         self.diffusion = diffusion
         self.stiffness = diffusion / self.spacing**2
+        self._grid = grid
+        self.set_boundary(boundary)
+        self._vary(varied)
+
+    def set_boundary(self, boundary: float | Mapping[str, Any]) -> None:
+        """Take other conditions on the faces."""
         values = dict(boundary) if isinstance(boundary, Mapping) else {"value": float(boundary)}
-        self._conditions = grid.get_boundary_conditions(values, rank=0)
-        self._laplacian: Callable[[FloatArray], FloatArray] = grid.make_operator(
+        self._conditions = self._grid.get_boundary_conditions(values, rank=0)
+        self._laplacian: Callable[[FloatArray], FloatArray] = self._grid.make_operator(
             "laplace", bc=self._conditions, backend="scipy"
         )
-        self.source: FloatArray = diffusion * self._laplacian(np.zeros(self.shape))
-        self._eigenvalues = [self.stiffness * sine_eigenvalues(n) for n in self.shape]
+        flat = self.shape[: self.dimensions]
+        self.source = self.diffusion * np.asarray(self._laplacian(np.zeros(flat)))
+        self.ghost = self._ghosts()
+        self.source = self.source.reshape(self.shape)
+        self._kinds, leak = self._nearest()
+        self._eigenvalues = [
+            self.stiffness * eigenvalues(n, kind)
+            for n, kind in zip(self.shape, self._kinds, strict=True)
+        ]
+        self._leak = leak
 
     def divergence(self, c: FloatArray) -> FloatArray:
-        """Return D L c in mM/s by py-pde's operator, boundary values included."""
-        return np.asarray(self.diffusion * self._laplacian(c))
+        """Return D L c in mM/s, boundary values included.
+
+        By py-pde's operator where the coefficient is uniform, else by the solver's own stencil.
+        """
+        if not self.wx.size:
+            flat = c.reshape(self.shape[: self.dimensions])
+            return np.asarray(self.diffusion * self._laplacian(flat)).reshape(self.shape)
+        out = np.empty_like(c)
+        zero = np.zeros_like(c)
+        stencil.apply_operator(c, zero, self.stiffness, self.ghost, *self.weights, out)
+        return np.asarray(self._scaled_source() - out)
 
     def inflow(self, c: FloatArray) -> float:
         """Return the net flow in through the faces in amol/s, from py-pde's ghost values."""
-        full = np.empty([n + 2 for n in self.shape])
-        full[1:-1, 1:-1, 1:-1] = c
+        flat = self.shape[: self.dimensions]
+        full = np.empty([n + 2 for n in flat])
+        inner = tuple(slice(1, -1) for _ in flat)
+        full[inner] = c.reshape(flat)
         self._conditions.set_ghost_cells(full)
         steps = 0.0
-        for axis in range(3):
-            layers = np.moveaxis(full, axis, 0)[:, 1:-1, 1:-1]
-            steps += float(np.sum(layers[0] - layers[1]) + np.sum(layers[-1] - layers[-2]))
-        return self.diffusion * self.spacing * steps
+        for axis in range(self.dimensions):
+            layers = np.moveaxis(full, axis, 0)[(slice(None), *inner[1:])]
+            w = self.weights[axis]
+            low, high = _ends(w, axis, self.dimensions) if w.size else (1.0, 1.0)
+            steps += float(np.sum(low * (layers[0] - layers[1])))
+            steps += float(np.sum(high * (layers[-1] - layers[-2])))
+        return self.stiffness * self.volume * steps
 
     def invert(self, y: NDArray[Any], shift: float) -> tuple[NDArray[Any], float]:
-        """Solve (-D L0 + shift) u = y for zero on the faces, in the precision of ``y``.
+        """Solve (-D L0 + shift) u = y approximately, in the precision of ``y``.
 
-        Returns u, which takes the memory of ``y``, and the product y . u.
+        L0 is the Laplacian with every face taken as the nearer one of a value and a slope, both
+        zero, and a uniform coefficient. Returns u, which takes the memory of ``y``, and y . u.
         """
-        from scipy.fft import dstn, idstn
-
         ax, ay, az = self._eigenvalues
-        spectrum = dstn(y, type=2, norm="ortho", overwrite_x=True, workers=1)
-        product = stencil.divide_spectrum(spectrum, ax, ay, az, shift)
-        u = idstn(spectrum, type=2, norm="ortho", overwrite_x=True, workers=1)
-        return u, product
+        spectrum = _transform(y, self._kinds, inverse=False)
+        product = stencil.divide_spectrum(spectrum, ax, ay, az, shift + self._leak)
+        return _transform(spectrum, self._kinds, inverse=True), product
+
+    @property
+    def weights(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Relative coefficients of diffusion at the faces between nodes, or empty arrays."""
+        return self.wx, self.wy, self.wz
+
+    def stencil_source(self) -> FloatArray:
+        """Return what the faces bring to the balance of the nodes, mM/s."""
+        return self._scaled_source() if self.wx.size else self.source
+
+    def _scaled_source(self) -> FloatArray:
+        # a node at a face exchanges with it by its own coefficient
+        return self.source * self.varied
+
+    def _ghosts(self) -> FloatArray:
+        """Return the factor of each face's ghost value; the third axis of a plane has walls."""
+        shape = tuple(n + 2 for n in self.shape[: self.dimensions])
+        ones, zeros = np.ones(shape), np.zeros(shape)
+        self._conditions.set_ghost_cells(ones)
+        self._conditions.set_ghost_cells(zeros)
+        factors = np.ones(6)
+        middle = [n // 2 for n in shape]
+        for axis in range(self.dimensions):
+            for side, place in enumerate((0, shape[axis] - 1)):
+                at = list(middle)
+                at[axis] = place
+                factors[2 * axis + side] = ones[tuple(at)] - zeros[tuple(at)]
+        return factors
+
+    def _nearest(self) -> tuple[list[tuple[bool, bool]], float]:
+        """Return for each axis which ends are taken as values, and the mean leak of the others.
+
+        A mixed condition lets through as much as a value behind some more nodes: it is taken as
+        a value where these are few.
+        """
+        kinds, leak = [], 0.0
+        for axis, n in enumerate(self.shape):
+            ends = []
+            for factor in self.ghost[2 * axis : 2 * axis + 2]:
+                is_value = n > 1 and 4.0 * (1.0 + factor) < n * (1.0 - factor) + 1e-12
+                is_value = is_value and factor < 1.0 - 1e-12
+                ends.append(bool(is_value))
+                leak += 0.0 if is_value else self.stiffness * (1.0 - factor) / n
+            kinds.append((ends[0], ends[1]))
+        return kinds, leak
+
+    def _vary(self, varied: FloatArray | None) -> None:
+        self.varied = _NOTHING
+        self.wx = self.wy = self.wz = _NOTHING
+        if varied is None:
+            return
+        self.varied = np.ascontiguousarray(varied.reshape(self.shape), dtype=float)
+        self.wx, self.wy, self.wz = (_face_means(self.varied, axis) for axis in range(3))
+
+
+def eigenvalues(n: int, ends: tuple[bool, bool]) -> FloatArray:
+    """Return the n eigenvalues of minus the second difference between two ends.
+
+    With values at both ends the angles are kπ/n for k = 1 ... n, with slopes at both for
+    k = 0 ... n - 1, and with one of each (k + 1/2)π/n.
+    """
+    first = {(True, True): 1.0, (False, False): 0.0}.get(ends, 0.5)
+    return np.asarray(4.0 * np.sin(0.5 * np.pi * (np.arange(n) + first) / n) ** 2)
 
 
 def sine_eigenvalues(n: int) -> FloatArray:
     """Return the n eigenvalues of minus the one-dimensional Dirichlet Laplacian times h²."""
-    return np.asarray(4.0 * np.sin(0.5 * np.pi * np.arange(1, n + 1) / n) ** 2)
+    return eigenvalues(n, (True, True))
+
+
+def _transform(
+    y: NDArray[Any], kinds: Sequence[tuple[bool, bool]], *, inverse: bool
+) -> NDArray[Any]:
+    """Transform along all axes; those of the same kind at once."""
+    from scipy import fft
+
+    if all(kind == kinds[0] for kind in kinds):
+        kinds_of_axes = {tuple(range(y.ndim)): kinds[0]}
+    else:
+        kinds_of_axes = {(axis,): kind for axis, kind in enumerate(kinds) if y.shape[axis] > 1}
+    for axes, kind in kinds_of_axes.items():
+        name, number = _TRANSFORMS[kind]
+        run = getattr(fft, f"i{name}n" if inverse else f"{name}n")
+        y = run(y, type=number, axes=axes, norm="ortho", overwrite_x=True, workers=1)
+    return y
+
+
+def _face_means(varied: FloatArray, axis: int) -> FloatArray:
+    """Return the coefficients at the faces across an axis: harmonic means, and the outer nodes'."""
+    v = np.moveaxis(varied, axis, 0)
+    means = 2.0 * v[1:] * v[:-1] / (v[1:] + v[:-1])
+    return np.ascontiguousarray(np.moveaxis(np.concatenate([v[:1], means, v[-1:]]), 0, axis))
+
+
+def _ends(w: FloatArray, axis: int, dimensions: int) -> tuple[Any, Any]:
+    """Return the coefficients at the two outer faces of an axis, without a plane's third axis."""
+    layers = np.moveaxis(w, axis, 0)
+    low, high = layers[0], layers[-1]
+    return (low[..., 0], high[..., 0]) if dimensions == 2 else (low, high)

@@ -45,7 +45,7 @@ class NutrientFailed(MulticellError):  # noqa: N818 - it names what happened, li
 @final
 @dataclass(frozen=True)
 class Box:
-    """A cell-centred grid of cubes.
+    """A cell-centred grid of cubes, or of squares in the plane z = 0.
 
     Attributes
     ----------
@@ -53,11 +53,14 @@ class Box:
         Lower corner.
     shape : (3,) int
     spacing : float, µm
+    height : float or None, µm
+        In two dimensions, of the layer; ``shape`` then ends with 1.
     """
 
     origin: tuple[float, float, float]
     shape: tuple[int, int, int]
     spacing: float
+    height: float | None = None
 
     @property
     def upper(self) -> tuple[float, float, float]:
@@ -70,11 +73,18 @@ class Box:
         """Number of nodes."""
         return self.shape[0] * self.shape[1] * self.shape[2]
 
+    @property
+    def volume(self) -> float:
+        """Volume of a node, µm³."""
+        return self.spacing**2 * (self.height or self.spacing)
+
     def to_pde(self) -> CartesianGrid:
-        """Return py-pde's grid of this box."""
+        """Return py-pde's grid of this box, with two axes where it is flat."""
         from pde.grids.cartesian import CartesianGrid
 
-        return CartesianGrid(list(zip(self.origin, self.upper, strict=True)), self.shape)
+        axes = 3 if self.height is None else 2
+        bounds = list(zip(self.origin, self.upper, strict=True))
+        return CartesianGrid(bounds[:axes], self.shape[:axes])
 
 
 def extent(position: FloatArray, margin: float) -> tuple[FloatArray, FloatArray]:
@@ -121,6 +131,37 @@ def lay(low: FloatArray, high: FloatArray, spacing: float) -> Box:
     _refuse_too_large(np.array(shape, dtype=float), size, spacing)
     a, b, c = (float(m - 0.5 * n * step) for m, n in zip(0.5 * (low + high), shape, strict=True))
     return Box(origin=(a, b, c), shape=shape, spacing=step)
+
+
+def lay_flat(low: FloatArray, high: FloatArray, spacing: float, height: float) -> Box:
+    """Lay a grid of squares in the plane z = 0; see :func:`lay`."""
+    low, high = low.copy(), high.copy()
+    # as long as the longest axis: it then decides nothing
+    middle, half = 0.5 * (low[:2] + high[:2]), 0.5 * float((high - low)[:2].max())
+    low[2], high[2] = -half, half
+    _refuse_too_large((high - low)[:2] / spacing, (high - low)[:2], spacing)
+    _refuse_too_far(low, high, spacing)
+    longest = 2.0 * half
+    most = _fast(longest / spacing)
+    step = longest / most
+    x, y = (most if s > _NEARLY * longest else _fast(s / step) for s in (high - low)[:2])
+    a, b = (float(m - 0.5 * n * step) for m, n in zip(middle, (x, y), strict=True))
+    return Box((a, b, -0.5 * step), (x, y, 1), step, height)
+
+
+def overlaps(old: Box, new: Box) -> list[FloatArray]:
+    """Return for each axis the part of every new interval that lies in every old one, (n, m)."""
+    found = []
+    for axis in range(3):
+        a, b = (
+            box.origin[axis] + np.arange(box.shape[axis] + 1) * box.spacing for box in (new, old)
+        )
+        low = np.maximum(a[:-1, None], b[None, :-1])
+        high = np.minimum(a[1:, None], b[None, 1:])
+        found.append(np.maximum(high - low, 0.0) / new.spacing)
+    if new.height is not None:
+        found[2] = np.ones((1, 1))
+    return found
 
 
 def moved(values: FloatArray, old: Box, new: Box, fill: float) -> FloatArray:

@@ -1,14 +1,18 @@
 """Quasi-steady diffusion with Michaelis-Menten uptake, by Newton and conjugate gradients.
 
-On the nodes of a cell-centred grid, with py-pde's Laplacian L (seven points, the values on the
-faces entering through ghost values ``2 * boundary - node``), the steady state solves
+On the nodes of a cell-centred grid, with py-pde's Laplacian L (seven points, the conditions on the
+faces entering through ghost values), the steady state solves
 
-    F(c) = -D L c + q c / (K + c) = 0,    q >= 0 the largest uptake per volume at each node.
+    F(c) = -D L c + m c + q c / (K + c) - s = 0
 
-**No concentration is negative.** -D L is an M-matrix, uptake is diagonal and vanishes with c:
-the solution satisfies (-D L0 + q / (K + c)) c = boundary terms >= 0 with an inverse that has no
-negative entry. Nothing is clipped, so where the exact value is far below the solver's tolerance
-(the depth of a starved core) a node may be left at about -1e-15 times the medium's value.
+with the largest uptake per volume q >= 0 and a supply s >= 0 at each node, and a rate m >= 0:
+decay, exchange with a flow, and the 1/dt of an implicit step in time.
+
+**No concentration is negative.** -D L is an M-matrix (for values, slopes that supply, and mixed
+conditions alike), uptake is diagonal and vanishes with c: the solution satisfies
+(-D L0 + m + q / (K + c)) c = s + boundary terms >= 0 with an inverse that has no negative entry.
+Nothing is clipped, so where the exact value is far below the solver's tolerance (the depth of a
+starved core) a node may be left at about -1e-15 times the medium's value.
 
 **Newton converges from any start.** With the law continued below zero along its tangent (there the
 solution never is) F is the gradient of a strictly convex energy, so a line search on its slope is
@@ -16,15 +20,17 @@ safe whatever the linear solver leaves over. F is concave too, and its Jacobian 
 below the solution, exact steps rise monotonically to it (Ortega & Rheinboldt 1970, theorem 13.3.4),
 and the search accepts them in full.
 
-**The linear systems** (-D L0 + m) x = r, with m = q K / (K + c)^2, go to conjugate gradients with
-the preconditioner S (-D L0 + m0)^-1 S: the sine transform inverts the middle exactly, and the
-diagonal S = (1 + m h^2 / 2 D)^-1/2 takes care of nodes where uptake is faster than diffusion.
+**The linear systems** (-D L0 + d) x = r, with d = m + q K / (K + c)^2, go to conjugate gradients
+with the preconditioner S (-D L0 + d0)^-1 S: sine and cosine transforms invert the middle exactly
+(but for mixed conditions, see :meth:`Diffusion.invert`), and the diagonal
+S = (w + d h^2 / 2 D)^-1/2 takes care of nodes where uptake is faster than diffusion, and of a
+coefficient w D that differs from place to place.
 """
 
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
@@ -68,6 +74,10 @@ class SolveReport:
         Net diffusion through the faces of the box.
     uptake : float, amol/s
         Total uptake.
+    spent : float, amol/s
+        What the rate ``linear`` takes: decay, outflow with a perfusion, storage.
+    supplied : float, amol/s
+        The nodes' supply.
     """
 
     newton: int
@@ -75,6 +85,8 @@ class SolveReport:
     residual: float
     inflow: float
     uptake: float
+    spent: float = 0.0
+    supplied: float = 0.0
 
 
 def solve_steady(
@@ -83,6 +95,8 @@ def solve_steady(
     half_saturation: float,
     start: FloatArray,
     *,
+    linear: float = 0.0,
+    supply: FloatArray | None = None,
     tolerance: float = TOLERANCE,
 ) -> tuple[FloatArray, SolveReport]:
     """Solve for the steady concentration.
@@ -96,6 +110,10 @@ def solve_steady(
     half_saturation : float, mM
     start : (nx, ny, nz), mM
         First guess; any finite values do.
+    linear : float, 1/s
+        Rate m of all that goes in proportion to c, not negative.
+    supply : (nx, ny, nz), mM/s, optional
+        What the nodes gain besides diffusion, not negative.
     tolerance
         See :data:`TOLERANCE`.
 
@@ -109,18 +127,18 @@ def solve_steady(
     NutrientFailed
         If the iterations do not converge or meet values that are not finite.
     """
-    first = np.array(start, dtype=np.float64)
-    linear = _Linear(operator)
-    state, done = _newton(_State(operator, sink, half_saturation, first), tolerance, linear)
+    problem = _Problem(operator, sink, half_saturation, linear, supply)
+    solver = _Linear(operator)
+    state, done = _newton(_State(problem, np.array(start, dtype=np.float64)), tolerance, solver)
     if not done and np.isfinite(state.size):
-        state, done = _descend(operator, sink, half_saturation, start, tolerance, linear)
+        state, done = _descend(problem, start, tolerance, solver)
     if not done:
         raise NutrientFailed(
-            f"the steady nutrient field did not converge: after {linear.newton} Newton steps the "
+            f"the steady nutrient field did not converge: after {solver.newton} Newton steps the "
             f"imbalance is {state.size:.3g} mM/s, wanted {state.target(tolerance):.3g} mM/s",
             "Check uptake, diffusion and half_saturation of the nutrient for sensible values",
         )
-    return state.c, state.report(linear)
+    return state.c, state.report(solver)
 
 
 def _newton(state: _State, tolerance: float, linear: _Linear) -> tuple[_State, bool]:
@@ -139,12 +157,7 @@ def _newton(state: _State, tolerance: float, linear: _Linear) -> tuple[_State, b
 
 
 def _descend(
-    operator: Diffusion,
-    sink: FloatArray,
-    half_saturation: float,
-    start: FloatArray,
-    tolerance: float,
-    linear: _Linear,
+    problem: _Problem, start: FloatArray, tolerance: float, linear: _Linear
 ) -> tuple[_State, bool]:
     """Solve with a large constant K first and then with ever smaller ones.
 
@@ -152,28 +165,45 @@ def _descend(
     from far away Newton would move the edge of the starved core by a node a step.
     """
     c = np.array(start, dtype=np.float64)
-    half = float(np.max(np.abs(operator.source))) / operator.stiffness
-    while half > 2.0 * half_saturation:
-        state, _ = _newton(_State(operator, sink, half, c), ROUGH, linear)
+    half = float(np.max(np.abs(problem.source))) / problem.operator.stiffness
+    while half > 2.0 * problem.half:
+        state, _ = _newton(_State(replace(problem, half=half), c), ROUGH, linear)
         c, half = state.c, half / 4.0
-    return _newton(_State(operator, sink, half_saturation, c), tolerance, linear)
+    return _newton(_State(problem, c), tolerance, linear)
+
+
+@final
+@dataclass
+class _Problem:
+    """What is solved for: see the module's text."""
+
+    operator: Diffusion
+    sink: FloatArray
+    half: float
+    linear: float
+    supply: FloatArray | None
+
+    def __post_init__(self) -> None:
+        faces = self.operator.stencil_source()
+        self.source = faces if self.supply is None else faces + self.supply
 
 
 @final
 class _State:
     """A concentration with its imbalance, the derivative of uptake, and their norms."""
 
-    def __init__(self, operator: Diffusion, sink: FloatArray, half: float, c: FloatArray) -> None:
-        self.operator, self.sink, self.half, self.c = operator, sink, half, c
+    def __init__(self, problem: _Problem, c: FloatArray) -> None:
+        self.problem, self.c = problem, c
         self.residual, self.rate = np.empty_like(c), np.empty_like(c)
         self.evaluate()
 
     def evaluate(self) -> None:
         """Bring all up to date with ``c``."""
-        op = self.operator
+        problem, op = self.problem, self.problem.operator
         squares, self.total, size = stencil.imbalance(
-            self.c, self.sink, op.source, self.half, op.stiffness, self.residual, self.rate
-        )
+            self.c, problem.sink, problem.source, problem.half, op.stiffness, problem.linear,
+            op.ghost, *op.weights, self.residual, self.rate,
+        )  # fmt: skip
         self.size, self.norm = float(np.sqrt(squares)), float(np.sqrt(size))
 
     def target(self, tolerance: float) -> float:
@@ -182,8 +212,15 @@ class _State:
         By Cauchy's inequality the absolute imbalances then sum to at most ``tolerance`` times the
         uptake. Below the rounding error of the imbalance itself nothing can be asked.
         """
-        rounding = 8.0 * float(np.finfo(float).eps) * self.operator.stiffness * self.norm
+        rounding = 8.0 * float(np.finfo(float).eps) * self._largest_rate() * self.norm
         return max(tolerance * self.total / float(np.sqrt(self.c.size)), rounding)
+
+    def _largest_rate(self) -> float:
+        """Return the largest rate of a node, 1/s, but for the uptake's."""
+        problem = self.problem
+        varied = problem.operator.varied
+        most = float(varied.max()) if varied.size else 1.0
+        return problem.operator.stiffness * max(most, 1.0) + problem.linear / 6.0
 
     def empty_copy(self) -> _State:
         """Return the same problem with arrays of its own, not filled yet."""
@@ -193,14 +230,24 @@ class _State:
 
     def report(self, linear: _Linear) -> SolveReport:
         """Return the balance, with the imbalance by py-pde's operator."""
-        op = self.operator
-        volume = op.spacing**3
-        uptake = self.sink * self.c
-        uptake /= self.half + self.c
-        imbalance = float(np.sum(np.abs(op.divergence(self.c) - uptake)))
-        total = float(np.sum(uptake))
-        inflow = op.inflow(self.c)
-        return SolveReport(linear.newton, linear.cg, volume * imbalance, inflow, volume * total)
+        problem, op = self.problem, self.problem.operator
+        uptake = problem.sink * self.c
+        uptake /= problem.half + self.c
+        left = op.divergence(self.c) - uptake - problem.linear * self.c
+        supplied = 0.0
+        if problem.supply is not None:
+            left += problem.supply
+            supplied = float(np.sum(problem.supply))
+        v = op.volume
+        return SolveReport(
+            linear.newton,
+            linear.cg,
+            v * float(np.sum(np.abs(left))),
+            op.inflow(self.c),
+            v * float(np.sum(uptake)),
+            v * problem.linear * float(np.sum(self.c)),
+            v * supplied,
+        )
 
 
 def _search(state: _State, trial: _State, correction: FloatArray) -> None:
@@ -240,13 +287,15 @@ class _Linear:
         """
         op = self.operator
         x, r, p, q, scale = self.x, self.r, self.p, self.q, self.scale
-        total = stencil.begin(rate, residual, 0.5 / op.stiffness, size, x, r, p, scale, self.single)
+        total = stencil.begin(
+            rate, residual, op.varied, 0.5 / op.stiffness, size, x, r, p, scale, self.single
+        )
         shift = SHIFT * total / rate.size
         u, rho = op.invert(self.single, shift)
         beta = 0.0
         for _ in range(MAX_CG):
             stencil.new_direction(p, u, scale, beta)
-            curvature = stencil.apply_operator(p, rate, op.stiffness, q)
+            curvature = stencil.apply_operator(p, rate, op.stiffness, op.ghost, *op.weights, q)
             left = stencil.advance(rho / curvature, x, p, r, q, scale, u)
             self.cg += 1
             if not left > goal**2:

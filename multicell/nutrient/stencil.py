@@ -1,8 +1,12 @@
 """Loops over all nodes that the steady solver needs, each fused into one pass.
 
-All run on one thread, so that no sum depends on the number of threads. The seven-point stencil
-here has zero on all faces in py-pde's convention (ghost value = minus the node's value); a test
-holds it against py-pde's own operator.
+All run on one thread, so that no sum depends on the number of threads. At a face of the box the
+missing neighbour is ``ghost[face]`` times the node itself, faces in the order x-, x+, y-, y+, z-,
+z+, and what else the condition brings is part of the source: py-pde's convention, in which a value
+gives -1 and a slope 1. A test holds the stencil against py-pde's own operator.
+
+Where the coefficient of diffusion differs from place to place, ``wx``, ``wy`` and ``wz`` hold it at
+all faces between nodes, relative to that of tissue; else they are empty.
 """
 
 from __future__ import annotations
@@ -24,49 +28,90 @@ _jit = cast(Callable[[_F], _F], njit(cache=True, error_model="numpy"))
 
 
 @_jit
-def _around(p: FloatArray, i: int, j: int, k: int) -> float:
-    """Return the sum of the six neighbours of a node; ghosts are minus the node's value."""
+def _around(p: FloatArray, ghost: FloatArray, i: int, j: int, k: int) -> float:
+    """Return the sum of the six neighbours of a node."""
     nx, ny, nz = p.shape
     v = p[i, j, k]
     total = 0.0
-    total += p[i - 1, j, k] if i > 0 else -v
-    total += p[i + 1, j, k] if i < nx - 1 else -v
-    total += p[i, j - 1, k] if j > 0 else -v
-    total += p[i, j + 1, k] if j < ny - 1 else -v
-    total += p[i, j, k - 1] if k > 0 else -v
-    total += p[i, j, k + 1] if k < nz - 1 else -v
+    total += p[i - 1, j, k] if i > 0 else ghost[0] * v
+    total += p[i + 1, j, k] if i < nx - 1 else ghost[1] * v
+    total += p[i, j - 1, k] if j > 0 else ghost[2] * v
+    total += p[i, j + 1, k] if j < ny - 1 else ghost[3] * v
+    total += p[i, j, k - 1] if k > 0 else ghost[4] * v
+    total += p[i, j, k + 1] if k < nz - 1 else ghost[5] * v
     return float(total)
 
 
 @_jit
-def _fill_row(p: FloatArray, i: int, j: int, row: FloatArray) -> None:
+def _fill_row(p: FloatArray, ghost: FloatArray, i: int, j: int, row: FloatArray) -> None:
     """Write the sums of neighbours along the last axis to ``row``."""
     nx, ny, nz = p.shape
-    if i == 0 or i == nx - 1 or j == 0 or j == ny - 1:
+    if i == 0 or i == nx - 1 or j == 0 or j == ny - 1 or nz == 1:
         for k in range(nz):
-            row[k] = _around(p, i, j, k)
+            row[k] = _around(p, ghost, i, j, k)
         return
-    row[0], row[nz - 1] = _around(p, i, j, 0), _around(p, i, j, nz - 1)
+    row[0], row[nz - 1] = _around(p, ghost, i, j, 0), _around(p, ghost, i, j, nz - 1)
     a, b, c, d, e = p[i - 1, j], p[i + 1, j], p[i, j - 1], p[i, j + 1], p[i, j]
     for k in range(1, nz - 1):  # no branches, for the vector units
         row[k] = (a[k] + b[k]) + (c[k] + d[k]) + (e[k - 1] + e[k + 1])
 
 
 @_jit
-def apply_operator(p: FloatArray, rate: FloatArray, stiffness: float, out: FloatArray) -> float:
+def _fill_varied(
+    p: FloatArray,
+    ghost: FloatArray,
+    wx: FloatArray,
+    wy: FloatArray,
+    wz: FloatArray,
+    i: int,
+    j: int,
+    row: FloatArray,
+    diagonal: FloatArray,
+) -> None:
+    """Write the weighted sums of neighbours to ``row`` and those of the weights."""
+    nx, ny, nz = p.shape
+    for k in range(nz):
+        v = p[i, j, k]
+        a, b = wx[i, j, k], wx[i + 1, j, k]
+        c, d = wy[i, j, k], wy[i, j + 1, k]
+        e, f = wz[i, j, k], wz[i, j, k + 1]
+        total = a * (p[i - 1, j, k] if i > 0 else ghost[0] * v)
+        total += b * (p[i + 1, j, k] if i < nx - 1 else ghost[1] * v)
+        total += c * (p[i, j - 1, k] if j > 0 else ghost[2] * v)
+        total += d * (p[i, j + 1, k] if j < ny - 1 else ghost[3] * v)
+        total += e * (p[i, j, k - 1] if k > 0 else ghost[4] * v)
+        total += f * (p[i, j, k + 1] if k < nz - 1 else ghost[5] * v)
+        row[k] = total
+        diagonal[k] = a + b + c + d + e + f
+
+
+@_jit
+def apply_operator(
+    p: FloatArray,
+    rate: FloatArray,
+    stiffness: float,
+    ghost: FloatArray,
+    wx: FloatArray,
+    wy: FloatArray,
+    wz: FloatArray,
+    out: FloatArray,
+) -> float:
     """Write ``(-D L0 + rate) p`` to ``out`` and return its product with ``p``.
 
     ``stiffness`` is D/h² in 1/s, ``rate`` the linearised uptake at the nodes in 1/s.
     """
     nx, ny, nz = p.shape
-    row = np.empty(nz)
+    row, diagonal = np.empty(nz), np.full(nz, 6.0)
     product = 0.0
     for i in range(nx):
         for j in range(ny):
-            _fill_row(p, i, j, row)
+            if wx.size:
+                _fill_varied(p, ghost, wx, wy, wz, i, j, row, diagonal)
+            else:
+                _fill_row(p, ghost, i, j, row)
             for k in range(nz):
                 v = p[i, j, k]
-                w = stiffness * (6.0 * v - row[k]) + rate[i, j, k] * v
+                w = stiffness * (diagonal[k] * v - row[k]) + rate[i, j, k] * v
                 out[i, j, k] = w
                 product += v * w
     return product
@@ -79,31 +124,40 @@ def imbalance(
     source: FloatArray,
     half: float,
     stiffness: float,
+    linear: float,
+    ghost: FloatArray,
+    wx: FloatArray,
+    wy: FloatArray,
+    wz: FloatArray,
     residual: FloatArray,
     rate: FloatArray,
 ) -> tuple[float, float, float]:
-    """Write inflow minus uptake of all nodes (mM/s) and the uptake's derivative (1/s).
+    """Write sources minus sinks of all nodes (mM/s) and the sinks' derivative (1/s).
 
-    Below zero, where only intermediate iterates can be, the law ``sink c / (half + c)`` goes on
-    along its tangent. Return the sums of residual², of uptake, and of c².
+    The sinks are the uptake and ``linear`` times c. Below zero, where only intermediate iterates
+    can be, the law ``sink c / (half + c)`` goes on along its tangent. Return the sums of
+    residual², of all sinks, and of c².
     """
     nx, ny, nz = c.shape
-    row = np.empty(nz)
+    row, diagonal = np.empty(nz), np.full(nz, 6.0)
     squares, total, size = 0.0, 0.0, 0.0
     for i in range(nx):
         for j in range(ny):
-            _fill_row(c, i, j, row)
+            if wx.size:
+                _fill_varied(c, ghost, wx, wy, wz, i, j, row, diagonal)
+            else:
+                _fill_row(c, ghost, i, j, row)
             for k in range(nz):
                 v = c[i, j, k]
                 kept = max(v, 0.0)
                 share = half / (half + kept)
                 slope = sink[i, j, k] / (half + kept) * share
-                uptake = sink[i, j, k] * kept / (half + kept) + slope * (v - kept)
-                r = source[i, j, k] - stiffness * (6.0 * v - row[k]) - uptake
+                spent = sink[i, j, k] * kept / (half + kept) + slope * (v - kept) + linear * v
+                r = source[i, j, k] - stiffness * (diagonal[k] * v - row[k]) - spent
                 residual[i, j, k] = r
-                rate[i, j, k] = slope
+                rate[i, j, k] = slope + linear
                 squares += r * r
-                total += uptake
+                total += spent
                 size += v * v
     return squares, total, size
 
@@ -112,6 +166,7 @@ def imbalance(
 def begin(
     rate: FloatArray,
     residual: FloatArray,
+    weight: FloatArray,
     time: float,
     size: float,
     x: FloatArray,
@@ -120,15 +175,17 @@ def begin(
     scale: FloatArray,
     y: Float32Array,
 ) -> float:
-    """Start the linear solver: ``scale = (1 + time rate)^(-1/2)``, ``y = scale r``, no direction.
+    """Start the linear solver: ``scale = (w + time rate)^(-1/2)``, ``y = scale r``, no direction.
 
-    ``r`` is the residual over its ``size``. Return the sum of ``scale² rate``.
+    ``w`` is the relative coefficient of diffusion at the nodes, one where the array is empty, and
+    ``r`` the residual over its ``size``. Return the sum of ``scale² rate``.
     """
     rate, residual, x, r = rate.ravel(), residual.ravel(), x.ravel(), r.ravel()
-    p, scale, y = p.ravel(), scale.ravel(), y.ravel()
+    p, scale, y, weight = p.ravel(), scale.ravel(), y.ravel(), weight.ravel()
     total = 0.0
     for n in range(rate.size):
-        square = 1.0 / (1.0 + time * rate[n])
+        w = weight[n] if weight.size else 1.0
+        square = 1.0 / (w + time * rate[n])
         s = np.sqrt(square)
         v = residual[n] / size
         x[n] = 0.0

@@ -1,0 +1,148 @@
+"""All fields of a scene with the cells that live on them: uptake, secretion, accounts.
+
+The fields are solved one after another, each after those that it depends on, so that together
+they are the exact solution of the coupled problem. What depends on another field is evaluated at
+the cells: each field may have a grid and a geometry of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+
+from multicell.cells import Cells, FloatArray, State
+from multicell.ledger import Ledger
+from multicell.nutrient.field import FieldReport, NutrientField
+from multicell.nutrient.plan import FieldParameters, solving_order
+
+if TYPE_CHECKING:
+    from multicell.frame import Field
+    from multicell.nutrient.parts import Nutrient
+    from multicell.scene import Scene
+
+
+@final
+class Feeding:
+    """Owner of the fields of a simulation.
+
+    Parameters
+    ----------
+    scene
+        With at least one nutrient.
+
+    Attributes
+    ----------
+    fields : name -> NutrientField
+    ledger : name -> Ledger
+    concentrations : name -> (n,) float64, mM
+        At the cells of the last call.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self._nutrients = scene.nutrients
+        self._order = solving_order(scene.nutrients)
+        parameters = {name: FieldParameters.of(scene, name) for name in self._order}
+        self._steady = [name for name in self._order if parameters[name].regime == "steady"]
+        self.fields = {name: NutrientField(name, parameters[name]) for name in scene.nutrients}
+        self.ledger = {name: Ledger() for name in scene.nutrients}
+        self.concentrations: dict[str, FloatArray] = {}
+        self.reports: dict[str, FieldReport] = {}
+        self._uptake: dict[str, FloatArray] = {}
+
+    def begin(self, cells: Cells, time: float) -> None:
+        """Solve for the fields at the start of a run.
+
+        Raises
+        ------
+        NutrientFailed
+        """
+        for name in self._order:
+            capacity, production = self._demand(name, cells)
+            field = self.fields[name]
+            if name in self._steady or self._nutrients[name].initial == "steady":
+                self.reports[name] = field.solve(
+                    cells.position, capacity, production=production, radius=cells.radius, time=time
+                )
+            else:
+                field.fill(cells.position, radius=cells.radius, time=time)
+            self._sample(name, cells, capacity)
+
+    def advance(self, cells: Cells, begin: float, end: float) -> None:
+        """Bring the fields from ``begin`` to ``end`` (s), with the cells as they are at the end.
+
+        What a steady field exchanged in this time is what its solution of ``begin`` said.
+
+        Raises
+        ------
+        NutrientFailed
+        """
+        for name in self._order:
+            capacity, production = self._demand(name, cells)
+            field, ledger = self.fields[name], self.ledger[name]
+            with_cells = {"production": production, "radius": cells.radius}
+            if name in self._steady:
+                old = self.reports[name]
+                ledger.add(
+                    old.inflow, old.uptake, end - begin, secreted=old.produced, decayed=old.decayed
+                )
+                self.reports[name] = field.solve(cells.position, capacity, time=end, **with_cells)
+            else:
+                before = field.stored()
+                march = field.advance(cells.position, capacity, begin=begin, end=end, **with_cells)
+                ledger.add(
+                    march.inflow,
+                    march.uptake,
+                    secreted=march.produced,
+                    decayed=march.decayed,
+                    relaid=march.relaid,
+                    stored=field.stored() - before,
+                )
+            self._sample(name, cells, capacity)
+
+    def snapshot(self) -> dict[str, Field]:
+        """Return the fields as they were last solved."""
+        return {name: field.field() for name, field in self.fields.items()}
+
+    def _sample(self, name: str, cells: Cells, capacity: FloatArray) -> None:
+        """Keep what the cells find and take up of a field."""
+        field = self.fields[name]
+        self.concentrations[name] = field.sample(cells.position)
+        if any(name in (n.secretion_from or ()) for n in self._nutrients.values()):
+            self._uptake[name] = field.uptake(cells.position, capacity)
+
+    def _demand(self, name: str, cells: Cells) -> tuple[FloatArray, FloatArray | None]:
+        """Return each cell's largest uptake and its secretion, (n,) amol/s."""
+        nutrient = self._nutrients[name]
+        active = activity(nutrient)[cells.state]
+        capacity = nutrient.uptake * active * dependence(nutrient, self.concentrations, len(cells))
+        if nutrient.secretion == 0.0 and not nutrient.secretion_from:
+            return capacity, None
+        production = nutrient.secretion * active
+        for other, share in (nutrient.secretion_from or {}).items():
+            production = production + share * self._uptake[other]
+        return capacity, production
+
+
+def activity(nutrient: Nutrient) -> FloatArray:
+    """Return uptake and secretion of a cell in each state over those of a proliferating one."""
+    active = np.zeros(len(State))
+    active[State.PROLIFERATING] = 1.0
+    active[State.QUIESCENT] = nutrient.quiescent_uptake
+    return active
+
+
+def dependence(
+    nutrient: Nutrient, concentrations: Mapping[str, FloatArray], count: int
+) -> FloatArray:
+    """Return the factor on each cell's uptake that other fields set, (n,).
+
+    It is the product of 1 + effect · half / (half + g) over the fields that the uptake depends
+    on, g the local concentration; see :class:`multicell.nutrient.parts.Dependence`.
+    """
+    factor = np.ones(count)
+    for other, law in nutrient.uptake_on.items():
+        g = concentrations[other]
+        factor *= 1.0 + law.effect * law.half / (law.half + g)
+    return factor

@@ -1,0 +1,187 @@
+"""Diffusion in a ball whose fields depend on the distance from its centre only.
+
+Finite volumes on py-pde's ``SphericalSymGrid``: n shells of equal thickness, values at their
+middles, flows through the spheres between them. What leaves one shell enters the next, so that
+amounts are conserved exactly, and the matrix is a symmetric tridiagonal M-matrix: as for the box,
+no concentration is negative.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, final
+
+import numpy as np
+
+from multicell.cells import FloatArray
+from multicell.nutrient.grid import NutrientFailed
+from multicell.nutrient.steady import TOLERANCE, SolveReport
+
+_MAX_NEWTON = 60
+_MAX_BACKTRACKS = 30
+
+
+@final
+class Shells:
+    """Diffusion in a ball with a condition on its surface.
+
+    Parameters
+    ----------
+    radius : float, µm
+        Of the ball.
+    count : int
+        Number of shells.
+    diffusion : float, µm²/s
+        In tissue.
+    boundary
+        Concentration in mM on the surface, or py-pde's description of one condition
+        (``{"value": v}``, ``{"derivative": d}``, ``{"type": "mixed", "value": a, "const": b}``).
+    varied : (count,), optional
+        Coefficient of diffusion in the shells over that of tissue.
+    """
+
+    def __init__(
+        self,
+        radius: float,
+        count: int,
+        diffusion: float,
+        boundary: float | Mapping[str, Any],
+        *,
+        varied: FloatArray | None = None,
+    ) -> None:
+        self.radius, self.count, self.diffusion = radius, count, diffusion
+        self.spacing = radius / count
+        faces = np.linspace(0.0, radius, count + 1)
+        self.volumes = 4.0 * np.pi / 3.0 * np.diff(faces**3)
+        areas = 4.0 * np.pi * faces**2
+        relative = np.ones(count) if varied is None else np.asarray(varied, dtype=float)
+        means = 2.0 * relative[1:] * relative[:-1] / (relative[1:] + relative[:-1])
+        # µm³/s: what flows for each mM of difference
+        self.conductance = diffusion / self.spacing * areas[1:-1] * means
+        self._outer = diffusion / self.spacing * areas[-1] * relative[-1]
+        self.set_boundary(boundary)
+
+    def set_boundary(self, boundary: float | Mapping[str, Any]) -> None:
+        """Take another condition on the surface: its ghost value is ``const + factor c``."""
+        condition = boundary if isinstance(boundary, Mapping) else {"value": float(boundary)}
+        h = self.spacing
+        if condition.get("type") == "mixed":
+            rate, const = float(condition["value"]), float(condition["const"])
+            whole = 1.0 / h + 0.5 * rate
+            self._const, self._factor = const / whole, (1.0 / h - 0.5 * rate) / whole
+        elif "derivative" in condition:
+            self._const, self._factor = h * float(condition["derivative"]), 1.0
+        else:
+            self._const, self._factor = 2.0 * float(condition["value"]), -1.0
+
+    def inflow(self, c: FloatArray) -> float:
+        """Return the flow in through the surface, amol/s."""
+        return float(self._outer * (self._const + (self._factor - 1.0) * c[-1]))
+
+    def gain(self, c: FloatArray) -> FloatArray:
+        """Return what each shell gains by diffusion, (count,) amol/s."""
+        flow = self.conductance * np.diff(c)
+        gain = np.zeros(self.count)
+        gain[:-1] += flow
+        gain[1:] -= flow
+        gain[-1] += self.inflow(c)
+        return gain
+
+    def solve(
+        self,
+        sink: FloatArray,
+        half_saturation: float,
+        start: FloatArray,
+        *,
+        linear: float = 0.0,
+        supply: FloatArray | None = None,
+        tolerance: float = TOLERANCE,
+    ) -> tuple[FloatArray, SolveReport]:
+        """Solve for the steady concentration; see :func:`multicell.nutrient.steady.solve_steady`.
+
+        Raises
+        ------
+        NutrientFailed
+            If Newton's iterations do not converge.
+        """
+        problem = _Balance(self, sink, half_saturation, linear, supply)
+        c = np.array(start, dtype=float)
+        left, total = problem.residual(c)
+        for newton in range(_MAX_NEWTON):
+            size = float(np.abs(left).sum())
+            if size <= max(tolerance * total, problem.rounding(c)):
+                return c, problem.report(c, newton, size)
+            c, left, total = problem.step(c, left)
+        raise NutrientFailed(
+            f"the steady radial field did not converge: after {_MAX_NEWTON} Newton steps "
+            f"{float(np.abs(left).sum()):.3g} amol/s are not accounted for",
+            "Check uptake, diffusion and half_saturation of the nutrient for sensible values",
+        )
+
+
+@final
+class _Balance:
+    """Sources minus sinks of all shells: the negative gradient of a convex energy."""
+
+    def __init__(
+        self,
+        shells: Shells,
+        sink: FloatArray,
+        half: float,
+        linear: float,
+        supply: FloatArray | None,
+    ) -> None:
+        self.shells, self.half, self.linear = shells, half, linear
+        self.most = sink * shells.volumes
+        self.supply = np.zeros(shells.count) if supply is None else supply * shells.volumes
+
+    def residual(self, c: FloatArray) -> tuple[FloatArray, float]:
+        """Return the imbalance of each shell and the sum of all sinks, amol/s.
+
+        Below zero uptake goes on along its tangent.
+        """
+        kept = np.maximum(c, 0.0)
+        share = self.half / (self.half + kept)
+        slope = self.most / (self.half + kept) * share
+        spent = self.most * kept / (self.half + kept) + slope * (c - kept)
+        spent += self.linear * self.shells.volumes * c
+        self._slope = slope + self.linear * self.shells.volumes
+        return self.shells.gain(c) + self.supply - spent, float(spent.sum())
+
+    def step(self, c: FloatArray, left: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+        """Return the state after a Newton step that lowers the energy, and its imbalance."""
+        from scipy.linalg import solveh_banded
+
+        g, shells = self.shells.conductance, self.shells
+        diagonal = self._slope.copy()
+        diagonal[:-1] += g
+        diagonal[1:] += g
+        diagonal[-1] += shells._outer * (1.0 - shells._factor)
+        banded = np.zeros((2, shells.count))
+        banded[0, 1:] = -g
+        banded[1] = diagonal
+        correction = solveh_banded(banded, left, check_finite=False)
+        slope, share = float(left @ correction), 1.0
+        for _ in range(_MAX_BACKTRACKS):
+            trial = c + share * correction
+            there, total = self.residual(trial)
+            now = float(there @ correction)
+            if not now < -0.9 * slope:
+                break
+            share *= max(slope / (slope - now), 0.25)
+        return trial, there, total
+
+    def rounding(self, c: FloatArray) -> float:
+        """Return the part of the imbalance that is rounding, amol/s."""
+        shells = self.shells
+        flows = float(np.sum(shells.conductance) + shells._outer)
+        flows += self.linear * float(shells.volumes.sum())
+        return 32.0 * float(np.finfo(float).eps) * flows * float(np.abs(c).max(initial=0.0))
+
+    def report(self, c: FloatArray, newton: int, size: float) -> SolveReport:
+        """Return the balance."""
+        uptake = float(np.sum(self.most * c / (self.half + c)))
+        spent = self.linear * float(np.sum(self.shells.volumes * c))
+        return SolveReport(
+            newton, 0, size, self.shells.inflow(c), uptake, spent, float(self.supply.sum())
+        )
