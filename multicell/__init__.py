@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from multicell.comparison.stability import StabilityMap, stability
     from multicell.comparison.workprecision import compare
     from multicell.result import Result, load_result
+    from multicell.resuming import resume
     from multicell.running import run
     from multicell.scene import Scene, load_scene, scene_names
     from multicell.simulation import Simulation
@@ -42,6 +43,7 @@ __all__ = [
     "compare",
     "load_result",
     "load_scene",
+    "resume",
     "run",
     "scene_names",
     "stability",
@@ -56,6 +58,7 @@ _LAZY = {
     "WorkPrecision": "multicell.comparison.result",
     "StabilityMap": "multicell.comparison.stability",
     "compare": "multicell.comparison.workprecision",
+    "resume": "multicell.resuming",
     "run": "multicell.running",
     "scene_names": "multicell.scene",
     "stability": "multicell.comparison.stability",

@@ -27,6 +27,7 @@ from multicell.errors import OutputError, StepFailed
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from multicell.result import Result
     from multicell.scene import Scene
 
 
@@ -127,14 +128,76 @@ def run(
         except (KeyboardInterrupt, StepFailed) as error:
             _finish_early(error, output, no_report, as_json)
             raise
-        if as_json:
-            print_json(result.summary())
-        elif not quiet:
-            _print_summary(console(), result.summary(), output)
+        _show(result, output, quiet, as_json)
+
+
+@main.command()
+@click.argument("folder", type=click.Path(path_type=Path))
+@click.option("--frame", type=int, default=-1, show_default=True, help="Frame to go on from.")
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    help="Folder for the whole run; by default it goes on in FOLDER.",
+)
+@changes_option
+@click.option("--overwrite", is_flag=True, help="Replace the results of an earlier run.")
+@click.option("--threads", type=click.IntRange(min=1), help="Number of threads.")
+@click.option("--no-report", is_flag=True, help="Write no report and no pictures.")
+@click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+@as_json_option
+def resume(
+    folder: Path,
+    frame: int,
+    output: Path | None,
+    changes: Sequence[str],
+    overwrite: bool,
+    threads: int | None,
+    no_report: bool,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Go on with the run in FOLDER, from its last frame or from another one.
+
+    Without changes the run becomes what it would have been, bit for bit. --set may change what
+    can change while a run goes on: duration, stop_cells, output and the medium.
+    """
+    with errors(as_json):
+        parsed = parse_changes(changes)
+        from multicell.progress import reporter
+        from multicell.resuming import resume as go_on
+        from multicell.scene import load_scene
+
+        written = output or folder
+        scene = load_scene(folder / "scene.toml").with_changes(parsed)
+        try:
+            with reporter(scene, show=not quiet) as progress:
+                result = go_on(
+                    folder,
+                    frame,
+                    output=output,
+                    changes=parsed,
+                    overwrite=overwrite,
+                    threads=threads,
+                    progress=progress,
+                    report=not no_report,
+                )
+        except (KeyboardInterrupt, StepFailed) as error:
+            _finish_early(error, written, no_report, as_json)
+            raise
+        _show(result, written, quiet, as_json)
 
 
 main.add_command(compare)
 main.add_command(stability)
+
+
+def _show(result: Result, output: Path, quiet: bool, as_json: bool) -> None:
+    """Print what a run came to."""
+    if as_json:
+        print_json(result.summary())
+    elif not quiet:
+        _print_summary(console(), result.summary(), output)
 
 
 def _scene(source: str, changes: Sequence[str]) -> Scene:

@@ -76,6 +76,33 @@ class Field:
 
 
 @final
+@dataclass(frozen=True)
+class Progress:
+    """What a run must know besides cells and fields to go on exactly as it would have.
+
+    Attributes
+    ----------
+    next_id, divisions, removals, unsorted : int
+        First identity that is free, events so far, and new cells since the last sorting.
+    separation : mapping or None
+        When and how the last contact broke, where the cells are pulled apart.
+    ledger, rates : nutrient -> name -> float
+        The account of each field, amol, and what a steady one exchanges now, amol/s.
+    work : name -> int
+        What the integration has cost.
+    """
+
+    next_id: int
+    divisions: int
+    removals: int
+    unsorted: int
+    separation: Mapping[str, float] | None
+    ledger: Mapping[str, Mapping[str, float]]
+    rates: Mapping[str, Mapping[str, float]]
+    work: Mapping[str, int]
+
+
+@final
 @dataclass(frozen=True, eq=False)
 class Frame:
     """The state of a run at one time.
@@ -93,7 +120,10 @@ class Frame:
     fields : name -> Field
         The nutrient fields as they were last solved.
     contacts : (m, 2) int64
-        Identities of the pairs in contact, where the contact law remembers them (exact JKR).
+        Identities of the pairs in contact, where the run counts them (exact JKR, several types,
+        a pull).
+    progress
+        What else a run needs to be resumed; None in frames made by hand.
     """
 
     time: float
@@ -102,3 +132,4 @@ class Frame:
     concentrations: Mapping[str, FloatArray] = field(default_factory=dict)
     fields: Mapping[str, Field] = field(default_factory=dict)
     contacts: IntArray = field(default_factory=lambda: np.empty((0, 2), dtype=np.int64))
+    progress: Progress | None = None

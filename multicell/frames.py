@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,9 +14,10 @@ from numpy.typing import NDArray
 
 from multicell.cells import Cells
 from multicell.errors import OutputError
-from multicell.frame import Field, Frame
+from multicell.frame import Field, Frame, Progress
+from multicell.lineage import COLUMNS, Lineage
 
-FORMAT: Final = 1
+FORMAT: Final = 2
 """Number of the layout that :mod:`multicell.store` describes."""
 
 # the first format with SWMR; later ones would shut out older readers
@@ -91,7 +93,37 @@ class Frames(Sequence[Frame]):
             concentrations={name: file["cells"][f"concentration_{name}"][rows] for name in names},
             fields={name: field for name, field in fields.items() if field is not None},
             contacts=file["contacts"]["pair"][first:last],
+            progress=_read_progress(file["progress"], place),
         )
+
+
+def _read_progress(group: Any, place: int) -> Progress | None:
+    """Read what a run needs to go on, or nothing where the frame has none."""
+    start, stop = group["offset"][place : place + 2]
+    return None if start == stop else Progress(**json.loads(bytes(group["text"][start:stop])))
+
+
+def open_lineage(folder: str | Path, frame: int = -1) -> Lineage:
+    """Return the lineage of a run up to a frame.
+
+    Raises
+    ------
+    OutputError
+        If the folder holds no results that this version can read.
+    IndexError
+        If there is no such frame.
+    """
+    with _reading(Path(folder) / "frames.h5") as file:
+        count = len(file["frames"]["time"])
+        place = frame + count if frame < 0 else frame
+        if not 0 <= place < count:
+            raise IndexError(f"frame {frame} of {count}")
+        logs = {}
+        for log, columns in COLUMNS.items():
+            group = file["lineage"][log]
+            end = int(group["offset"][place + 1])
+            logs[log] = {name: group[name][:end] for name in columns}
+    return Lineage.of(logs)
 
 
 def _read_field(group: Any, name: str, place: int) -> Field | None:

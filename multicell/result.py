@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
@@ -38,6 +38,8 @@ class Result:
         The summary, as in ``summary.json``.
     scene
         The scene that was run.
+    lineage : column -> (k,) array
+        One row for every cell that ever was; see :meth:`multicell.lineage.Lineage.table`.
     """
 
     folder: Path | None
@@ -45,6 +47,7 @@ class Result:
     history: Mapping[str, NDArray[np.float64]]
     summary_dict: Mapping[str, Any]
     scene: Scene
+    lineage: Mapping[str, NDArray[Any]] = field(default_factory=dict)
 
     def summary(self) -> dict[str, Any]:
         """Return a copy of the summary."""
@@ -103,7 +106,7 @@ def load_result(folder: str | Path) -> Result:
         If its ``scene.toml`` cannot be read.
     """
     from multicell.scene import load_scene
-    from multicell.store import open_frames, open_history
+    from multicell.store import open_frames, open_history, open_lineage
 
     folder = Path(folder)
     frames = open_frames(folder)
@@ -113,6 +116,7 @@ def load_result(folder: str | Path) -> Result:
         history=open_history(folder),
         summary_dict=_read_summary(folder / "summary.json", frames),
         scene=load_scene(folder / "scene.toml"),
+        lineage=open_lineage(folder).table() if len(frames) else {},
     )
 
 

@@ -16,6 +16,7 @@ from multicell.simulation import Simulation
 from multicell.threads import thread_count
 
 if TYPE_CHECKING:
+    from multicell.lineage import Lineage
     from multicell.scene import Scene
     from multicell.store import Store
 
@@ -65,24 +66,39 @@ def run(
         scene = scene.with_changes({"integrator": integrator})
     begin = clock.perf_counter()
     threads = thread_count(threads)  # before the folder is made
-    recorder = _Recorder(scene, output, overwrite)
+    recorder = Recorder(scene, _open_store(scene, output, overwrite))
     with ExitStack() as stack:
         interrupt = stack.enter_context(between_steps())
         stack.callback(recorder.close)
         simulation = Simulation(scene, threads=threads)
         recorder.startup = clock.perf_counter() - begin
         recorder.record(simulation)
-        try:
-            while not simulation.finished:
-                simulation.step()
-                recorder.record(simulation)
-                if progress is not None:
-                    progress(simulation)
-                interrupt()
-        except BaseException:
-            recorder.finish(simulation, interrupted=True)
-            raise
-        recorder.finish(simulation, interrupted=False)
+        go_on(simulation, recorder, interrupt, progress)
+    return finished(recorder, report)
+
+
+def go_on(
+    simulation: Simulation,
+    recorder: Recorder,
+    interrupt: Callable[[], None],
+    progress: Callable[[Simulation], None] | None,
+) -> None:
+    """Advance to the scene's end and record each step; ``interrupt`` may end it between two."""
+    try:
+        while not simulation.finished:
+            simulation.step()
+            recorder.record(simulation)
+            if progress is not None:
+                progress(simulation)
+            interrupt()
+    except BaseException:
+        recorder.finish(simulation, interrupted=True)
+        raise
+    recorder.finish(simulation, interrupted=False)
+
+
+def finished(recorder: Recorder, report: bool) -> Result:
+    """Return the result of a run that has ended, with its report if there is a folder."""
     result = recorder.result()
     if report and result.folder is not None:
         result.report()
@@ -90,12 +106,13 @@ def run(
 
 
 @final
-class _Recorder:
+class Recorder:
     """Frames and history of a run, on disk or in memory."""
 
-    def __init__(self, scene: Scene, output: str | Path | None, overwrite: bool) -> None:
+    def __init__(self, scene: Scene, store: Store | None) -> None:
         self._scene = scene
-        self._store = _open_store(scene, output, overwrite)
+        self._store = store
+        self._lineage: Lineage | None = None
         self._frames: list[Frame] = []
         self._rows: list[dict[str, float]] = []
         self._next_frame = 0.0
@@ -113,6 +130,11 @@ class _Recorder:
         if simulation.time >= self._next_frame * (1.0 - 1e-12) or simulation.finished:
             self._frame(simulation)
         simulation.wall["record"] += clock.perf_counter() - begin
+
+    def skip(self, frame: Frame) -> None:
+        """Go on after a frame that is recorded already."""
+        self._last_frame = frame.step
+        self._count_frames(frame.time)
 
     def finish(self, simulation: Simulation, *, interrupted: bool) -> None:
         """Write the last state and the summary."""
@@ -136,21 +158,26 @@ class _Recorder:
         """Return the result of a run that has ended."""
         if self._store is None:
             history = history_arrays(self._rows)
-            return Result(None, self._frames, history, self._summary, self._scene)
+            lineage = {} if self._lineage is None else self._lineage.table()
+            return Result(None, self._frames, history, self._summary, self._scene, lineage)
         from multicell.result import load_result
 
         return load_result(self._store.folder)
 
     def _frame(self, simulation: Simulation) -> None:
-        every = self._scene.output.every
-        while self._next_frame <= simulation.time * (1.0 + 1e-12):
-            self._next_frame += every
+        self._count_frames(simulation.time)
         self._last_frame = simulation.step_index
+        self._lineage = simulation.lineage
         frame = simulation.frame()
         if self._store is None:
             self._frames.append(frame)
         else:
-            self._store.append(frame)
+            self._store.append(frame, simulation.lineage)
+
+    def _count_frames(self, time: float) -> None:
+        """Find when the next frame after a time is due."""
+        while self._next_frame <= time * (1.0 + 1e-12):
+            self._next_frame += self._scene.output.every
 
 
 def _open_store(scene: Scene, output: str | Path | None, overwrite: bool) -> Store | None:

@@ -27,11 +27,12 @@ from multicell.biology import (
     update_states,
     volumes_after,
 )
-from multicell.cells import SPHERE, Cells, FloatArray, IntArray
+from multicell.cells import SPHERE, Cells, FloatArray, IntArray, State
 from multicell.errors import StepFailed
 from multicell.folder import versions
-from multicell.frame import Field, Frame
+from multicell.frame import Field, Frame, Progress
 from multicell.ledger import Ledger
+from multicell.lineage import Lineage
 from multicell.mechanics import Mechanics, Motion
 from multicell.threads import thread_count
 
@@ -59,6 +60,10 @@ class Simulation:
         have the same bits for any number.
     cells
         Cells to start from instead of the scene's initial ones.
+    frame
+        State to go on from, of a run of this scene; what comes is what would have come.
+    lineage
+        Of the run that the frame is from.
 
     Attributes
     ----------
@@ -79,21 +84,36 @@ class Simulation:
     """
 
     def __init__(
-        self, scene: Scene, *, threads: int | None = None, cells: Cells | None = None
+        self,
+        scene: Scene,
+        *,
+        threads: int | None = None,
+        cells: Cells | None = None,
+        frame: Frame | None = None,
+        lineage: Lineage | None = None,
     ) -> None:
         self.scene = scene
         self.wall = dict.fromkeys(PHASES, 0.0)
         self.step_index = self.divisions = self.removals = 0
-        self.cells = _separated(scene, initial_cells(scene) if cells is None else cells)
-        self._set_bonds()
-        self._next_id = int(self.cells.id.max(initial=-1)) + 1
         self._mechanics = _mechanics(scene, thread_count(threads))
         # identities of the pairs in contact, (m, 2): what exact JKR remembers, and others count
         self.contacts = np.empty((0, 2), dtype=np.int64)
         self.separation: dict[str, float] | None = None
         self._integrator = integrators.make(scene.integrator)
         self._feeding = _feeding(scene)
-        self._unsorted = len(self.cells)
+        self.lineage = Lineage() if lineage is None else lineage
+        if frame is None:
+            self._start(_separated(scene, initial_cells(scene) if cells is None else cells))
+        else:
+            self._restore(frame)
+
+    def _start(self, cells: Cells) -> None:
+        """Begin with these cells."""
+        self.cells = cells
+        self._set_bonds()
+        self._next_id = int(cells.id.max(initial=-1)) + 1
+        self.lineage.born(cells.take(np.argsort(cells.id)), self.time)
+        self._unsorted = len(cells)
         self._sort()
         with self._phase("mechanics"):
             self._find_first_contacts()
@@ -102,6 +122,36 @@ class Simulation:
                 self._feeding.begin(self.cells, self.time)
         with self._phase("biology"):
             self._change_states()
+
+    def _restore(self, frame: Frame) -> None:
+        """Go on from a frame."""
+        known = frame.progress
+        if known is None:
+            raise ValueError("this frame does not hold what a run needs to go on")
+        self.step_index = frame.step
+        self.cells = frame.cells.take(np.arange(len(frame.cells)))
+        self.contacts = np.array(frame.contacts)
+        self.divisions, self.removals = known.divisions, known.removals
+        self._next_id, self._unsorted = known.next_id, known.unsorted
+        self.separation = None if known.separation is None else dict(known.separation)
+        for name, count in known.work.items():
+            setattr(self._mechanics.work, name, count)
+        if self._feeding is not None:
+            self._feeding.restore(frame)
+
+    def _progress(self) -> Progress:
+        """Return what a frame needs so that the run can be resumed from it."""
+        feeding = self._feeding
+        return Progress(
+            self._next_id,
+            self.divisions,
+            self.removals,
+            self._unsorted,
+            self.separation,
+            {} if feeding is None else {n: asdict(x) for n, x in feeding.ledger.items()},
+            {} if feeding is None else {n: asdict(x) for n, x in feeding.reports.items()},
+            asdict(self._mechanics.work),
+        )
 
     @property
     def concentrations(self) -> dict[str, FloatArray]:
@@ -168,7 +218,8 @@ class Simulation:
             self.cells.take(np.arange(len(self.cells))),
             {name: values.copy() for name, values in self.concentrations.items()},
             self.fields,
-            self.contacts if _remembers(self.scene) else np.empty((0, 2), dtype=np.int64),
+            self.contacts,
+            self._progress(),
         )
 
     def history_row(self) -> dict[str, float]:
@@ -292,12 +343,14 @@ class Simulation:
         self._set_bonds()
 
     def _divide_and_remove(self) -> None:
-        first = self._next_id
+        first, before = self._next_id, self.cells
         self.cells, self._next_id = divide(self.scene, self.cells, self.step_index, first)
         self.cells, removed = remove_lysed(self.scene, self.cells)
         self.divisions += (self._next_id - first) // 2
         self.removals += removed
         self._unsorted += self._next_id - first + removed
+        if self._next_id > first or removed:
+            self.lineage.events(before, self.cells, self.time)
 
     def _set_bonds(self) -> None:
         """Set receptors and ligands of all cells to their values now."""
@@ -313,7 +366,11 @@ class Simulation:
             self._unsorted = 0
 
     def _change_states(self) -> None:
+        before = self.cells.state
         self.cells.state = update_states(self.scene, self.cells, self.concentrations)
+        dead = (self.cells.state != before) & (self.cells.state == State.NECROTIC)
+        if dead.any():
+            self.lineage.died(np.sort(self.cells.id[dead]), self.time)
 
 
 def _mechanics(scene: Scene, threads: int) -> Mechanics:

@@ -10,6 +10,9 @@ Layout of ``frames.h5`` for k frames and m history rows::
     /fields/<nutrient>/offset (k + 1), shape (k, 3), origin (k, 3), spacing, height, radial (k)
     /contacts/pair (., 2)            identities of pairs in contact, where the law remembers them
     /contacts/offset (k + 1)
+    /progress/text, /progress/offset (k + 1)   JSON: what else a run needs to be resumed
+    /lineage/<log>/<column>          logs of births, deaths and ends up to the last frame
+    /lineage/<log>/offset (k + 1)
     /history/<column> (m)
 
 The file is written in HDF5's single-writer multiple-reader mode: it can be opened while the run
@@ -19,8 +22,10 @@ history up to about a second before.
 
 from __future__ import annotations
 
+import json
 import time as clock
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self, final
 
@@ -28,12 +33,14 @@ import h5py
 import numpy as np
 
 from multicell.cells import Cells
-from multicell.folder import package_version, prepare_folder, versions, words, write_text
+from multicell.folder import FILES, package_version, prepare_folder, versions, words, write_text
 from multicell.folder import write_summary as write_summary  # part of the public store
 from multicell.frame import Frame
 from multicell.frames import FORMAT, LIBVER
 from multicell.frames import open_frames as open_frames  # part of the public store
 from multicell.frames import open_history as open_history
+from multicell.frames import open_lineage as open_lineage
+from multicell.lineage import COLUMNS, Lineage
 from multicell.observables import SUMMARY_UNITS
 
 if TYPE_CHECKING:
@@ -70,19 +77,22 @@ class Store:
     A call that does not come to its end (Ctrl-C) leaves no trace: the next one writes over it.
     """
 
-    def __init__(self, folder: Path, file: h5py.File, nutrients: Sequence[str]) -> None:
+    def __init__(self, folder: Path, file: h5py.File, nutrients: Sequence[str], path: Path) -> None:
         self.folder = folder
-        self._path = folder / "frames.h5"
+        self._path = path
         self._file = file
         self._nutrients = tuple(nutrients)
         self._history: tuple[str, ...] = ()
         self._flushed = clock.monotonic()
         # what is complete: the only truth about where the next rows go
-        self._frames = self._history_rows = self._rows = self._pairs = 0
+        self._frames = self._history_rows = self._rows = self._pairs = self._letters = 0
+        self._logged = dict.fromkeys(COLUMNS, 0)
         self._points = dict.fromkeys(nutrients, 0)
 
     @classmethod
-    def create(cls, folder: str | Path, scene: Scene, overwrite: bool = False) -> Self:
+    def create(
+        cls, folder: str | Path, scene: Scene, overwrite: bool = False, *, part: bool = False
+    ) -> Self:
         """Prepare the folder, write ``scene.toml`` and open an empty ``frames.h5``.
 
         Parameters
@@ -93,18 +103,23 @@ class Store:
             The scene of the run; it says which nutrients the frames have.
         overwrite
             Remove the files of an earlier run first.
+        part
+            Leave the folder as it is and write to ``frames.h5.part``, until :meth:`settle`.
 
         Raises
         ------
         OutputError
             If the folder cannot be used.
         """
-        folder = prepare_folder(folder, overwrite=overwrite)
-        write_text(folder / "scene.toml", scene.to_toml(versions()))
-        path = folder / "frames.h5"
+        if part:
+            folder = Path(folder)
+        else:
+            folder = prepare_folder(folder, overwrite=overwrite)
+            write_text(folder / "scene.toml", scene.to_toml(versions()))
+        path = folder / ("frames.h5.part" if part else "frames.h5")
         with words("write", path):
             file = h5py.File(path, "w", libver=LIBVER, locking="best-effort")
-            store = cls(folder, file, list(scene.nutrients))
+            store = cls(folder, file, list(scene.nutrients), path)
             store._lay_out()
             file.swmr_mode = True
         return store
@@ -124,6 +139,16 @@ class Store:
         _column(contacts, "pair", np.int64, width=2)
         _column(contacts, "offset", np.int64)
         _put(contacts["offset"], 0, [0])
+        progress = self._file.create_group("progress")
+        _column(progress, "text", np.uint8)
+        _column(progress, "offset", np.int64)
+        _put(progress["offset"], 0, [0])
+        for log, columns in COLUMNS.items():
+            group = self._file.create_group(f"lineage/{log}")
+            for name, dtype in columns.items():
+                _column(group, name, dtype, unit="s" if name == "time" else "")
+            _column(group, "offset", np.int64)
+            _put(group["offset"], 0, [0])
         for name in self._nutrients:
             _column(cells, f"concentration_{name}", np.float64, unit="mM")
             group = self._file.create_group(f"fields/{name}")
@@ -136,8 +161,14 @@ class Store:
             _column(group, "radial", np.int8)
             _put(group["offset"], 0, [0])
 
-    def append(self, frame: Frame) -> None:
+    def append(self, frame: Frame, lineage: Lineage | None = None) -> None:
         """Write a frame to disk.
+
+        Parameters
+        ----------
+        frame
+        lineage
+            Of the run up to the frame; what is not on disk yet is written.
 
         Raises
         ------
@@ -163,6 +194,8 @@ class Store:
             _put(self._file["contacts"]["pair"], self._pairs, frame.contacts)
             _put(self._file["contacts"]["offset"], self._frames + 1, [pairs])
             points = {name: self._put_field(name, frame) for name in self._nutrients}
+            letters = self._put_progress(frame)
+            logged = self._put_lineage(lineage)
             # the rows must be on disk before the index that makes them a frame
             self._file.flush()
             index = self._file["frames"]
@@ -171,7 +204,27 @@ class Store:
             _put(index["time"], self._frames, [frame.time])
             self._file.flush()
             self._frames, self._rows, self._points = self._frames + 1, rows, points
-            self._pairs = pairs
+            self._pairs, self._letters, self._logged = pairs, letters, logged
+
+    def _put_progress(self, frame: Frame) -> int:
+        """Write what a run needs to go on, or nothing; return where it ends."""
+        text = b"" if frame.progress is None else json.dumps(asdict(frame.progress)).encode()
+        group, end = self._file["progress"], self._letters + len(text)
+        _put(group["text"], self._letters, np.frombuffer(text, dtype=np.uint8))
+        _put(group["offset"], self._frames + 1, [end])
+        return end
+
+    def _put_lineage(self, lineage: Lineage | None) -> dict[str, int]:
+        """Write the new rows of the logs; return how long they are."""
+        counts = dict(self._logged)
+        for log, begin in self._logged.items():
+            group = self._file["lineage"][log]
+            if lineage is not None:
+                for name, values in lineage.rows(log, begin).items():
+                    _put(group[name], begin, values)
+                counts[log] = lineage.counts()[log]
+            _put(group["offset"], self._frames + 1, [counts[log]])
+        return counts
 
     def _put_field(self, name: str, frame: Frame) -> int:
         """Write a field, an absent one as a grid of no points; return where it ends."""
@@ -219,6 +272,25 @@ class Store:
             _column(group, name, np.float64, unit=SUMMARY_UNITS.get(name, ""))
         self._file.swmr_mode = True
         self._history = names
+
+    def settle(self, scene: Scene) -> None:
+        """Let a file made as a part take the place of ``frames.h5``, and go on there.
+
+        Files that describe the end of the earlier run are removed.
+        """
+        whole = self.folder / "frames.h5"
+        with words("write", whole):
+            self._file.flush()
+            self._file.close()
+            self._path.replace(whole)
+            self._path = whole
+            self._file = h5py.File(whole, "r+", libver=LIBVER, locking="best-effort")
+            self._file.swmr_mode = True
+        write_text(self.folder / "scene.toml", scene.to_toml(versions()))
+        for name in FILES:
+            if name not in ("scene.toml", "frames.h5"):
+                with words("remove", self.folder / name):
+                    (self.folder / name).unlink(missing_ok=True)
 
     def flush(self) -> None:
         """Hand everything to the operating system; appending a frame does so by itself."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -24,13 +23,14 @@ HOUR = 3600.0
 CYCLE = 15 * HOUR
 
 
+OXYGEN = {"growth_half_saturation": 0.01, "quiescence": 0.02, "necrosis": 0.005}
 BASE = {
     "duration": "1 d",
     "seed": 1,
     "initial": {"count": 200},
     "growth": {"cycle_time": CYCLE, "cycle_variation": 0.1, "critical_pressure": 0.1},
     "death": {"lysis_time": "48 h", "removal_fraction": 0.1},
-    "nutrients": {"oxygen": {}},
+    "nutrients": {"oxygen": OXYGEN},
 }
 
 
@@ -169,14 +169,8 @@ def test_growth_factor_values_by_hand() -> None:
 
 
 def test_growth_factor_multiplies_nutrients_and_absent_parts_do_nothing() -> None:
-    # a scene has one nutrient for now; the rule is written for any number
-    scene = SimpleNamespace(
-        growth=make_scene(growth=growth()).growth,
-        nutrients={
-            "oxygen": make_scene().nutrients["oxygen"],
-            "glucose": SimpleNamespace(growth_half_saturation=1.0),
-        },
-    )
+    nutrients = {"oxygen": OXYGEN, "glucose": {"growth_half_saturation": 1.0}}
+    scene = make_scene(growth=growth(), nutrients=nutrients)
     c = {"oxygen": np.array([0.03]), "glucose": np.array([3.0])}
     high = np.array([5.0])
     assert biology.growth_factor(scene, c, high)[0] == pytest.approx(0.75**2)
@@ -184,6 +178,8 @@ def test_growth_factor_multiplies_nutrients_and_absent_parts_do_nothing() -> Non
     assert biology.growth_factor(make_scene(nutrients={}, growth=None), {}, high)[0] == 0.0
     with pytest.raises(KeyError, match="glucose"):
         biology.growth_factor(scene, {"oxygen": np.array([0.03])}, high)
+    acid = make_scene(growth=growth(), nutrients={"lactate": {"growth_inhibition": 2.0}})
+    assert biology.growth_factor(acid, {"lactate": np.array([6.0])}, high)[0] == 0.25
 
 
 def test_volumes_after_follow_the_state() -> None:

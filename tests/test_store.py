@@ -114,7 +114,7 @@ def test_folder_holds_the_scene_and_the_file_its_units(tmp_path):
     written(tmp_path / "out", [spheroid(30)])
     assert load_scene(tmp_path / "out" / "scene.toml") == SCENE
     with h5py.File(tmp_path / "out" / "frames.h5") as file:
-        assert file.attrs["format"] == 1
+        assert file.attrs["format"] == 2
         assert file.attrs["multicell"] == multicell.__version__
         for name, spec in Cells.schema().items():
             assert file["cells"][name].attrs["unit"] == spec["unit"]

@@ -15,6 +15,7 @@ corrector applied once more has the same order, and costs nothing either.
 from __future__ import annotations
 
 import math
+
 import numpy as np
 
 from multicell.integrators.loops import (

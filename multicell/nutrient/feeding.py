@@ -18,7 +18,7 @@ from multicell.nutrient.field import FieldReport, NutrientField
 from multicell.nutrient.plan import FieldParameters, solving_order
 
 if TYPE_CHECKING:
-    from multicell.frame import Field
+    from multicell.frame import Field, Frame
     from multicell.nutrient.parts import Nutrient
     from multicell.scene import Scene
 
@@ -100,6 +100,18 @@ class Feeding:
                     stored=field.stored() - before,
                 )
             self._sample(name, cells, capacity)
+
+    def restore(self, frame: Frame) -> None:
+        """Take fields, concentrations and accounts from a frame."""
+        assert frame.progress is not None
+        for name, field in self.fields.items():
+            field.restore(frame.fields[name])
+            self.concentrations[name] = np.array(frame.concentrations[name])
+            self.ledger[name] = Ledger(**frame.progress.ledger[name])
+        self.reports = {
+            name: FieldReport(**report)  # type: ignore[arg-type]
+            for name, report in frame.progress.rates.items()
+        }
 
     def snapshot(self) -> dict[str, Field]:
         """Return the fields as they were last solved."""

@@ -317,7 +317,7 @@ class NutrientField:
             return ShellLayout.round(position, radius, p.margin, p.spacing), False
         height = p.height if p.dimensions == 2 else None
         found = BoxLayout.round(position, p.margin, p.spacing, height)
-        same = self._operator is not None and found == self._layout
+        same = self._layout is not None and found == self._layout
         return (self.layout, True) if same else (found, False)
 
     def _operator_on(

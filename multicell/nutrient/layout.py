@@ -227,7 +227,7 @@ class ShellLayout:
     """A ball of shells round the cells' centre of mass."""
 
     centre: FloatArray
-    radius: float
+    spacing: float
     count: int
 
     @classmethod
@@ -236,7 +236,8 @@ class ShellLayout:
     ) -> ShellLayout:
         """Lay it ``margin`` beyond the outermost cell; ``spacing`` gives way."""
         if len(position) == 0:
-            return cls(np.zeros(3), margin, max(2, int(np.ceil(margin / spacing))))
+            count = max(2, int(np.ceil(margin / spacing)))
+            return cls(np.zeros(3), margin / count, count)
         if not np.isfinite(position).all():
             extent(position, margin)  # raises with words
         centre = np.average(position, axis=0, weights=radius**3)
@@ -247,12 +248,13 @@ class ShellLayout:
                 f"cells spread over {outer:.3g} um, too far for shells of {spacing:g} um",
                 "Find out why cells are so far apart",
             )
-        return cls(centre, outer, max(2, count))
+        count = max(2, count)
+        return cls(centre, outer / count, count)
 
     @property
-    def spacing(self) -> float:
-        """Thickness of a shell, µm."""
-        return self.radius / self.count
+    def radius(self) -> float:
+        """Radius of the ball, µm."""
+        return self.spacing * self.count
 
     @property
     def volumes(self) -> FloatArray:
@@ -290,7 +292,7 @@ class ShellLayout:
         middles = (np.arange(self.count) + 0.5) * self.spacing
         if isinstance(old, ShellLayout):
             before = (np.arange(old.count) + 0.5) * old.spacing
-            return np.interp(middles, before, values, right=fill)
+            return np.asarray(np.interp(middles, before, values, right=fill))
         return self.carried(values, old, fill)
 
     def carried(self, values: FloatArray, old: Layout, fill: float) -> FloatArray:
@@ -361,9 +363,7 @@ def restored(field: Field) -> tuple[Layout, FloatArray]:
     values = np.array(field.values, dtype=float)
     if field.kind == "radial":
         count = values.size
-        return ShellLayout(
-            np.array(field.origin), float(field.spacing) * count, count
-        ), values.ravel()
+        return ShellLayout(np.array(field.origin), float(field.spacing), count), values.ravel()
     a, b, c = (float(x) for x in field.origin)
     nx, ny, nz = values.shape
     return BoxLayout(

@@ -183,8 +183,10 @@ def tissue_radius(scene: Scene) -> float:
 
 
 def _typical_radius(scene: Scene) -> float:
-    """Return the radius of a cell half-way, in volume, between birth and division, µm."""
-    return float(scene.cells.division_radius * 0.75 ** (1.0 / 3.0))
+    """Return the radius of a typical cell of the scene, µm."""
+    from multicell.pairs import typical_radius
+
+    return float(typical_radius(scene))
 
 
 def regime(scene: Scene, name: str) -> str:

@@ -1,0 +1,186 @@
+"""A run that is resumed becomes what it would have been, bit for bit; the lineage of its cells."""
+
+import json
+
+import h5py
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import multicell as mc
+from multicell.cli import main
+from multicell.errors import OutputError, SceneError
+
+SPHEROID = {
+    "duration": "30 h",
+    "initial.count": 60,
+    "initial.stage": "uniform",
+    "nutrients.oxygen.boundary": "0.03 mM",
+    "death.lysis_time": "4 h",
+    "output.every": "7 h",
+}
+CASES = {
+    "growth, nutrient and death": ("spheroid", SPHEROID),
+    "shells": ("spheroid", {**SPHEROID, "nutrients.oxygen.geometry": "radial"}),
+    "transient": (
+        "spheroid",
+        {**SPHEROID, "duration": "20 h", "nutrients.oxygen.regime": "transient"},
+    ),
+    "types and motility": (
+        "sorting",
+        {"duration": "2 h", "initial.count": 60, "output.every": "35 min"},
+    ),
+    "exact JKR": (
+        "doublet",
+        {"contact.law": "exact-jkr", "duration": "40 min", "output.every": "12 min"},
+    ),
+    "friction": (
+        "growth",
+        {"friction": {}, "duration": "20 h", "initial.count": 8, "output.every": "5 h"},
+    ),
+}
+
+
+def contents(folder):
+    """Return every dataset of a result file."""
+    found = {}
+    with h5py.File(folder / "frames.h5", "r") as file:
+        file.visititems(
+            lambda name, item: found.update({name: item[()]}) if hasattr(item, "shape") else None
+        )
+    return found
+
+
+def same(one, other):
+    assert set(one) == set(other)
+    for name in one:
+        np.testing.assert_array_equal(one[name], other[name], err_msg=name)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_resumed_runs_have_the_bits_of_uninterrupted_ones(case, tmp_path):
+    name, changes = CASES[case]
+    scene = mc.load_scene(name).with_changes(changes)
+    whole = mc.run(scene, output=tmp_path / "whole", report=False, threads=1)
+    assert len(whole.frames) >= 3
+    for k, threads in ((0, 1), (1, 2), (len(whole.frames) - 2, 1)):
+        again = tmp_path / f"again{k}"
+        result = mc.resume(
+            tmp_path / "whole", k, output=again, report=False, threads=threads, overwrite=True
+        )
+        same(contents(tmp_path / "whole"), contents(again))
+        one, other = whole.summary(), result.summary()
+        for summary in (one, other):
+            del summary["wall"], summary["threads"]
+        assert one == other
+
+
+def test_a_run_goes_on_in_its_own_folder_after_an_interruption(tmp_path):
+    scene = mc.load_scene("spheroid").with_changes(SPHEROID)
+    mc.run(scene, output=tmp_path / "whole", report=False)
+
+    def stop(simulation):
+        if simulation.step_index == 61:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        mc.run(scene, output=tmp_path / "part", report=False, progress=stop)
+    assert json.loads((tmp_path / "part" / "summary.json").read_text())["interrupted"]
+    # the frame written at the interruption is not one of the whole run
+    result = mc.resume(tmp_path / "part", -2, report=False)
+    assert "interrupted" not in result.summary()
+    same(contents(tmp_path / "whole"), contents(tmp_path / "part"))
+    assert not list((tmp_path / "part").glob("*.part"))
+
+
+def test_a_run_is_prolonged_with_another_medium(tmp_path):
+    scene = mc.load_scene("spheroid").with_changes(SPHEROID)
+    mc.run(scene, output=tmp_path / "run", report=False)
+    changes = {"duration": "36 h", "nutrients.oxygen.boundary": "0.2 mM"}
+    longer = mc.resume(tmp_path / "run", changes=changes, report=False)
+    assert longer.frames[-1].time == pytest.approx(36 * 3600)
+    assert longer.history["time"][-1] == pytest.approx(36 * 3600)
+    assert len(np.unique(longer.history["step"])) == len(longer.history["step"])
+    assert longer.frames[-1].concentrations["oxygen"].max() > 0.15
+    assert mc.load_result(tmp_path / "run").scene.nutrients["oxygen"].boundary == 0.2
+
+
+def test_what_cannot_be_resumed_is_refused_with_words(tmp_path):
+    scene = mc.load_scene("settle").with_changes({"duration": "3 min", "output.every": "1 min"})
+    folder = tmp_path / "run"
+    mc.run(scene, output=folder, report=False)
+    before = contents(folder)
+    with pytest.raises(OutputError, match="To prolong it, change duration"):
+        mc.resume(folder)
+    with pytest.raises(OutputError, match="has no frame 9: it has the frames 0 to 3"):
+        mc.resume(folder, 9)
+    with pytest.raises(OutputError, match="there are no results"):
+        mc.resume(tmp_path / "nothing")
+    with pytest.raises(SceneError, match="cannot change while a run goes on"):
+        mc.resume(folder, 0, changes={"cells.young": "2 kPa"})
+    with h5py.File(folder / "frames.h5", "r+") as file:
+        file.attrs["format"] = 1
+    with pytest.raises(OutputError, match="result format 1"):
+        mc.resume(folder, 0)
+    with h5py.File(folder / "frames.h5", "r+") as file:
+        file.attrs["format"] = 2
+    same(before, contents(folder))
+
+
+def test_the_command_resumes(tmp_path):
+    folder = str(tmp_path / "run")
+    args = ["--set", "duration=3 min", "--set", "output.every=1 min", "--no-report", "--quiet"]
+    assert CliRunner().invoke(main, ["run", "settle", "-o", folder, *args]).exit_code == 0
+    done = CliRunner().invoke(main, ["resume", folder, "--json", "--quiet"])
+    assert done.exit_code == 2
+    assert "To prolong it" in done.output
+    done = CliRunner().invoke(
+        main, ["resume", folder, "--set", "duration=5 min", "--json", "--quiet", "--no-report"]
+    )
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)["time"] == 300.0
+
+
+@pytest.fixture(scope="module")
+def family(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("family") / "run"
+    changes = {
+        "duration": "3 d",
+        "initial.count": 150,
+        "initial.stage": "uniform",
+        "nutrients.oxygen.boundary": "0.02 mM",
+        "nutrients.oxygen.necrosis": "0.0135 mM",
+        "death.lysis_time": "3 h",
+    }
+    return mc.run(mc.load_scene("spheroid").with_changes(changes), output=folder, report=False)
+
+
+def test_the_lineage_accounts_for_every_cell_at_all_times(family):
+    table, summary = family.lineage, family.summary()
+    assert summary["divisions"] > 20
+    assert summary["removals"] > 0
+    assert (table["end"] == "division").sum() == summary["divisions"]
+    assert (table["end"] == "necrotic").sum() == summary["removals"]
+    for time, cells in zip(family.history["time"], family.history["cells"], strict=True):
+        alive = (table["birth_time"] <= time) & ~(table["end_time"] <= time)
+        assert alive.sum() == cells
+    last = family.frames[-1].cells
+    assert set(table["id"][np.isnan(table["end_time"])]) == set(last.id)
+
+
+def test_parents_divide_when_their_daughters_are_born(family):
+    table = family.lineage
+    daughters = table["parent"] >= 0
+    parent = np.searchsorted(table["id"], table["parent"][daughters])
+    np.testing.assert_array_equal(table["id"][parent], table["parent"][daughters])
+    np.testing.assert_array_equal(table["end_time"][parent], table["birth_time"][daughters])
+    assert (table["end"][parent] == "division").all()
+    _, count = np.unique(table["parent"][daughters], return_counts=True)
+    assert (count == 2).all()
+
+
+def test_the_dead_die_before_they_are_removed(family):
+    table = family.lineage
+    removed = table["end"] == "necrotic"
+    assert (table["death_time"][removed] < table["end_time"][removed]).all()
+    assert np.isnan(table["death_time"][table["end"] == "division"]).all()
