@@ -163,7 +163,7 @@ def _expected(scene: Scene, count: int) -> float:
     """Return about how many cells there will be at the end of a run that starts with ``count``."""
     if scene.growth is None:
         return count
-    cycles: float = min(scene.duration / scene.growth.cycle_time, 60.0)
+    cycles: float = min(scene.duration / scene.growth.mean_cycle, 60.0)
     grown: float = count * 2.0**cycles
     return min(grown, scene.stop_cells or math.inf)
 

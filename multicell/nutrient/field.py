@@ -281,6 +281,22 @@ class NutrientField:
         """
         return self.layout.gather(position, self._values)
 
+    def gradient(self, position: FloatArray) -> FloatArray:
+        """Return the gradient at positions (n, 3) in µm, (n, 3) mM/µm.
+
+        Differences of the interpolated field over one spacing, along the axes of the layout.
+        """
+        layout = self.layout
+        h = layout.spacing
+        axes = 2 if self.parameters.dimensions == 2 else 3
+        result = np.zeros_like(position)
+        for axis in range(axes):
+            step = np.zeros(3)
+            step[axis] = 0.5 * h
+            ahead, behind = (layout.gather(position + s * step, self._values) for s in (1, -1))
+            result[:, axis] = (ahead - behind) / h
+        return result
+
     def uptake(self, position: FloatArray, capacity: FloatArray) -> FloatArray:
         """Return what each cell takes up, (n,) amol/s."""
         c = self._values
