@@ -87,8 +87,9 @@ class Feeding:
             if name in self._steady:
                 old = self.reports[name]
                 ledger.add(
-                    old.inflow, old.uptake, end - begin, secreted=old.produced, decayed=old.decayed
-                )
+                    old.inflow, old.uptake, end - begin,
+                    secreted=old.produced, decayed=old.decayed, outflow=old.outflow,
+                )  # fmt: skip
                 self.reports[name] = field.solve(cells.position, capacity, time=end, **with_cells)
             else:
                 before = field.stored()

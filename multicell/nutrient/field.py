@@ -89,7 +89,7 @@ class FieldReport:
     """What a steady solve took and how well it balances; rates in amol/s.
 
     ``inflow + produced - uptake - decayed`` is zero up to ``residual``. ``inflow`` includes what a
-    perfusion brings.
+    perfusion brings and is net; ``outflow`` is what leaves through the faces.
     """
 
     newton: int
@@ -99,6 +99,7 @@ class FieldReport:
     uptake: float
     produced: float
     decayed: float
+    outflow: float = 0.0
 
 
 @final
@@ -392,6 +393,7 @@ class NutrientField:
             report.uptake,
             report.supplied - brought,
             p.decay * mass,
+            report.outflow,
         )
 
     def _summed(
