@@ -47,20 +47,29 @@ _TITLES: Final = {
     "gyration": "radius of gyration, worst time",
     "pair_distance": "pair distances, at the end",
 }
+_TITLES_STEPWISE: Final = {
+    "position": "positions, worst step",
+    "position_median": "positions, median step",
+    "position_final": "positions, last step",
+    "energy": "contact energy, worst step",
+    "gyration": "radius of gyration, worst step",
+    "pair_distance": "pair distances, last step",
+}
 _LABELS: Final = {
     "wall": "wall time (s)",
+    "cpu": "processor time (s)",
     "cost": "evaluations of the right-hand side, or equal work",
 }
 
 
 @styled
 def workprecision(result: WorkPrecision, norm: str) -> Figure:
-    """Draw error in one norm over wall time and over evaluations."""
-    figure = _headed(result, NORMS[norm])
+    """Draw error in one norm over time and over evaluations."""
+    figure = _headed(result, result.norms[norm])
     strip = 0.07 if result.failures() else 0.0
     left = figure.add_axes((0.085, 0.11, 0.35, 0.74 - strip), label=f"{norm} wall")
     right = figure.add_axes((0.465, 0.11, 0.35, 0.74 - strip), label=f"{norm} cost", sharey=left)
-    for axes, cost in ((left, "wall"), (right, "cost")):
+    for axes, cost in ((left, result.clock), (right, "cost")):
         _curves(axes, result, norm, cost)
         axes.set_xlabel(_LABELS[cost], fontsize=11)
     left.set_ylabel("error")
@@ -76,18 +85,19 @@ def workprecision(result: WorkPrecision, norm: str) -> Figure:
 
 @styled
 def norms(result: WorkPrecision) -> Figure:
-    """Draw error over wall time in every norm."""
+    """Draw error over time in every norm."""
     figure = _headed(result, "every norm; grey: what the reference leaves open")
+    titles = _TITLES_STEPWISE if result.stepwise else _TITLES
     for k, norm in enumerate(NORMS):
         row, column = divmod(k, 3)
         place = (0.065 + 0.262 * column, 0.53 - 0.435 * row, 0.205, 0.3)
         axes = figure.add_axes(place, label=f"{norm} wall")
-        _curves(axes, result, norm, "wall", size=3.5)
+        _curves(axes, result, norm, result.clock, size=3.5)
         _band(axes, result.uncertainty[norm])
-        axes.set_title(_TITLES[norm], fontsize=10)
+        axes.set_title(titles[norm], fontsize=10)
         axes.tick_params(labelsize=8.5)
         if row == 1:
-            axes.set_xlabel(_LABELS["wall"], fontsize=10)
+            axes.set_xlabel(_LABELS[result.clock], fontsize=10)
     _legend(figure, result, crosses=False)
     return figure
 
@@ -99,7 +109,11 @@ def _headed(result: WorkPrecision, subtitle: str) -> Figure:
     count = cell_count(last) if first == last else f"{first:,} to {cell_count(last)}"
     time = time_unit(facts["time"]).text(facts["time"])
     title = result.scene.title or "Untitled scene"
-    return blank(f"{title}", f"{count}, {time} · {subtitle}")
+    figure = blank(f"{title}", f"{count}, {time} · {subtitle}")
+    if result.stepwise:
+        text = f"{facts['mode']}, each from the same recorded state for every method; cost summed"
+        figure.text(0.04, 0.868, text, fontsize=10.5, color=QUIET, va="center")
+    return figure
 
 
 def _curves(axes: Axes, result: WorkPrecision, norm: str, cost: str, size: float = 6.0) -> None:
