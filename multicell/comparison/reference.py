@@ -35,7 +35,7 @@ Pair = tuple[tuple[Method, float], tuple[Method, float]]
 """Method and setting of the reference, and of the one that it is checked against."""
 
 _FEW, _FEW_AT_REST = 500, 2000  # cells up to which CVODE is fast at the tightest tolerance
-_TIGHT, _LESS_TIGHT = 1e-12, 1e-9
+_TIGHT, _LESS_TIGHT, _TIGHT_STEP = 1e-12, 1e-9, 1e-11
 _RECORDED = ("cvode", 1e-2)  # method and tolerance that lead from one state of a sample to the next
 _PRESENTATION: Final = ("cli", "drawing", "plots", "report", "section", "progress", "explain")
 _PRESENTATION_HERE: Final = (
@@ -124,7 +124,7 @@ def reference(
     """
     tell = progress or (lambda _: None)
     unsolved = blank(scene, cells, threads)
-    pairs = default_pairs(scene, unsolved) if pair is None else [pair]
+    pairs = default_pairs(scene, unsolved, stepwise) if pair is None else [pair]
     options = {"cells": cells, "threads": threads}
     sampled: tuple[Problem, float] | None = None
     for k, chosen in enumerate(pairs):
@@ -150,18 +150,22 @@ def reference(
     raise AssertionError("there is always a pair")
 
 
-def default_pairs(scene: Scene, unsolved: Problem) -> list[Pair]:
+def default_pairs(scene: Scene, unsolved: Problem, stepwise: int | None = None) -> list[Pair]:
     """Return the tightest methods that a scene of its size can afford, the best first.
 
     SciPy's DOP853 of order 8 needs least evaluations for twelve digits. It is checked by CVODE,
     or, where that would take long, by the embedded pair of order 5. Where these cannot hold the
-    scene CVODE is used with two tolerances.
+    scene CVODE is used with two tolerances. Single steps are solved by the embedded pair of
+    order 5 and checked by CVODE: no error grows there, and both meet within 1e-7 of a radius.
     """
     few = _expected(scene, len(unsolved.start)) <= (_FEW if scene.growth else _FEW_AT_REST)
     tolerance = _TIGHT if few else _LESS_TIGHT
     radius = unsolved.mean_radius
     cvode = named("cvode", scene, radius)
     pairs: list[Pair] = [((cvode, tolerance), (cvode, 10.0 * tolerance))]
+    if stepwise is not None and "dopri5" in METHODS:
+        exact = named("dopri5", scene, radius)
+        return [((exact, _TIGHT_STEP), (cvode, 10.0 * _TIGHT_STEP)), *pairs]
     if "scipy-dop853" in METHODS:
         exact = named("scipy-dop853", scene, radius)
         check = (cvode, _TIGHT)
