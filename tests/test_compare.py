@@ -137,7 +137,7 @@ def test_a_reference_that_cannot_be_computed_says_so():
 def test_the_next_pair_is_tried_where_the_best_one_cannot_hold_the_scene(monkeypatch):
     failing = step_method(lambda s: Planted(fail_after=0.0), "stuck")
     pairs = [((failing, 1.0), (EXACT, 1.0)), ((EXACT, 2.0), (EXACT, 1.0))]
-    monkeypatch.setattr(references, "default_pairs", lambda scene, unsolved: pairs)
+    monkeypatch.setattr(references, "default_pairs", lambda *_: pairs)
     told = []
     found = reference(PAIR, cache=False, progress=told.append)
     assert found.words == "exact at 2, checked by exact at 1"

@@ -228,19 +228,21 @@ def noted(total, count):
 
 
 @pytest.mark.parametrize(("total", "count"), [(1, 4), (7, 24), (24, 24), (25, 24), (97, 5)])
-def test_a_sample_is_even_from_the_first_to_the_last(total, count):
+def test_a_sample_is_taken_from_the_middles_of_equal_parts(total, count):
     chosen, _ = noted(total, count)
-    expected = np.linspace(0, total - 1, min(total, count)).round().astype(int)
-    np.testing.assert_allclose(chosen, expected, atol=1)
-    assert (chosen[0], chosen[-1], len(set(chosen))) == (0, total - 1, min(total, count))
+    parts = min(total, count)
+    assert len(set(chosen)) == parts
+    edges = np.linspace(0, total, parts + 1)
+    middles = 0.5 * (edges[1:] + edges[:-1]) - 0.5
+    np.testing.assert_allclose(chosen, middles, atol=0.5 if total <= 16 * count else 1.0)
 
 
 def test_a_long_run_is_sampled_with_few_states_held():
     chosen, held = noted(5000, 6)
     assert held <= 16 * 6 + 1
-    # the sixteenth part of the distance between two samples is the stride at most
-    np.testing.assert_allclose(np.diff(chosen), 999.8, atol=2 * 999.8 / 8)
-    assert (chosen[0], chosen[-1]) == (0, 4999)
+    # states are held at a stride of at most an eighth of the distance between two samples
+    middles = (np.arange(6) + 0.5) * 5000 / 6
+    np.testing.assert_allclose(chosen, middles, atol=5000 / 6 / 16 + 1)
 
 
 def test_the_sampled_states_are_those_of_the_simulation():
@@ -257,7 +259,7 @@ def test_the_sampled_states_are_those_of_the_simulation():
         simulation.step()
     assert seen == 7
     assert problem.total == simulation.steps == 36
-    assert problem.counts[-1] > problem.counts[0] == 12
+    assert problem.counts[-1] > problem.counts[0] >= 12
 
 
 RICH = {

@@ -28,6 +28,7 @@ _LOOKS: Final[dict[str, tuple[str, str, str]]] = {
     "euler-adaptive": ("#74b0e4", "s", "-"),
     "heun": ("#4b3a8e", "^", "-"),
     "ab2": ("#9a7fd1", "D", "-"),
+    "ab2-adaptive": ("#d0a9e8", "p", "-"),
     "rk4": ("#c44fa0", "v", "-"),
     "dopri5": ("#14919b", "P", "-"),
     "rkc2": ("#e8590c", "X", "-"),
@@ -37,6 +38,7 @@ _LOOKS: Final[dict[str, tuple[str, str, str]]] = {
     "scipy-lsoda": ("#a98467", "^", "--"),
     "scipy-radau": ("#b0b5ba", "D", "--"),
     "scipy-bdf": ("#7d6b5d", "v", "--"),
+    "sundials-defaults": ("#7aa37a", "H", "--"),
 }
 _OTHERS: Final = ("#b5432f", "#f2b63c", "#6b7a86", "#2a9d6a", "#d16ba5", "#00798c")
 _TITLES: Final = {
@@ -67,8 +69,10 @@ def workprecision(result: WorkPrecision, norm: str) -> Figure:
     """Draw error in one norm over time and over evaluations."""
     figure = _headed(result, result.norms[norm])
     strip = 0.07 if result.failures() else 0.0
-    left = figure.add_axes((0.085, 0.11, 0.35, 0.74 - strip), label=f"{norm} wall")
-    right = figure.add_axes((0.465, 0.11, 0.35, 0.74 - strip), label=f"{norm} cost", sharey=left)
+    top = 0.83 if result.stepwise else 0.86
+    height = top - 0.12 - strip
+    left = figure.add_axes((0.085, 0.11, 0.35, height), label=f"{norm} wall")
+    right = figure.add_axes((0.465, 0.11, 0.35, height), label=f"{norm} cost", sharey=left)
     for axes, cost in ((left, result.clock), (right, "cost")):
         _curves(axes, result, norm, cost)
         axes.set_xlabel(_LABELS[cost], fontsize=11)
@@ -77,7 +81,7 @@ def workprecision(result: WorkPrecision, norm: str) -> Figure:
     _band(left, result.uncertainty[norm])
     _band(right, result.uncertainty[norm], words=True)
     if strip:
-        place = (0.085, 0.86 - strip, 0.35, strip)
+        place = (0.085, top - strip, 0.35, strip)
         _crosses(figure.add_axes(place, label="failures", sharex=left), result)
     _legend(figure, result)
     return figure
@@ -90,7 +94,7 @@ def norms(result: WorkPrecision) -> Figure:
     titles = _TITLES_STEPWISE if result.stepwise else _TITLES
     for k, norm in enumerate(NORMS):
         row, column = divmod(k, 3)
-        place = (0.065 + 0.262 * column, 0.53 - 0.435 * row, 0.205, 0.3)
+        place = (0.065 + 0.262 * column, 0.525 - 0.435 * row, 0.205, 0.285)
         axes = figure.add_axes(place, label=f"{norm} wall")
         _curves(axes, result, norm, result.clock, size=3.5)
         _band(axes, result.uncertainty[norm])
@@ -140,7 +144,7 @@ def _band(axes: Axes, uncertainty: float, *, words: bool = False) -> None:
     low, high = axes.get_ylim()
     bottom = min(low, 0.3 * uncertainty)
     axes.axhspan(bottom, uncertainty, color="#dfe4e8", zorder=0, label="_uncertainty", lw=0)
-    axes.set_ylim(bottom, max(high, 3.0 * uncertainty))
+    axes.set_ylim(bottom, max(1.3 * high, 3.0 * uncertainty))
     if words:
         axes.text(
             0.98, 0.97 * uncertainty, "uncertainty of the reference", ha="right", va="top",
@@ -179,7 +183,7 @@ def _legend(figure: Figure, result: WorkPrecision, *, crosses: bool = True) -> N
         )
     figure.legend(
         handles=handles, loc="upper left", bbox_to_anchor=(0.825, 0.87), fontsize=10,
-        labelspacing=0.55, handlelength=1.8,
+        labelspacing=min(0.55, 10.0 / len(handles)), handlelength=1.8,
     )  # fmt: skip
 
 

@@ -6,6 +6,9 @@ run then tells nothing about a method. So a run is recorded once, by a method go
 sane states. Every step of a sample then starts from the recorded state at its beginning, with the
 recorded radii, bonds, pushes and contacts, and the error is that at the step's end. Every method
 is judged on the problems that do occur, and no error is carried from one step to the next.
+
+The sample is taken from the middles of equal parts of the run: the first steps, in which an
+artificial beginning collapses, are typical of nothing.
 """
 
 from __future__ import annotations
@@ -60,14 +63,12 @@ class _Sampler:
         self.system: Mechanics | None = None
         self.stride, self.total = 1, 0
         self.held: dict[int, tuple[FloatArray, Motion]] = {}
-        self.last: tuple[FloatArray, Motion] | None = None
 
     def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
         """Integrate by the inner method."""
         self.system = system
-        self.last = (np.array(position), system.motion)
         if self.total % self.stride == 0:
-            self.held[self.total] = self.last
+            self.held[self.total] = (np.array(position), system.motion)
         self.total += 1
         while len(self.held) > self.most:
             self.stride *= 2
@@ -75,14 +76,12 @@ class _Sampler:
         return self.inner.integrate(system, position)
 
     def chosen(self, count: int) -> list[tuple[FloatArray, Motion]]:
-        """Return up to ``count`` of the states, evenly from the first to the last."""
-        if self.last is None:
-            return []
-        held = {**self.held, self.total - 1: self.last}
-        known = np.array(sorted(held))
-        targets = np.linspace(0, self.total - 1, min(count, self.total))
-        nearest = {int(known[np.abs(known - target).argmin()]) for target in targets}
-        return [held[k] for k in sorted(nearest)]
+        """Return up to ``count`` of the states, from the middles of equal parts of the run."""
+        parts = min(count, self.total)
+        known = np.array(sorted(self.held))
+        middles = (np.arange(parts) + 0.5) * self.total / parts - 0.5
+        nearest = {int(known[np.abs(known - middle).argmin()]) for middle in middles}
+        return [self.held[k] for k in sorted(nearest)]
 
 
 def sample(
@@ -104,8 +103,8 @@ def sample(
         The method that moves the cells from step to step; it decides which states occur and
         has no part in any error.
     count
-        Number of steps, evenly over the run, the first and the last among them; all if there
-        are fewer.
+        Number of steps, one from the middle of each of so many equal parts of the run; all
+        steps if there are fewer.
     cells, threads, progress
         See :func:`multicell.comparison.problem.record`.
 
