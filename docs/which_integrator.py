@@ -15,7 +15,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, final
@@ -115,7 +115,9 @@ def sundials_defaults(radius: float) -> Method:
     return Method("sundials-defaults", "tolerance", make)
 
 
-def compared(case: Case, share: float, clock: str) -> WorkPrecision:
+def compared(
+    case: Case, share: float, clock: str, tell: Callable[[str], None] | None
+) -> WorkPrecision:
     """Compare all methods on a case."""
     scene = mc.load_scene(case.scene).with_changes(case.changes)
     radius = float(mc.Simulation(scene).cells.radius.mean())
@@ -128,6 +130,7 @@ def compared(case: Case, share: float, clock: str) -> WorkPrecision:
         # a method that is hopeless here must not eat up the time of the others
         patience=share * case.budget / 15.0,
         repeats=3,
+        progress=tell,
     )
 
 
@@ -143,10 +146,16 @@ def kept(case: Case, folder: Path, made_with: dict[str, Any] | None) -> Entry | 
     return Entry(case.name, case.slug, result, held["took"])
 
 
-def computed(case: Case, folder: Path, made_with: dict[str, Any], share: float) -> Entry:
+def computed(
+    case: Case,
+    folder: Path,
+    made_with: dict[str, Any],
+    share: float,
+    tell: Callable[[str], None] | None,
+) -> Entry:
     """Compare on a case and keep the table, with what it was made with, and its chart."""
     begin = time.perf_counter()
-    result = compared(case, share, made_with["clock"])
+    result = compared(case, share, made_with["clock"], tell)
     took = time.perf_counter() - begin
     folder.mkdir(parents=True, exist_ok=True)
     (folder / f"{case.slug}.csv").write_text(result.to_csv(), encoding="utf-8")
@@ -170,7 +179,7 @@ def entries(cases: list[Case], given: argparse.Namespace) -> Iterator[Entry]:
             print(f"{case.name}: not computed yet", flush=True)
             continue
         else:
-            entry = computed(case, given.results, made_with, share)
+            entry = computed(case, given.results, made_with, share, say if given.verbose else None)
             print(f"{case.name}: {entry.took:.0f} s", flush=True)
         # of sampled steps the median is drawn: the worst one hangs on a contact that forms or not
         figure = entry.result.figure(list(entry.norms)[-1])
@@ -178,11 +187,17 @@ def entries(cases: list[Case], given: argparse.Namespace) -> Iterator[Entry]:
         yield entry
 
 
+def say(text: str) -> None:
+    """Print a line with the time of day."""
+    print(time.strftime("%H:%M:%S"), text, flush=True)
+
+
 def main() -> None:
     """Run the cases that are named, or all, and write the page."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("cases", nargs="*", help="names of cases; by default all")
     parser.add_argument("--quick", action="store_true", help="a tenth of the time")
+    parser.add_argument("--verbose", action="store_true", help="name every solve")
     parser.add_argument("--clock", choices=["wall", "cpu"], default="wall", help="what judges")
     parser.add_argument("--tables", action="store_true", help="compute nothing")
     parser.add_argument("--results", type=Path, default=HERE / "chart-data")

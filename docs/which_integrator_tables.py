@@ -198,7 +198,7 @@ def replaced(text: str, name: str, block: str) -> str:
     ValueError
         If the page has no such marks.
     """
-    begin, end = f"<!-- {name}: made by which_integrator.py -->", f"<!-- end of {name} -->"
+    begin, end = f"<!-- {name}: made by a script -->", f"<!-- end of {name} -->"
     before, found, rest = text.partition(begin)
     _, closed, after = rest.partition(end)
     if not (found and closed):

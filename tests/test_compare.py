@@ -359,6 +359,22 @@ def test_a_solve_beyond_patience_ends_with_words():
     assert stopped.problem == "not done after 0 s of wall time (t = 60 s)"
 
 
+def test_a_solve_that_never_ends_is_stopped_within_its_step():
+    class Endless:
+        def integrate(self, system, position):
+            out = np.empty_like(position)
+            while True:
+                system.velocity(system.motion.begin, position, out)
+
+    found = reference(PAIR, cache=False, pair=references.paired(BOTH_EXACT, PAIR, 1.0))
+    stopped = replay(found.problem, Endless(), limit=0.05)
+    assert stopped.problem == "not done after 0.05 s of wall time (in the step from t = 0 s)"
+    assert 0.05 < stopped.wall
+    assert stopped.positions == []
+    # the mechanics of the problem itself is not touched
+    assert replay(found.problem, Planted()).done
+
+
 # cache
 
 

@@ -58,10 +58,10 @@ def climb(
     rows: list[Row] = []
     foreseen = 0.0
     # compiled and loaded before the clock of the first point runs
-    replay(replace(exact.problem, steps=exact.problem.steps[:1]), method.make(ladder[0]))
+    first = replace(exact.problem, steps=exact.problem.steps[:1])
+    replay(first, method.make(ladder[0]), effort.patience)
     begin = clock.perf_counter()
     for k, setting in enumerate(ladder):
-        tell(f"{method.name} at {setting:.3g}")
         spent = clock.perf_counter() - begin
         # a point takes two solves at least; the first one is tried in any case
         dear = foreseen > effort.patience or spent + 2.0 * foreseen > effort.budget
@@ -69,6 +69,7 @@ def climb(
             text = f"not tried: it would take about {foreseen:.2g} s, after {spent:.2g} s"
             rows.append(_row(method, setting, SKIPPED, text))
             continue
+        tell(f"{method.name} at {setting:.3g}")
         found = replay(exact.problem, method.make(setting), effort.patience)
         rows.append(_measured(method, setting, found, exact, effort))
         finer = ladder[k] / ladder[k + 1] if k + 1 < len(ladder) else 1.0

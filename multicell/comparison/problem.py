@@ -177,7 +177,8 @@ def replay(problem: Problem, integrator: Integrator, limit: float = np.inf) -> T
     integrator
         The method.
     limit
-        Wall time in s after which no further coupling step is begun.
+        Wall time in s after which the replay ends, at the next coupling step or at the next
+        evaluation that a method asks for from Python (those compiled as a whole ask for none).
 
     Returns
     -------
@@ -189,6 +190,8 @@ def replay(problem: Problem, integrator: Integrator, limit: float = np.inf) -> T
     position = problem.start
     ends: list[FloatArray] = []
     begin, begin_cpu = clock.perf_counter(), clock.process_time()
+    if limit < np.inf:
+        _watch(system, begin + limit, f"not done after {limit:g} s of wall time")
     words = ""
     for k, step in enumerate(problem.steps):
         position = problem.beginning(k, position)
@@ -207,6 +210,23 @@ def replay(problem: Problem, integrator: Integrator, limit: float = np.inf) -> T
     return Trajectory(ends, system.work, wall, cpu, words)
 
 
+@final
+class _OutOfTime(Exception):  # noqa: N818 - it names what happened
+    """A solve has taken longer than it may."""
+
+
+def _watch(system: Mechanics, deadline: float, words: str) -> None:
+    """Let the next evaluation of this one system end the solve once a time has passed."""
+    inner = system.velocity
+
+    def velocity(time: float, position: FloatArray, out: FloatArray) -> None:
+        if clock.perf_counter() > deadline:
+            raise _OutOfTime(words)
+        inner(time, position, out)
+
+    system.velocity = velocity  # type: ignore[method-assign]
+
+
 def _one_step(
     system: Mechanics, integrator: Integrator, position: FloatArray
 ) -> tuple[str, FloatArray]:
@@ -216,6 +236,8 @@ def _one_step(
         # what overflows on the way ends in a position that is not finite
         with np.errstate(all="ignore"):
             outcome = integrator.integrate(system, position)
+    except _OutOfTime as error:
+        return f"{error} (in the step from t = {begin:.6g} s)", position
     except Exception as error:  # see replay(): it becomes a row with these words
         return f"{error} ({type(error).__name__}, in the step from t = {begin:.6g} s)", position
     if not outcome.done:
