@@ -51,6 +51,11 @@ class Case:
     stepwise: int = 0
 
     @property
+    def title(self) -> str:
+        """The name as the heading of a chart."""
+        return self.name[0].upper() + self.name[1:].replace("kPa s", "kPa·s")
+
+    @property
     def slug(self) -> str:
         """The name in names of files."""
         words = "".join(c if c.isalnum() else "-" for c in self.name.lower())
@@ -99,11 +104,10 @@ class SundialsDefaults:
             velocity, rtol=self.rtol, atol=self.atol, linsolver="gmres", max_num_steps=1_000_000
         )
         length = motion.end - motion.begin
-        result = solver.solve(np.array([0.0, length]), np.array(position).ravel())
-        system.work.steps += int(result.nsteps)
-        end = np.array(result.y[-1]).reshape(-1, 3)
+        solver.init_step(0.0, np.array(position).ravel())
+        result = solver.step(length, method="normal", tstop=length)
         problem = "" if result.success else f"SUNDIALS: {result.message}"
-        return Outcome(motion.end, end, problem)
+        return Outcome(motion.end, np.array(result.y).reshape(-1, 3), problem)
 
 
 def sundials_defaults(radius: float) -> Method:
@@ -119,7 +123,7 @@ def compared(
     case: Case, share: float, clock: str, tell: Callable[[str], None] | None
 ) -> WorkPrecision:
     """Compare all methods on a case."""
-    scene = mc.load_scene(case.scene).with_changes(case.changes)
+    scene = mc.load_scene(case.scene).with_changes({"title": case.title, **case.changes})
     radius = float(mc.Simulation(scene).cells.radius.mean())
     return mc.compare(
         scene,

@@ -369,7 +369,7 @@ def test_a_solve_that_never_ends_is_stopped_within_its_step():
     found = reference(PAIR, cache=False, pair=references.paired(BOTH_EXACT, PAIR, 1.0))
     stopped = replay(found.problem, Endless(), limit=0.05)
     assert stopped.problem == "not done after 0.05 s of wall time (in the step from t = 0 s)"
-    assert 0.05 < stopped.wall
+    assert stopped.wall > 0.05
     assert stopped.positions == []
     # the mechanics of the problem itself is not touched
     assert replay(found.problem, Planted()).done

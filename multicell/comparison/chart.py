@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from multicell.comparison.norms import NORMS
 from multicell.drawing import QUIET, blank, cell_count, styled, time_unit
@@ -132,8 +132,12 @@ def _curves(axes: Axes, result: WorkPrecision, norm: str, cost: str, size: float
             axes.plot(x, y, line, color=colour, marker=marker, ms=size, lw=1.5, label=method)
     axes.set_xscale("log")
     axes.set_yscale("log")
-    # labels of minor ticks run into each other where an axis spans little more than a decade
     for axis in (axes.xaxis, axes.yaxis):
+        low, high = axis.get_view_interval()
+        if high < 15.0 * low:
+            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        # labels of minor ticks run into each other where an axis spans little more than a decade
         axis.set_minor_formatter(NullFormatter())
 
 
