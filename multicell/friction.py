@@ -38,11 +38,12 @@ BLOCK = 256
 """Pairs that are gathered before they are measured."""
 
 _TINY = 1e-300
+_NO_SLACK = np.empty(0)
 
 
 @njit(cache=True, error_model="numpy")
-def _gather(rows, first, second, begin, count, spread, dx, dy, dz, gap, area):
-    """Measure a block of pairs: overlap, contact area, and n √(area spread)."""
+def _gather(rows, first, second, begin, count, spread, slack, dx, dy, dz, gap, area):
+    """Measure a block of pairs: overlap beyond slack, contact area, and n √(area spread)."""
     for p in range(count):
         i, j = np.uint32(first[begin + p]), np.uint32(second[begin + p])
         dx[p] = rows[j, 0] - rows[i, 0]
@@ -53,9 +54,12 @@ def _gather(rows, first, second, begin, count, spread, dx, dy, dz, gap, area):
     for p in range(count):
         d = math.sqrt(dx[p] * dx[p] + dy[p] * dy[p] + dz[p] * dz[p] + _TINY)
         w = 1.0 / (d * gap[p])
-        a = math.pi * area[p] * (w * d) * max(gap[p] - d, 0.0)
+        h = gap[p] - d
+        if slack.size > 0:
+            h -= slack[begin + p]
+        a = math.pi * area[p] * (w * d) * max(h, 0.0)
         root = math.sqrt(a * spread) * (w * gap[p])
-        gap[p] -= d
+        gap[p] = h
         area[p] = a
         dx[p] *= root
         dy[p] *= root
@@ -88,7 +92,7 @@ def _keep(
 @njit(cache=True)
 def _measure_chunk(
     c, chunk, rows, first, second, start, inner_end, outer_end, normal, tangential, drag,
-    near, link, across, ends, stokes, inverse,
+    slack, near, link, across, ends, stokes, inverse,
 ):  # fmt: skip
     """Store the touching pairs of one chunk and 1 / mean diagonal of Γ of its cells."""
     sign = np.sign(normal - tangential)
@@ -101,7 +105,7 @@ def _measure_chunk(
         end = inner_end[c] if side == 0 else outer_end[c]
         for block in range(begin, end, BLOCK):
             count = min(BLOCK, end - block)
-            _gather(rows, first, second, block, count, spread, dx, dy, dz, gap, area)
+            _gather(rows, first, second, block, count, spread, slack, dx, dy, dz, gap, area)
             at = _keep(
                 first, second, block, count, dx, dy, dz, gap, area, tangential, spread > 0.0,
                 at, near, link, across,
@@ -294,26 +298,26 @@ def _sums(part):
 @njit(cache=True)
 def measure(
     chunk, rows, first, second, start, inner_end, outer_end, normal, tangential, drag,
-    near, link, across, ends, stokes, inverse,
+    slack, near, link, across, ends, stokes, inverse,
 ):  # fmt: skip
     """Store Γ at the state in ``rows``: touching pairs, Stokes drag, inverse diagonal."""
     for c in range(start.size):
         _measure_chunk(
             c, chunk, rows, first, second, start, inner_end, outer_end, normal, tangential,
-            drag, near, link, across, ends, stokes, inverse,
+            drag, slack, near, link, across, ends, stokes, inverse,
         )  # fmt: skip
 
 
 @njit(cache=True, parallel=True)
 def measure_parallel(
     chunk, rows, first, second, start, inner_end, outer_end, normal, tangential, drag,
-    near, link, across, ends, stokes, inverse,
+    slack, near, link, across, ends, stokes, inverse,
 ):  # fmt: skip
     """Do the same as :func:`measure`, with the chunks shared among threads."""
     for c in prange(start.size):
         _measure_chunk(
             c, chunk, rows, first, second, start, inner_end, outer_end, normal, tangential,
-            drag, near, link, across, ends, stokes, inverse,
+            drag, slack, near, link, across, ends, stokes, inverse,
         )  # fmt: skip
 
 
@@ -466,7 +470,13 @@ class FrictionMatrix:
         self._pairs: PairList | None = None
         self._shared = False
 
-    def measure(self, rows: FloatArray, pairs: PairList, shared: bool = False) -> None:
+    def measure(
+        self,
+        rows: FloatArray,
+        pairs: PairList,
+        shared: bool = False,
+        slack: FloatArray = _NO_SLACK,
+    ) -> None:
         """Take Γ from centres and radii.
 
         Parameters
@@ -477,6 +487,8 @@ class FrictionMatrix:
             Every pair that may touch.
         shared
             Whether chunks are shared among threads, here and in what follows; same bits.
+        slack
+            Part of the overlap of each pair of the list that makes no contact, µm; empty for none.
         """
         if self._pairs is not pairs:
             self._near = np.empty((len(pairs.first), 2), dtype=np.int32)
@@ -489,7 +501,7 @@ class FrictionMatrix:
         run(
             self.chunk, rows, pairs.first, pairs.second, pairs.start, pairs.inner_end,
             pairs.outer_end, self.friction.normal, self.friction.tangential, self.drag,
-            self._near, self._link, self._across, self._ends, self._stokes, self._inverse,
+            slack, self._near, self._link, self._across, self._ends, self._stokes, self._inverse,
         )  # fmt: skip
 
     def apply(self, vector: FloatArray, out: FloatArray) -> None:

@@ -35,6 +35,24 @@ _RESOLVED = 1e-8
 """Least distance from exact JKR's turning point at which a slope is taken."""
 
 
+class SlackData(NamedTuple):
+    """Pairs whose law sees only the overlap beyond a slack; no entries where there are none.
+
+    Each pair stands here twice, once for each of its cells: the entries of cell i are those
+    from ``begin[i]`` to ``begin[i + 1]``, and ``other`` is the cell they join it to. The slack is
+    ``value`` + ``rate`` x time, µm and µm/s, until it reaches zero. The rest is as in
+    :class:`PairData`. The neighbour list knows nothing of slack and may be built anew.
+    """
+
+    begin: NDArray[np.int64]
+    other: NDArray[np.int64]
+    value: NDArray[np.float64]
+    rate: NDArray[np.float64]
+    sticky: NDArray[np.float64]
+    unit: NDArray[np.float64]
+    onset: NDArray[np.float64]
+
+
 class CellData(NamedTuple):
     """What is known of the cells over a coupling step; times count from its beginning.
 
@@ -483,7 +501,7 @@ def pack(cells, position, elapsed, rows):
 
 
 @njit(cache=True)
-def forces(cells, pairs, law, position, elapsed, stokes, rows, out):
+def forces(cells, pairs, slack, law, position, elapsed, stokes, rows, out):
     """Write the forces on all cells, nN, or with ``stokes`` their velocities, µm/s.
 
     Stop and return True if a cell has drifted: the list is not valid there.
@@ -492,6 +510,8 @@ def forces(cells, pairs, law, position, elapsed, stokes, rows, out):
         return True
     for c in range(pairs.start.size):
         _force_chunk(c, cells.chunk, rows, pairs, law, elapsed, out)
+        if slack.other.size > 0:
+            _slacken_chunk(c, cells.chunk, rows, slack, law, elapsed, out)
         _push_chunk(c, cells, rows, elapsed, out)
         if stokes:
             _drag_chunk(c, cells.chunk, rows, law.drag, out)
@@ -499,7 +519,7 @@ def forces(cells, pairs, law, position, elapsed, stokes, rows, out):
 
 
 @njit(cache=True, parallel=True)
-def forces_parallel(cells, pairs, law, position, elapsed, stokes, rows, out):
+def forces_parallel(cells, pairs, slack, law, position, elapsed, stokes, rows, out):
     """Do the same as :func:`forces`, with the chunks shared among threads."""
     drifted = 0
     for c in prange(-(-rows.shape[0] // cells.chunk)):
@@ -508,6 +528,8 @@ def forces_parallel(cells, pairs, law, position, elapsed, stokes, rows, out):
         return True
     for c in prange(pairs.start.size):
         _force_chunk(c, cells.chunk, rows, pairs, law, elapsed, out)
+        if slack.other.size > 0:
+            _slacken_chunk(c, cells.chunk, rows, slack, law, elapsed, out)
         _push_chunk(c, cells, rows, elapsed, out)
         if stokes:
             _drag_chunk(c, cells.chunk, rows, law.drag, out)
@@ -597,19 +619,16 @@ def _exact(h, unit, onset, scale):
 
 
 @njit(cache=True, error_model="numpy")
-def _pair(rows, pairs, law, elapsed, p):
-    """Return force, stiffness and energy of one pair."""
-    i, j = pairs.first[p], pairs.second[p]
+def _between(rows, i, j, law, sticky, unit, onset, slack):
+    """Return force, stiffness and energy of two cells, of whose overlap ``slack`` is not felt."""
     dx, dy, dz = rows[j, 0] - rows[i, 0], rows[j, 1] - rows[i, 1], rows[j, 2] - rows[i, 2]
-    d = math.sqrt(dx * dx + dy * dy + dz * dz + _TINY)
+    d = math.sqrt(dx * dx + dy * dy + dz * dz + _TINY) + slack
     total = rows[i, 3] + rows[j, 3]
     h = total - d
     r = rows[i, 3] * rows[j, 3] / total
-    sticky = pairs.sticky[p] if pairs.sticky.size > 0 else law.adhesion
     force, stiffness, energy = 0.0, 0.0, 0.0
     if law.code == EXACT_JKR:
-        unit = pairs.unit[0, p] + pairs.unit[1, p] * elapsed
-        force, stiffness, energy = _exact(h, unit, pairs.onset[p], sticky * sticky * r / 36.0)
+        force, stiffness, energy = _exact(h, unit, onset, sticky * sticky * r / 36.0)
     elif law.code >= LINEAR:
         force, stiffness, energy = _spring(law, d, total)
     elif h > 0.0:
@@ -621,6 +640,137 @@ def _pair(rows, pairs, law, elapsed, p):
         stiffness -= slope
         energy -= 0.5 * slope * h * h
     return force, stiffness, energy
+
+
+@njit(cache=True, error_model="numpy")
+def _pair(rows, pairs, law, elapsed, p):
+    """Return force, stiffness and energy of one pair, without slack."""
+    sticky = pairs.sticky[p] if pairs.sticky.size > 0 else law.adhesion
+    unit, onset = 1.0, 0.0
+    if law.code == EXACT_JKR:
+        unit = pairs.unit[0, p] + pairs.unit[1, p] * elapsed
+        onset = pairs.onset[p]
+    return _between(rows, pairs.first[p], pairs.second[p], law, sticky, unit, onset, 0.0)
+
+
+@njit(cache=True, error_model="numpy")
+def _slack_at(slack, e, elapsed):
+    """Return the slack of an entry, µm: it ends where it reaches zero."""
+    return max(slack.value[e] + slack.rate[e] * elapsed, 0.0)
+
+
+@njit(cache=True, error_model="numpy")
+def _slackened(rows, slack, law, elapsed, i, e, amount):
+    """Return force, stiffness and energy of an entry of cell ``i`` at a slack of ``amount``."""
+    unit = slack.unit[0, e] + slack.unit[1, e] * elapsed
+    return _between(rows, i, slack.other[e], law, slack.sticky[e], unit, slack.onset[e], amount)
+
+
+@njit(cache=True, error_model="numpy")
+def _slacken_chunk(c, chunk, rows, slack, law, elapsed, out):
+    """Replace the force of the pairs with slack on the cells of one chunk.
+
+    The list has given them the force of their whole overlap. That is taken off again here: the
+    loops over the list, which all other pairs share, need not look for pairs with slack.
+    """
+    for i in range(c * chunk, min((c + 1) * chunk, rows.shape[0])):
+        for e in range(slack.begin[i], slack.begin[i + 1]):
+            amount = _slack_at(slack, e, elapsed)
+            if amount == 0.0:
+                continue
+            j = slack.other[e]
+            dx, dy, dz = rows[j, 0] - rows[i, 0], rows[j, 1] - rows[i, 1], rows[j, 2] - rows[i, 2]
+            whole, _, _ = _slackened(rows, slack, law, elapsed, i, e, 0.0)
+            felt, _, _ = _slackened(rows, slack, law, elapsed, i, e, amount)
+            change = (felt - whole) / math.sqrt(dx * dx + dy * dy + dz * dz + _TINY)
+            out[i, 0] -= change * dx
+            out[i, 1] -= change * dy
+            out[i, 2] -= change * dz
+
+
+@njit(cache=True, error_model="numpy")
+def slack_energy(rows, slack, law, elapsed):
+    """Return what slack adds to :func:`energy`, fJ; each pair stands in two entries."""
+    total = 0.0
+    for i in range(rows.shape[0]):
+        for e in range(slack.begin[i], slack.begin[i + 1]):
+            amount = _slack_at(slack, e, elapsed)
+            if amount > 0.0:
+                _, _, whole = _slackened(rows, slack, law, elapsed, i, e, 0.0)
+                _, _, felt = _slackened(rows, slack, law, elapsed, i, e, amount)
+                total += 0.5 * (felt - whole)
+    return total
+
+
+@njit(cache=True, error_model="numpy")
+def add_slack_virials(rows, slack, law, elapsed, out):
+    """Add what slack changes in :func:`half_virials`, nN µm."""
+    for i in range(rows.shape[0]):
+        for e in range(slack.begin[i], slack.begin[i + 1]):
+            amount = _slack_at(slack, e, elapsed)
+            if amount == 0.0:
+                continue
+            j = slack.other[e]
+            dx, dy, dz = rows[j, 0] - rows[i, 0], rows[j, 1] - rows[i, 1], rows[j, 2] - rows[i, 2]
+            whole, _, _ = _slackened(rows, slack, law, elapsed, i, e, 0.0)
+            felt, _, _ = _slackened(rows, slack, law, elapsed, i, e, amount)
+            out[i] += 0.5 * (felt - whole) * math.sqrt(dx * dx + dy * dy + dz * dz)
+
+
+@njit(cache=True)
+def slack_places(pairs, slack):
+    """Return the places of the pairs with slack in the neighbour list, and their entries."""
+    places = np.empty(slack.other.size, dtype=np.int64)
+    entries = np.empty(slack.other.size, dtype=np.int64)
+    count = 0
+    for c in range(pairs.start.size):
+        for p in range(pairs.start[c], pairs.outer_end[c]):
+            i, j = pairs.first[p], pairs.second[p]
+            for e in range(slack.begin[i], slack.begin[i + 1]):
+                if slack.other[e] == j:
+                    places[count] = p
+                    entries[count] = e
+                    count += 1
+    return places[:count], entries[:count]
+
+
+@njit(cache=True)
+def slack_of_places(slack, entries, elapsed):
+    """Return the slack at each of the places that :func:`slack_places` found, µm."""
+    amounts = np.empty(entries.size)
+    for k in range(entries.size):
+        amounts[k] = _slack_at(slack, entries[k], elapsed)
+    return amounts
+
+
+@njit(cache=True, error_model="numpy")
+def relinearise(rows, pairs, slack, law, elapsed, places, entries, along, across):
+    """Write dF/dh + F/d and F/d of the pairs with slack over those of :func:`linearise`."""
+    for k in range(places.size):
+        p, e = places[k], entries[k]
+        amount = _slack_at(slack, e, elapsed)
+        if amount == 0.0:
+            continue
+        i, j = pairs.first[p], pairs.second[p]
+        dx, dy, dz = rows[j, 0] - rows[i, 0], rows[j, 1] - rows[i, 1], rows[j, 2] - rows[i, 2]
+        d = math.sqrt(dx * dx + dy * dy + dz * dz + _TINY)
+        force, stiffness, _ = _slackened(rows, slack, law, elapsed, i, e, amount)
+        across[p] = force / d
+        along[p] = stiffness + force / d
+
+
+@njit(cache=True)
+def part_contacts(rows, pairs, slack, law, elapsed, places, entries, out):
+    """Unmark the pairs of :func:`contacts` of whose overlap nothing is left beyond the slack."""
+    for k in range(places.size):
+        p, e = places[k], entries[k]
+        i, j = pairs.first[p], pairs.second[p]
+        dx, dy, dz = rows[j, 0] - rows[i, 0], rows[j, 1] - rows[i, 1], rows[j, 2] - rows[i, 2]
+        h = rows[i, 3] + rows[j, 3] - math.sqrt(dx * dx + dy * dy + dz * dz)
+        onset = 0.0
+        if law.code == EXACT_JKR:
+            onset = slack.onset[e] * (slack.unit[0, e] + slack.unit[1, e] * elapsed)
+        out[p] &= h - _slack_at(slack, e, elapsed) >= onset
 
 
 @njit(cache=True)

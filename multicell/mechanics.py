@@ -18,6 +18,7 @@ from multicell import kernels, neighbours
 from multicell.cells import SPHERE
 from multicell.contact import PairLaw, compliance, effective_radius
 from multicell.laws import exact_units
+from multicell.slack import Slack
 
 if TYPE_CHECKING:
     from multicell.rubbing import Rubbing
@@ -82,6 +83,10 @@ class Motion:
         Type of each cell, an index into the matrix of surface energies.
     touching : (m, 2) int, optional
         Pairs in contact at ``begin``, smaller index first; only exact JKR asks.
+    slack_pairs : (m, 2) int, optional
+        Pairs that feel only the overlap beyond their slack, smaller index first, none twice.
+    slack : (m, 2), optional
+        Their slack at ``begin``, µm, and its constant rate, µm/s; it ends where it reaches zero.
     """
 
     radius: FloatArray
@@ -94,6 +99,8 @@ class Motion:
     push: FloatArray | None = None
     kind: NDArray[Any] | None = None
     touching: NDArray[Any] | None = None
+    slack_pairs: NDArray[Any] | None = None
+    slack: FloatArray | None = None
 
 
 @final
@@ -177,7 +184,13 @@ class Mechanics:
         return float(getattr(self.law, name, 0.0))
 
     def begin(self, motion: Motion) -> None:
-        """Take the radii and moduli for a coupling step; the old list is dropped."""
+        """Take the radii and moduli for a coupling step; the old list is dropped.
+
+        Raises
+        ------
+        ValueError
+            If the motion's pairs with slack or their slack have no meaning.
+        """
         self.motion = motion
         n = len(motion.radius)
         width = 5 if motion.bonds is None else 7
@@ -188,6 +201,9 @@ class Mechanics:
         self._skin = self.skin * float(largest.mean()) if n else 0.0
         self._list_radius = self._reaching(largest)
         self._pairs = self._linear = None
+        self._slack = Slack.of(
+            n, motion.slack_pairs, motion.slack, self._law_of_pairs, self.law.adhesion
+        )
         self._blocks = np.empty((n, 6))
         self._inverse = np.empty((n, 6))
         if max(self.friction) > 0.0:
@@ -213,7 +229,9 @@ class Mechanics:
             return
         pairs = self._forces(time, position, False, rubbing.force)
         try:
-            iterations = rubbing.velocity(self._rows, pairs, self._shared(pairs), out)
+            iterations = rubbing.velocity(
+                self._rows, pairs, self._shared(pairs), self._slack_listed(time), out
+            )
         except rubbing.failure as error:
             raise StateRejected(str(error)) from error
         self.work.friction_iterations += iterations
@@ -234,8 +252,16 @@ class Mechanics:
             linear.normal, linear.along, linear.across,
         )  # fmt: skip
         linear.data = self._pair_data
+        if self._slack:
+            kernels.relinearise(
+                self._rows, self._pair_data, self._slack.data, self._law,
+                time - self.motion.begin, *self._slack.places(self._pair_data),
+                linear.along, linear.across,
+            )  # fmt: skip
         if self._rubbing is not None:
-            self._rubbing.linearise(self._rows, pairs, self._shared(pairs))
+            self._rubbing.linearise(
+                self._rows, pairs, self._shared(pairs), self._slack_listed(time)
+            )
         return linear
 
     @property
@@ -291,11 +317,18 @@ class Mechanics:
         """Return the pairs in contact, (m, 2), smaller index first, in lexicographic order.
 
         Contact means an overlap above zero; under exact JKR a pair that was in contact at the
-        step's beginning stays so until it breaks.
+        step's beginning stays so until it breaks. Of a pair with slack the overlap beyond it
+        counts.
         """
         pairs = self._settle(time, position)
         marked = np.empty(len(pairs.first), dtype=np.bool_)
-        kernels.contacts(self._rows, self._pair_data, self._law, time - self.motion.begin, marked)
+        elapsed = time - self.motion.begin
+        kernels.contacts(self._rows, self._pair_data, self._law, elapsed, marked)
+        if self._slack:
+            kernels.part_contacts(
+                self._rows, self._pair_data, self._slack.data, self._law, elapsed,
+                *self._slack.places(self._pair_data), marked,
+            )  # fmt: skip
         found = np.stack([pairs.first[marked], pairs.second[marked]], axis=1).astype(np.int64)
         found.sort(axis=1)
         return found[np.lexsort((found[:, 1], found[:, 0]))]
@@ -304,7 +337,10 @@ class Mechanics:
         """Return the contact energy Σ U(h) over all pairs, fJ."""
         self._settle(time, position)
         elapsed = time - self.motion.begin
-        return float(kernels.energy(self._rows, self._pair_data, self._law, elapsed))
+        total = float(kernels.energy(self._rows, self._pair_data, self._law, elapsed))
+        if self._slack:
+            total += kernels.slack_energy(self._rows, self._slack.data, self._law, elapsed)
+        return total
 
     def pressure(self, time: float, position: FloatArray) -> FloatArray:
         """Return the virial pressure of each cell, (n,) kPa, tension negative.
@@ -315,9 +351,10 @@ class Mechanics:
         """
         self._settle(time, position)
         virials = np.empty(len(self))
-        kernels.half_virials(
-            self._rows, self._pair_data, self._law, time - self.motion.begin, virials
-        )
+        elapsed = time - self.motion.begin
+        kernels.half_virials(self._rows, self._pair_data, self._law, elapsed, virials)
+        if self._slack:
+            kernels.add_slack_virials(self._rows, self._slack.data, self._law, elapsed, virials)
         return np.asarray(virials / (3.0 * SPHERE * self._rows[:, 3] ** 3))
 
     def stiffness_bound(self, time: float, position: FloatArray) -> float:
@@ -348,8 +385,8 @@ class Mechanics:
         pairs = self._pairs if self._pairs is not None else self._rebuild(position)
         run = kernels.forces_parallel if self._shared(pairs) else kernels.forces
         while run(
-            self._cells, self._pair_data, self._law, position, time - self.motion.begin, stokes,
-            self._rows, out,
+            self._cells, self._pair_data, self._slack.data, self._law, position,
+            time - self.motion.begin, stokes, self._rows, out,
         ):  # fmt: skip
             pairs = self._rebuild(position)
         return pairs
@@ -384,8 +421,7 @@ class Mechanics:
             _NOTHING if motion.bonds is None else motion.bonds,
             _NOTHING if motion.push is None else motion.push,
         )
-        sticky = self._sticky(pairs)
-        unit, onset = self._exact(pairs, sticky)
+        sticky, unit, onset = self._law_of_list(pairs)
         self._pair_data = kernels.PairData(
             pairs.first, pairs.second, pairs.start, pairs.inner_end, pairs.outer_end,
             sticky, unit, onset,
@@ -407,22 +443,41 @@ class Mechanics:
         reach = law.reach(softest, 0.5 * largest, rest=2.0 * largest)
         return np.asarray(radius + 0.5 * float(reach))
 
-    def _sticky(self, pairs: neighbours.PairList) -> FloatArray:
+    def _law_of_list(self, pairs: neighbours.PairList) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return what the law keeps for each place of a list, empty where all are alike."""
+        if not self._between_types and self.law.code != kernels.EXACT_JKR:
+            return _NO_VALUES, _NOTHING, _NO_VALUES
+        return self._law_of_pairs(*_listed(pairs))
+
+    def _law_of_pairs(
+        self, first: NDArray[np.int64], second: NDArray[np.int64]
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return √(6πσ) of pairs, exact JKR's unit of overlap with its rate, and its onset."""
+        sticky = self._sticky(first, second)
+        return sticky, *self._exact(first, second, sticky)
+
+    @property
+    def _between_types(self) -> bool:
+        return self.surface_energies is not None and self.motion.kind is not None
+
+    def _slack_listed(self, time: float) -> FloatArray:
+        """Return the slack of each place of the list, µm, or nothing where there is none."""
+        return self._slack.listed(self._pair_data, time - self.motion.begin)
+
+    def _sticky(self, first: NDArray[np.int64], second: NDArray[np.int64]) -> FloatArray:
         """Return √(6πσ_ij) for each pair, or nothing where all pairs are alike."""
         if self.surface_energies is None or self.motion.kind is None:
             return _NO_VALUES
         table = np.sqrt(6.0 * np.pi * self.surface_energies)
         kind = self.motion.kind
-        first, second = _listed(pairs)
         return np.ascontiguousarray(table[kind[first], kind[second]])
 
     def _exact(
-        self, pairs: neighbours.PairList, sticky: FloatArray
+        self, first: NDArray[np.int64], second: NDArray[np.int64], sticky: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return exact JKR's unit of overlap with its rate, and the onset of each pair."""
         if self.law.code != kernels.EXACT_JKR:
             return _NOTHING, _NO_VALUES
-        first, second = _listed(pairs)
         soft = self._rows[:, 4]
         modulus = 1.0 / (soft[first] + soft[second])
         adhesion = sticky if sticky.size else np.full(len(first), self.law.adhesion)

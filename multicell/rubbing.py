@@ -40,9 +40,14 @@ class Rubbing:
         self._product = np.empty((n, 3))
         self.force = np.empty((n, 3))
 
-    def velocity(self, rows: FloatArray, pairs: PairList, shared: bool, out: FloatArray) -> int:
-        """Write the solution of Γ v = ``force``, µm/s; return the iterations it took."""
-        self._present.measure(rows, pairs, shared)
+    def velocity(
+        self, rows: FloatArray, pairs: PairList, shared: bool, slack: FloatArray, out: FloatArray
+    ) -> int:
+        """Write the solution of Γ v = ``force``, µm/s; return the iterations it took.
+
+        ``slack`` is the part of each listed pair's overlap that makes no contact; empty for none.
+        """
+        self._present.measure(rows, pairs, shared, slack)
         try:
             iterations = self._present.solve(self.force, self._last)
         except FrictionNotSolvedError:
@@ -51,9 +56,9 @@ class Rubbing:
         out[:] = self._last
         return int(iterations)
 
-    def linearise(self, rows: FloatArray, pairs: PairList, shared: bool) -> None:
+    def linearise(self, rows: FloatArray, pairs: PairList, shared: bool, slack: FloatArray) -> None:
         """Keep Γ at a state for :meth:`divide`."""
-        self._linearised.measure(rows, pairs, shared)
+        self._linearised.measure(rows, pairs, shared, slack)
 
     def divide(self, out: FloatArray) -> int:
         """Replace forces by Γ⁻¹ times them, roughly; return the iterations it took.

@@ -105,20 +105,23 @@ def _flat(motions: Sequence[Motion]) -> dict[str, Any] | None:
     flat: dict[str, Any] = {}
     for spec in fields(Motion):
         values = [getattr(motion, spec.name) for motion in motions]
-        if all(value is None for value in values):
+        known = [value for value in values if value is not None]
+        if not known:
             continue
         if all(isinstance(value, int | float) for value in values):
             flat[f"scalar.{spec.name}"] = np.array(values)
-        elif all(isinstance(v, np.ndarray) and v.dtype != object and v.ndim for v in values):
-            flat[f"column.{spec.name}"] = np.concatenate(values)
-            flat[f"length.{spec.name}"] = np.array([len(value) for value in values])
+        elif all(isinstance(v, np.ndarray) and v.dtype != object and v.ndim for v in known):
+            flat[f"column.{spec.name}"] = np.concatenate(known)
+            flat[f"length.{spec.name}"] = np.array([0 if v is None else len(v) for v in values])
+            if len(known) < len(values):
+                flat[f"absent.{spec.name}"] = np.array([value is None for value in values])
         else:
             return None
     return flat
 
 
 def _motions(arrays: Mapping[str, Any], count: Any) -> list[Motion]:
-    """Return the motions again; a field that was None everywhere is None."""
+    """Return the motions again; what was None, everywhere or in some steps, is None."""
     entries: dict[str, Any] = {spec.name: [None] * len(count) for spec in fields(Motion)}
     for name, array in arrays.items():
         kind, _, field = name.partition(".")
@@ -126,6 +129,8 @@ def _motions(arrays: Mapping[str, Any], count: Any) -> list[Motion]:
             entries[field] = array.tolist()
         elif kind == "column":
             entries[field] = _cut(array, arrays[f"length.{field}"])
+            for k in np.flatnonzero(arrays.get(f"absent.{field}", ())):
+                entries[field][k] = None
     return [
         Motion(**{name: values[k] for name, values in entries.items()}) for k in range(len(count))
     ]

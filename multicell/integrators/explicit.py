@@ -443,7 +443,10 @@ def _borrow(system: Mechanics, counts: Any) -> tuple[Any, kernels.PairData]:
     )
     shared = system.threads > 1 and chunks >= system.shared_chunks
     kind = loops.Shared if shared else loops.Serial
-    source = kind(cells, system._law, system._list_radius, system._skin, system._rows, counts)
+    source = kind(
+        cells, system._slack.data, system._law, system._list_radius, system._skin, system._rows,
+        counts,
+    )  # fmt: skip
     return source, pairs
 
 

@@ -44,6 +44,7 @@ class Serial(NamedTuple):
     """What the kernels need besides the pairs; ``cells.reference`` is written here."""
 
     cells: kernels.CellData
+    slack: kernels.SlackData
     law: kernels.LawData
     reach: FloatArray
     skin: float
@@ -55,6 +56,7 @@ class Shared(NamedTuple):
     """The same for many cells: chunks are shared among threads."""
 
     cells: kernels.CellData
+    slack: kernels.SlackData
     law: kernels.LawData
     reach: FloatArray
     skin: float
@@ -141,7 +143,7 @@ def _compiled_evaluate(source, pairs, elapsed, position, out):
 def _evaluate_serial(source, pairs, elapsed, position, out):
     source.counts[EVALUATIONS] += 1
     while kernels.forces(
-        source.cells, pairs, source.law, position, elapsed, True, source.rows, out
+        source.cells, pairs, source.slack, source.law, position, elapsed, True, source.rows, out
     ):
         if not _is_finite(position):
             return NOT_FINITE, pairs
@@ -161,7 +163,7 @@ def _evaluate_serial(source, pairs, elapsed, position, out):
 def _evaluate_shared(source, pairs, elapsed, position, out):
     source.counts[EVALUATIONS] += 1
     while kernels.forces_parallel(
-        source.cells, pairs, source.law, position, elapsed, True, source.rows, out
+        source.cells, pairs, source.slack, source.law, position, elapsed, True, source.rows, out
     ):
         if not _is_finite(position):
             return NOT_FINITE, pairs
