@@ -1,0 +1,254 @@
+"""What a division costs CVODE, and what it leaves behind, if its daughters part smoothly.
+
+Problem: 200 JKR cells (division radius 5 µm, E 1 kPa, σ 0.1 nN/µm, ν ½, 5 kPa s), radii as in a
+population of all ages, settle for ten days; the one nearest the middle has the division radius
+and divides, nothing else grows or divides. Ways to divide:
+
+``inside``   two daughters of radius ρ = 2^(-1/3) r at ± (r - ρ), the spherical shock;
+``parting``  the same, with a slack of the overlap at birth less that at rest, which falls
+             linearly to zero over M;
+``dumbbell`` two daughters side by side whose rest distance grows linearly over M from a tenth of
+             r; both radii shrink from r to ρ so that the volume of the two spheres' union stays
+             that of the mother.
+
+For each tolerance: steps, evaluations and Jacobian products beyond those of the same time
+without a division, in all and of the dearest coupling step; then what the end (``--rest`` after
+M, so that all have come to rest) differs by from ``inside``: root mean square distance of the
+other 199 cells and of the farthest, of the daughters, radius of gyration and contact energy.
+Cost: half a minute on one core.
+Command: python tests/benchmarks/compare_division.py [--atol 0.01,0.001] [--coupling 600]
+    [--phase 3600] [--rest 172800] [--viscosity 5] [--axes 5]
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.optimize import brentq
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from strategies import cluster
+
+from multicell import JKR
+from multicell.contact import effective_modulus, effective_radius
+from multicell.integrators.cvode import Cvode
+from multicell.mechanics import Mechanics, Motion
+
+LAW = JKR(surface_energy=0.1)
+HALF = 0.5 ** (1.0 / 3.0)
+MODULUS = effective_modulus(1.0, 0.5, 1.0, 0.5)
+COUNTS = ("steps", "evaluations", "jacobian_products")
+WAYS = ("inside", "parting", "dumbbell")
+
+
+@dataclass(frozen=True)
+class Division:
+    """Where the daughters begin, and over M their radius and the distance they rest at, µm."""
+
+    begin: float
+    times: np.ndarray
+    radius: np.ndarray
+    rest: np.ndarray | None
+
+    @classmethod
+    def of(cls, way: str, mother: float, times: np.ndarray) -> Division:
+        """Return a division of a mother of radius ``mother`` with M from 0 to 1 in ``times``."""
+        daughter = HALF * mother
+        end = 2.0 * daughter - rest_overlap(daughter)
+        inside = 2.0 * (mother - daughter)
+        if way == "inside":
+            return cls(inside, times, np.full(len(times), daughter), None)
+        if way == "parting":
+            rest = inside + (end - inside) * times
+            return cls(inside, times, np.full(len(times), daughter), rest)
+        rest = 0.1 * mother + (end - 0.1 * mother) * times
+        radius = np.array([dumbbell_radius(d, mother) for d in rest])
+        radius += times * (daughter - radius[-1])
+        return cls(rest[0], times, radius, rest)
+
+    def slack(self) -> np.ndarray | None:
+        """Return the slack at the times: the rest distance without it less the one wanted."""
+        if self.rest is None:
+            return None
+        return 2.0 * self.radius - rest_overlap(self.radius) - self.rest
+
+
+def rest_overlap(radius):
+    """Return the overlap at rest of two cells of one radius, µm."""
+    return LAW.equilibrium_overlap(MODULUS, effective_radius(radius, radius))
+
+
+def dumbbell_radius(distance: float, mother: float) -> float:
+    """Return the radius of two spheres whose union has the volume of the mother, µm."""
+
+    def excess(radius: float) -> float:
+        lens = (4.0 * radius + distance) * max(2.0 * radius - distance, 0.0) ** 2 / 16.0
+        return 2.0 * radius**3 - lens - mother**3
+
+    return float(brentq(excess, 0.5 * mother, mother))
+
+
+def settled(cells: int, tight: Cvode) -> tuple[np.ndarray, np.ndarray, int]:
+    """Return centres and radii of cells at rest, and which one is to divide."""
+    position, _, _ = cluster(cells, 3, spacing=0.86, variation=0.0)
+    radius = 5.0 * HALF * (1.0 + np.random.default_rng(3).uniform(size=cells)) ** (1.0 / 3.0)
+    middle = int(np.linalg.norm(position - position.mean(axis=0), axis=1).argmin())
+    radius[middle] = 5.0
+    for _ in range(10):
+        position = moved(position, motion(radius, 0.0 * radius, 0.0, 86400.0), tight)[0]
+    return position, radius, middle
+
+
+def motion(radius, rate, begin, end, slack=None, slack_rate=0.0):
+    """Return a coupling step; the last two cells have the slack."""
+    n = len(radius)
+    made = Motion(radius, rate, np.ones(n), np.full(n, 0.5), begin, end)
+    if slack is None:
+        return made
+    pair = np.array([[n - 2, n - 1]])
+    return replace(made, slack_pairs=pair, slack=np.array([[slack, slack_rate]]))
+
+
+def moved(position, motion, method, viscosity=5.0):
+    """Return where the cells are after a coupling step, and the mechanics."""
+    system = Mechanics(LAW, viscosity)
+    system.begin(motion)
+    outcome = method.integrate(system, position)
+    if not outcome.done:
+        raise SystemExit(f"{outcome.problem} (t = {outcome.time:g} s)")
+    return outcome.position, system
+
+
+def run(cells, division, setting, method):
+    """Return final positions, counts of each coupling step of M and its half after, and energy."""
+    position, radius = cells[0], cells[1].copy()
+    coupling, viscosity = setting.coupling, setting.viscosity
+    steps = round(setting.phase / coupling)
+    counts = []
+    slack = None if division is None else division.slack()
+    for k in range(steps + max(steps // 2, 6)):
+        rate = np.zeros(len(radius))
+        extra = ()
+        if division is not None:
+            radius[-2:] = division.radius[min(k, steps)]
+        if division is not None and k < steps:
+            rate[-2:] = (division.radius[k + 1] - division.radius[k]) / coupling
+            if slack is not None:
+                extra = (slack[k], (slack[k + 1] - slack[k]) / coupling)
+        step = motion(radius.copy(), rate, k * coupling, (k + 1) * coupling, *extra)
+        position, system = moved(position, step, method, viscosity)
+        counts.append([getattr(system.work, name) for name in COUNTS])
+    tight = Cvode(rtol=1e-8, atol=1e-5)
+    still = motion(radius, 0.0 * radius, 0.0, setting.rest)
+    position, system = moved(position, still, tight)
+    return position, np.array(counts), system.energy(setting.rest, position)
+
+
+def divided(start, axis, division):
+    """Return the cells with two daughters, at the end, in place of the mother."""
+    position, radius, middle = start
+    keep = np.arange(len(radius)) != middle
+    offset = 0.5 * division.begin * axis
+    daughters = [position[middle] - offset, position[middle] + offset]
+    centres = np.concatenate([position[keep], daughters])
+    return centres, np.append(radius[keep], [division.radius[0]] * 2)
+
+
+def shock(cells, division, setting):
+    """Return the largest pressure of a daughter at birth, kPa, and Euler's largest step, s."""
+    position, radius = cells
+    slack = division.slack()
+    extra = () if slack is None else (slack[0], 0.0)
+    system = Mechanics(LAW, setting.viscosity)
+    system.begin(motion(radius, 0.0 * radius, 0.0, 1.0, *extra))
+    bound = system.stiffness_bound(0.0, position)
+    return system.pressure(0.0, position)[-2:].max(), 2.0 / bound
+
+
+def compare(atol, setting, start, axes):
+    """Print the lines of one tolerance."""
+    method = Cvode(rtol=1e-6, atol=atol)
+    _, base, _ = run(start[:2], None, setting, method)
+    print(f"\natol {atol:g} µm; without a division {base.sum(axis=0).tolist()} {', '.join(COUNTS)}")
+    times = np.linspace(0.0, 1.0, round(setting.phase / setting.coupling) + 1)
+    ends, excess = {}, {}
+    for way in WAYS:
+        division = Division.of(way, start[1][start[2]], times)
+        rows = []
+        for k, axis in enumerate(axes):
+            found, counts, energy = run(divided(start, axis, division), division, setting, method)
+            ends[way, k] = found, energy
+            rows.append([*(counts - base).sum(axis=0), counts[:, 0].max()])
+        mean = excess[way] = np.mean(rows, axis=0)
+        with np.errstate(all="ignore"):
+            ratio = excess["inside"][:3] / mean[:3]
+        print(
+            f"{way:9s} beyond: {mean[0]:6.1f} steps {mean[1]:6.1f} evaluations "
+            f"{mean[2]:6.1f} products; dearest coupling step {mean[3]:5.1f} steps; "
+            f"inside costs {ratio[0]:.2f}, {ratio[1]:.2f}, {ratio[2]:.2f} times that"
+        )
+    for way in WAYS[1:]:
+        report(way, ends, len(axes))
+
+
+def report(way, ends, axes):
+    """Print what the ends of a way differ by from those of ``inside``; daughters may swap."""
+    rows = []
+    for k in range(axes):
+        (found, energy), (other, known) = ends[way, k], ends["inside", k]
+        apart = np.linalg.norm(found - other, axis=1)
+        swapped = np.linalg.norm(found[-2:] - other[:-3:-1], axis=1)
+        others = apart[:-2] if len(apart) > 2 else np.zeros(1)
+        rows.append(
+            [
+                math.sqrt(float((others**2).mean())), others.max(),
+                min(apart[-2:].max(), swapped.max()),
+                gyration(found) / gyration(other) - 1.0, energy / known - 1.0,
+            ]
+        )  # fmt: skip
+    for name, row in (("median", np.median(rows, axis=0)), ("largest", np.abs(rows).max(axis=0))):
+        print(
+            f"{way:9s} ends ({name}): others apart {row[0]:.2g} (rms) {row[1]:.2g} (max), "
+            f"daughters {row[2]:.2g} µm, gyration {row[3]:+.1e}, energy {row[4]:+.1e}"
+        )
+
+
+def gyration(position):
+    """Return the radius of gyration of the centres, µm."""
+    return math.sqrt(float(((position - position.mean(axis=0)) ** 2).sum(axis=1).mean()))
+
+
+def main():
+    """Compare the ways at several tolerances."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--atol", default="0.1,0.01,0.001,0.0001")
+    parser.add_argument("--cells", type=int, default=200, help="1: the mother alone")
+    parser.add_argument("--coupling", type=float, default=600.0, help="s")
+    parser.add_argument("--phase", type=float, default=3600.0, help="M, s")
+    parser.add_argument("--rest", type=float, default=172800.0, help="s")
+    parser.add_argument("--viscosity", type=float, default=5.0, help="kPa s")
+    parser.add_argument("--axes", type=int, default=5)
+    setting = parser.parse_args()
+    start = settled(setting.cells, Cvode(rtol=1e-8, atol=1e-5))
+    axes = np.random.default_rng(0).normal(size=(setting.axes, 3))
+    axes /= np.linalg.norm(axes, axis=1)[:, None]
+    print(
+        f"{setting.cells} cells, coupling step {setting.coupling:g} s, M {setting.phase:g} s, "
+        f"{setting.viscosity:g} kPa s"
+    )
+    for way in WAYS:
+        division = Division.of(way, start[1][start[2]], np.linspace(0.0, 1.0, 7))
+        pressure, step = shock(divided(start, axes[0], division), division, setting)
+        print(f"{way:9s} at birth: pressure {pressure:.3g} kPa, Euler stable to {step:.3g} s")
+    for atol in map(float, setting.atol.split(",")):
+        compare(atol, setting, start, axes)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,402 @@
+"""Pairs with slack: their law sees the overlap beyond it, and nothing else changes."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from strategies import cluster, seeds
+
+from multicell import JKR, Hertz, load_scene
+from multicell.comparison import archive
+from multicell.comparison.problem import Problem, Step, Trajectory, replay
+from multicell.contact import (
+    Cubic,
+    ExactJKR,
+    GeneralisedLinear,
+    Linear,
+    effective_modulus,
+    effective_radius,
+)
+from multicell.integrators import METHODS, make
+from multicell.integrators.cvode import Cvode
+from multicell.integrators.explicit import Dopri5
+from multicell.mechanics import Mechanics, Motion
+from multicell.sparse import sparse_jacobian
+
+LAWS = {
+    "hertz": Hertz(),
+    "jkr": JKR(surface_energy=0.1),
+    "smoothed": JKR(surface_energy=0.1, smoothing=0.5),
+    "exact": ExactJKR(surface_energy=0.1),
+    "linear": Linear(),
+    "cubic": Cubic(),
+    "generalised linear": GeneralisedLinear(),
+}
+SMOOTH = st.sampled_from([law for name, law in LAWS.items() if name != "linear"])
+RATE = -1e-3
+
+
+def population(n, seed, law, *, slack=True, receptors=False, types=False, factor=1.0, **options):
+    """Return positions, mechanics and the pairs with slack: every third pair in contact."""
+    position, radius, young = cluster(n, seed, spacing=0.78)
+    kind = np.arange(n) % 2
+    if types:
+        options["surface_energies"] = np.array([[0.1, 0.02], [0.02, 0.15]])
+    if receptors:
+        options["bond_strength"] = 0.1
+    motion = Motion(
+        radius, 0.001 * radius, young, np.full(n, 0.5), 0.0, 100.0, kind=kind,
+        bonds=np.tile([0.9, 0.8, 1e-4, 0.0], (n, 1)) if receptors else None,
+    )  # fmt: skip
+    system = Mechanics(law, 5.0, **options)
+    system.begin(motion)
+    pairs = system.contacts(0.0, position)
+    motion = replace(motion, touching=pairs)
+    chosen = pairs[::3]
+    if slack:
+        amount = factor * np.random.default_rng(seed).uniform(0.2, 3.0, len(chosen))
+        values = np.stack([amount, np.full(len(chosen), RATE)], axis=1)
+        motion = replace(motion, slack_pairs=chosen, slack=values)
+    system.begin(motion)
+    return position, system
+
+
+def felt(system, time, position):
+    """Return the pairs with slack, the overlap that each should feel, and the unit vectors."""
+    motion = system.motion
+    radius = motion.radius + motion.radius_rate * time
+    i, j = motion.slack_pairs.T
+    vector = position[j] - position[i]
+    distance = np.linalg.norm(vector, axis=1)
+    slack = np.maximum(motion.slack[:, 0] + motion.slack[:, 1] * time, 0.0)
+    overlap = radius[i] + radius[j] - distance
+    young = effective_modulus(motion.young[i], 0.5, motion.young[j], 0.5)
+    reduced = effective_radius(radius[i], radius[j])
+    return overlap, slack, vector / distance[:, None], young, reduced, radius[i] + radius[j]
+
+
+@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
+@pytest.mark.parametrize("time", [0.0, 100.0])
+def test_law_of_a_pair_sees_the_overlap_beyond_its_slack(law, time):
+    """The difference that slack makes to the forces is the vectorised law's, summed.
+
+    At both ends of the step, where exact JKR's units are those of the radii there.
+    """
+    position, system = population(400, 2, law, chunk=64)
+    _, without = population(400, 2, law, slack=False, chunk=64)
+    i, j = system.motion.slack_pairs.T
+    overlap, slack, normal, young, reduced, rest = felt(system, time, position)
+    options = {"rest": rest, "touching": True}
+    change = law.force(overlap - slack, young, reduced, **options)
+    change = change - law.force(overlap, young, reduced, **options)
+    expected = without.force(time, position)
+    np.subtract.at(expected, i, change[:, None] * normal)
+    np.add.at(expected, j, change[:, None] * normal)
+    found = system.force(time, position)
+    np.testing.assert_allclose(found, expected, atol=1e-11 * np.abs(expected).max())
+    gained = system.energy(time, position) - without.energy(time, position)
+    energy = law.energy(overlap - slack, young, reduced, **options)
+    energy = energy - law.energy(overlap, young, reduced, **options)
+    assert gained == pytest.approx(energy.sum(), rel=1e-9)
+
+
+@given(seeds, SMOOTH, st.integers(2, 40), st.booleans(), st.booleans(), st.floats(0.0, 100.0))
+def test_forces_sum_to_zero(seed, law, n, receptors, types, time):
+    position, system = population(n, seed, law, receptors=receptors, types=types)
+    force = system.force(time, position)
+    assert np.abs(force.sum(axis=0)).max() <= 1e-12 * max(np.abs(force).sum(), 1e-300)
+
+
+def _smooth_state(n, seed, law, time, **options):
+    """Return a state without a pair so near its onset that a slope has no meaning there."""
+    position, system = population(n, seed, law, **options)
+    plain = np.linalg.norm(position[:, None] - position[None], axis=2)
+    radius = system.motion.radius * (1 + 0.001 * time)
+    gap = np.abs(radius[:, None] + radius[None] - plain)[np.triu_indices(n, 1)]
+    overlap, slack, *_ = felt(system, time, position)
+    reach = getattr(law, "cutoff", 1.0)
+    edge = np.abs(reach * (radius[:, None] + radius[None]) - plain)[np.triu_indices(n, 1)]
+    assume(gap.min(initial=1.0) > 0.02 and edge.min(initial=1.0) > 0.02)
+    assume(np.abs(overlap - slack).min(initial=1.0) > 0.02)
+    if law.code == ExactJKR.code:
+        _, _, _, young, reduced, _ = felt(system, time, position)
+        broken = overlap - slack - law.breaking_overlap(young, reduced)
+        assume(np.abs(broken).min(initial=1.0) > 0.05)
+    return position, system
+
+
+@given(seeds, SMOOTH, st.integers(2, 15), st.booleans(), st.sampled_from([0.0, 40.0]))
+def test_force_is_minus_the_gradient_of_the_energy(seed, law, n, receptors, time):
+    position, system = _smooth_state(n, seed, law, time, receptors=receptors)
+    direction = np.random.default_rng(seed).normal(size=position.shape)
+    step = 1e-5
+    slope = system.energy(time, position + step * direction)
+    slope = (slope - system.energy(time, position - step * direction)) / (2 * step)
+    force = system.force(time, position)
+    scale = np.abs(force * direction).sum() + 1e-9
+    assert slope == pytest.approx(-(force * direction).sum(), abs=2e-6 * scale)
+
+
+@given(seeds, SMOOTH, st.integers(2, 15), st.booleans(), st.sampled_from([0.0, 40.0]))
+def test_jacobian_product_is_the_directional_derivative(seed, law, n, receptors, time):
+    position, system = _smooth_state(n, seed, law, time, receptors=receptors)
+    direction = np.random.default_rng(seed).normal(size=position.shape)
+    system.linearise(time, position)
+    product = np.empty_like(position)
+    system.jacobian_product(direction, product)
+    matrix = sparse_jacobian(system)
+    step = 1e-6
+    ends = [np.empty_like(position), np.empty_like(position)]
+    for sign, end in zip((1, -1), ends, strict=True):
+        system.velocity(time, position + sign * step * direction, end)
+    slope = (ends[0] - ends[1]) / (2 * step)
+    np.testing.assert_allclose(product, slope, atol=1e-6 * np.abs(slope).max() + 1e-10)
+    np.testing.assert_allclose(
+        (matrix @ direction.ravel()).reshape(-1, 3), product, atol=1e-12 * np.abs(product).max()
+    )
+
+
+@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
+def test_no_slack_and_a_slack_of_zero_change_no_bit(law):
+    found = []
+    for options in ({"slack": False}, {"factor": 0.0}):
+        position, system = population(300, 5, law, chunk=64, friction=(0.1, 0.2), **options)
+        if system.motion.slack is not None:
+            system.begin(replace(system.motion, slack=0.0 * system.motion.slack))
+        out = np.empty_like(position)
+        system.velocity(7.0, position, out)
+        system.linearise(7.0, position)
+        product = np.empty_like(out)
+        system.jacobian_product(position, product)
+        energy, pressure = system.energy(7.0, position), system.pressure(7.0, position)
+        found.append((out, product, energy, pressure, system.contacts(7.0, position)))
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_slack_ends_where_it_reaches_zero():
+    position, system = population(60, 1, JKR())
+    _, without = population(60, 1, JKR(), slack=False)
+    values = np.tile([0.05, RATE], (len(system.motion.slack), 1))
+    system.begin(replace(system.motion, slack=values))
+    np.testing.assert_array_equal(system.force(80.0, position), without.force(80.0, position))
+    assert np.abs(system.force(20.0, position) - without.force(20.0, position)).max() > 0.0
+
+
+def test_threads_and_chunks():
+    bits = []
+    for threads in (1, 2):
+        position, system = population(900, 4, JKR(), chunk=32, threads=threads)
+        out = np.empty_like(position)
+        system.velocity(5.0, position, out)
+        system.linearise(5.0, position)
+        product = np.empty_like(out)
+        system.jacobian_product(position, product)
+        bits.append((out, product))
+    np.testing.assert_array_equal(bits[0], bits[1])
+    position, system = population(900, 4, JKR(), chunk=1024)
+    found = system.force(5.0, position) / (system.drag * system.rows[:, 3:4])
+    np.testing.assert_allclose(bits[0][0], found, atol=1e-12 * np.abs(found).max())
+
+
+@pytest.mark.parametrize("law", [JKR(), ExactJKR()], ids=["jkr", "exact"])
+def test_contacts_and_pressure_are_those_of_the_overlap_felt(law):
+    position, system = population(300, 6, law, chunk=64, factor=2.0)
+    _, without = population(300, 6, law, slack=False, chunk=64)
+    overlap, slack, _, young, reduced, rest = felt(system, 0.0, position)
+    onset = law.breaking_overlap(young, reduced) if law.code == ExactJKR.code else 0.0 * slack
+    parted = system.motion.slack_pairs[overlap - slack < onset]
+    assert 0 < len(parted) < len(slack)
+    before = {tuple(pair) for pair in without.contacts(0.0, position)}
+    after = {tuple(pair) for pair in system.contacts(0.0, position)}
+    assert before - after == {tuple(pair) for pair in parted}
+    # both cells of a pair take half of F d: the sum of the virials tells the change of all
+    options = {"rest": rest, "touching": True}
+    change = law.force(overlap - slack, young, reduced, **options)
+    change = change - law.force(overlap, young, reduced, **options)
+    volume = 4.0 / 3.0 * np.pi * system.motion.radius**3
+    gained = system.pressure(0.0, position) - without.pressure(0.0, position)
+    expected = (change * (rest - overlap)).sum() / 3.0
+    assert (gained * volume).sum() == pytest.approx(expected, rel=1e-10)
+
+
+def test_friction_rubs_over_the_contact_that_is_felt():
+    """Γ v = F with B = π r h γ of the overlap beyond the slack, against a dense solution."""
+    position, system = population(40, 8, JKR(), friction=(0.4, 0.1), chunk=16)
+    radius = system.motion.radius
+    n = len(radius)
+    known = {tuple(pair): s for pair, s in zip(*_slack_of(system), strict=True)}
+    gamma = np.diag(np.repeat(system.drag * radius, 3))
+    for i in range(n):
+        for j in range(i + 1, n):
+            vector = position[j] - position[i]
+            d = np.linalg.norm(vector)
+            h = radius[i] + radius[j] - d - known.get((i, j), 0.0)
+            if h <= 0.0:
+                continue
+            along = np.outer(vector, vector) / d**2
+            area = np.pi * h * radius[i] * radius[j] / (radius[i] + radius[j])
+            block = area * (0.4 * along + 0.1 * (np.eye(3) - along))
+            for a, b, sign in ((i, i, 1), (j, j, 1), (i, j, -1), (j, i, -1)):
+                gamma[3 * a : 3 * a + 3, 3 * b : 3 * b + 3] += sign * block
+    out = np.empty_like(position)
+    system.velocity(0.0, position, out)
+    expected = np.linalg.solve(gamma, system.force(0.0, position).ravel()).reshape(-1, 3)
+    np.testing.assert_allclose(out, expected, atol=1e-5 * np.abs(expected).max())
+
+
+def _slack_of(system):
+    return system.motion.slack_pairs.tolist(), system.motion.slack[:, 0]
+
+
+def sisters(law, radius, phase, viscosity=5.0, **options):
+    """Return two fresh daughters of a mother of radius 2^(1/3) ``radius``, at rest by slack."""
+    distance = 2.0 * radius * (2.0 ** (1.0 / 3.0) - 1.0)
+    modulus, reduced = effective_modulus(1.0, 0.5, 1.0, 0.5), 0.5 * radius
+    rest = float(law.equilibrium_overlap(modulus, reduced))
+    slack = 2.0 * radius - distance - rest
+    system = Mechanics(law, viscosity, **options)
+    ones = np.ones(2)
+    motion = Motion(
+        radius * ones, 0.0 * ones, ones, 0.5 * ones, 0.0, phase,
+        touching=np.array([[0, 1]]),
+        slack_pairs=np.array([[0, 1]]), slack=np.array([[slack, -slack / phase]]),
+    )  # fmt: skip
+    system.begin(motion)
+    return np.array([[0.0, 0, 0], [0.6, 0.8, 0.0] * np.array(distance)]), system, rest, slack
+
+
+@pytest.mark.parametrize("law", [JKR(), ExactJKR(), Hertz()], ids=["jkr", "exact", "hertz"])
+def test_sisters_part_as_the_slack_falls(law):
+    """Quasi-static: the distance is 2 r - h₀ - s(t), behind by Γ ṡ / (2 k) (derived)."""
+    phase = 36_000.0
+    position, system, rest, slack = sisters(law, 4.0, phase)
+    assert np.abs(system.force(0.0, position)).max() < 1e-12
+    outcome = Cvode(rtol=1e-9, atol=1e-6).integrate(system, position)
+    apart = np.linalg.norm(outcome.position[1] - outcome.position[0])
+    if law.code == Hertz.code:
+        # no stiffness at rest: the lag is where Hertz's force drags both cells along
+        modulus = float(effective_modulus(1.0, 0.5, 1.0, 0.5))
+        speed = slack / phase / 2.0
+        lag = (system.drag * 4.0 * speed / (modulus * np.sqrt(2.0))) ** (2.0 / 3.0)
+    else:
+        stiffness = float(
+            law.stiffness(rest, effective_modulus(1, 0.5, 1, 0.5), 2.0, touching=True)
+        )
+        lag = system.drag * 4.0 * (slack / phase) / (2.0 * stiffness)
+    assert apart == pytest.approx(8.0 - rest - lag, abs=0.03 * lag)
+    np.testing.assert_allclose(outcome.position.mean(axis=0), position.mean(axis=0), atol=1e-9)
+
+
+def test_distance_of_sisters_against_scipy():
+    """One equation is left: d' = 2 F(2 r - d - s(t)) / Γ."""
+    phase, law = 600.0, JKR()
+    position, system, _, slack = sisters(law, 4.0, phase)
+    modulus = effective_modulus(1.0, 0.5, 1.0, 0.5)
+
+    def rhs(t, d):
+        overlap = 8.0 - d - slack * (1.0 - t / phase)
+        return 2.0 * law.force(overlap, modulus, 2.0) / (system.drag * 4.0)
+
+    begin = np.linalg.norm(position[1] - position[0])
+    expected = solve_ivp(rhs, (0.0, phase), [begin], "DOP853", rtol=1e-11, atol=1e-11).y[0, -1]
+    end = Dopri5(rtol=1e-10, atol=1e-8).integrate(system, position).position
+    assert np.linalg.norm(end[1] - end[0]) == pytest.approx(expected, abs=1e-6)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_all_methods_agree(method):
+    """Slack stays while lists are built anew, inside compiled loops too."""
+    first = method in ("euler", "euler-adaptive", "backward-euler")
+    options = load_scene("growth").with_changes(
+        {
+            "integrator.method": method,
+            "integrator.step": "0.5 s",
+            "integrator.rtol": 1e-9,
+            "integrator.atol": "0.001 um" if first else "1e-6 um",
+            "integrator.max_steps": 100_000,
+        }
+    )
+    position, system, _, _ = sisters(JKR(), 4.0, 600.0, skin=0.01)
+    end = make(options.integrator).integrate(system, position)
+    assert end.done
+    position, tight, _, _ = sisters(JKR(), 4.0, 600.0)
+    expected = Dopri5(rtol=1e-12, atol=1e-9).integrate(tight, position).position
+    np.testing.assert_allclose(end.position, expected, atol=0.02 if first else 1e-3)
+    assert system.work.list_builds > 1
+
+
+@pytest.mark.parametrize("method", ["ab2-adaptive", "dopri5", "cvode"])
+def test_exact_law_with_types_and_friction_in_all_kinds_of_loop(method):
+    options = load_scene("growth").with_changes(
+        {"integrator.method": method, "integrator.rtol": 1e-7, "integrator.atol": "1e-5 um"}
+    )
+    ends = []
+    for law, extra in ((ExactJKR(), {}), (JKR(), {"friction": (0.1, 0.1), "types": True})):
+        position, system = population(60, 3, law, **extra)
+        outcome = make(options.integrator).integrate(system, position)
+        assert outcome.done
+        position, tight = population(60, 3, law, **extra)
+        expected = Cvode(rtol=1e-9, atol=1e-8).integrate(tight, position).position
+        ends.append(np.sqrt(((outcome.position - expected) ** 2).sum(axis=1).mean()))
+    assert max(ends) < 0.02
+
+
+def _problem():
+    scene = load_scene("growth")
+    position, system, _, _ = sisters(JKR(), 4.0, 600.0)
+    first = replace(system.motion, touching=None)
+    second = replace(first, begin=600.0, end=1200.0, slack_pairs=None, slack=None)
+    return Problem(scene, system, position, first.radius, [Step(first), Step(second)])
+
+
+def test_replay_and_archive_keep_the_slack(tmp_path):
+    problem = _problem()
+    method = Cvode()
+    trajectory = replay(problem, method)
+    assert trajectory.done
+    assert archive.save(tmp_path / "cache.npz", problem, trajectory, {"a": 1})
+    blank = replace(problem, steps=())
+    loaded, _, _ = archive.load(tmp_path / "cache.npz", blank)
+    for one, other in zip(problem.steps, loaded.steps, strict=True):
+        for spec in fields(Motion):
+            np.testing.assert_array_equal(
+                getattr(one.motion, spec.name), getattr(other.motion, spec.name)
+            )
+    again = replay(loaded, method)
+    assert isinstance(again, Trajectory)
+    np.testing.assert_array_equal(again.positions, trajectory.positions)
+
+
+@pytest.mark.parametrize(
+    ("pairs", "slack", "words"),
+    [
+        ([[0, 1]], None, "go together"),
+        ([[0, 1]], [[1.0]], "must both be"),
+        ([[1, 0]], [[1.0, 0.0]], r"\[1, 0\] in slack_pairs"),
+        ([[0, 3]], [[1.0, 0.0]], "two of 3 cells"),
+        ([[1, 1]], [[1.0, 0.0]], "smaller index first"),
+        ([[0, 1], [0, 1]], [[1.0, 0.0], [1.0, 0.0]], "stands twice"),
+        ([[0, 1]], [[-1.0, 0.0]], "is -1 µm"),
+        ([[0, 1]], [[1.0, np.nan]], "must be finite"),
+    ],
+)
+def test_slack_without_meaning_is_refused(pairs, slack, words):
+    ones = np.ones(3)
+    motion = Motion(
+        5 * ones, 0 * ones, ones, 0.5 * ones, 0.0, 1.0,
+        slack_pairs=np.array(pairs), slack=None if slack is None else np.array(slack),
+    )  # fmt: skip
+    with pytest.raises(ValueError, match=words):
+        Mechanics(JKR(), 5.0).begin(motion)
+
+
+def test_no_pairs_with_slack_are_as_none():
+    position, system = population(20, 1, JKR(), slack=False)
+    expected = system.force(0.0, position)
+    empty = np.empty((0, 2))
+    system.begin(replace(system.motion, slack_pairs=empty.astype(np.int64), slack=empty))
+    np.testing.assert_array_equal(system.force(0.0, position), expected)
