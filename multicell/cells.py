@@ -16,6 +16,9 @@ IntArray = NDArray[np.int64]
 SPHERE = 4.0 * np.pi / 3.0
 """Volume of a sphere of unit radius."""
 
+HALF = 0.5 ** (1.0 / 3.0)
+"""Radius of a sphere over the radius of one with twice its volume."""
+
 
 @final
 class Phase(IntEnum):

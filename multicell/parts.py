@@ -147,6 +147,11 @@ class Growth:
     phases: Mapping[str, PhaseLength] = tables(
         PhaseLength, names=PHASES, default_factory=Tables, doc="absent: volume triggers division"
     )
+    division: str = choice(
+        ["instant", "smooth"],
+        default="instant",
+        doc="with phases: at the end of M, or daughters that part all through M",
+    )
     restriction: bool = flag(
         default=True, doc="with phases: cells rest only at the end of G1 (in G0), not anywhere"
     )
@@ -160,6 +165,9 @@ class Growth:
     def check(self) -> None:
         """Raise ``SceneError`` for phases that make no cycle."""
         if not self.phases:
+            if self.division == "smooth":
+                hint = "Daughters part during M: give the phases of the cycle."
+                raise SceneError("division", "is 'smooth', but there are no phases", hint)
             return
         for name in PHASES:
             if name not in self.phases:

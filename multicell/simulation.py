@@ -26,6 +26,7 @@ from multicell.biology import (
     growth_factor,
     initial_cells,
     leave_rest,
+    parting,
     push,
     remove_lysed,
     restricted,
@@ -304,12 +305,15 @@ class Simulation:
         cells, scene = self.cells, self.scene
         length = end - begin
         rate = (radius - cells.radius) / length if length > 0.0 else np.zeros(len(cells))
+        apart = parting(scene, cells, length)
         return Motion(
             cells.radius, rate, cells.young, cells.poisson, begin, end,
             bonds=self._bonds(begin, end),
             push=push(scene, cells, begin, self._gradients()),
             kind=cells.kind if scene.types else None,
             touching=self._touching() if _remembers(scene) else None,
+            slack_pairs=None if apart is None else apart[0],
+            slack=None if apart is None else apart[1],
         )  # fmt: skip
 
     def _gradients(self) -> dict[str, FloatArray]:

@@ -315,3 +315,66 @@ def test_bad_input(changes, path, words):
         scene().with_changes(changes)
     assert caught.value.path == path
     assert words in str(caught.value)
+
+
+SMOOTH = {"growth.division": "smooth", "growth.restriction": False}
+
+
+def test_smooth_division_conserves_and_parts_over_m():
+    """Daughters begin inside the mother without a force between them, and end at rest."""
+    described = scene(
+        duration="9 h",
+        coupling_step="5 min",
+        contact={"law": "jkr", "surface_energy": 0.05},
+        output__every="5 min",
+        **{
+            "growth.phases": {
+                "G1": {"duration": "1 h"},
+                "S": {"duration": "1 h"},
+                "G2": {"duration": "1 h"},
+                "M": {"duration": "2 h", "grows": False},
+            },
+            **SMOOTH,
+        },
+    )
+    simulation = mc.Simulation(described)
+    volume, distance, mother = [], [], None
+    while len(simulation.cells) < 2:
+        mother = simulation.cells
+        simulation.step()
+    pair = simulation.cells
+    assert (pair.phase == Phase.M).all()
+    np.testing.assert_allclose(pair.position.mean(axis=0), mother.position[0], atol=1e-9)
+    pairs, slack = biology.parting(described, pair, 300.0)
+    assert pairs.tolist() == [[0, 1]]
+    gap = np.linalg.norm(pair.position[0] - pair.position[1])
+    modulus = 1.0 / (1.5 * (1 - 0.25))
+    at_rest = described.contact.equilibrium_overlap(modulus, pair.radius[0] / 2)
+    assert 2 * pair.radius[0] - gap - slack[0, 0] == pytest.approx(at_rest, rel=0.02)
+    while (simulation.cells.phase == Phase.M).all():
+        cells = simulation.cells
+        volume.append(cells.volume.sum())
+        distance.append(np.linalg.norm(cells.position[0] - cells.position[1]))
+        simulation.step()
+    assert len(distance) == 24
+    np.testing.assert_allclose(volume, volume[0], rtol=1e-12)
+    # the distance follows the slack: it rises steadily to that of two cells at rest
+    steps = np.diff(distance)
+    assert (steps > 0).all()
+    assert steps.max() < 2.0 * np.median(steps)
+    cells = simulation.cells
+    end = np.linalg.norm(cells.position[0] - cells.position[1])
+    assert end == pytest.approx(2 * cells.radius[0] - at_rest, rel=0.02)
+
+
+def test_smooth_division_keeps_the_age_distribution_and_needs_phases():
+    described = scene(**SMOOTH)
+    cells = cells_of(described, 20000, "asynchronous")
+    ends = np.cumsum([0, 1, 6, 5, 3]) / 15
+    expected = 2.0 * (2.0 ** -ends[:-1] - 2.0 ** -ends[1:])
+    for population in (cells, lived(described, cells, 20, 1800.0)[0]):
+        counts = phase_counts(population)
+        found = np.array([counts[name] for name in ("M", "G1", "S", "G2")]) / len(population)
+        np.testing.assert_allclose(found, expected, atol=4 * 0.5 / np.sqrt(20000))
+    with pytest.raises(SceneError, match="there are no phases"):
+        mc.load_scene("growth").with_changes({"growth.division": "smooth"})

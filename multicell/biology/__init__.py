@@ -1,6 +1,6 @@
 """What cells do by themselves: start, grow, change phase, divide, die."""
 
-from multicell.biology.cycle import Cycling, advance, leave_rest, phase_counts
+from multicell.biology.cycle import Cycling, advance, leave_rest, parting, phase_counts
 from multicell.biology.death import remove_lysed
 from multicell.biology.division import divide
 from multicell.biology.growth import birth_volume, division_volume, growth_factor, volumes_after
@@ -18,6 +18,7 @@ __all__ = [
     "growth_factor",
     "initial_cells",
     "leave_rest",
+    "parting",
     "phase_counts",
     "push",
     "remove_lysed",

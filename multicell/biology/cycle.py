@@ -9,6 +9,10 @@ in the next one, also after division, so that cycles do not become longer with t
 At the end of G1 (the restriction point; A. B. Pardee, PNAS 71 (1974) 1286) a cell that finds too
 little nutrient or too much pressure goes to G0, and on to S when it decides anew in better
 conditions. Where the scene has no restriction, cells rest in any phase.
+
+With ``division = "smooth"`` a mother is replaced by her daughters at the beginning of M, and they
+part while M lasts: the cycle of a cell then is M, G1, S, G2. The daughters of one mother that are
+in M are one dividing cell.
 """
 
 from __future__ import annotations
@@ -22,7 +26,8 @@ from numpy.typing import NDArray
 
 from multicell import streams
 from multicell.biology.growth import birth_volume
-from multicell.cells import Cells, FloatArray, Phase, State
+from multicell.cells import HALF, Cells, FloatArray, IntArray, Phase, State
+from multicell.contact import effective_modulus, effective_radius
 from multicell.parts import PHASES
 from multicell.streams import Purpose
 
@@ -137,10 +142,11 @@ def _change(
     """Lead cells at the end of their phase into the next one."""
     assert scene.growth is not None
     phase = now.phase[at_end]
-    ripe = at_end[phase == Phase.M]
+    sequence = order(scene)
+    ripe = at_end[phase == sequence[-1]]
     if ripe.size:
-        # what is left of the step is the daughters' time in G1
-        grow = _grows(scene)[Phase.G1]
+        # what is left of the step is the daughters' time in their first phase
+        grow = _grows(scene)[sequence[0]]
         ahead = left[ripe] * (factor[ripe] if grow else 1.0)
         now.progress[ripe] = now.phase_length[ripe] + ahead
         if grow:
@@ -152,8 +158,9 @@ def _change(
         rest = at_end[resting]
         now.phase[rest], now.state[rest] = Phase.G0, State.QUIESCENT
         now.progress[rest] = now.phase_length[rest] = left[rest] = 0.0
-    go_on = at_end[(phase != Phase.M) & ~resting]
-    now.phase[go_on] += 1
+    go_on = at_end[(phase != sequence[-1]) & ~resting]
+    # G1, S, G2, M and then G1 again
+    now.phase[go_on] = now.phase[go_on] % Phase.M + 1
     now.progress[go_on] = 0.0
     now.phase_length[go_on] = _length_of(scene, cells, go_on, now.phase[go_on])
 
@@ -166,28 +173,76 @@ def leave_rest(scene: Scene, cells: Cells, wakes: NDArray[np.bool_]) -> None:
     cells.phase_length[awake] = _length_of(scene, cells, awake, cells.phase[awake])
 
 
+def order(scene: Scene) -> list[Phase]:
+    """Return the phases in the order in which a cell goes through them from birth to division."""
+    assert scene.growth is not None
+    if scene.growth.division == "smooth":
+        return [Phase.M, Phase.G1, Phase.S, Phase.G2]
+    return [Phase.G1, Phase.S, Phase.G2, Phase.M]
+
+
 def newborn(scene: Scene, cells: Cells, progress: FloatArray) -> None:
-    """Put cells into G1, with what they have spent there already."""
+    """Put cells into their first phase, with what they have spent there already.
+
+    Sisters that part stay in M for the same time, which the mother's identity sets.
+    """
     lengths = drawn_lengths(scene, cells.id, cells.kind)
-    cells.phase = np.full(len(cells), Phase.G1, dtype=np.int8)
+    first = order(scene)[0]
+    if first == Phase.M:
+        parents = np.maximum(cells.parent, 0)
+        of_mother = drawn_lengths(scene, parents, cells.kind)[:, Phase.M - 1]
+        lengths[:, Phase.M - 1] = np.where(cells.parent >= 0, of_mother, lengths[:, Phase.M - 1])
+    cells.phase = np.full(len(cells), first, dtype=np.int8)
     cells.progress = progress
-    cells.phase_length = lengths[:, 0].copy()
+    cells.phase_length = lengths[:, first - 1].copy()
     cells.cycle_time = growing_time(scene, lengths)
+
+
+def parting(scene: Scene, cells: Cells, dt: float) -> tuple[IntArray, FloatArray] | None:
+    """Return the sisters that part, (m, 2) indices, and their slack with its rate, (m, 2).
+
+    At birth the slack is their overlap less the one at which their contact is at rest, so that they
+    feel no force of each other; it falls linearly over M. Over a coupling step of length ``dt``
+    it runs linearly to its value at the end.
+    """
+    if scene.growth is None or scene.growth.division != "smooth":
+        return None
+    young = np.flatnonzero((cells.phase == Phase.M) & (cells.parent >= 0))
+    young = young[np.lexsort((cells.id[young], cells.parent[young]))]
+    together = np.flatnonzero(cells.parent[young][1:] == cells.parent[young][:-1])
+    if not together.size:
+        return None
+    pairs = np.sort(np.stack([young[together], young[together + 1]], axis=1), axis=1)
+    first, second = pairs.T
+    r = cells.radius
+    overlap = r[first] + r[second] - (r[first] + r[second]) * (1.0 / HALF - 1.0)
+    modulus = effective_modulus(
+        cells.young[first], cells.poisson[first], cells.young[second], cells.poisson[second]
+    )
+    at_rest = scene.contact.equilibrium_overlap(modulus, effective_radius(r[first], r[second]))
+    whole = np.maximum(overlap - at_rest, 0.0)
+    length = cells.phase_length[first]
+    share = 1.0 - cells.progress[first] / length
+    living = cells.state[first] == State.PROLIFERATING
+    after = np.maximum(share - np.where(living, dt / length, 0.0), 0.0)
+    rate = whole * (after - share) / dt if dt > 0.0 else np.zeros_like(whole)
+    return pairs, np.stack([whole * share, rate], axis=1)
 
 
 def placed(scene: Scene, cells: Cells, share: FloatArray) -> FloatArray:
     """Put cells at a share of their cycle, in [0, 1); return their volumes over that at birth."""
     lengths = drawn_lengths(scene, cells.id, cells.kind)
+    cells.cycle_time = growing_time(scene, lengths)
+    sequence = np.array(order(scene))
+    lengths, grows = lengths[:, sequence - 1], _grows(scene)[sequence]
     ends = np.cumsum(lengths, axis=1)
     elapsed = share * ends[:, -1]
     phase = np.minimum((elapsed[:, None] >= ends).sum(axis=1), len(PHASES) - 1)
     rows = np.arange(len(cells))
-    cells.phase = (phase + Phase.G1).astype(np.int8)
+    cells.phase = sequence[phase].astype(np.int8)
     cells.phase_length = lengths[rows, phase]
     cells.progress = elapsed - (ends[rows, phase] - lengths[rows, phase])
-    cells.cycle_time = growing_time(scene, lengths)
     before = np.arange(len(PHASES)) < phase[:, None]
-    grows = _grows(scene)[1:]
     grown = (lengths * grows * before).sum(axis=1) + cells.progress * grows[phase]
     cells.age = elapsed
     return np.asarray(1.0 + grown / cells.cycle_time)

@@ -8,17 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell import streams
-from multicell.biology.cycle import newborn
+from multicell.biology.cycle import newborn, order
 from multicell.biology.growth import division_volume
 from multicell.biology.initial import draw_cycle_times, draw_moduli
-from multicell.cells import Cells, Phase, State
+from multicell.cells import HALF, Cells, State
 from multicell.streams import Purpose
 
 if TYPE_CHECKING:
     from multicell.scene import Scene
-
-HALF = 0.5 ** (1.0 / 3.0)
-"""Radius of a sphere over the radius of one with twice its volume."""
 
 # A cell that reaches the division volume up to rounding has reached it: else cells in step with
 # the coupling times would divide in this step or the next at the whim of the last bit.
@@ -55,7 +52,7 @@ def divide(scene: Scene, cells: Cells, step: int, next_id: int) -> tuple[Cells, 
     if scene.growth is None:
         return cells, next_id
     if scene.growth.phases:
-        ripe = (cells.phase == Phase.M) & (cells.progress >= cells.phase_length)
+        ripe = (cells.phase == order(scene)[-1]) & (cells.progress >= cells.phase_length)
     else:
         ripe = cells.volume >= division_volume(scene) * (1.0 - _ROUNDING)
     ripe &= cells.state == State.PROLIFERATING
