@@ -14,6 +14,7 @@ from multicell.explain_nutrient import nutrient_notes, nutrient_numbers, nutrien
 from multicell.facts import Number, Part, hours
 from multicell.integrators.names import METHODS
 from multicell.pairs import birth_radius, daughters_stiffness, drag
+from multicell.parts import PHASES
 
 if TYPE_CHECKING:
     from multicell.scene import Scene
@@ -44,27 +45,66 @@ def explain(scene: Scene) -> dict[str, Any]:
 def _parts(scene: Scene) -> list[Part]:
     """Return every part a scene can have, with the consequence of its presence or absence."""
     start = scene.initial
-    growth = (
-        f"cells double their volume in {hours(scene.growth.mean_cycle)} and divide"
-        if scene.growth
-        else "absent: the number of cells stays, no growth and no division is computed"
-    )
-    death = (
-        f"necrotic cells lose their volume in about {hours(scene.death.lysis_time)}"
-        if scene.death
-        else "absent: necrotic cells keep their place and volume"
-    )
-    method = scene.integrator.method
     shape = start.arrangement if scene.dimensions == 3 else "plane, where they stay"
     return [
         Part("initial", True, f"{start.count:,} cell(s) in a {shape}"),
         *contact_parts(scene),
-        Part("growth", scene.growth is not None, growth),
-        Part("death", scene.death is not None, death),
+        Part("growth", scene.growth is not None, _growth_words(scene)),
+        Part("death", scene.death is not None, _death_words(scene)),
+        *_taxis(scene),
         *nutrient_parts(scene),
-        Part("integrator", True, f"{method}: {METHODS[method]}"),
+        Part("integrator", True, _integrator_words(scene)),
         Part("output", True, f"a frame every {hours(scene.output.every)}"),
     ]
+
+
+def _growth_words(scene: Scene) -> str:
+    growth = scene.growth
+    if growth is None:
+        return "absent: the number of cells stays, no growth and no division is computed"
+    words = f"cells double their volume in {hours(growth.mean_cycle)} and divide"
+    if growth.phases:
+        lengths = ", ".join(f"{name} {hours(growth.phases[name].duration)}" for name in PHASES)
+        rest = "at the end of G1 only" if growth.restriction else "in any phase"
+        parting = ", daughters part during M" if growth.division == "smooth" else ""
+        words += f"; phases {lengths}, rest {rest}{parting}"
+    return words
+
+
+def _death_words(scene: Scene) -> str:
+    death = scene.death
+    if death is None:
+        return "absent: necrotic cells keep their place and volume"
+    words = f"necrotic cells lose their volume in about {hours(death.lysis_time)}"
+    if death.apoptosis_rate > 0.0:
+        life = hours(1.0 / death.apoptosis_rate)
+        words += f"; cells live {life} on average until they die by themselves"
+    return words
+
+
+def _taxis(scene: Scene) -> list[Part]:
+    """Return the forces along gradients and landscapes, with the drift of a free cell."""
+    resistance = drag(scene, birth_radius(scene))
+    parts = []
+    for name, law in scene.chemotaxis.items():
+        speed = 3600.0 * abs(law.force) / resistance
+        way = "up" if law.force >= 0.0 else "down"
+        what = f"a free cell drifts {way} a steep gradient at {speed:.3g} um/h"
+        parts.append(Part(f"chemotaxis.{name}", True, what))
+    if scene.haptotaxis is not None:
+        speed = 3600.0 * scene.haptotaxis.force / resistance
+        what = f"{scene.haptotaxis.landscape}: a free cell drifts at up to {speed:.3g} um/h"
+        parts.append(Part("haptotaxis", True, what))
+    return parts
+
+
+def _integrator_words(scene: Scene) -> str:
+    method = scene.integrator.method
+    if method != "auto":
+        return f"{method}: {METHODS[method]}"
+    from multicell.integrators.auto import explained
+
+    return f"{method}: {METHODS[method]}; {explained(scene)}"
 
 
 def _run(scene: Scene) -> list[Number]:

@@ -126,8 +126,12 @@ def nutrient_notes(scene: Scene) -> list[str]:
             notes.append(f"The medium has too little {name} for growth: all cells are quiescent.")
         effects = ("growth_half_saturation", "growth_inhibition", "quiescence", "necrosis",
                    "necrosis_above")  # fmt: skip
-        others = [n for n in scene.nutrients.values() if name in n.uptake_on]
-        if not others and all(getattr(nutrient, effect) is None for effect in effects):
+        read = [*scene.chemotaxis]
+        for other in scene.nutrients.values():
+            read += [*other.uptake_on, *(other.secretion_from or ())]
+        for kind in scene.types.values():
+            read += [*(kind.receptor_by or ()), *(kind.ligand_by or ())]
+        if name not in read and all(getattr(nutrient, effect) is None for effect in effects):
             notes.append(f"{name} has no effect on the cells: give thresholds such as quiescence.")
         late = [t for t, _ in nutrient.media or () if t >= scene.duration]
         if late:

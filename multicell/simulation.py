@@ -252,6 +252,14 @@ class Simulation:
         fraction = observables.heterotypic_fraction(self.cells, self.contacts)
         return {"heterotypic_fraction": fraction}
 
+    def prepared(self) -> tuple[Mechanics, FloatArray]:
+        """Return the mechanics of the next coupling step, and the positions at its beginning."""
+        begin = self.time
+        end = min(begin + self.scene.coupling_step, self.scene.duration)
+        radius, _ = self._grown(end - begin)
+        self._mechanics.begin(self._motion(begin, end, radius))
+        return self._mechanics, self.cells.position
+
     def energy(self) -> float:
         """Return the contact energy of the cells, fJ."""
         self._mechanics.begin(self._motion(self.time, self.time, self.cells.radius))

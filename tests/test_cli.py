@@ -242,7 +242,28 @@ def test_explain_notes_what_does_not_fit(changes, words):
     assert words in note
 
 
-@pytest.mark.parametrize("scene", ["spheroid", "growth", "settle", "doublet", "sorting"])
+def test_explain_tells_what_auto_chooses_and_why():
+    def told(scene, **changes):
+        changed = load_scene(scene).with_changes({"integrator": "auto", **changes})
+        return next(p["what"] for p in explain(changed)["parts"] if p["part"] == "integrator")
+
+    assert "at the start ab2-adaptive, which needs" in told("settle")
+    stiff = told("stiff-inclusions")
+    assert "at the start rkc2" in stiff or "at the start cvode" in stiff
+    assert "stiffness λΔt is" in stiff
+
+
+def test_explain_tells_of_phases_death_and_taxis():
+    parts = {p["part"]: p["what"] for p in explain(load_scene("emt6"))["parts"]}
+    assert "G1 15 h, S 7 h, G2 3 h, M 1 h" in parts["growth"]
+    assert "die by themselves" in parts["death"]
+    parts = {p["part"]: p["what"] for p in explain(load_scene("chemotaxis"))["parts"]}
+    # 0.4 nN over 6 pi 0.5 kPa s times the birth radius, in an hour
+    speed = 3600 * 0.4 / (6 * np.pi * 0.5 * 5.0 / 2 ** (1 / 3))
+    assert f"{speed:.3g} um/h" in parts["chemotaxis.attractant"]
+
+
+@pytest.mark.parametrize("scene", scene_names())
 def test_built_in_scenes_need_no_note(scene):
     assert explain(load_scene(scene))["notes"] == []
 

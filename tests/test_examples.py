@@ -86,6 +86,7 @@ def test_small_spheroid_is_limited_by_oxygen(tmp_path: Path) -> None:
     summary = load("small_spheroid").main(tmp_path / "out")
     states = summary["states"]
     assert summary["cells"] == sum(states.values())
+    assert states.pop("apoptotic") == 0
     assert all(count > 10 for count in states.values())
     # without a limit 80 cells would have become 80 * 2^(72 / 15), about 2200
     assert 300 < summary["cells"] < 1000

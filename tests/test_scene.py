@@ -34,8 +34,9 @@ def refusal(entries):
 
 def test_built_in_scenes_have_names_and_titles():
     assert scene_names() == [
-        "division-shock", "doublet", "doublet-settle", "grow-2000", "growth", "settle",
-        "settle-1000", "sorting", "spheroid", "stiff-inclusions",
+        "chemotaxis", "division-shock", "doublet", "doublet-settle", "emt6", "grow-2000",
+        "growth", "monolayer", "settle", "settle-1000", "sorting", "sorting-cams", "spheroid",
+        "stiff-inclusions", "treatment",
     ]  # fmt: skip
     titles = {load_scene(name).title for name in scene_names()}
     assert len(titles) == len(scene_names())
@@ -111,7 +112,9 @@ def test_bare_name_of_a_file_is_read_and_a_built_in_name_wins(tmp_path, monkeypa
 @pytest.mark.parametrize("as_path", [True, False])
 def test_missing_file(tmp_path, as_path):
     file = tmp_path / "absent.toml"
-    with pytest.raises(SceneError, match=r"absent.toml' does not exist.*growth, settle.*spheroid"):
+    with pytest.raises(
+        SceneError, match=r"absent.toml' does not exist.*growth, .*settle.*spheroid"
+    ):
         load_scene(file if as_path else str(file))
 
 
@@ -387,7 +390,7 @@ def test_dict_has_base_unit_numbers_and_no_absent_parts():
     entries = load_scene("growth").to_dict()
     assert entries["duration"] == 432000.0
     assert entries["growth"] == {
-        "cycle_time": 54000.0, "cycle_variation": 0.1, "restriction": True
+        "cycle_time": 54000.0, "cycle_variation": 0.1, "division": "instant", "restriction": True
     }  # fmt: skip
     assert entries["contact"] == {"law": "jkr", "surface_energy": 0.1, "smoothing": 0.0}
     assert {"death", "nutrients", "stop_cells"}.isdisjoint(entries)

@@ -27,12 +27,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import final
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 
 from multicell.integrators.base import FloatArray, Integrator, Outcome
 from multicell.mechanics import Mechanics, StateRejected
+
+if TYPE_CHECKING:
+    from multicell.scene import Scene
 
 _ITERATIONS = 6
 _PATIENCE = 150
@@ -210,3 +213,25 @@ def _through_python(system: Mechanics) -> bool:
     from multicell.integrators.explicit import needs_python
 
     return needs_python(system)
+
+
+def explained(scene: Scene) -> str:
+    """Return what is chosen for the first coupling step of a scene, and why, in one sentence."""
+    from multicell.simulation import Simulation
+
+    simulation = Simulation(scene, threads=1)
+    if len(simulation.cells) == 0:
+        return "no cells, nothing to choose"
+    system, position = simulation.prepared()
+    options = scene.integrator
+    method = Auto(options.rtol, options.atol, options.max_steps, options.max_displacement)
+    before = system.work.evaluations
+    outcome, expected = method._mild(system, position)
+    if outcome.done:
+        spent = system.work.evaluations - before
+        return (
+            f"at the start ab2-adaptive, which needs {spent} evaluations for the first coupling "
+            f"step (at most {_PATIENCE} are tried)"
+        )
+    choice = choose(system, position, options.rtol, options.atol, expected)
+    return f"at the start {choice.method}: {choice.reason}"

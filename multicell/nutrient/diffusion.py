@@ -175,15 +175,14 @@ class Diffusion:
     def _nearest(self) -> tuple[list[tuple[bool, bool]], float]:
         """Return for each axis which ends are taken as values, and the mean leak of the others.
 
-        A mixed condition lets through as much as a value behind some more nodes: it is taken as
-        a value where these are few.
+        A mixed condition is taken as a slope with the mean of what it lets through: the ratio of
+        the two stays bounded when the grid becomes finer, that to a value does not.
         """
         kinds, leak = [], 0.0
         for axis, n in enumerate(self.shape):
             ends = []
             for factor in self.ghost[2 * axis : 2 * axis + 2]:
-                is_value = n > 1 and 4.0 * (1.0 + factor) < n * (1.0 - factor) + 1e-12
-                is_value = is_value and factor < 1.0 - 1e-12
+                is_value = n > 1 and factor < -0.5
                 ends.append(bool(is_value))
                 leak += 0.0 if is_value else self.stiffness * (1.0 - factor) / n
             kinds.append((ends[0], ends[1]))

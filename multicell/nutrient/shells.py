@@ -17,7 +17,7 @@ from multicell.cells import FloatArray
 from multicell.nutrient.grid import NutrientFailed
 from multicell.nutrient.steady import TOLERANCE, SolveReport
 
-_MAX_NEWTON = 60
+_MAX_NEWTON = 60  # and as many more as there are shells: the edge of a starved core may move by one
 _MAX_BACKTRACKS = 30
 
 
@@ -107,13 +107,13 @@ class Shells:
         problem = _Balance(self, sink, half_saturation, linear, supply)
         c = np.array(start, dtype=float)
         left, total = problem.residual(c)
-        for newton in range(_MAX_NEWTON):
+        for newton in range(_MAX_NEWTON + self.count):
             size = float(np.abs(left).sum())
             if size <= max(tolerance * total, problem.rounding(c)):
                 return c, problem.report(c, newton, size)
             c, left, total = problem.step(c, left)
         raise NutrientFailed(
-            f"the steady radial field did not converge: after {_MAX_NEWTON} Newton steps "
+            f"the steady radial field did not converge: after {newton + 1} Newton steps "
             f"{float(np.abs(left).sum()):.3g} amol/s are not accounted for",
             "Check uptake, diffusion and half_saturation of the nutrient for sensible values",
         )

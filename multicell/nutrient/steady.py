@@ -12,7 +12,7 @@ decay, exchange with a flow, and the 1/dt of an implicit step in time.
 conditions alike), uptake is diagonal and vanishes with c: the solution satisfies
 (-D L0 + m + q / (K + c)) c = s + boundary terms >= 0 with an inverse that has no negative entry.
 Nothing is clipped, so where the exact value is far below the solver's tolerance (the depth of a
-starved core) a node may be left at about -1e-15 times the medium's value.
+starved core) a node may be left at about -1e-13 times the medium's value.
 
 **Newton converges from any start.** With the law continued below zero along its tangent (there the
 solution never is) F is the gradient of a strictly convex energy, so a line search on its slope is

@@ -1,0 +1,293 @@
+"""Whole runs with several fields: dependences, ledgers, media, geometries, wrong input."""
+
+import numpy as np
+import pytest
+
+import multicell as mc
+from multicell.errors import SceneError
+from multicell.nutrient.feeding import dependence
+from multicell.nutrient.layout import BoxLayout, ShellLayout, restored
+from multicell.nutrient.plan import regime, scales, solving_order, spacing
+from multicell.nutrient.roundness import departure, round_enough
+from multicell.scene import Scene
+
+THREE = {
+    "lactate": {
+        "diffusion": 600.0, "boundary": 0.0, "uptake": 0.0, "decay": "1e-3 1/s",
+        "secretion": "2 amol/s", "secretion_from": {"glucose": 1.8}, "growth_inhibition": 8.0,
+    },
+    "oxygen": {
+        "boundary": 0.05, "uptake": 40.0, "quiescence": 0.015, "necrosis": 0.008,
+        "growth_half_saturation": 0.01, "uptake_on": {"glucose": {"effect": 1.5, "half": 0.4}},
+    },
+    "glucose": {
+        "diffusion": 105.0, "diffusion_medium": 650.0, "boundary": 1.0, "uptake": 60.0,
+        "half_saturation": 0.04, "quiescence": 0.06, "perfusion": "2e-4 1/s",
+    },
+}  # fmt: skip
+
+
+def scene(**changes):
+    entries = {
+        "duration": "10 h",
+        "coupling_step": "20 min",
+        "initial": {"count": 60, "stage": "uniform", "spacing": 0.9},
+        "contact": {"law": "jkr", "surface_energy": 0.02},
+        "growth": {"cycle_time": "10 h"},
+        "death": {"lysis_time": "5 h"},
+        "nutrients": THREE,
+        "integrator": "ab2-adaptive",
+    }
+    return Scene.from_dict(entries).with_changes({k.replace("__", "."): v for k, v in
+                                                  changes.items()})  # fmt: skip
+
+
+def everywhere(key, value):
+    return {f"nutrients.{name}.{key}": value for name in THREE}
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        everywhere("geometry", "radial"),
+        everywhere("regime", "transient"),
+        {**everywhere("regime", "transient"), **everywhere("geometry", "radial")},
+        {"nutrients.glucose.regime": "transient", "nutrients.oxygen.geometry": "auto"},
+        {"dimensions": 2},
+        {"dimensions": 2, **everywhere("regime", "transient")},
+    ],
+)
+def test_every_molecule_is_accounted_for_while_cells_divide(changes):
+    result = mc.run(scene(**changes))
+    summary = result.summary()
+    assert summary["divisions"] > 10
+    for name in THREE:
+        ledger = summary["ledger"][name]
+        assert ledger["relative_remainder"] <= 1e-8
+        assert np.min(result.frames[-1].fields[name].values) >= 0.0
+    assert summary["ledger"]["lactate"]["secreted"] > summary["ledger"]["glucose"]["uptake"]
+    assert summary["ledger"]["lactate"]["decayed"] > 0.0
+
+
+def test_fields_are_solved_after_those_that_they_need():
+    order = solving_order(scene().nutrients)
+    assert order.index("glucose") < order.index("oxygen")
+    assert order.index("glucose") < order.index("lactate")
+
+
+def test_uptake_rises_where_the_other_field_falls():
+    oxygen = scene().nutrients["oxygen"]
+    g = np.array([0.0, 0.4, 1e9])
+    np.testing.assert_allclose(dependence(oxygen, {"glucose": g}, 3), [2.5, 1.75, 1.0])
+    rich = mc.Simulation(scene(nutrients__glucose__boundary=50.0))
+    poor = mc.Simulation(scene(nutrients__glucose__boundary=0.01))
+    assert poor.concentrations["oxygen"].min() < rich.concentrations["oxygen"].min()
+
+
+def test_secretion_from_uptake_is_its_share_of_it():
+    simulation = mc.Simulation(scene(nutrients__lactate__secretion=0.0))
+    simulation.step()
+    made = simulation.ledger["lactate"].secreted
+    assert made == pytest.approx(1.8 * simulation.ledger["glucose"].uptake, rel=1e-9)
+
+
+def test_a_transient_field_comes_to_the_steady_one():
+    """With cells that do not change, after long enough, to the tolerance of the solver."""
+    frozen = {"growth": None, "death": None, "duration": "3 h"}
+    steady = mc.run(scene(**frozen)).frames[-1]
+    late = mc.run(scene(**frozen, **everywhere("regime", "transient"))).frames[-1]
+    for name in THREE:
+        np.testing.assert_allclose(
+            late.concentrations[name], steady.concentrations[name], rtol=2e-3
+        )
+
+
+@pytest.mark.parametrize("kind", ["steady", "transient"])
+def test_the_medium_is_switched_in_time(kind):
+    media = [["130 min", "0.2 mM"], ["250 min", "0.01 mM"]]
+    described = scene(
+        duration="6 h",
+        growth=None,
+        death=None,
+        output__every="20 min",
+        nutrients={"oxygen": {"boundary": 0.05, "media": media, "uptake": 1.0, "regime": kind}},
+    )
+    frames = mc.run(described).frames
+    level = [frame.fields["oxygen"].values.max() for frame in frames]
+    expected = [0.05 if f.time < 7800 else 0.2 if f.time < 15000 else 0.01 for f in frames]
+    np.testing.assert_allclose(level, expected, rtol=0.02)
+
+
+def test_the_medium_may_change_linearly():
+    nutrient = scene(
+        nutrients__oxygen__media=[[100.0, 0.1], [300.0, 0.5]],
+        nutrients__oxygen__media_change="linear",
+    ).nutrients["oxygen"]
+    found = [nutrient.medium(t) for t in (0.0, 50.0, 100.0, 200.0, 400.0)]
+    np.testing.assert_allclose(found, [0.05, 0.075, 0.1, 0.3, 0.5])
+    assert nutrient.switches(50.0, 300.0) == [100.0]
+    stepped = scene(nutrients__oxygen__media=[[100.0, 0.1], [300.0, 0.5]]).nutrients["oxygen"]
+    assert [stepped.medium(t) for t in (0.0, 99.0, 100.0, 299.0, 300.0)] == [0.05, 0.05, 0.1, 0.1,
+                                                                             0.5]  # fmt: skip
+
+
+def test_a_closed_vessel_runs_empty():
+    """Walls all round, so a transient field that only falls; in steady state it has no level."""
+    walls = {"*": {"type": "derivative", "derivative": 0}}
+    closed = scene(
+        duration="1 h", coupling_step="2 min", growth=None, death=None,
+        nutrients={"oxygen": {"boundary": 0.05, "sides": walls, "uptake": 5.0}},
+    )  # fmt: skip
+    assert regime(closed, "oxygen") == "transient"
+    result = mc.run(closed)
+    ledger = result.summary()["ledger"]["oxygen"]
+    assert ledger["inflow"] == pytest.approx(0.0, abs=1e-6 * ledger["uptake"])
+    assert ledger["stored"] == pytest.approx(ledger["relaid"] - ledger["uptake"], rel=1e-8)
+    assert result.frames[-1].fields["oxygen"].values.max() < 0.02
+
+
+def test_shells_and_box_agree_for_a_ball_of_cells():
+    changes = {"growth": None, "death": None, "initial.count": 400}
+    box = mc.Simulation(scene(**changes)).concentrations["oxygen"]
+    radial = mc.Simulation(scene(**changes, **everywhere("geometry", "radial")))
+    np.testing.assert_allclose(radial.concentrations["oxygen"].mean(), box.mean(), rtol=0.06)
+
+
+def test_auto_takes_shells_for_a_ball_and_a_box_for_two_balls():
+    auto = everywhere("geometry", "auto")
+    ball = mc.Simulation(scene(**auto, initial__count=300))
+    assert {field.kind for field in ball.fields.values()} == {"radial"}
+    cells = ball.cells.take(np.arange(len(ball.cells)))
+    cells.position[cells.position[:, 0] > 0.0, 0] += 100.0
+    two = mc.Simulation(scene(**auto, initial__count=300), cells=cells)
+    assert {field.kind for field in two.fields.values()} == {"box"}
+
+
+def test_departure_of_ellipsoids_is_that_of_their_axes():
+    rng = np.random.default_rng(5)
+    points = rng.normal(size=(20000, 3))
+    points *= rng.random((20000, 1)) ** (1 / 3) / np.linalg.norm(points, axis=1, keepdims=True)
+    size = np.full(20000, 1e-3)
+    for axes in ((1.0, 1.0, 1.0), (2.0, 1.0, 1.0), (4.0, 2.0, 1.0)):
+        found = departure(100.0 * points * axes, size)
+        assert found == pytest.approx(1.0 - min(axes) / max(axes), abs=0.03)
+    assert round_enough(100.0 * points * (1.1, 1, 1), size, 0.1, now_radial=True)
+    assert not round_enough(100.0 * points * (1.1, 1, 1), size, 0.1, now_radial=False)
+
+
+def boxes():
+    position = np.random.default_rng(6).normal(0.0, 30.0, (200, 3))
+    yield BoxLayout.round(position, 40.0, 9.0, None)
+    yield BoxLayout.round(1.1 * position + 3.0, 40.0, 9.0, None)
+    yield BoxLayout.round(position, 40.0, 9.0, 12.0)
+    yield BoxLayout.round(1.1 * position + 3.0, 40.0, 9.0, 12.0)
+    yield ShellLayout.round(position, np.ones(200), 40.0, 9.0)
+    yield ShellLayout.round(1.2 * position, np.ones(200), 40.0, 9.0)
+
+
+@pytest.mark.parametrize("k", [0, 2, 4])
+def test_a_grid_that_is_laid_anew_takes_over_every_molecule(k):
+    old, new = list(boxes())[k : k + 2]
+    values = np.random.default_rng(7).random(old.filled(0.0).shape)
+    there = new.carried(values, old, 0.5)
+    assert values.min() <= there.min() <= there.max() <= values.max()
+    # all that was inside is there, if nothing comes from outside
+    bare = new.carried(values, old, 0.0)
+    if k != 2:
+        assert np.sum(new.volumes * bare) <= np.sum(old.volumes * values) * (1 + 1e-12)
+    inner = old.carried(new.carried(np.ones_like(values), old, 1.0), new, 1.0)
+    np.testing.assert_allclose(inner, 1.0, rtol=1e-12)
+
+
+@pytest.mark.parametrize("k", range(6))
+def test_what_cells_put_in_is_there_and_frames_restore_it(k):
+    layout = list(boxes())[k]
+    rng = np.random.default_rng(8)
+    position, amount = rng.normal(0.0, 15.0, (50, 3)), rng.random(50)
+    density = layout.scatter(position, amount)
+    assert np.sum(layout.volumes * density) == pytest.approx(amount.sum(), rel=1e-12)
+    values = rng.random(density.shape)
+    again, back = restored(layout.field("oxygen", values))
+    np.testing.assert_array_equal(back, values)
+    np.testing.assert_array_equal(again.gather(position, back), layout.gather(position, values))
+
+
+def test_scales_and_choices():
+    described = scene()
+    found = scales(described, "glucose")
+    assert found.damkohler == pytest.approx(
+        found.demand * (found.length - 50.0) ** 2 / (105.0 * 1.0), rel=1.0
+    )
+    assert regime(described, "oxygen") == "steady"
+    assert regime(scene(nutrients__glucose__diffusion=1.0), "glucose") == "transient"
+    assert 5.0 <= spacing(described, "glucose") <= 10.0
+
+
+@pytest.mark.parametrize(
+    ("changes", "path", "words"),
+    [
+        (
+            {"nutrients.oxygen.regime": "steady", "nutrients.oxygen.sides":
+             {"*": {"type": "derivative", "derivative": 0}}},
+            "nutrients.oxygen.sides", "fix no level",
+        ),
+        (
+            {"nutrients.oxygen.uptake_on.glucos": {"effect": 1, "half": 1}},
+            "nutrients.oxygen.uptake_on.glucos", "Did you mean 'glucose'",
+        ),
+        (
+            {"nutrients.glucose.secretion_from": {"lactat": 1.0}},
+            "nutrients.glucose.secretion_from.lactat", "Did you mean 'lactate'",
+        ),
+        (
+            {"nutrients.glucose.uptake_on": {"oxygen": {"effect": 1, "half": 1}}},
+            None, "depends on itself",
+        ),
+        (
+            {"nutrients.oxygen.media": [["2 h", 0.1], ["1 h", 0.2]]},
+            "nutrients.oxygen.media", "times that rise",
+        ),
+        ({"nutrients.oxygen.media": [["2 h", "1 um"]]}, "nutrients.oxygen.media", "concentration"),
+        ({"nutrients.oxygen.perfusion": "1 mM"}, "nutrients.oxygen.perfusion", "must be a rate"),
+        ({"nutrients.oxygen.decay": "-1 1/s"}, "nutrients.oxygen.decay", "at least 0"),
+        (
+            {"nutrients.oxygen.boundary": "__import__('os').system('true')"},
+            "nutrients.oxygen.boundary", "must be a number and a unit",
+        ),
+        (
+            {"nutrients.oxygen.sides": {"x-": {"value": "sin(x)"}}},
+            "nutrients.oxygen.sides.x-.value", "must be a number and a unit",
+        ),
+        (
+            {"nutrients.oxygen.sides": {"x-": {"type": "derivative", "derivative": -1}}},
+            "nutrients.oxygen.sides.x-.derivative", "at least 0",
+        ),
+        (
+            {"nutrients.oxygen.sides": {"x-": {"type": "mixed"}}},
+            "nutrients.oxygen.sides.x-.rate", "is missing",
+        ),
+        (
+            {"nutrients.oxygen.sides": {"w+": {"value": 1}}},
+            "nutrients.oxygen.sides.w+", "not a known name",
+        ),
+        (
+            {"dimensions": 2, "nutrients.oxygen.sides": {"z+": {"value": 1}}},
+            "nutrients.oxygen.sides.z+", "2 dimensions",
+        ),
+        (
+            {"dimensions": 2, "nutrients.oxygen.geometry": "radial"},
+            "nutrients.oxygen.geometry", "2 dimensions",
+        ),
+        (
+            {"nutrients.oxygen.geometry": "radial",
+             "nutrients.oxygen.sides": {"x-": {"value": 1}}},
+            "nutrients.oxygen.sides.x-", "does not exist on a radial grid",
+        ),
+    ],
+)  # fmt: skip
+def test_wrong_input_is_named(changes, path, words):
+    with pytest.raises(SceneError) as caught:
+        scene().with_changes(changes)
+    assert path is None or caught.value.path == path
+    assert words in str(caught.value)

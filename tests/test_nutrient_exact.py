@@ -1,0 +1,340 @@
+"""Boxes with all kinds of sides, shells, and marches in time against exact solutions."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pde import CartesianGrid, ScalarField, SphericalSymGrid
+from scipy.integrate import solve_bvp
+
+from multicell.nutrient import stencil
+from multicell.nutrient.diffusion import Diffusion, eigenvalues
+from multicell.nutrient.shells import Shells
+from multicell.nutrient.steady import solve_steady
+from multicell.nutrient.transient import Amounts, March, march
+
+D = 1000.0
+WALL = {"derivative": 0.0}
+SIDES = {
+    "value": {"value": 0.3},
+    "wall": WALL,
+    "supply": {"derivative": 0.01},
+    "mixed": {"type": "mixed", "value": 0.05, "const": 0.02},
+}
+
+
+def order(steps, errors):
+    return np.polyfit(np.log(steps), np.log(errors), 1)[0]
+
+
+# --- the operator ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
+@pytest.mark.parametrize("first", SIDES)
+@pytest.mark.parametrize("second", SIDES)
+def test_stencil_and_flows_agree_with_pde_for_all_kinds_of_sides(dimensions, first, second):
+    shape = (4, 5, 6)[:dimensions]
+    grid = CartesianGrid([(0, 7.0 * n) for n in shape], shape)
+    axes = "xyz"[:dimensions]
+    sides = {axis + "-": SIDES[first] for axis in axes}
+    sides |= {axis + "+": SIDES[second] for axis in axes}
+    operator = Diffusion(grid, D, sides, height=9.0 if dimensions == 2 else None)
+    c = np.random.default_rng(1).random(operator.shape)
+    out = np.empty_like(c)
+    stencil.apply_operator(
+        c, np.zeros_like(c), operator.stiffness, operator.ghost, *operator.weights, out
+    )
+    laplace = ScalarField(grid, c.reshape(shape)).laplace(sides).data.reshape(c.shape)
+    np.testing.assert_allclose(operator.source - out, D * laplace, rtol=0, atol=1e-11)
+    total = float(operator.divergence(c).sum()) * operator.volume
+    assert operator.inflow(c) == pytest.approx(total, rel=1e-11, abs=1e-9)
+
+
+@pytest.mark.parametrize("ends", [(True, True), (False, False), (True, False), (False, True)])
+def test_transforms_diagonalise_each_pair_of_ends(ends):
+    n = 12
+    low, high = ({"value": 0.0} if end else WALL for end in ends)
+    sides = {"x-": low, "x+": high, "y": WALL, "z": WALL}
+    operator = Diffusion(CartesianGrid([(0, n), (0, 6), (0, 7)], (n, 6, 7)), 1.0, sides)
+    y = np.random.default_rng(2).normal(size=operator.shape)
+    u, _ = operator.invert(y.copy(), 0.3)
+    np.testing.assert_allclose(0.3 * u - operator.divergence(u), y, atol=1e-12)
+    assert eigenvalues(n, ends).min() >= 0.0
+
+
+@pytest.mark.parametrize("sides", [{"*": SIDES["mixed"]}, {"x": SIDES["value"], "*": WALL}])
+def test_iterations_do_not_grow_with_the_grid(sides):
+    found = []
+    for n in (16, 32, 64):
+        grid = CartesianGrid([(-150, 150)] * 3, n)
+        operator = Diffusion(grid, D, sides)
+        r = np.linalg.norm(grid.cell_coords, axis=-1)
+        sink = np.where(r < 100.0, 0.01, 0.0)
+        _, report = solve_steady(operator, sink, 0.01, np.full(operator.shape, 0.3))
+        found.append(report.cg)
+        balance = report.inflow - report.uptake
+        assert abs(balance) <= 1e-8 * report.uptake
+    assert max(found) <= 1.3 * min(found) + 2
+
+
+def slab(n, sides, length=100.0):
+    """Return the operator of a slab between two sides, walls across, and its nodes along x."""
+    h = length / n
+    grid = CartesianGrid([(0, length), (0, 2 * h), (0, 2 * h)], (n, 2, 2))
+    return Diffusion(grid, D, {"y": WALL, "z": WALL, **sides}), (np.arange(n) + 0.5) * h
+
+
+def test_wall_and_value_with_decay_at_second_order():
+    """D c'' = k c with c'(0) = 0, c(L) = 1: cosh(mx)/cosh(mL)."""
+    k, length = 0.5, 100.0
+    m = np.sqrt(k / D)
+    errors = []
+    for n in (10, 20, 40, 80):
+        operator, x = slab(n, {"x-": WALL, "x+": {"value": 1.0}})
+        zero = np.zeros(operator.shape)
+        c, report = solve_steady(operator, zero, 1.0, zero, linear=k)
+        errors.append(np.abs(c[:, 0, 0] - np.cosh(m * x) / np.cosh(m * length)).max())
+        assert report.inflow == pytest.approx(report.spent, rel=1e-9)
+    assert order([10, 20, 40, 80], errors) == pytest.approx(-2.0, abs=0.15)
+
+
+def test_mixed_side_with_decay_at_second_order():
+    """D c'' = k c, c'(0) = 0, c'(L) = a (1 - c(L))."""
+    k, length, a = 0.5, 100.0, 0.02
+    m = np.sqrt(k / D)
+    scale = a / (m * np.sinh(m * length) + a * np.cosh(m * length))
+    errors = []
+    for n in (10, 20, 40, 80):
+        mixed = {"type": "mixed", "value": a, "const": a}
+        operator, x = slab(n, {"x-": WALL, "x+": mixed})
+        zero = np.zeros(operator.shape)
+        c, _ = solve_steady(operator, zero, 1.0, zero, linear=k)
+        errors.append(np.abs(c[:, 0, 0] - scale * np.cosh(m * x)).max())
+    assert order([10, 20, 40, 80], errors) == pytest.approx(-2.0, abs=0.15)
+
+
+def test_a_jump_of_the_coefficient_at_a_face_is_exact():
+    """Without sinks the flow is the same everywhere: slopes are inverse to the coefficients."""
+    operator, x = slab(20, {"x-": {"value": 0.0}, "x+": {"value": 1.0}})
+    ratio = np.where(x < 50.0, 1.0, 6.0)
+    varied = np.broadcast_to(ratio[:, None, None], operator.shape)
+    grid = CartesianGrid([(0, 100.0), (0, 10.0), (0, 10.0)], (20, 2, 2))
+    sides = {"y": WALL, "z": WALL, "x-": {"value": 0.0}, "x+": {"value": 1.0}}
+    jump = Diffusion(grid, D, sides, varied=varied)
+    zero = np.zeros(jump.shape)
+    c, report = solve_steady(jump, zero, 1.0, zero)
+    flow = 1.0 / (50.0 + 50.0 / 6.0)
+    exact = np.where(x < 50.0, flow * x, 1.0 - flow * (100.0 - x) / 6.0)
+    np.testing.assert_allclose(c[:, 0, 0], exact, rtol=1e-9)
+    assert report.inflow == pytest.approx(0.0, abs=1e-7)
+    assert report.outflow == pytest.approx(D * flow * 100.0, rel=1e-9)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.sampled_from(sorted(SIDES)), st.floats(-3, 6), st.integers(0, 100), st.floats(0.0, 2.0))
+def test_nothing_is_negative(side, strength, seed, supply):
+    sides = {"x-": {"value": 0.1}, "x+": SIDES[side], "y": SIDES[side], "z": WALL}
+    operator = Diffusion(CartesianGrid([(0, 90)] * 3, 9), D, sides)
+    rng = np.random.default_rng(seed)
+    sink = 10.0**strength * rng.random(operator.shape) ** 4
+    made = supply * rng.random(operator.shape) ** 8
+    c, _ = solve_steady(operator, sink, 0.005, np.full(operator.shape, 0.1), supply=made)
+    # far below the solver's tolerance a starved node may be left on either side of zero
+    assert c.min() >= -1e-12 * c.max()
+    shells = Shells(90.0, 12, D, 0.1)
+    radial, _ = shells.solve(sink[0, 0, 0] + sink.ravel()[:12], 0.005, np.full(12, 0.1))
+    assert radial.min() >= -1e-15 * 0.1
+
+
+# --- shells ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_shells_are_those_of_pde(side):
+    grid = SphericalSymGrid(120.0, 15)
+    c = np.random.default_rng(3).random(15)
+    shells = Shells(120.0, 15, D, SIDES[side])
+    laplace = ScalarField(grid, c).laplace({"r-": WALL, "r+": SIDES[side]}).data
+    np.testing.assert_allclose(shells.gain(c) / shells.volumes, D * laplace, rtol=1e-9, atol=1e-9)
+
+
+COUNTS = (20, 40, 80, 160)
+
+
+def radial_errors(exact, sink_of, half, boundary, radius=150.0, **options):
+    errors = []
+    for n in COUNTS:
+        shells = Shells(radius, n, D, boundary)
+        r = (np.arange(n) + 0.5) * radius / n
+        linear = options.get("linear", 0.0)
+        c, _ = shells.solve(sink_of(r, shells), half, np.full(n, 0.1), linear=linear)
+        errors.append(np.sqrt(np.average((c - exact(r)) ** 2, weights=shells.volumes)))
+    return errors
+
+
+def test_a_ball_with_linear_uptake_at_second_order():
+    """Uptake k c everywhere: sinh(mr)/r."""
+    k, radius = 0.4, 150.0
+    m = np.sqrt(k / D)
+    errors = radial_errors(
+        lambda r: 0.1 * radius / r * np.sinh(m * r) / np.sinh(m * radius),
+        lambda r, _: np.zeros_like(r), 1.0, 0.1, linear=k,
+    )  # fmt: skip
+    assert order(COUNTS, errors) == pytest.approx(-2.0, abs=0.15)
+
+
+def test_a_ball_with_a_starved_core_at_second_order():
+    """Uptake of zeroth order ends at the necrotic radius: c = c' = 0 there."""
+    q, radius, inner = 0.02, 150.0, 60.0
+    surface = q / (6 * D) * (radius**2 - 3 * inner**2 + 2 * inner**3 / radius)
+
+    def exact(r):
+        return np.where(r > inner, q / (6 * D) * (r**2 - 3 * inner**2 + 2 * inner**3 / r), 0.0)
+
+    errors = radial_errors(exact, lambda r, _: np.full_like(r, q), 1e-9, surface)
+    assert order(COUNTS, errors) == pytest.approx(-2.0, abs=0.3)
+    shells = Shells(radius, 320, D, surface)
+    c, _ = shells.solve(np.full(320, q), 1e-9, np.full(320, 0.1))
+    edge = np.flatnonzero(c > 1e-5 * surface)[0] * radius / 320
+    assert edge == pytest.approx(inner, rel=0.03)
+
+
+def test_a_layered_ball_with_a_boundary_layer_at_second_order():
+    """Tissue to 100 µm with uptake of zeroth order, medium with D times 2.5 to 150 µm."""
+    q, tissue, outer, ratio, medium = 0.004, 100.0, 150.0, 2.5, 0.3
+    flow = q * tissue**3 / 3.0
+    at_edge = medium - flow / (ratio * D) * (1 / tissue - 1 / outer)
+    errors = []
+    for n in (15, 30, 60, 120):
+        r = (np.arange(n) + 0.5) * outer / n
+        inside = r < tissue
+        shells = Shells(outer, n, D, medium, varied=np.where(inside, 1.0, ratio))
+        c, _ = shells.solve(np.where(inside, q, 0.0), 1e-10, np.full(n, medium))
+        exact = np.where(
+            inside,
+            at_edge - q / (6 * D) * (tissue**2 - r**2),
+            medium - flow / (ratio * D) * (1 / r - 1 / outer),
+        )
+        errors.append(np.abs(c - exact).max())
+    assert order([15, 30, 60, 120], errors) == pytest.approx(-2.0, abs=0.15)
+
+
+def test_two_fields_against_solve_bvp():
+    """Oxygen whose uptake rises where glucose falls, both by Michaelis-Menten, in a ball."""
+    radius, q = 120.0, (0.02, 0.03)
+    half, surface, effect, level = (0.02, 0.1), (0.25, 0.6), 1.5, 0.2
+    diffusion = (D, 300.0)
+
+    def system(r, y):
+        o, do, g, dg = y
+        factor = 1.0 + effect * level / (level + g)
+        away = np.maximum(r, 1e-9)
+        oxygen = q[0] * factor * o / (half[0] + o) / diffusion[0]
+        glucose = q[1] * g / (half[1] + g) / diffusion[1]
+        return np.stack([do, oxygen - 2 * do / away, dg, glucose - 2 * dg / away])
+
+    def ends(a, b):
+        return np.array([a[1], a[3], b[0] - surface[0], b[2] - surface[1]])
+
+    mesh = np.linspace(1e-3, radius, 400)
+    guess = np.stack(
+        [np.full(400, surface[0]), np.zeros(400), np.full(400, surface[1]), np.zeros(400)]
+    )
+    fine = solve_bvp(system, ends, mesh, guess, tol=1e-8, max_nodes=200000)
+    assert fine.success
+    errors = []
+    for n in COUNTS:
+        r = (np.arange(n) + 0.5) * radius / n
+        glucose, _ = Shells(radius, n, diffusion[1], surface[1]).solve(
+            np.full(n, q[1]), half[1], np.full(n, surface[1])
+        )
+        factor = 1.0 + effect * level / (level + glucose)
+        oxygen, _ = Shells(radius, n, diffusion[0], surface[0]).solve(
+            q[0] * factor, half[0], np.full(n, surface[0])
+        )
+        errors.append(np.abs(oxygen - fine.sol(r)[0]).max())
+    assert order(COUNTS, errors) == pytest.approx(-2.0, abs=0.15)
+
+
+# --- time -----------------------------------------------------------------------------------------
+
+
+def ball_march(n, tolerance, end, begin=0.0, start=None):
+    """Let a substance diffuse into an empty ball; return the shells, the field and the account."""
+    shells = Shells(100.0, n, D, 1.0)
+    zero = np.zeros(n)
+
+    def solve(c, dt, time):
+        values, report = shells.solve(zero, 1.0, c, linear=1.0 / dt, supply=c / dt)
+        return values, report, 1.0
+
+    done = March(Amounts())
+    start = zero if start is None else start
+    c = march(solve, shells.volumes, start, begin, end, tolerance=tolerance, scale=1.0, done=done)
+    return shells, c, done
+
+
+def series(r, t, radius=100.0):
+    """Crank's series for a ball whose surface is held at 1 (The Mathematics of Diffusion, 6.18)."""
+    k = np.arange(1, 400)[:, None]
+    terms = (-1.0) ** k / k * np.sin(k * np.pi * r / radius)
+    decay = np.exp(-D * (k * np.pi / radius) ** 2 * t)
+    return 1.0 + 2.0 * radius / (np.pi * r) * (terms * decay).sum(axis=0)
+
+
+def test_diffusion_into_a_ball_follows_the_series():
+    for t in (0.5, 2.0, 6.0):
+        shells, c, done = ball_march(100, 1e-4, t)
+        r = (np.arange(100) + 0.5) * shells.spacing
+        assert np.abs(c - series(r, t)).max() < 5e-3
+        stored = float(np.sum(shells.volumes * c))
+        assert done.amounts.inflow == pytest.approx(stored, rel=1e-9)
+        assert c.min() >= 0.0
+
+
+def test_the_error_of_the_march_follows_its_tolerance():
+    exact = ball_march(40, 1e-7, 4.0)[1]
+    errors = [np.abs(ball_march(40, tol, 4.0)[1] - exact).max() for tol in (1e-2, 1e-3, 1e-4)]
+    assert errors[0] > 3 * errors[1] > 9 * errors[2]
+    assert errors[1] < 3e-3
+
+
+def test_the_march_comes_to_rest_at_the_steady_state():
+    shells = Shells(100.0, 30, D, 1.0)
+    sink = np.where(np.arange(30) < 20, 0.3, 0.0)
+    steady, _ = shells.solve(sink, 0.1, np.ones(30), linear=0.02)
+
+    def solve(c, dt, time):
+        values, report = shells.solve(sink, 0.1, c, linear=0.02 + 1.0 / dt, supply=c / dt)
+        return values, report, 1.0
+
+    done = March(Amounts())
+    c = march(solve, shells.volumes, np.ones(30), 0.0, 5e5, tolerance=1e-3, scale=1.0, done=done)
+    np.testing.assert_allclose(c, steady, rtol=1e-7)
+    amounts = done.amounts
+    stored = float(np.sum(shells.volumes * (c - 1.0)))
+    balance = amounts.inflow - amounts.uptake - 0.02 * amounts.mass - stored
+    assert abs(balance) < 1e-8 * amounts.uptake
+
+
+def test_the_march_agrees_with_explicit_stepping_of_pde():
+    from pde import DiffusionPDE
+
+    grid = CartesianGrid([(0, 40.0)] * 3, 6)
+    begin = ScalarField(grid, np.random.default_rng(4).random(grid.shape))
+    theirs = DiffusionPDE(10.0, bc={"value": 0.5}).solve(
+        begin, t_range=3.0, dt=1e-3, solver="explicit", backend="numpy", tracker=None
+    )
+    operator = Diffusion(grid, 10.0, 0.5)
+    zero = np.zeros(operator.shape)
+
+    def solve(c, dt, time):
+        values, report = solve_steady(operator, zero, 1.0, c, linear=1.0 / dt, supply=c / dt)
+        return values, report, 0.5
+
+    ours = march(
+        solve, operator.volume, begin.data, 0.0, 3.0, tolerance=1e-5, scale=1.0,
+        done=March(Amounts()),
+    )  # fmt: skip
+    np.testing.assert_allclose(ours, theirs.data, atol=2e-4)
