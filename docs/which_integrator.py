@@ -1,104 +1,199 @@
-"""Regenerate the charts and the table of docs/which-integrator.md.
+"""Regenerate the charts and the tables of docs/which-integrator.md.
 
-Problem   the scenes of the chart, each with all methods that can hold it
-Cost      about half an hour on 2 cores; --quick takes a tenth of the time per scene
-Command   python docs/which_integrator.py            (or with names of scenes: settle-1000 ...)
+Problem   the scenes of the chart, each with all methods that can hold it, beside CVODE as
+          scikit-sundae sets it up; growing and driven scenes are compared step by step
+Cost      about 25 minutes on 2 cores (the budgets are printed); --quick takes a tenth
+Command   python docs/which_integrator.py            (or with names of cases: settle-1000 ...)
+
+Each case that is finished is kept as CSV and JSON in docs/chart-data, and is not computed again
+unless it, the sources or the options have changed: an interrupted chart goes on where it was.
+With --tables nothing is computed: the page is written from what is kept, whatever made it.
 """
 
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass, field
+import json
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, final
+
+import numpy as np
+from which_integrator_tables import Entry, write_page
 
 import multicell as mc
+from multicell.comparison import Method
+from multicell.comparison.methods import SMALLEST_TOLERANCE
+from multicell.comparison.reference import source_hash
 from multicell.comparison.result import WorkPrecision
+from multicell.integrators import METHODS
+from multicell.integrators.base import Outcome
 
 HERE = Path(__file__).parent
-PAGE = HERE / "which-integrator.md"
-BEGIN, END = "<!-- table: made by which_integrator.py -->", "<!-- end of table -->"
+QUICK = 0.1
 
 
+@final
 @dataclass(frozen=True)
 class Case:
-    """A scene of the chart: its name there, what it is made from, the norm that judges it."""
+    """A scene of the chart: its name there, what it is made from, the time it may take.
+
+    The budget is for the methods, in s; states and reference come on top. ``stepwise`` is the
+    number of coupling steps that are compared one by one, 0 for the whole run.
+    """
 
     name: str
     scene: str
-    norm: str = "position"
     changes: dict[str, Any] = field(default_factory=dict)
-    budget: float = 90.0
+    budget: float = 60.0
+    stepwise: int = 0
+
+    @property
+    def title(self) -> str:
+        """The name as the heading of a chart."""
+        return self.name[0].upper() + self.name[1:].replace("kPa s", "kPa·s")
+
+    @property
+    def slug(self) -> str:
+        """The name in names of files."""
+        words = "".join(c if c.isalnum() else "-" for c in self.name.lower())
+        return "-".join(part for part in words.split("-") if part)
 
 
-# In driven and in growing scenes single trajectories part when a contact forms a moment later: of
-# `sorting` the median of the position error over the common times is judged, and of growth the
-# radius of gyration: after two days positions differ by cell radii between any two methods.
-EARLY = {"duration": "12 h"}
+FLAT = {"dimensions": 2}
 CASES = (
-    Case("doublet", "doublet-settle"),
-    Case("doublet, released at first contact", "doublet-settle", changes={"initial.spacing": 1.0}),
-    Case("division-shock", "division-shock"),
-    Case("settle-1000", "settle-1000"),
-    Case("stiff-inclusions", "stiff-inclusions"),
-    Case("settle-1000 in 2D", "settle-1000", changes={"dimensions": 2}),
-    Case("sorting", "sorting", "position_median", {"duration": "1 h", "initial.count": 200}),
-    Case("grow at 5 kPa s", "grow-2000", "gyration", EARLY | {"drag.viscosity": 5.0}),
-    Case("grow at 0.5 kPa s", "grow-2000", "gyration", EARLY | {"drag.viscosity": 0.5}),
-    Case("grow at 0.05 kPa s", "grow-2000", "gyration", EARLY | {"drag.viscosity": 0.05}, 150),
+    Case("doublet", "doublet-settle", budget=15),
+    Case("doublet, released at first contact", "doublet-settle", {"initial.spacing": 1.0}, 15),
+    Case("division-shock", "division-shock", budget=60),
+    Case("settle-1000", "settle-1000", budget=75),
+    Case("stiff-inclusions", "stiff-inclusions", budget=120),
+    Case("grow-2000 at 5 kPa s", "grow-2000", {"drag.viscosity": 5.0}, 90, 24),
+    Case("grow-2000 at 0.5 kPa s", "grow-2000", {"drag.viscosity": 0.5}, 120, 24),
+    Case("grow-2000 at 0.05 kPa s", "grow-2000", {"drag.viscosity": 0.05}, 240, 12),
+    Case("sorting", "sorting", {}, 90, 24),
+    Case("spheroid to 5000 cells", "spheroid", {"stop_cells": 5000}, 120, 24),
+    Case("division-shock in 2D", "division-shock", FLAT, 30),
+    Case("settle-1000 in 2D", "settle-1000", FLAT, 45),
+    Case("sorting in 2D", "sorting", FLAT, 45, 24),
+    Case("grow-2000 in 2D at 0.5 kPa s", "grow-2000", FLAT | {"drag.viscosity": 0.5}, 60, 24),
 )
 
 
-def file_name(case: Case) -> str:
-    """Return the name of a case's picture."""
-    words = "".join(c if c.isalnum() or c == "." else "-" for c in case.name.lower())
-    return f"compare-{words.replace('.', '_').replace('--', '-')}.png"
+@final
+@dataclass(frozen=True)
+class SundialsDefaults:
+    """CVODE as scikit-sundae sets it up with GMRES: dimension 5, products by differences."""
+
+    rtol: float
+    atol: float
+
+    def integrate(self, system: Any, position: np.ndarray) -> Outcome:
+        """Integrate over the coupling step of ``system``."""
+        from sksundae.cvode import CVODE
+
+        motion = system.motion
+
+        def velocity(t: float, y: np.ndarray, out: np.ndarray) -> None:
+            # SUNDIALS may look a rounding error beyond the end
+            at = min(motion.begin + t, motion.end)
+            system.velocity(at, y.reshape(-1, 3), out.reshape(-1, 3))
+
+        solver = CVODE(
+            velocity, rtol=self.rtol, atol=self.atol, linsolver="gmres", max_num_steps=1_000_000
+        )
+        length = motion.end - motion.begin
+        solver.init_step(0.0, np.array(position).ravel())
+        result = solver.step(length, method="normal", tstop=length)
+        problem = "" if result.success else f"SUNDIALS: {result.message}"
+        return Outcome(motion.end, np.array(result.y).reshape(-1, 3), problem)
 
 
-def run(case: Case, quick: bool) -> WorkPrecision:
-    """Compare all methods on a case and draw its picture."""
-    scene = mc.load_scene(case.scene).with_changes(case.changes)
-    share = 0.1 if quick else 1.0
-    result = mc.compare(scene, budget=share * case.budget, patience=share * 20.0, repeats=2)
-    result.figure(case.norm).savefig(HERE / "figures" / file_name(case), dpi=110)
-    return result
+def sundials_defaults(radius: float) -> Method:
+    """Return the method under the tolerances of all others, for cells of a mean radius in µm."""
+
+    def make(tolerance: float) -> SundialsDefaults:
+        return SundialsDefaults(max(0.01 * tolerance, SMALLEST_TOLERANCE), tolerance * radius)
+
+    return Method("sundials-defaults", "tolerance", make)
 
 
-def cell(row: dict[str, Any] | None) -> str:
-    """Return method and time of a row of the table."""
-    return "none" if row is None else f"{row['method']}, {1e3 * row['wall']:.3g} ms"
+def compared(
+    case: Case, share: float, clock: str, tell: Callable[[str], None] | None
+) -> WorkPrecision:
+    """Compare all methods on a case."""
+    scene = mc.load_scene(case.scene).with_changes({"title": case.title, **case.changes})
+    radius = float(mc.Simulation(scene).cells.radius.mean())
+    return mc.compare(
+        scene,
+        [*METHODS, sundials_defaults(radius)],
+        stepwise=case.stepwise or False,
+        clock=clock,
+        budget=share * case.budget,
+        # a method that is hopeless here must not eat up the time of the others
+        patience=share * case.budget / 15.0,
+        repeats=3,
+        progress=tell,
+    )
 
 
-def line(case: Case, result: WorkPrecision) -> str:
-    """Return one line of the table."""
-    parts = [f"[{case.name}](figures/{file_name(case)})"]
-    for error in (1e-2, 1e-3):
-        within = result.within(error, case.norm)
-        best = next(iter(within.values()), None)
-        explicit = [r for m, r in within.items() if m in ("euler", "euler-adaptive", "rk4",
-                    "heun", "ab2", "dopri5", "rkc2")]  # fmt: skip
-        parts.append(cell(best))
-        parts.append(cell(explicit[0] if explicit else None))
-        for name in ("cvode", "auto", "euler"):
-            row = within.get(name)
-            parts.append("none" if row is None or best is None else
-                         f"{row['wall'] / best['wall']:.2g}")  # fmt: skip
-    return "| " + " | ".join(parts) + " |"
+def kept(case: Case, folder: Path, made_with: dict[str, Any] | None) -> Entry | None:
+    """Return the entry of an earlier run; None if there is none, or one of something else."""
+    path = folder / f"{case.slug}.json"
+    if not path.exists():
+        return None
+    held = json.loads(path.read_text(encoding="utf-8"))
+    if made_with is not None and held["made_with"] != made_with:
+        return None
+    result = WorkPrecision.from_json(json.dumps(held["result"]))
+    return Entry(case.name, case.slug, result, held["took"])
 
 
-def write(lines: list[str]) -> None:
-    """Put the table between its marks on the page."""
-    head = [
-        "| scene | 1 %: fastest | fastest explicit | cvode / fastest | auto / fastest "
-        "| euler / fastest | 0.1 %: fastest | fastest explicit | cvode / fastest "
-        "| auto / fastest | euler / fastest |",
-        "|" + "---|" * 11,
-    ]
-    text = PAGE.read_text(encoding="utf-8")
-    before, _, rest = text.partition(BEGIN)
-    _, _, after = rest.partition(END)
-    table = "\n".join([*head, *lines])
-    PAGE.write_text(f"{before}{BEGIN}\n\n{table}\n\n{END}{after}", encoding="utf-8")
+def computed(
+    case: Case,
+    folder: Path,
+    made_with: dict[str, Any],
+    share: float,
+    tell: Callable[[str], None] | None,
+) -> Entry:
+    """Compare on a case and keep the table, with what it was made with, and its chart."""
+    begin = time.perf_counter()
+    result = compared(case, share, made_with["clock"], tell)
+    took = time.perf_counter() - begin
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / f"{case.slug}.csv").write_text(result.to_csv(), encoding="utf-8")
+    held = {"made_with": made_with, "took": took, "result": json.loads(result.to_json())}
+    partial = folder / f"{case.slug}.part"
+    partial.write_text(json.dumps(held), encoding="utf-8")
+    partial.replace(folder / f"{case.slug}.json")
+    return Entry(case.name, case.slug, result, took)
+
+
+def entries(cases: list[Case], given: argparse.Namespace) -> Iterator[Entry]:
+    """Give the entry of each case, from the folder where it is kept or computed now."""
+    share = QUICK if given.quick else 1.0
+    source = source_hash()
+    for case in cases:
+        made_with = {"case": asdict(case), "share": share, "clock": given.clock, "source": source}
+        entry = kept(case, given.results, None if given.tables else made_with)
+        if entry is not None:
+            print(f"{case.name}: kept, took {entry.took:.0f} s", flush=True)
+        elif given.tables:
+            print(f"{case.name}: not computed yet", flush=True)
+            continue
+        else:
+            entry = computed(case, given.results, made_with, share, say if given.verbose else None)
+            print(f"{case.name}: {entry.took:.0f} s", flush=True)
+        # of sampled steps the median is drawn: the worst one hangs on a contact that forms or not
+        figure = entry.result.figure(list(entry.norms)[-1])
+        figure.savefig(given.figures / f"compare-{case.slug}.png", dpi=110)
+        yield entry
+
+
+def say(text: str) -> None:
+    """Print a line with the time of day."""
+    print(time.strftime("%H:%M:%S"), text, flush=True)
 
 
 def main() -> None:
@@ -106,15 +201,25 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("cases", nargs="*", help="names of cases; by default all")
     parser.add_argument("--quick", action="store_true", help="a tenth of the time")
-    chosen = parser.parse_args()
-    lines = []
-    for case in CASES:
-        if not chosen.cases or case.name in chosen.cases:
-            result = run(case, chosen.quick)
-            lines.append(line(case, result))
-            print(lines[-1], flush=True)
-    if not chosen.cases:
-        write(lines)
+    parser.add_argument("--verbose", action="store_true", help="name every solve")
+    parser.add_argument("--clock", choices=["wall", "cpu"], default="wall", help="what judges")
+    parser.add_argument("--tables", action="store_true", help="compute nothing")
+    parser.add_argument("--results", type=Path, default=HERE / "chart-data")
+    parser.add_argument("--figures", type=Path, default=HERE / "figures")
+    parser.add_argument("--page", type=Path, default=HERE / "which-integrator.md")
+    given = parser.parse_args()
+    names = [case.name for case in CASES]
+    for name in given.cases:
+        if name not in names:
+            parser.error(f"no case is called {name!r}: choose from {', '.join(names)}")
+    chosen = [case for case in CASES if not given.cases or case.name in given.cases]
+    share = QUICK if given.quick else 1.0
+    budget = share * sum(case.budget for case in chosen)
+    print(f"{len(chosen)} cases, {budget / 60.0:.1f} min for the methods, and the references")
+    given.figures.mkdir(parents=True, exist_ok=True)
+    found = list(entries(chosen, given))
+    print(f"took {sum(entry.took for entry in found) / 60.0:.1f} min in all")
+    write_page(found, None if given.cases else given.page)
 
 
 if __name__ == "__main__":

@@ -16,6 +16,20 @@ IntArray = NDArray[np.int64]
 SPHERE = 4.0 * np.pi / 3.0
 """Volume of a sphere of unit radius."""
 
+HALF = 0.5 ** (1.0 / 3.0)
+"""Radius of a sphere over the radius of one with twice its volume."""
+
+
+@final
+class Phase(IntEnum):
+    """Where a cell is in its cycle; the values are those stored in :attr:`Cells.phase`."""
+
+    G0 = 0
+    G1 = 1
+    S = 2
+    G2 = 3
+    M = 4
+
 
 @final
 class State(IntEnum):
@@ -24,6 +38,11 @@ class State(IntEnum):
     PROLIFERATING = 0
     QUIESCENT = 1
     NECROTIC = 2
+    APOPTOTIC = 3
+
+
+DEAD = (State.NECROTIC, State.APOPTOTIC)
+"""The states of cells that only lose volume until they are removed."""
 
 
 def _column(dtype: type, unit: str, *, width: int | None = None, optional: bool = False) -> Any:
@@ -60,13 +79,20 @@ class Cells:
     age : (n,) float64, s
         Time since birth.
     cycle_time : (n,) float64, s
-        Time in which the cell doubles its volume when nothing limits it.
+        Time in which the cell doubles its volume when nothing limits it; with phases, the time
+        that it spends in those in which it grows.
     pressure : (n,) float64, kPa
         Compression by the neighbours at the end of the last step, tension negative.
     kind : (n,) int16
         Index of the cell's type among the types of the scene, 0 where all cells are alike.
     receptor, ligand : (n,) float64
         Concentrations of adhesion molecules on the surface, zero where the scene has none.
+    phase : (n,) int8
+        One of :class:`Phase`, zero where the scene has no phases.
+    progress : (n,) float64, s
+        Time spent in the phase, in growing phases as far as growth was not limited.
+    phase_length : (n,) float64, s
+        Time that the cell is to spend in its phase.
     """
 
     id: IntArray = _column(np.int64, "")
@@ -82,6 +108,9 @@ class Cells:
     kind: NDArray[np.int16] = _column(np.int16, "", optional=True)
     receptor: FloatArray = _column(np.float64, "", optional=True)
     ligand: FloatArray = _column(np.float64, "", optional=True)
+    phase: NDArray[np.int8] = _column(np.int8, "", optional=True)
+    progress: FloatArray = _column(np.float64, "s", optional=True)
+    phase_length: FloatArray = _column(np.float64, "s", optional=True)
 
     def __post_init__(self) -> None:
         n = len(self.id)

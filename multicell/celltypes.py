@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from multicell.cells import Cells, Phase
 from multicell.errors import SceneError
 from multicell.parameters import near_miss
 
@@ -25,6 +27,7 @@ def check_types(scene: Scene) -> None:
     for name, kind in types.items():
         if kind.surface_energy is not None:
             _check_energies(scene, f"types.{name}.surface_energy", kind)
+        _check_responses(scene, f"types.{name}", kind)
         if kind.sticks and scene.adhesion is None:
             path = f"types.{name}.{'receptor' if any(v for _, v in kind.receptor) else 'ligand'}"
             hint = "An [adhesion] table says how strongly receptors bind."
@@ -68,15 +71,63 @@ def surface_energies(scene: Scene) -> FloatArray | None:
     return np.array([[(row or {})[name] for name in names] for row in rows])
 
 
-def bonds(scene: Scene, kind: NDArray[np.int16], begin: float, end: float) -> FloatArray | None:
+def bonds(
+    scene: Scene,
+    cells: Cells,
+    concentrations: Mapping[str, FloatArray],
+    begin: float,
+    end: float,
+) -> FloatArray | None:
     """Return receptors and ligands at ``begin`` and their rates up to ``end``, (n, 4), or None.
 
-    Between the two times they run linearly, so that a course with a kink between two coupling
-    times is cut there.
+    At ``begin`` they are those of the cells. At ``end`` they are the type's course at that time,
+    times the factor of the cell's phase and those of the concentrations that it finds at
+    ``begin``. Between the two times they run linearly, so that a course with a kink between two
+    coupling times is cut there.
     """
     if scene.adhesion is None:
         return None
-    now = np.array([part.bonds(begin) for part in scene.types.values()])
-    then = np.array([part.bonds(end) for part in scene.types.values()])
+    now = np.stack([cells.receptor, cells.ligand], axis=1)
+    then = bond_levels(scene, cells, concentrations, end)
     rate = (then - now) / (end - begin) if end > begin else np.zeros_like(now)
-    return np.ascontiguousarray(np.hstack([now, rate])[kind])
+    return np.ascontiguousarray(np.hstack([now, rate]))
+
+
+def bond_levels(
+    scene: Scene, cells: Cells, concentrations: Mapping[str, FloatArray], time: float
+) -> FloatArray:
+    """Return the receptors and ligands that cells have at a time in these conditions, (n, 2).
+
+    Concentrations that are not known yet have no effect.
+    """
+    levels = np.array([part.bonds(time) for part in scene.types.values()])[cells.kind]
+    for number, part in enumerate(scene.types.values()):
+        if not part.responds:
+            continue
+        own = np.flatnonzero(cells.kind == number)
+        by = ((part.receptor_by_phase, part.receptor_by), (part.ligand_by_phase, part.ligand_by))
+        for column, (by_phase, by_field) in enumerate(by):
+            factor = np.array([(by_phase or {}).get(phase.name, 1.0) for phase in Phase])
+            levels[own, column] *= factor[cells.phase[own]]
+            for name, curve in (by_field or {}).items():
+                if name in concentrations:
+                    x, y = np.array(curve).T
+                    levels[own, column] *= np.interp(concentrations[name][own], x, y)
+    return np.asarray(levels)
+
+
+def _check_responses(scene: Scene, path: str, kind: CellType) -> None:
+    """Check that a programme of adhesion refers to phases and fields that there are."""
+    for key in ("receptor_by_phase", "ligand_by_phase"):
+        for phase in getattr(kind, key) or ():
+            if phase not in Phase.__members__:
+                hint = near_miss(phase, Phase.__members__)
+                raise SceneError(f"{path}.{key}.{phase}", "is not a phase of the cycle", hint)
+            if scene.growth is None or not scene.growth.phases:
+                hint = "growth.phases gives them."
+                raise SceneError(f"{path}.{key}", "has no effect: the scene has no phases", hint)
+    for key in ("receptor_by", "ligand_by"):
+        for name in getattr(kind, key) or ():
+            if name not in scene.nutrients:
+                hint = near_miss(name, scene.nutrients)
+                raise SceneError(f"{path}.{key}.{name}", "is not a field of this scene", hint)

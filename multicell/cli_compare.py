@@ -38,6 +38,21 @@ _quiet = click.option("--quiet", is_flag=True, help="Print nothing but errors.")
 @_output
 @changes_option
 @_methods
+@click.option(
+    "--stepwise",
+    type=click.IntRange(min=1),
+    metavar="[N]",
+    is_flag=False,
+    flag_value=24,
+    help="Compare N coupling steps of the run (24 if no number is given), each from its own "
+    "recorded state: for scenes whose trajectories part.",
+)
+@click.option(
+    "--clock",
+    type=click.Choice(["wall", "cpu"]),
+    default="wall",
+    help="The time that judges; that of the processors suffers less from other load.",
+)
 @click.option("--repeats", type=click.IntRange(min=1), default=3, help="Timed solves per point.")
 @click.option("--patience", type=float, default=10.0, help="Longest solve in s.")
 @click.option("--budget", type=float, help="Time for all methods together in s.")
@@ -50,6 +65,8 @@ def compare(
     output: Path,
     changes: Sequence[str],
     methods: str | None,
+    stepwise: int | None,
+    clock: str,
     repeats: int,
     patience: float,
     budget: float | None,
@@ -61,7 +78,8 @@ def compare(
     """Chart error against cost of integration methods on a SCENE.
 
     All methods replay the same events at the same times; the reference is computed twice, and
-    its own uncertainty is part of the chart.
+    its own uncertainty is part of the chart. Trajectories of a growing or driven population part
+    whatever the method: compare those with --stepwise.
     """
     with errors(as_json):
         parsed = parse_changes(changes)
@@ -72,6 +90,8 @@ def compare(
             output,
             changes=parsed,
             methods=_names(methods),
+            stepwise=False if stepwise is None else stepwise,
+            clock=clock,
             repeats=repeats,
             patience=patience,
             budget=budget,

@@ -16,7 +16,12 @@ from multicell.frame import Frame
 if TYPE_CHECKING:
     from multicell.nutrient.parts import Nutrient
 
-COLOURS: Final = {"proliferating": "#2a9d6a", "quiescent": "#f2b63c", "necrotic": "#4b3a5e"}
+COLOURS: Final = {
+    "proliferating": "#2a9d6a",
+    "quiescent": "#f2b63c",
+    "necrotic": "#4b3a5e",
+    "apoptotic": "#200008",
+}
 INK, QUIET, BLUE, RED = "#22303c", "#6b7a86", "#2f6fb0", "#b5432f"
 # blue and orange first: they differ in lightness and for any colour vision (Okabe & Ito)
 _TYPES: Final = ("#0072b2", "#e69f00", "#7fd0a8", "#cc79a7", "#56b4e9", "#a04000", "#b8b000")

@@ -45,7 +45,7 @@ def _parts(scene: Scene) -> list[Part]:
     """Return every part a scene can have, with the consequence of its presence or absence."""
     start = scene.initial
     growth = (
-        f"cells double their volume in {hours(scene.growth.cycle_time)} and divide"
+        f"cells double their volume in {hours(scene.growth.mean_cycle)} and divide"
         if scene.growth
         else "absent: the number of cells stays, no growth and no division is computed"
     )
@@ -82,7 +82,7 @@ def _growth(scene: Scene) -> list[Number]:
     """Return cycle time and the largest possible number of cells."""
     if scene.growth is None:
         return []
-    cycle = scene.growth.cycle_time
+    cycle = scene.growth.mean_cycle
     generations = scene.duration / cycle
     numbers = [
         Number("cycle time", cycle, "s", f"{hours(cycle)} where nothing limits growth"),
@@ -112,7 +112,7 @@ def _notes(scene: Scene) -> list[str]:
     if scene.death is not None and not scene.nutrients:
         notes.append("Without a nutrient no cell becomes necrotic: [death] has no effect.")
     notes += contact_notes(scene)
-    if scene.growth is not None and scene.coupling_step > 0.05 * scene.growth.cycle_time:
+    if scene.growth is not None and scene.coupling_step > 0.05 * scene.growth.mean_cycle:
         notes.append(
             "The coupling step is above a twentieth of the cycle time: divisions come late. "
             "Take a smaller coupling_step."

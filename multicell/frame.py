@@ -84,6 +84,8 @@ class Progress:
     ----------
     next_id, divisions, removals, unsorted : int
         First identity that is free, events so far, and new cells since the last sorting.
+    released : float, µm³
+        Volume that dead cells have lost.
     separation : mapping or None
         When and how the last contact broke, where the cells are pulled apart.
     ledger, rates : nutrient -> name -> float
@@ -96,6 +98,7 @@ class Progress:
     divisions: int
     removals: int
     unsorted: int
+    released: float
     separation: Mapping[str, float] | None
     ledger: Mapping[str, Mapping[str, float]]
     rates: Mapping[str, Mapping[str, float]]

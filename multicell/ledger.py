@@ -17,7 +17,9 @@ class Ledger:
     Attributes
     ----------
     inflow
-        Over the sides of the grid and, where the field is perfused, from the flow.
+        Over the sides of the grid and, where the field is perfused, from the flow; net.
+    outflow
+        What has left a steady field over its sides, part of the above.
     uptake, secreted, decayed
         By the cells; by the cells; by first-order decay.
     relaid
@@ -32,6 +34,7 @@ class Ledger:
     decayed: float = 0.0
     relaid: float = 0.0
     stored: float = 0.0
+    outflow: float = 0.0
 
     def add(
         self,
@@ -41,6 +44,7 @@ class Ledger:
         *,
         secreted: float = 0.0,
         decayed: float = 0.0,
+        outflow: float = 0.0,
         relaid: float = 0.0,
         stored: float = 0.0,
     ) -> None:
@@ -52,6 +56,7 @@ class Ledger:
         self.uptake += uptake * dt
         self.secreted += secreted * dt
         self.decayed += decayed * dt
+        self.outflow += outflow * dt
         self.relaid += relaid
         self.stored += stored
 
@@ -66,13 +71,14 @@ class Ledger:
         """The larger of all that was gained and all that was spent, amol."""
         gained = max(self.inflow, 0.0) + self.secreted + max(self.relaid, 0.0)
         spent = self.uptake + self.decayed + max(-self.inflow, 0.0) + max(-self.relaid, 0.0)
-        return max(gained, spent, abs(self.stored))
+        return max(gained, spent, abs(self.stored)) + self.outflow
 
     def summary(self) -> dict[str, float]:
         """Return totals in amol, and the remainder relative to the turnover."""
         turnover = self.turnover
         return {
             "inflow": self.inflow,
+            "outflow": self.outflow,
             "uptake": self.uptake,
             "secreted": self.secreted,
             "decayed": self.decayed,

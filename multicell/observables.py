@@ -23,6 +23,7 @@ SUMMARY_UNITS: Final[Mapping[str, str]] = {
     "necrotic_radius": "um",
     "viable_rim": "um",
     "largest_pressure": "kPa",
+    "volume_released": "um^3",
     "wall": "s",
     "ledger": "amol",
     "separation.time": "s",
@@ -158,6 +159,7 @@ def history_row(time: float, step: int, cells: Cells, **extra: float) -> dict[st
     -------
     dict
         ``time`` (s), ``step``, ``cells``, ``proliferating``, ``quiescent``, ``necrotic``,
+        ``apoptotic``,
         ``diameter``, ``necrotic_radius``, ``viable_rim`` (µm), ``largest_pressure`` (kPa) and
         the extra columns, all as floats.
     """

@@ -312,6 +312,47 @@ def _course(
     return result
 
 
+def names(options: Iterable[str], *, doc: str = "") -> Any:
+    """Declare a list of names out of several, by default none."""
+    known = list(options)
+
+    def convert(value: object, path: str) -> tuple[str, ...]:
+        if not isinstance(value, list | tuple):
+            raise SceneError(path, f"is {shown(value)}, must be a list of names")
+        return tuple(chosen(name, known, path) for name in value)
+
+    return _field(Parameter(convert, list, allowed=", ".join(known), doc=doc), ())
+
+
+def responses(unit: str, *, at_least: float | None = None, doc: str = "") -> Any:
+    """Declare an optional table of names to curves, lists of ``[quantity, number]``.
+
+    The stored curves are tuples of (quantity in ``unit``, number), with quantities that rise.
+    """
+    bounds = Bounds(at_least=at_least)
+
+    def convert(value: object, path: str) -> Tables[tuple[tuple[float, float], ...]]:
+        entries = dict(value) if isinstance(value, Tables) else _mapping(value, path)
+        return Tables({name: one(curve, f"{path}.{name}") for name, curve in entries.items()})
+
+    def one(curve: object, path: str) -> tuple[tuple[float, float], ...]:
+        points = list(curve) if isinstance(curve, list | tuple) else []
+        if not points or not all(isinstance(p, list | tuple) and len(p) == 2 for p in points):
+            hint = f"For example [['0 {unit}', 0.2], ['0.02 {unit}', 1]]."
+            raise SceneError(path, f"is {shown(curve)}, must be a list of [{unit}, factor]", hint)
+        result = tuple((to_base(x, unit, path), finite(y, path, "a number")) for x, y in points)
+        for _, y in result:
+            bounds.require(y, y, path, "", "")
+        if any(b <= a for (a, _), (b, _) in itertools.pairwise(result)):
+            raise SceneError(path, "must have concentrations that rise")
+        return result
+
+    def to_plain(value: Mapping[str, Any]) -> dict[str, Any]:
+        return {name: [list(point) for point in curve] for name, curve in value.items()}
+
+    return _field(Parameter(convert, to_plain, doc=doc), None)
+
+
 def tables(
     part: type[Any], *, default_factory: Any, names: Iterable[str] | None = None, doc: str = ""
 ) -> Any:
@@ -375,6 +416,8 @@ class Tables(Mapping[str, V]):
         quantities,
         course,
         schedule,
+        names,
+        responses,
     ),
 )
 def parameters(cls: type[T]) -> type[T]:

@@ -10,14 +10,18 @@ import numpy as np
 from multicell.errors import SceneError
 from multicell.integrators.names import METHODS
 from multicell.parameters import (
+    Tables,
     choice,
     count,
     course,
     flag,
+    names,
     number,
     parameters,
     quantities,
     quantity,
+    responses,
+    tables,
 )
 
 
@@ -35,9 +39,9 @@ class Initial:
         default=0.0, at_least=0, doc="standard deviation of a random shift / mean diameter"
     )
     stage: str = choice(
-        ["birth", "uniform"],
+        ["birth", "uniform", "asynchronous"],
         default="birth",
-        doc="volumes: all as at birth, or spread uniformly between birth and division",
+        doc="of the cycle: all at birth, spread uniformly, or as in a growing population",
     )
 
 
@@ -67,6 +71,9 @@ class CellParameters:
         above=0,
         doc="between two decisions of a cell to rest or to proliferate (assumed, not measured)",
     )
+    heritable: tuple[str, ...] = names(
+        ["young", "cycle_time"], doc="traits that daughters take from their mother"
+    )
 
     def check(self) -> None:
         """Raise ``SceneError`` for a Poisson ratio that no solid has, unless it is permitted."""
@@ -93,12 +100,61 @@ class Drag:
     )
 
 
+PHASES = ("G1", "S", "G2", "M")
+"""Names of the phases of the cell cycle, in their order."""
+
+
+@final
+@parameters
+class PhaseLength:
+    """How long a phase of the cycle lasts where nothing limits it, and whether cells grow in it.
+
+    ``shifted-gamma`` is a gamma distribution that begins at ``shift`` times the mean.
+    """
+
+    duration: float = quantity("s", above=0, doc="mean duration, for example '7 h'")
+    distribution: str = choice(
+        ["fixed", "normal", "gamma", "shifted-gamma"], default="fixed", doc="of the duration"
+    )
+    variation: float = number(
+        default=0.2, above=0, at_most=1, doc="coefficient of variation, unless fixed"
+    )
+    shift: float = number(
+        default=0.5, at_least=0, below=1, doc="of a shifted gamma distribution / mean"
+    )
+    grows: bool = flag(default=True, doc="whether the volume grows in this phase")
+
+    def check(self) -> None:
+        """Raise ``SceneError`` for a normal distribution that would often be negative."""
+        if self.distribution == "normal" and self.variation > 0.5:
+            hint = "Take 'gamma' for so wide a distribution."
+            raise SceneError("variation", f"is {self.variation:g}, must be at most 0.5", hint)
+
+
 @final
 @parameters
 class Growth:
-    """Growth and division: the volume doubles, linearly in time, in one cycle."""
+    """Growth and division: the volume doubles, linearly in time, in one cycle.
 
-    cycle_time: float = quantity("s", default=54000.0, above=0, doc="mean shortest cycle time")
+    Without ``phases`` a cell divides at the division volume. With them it passes G1, S, G2 and M
+    and divides at the end of M; the volume doubles in the phases in which it grows, and there
+    the cycle goes on only as fast as growth does.
+    """
+
+    cycle_time: float = quantity(
+        "s", default=54000.0, above=0, doc="mean shortest cycle time; not used with phases"
+    )
+    phases: Mapping[str, PhaseLength] = tables(
+        PhaseLength, names=PHASES, default_factory=Tables, doc="absent: volume triggers division"
+    )
+    division: str = choice(
+        ["instant", "smooth"],
+        default="instant",
+        doc="with phases: at the end of M, or daughters that part all through M",
+    )
+    restriction: bool = flag(
+        default=True, doc="with phases: cells rest only at the end of G1 (in G0), not anywhere"
+    )
     cycle_variation: float = number(
         default=0.1, at_least=0, at_most=0.5, doc="coefficient of variation of the cycle time"
     )
@@ -106,13 +162,43 @@ class Growth:
         "kPa", default=None, above=0, doc="at which growth stops; absent: pressure has no effect"
     )
 
+    def check(self) -> None:
+        """Raise ``SceneError`` for phases that make no cycle."""
+        if not self.phases:
+            if self.division == "smooth":
+                hint = "Daughters part during M: give the phases of the cycle."
+                raise SceneError("division", "is 'smooth', but there are no phases", hint)
+            return
+        for name in PHASES:
+            if name not in self.phases:
+                problem = "is missing: a cycle has all of G1, S, G2 and M"
+                raise SceneError(f"phases.{name}", problem, "Give it a duration.")
+        if not any(phase.grows for phase in self.phases.values()):
+            hint = "Let grows = true in one phase at least."
+            raise SceneError("phases", "have no phase in which cells grow", hint)
+
+    @property
+    def mean_cycle(self) -> float:
+        """Mean time of a cycle that nothing limits, s."""
+        if not self.phases:
+            return self.cycle_time
+        return sum(phase.duration for phase in self.phases.values())
+
 
 @final
 @parameters
 class Death:
-    """Loss of necrotic cells: their volume decays exponentially, then they are removed."""
+    """How cells die and go: the dead lose their volume exponentially, then they are removed."""
 
-    lysis_time: float = quantity("s", default=172800.0, above=0, doc="mean time of the decay")
+    lysis_time: float = quantity(
+        "s", default=172800.0, above=0, doc="mean time in which necrotic cells lose their volume"
+    )
+    apoptosis_rate: float = quantity(
+        "1/s", default=0.0, at_least=0, doc="at which living cells die by themselves"
+    )
+    apoptosis_time: float = quantity(
+        "s", default=28800.0, above=0, doc="mean time in which apoptotic cells lose their volume"
+    )
     removal_fraction: float = number(
         default=0.1, above=0, below=1, doc="of the birth volume, below which a cell is removed"
     )
@@ -163,6 +249,32 @@ class CellType:
     ligand: tuple[tuple[float, float], ...] = course(
         default=0.0, at_least=0, doc="ligand concentration on the surface over time"
     )
+    receptor_by_phase: Mapping[str, float] | None = quantities(
+        "", at_least=0, doc="factors on receptor by phase of the cycle; absent phases: 1"
+    )
+    ligand_by_phase: Mapping[str, float] | None = quantities(
+        "", at_least=0, doc="factors on ligand by phase of the cycle"
+    )
+    receptor_by: Mapping[str, tuple[tuple[float, float], ...]] | None = responses(
+        "mM", at_least=0, doc="factors on receptor as curves over the concentration of fields"
+    )
+    ligand_by: Mapping[str, tuple[tuple[float, float], ...]] | None = responses(
+        "mM", at_least=0, doc="factors on ligand as curves over the concentration of fields"
+    )
+    cycle_scale: float = number(
+        default=1.0, above=0, doc="duration of the cycle or its phases / that of the scene"
+    )
+    uptake_scale: float = number(
+        default=1.0, at_least=0, doc="uptake and secretion / those of the scene's fields"
+    )
+    motility_scale: float = number(
+        default=1.0, at_least=0, doc="active forces / those of the scene"
+    )
+
+    @property
+    def responds(self) -> bool:
+        """Whether receptors or ligands depend on phase or concentration."""
+        return any((self.receptor_by_phase, self.ligand_by_phase, self.receptor_by, self.ligand_by))
 
     @property
     def sticks(self) -> bool:
@@ -209,6 +321,31 @@ class Pull:
 
     force: float = quantity("nN", default=0.0, at_least=0, doc="at the start")
     rate: float = quantity("nN/s", default=0.0, at_least=0, doc="at which the force rises")
+
+
+@final
+@parameters
+class Chemotaxis:
+    """A force along the gradient of a field: force · ∇c / (|∇c| + half), of every living cell."""
+
+    force: float = quantity("nN", default=0.1, doc="in a steep gradient; negative: down it")
+    half: float = quantity("mM/um", default=1e-4, above=0, doc="gradient of half the force")
+
+
+@final
+@parameters
+class Haptotaxis:
+    """A force towards more adhesive ground, on a fixed landscape; no feedback from the cells.
+
+    ``gradient``: the same force everywhere, along the axis. ``stripes``: adhesive stripes across
+    the axis, ``length`` apart, one through the origin. ``spot``: a Gaussian spot at the origin with
+    the standard deviation ``length``.
+    """
+
+    landscape: str = choice(["gradient", "stripes", "spot"], default="gradient", doc="of adhesion")
+    force: float = quantity("nN", default=0.1, at_least=0, doc="the largest that occurs")
+    axis: str = choice(["x", "y", "z"], default="x", doc="of gradient or stripes")
+    length: float = quantity("um", default=50.0, above=0, doc="of the landscape")
 
 
 @final

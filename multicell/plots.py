@@ -273,11 +273,19 @@ def profiles(
     lower = figure.add_subplot(grid[1], sharex=upper)
     r, edge = profile.middles, float(profile.edges[-1])
     if frame.concentrations:
-        for name, values in profile.concentrations.items():
+        several = len(profile.concentrations) > 1
+        for k, (name, values) in enumerate(profile.concentrations.items()):
+            if several:
+                scale = max(nutrients[name].highest, float(np.nanmax(values)))
+                label = f"{type_label(name)}\n/ {scale:.3g} mM"
+                colour = list(type_colours(profile.concentrations).values())[k]
+                upper.plot(r, values / scale, "o-", color=colour, ms=5, lw=2, label=label)
+                continue
             _draw_concentration(upper, r, values, name, nutrients[name])
             if name in frame.fields:
                 _draw_field_line(upper, frame.fields[name], middle, profile.edges)
-        upper.set(title="Concentration", ylabel="concentration (mM)")
+        unit = "part of the highest value" if several else "concentration (mM)"
+        upper.set(title="Concentration", ylabel=unit)
         upper.set_ylim(bottom=0.0)
     else:
         upper.plot(r, 1000.0 * profile.pressure, "o-", color=BLUE, lw=2, label="mean pressure")

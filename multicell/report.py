@@ -319,6 +319,10 @@ def _setting(name: str, value: Any, parameter: Any) -> str:
     )
 
 
+def _curve(points: tuple[tuple[float, float], ...]) -> str:
+    return " ".join(f"{_text(y)} at {_text(x)}" for x, y in points)
+
+
 def _name(key: str) -> str:
     return escape(str(key).replace("_", " "))
 
@@ -331,9 +335,16 @@ def _text(value: Any) -> str:
         return f"{value:,}"
     if isinstance(value, float):
         return f"{value:,.0f}" if value.is_integer() and abs(value) < 1e7 else f"{value:.4g}"
-    if isinstance(value, Mapping):
-        return ", ".join(f"{name} {_text(entry)}" for name, entry in value.items())
+    if isinstance(value, Mapping):  # of numbers, or of curves over a concentration
+        return ", ".join(
+            f"{name} {_curve(entry) if isinstance(entry, tuple) else _text(entry)}"
+            for name, entry in value.items()
+        )
+    if isinstance(value, tuple) and not all(isinstance(point, tuple) for point in value):
+        return ", ".join(map(_text, value)) or "none"
     if isinstance(value, tuple):  # points of a course: time and value
+        if not value:
+            return "none"
         first = _text(value[0][1])
         points = [f"{_text(v)} at {time_unit(t).text(t)}" for t, v in value]
         return first if len(value) == 1 else ", ".join(points)

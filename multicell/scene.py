@@ -38,10 +38,12 @@ from multicell.parts import (
     Adhesion,
     CellParameters,
     CellType,
+    Chemotaxis,
     Death,
     Drag,
     Friction,
     Growth,
+    Haptotaxis,
     Initial,
     IntegratorOptions,
     Motility,
@@ -98,6 +100,10 @@ class Scene:
     adhesion: Adhesion | None = table(Adhesion, default=None, doc="absent: no receptors")
     friction: Friction | None = table(Friction, default=None, doc="absent: only Stokes drag")
     motility: Motility | None = table(Motility, default=None, doc="absent: no active motion")
+    chemotaxis: Mapping[str, Chemotaxis] = tables(
+        Chemotaxis, default_factory=Tables, doc="by field; absent: no force along gradients"
+    )
+    haptotaxis: Haptotaxis | None = table(Haptotaxis, default=None, doc="absent: even ground")
     pull: Pull | None = table(Pull, default=None, doc="absent: no external force")
     nutrients: Mapping[str, Nutrient] = tables(
         Nutrient, default_factory=Tables, doc="absent: no cell ever starves"
@@ -116,6 +122,12 @@ class Scene:
             problem = f"is {smoothing:g} um, must be at most the birth radius {smallest:g} um"
             raise SceneError("contact.smoothing", problem, "0 turns it off.")
         check_nutrients(self)
+        for name in self.chemotaxis:
+            if name not in self.nutrients:
+                hint = near_miss(name, self.nutrients)
+                raise SceneError(f"chemotaxis.{name}", "is not a field of this scene", hint)
+        if self.dimensions == 2 and self.haptotaxis is not None and self.haptotaxis.axis == "z":
+            raise SceneError("haptotaxis.axis", "is 'z' in a scene of 2 dimensions")
 
     @classmethod
     def from_dict(cls, entries: Mapping[str, Any]) -> Scene:

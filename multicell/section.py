@@ -76,8 +76,10 @@ def section(
     _frame_section(axes, middle, half)
     group, palette = _groups(cells, types)
     _draw_circles(axes, place[cut > 0.0, :2], radius, group, list(palette.values()))
-    for name, field in frame.fields.items():
-        _draw_field(figure, axes, field, float(middle[2]), nutrients[name])
+    # one field behind the cells: the scene's first
+    name = next((name for name in nutrients if name in frame.fields), "")
+    if name:
+        _draw_field(figure, axes, frame.fields[name], float(middle[2]), nutrients[name])
     _scale_bar(axes, middle, half)
     _section_legend(figure, group, palette)
     return figure
@@ -145,6 +147,8 @@ def slice_at(field: Field, z: float) -> FloatArray:
     """
     if field.kind == "radial":
         field = field.in_plane(z)
+    if field.values.shape[2] == 1:
+        return np.asarray(field.values[:, :, 0])
     heights = field.axis(2)
     if not heights[0] <= z <= heights[-1]:
         raise ValueError(f"the plane z = {z:g} um lies outside the grid of {field.name}")

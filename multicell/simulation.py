@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import time as clock
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, final
@@ -19,15 +19,22 @@ import numpy as np
 
 from multicell import celltypes, integrators, neighbours, observables, streams
 from multicell.biology import (
+    Cycling,
+    advance,
+    deciding,
     divide,
     growth_factor,
     initial_cells,
+    leave_rest,
+    parting,
     push,
     remove_lysed,
+    restricted,
+    unfavourable,
     update_states,
     volumes_after,
 )
-from multicell.cells import SPHERE, Cells, FloatArray, IntArray, State
+from multicell.cells import DEAD, SPHERE, Cells, FloatArray, IntArray
 from multicell.errors import StepFailed
 from multicell.folder import versions
 from multicell.frame import Field, Frame, Progress
@@ -74,6 +81,8 @@ class Simulation:
         Number of coupling steps done.
     divisions, removals : int
         Events so far.
+    released : float, µm³
+        Volume that dead cells have lost, their remains at removal included.
     wall : phase -> s
         Wall time of each phase of the loop.
 
@@ -95,6 +104,7 @@ class Simulation:
         self.scene = scene
         self.wall = dict.fromkeys(PHASES, 0.0)
         self.step_index = self.divisions = self.removals = 0
+        self.released = 0.0
         self._mechanics = _mechanics(scene, thread_count(threads))
         # identities of the pairs in contact, (m, 2): what exact JKR remembers, and others count
         self.contacts = np.empty((0, 2), dtype=np.int64)
@@ -110,7 +120,7 @@ class Simulation:
     def _start(self, cells: Cells) -> None:
         """Begin with these cells."""
         self.cells = cells
-        self._set_bonds()
+        self._set_bonds({})
         self._next_id = int(cells.id.max(initial=-1)) + 1
         self.lineage.born(cells.take(np.argsort(cells.id)), self.time)
         self._unsorted = len(cells)
@@ -120,6 +130,7 @@ class Simulation:
         with self._phase("nutrient"):
             if self._feeding is not None:
                 self._feeding.begin(self.cells, self.time)
+                self._set_bonds(self.concentrations)
         with self._phase("biology"):
             self._change_states()
 
@@ -132,6 +143,7 @@ class Simulation:
         self.cells = frame.cells.take(np.arange(len(frame.cells)))
         self.contacts = np.array(frame.contacts)
         self.divisions, self.removals = known.divisions, known.removals
+        self.released = known.released
         self._next_id, self._unsorted = known.next_id, known.unsorted
         self.separation = None if known.separation is None else dict(known.separation)
         for name, count in known.work.items():
@@ -147,6 +159,7 @@ class Simulation:
             self.divisions,
             self.removals,
             self._unsorted,
+            self.released,
             self.separation,
             {} if feeding is None else {n: asdict(x) for n, x in feeding.ledger.items()},
             {} if feeding is None else {n: asdict(x) for n, x in feeding.reports.items()},
@@ -197,11 +210,11 @@ class Simulation:
         begin = self.time
         end = min(begin + self.scene.coupling_step, self.scene.duration)
         with self._phase("biology"):
-            radius = self._radius_after(end - begin)
+            radius, cycling = self._grown(end - begin)
         with self._phase("mechanics"):
             position, pressure = self._move(begin, end, radius)
         with self._phase("events"):
-            self._take(position, radius, pressure, end - begin)
+            self._take(position, radius, pressure, end - begin, cycling)
             self._divide_and_remove()
             self._sort()
         with self._phase("nutrient"):
@@ -256,6 +269,7 @@ class Simulation:
             "steps": self.step_index,
             "divisions": self.divisions,
             "removals": self.removals,
+            "volume_released": self.released,
             "integrator": {"method": self.scene.integrator.method, **asdict(self._mechanics.work)},
             "ledger": {**ledgers, **whole},
             **({"separation": self.separation} if self.separation else {}),
@@ -274,23 +288,42 @@ class Simulation:
         finally:
             self.wall[name] += clock.perf_counter() - begin
 
-    def _radius_after(self, dt: float) -> FloatArray:
-        factor = growth_factor(self.scene, self.concentrations, self.cells.pressure)
-        volume = volumes_after(self.scene, self.cells, factor, dt)
-        return np.asarray(np.cbrt(volume / SPHERE))
+    def _grown(self, dt: float) -> tuple[FloatArray, Cycling | None]:
+        """Return the radii after a time, and where the cells then are in their cycle."""
+        scene, cells = self.scene, self.cells
+        factor = growth_factor(scene, self.concentrations, cells.pressure)
+        volume = volumes_after(scene, cells, factor, dt)
+        cycling = None
+        if scene.growth is not None and scene.growth.phases:
+            resting = unfavourable(scene, cells, self.concentrations)
+            cycling = advance(scene, cells, factor, resting, dt)
+            volume += cycling.volume - cells.volume
+        return np.asarray(np.cbrt(volume / SPHERE)), cycling
 
     def _motion(self, begin: float, end: float, radius: FloatArray) -> Motion:
         """Return what mechanics must know of the cells between two times."""
         cells, scene = self.cells, self.scene
         length = end - begin
         rate = (radius - cells.radius) / length if length > 0.0 else np.zeros(len(cells))
+        apart = parting(scene, cells, length)
         return Motion(
             cells.radius, rate, cells.young, cells.poisson, begin, end,
-            bonds=celltypes.bonds(scene, cells.kind, begin, end),
-            push=push(scene, cells, begin),
+            bonds=self._bonds(begin, end),
+            push=push(scene, cells, begin, self._gradients()),
             kind=cells.kind if scene.types else None,
             touching=self._touching() if _remembers(scene) else None,
+            slack_pairs=None if apart is None else apart[0],
+            slack=None if apart is None else apart[1],
         )  # fmt: skip
+
+    def _gradients(self) -> dict[str, FloatArray]:
+        """Return the gradients that chemotaxis follows, at the cells."""
+        if self._feeding is None or not self.scene.chemotaxis:
+            return {}
+        if not self._feeding.concentrations:
+            # contacts are looked for before there is a field, and need no forces
+            return {name: np.zeros((len(self.cells), 3)) for name in self.scene.chemotaxis}
+        return self._feeding.gradients(self.cells.position, self.scene.chemotaxis)
 
     def _move(self, begin: float, end: float, radius: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Integrate the positions; return them and the pressures at the end."""
@@ -332,31 +365,52 @@ class Simulation:
         return np.sort(order[place[known]], axis=1)
 
     def _take(
-        self, position: FloatArray, radius: FloatArray, pressure: FloatArray, dt: float
+        self,
+        position: FloatArray,
+        radius: FloatArray,
+        pressure: FloatArray,
+        dt: float,
+        cycling: Cycling | None,
     ) -> None:
         """Make the end of the motion the state."""
         cells = self.cells.take(np.arange(len(self.cells)))
         cells.position, cells.radius, cells.pressure = position, radius, pressure
         cells.age = cells.age + dt
+        shrunk = np.isin(cells.state, DEAD)
+        if shrunk.any():
+            lost = self.cells.radius[shrunk] ** 3 - radius[shrunk] ** 3
+            self.released += SPHERE * float(lost.sum())
+        if cycling is not None:
+            cells.state, cells.phase = cycling.state, cycling.phase
+            cells.progress, cells.phase_length = cycling.progress, cycling.phase_length
+        if self.scene.adhesion is not None:
+            end = celltypes.bond_levels(self.scene, self.cells, self.concentrations, self.time + dt)
+            cells.receptor, cells.ligand = end[:, 0].copy(), end[:, 1].copy()
         self.cells = cells
         self.step_index += 1
-        self._set_bonds()
 
     def _divide_and_remove(self) -> None:
         first, before = self._next_id, self.cells
         self.cells, self._next_id = divide(self.scene, self.cells, self.step_index, first)
+        whole = float(self.cells.volume.sum())
         self.cells, removed = remove_lysed(self.scene, self.cells)
+        if removed:
+            self.released += whole - float(self.cells.volume.sum())
         self.divisions += (self._next_id - first) // 2
         self.removals += removed
         self._unsorted += self._next_id - first + removed
         if self._next_id > first or removed:
             self.lineage.events(before, self.cells, self.time)
 
-    def _set_bonds(self) -> None:
-        """Set receptors and ligands of all cells to their values now."""
-        bonds = celltypes.bonds(self.scene, self.cells.kind, self.time, self.time)
-        if bonds is not None:
-            self.cells.receptor, self.cells.ligand = bonds[:, 0].copy(), bonds[:, 1].copy()
+    def _set_bonds(self, concentrations: Mapping[str, FloatArray]) -> None:
+        """Set receptors and ligands of all cells at the start."""
+        if self.scene.adhesion is not None:
+            levels = celltypes.bond_levels(self.scene, self.cells, concentrations, self.time)
+            self.cells.receptor, self.cells.ligand = levels[:, 0].copy(), levels[:, 1].copy()
+
+    def _bonds(self, begin: float, end: float) -> FloatArray | None:
+        """Return receptors and ligands at ``begin`` with their rates."""
+        return celltypes.bonds(self.scene, self.cells, self.concentrations, begin, end)
 
     def _sort(self) -> None:
         """Sort the cells in space when many are new: neighbours then share memory."""
@@ -368,7 +422,11 @@ class Simulation:
     def _change_states(self) -> None:
         before = self.cells.state
         self.cells.state = update_states(self.scene, self.cells, self.concentrations)
-        dead = (self.cells.state != before) & (self.cells.state == State.NECROTIC)
+        if restricted(self.scene):
+            due = deciding(self.cells, self.scene.coupling_step, self.scene.cells.reaction_time)
+            well = ~unfavourable(self.scene, self.cells, self.concentrations)
+            leave_rest(self.scene, self.cells, due & well)
+        dead = (self.cells.state != before) & np.isin(self.cells.state, DEAD)
         if dead.any():
             self.lineage.died(np.sort(self.cells.id[dead]), self.time)
 

@@ -45,6 +45,8 @@ class Purpose(IntEnum):
     SEPARATION = 6
     KIND = 7
     MOTILITY = 8
+    PHASES = 9
+    APOPTOSIS = 10
 
 
 def _product(a: np.uint64, b: UIntArray) -> tuple[UIntArray, UIntArray]:

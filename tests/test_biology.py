@@ -185,6 +185,7 @@ def test_growth_factor_multiplies_nutrients_and_absent_parts_do_nothing() -> Non
 def test_volumes_after_follow_the_state() -> None:
     scene = make_scene()
     cells = some_cells(60)
+    cells.state[::6] = State.APOPTOTIC
     factor = np.linspace(0.0, 1.0, 60)
     dt = 600.0
     gain = (biology.volumes_after(scene, cells, factor, dt) - cells.volume) / cells.volume
@@ -195,6 +196,7 @@ def test_volumes_after_follow_the_state() -> None:
             * (0.5 * SPHERE * 125.0) / cells.volume,
             State.QUIESCENT: np.zeros(60),
             State.NECROTIC: np.full(60, np.expm1(-dt / (48 * HOUR))),
+            State.APOPTOTIC: np.full(60, np.expm1(-dt / (8 * HOUR))),
         }[state]  # fmt: skip
         assert mine.any()
         np.testing.assert_allclose(gain[mine], expected[mine], rtol=1e-11, atol=1e-14)

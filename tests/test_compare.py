@@ -137,7 +137,7 @@ def test_a_reference_that_cannot_be_computed_says_so():
 def test_the_next_pair_is_tried_where_the_best_one_cannot_hold_the_scene(monkeypatch):
     failing = step_method(lambda s: Planted(fail_after=0.0), "stuck")
     pairs = [((failing, 1.0), (EXACT, 1.0)), ((EXACT, 2.0), (EXACT, 1.0))]
-    monkeypatch.setattr(references, "default_pairs", lambda scene, unsolved: pairs)
+    monkeypatch.setattr(references, "default_pairs", lambda *_: pairs)
     told = []
     found = reference(PAIR, cache=False, progress=told.append)
     assert found.words == "exact at 2, checked by exact at 1"
@@ -357,6 +357,22 @@ def test_a_solve_beyond_patience_ends_with_words():
     found = reference(PAIR, cache=False, pair=references.paired(BOTH_EXACT, PAIR, 1.0))
     stopped = replay(found.problem, Planted(), limit=0.0)
     assert stopped.problem == "not done after 0 s of wall time (t = 60 s)"
+
+
+def test_a_solve_that_never_ends_is_stopped_within_its_step():
+    class Endless:
+        def integrate(self, system, position):
+            out = np.empty_like(position)
+            while True:
+                system.velocity(system.motion.begin, position, out)
+
+    found = reference(PAIR, cache=False, pair=references.paired(BOTH_EXACT, PAIR, 1.0))
+    stopped = replay(found.problem, Endless(), limit=0.05)
+    assert stopped.problem == "not done after 0.05 s of wall time (in the step from t = 0 s)"
+    assert stopped.wall > 0.05
+    assert stopped.positions == []
+    # the mechanics of the problem itself is not touched
+    assert replay(found.problem, Planted()).done
 
 
 # cache

@@ -64,7 +64,8 @@ def test_ball_with_core_gives_core_and_rim():
     assert observables.necrotic_radius(cells) == pytest.approx(60.0, rel=4e-3)
     assert observables.viable_rim(cells) == pytest.approx(40.0, rel=1e-2)
     counts = observables.state_counts(cells)
-    assert counts == {"proliferating": int((~core).sum()), "quiescent": 0, "necrotic": core.sum()}
+    assert counts == {"proliferating": int((~core).sum()), "quiescent": 0, "necrotic": core.sum(),
+                      "apoptotic": 0}  # fmt: skip
 
 
 def test_no_cells_have_no_size_and_no_centre():

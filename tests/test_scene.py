@@ -386,7 +386,9 @@ def test_bad_change(changes, words):
 def test_dict_has_base_unit_numbers_and_no_absent_parts():
     entries = load_scene("growth").to_dict()
     assert entries["duration"] == 432000.0
-    assert entries["growth"] == {"cycle_time": 54000.0, "cycle_variation": 0.1}
+    assert entries["growth"] == {
+        "cycle_time": 54000.0, "cycle_variation": 0.1, "restriction": True
+    }  # fmt: skip
     assert entries["contact"] == {"law": "jkr", "surface_energy": 0.1, "smoothing": 0.0}
     assert {"death", "nutrients", "stop_cells"}.isdisjoint(entries)
 

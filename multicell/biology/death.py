@@ -1,18 +1,37 @@
-"""Removal of dead cells whose volume is all but gone."""
+"""Death by the clock, and removal of dead cells whose volume is all but gone."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+from numpy.typing import NDArray
+
+from multicell import streams
 from multicell.biology.growth import birth_volume
-from multicell.cells import Cells, State
+from multicell.cells import DEAD, Cells
+from multicell.streams import Purpose
 
 if TYPE_CHECKING:
     from multicell.scene import Scene
 
 
+def apoptotic(scene: Scene, cells: Cells) -> NDArray[np.bool_]:
+    """Return which cells have reached the end of their life by apoptosis, (n,).
+
+    With a constant rate k lives are distributed exponentially. Each cell draws its own once, keyed
+    by its identity, and dies when its age passes it: the outcome knows nothing of the coupling
+    step but for the moment at which the death is noticed.
+    """
+    rate = 0.0 if scene.death is None else scene.death.apoptosis_rate
+    if rate == 0.0:
+        return np.zeros(len(cells), dtype=bool)
+    u = streams.uniform(scene.seed, Purpose.APOPTOSIS, 0, cells.id)[:, 0]
+    return np.asarray(cells.age * rate >= -np.log1p(-u))
+
+
 def remove_lysed(scene: Scene, cells: Cells) -> tuple[Cells, int]:
-    """Remove necrotic cells smaller than ``removal_fraction`` of the birth volume.
+    """Remove dead cells smaller than ``removal_fraction`` of the birth volume.
 
     Parameters
     ----------
@@ -31,6 +50,6 @@ def remove_lysed(scene: Scene, cells: Cells) -> tuple[Cells, int]:
     if scene.death is None:
         return cells, 0
     smallest = scene.death.removal_fraction * birth_volume(scene)
-    gone = (cells.state == State.NECROTIC) & (cells.volume < smallest)
+    gone = np.isin(cells.state, DEAD) & (cells.volume < smallest)
     removed = int(gone.sum())
     return (cells.take(~gone), removed) if removed else (cells, 0)

@@ -8,16 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell import streams
+from multicell.biology.cycle import newborn, order
 from multicell.biology.growth import division_volume
 from multicell.biology.initial import draw_cycle_times, draw_moduli
-from multicell.cells import Cells, State
+from multicell.cells import HALF, Cells, State
 from multicell.streams import Purpose
 
 if TYPE_CHECKING:
     from multicell.scene import Scene
-
-HALF = 0.5 ** (1.0 / 3.0)
-"""Radius of a sphere over the radius of one with twice its volume."""
 
 # A cell that reaches the division volume up to rounding has reached it: else cells in step with
 # the coupling times would divide in this step or the next at the whim of the last bit.
@@ -25,7 +23,7 @@ _ROUNDING = 1e-12
 
 
 def divide(scene: Scene, cells: Cells, step: int, next_id: int) -> tuple[Cells, int]:
-    """Divide all proliferating cells that have reached the division volume.
+    """Divide all proliferating cells at the end of M, or at the division volume without phases.
 
     Each mother is replaced by two daughters of half her volume (what she grew beyond the division
     volume included), at +- r (1 - 2^(-1/3)) from her centre along a random axis, r her radius:
@@ -47,14 +45,17 @@ def divide(scene: Scene, cells: Cells, step: int, next_id: int) -> tuple[Cells, 
     cells
         The cells that did not divide, in their old order, followed by the daughters in the order
         of their mothers' identities. The daughters have age 0, the mother's pressure and Poisson
-        ratio, and draw cycle time and modulus anew.
+        ratio, and draw cycle time and modulus anew unless these are heritable.
     next_id
         First identity that is free now; it has grown by two a division.
     """
     if scene.growth is None:
         return cells, next_id
-    enough = division_volume(scene) * (1.0 - _ROUNDING)
-    ripe = (cells.state == State.PROLIFERATING) & (cells.volume >= enough)
+    if scene.growth.phases:
+        ripe = (cells.phase == order(scene)[-1]) & (cells.progress >= cells.phase_length)
+    else:
+        ripe = cells.volume >= division_volume(scene) * (1.0 - _ROUNDING)
+    ripe &= cells.state == State.PROLIFERATING
     if not ripe.any():
         return cells, next_id
     mothers = cells.take(ripe)
@@ -75,6 +76,11 @@ def _daughters(scene: Scene, mothers: Cells, step: int, ids: NDArray[np.int64]) 
     daughters.id = ids
     daughters.radius = daughters.radius * HALF
     daughters.age = np.zeros(len(ids))
-    daughters.young = draw_moduli(scene, step, ids, daughters.kind)
-    daughters.cycle_time = draw_cycle_times(scene, step, ids)
+    if "young" not in scene.cells.heritable:
+        daughters.young = draw_moduli(scene, step, ids, daughters.kind)
+    assert scene.growth is not None
+    if scene.growth.phases:
+        newborn(scene, daughters, daughters.progress - daughters.phase_length)
+    elif "cycle_time" not in scene.cells.heritable:
+        daughters.cycle_time = draw_cycle_times(scene, step, ids, daughters.kind)
     return daughters

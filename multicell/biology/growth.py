@@ -79,7 +79,8 @@ def volumes_after(scene: Scene, cells: Cells, factor: FloatArray, dt: float) -> 
 
     Proliferating cells grow linearly, V' = factor V_birth / cycle_time, so that one that nothing
     limits doubles in its cycle time; quiescent cells keep their volume; necrotic cells shrink as
-    V' = -V / lysis_time. Both are integrated exactly for the given factor. Growth may pass the
+    V' = -V / lysis_time, apoptotic ones as V' = -V / apoptosis_time. Both are integrated
+    exactly for the given factor. Growth may pass the
     division volume within the step: the excess goes to the daughters.
 
     Parameters
@@ -98,10 +99,11 @@ def volumes_after(scene: Scene, cells: Cells, factor: FloatArray, dt: float) -> 
     (n,) float64, µm³
     """
     volume = cells.volume
-    if scene.growth is not None:
+    if scene.growth is not None and not scene.growth.phases:
         growing = cells.state == State.PROLIFERATING
         rate = factor[growing] * birth_volume(scene) / cells.cycle_time[growing]
         volume[growing] += dt * rate
     if scene.death is not None:
         volume[cells.state == State.NECROTIC] *= np.exp(-dt / scene.death.lysis_time)
+        volume[cells.state == State.APOPTOTIC] *= np.exp(-dt / scene.death.apoptosis_time)
     return volume

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell import streams
+from multicell.biology.cycle import placed, scale
 from multicell.biology.growth import birth_volume
 from multicell.cells import SPHERE, Cells, FloatArray, State
 from multicell.streams import Purpose
@@ -87,14 +88,17 @@ def draw_moduli(
     return np.asarray(drawn * ratio[kind])
 
 
-def draw_cycle_times(scene: Scene, step: int, ids: NDArray[np.int64]) -> FloatArray:
+def draw_cycle_times(
+    scene: Scene, step: int, ids: NDArray[np.int64], kind: NDArray[np.int16]
+) -> FloatArray:
     """Return cycle times of new cells, (n,), s; infinite in a scene without growth."""
     growth = scene.growth
     if growth is None:
         return np.full(len(ids), np.inf)
-    return scattered(
+    drawn = scattered(
         scene.seed, Purpose.CYCLE, step, ids, growth.cycle_time, growth.cycle_variation
     )
+    return drawn * scale(scene, kind) if scene.types else drawn
 
 
 def scattered(
@@ -131,17 +135,14 @@ def initial_cells(scene: Scene) -> Cells:
     initial = scene.initial
     ids = np.arange(initial.count, dtype=np.int64)
     kind = draw_kinds(scene, ids)
-    cycle_time = draw_cycle_times(scene, 0, ids)
-    progress = np.zeros(initial.count)
-    if initial.stage == "uniform":
-        progress = streams.uniform(scene.seed, Purpose.STAGE, 0, ids)[:, 0]
-    radius = np.cbrt(birth_volume(scene) * (1.0 + progress) / SPHERE)
+    cycle_time = draw_cycle_times(scene, 0, ids, kind)
+    progress = _stages(scene, ids)
     age = np.zeros(initial.count) if scene.growth is None else progress * cycle_time
-    return Cells(
+    cells = Cells(
         id=ids,
         parent=np.full(initial.count, -1),
-        position=_positions(scene, ids, 2.0 * float(radius.mean())),
-        radius=radius,
+        position=np.zeros((initial.count, 3)),
+        radius=np.ones(initial.count),
         young=draw_moduli(scene, 0, ids, kind),
         poisson=np.full(initial.count, scene.cells.poisson),
         state=np.full(initial.count, State.PROLIFERATING, dtype=np.int8),
@@ -150,6 +151,24 @@ def initial_cells(scene: Scene) -> Cells:
         pressure=np.zeros(initial.count),
         kind=kind,
     )
+    volume = 1.0 + progress
+    if scene.growth is not None and scene.growth.phases:
+        volume = placed(scene, cells, progress)
+    cells.radius = np.cbrt(birth_volume(scene) * volume / SPHERE)
+    cells.position = _positions(scene, ids, 2.0 * float(cells.radius.mean()))
+    return cells
+
+
+def _stages(scene: Scene, ids: NDArray[np.int64]) -> FloatArray:
+    """Return the part of its cycle that each cell has behind it at the start, (n,).
+
+    In a growing population with cycle time T ages have the density 2 ln2 / T 2^(-a/T), more
+    young cells than old ones (Powell, J. gen. Microbiol. 15 (1956) 492).
+    """
+    if scene.initial.stage == "birth":
+        return np.zeros(len(ids))
+    u = streams.uniform(scene.seed, Purpose.STAGE, 0, ids)[:, 0]
+    return u if scene.initial.stage == "uniform" else -np.log2(1.0 - 0.5 * u)
 
 
 def _positions(scene: Scene, ids: NDArray[np.int64], diameter: float) -> FloatArray:

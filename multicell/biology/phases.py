@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.cells import Cells, FloatArray, State
+from multicell.biology.death import apoptotic
+from multicell.cells import DEAD, Cells, FloatArray, State
 
 if TYPE_CHECKING:
     from multicell.scene import Scene
@@ -30,7 +31,8 @@ def update_states(
     """Return the new state of each cell.
 
     A cell turns necrotic at once where a nutrient is below its ``necrosis`` threshold, or above
-    ``necrosis_above``, and stays so for ever. Another cell that is due to decide
+    ``necrosis_above``, and stays so for ever; one whose life by apoptosis
+    has run out turns apoptotic. Another cell that is due to decide
     (:func:`deciding`) rests (quiescent) if a nutrient is below its ``quiescence`` threshold or its
     pressure reaches the critical pressure, and proliferates if neither holds. A scene that has
     neither nutrients nor a critical pressure leaves all states as they are.
@@ -55,25 +57,44 @@ def update_states(
         If a nutrient of the scene has no concentrations.
     """
     critical = None if scene.growth is None else scene.growth.critical_pressure
+    dies = apoptotic(scene, cells) & ~np.isin(cells.state, DEAD)
     if not scene.nutrients and critical is None:
-        return cells.state.copy()
+        return np.where(dies, State.APOPTOTIC, cells.state).astype(np.int8)
     dead = cells.state == State.NECROTIC
-    resting = np.zeros(len(cells), dtype=bool)
-    if critical is not None:
-        resting |= cells.pressure >= critical
     for name, nutrient in scene.nutrients.items():
         c = np.asarray(concentrations[name])
         if nutrient.necrosis is not None:
             dead |= c < nutrient.necrosis
         if nutrient.necrosis_above is not None:
             dead |= c > nutrient.necrosis_above
-        if nutrient.quiescence is not None:
-            resting |= c < nutrient.quiescence
-    wanted = np.where(resting, State.QUIESCENT, State.PROLIFERATING)
-    living = np.where(
-        deciding(cells, scene.coupling_step, scene.cells.reaction_time), wanted, cells.state
-    )
+    living = cells.state
+    if not restricted(scene):
+        resting = unfavourable(scene, cells, concentrations)
+        wanted = np.where(resting, State.QUIESCENT, State.PROLIFERATING)
+        due = deciding(cells, scene.coupling_step, scene.cells.reaction_time)
+        living = np.where(due, wanted, cells.state)
+    living = np.where(dies | (cells.state == State.APOPTOTIC), State.APOPTOTIC, living)
+    dead &= living != State.APOPTOTIC
     return np.where(dead, State.NECROTIC, living).astype(np.int8)
+
+
+def restricted(scene: Scene) -> bool:
+    """Return whether cells rest in G0 only, which :mod:`multicell.biology.cycle` sees to."""
+    growth = scene.growth
+    return growth is not None and bool(growth.phases) and growth.restriction
+
+
+def unfavourable(
+    scene: Scene, cells: Cells, concentrations: Mapping[str, FloatArray]
+) -> NDArray[np.bool_]:
+    """Return which cells find too little nutrient or too much pressure to proliferate, (n,)."""
+    resting = np.zeros(len(cells), dtype=bool)
+    if scene.growth is not None and scene.growth.critical_pressure is not None:
+        resting |= cells.pressure >= scene.growth.critical_pressure
+    for name, nutrient in scene.nutrients.items():
+        if nutrient.quiescence is not None:
+            resting |= np.asarray(concentrations[name]) < nutrient.quiescence
+    return resting
 
 
 def deciding(cells: Cells, dt: float, reaction_time: float) -> NDArray[np.bool_]:

@@ -19,7 +19,7 @@ from multicell.comparison.problem import Events, Problem, Step, Trajectory
 from multicell.folder import words
 from multicell.mechanics import Motion
 
-_FORMAT = 1
+_FORMAT = 2
 
 
 def save(path: Path, problem: Problem, trajectory: Trajectory, facts: Mapping[str, Any]) -> bool:
@@ -44,6 +44,8 @@ def save(path: Path, problem: Problem, trajectory: Trajectory, facts: Mapping[st
         "events": np.array(with_events, dtype=np.int64),
         "source": np.concatenate([e.source for e in events] or [np.zeros(0, np.int64)]),
         "offset": np.concatenate([e.offset for e in events] or [np.zeros((0, 3))]),
+        "total": np.array(problem.total),
+        **({} if problem.starts is None else {"starts": np.concatenate(problem.starts)}),
         **motions,
     }
     with words("write", path):
@@ -89,7 +91,11 @@ def _restored(
     }  # fmt: skip
     motions = _motions(arrays, count)
     steps = [Step(motion, events.get(k)) for k, motion in enumerate(motions)]
-    problem = Problem(blank.scene, blank.template, arrays["start"], motions[0].radius, steps)
+    starts = _cut(arrays["starts"], count) if "starts" in arrays else None
+    problem = Problem(
+        blank.scene, blank.template, arrays["start"], blank.radius, steps, starts,
+        int(arrays["total"]),
+    )  # fmt: skip
     facts: dict[str, Any] = json.loads(str(arrays["facts"]))
     return problem, Trajectory(_cut(arrays["positions"], count)), facts
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from multicell.comparison.norms import NORMS
 from multicell.drawing import QUIET, blank, cell_count, styled, time_unit
@@ -28,6 +28,7 @@ _LOOKS: Final[dict[str, tuple[str, str, str]]] = {
     "euler-adaptive": ("#74b0e4", "s", "-"),
     "heun": ("#4b3a8e", "^", "-"),
     "ab2": ("#9a7fd1", "D", "-"),
+    "ab2-adaptive": ("#d0a9e8", "p", "-"),
     "rk4": ("#c44fa0", "v", "-"),
     "dopri5": ("#14919b", "P", "-"),
     "rkc2": ("#e8590c", "X", "-"),
@@ -37,6 +38,7 @@ _LOOKS: Final[dict[str, tuple[str, str, str]]] = {
     "scipy-lsoda": ("#a98467", "^", "--"),
     "scipy-radau": ("#b0b5ba", "D", "--"),
     "scipy-bdf": ("#7d6b5d", "v", "--"),
+    "sundials-defaults": ("#7aa37a", "H", "--"),
 }
 _OTHERS: Final = ("#b5432f", "#f2b63c", "#6b7a86", "#2a9d6a", "#d16ba5", "#00798c")
 _TITLES: Final = {
@@ -47,20 +49,31 @@ _TITLES: Final = {
     "gyration": "radius of gyration, worst time",
     "pair_distance": "pair distances, at the end",
 }
+_TITLES_STEPWISE: Final = {
+    "position": "positions, worst step",
+    "position_median": "positions, median step",
+    "position_final": "positions, last step",
+    "energy": "contact energy, worst step",
+    "gyration": "radius of gyration, worst step",
+    "pair_distance": "pair distances, last step",
+}
 _LABELS: Final = {
     "wall": "wall time (s)",
+    "cpu": "processor time (s)",
     "cost": "evaluations of the right-hand side, or equal work",
 }
 
 
 @styled
 def workprecision(result: WorkPrecision, norm: str) -> Figure:
-    """Draw error in one norm over wall time and over evaluations."""
-    figure = _headed(result, NORMS[norm])
+    """Draw error in one norm over time and over evaluations."""
+    figure = _headed(result, result.norms[norm])
     strip = 0.07 if result.failures() else 0.0
-    left = figure.add_axes((0.085, 0.11, 0.35, 0.74 - strip), label=f"{norm} wall")
-    right = figure.add_axes((0.465, 0.11, 0.35, 0.74 - strip), label=f"{norm} cost", sharey=left)
-    for axes, cost in ((left, "wall"), (right, "cost")):
+    top = 0.83 if result.stepwise else 0.86
+    height = top - 0.12 - strip
+    left = figure.add_axes((0.085, 0.11, 0.35, height), label=f"{norm} wall")
+    right = figure.add_axes((0.465, 0.11, 0.35, height), label=f"{norm} cost", sharey=left)
+    for axes, cost in ((left, result.clock), (right, "cost")):
         _curves(axes, result, norm, cost)
         axes.set_xlabel(_LABELS[cost], fontsize=11)
     left.set_ylabel("error")
@@ -68,7 +81,7 @@ def workprecision(result: WorkPrecision, norm: str) -> Figure:
     _band(left, result.uncertainty[norm])
     _band(right, result.uncertainty[norm], words=True)
     if strip:
-        place = (0.085, 0.86 - strip, 0.35, strip)
+        place = (0.085, top - strip, 0.35, strip)
         _crosses(figure.add_axes(place, label="failures", sharex=left), result)
     _legend(figure, result)
     return figure
@@ -76,18 +89,19 @@ def workprecision(result: WorkPrecision, norm: str) -> Figure:
 
 @styled
 def norms(result: WorkPrecision) -> Figure:
-    """Draw error over wall time in every norm."""
+    """Draw error over time in every norm."""
     figure = _headed(result, "every norm; grey: what the reference leaves open")
+    titles = _TITLES_STEPWISE if result.stepwise else _TITLES
     for k, norm in enumerate(NORMS):
         row, column = divmod(k, 3)
-        place = (0.065 + 0.262 * column, 0.53 - 0.435 * row, 0.205, 0.3)
+        place = (0.065 + 0.262 * column, 0.525 - 0.435 * row, 0.205, 0.285)
         axes = figure.add_axes(place, label=f"{norm} wall")
-        _curves(axes, result, norm, "wall", size=3.5)
+        _curves(axes, result, norm, result.clock, size=3.5)
         _band(axes, result.uncertainty[norm])
-        axes.set_title(_TITLES[norm], fontsize=10)
+        axes.set_title(titles[norm], fontsize=10)
         axes.tick_params(labelsize=8.5)
         if row == 1:
-            axes.set_xlabel(_LABELS["wall"], fontsize=10)
+            axes.set_xlabel(_LABELS[result.clock], fontsize=10)
     _legend(figure, result, crosses=False)
     return figure
 
@@ -99,7 +113,11 @@ def _headed(result: WorkPrecision, subtitle: str) -> Figure:
     count = cell_count(last) if first == last else f"{first:,} to {cell_count(last)}"
     time = time_unit(facts["time"]).text(facts["time"])
     title = result.scene.title or "Untitled scene"
-    return blank(f"{title}", f"{count}, {time} · {subtitle}")
+    figure = blank(f"{title}", f"{count}, {time} · {subtitle}")
+    if result.stepwise:
+        text = f"{facts['mode']}, each from the same recorded state for every method; cost summed"
+        figure.text(0.04, 0.868, text, fontsize=10.5, color=QUIET, va="center")
+    return figure
 
 
 def _curves(axes: Axes, result: WorkPrecision, norm: str, cost: str, size: float = 6.0) -> None:
@@ -114,8 +132,12 @@ def _curves(axes: Axes, result: WorkPrecision, norm: str, cost: str, size: float
             axes.plot(x, y, line, color=colour, marker=marker, ms=size, lw=1.5, label=method)
     axes.set_xscale("log")
     axes.set_yscale("log")
-    # labels of minor ticks run into each other where an axis spans little more than a decade
     for axis in (axes.xaxis, axes.yaxis):
+        low, high = axis.get_view_interval()
+        if high < 15.0 * low:
+            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        # labels of minor ticks run into each other where an axis spans little more than a decade
         axis.set_minor_formatter(NullFormatter())
 
 
@@ -126,7 +148,7 @@ def _band(axes: Axes, uncertainty: float, *, words: bool = False) -> None:
     low, high = axes.get_ylim()
     bottom = min(low, 0.3 * uncertainty)
     axes.axhspan(bottom, uncertainty, color="#dfe4e8", zorder=0, label="_uncertainty", lw=0)
-    axes.set_ylim(bottom, max(high, 3.0 * uncertainty))
+    axes.set_ylim(bottom, max(1.3 * high, 3.0 * uncertainty))
     if words:
         axes.text(
             0.98, 0.97 * uncertainty, "uncertainty of the reference", ha="right", va="top",
@@ -165,7 +187,7 @@ def _legend(figure: Figure, result: WorkPrecision, *, crosses: bool = True) -> N
         )
     figure.legend(
         handles=handles, loc="upper left", bbox_to_anchor=(0.825, 0.87), fontsize=10,
-        labelspacing=0.55, handlelength=1.8,
+        labelspacing=min(0.55, 10.0 / len(handles)), handlelength=1.8,
     )  # fmt: skip
 
 

@@ -58,10 +58,10 @@ def climb(
     rows: list[Row] = []
     foreseen = 0.0
     # compiled and loaded before the clock of the first point runs
-    replay(replace(exact.problem, steps=exact.problem.steps[:1]), method.make(ladder[0]))
+    first = replace(exact.problem, steps=exact.problem.steps[:1])
+    replay(first, method.make(ladder[0]), effort.patience)
     begin = clock.perf_counter()
     for k, setting in enumerate(ladder):
-        tell(f"{method.name} at {setting:.3g}")
         spent = clock.perf_counter() - begin
         # a point takes two solves at least; the first one is tried in any case
         dear = foreseen > effort.patience or spent + 2.0 * foreseen > effort.budget
@@ -69,13 +69,14 @@ def climb(
             text = f"not tried: it would take about {foreseen:.2g} s, after {spent:.2g} s"
             rows.append(_row(method, setting, SKIPPED, text))
             continue
+        tell(f"{method.name} at {setting:.3g}")
         found = replay(exact.problem, method.make(setting), effort.patience)
         rows.append(_measured(method, setting, found, exact, effort))
         finer = ladder[k] / ladder[k + 1] if k + 1 < len(ladder) else 1.0
         # half the step takes twice as long; a tolerance costs less the higher the order
         growth = finer if method.control == "step" else 1.0
         foreseen = growth * (rows[-1]["wall"] if found.done else found.wall)
-    return rows
+    return [{**row, "mode": exact.problem.mode} for row in rows]
 
 
 def _measured(
@@ -88,23 +89,28 @@ def _measured(
     """Return the row of a solve; one that succeeded is timed."""
     if not found.done:
         return _row(method, setting, FAILED, found.problem, spent=found.wall)
-    wall = _timed(exact.problem, method.make(setting), found.wall, effort)
+    times = _timed(exact.problem, method.make(setting), found.wall, effort)
     error = errors(exact.problem, observe(exact.problem, found), exact.observed)
-    return _row(method, setting, DONE, "", wall, found, error, spent=found.wall)
+    return _row(method, setting, DONE, "", times, found, error, spent=found.wall)
 
 
-def _timed(problem: Problem, integrator: Integrator, first: float, effort: Effort) -> float:
-    """Return the minimum wall time of several solves, s.
+def _timed(
+    problem: Problem, integrator: Integrator, first: float, effort: Effort
+) -> tuple[float, float]:
+    """Return the minimum wall time and the minimum processor time of several solves, s.
 
     The solve that gave the error has compiled the kernels and filled the caches; if it was
     short another one warms up. Of a long solve one repetition is enough.
     """
     if first < effort.share:
         replay(problem, integrator)
-    times: list[float] = []
-    while not times or (len(times) < effort.repeats and sum(times) < effort.share):
-        times.append(replay(problem, integrator).wall)
-    return min(times)
+    wall: list[float] = []
+    cpu: list[float] = []
+    while not wall or (len(wall) < effort.repeats and sum(wall) < effort.share):
+        again = replay(problem, integrator)
+        wall.append(again.wall)
+        cpu.append(again.cpu)
+    return min(wall), min(cpu)
 
 
 def _row(
@@ -112,7 +118,7 @@ def _row(
     setting: float,
     status: str,
     text: str,
-    wall: float = math.nan,
+    times: tuple[float, float] = (math.nan, math.nan),
     found: Trajectory | None = None,
     error: Mapping[str, float] | None = None,
     *,
@@ -126,7 +132,8 @@ def _row(
         "setting": setting,
         "status": status,
         "words": text,
-        "wall": wall,
+        "wall": times[0],
+        "cpu": times[1],
         "spent": spent,
         **{f"error_{norm}": value for norm, value in (error or no_errors()).items()},
         "cost": math.nan if found is None else weighted_cost(found.work),

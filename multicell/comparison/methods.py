@@ -151,12 +151,11 @@ def stiffness(problem: Problem, trajectory: Trajectory, samples: int = 40) -> fl
     chosen = [*shocked[:: -(-len(shocked) // samples)], *spread.tolist()]
     largest = 0.0
     for k in sorted(set(chosen)):
-        step = problem.steps[k]
-        position = problem.start if k == 0 else trajectory.positions[k - 1]
-        if step.before is not None:
-            position = step.before.apply(position)
-        system.begin(step.motion)
-        largest = max(largest, system.stiffness_bound(step.motion.begin, position))
+        motion = problem.steps[k].motion
+        reached = problem.start if k == 0 else trajectory.positions[k - 1]
+        system.begin(motion)
+        bound = system.stiffness_bound(motion.begin, problem.beginning(k, reached))
+        largest = max(largest, bound)
     return largest
 
 

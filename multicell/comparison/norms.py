@@ -26,6 +26,15 @@ NORMS: Final = {
 }
 """Name of each norm -> what it measures. Positions: root mean square over the cells."""
 
+_STEPWISE: Final = {
+    "position": "positions, largest over the steps / mean radius",
+    "position_median": "positions, median over the steps / mean radius",
+    "position_final": "positions after the last step / mean radius",
+    "energy": "contact energy, largest over the steps / its largest value",
+    "gyration": "radius of gyration, largest over the steps, relative",
+    "pair_distance": "pair distances after the last step (Wasserstein) / mean radius",
+}
+
 _ENERGIES = 100  # common times at which the energy is taken
 _CELLS = 1500  # cells among which distances are taken
 
@@ -51,6 +60,11 @@ class Observed:
     energy: FloatArray
     gyration: FloatArray
     distances: FloatArray
+
+
+def described(stepwise: bool) -> dict[str, str]:
+    """Return what each norm measures, of a whole run or of single coupling steps."""
+    return dict(_STEPWISE if stepwise else NORMS)
 
 
 def observe(problem: Problem, trajectory: Trajectory) -> Observed:

@@ -9,7 +9,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from multicell.comparison.norms import NORMS
+from multicell.comparison.result import CLOCKS
 from multicell.drawing import time_unit
 from multicell.folder import package_version, words
 from multicell.report import _CSS, _POLICY, _settings, _table, clock
@@ -78,10 +78,14 @@ def page(result: WorkPrecision, pictures: Sequence[Path]) -> str:
 
 def _subtitle(result: WorkPrecision) -> str:
     facts = result.facts
-    return (
-        f"reference: {facts['reference']} · {facts['coupling_steps']:,} common times, events "
-        f"at {facts['steps_with_events']:,} of them · threads: {facts['threads']}"
-    )
+    if result.stepwise:
+        compared = f"{facts['mode']}, each from the same recorded state for every method"
+    else:
+        compared = (
+            f"{facts['coupling_steps']:,} common times, events at "
+            f"{facts['steps_with_events']:,} of them"
+        )
+    return f"{compared} · reference: {facts['reference']} · threads: {facts['threads']}"
 
 
 def _tiles(result: WorkPrecision) -> Iterator[str]:
@@ -112,10 +116,11 @@ def _picture(path: Path) -> str:
 def _verdict(result: WorkPrecision) -> str:
     """Return a card: for each method the least wall time that reaches an error."""
     tables = "".join(
-        f"<h3>{escape(NORMS[norm])}</h3>{_times(result, norm)}" for norm in VERDICT_NORMS
+        f"<h3>{escape(result.norms[norm])}</h3>{_times(result, norm)}" for norm in VERDICT_NORMS
     )
     return (
-        "<section><h2>Time to reach an error</h2><p class='note'>The uncertainty of the "
+        f"<section><h2>Time to reach an error</h2><p class='note'>Judged by "
+        f"{CLOCKS[result.clock]}. The uncertainty of the "
         "reference is added to each error. Only measured points count, with the tolerance or "
         f"step below the time; the fastest of each column is bold.</p>{tables}</section>"
     )
@@ -131,7 +136,9 @@ def _times(result: WorkPrecision, norm: str) -> str:
         for target in TARGETS:
             row = reached[target].get(method)
             best = method == next(iter(reached[target]), None)
-            text = "—" if row is None else f"{clock(row['wall'])}<small>{_set_to(row)}</small>"
+            text = (
+                "—" if row is None else f"{clock(row[result.clock])}<small>{_set_to(row)}</small>"
+            )
             cells.append(f'<td class="number{" best" if best else ""}">{text}</td>')
         rows.append(f"<tr><th>{escape(method)}</th>{''.join(cells)}</tr>")
     return (
@@ -156,7 +163,7 @@ def _failures(result: WorkPrecision) -> str:
 
 
 def _uncertainty(result: WorkPrecision) -> str:
-    rows = {NORMS[norm]: f"{value:.2e}" for norm, value in result.uncertainty.items()}
+    rows = {result.norms[norm]: f"{value:.2e}" for norm, value in result.uncertainty.items()}
     return _table("Uncertainty of the reference", rows)
 
 
@@ -170,11 +177,12 @@ def _orders(result: WorkPrecision) -> str:
 
 def _points(result: WorkPrecision) -> str:
     """Return a card with the whole table."""
-    names = ["setting", "wall", "error", "cost", "evaluations", "linearisations", "J·v", "steps"]
+    names = ["setting", "wall", "processor", "error", "cost", "evaluations", "linearisations"]
+    names += ["J·v", "steps"]
     head = "".join(f'<td class="number">{escape(name)}</td>' for name in names)
     rows = "".join(map(_point, result.table))
     return (
-        '<section><h2>All solves</h2><p class="note">Wall time in s; error of the positions; cost '
+        '<section><h2>All solves</h2><p class="note">Times in s; error of the positions; cost '
         "in evaluations, where a linearisation counts 2 and a product J·v 0.65.</p>"
         f'<div class="scroll"><table><tr><th class="head">method</th>{head}</tr>{rows}</table>'
         "</div></section>"
@@ -184,6 +192,7 @@ def _points(result: WorkPrecision) -> str:
 def _point(row: Row) -> str:
     values = [
         f"{row['wall']:.3g}",
+        f"{row['cpu']:.3g}",
         f"{row['error_position']:.2e}",
         *(
             f"{row[name]:,.0f}"
@@ -191,7 +200,7 @@ def _point(row: Row) -> str:
         ),
     ]
     if row["status"] != "done":
-        values = [row["status"], *[""] * 6]
+        values = [row["status"], *[""] * 7]
     cells = "".join(f'<td class="number">{escape(value)}</td>' for value in values)
     kind = ' class="failed"' if row["status"] == "failed" else ""
     return (

@@ -4,6 +4,9 @@ A scene is simulated once, by the reference method. Of each coupling step the mo
 their rates, moduli) and what the events did to the cells are recorded. A method then *replays*
 the record: it integrates over the same coupling steps and undergoes the same events at the same
 times, so that nothing but the mechanics differs, and nutrient and biology are solved once.
+
+A problem may also be *step-wise* (:mod:`multicell.comparison.stepwise`): then every coupling step
+starts from a recorded state, and not from where the method has led.
 """
 
 from __future__ import annotations
@@ -70,6 +73,11 @@ class Problem:
     radius : (n,) float64, µm
         Radii at the beginning.
     steps : sequence of Step
+    starts : sequence of (n, 3) float64, µm, or None
+        Where each step starts from in a step-wise comparison; None where a step starts from
+        the end of the one before.
+    total : int
+        Number of coupling steps of the run that ``steps`` is a sample of, or of all.
     """
 
     scene: Scene
@@ -77,6 +85,8 @@ class Problem:
     start: FloatArray
     radius: FloatArray
     steps: Sequence[Step] = ()
+    starts: Sequence[FloatArray] | None = None
+    total: int = 0
 
     @property
     def times(self) -> FloatArray:
@@ -92,6 +102,33 @@ class Problem:
     def mean_radius(self) -> float:
         """Mean radius of the cells at the beginning, µm: the unit of length of errors."""
         return float(self.radius.mean())
+
+    @property
+    def stepwise(self) -> bool:
+        """Whether every step starts from a recorded state."""
+        return self.starts is not None
+
+    @property
+    def mode(self) -> str:
+        """What is compared, in words: the whole run, or a number of its steps."""
+        if self.stepwise:
+            return f"step-wise, {len(self.steps)} of {self.total} coupling steps"
+        return "whole run"
+
+    def beginning(self, k: int, reached: FloatArray) -> FloatArray:
+        """Return the positions from which step ``k`` starts, (n, 3) µm.
+
+        Parameters
+        ----------
+        k
+            Index of the step.
+        reached
+            Where the step before it ended; of no account in a step-wise problem.
+        """
+        if self.starts is not None:
+            return self.starts[k]
+        events = self.steps[k].before
+        return reached if events is None else events.apply(reached)
 
     def system(self) -> Mechanics:
         """Return mechanics of its own, with all counts at zero."""
@@ -111,6 +148,9 @@ class Trajectory:
         What it cost in counts.
     wall : float, s
         What it cost in time.
+    cpu : float, s
+        What it cost in time of the processors, summed over the threads; other load on the
+        machine adds little to it.
     problem : str
         Why it ended early, in words; empty if it reached the end.
     """
@@ -118,6 +158,7 @@ class Trajectory:
     positions: list[FloatArray]
     work: Work = field(default_factory=Work)
     wall: float = 0.0
+    cpu: float = 0.0
     problem: str = ""
 
     @property
@@ -136,7 +177,8 @@ def replay(problem: Problem, integrator: Integrator, limit: float = np.inf) -> T
     integrator
         The method.
     limit
-        Wall time in s after which no further coupling step is begun.
+        Wall time in s after which the replay ends, at the next coupling step or at the next
+        evaluation that a method asks for from Python (those compiled as a whole ask for none).
 
     Returns
     -------
@@ -147,11 +189,12 @@ def replay(problem: Problem, integrator: Integrator, limit: float = np.inf) -> T
     system = problem.system()
     position = problem.start
     ends: list[FloatArray] = []
-    begin = clock.perf_counter()
+    begin, begin_cpu = clock.perf_counter(), clock.process_time()
+    if limit < np.inf:
+        _watch(system, begin + limit, f"not done after {limit:g} s of wall time")
     words = ""
-    for step in problem.steps:
-        if step.before is not None:
-            position = step.before.apply(position)
+    for k, step in enumerate(problem.steps):
+        position = problem.beginning(k, position)
         system.begin(step.motion)
         words, position = _one_step(system, integrator, position)
         if (
@@ -163,7 +206,25 @@ def replay(problem: Problem, integrator: Integrator, limit: float = np.inf) -> T
         if words:
             break
         ends.append(position)
-    return Trajectory(ends, system.work, clock.perf_counter() - begin, words)
+    wall, cpu = clock.perf_counter() - begin, clock.process_time() - begin_cpu
+    return Trajectory(ends, system.work, wall, cpu, words)
+
+
+@final
+class _OutOfTime(Exception):  # noqa: N818 - it names what happened
+    """A solve has taken longer than it may."""
+
+
+def _watch(system: Mechanics, deadline: float, words: str) -> None:
+    """Let the next evaluation of this one system end the solve once a time has passed."""
+    inner = system.velocity
+
+    def velocity(time: float, position: FloatArray, out: FloatArray) -> None:
+        if clock.perf_counter() > deadline:
+            raise _OutOfTime(words)
+        inner(time, position, out)
+
+    system.velocity = velocity  # type: ignore[method-assign]
 
 
 def _one_step(
@@ -175,6 +236,8 @@ def _one_step(
         # what overflows on the way ends in a position that is not finite
         with np.errstate(all="ignore"):
             outcome = integrator.integrate(system, position)
+    except _OutOfTime as error:
+        return f"{error} (in the step from t = {begin:.6g} s)", position
     except Exception as error:  # see replay(): it becomes a row with these words
         return f"{error} ({type(error).__name__}, in the step from t = {begin:.6g} s)", position
     if not outcome.done:
@@ -233,7 +296,7 @@ def record(
     StepFailed
         If a step cannot be solved, or if there is nothing that moves.
     """
-    begin = clock.perf_counter()
+    begin, begin_cpu = clock.perf_counter(), clock.process_time()
     simulation = Simulation(scene, threads=threads, cells=cells)
     recorder = _Recorder(integrator)
     simulation._integrator = recorder
@@ -247,9 +310,11 @@ def record(
     if recorder.system is None or recorder.start is None:
         raise StepFailed(0.0, "the scene has no cells to move", "Start from at least one cell")
     steps = [Step(*pair) for pair in zip(recorder.motions, events, strict=False)]
-    problem = Problem(scene, recorder.system, recorder.start, recorder.motions[0].radius, steps)
-    wall = clock.perf_counter() - begin
-    return problem, Trajectory(recorder.ends, replace(recorder.system.work), wall)
+    problem = Problem(
+        scene, recorder.system, recorder.start, recorder.motions[0].radius, steps, total=len(steps)
+    )
+    wall, cpu = clock.perf_counter() - begin, clock.process_time() - begin_cpu
+    return problem, Trajectory(recorder.ends, replace(recorder.system.work), wall, cpu)
 
 
 def _events(before: Cells, position: FloatArray, after: Cells) -> Events | None:

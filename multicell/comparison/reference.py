@@ -11,6 +11,7 @@ import hashlib
 import json
 import math
 import os
+import time as clock
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +24,7 @@ from multicell.comparison import archive
 from multicell.comparison.methods import Method, named
 from multicell.comparison.norms import Observed, errors, observe
 from multicell.comparison.problem import Problem, Trajectory, record, replay
+from multicell.comparison.stepwise import sample
 from multicell.errors import StepFailed
 from multicell.folder import package_version, versions
 from multicell.integrators import METHODS
@@ -33,7 +35,8 @@ Pair = tuple[tuple[Method, float], tuple[Method, float]]
 """Method and setting of the reference, and of the one that it is checked against."""
 
 _FEW, _FEW_AT_REST = 500, 2000  # cells up to which CVODE is fast at the tightest tolerance
-_TIGHT, _LESS_TIGHT = 1e-12, 1e-9
+_TIGHT, _LESS_TIGHT, _TIGHT_STEP = 1e-12, 1e-9, 1e-11
+_RECORDED = ("cvode", 1e-2)  # method and tolerance that lead from one state of a sample to the next
 _PRESENTATION: Final = ("cli", "drawing", "plots", "report", "section", "progress", "explain")
 _PRESENTATION_HERE: Final = (
     "chart",
@@ -83,6 +86,7 @@ def reference(
     scene: Scene,
     *,
     pair: Pair | None = None,
+    stepwise: int | None = None,
     cells: Cells | None = None,
     cache: str | Path | bool = True,
     threads: int | None = None,
@@ -96,7 +100,12 @@ def reference(
         The scene; its integrator is not used.
     pair
         Two methods with their settings, by default :func:`default_pairs`. The first one records
-        the events and gives the reference, the second one replays them.
+        the events and gives the reference, the second one replays them. Step-wise both solve
+        every step from its recorded state.
+    stepwise
+        Number of coupling steps to compare, each from its own recorded state
+        (:mod:`multicell.comparison.stepwise`); None for the whole run. The states are those that
+        ``cvode`` leads to with a tolerance of a hundredth of a cell radius.
     cells
         Cells to start from instead of the scene's initial ones.
     cache
@@ -115,9 +124,11 @@ def reference(
     """
     tell = progress or (lambda _: None)
     unsolved = blank(scene, cells, threads)
-    pairs = default_pairs(scene, unsolved) if pair is None else [pair]
+    pairs = default_pairs(scene, unsolved, stepwise) if pair is None else [pair]
+    options = {"cells": cells, "threads": threads}
+    sampled: tuple[Problem, float] | None = None
     for k, chosen in enumerate(pairs):
-        path = _path(cache, scene, cells, chosen)
+        path = _path(cache, scene, cells, chosen, stepwise)
         held = None if path is None else archive.load(path, unsolved)
         if held is not None:
             problem, trajectory, facts = held
@@ -126,7 +137,9 @@ def reference(
                 problem, trajectory, observe(problem, trajectory), **facts, cached=True
             )
         try:
-            solved = _solve(scene, chosen, cells, threads, tell)
+            if stepwise is not None and sampled is None:
+                sampled = _sampled(unsolved, stepwise, options, tell)
+            solved = _solve(scene, chosen, sampled, options, tell)
         except StepFailed as error:
             if k + 1 == len(pairs):
                 raise
@@ -137,18 +150,22 @@ def reference(
     raise AssertionError("there is always a pair")
 
 
-def default_pairs(scene: Scene, unsolved: Problem) -> list[Pair]:
+def default_pairs(scene: Scene, unsolved: Problem, stepwise: int | None = None) -> list[Pair]:
     """Return the tightest methods that a scene of its size can afford, the best first.
 
     SciPy's DOP853 of order 8 needs least evaluations for twelve digits. It is checked by CVODE,
     or, where that would take long, by the embedded pair of order 5. Where these cannot hold the
-    scene CVODE is used with two tolerances.
+    scene CVODE is used with two tolerances. Single steps are solved by the embedded pair of
+    order 5 and checked by CVODE: no error grows there, and both meet within 1e-7 of a radius.
     """
     few = _expected(scene, len(unsolved.start)) <= (_FEW if scene.growth else _FEW_AT_REST)
     tolerance = _TIGHT if few else _LESS_TIGHT
     radius = unsolved.mean_radius
     cvode = named("cvode", scene, radius)
     pairs: list[Pair] = [((cvode, tolerance), (cvode, 10.0 * tolerance))]
+    if stepwise is not None and "dopri5" in METHODS:
+        exact = named("dopri5", scene, radius)
+        return [((exact, _TIGHT_STEP), (cvode, 10.0 * _TIGHT_STEP)), *pairs]
     if "scipy-dop853" in METHODS:
         exact = named("scipy-dop853", scene, radius)
         check = (cvode, _TIGHT)
@@ -163,7 +180,7 @@ def _expected(scene: Scene, count: int) -> float:
     """Return about how many cells there will be at the end of a run that starts with ``count``."""
     if scene.growth is None:
         return count
-    cycles: float = min(scene.duration / scene.growth.cycle_time, 60.0)
+    cycles: float = min(scene.duration / scene.growth.mean_cycle, 60.0)
     grown: float = count * 2.0**cycles
     return min(grown, scene.stop_cells or math.inf)
 
@@ -196,7 +213,7 @@ def source_hash(folder: Path | None = None) -> str:
     return digest.hexdigest()
 
 
-def key(scene: Scene, cells: Cells | None, pair: Pair) -> str:
+def key(scene: Scene, cells: Cells | None, pair: Pair, stepwise: int | None = None) -> str:
     """Return what a reference depends on as one hash: scene, cells, methods, sources, versions."""
     entries = scene.to_dict()
     entries.pop("output", None)
@@ -204,6 +221,7 @@ def key(scene: Scene, cells: Cells | None, pair: Pair) -> str:
     described: dict[str, Any] = {
         "scene": entries,
         "pair": [(method.name, method.control, setting) for method, setting in pair],
+        "stepwise": None if stepwise is None else [stepwise, *_RECORDED],
         "version": package_version(),
         "versions": versions(),
         "source": source_hash(),
@@ -223,32 +241,50 @@ def blank(scene: Scene, cells: Cells | None, threads: int | None) -> Problem:
     return Problem(scene, simulation._mechanics, cells.position, cells.radius)
 
 
-def _path(cache: str | Path | bool, scene: Scene, cells: Cells | None, pair: Pair) -> Path | None:
+def _path(
+    cache: str | Path | bool, scene: Scene, cells: Cells | None, pair: Pair, stepwise: int | None
+) -> Path | None:
     if cache is False:
         return None
     folder = cache_folder() if cache is True else Path(cache)
-    return folder / f"{key(scene, cells, pair)}.npz"
+    return folder / f"{key(scene, cells, pair, stepwise)}.npz"
+
+
+def _sampled(
+    unsolved: Problem, count: int, options: dict[str, Any], tell: Callable[[str], None]
+) -> tuple[Problem, float]:
+    """Return the recorded steps of a run, and the wall time that the run took."""
+    name, tolerance = _RECORDED
+    tell(f"reference: states by {name} at {tolerance:g}")
+    begin = clock.perf_counter()
+    scene = unsolved.scene
+    recorder = named(name, scene, unsolved.mean_radius).make(tolerance)
+    problem = sample(scene, recorder, count, progress=_share(tell), **options)
+    return problem, clock.perf_counter() - begin
 
 
 def _solve(
     scene: Scene,
     pair: Pair,
-    cells: Cells | None,
-    threads: int | None,
+    sampled: tuple[Problem, float] | None,
+    options: dict[str, Any],
     tell: Callable[[str], None],
 ) -> Reference:
-    """Record the scene by the first method and check it by the second."""
+    """Solve by the first method and check by the second; without a sample record the run."""
     (method, setting), second = pair
-    tell(f"reference: {method.name} at {setting:g}")
-    problem, trajectory = record(
-        scene, method.make(setting), cells=cells, threads=threads, progress=_share(tell)
-    )
+    if sampled is None:
+        tell(f"reference: {method.name} at {setting:g}")
+        problem, trajectory = record(scene, method.make(setting), progress=_share(tell), **options)
+        wall = trajectory.wall
+    else:
+        problem, wall = sampled
+        trajectory = _replayed(problem, (method, setting), "reference", tell)
+        wall += trajectory.wall
     observed = observe(problem, trajectory)
-    uncertainty = _uncertainty(problem, observed, second, tell)
+    check = _replayed(problem, second, "check of the reference", tell)
+    uncertainty = errors(problem, observe(problem, check), observed)
     text = f"{method.name} at {setting:g}, checked by {second[0].name} at {second[1]:g}"
-    return Reference(
-        problem, trajectory, observed, uncertainty, trajectory.wall, text, cached=False
-    )
+    return Reference(problem, trajectory, observed, uncertainty, wall, text, cached=False)
 
 
 def _keep(solved: Reference, path: Path | None, tell: Callable[[str], None]) -> None:
@@ -260,23 +296,20 @@ def _keep(solved: Reference, path: Path | None, tell: Callable[[str], None]) -> 
         tell("reference: this scene has no plain form for the cache")
 
 
-def _uncertainty(
-    problem: Problem,
-    observed: Observed,
-    second: tuple[Method, float],
-    tell: Callable[[str], None],
-) -> dict[str, float]:
-    """Return the difference from the solution of a second method."""
-    method, setting = second
-    tell(f"reference: checked by {method.name} at {setting:g}")
-    check: Trajectory = replay(problem, method.make(setting))
-    if not check.done:
+def _replayed(
+    problem: Problem, by: tuple[Method, float], what: str, tell: Callable[[str], None]
+) -> Trajectory:
+    """Return the solution by a method, which must succeed."""
+    method, setting = by
+    tell(f"{what}: {method.name} at {setting:g}")
+    found = replay(problem, method.make(setting))
+    if not found.done:
         raise StepFailed(
-            float(problem.times[len(check.positions)]),
-            f"the check of the reference by {method.name} failed: {check.problem}",
+            float(problem.times[len(found.positions)]),
+            f"the {what} by {method.name} failed: {found.problem}",
             "Choose other methods for the reference",
         )
-    return errors(problem, observe(problem, check), observed)
+    return found
 
 
 def _share(tell: Callable[[str], None]) -> Callable[[float], None]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.comparison.measure import DONE, FAILED, Row
-from multicell.comparison.norms import NORMS
+from multicell.comparison.norms import NORMS, described
 from multicell.folder import to_json, words, write_text
 from multicell.scene import Scene
 
@@ -29,6 +30,9 @@ FILES: Final = (
 )
 """What a comparison writes into its folder."""
 
+CLOCKS: Final = {"wall": "wall time", "cpu": "processor time"}
+"""Column of the table that may judge -> what it is."""
+
 
 @final
 @dataclass(frozen=True, eq=False)
@@ -42,21 +46,52 @@ class WorkPrecision:
         One row for each method and setting, from coarse to fine: ``method``, ``control``
         (``"tolerance"`` in mean radii, or ``"step"`` in s), ``setting``, ``status`` (``"done"``,
         ``"failed"``, or ``"skipped"`` where it would have taken too long), ``words`` (of a
-        failure), ``wall`` (s, the minimum of several solves), ``spent`` (s, the one solve that
-        the errors are of, also of a failure), ``error_...`` in every norm of
-        :data:`multicell.comparison.norms.NORMS`, ``cost`` (evaluations, with linearisations and
-        Jacobian products by their weights), and the counts of
-        :class:`multicell.mechanics.Work`. What a failed or skipped solve lacks is NaN.
+        failure), ``wall`` and ``cpu`` (s on the wall and of the processors, the minimum of several
+        solves), ``spent`` (s, the one solve that the errors are of, also of a failure),
+        ``error_...`` in every norm of :data:`multicell.comparison.norms.NORMS`, ``cost``
+        (evaluations, with linearisations and Jacobian products by their weights), the counts of
+        :class:`multicell.mechanics.Work`, and ``mode`` (``"whole run"``, or how many of the
+        coupling steps were compared one by one). What a failed or skipped solve lacks is NaN.
     uncertainty : norm -> float
         Of the reference: an error is known no better than this.
     facts : dict
         About the problem and the reference.
+    clock : "wall" or "cpu"
+        The time that judges.
     """
 
     scene: Scene
     table: list[Row]
     uncertainty: dict[str, float]
     facts: dict[str, Any]
+    clock: str = "wall"
+
+    @classmethod
+    def from_json(cls, text: str) -> WorkPrecision:
+        """Return what :meth:`to_json` has written.
+
+        Raises
+        ------
+        KeyError, ValueError
+            If the text is something else.
+        """
+        held = json.loads(text)
+        table = [
+            {name: math.nan if value is None else value for name, value in row.items()}
+            for row in held["table"]
+        ]
+        scene = Scene.from_dict(held["scene"])
+        return cls(scene, table, held["uncertainty"], held["facts"], held["clock"])
+
+    @property
+    def stepwise(self) -> bool:
+        """Whether single coupling steps were compared, each from a recorded state."""
+        return bool(self.facts.get("stepwise"))
+
+    @property
+    def norms(self) -> dict[str, str]:
+        """Name of each norm -> what it measures here."""
+        return described(self.stepwise)
 
     @property
     def methods(self) -> list[str]:
@@ -96,12 +131,12 @@ class WorkPrecision:
         for row in self.table:
             if row["status"] == DONE and row[f"error_{norm}"] + slack <= error:
                 best = reached.get(row["method"])
-                if best is None or row["wall"] < best["wall"]:
+                if best is None or row[self.clock] < best[self.clock]:
                     reached[row["method"]] = row
-        return dict(sorted(reached.items(), key=lambda item: item[1]["wall"]))
+        return dict(sorted(reached.items(), key=lambda item: item[1][self.clock]))
 
     def fastest(self, error: float = 0.01, norm: str = "position") -> Row | None:
-        """Return the row of least wall time that reaches an error, or None (:meth:`within`)."""
+        """Return the row of least time that reaches an error, or None (:meth:`within`)."""
         return next(iter(self.within(error, norm).values()), None)
 
     def order(self, method: str, norm: str = "position_final", finest: int | None = None) -> float:
@@ -132,14 +167,14 @@ class WorkPrecision:
         return float(np.polyfit(s, e, 1)[0])
 
     def figure(self, norm: str = "position") -> Figure:
-        """Draw error over wall time and over evaluations; failures as crosses on top."""
+        """Draw error over time and over evaluations; failures as crosses on top."""
         from multicell.comparison.chart import workprecision
 
         self._check(norm)
         return workprecision(self, norm)
 
     def norms_figure(self) -> Figure:
-        """Draw error over wall time in every norm."""
+        """Draw error over time in every norm."""
         from multicell.comparison.chart import norms
 
         return norms(self)
@@ -158,7 +193,8 @@ class WorkPrecision:
             {
                 "scene": self.scene.to_dict(),
                 "uncertainty": self.uncertainty,
-                "norms": NORMS,
+                "norms": self.norms,
+                "clock": self.clock,
                 "facts": self.facts,
                 "table": self.table,
             }

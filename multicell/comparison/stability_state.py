@@ -14,8 +14,7 @@ from typing import Final, final
 
 import numpy as np
 
-from multicell.biology.division import HALF
-from multicell.cells import FloatArray, IntArray
+from multicell.cells import HALF, FloatArray, IntArray
 from multicell.errors import SceneError, StepFailed
 from multicell.integrators.cvode import Cvode
 from multicell.mechanics import Mechanics, Motion, Work

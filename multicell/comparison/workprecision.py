@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import time as clock
+import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,8 @@ from multicell.cells import Cells
 from multicell.comparison.measure import Effort, climb
 from multicell.comparison.methods import Ladder, Method, named, settings, stiffness
 from multicell.comparison.reference import Reference, blank, paired, reference
-from multicell.comparison.result import FILES, WorkPrecision
+from multicell.comparison.result import CLOCKS, FILES, WorkPrecision
+from multicell.comparison.stepwise import sample_size
 from multicell.errors import OutputError, SceneError
 from multicell.folder import prepare_folder, versions, words
 from multicell.integrators import METHODS
@@ -27,6 +28,8 @@ def compare(
     ladder: Ladder | None = None,
     output: str | Path | None = None,
     *,
+    stepwise: bool | int = False,
+    clock: str = "wall",
     cells: Cells | None = None,
     references: Sequence[tuple[str, float] | tuple[Method, float]] | None = None,
     cache: str | Path | bool = True,
@@ -43,6 +46,10 @@ def compare(
     the same times (:mod:`multicell.comparison.problem`). The errors of a point come from one solve;
     its time is the minimum of several solves after that one.
 
+    In a growing or driven population trajectories of any two methods part after a while. There
+    compare step-wise: each of a sample of the run's coupling steps starts from the same recorded
+    state for every method (:mod:`multicell.comparison.stepwise`).
+
     Parameters
     ----------
     scene
@@ -54,6 +61,12 @@ def compare(
         Settings of the methods, see :func:`multicell.comparison.methods.settings`.
     output
         Folder for the files of :meth:`WorkPrecision.save`.
+    stepwise
+        True to compare 24 of the run's coupling steps, or their number, each from its own
+        recorded state; cost is the sum over them. False to compare the whole run.
+    clock
+        Which time judges: ``"wall"``, or ``"cpu"`` for that of the processors, which other load
+        on the machine disturbs less. Both are measured.
     cells
         Cells to start from instead of the scene's initial ones.
     references
@@ -89,6 +102,9 @@ def compare(
         If the reference cannot be computed. Methods that fail are rows of the table.
     """
     described = scene if isinstance(scene, Scene) else load_scene(scene)
+    count = sample_size(stepwise)
+    if clock not in CLOCKS:
+        raise SceneError("clock", f"is {clock!r}, must be {' or '.join(map(repr, CLOCKS))}")
     if output is not None:
         _prepare(output, overwrite)
     tell = progress or (lambda _: None)
@@ -100,18 +116,19 @@ def compare(
     pair = None if references is None else paired(references, described, radius)
     _check_ladder(chosen, ladder)
     exact = reference(
-        described, pair=pair, cells=cells, cache=cache, threads=threads, progress=tell
-    )
+        described, pair=pair, stepwise=count, cells=cells, cache=cache, threads=threads,
+        progress=tell,
+    )  # fmt: skip
     decay = stiffness(exact.problem, exact.trajectory)
     whole = max(90.0, 10.0 * exact.wall) if budget is None else budget
-    begin = clock.perf_counter()
+    begin = time.perf_counter()
     table = []
     for k, method in enumerate(chosen):
-        left = whole - (clock.perf_counter() - begin)
+        left = whole - (time.perf_counter() - begin)
         rungs = settings(method, ladder, exact.problem, decay)
         effort = Effort(repeats, patience, left / (len(chosen) - k), len(rungs))
         table += climb(method, rungs, exact, effort, tell)
-    result = WorkPrecision(described, table, exact.uncertainty, _facts(exact, decay))
+    result = WorkPrecision(described, table, exact.uncertainty, _facts(exact, decay), clock)
     if output is not None:
         result.save(output)
     return result
@@ -145,7 +162,10 @@ def _facts(exact: Reference, decay: float) -> dict[str, Any]:
     problem = exact.problem
     return {
         "cells": [len(problem.start), int(problem.counts[-1])],
+        "mode": problem.mode,
+        "stepwise": problem.stepwise,
         "coupling_steps": len(problem.steps),
+        "coupling_steps_in_all": problem.total,
         "steps_with_events": sum(step.before is not None for step in problem.steps),
         "time": float(problem.times[-1]),
         "mean_radius": problem.mean_radius,

@@ -110,21 +110,28 @@ class Diffusion:
         stencil.apply_operator(c, zero, self.stiffness, self.ghost, *self.weights, out)
         return np.asarray(self._scaled_source() - out)
 
-    def inflow(self, c: FloatArray) -> float:
-        """Return the net flow in through the faces in amol/s, from py-pde's ghost values."""
+    def flows(self, c: FloatArray) -> tuple[float, float]:
+        """Return what flows in and out through the faces, amol/s, from py-pde's ghost values."""
         flat = self.shape[: self.dimensions]
         full = np.empty([n + 2 for n in flat])
         inner = tuple(slice(1, -1) for _ in flat)
         full[inner] = c.reshape(flat)
         self._conditions.set_ghost_cells(full)
-        steps = 0.0
+        inward = outward = 0.0
         for axis in range(self.dimensions):
             layers = np.moveaxis(full, axis, 0)[(slice(None), *inner[1:])]
             w = self.weights[axis]
             low, high = _ends(w, axis, self.dimensions) if w.size else (1.0, 1.0)
-            steps += float(np.sum(low * (layers[0] - layers[1])))
-            steps += float(np.sum(high * (layers[-1] - layers[-2])))
-        return self.stiffness * self.volume * steps
+            for step in (low * (layers[0] - layers[1]), high * (layers[-1] - layers[-2])):
+                inward += float(np.sum(step, where=step > 0.0))
+                outward -= float(np.sum(step, where=step < 0.0))
+        scale = self.stiffness * self.volume
+        return scale * inward, scale * outward
+
+    def inflow(self, c: FloatArray) -> float:
+        """Return the net flow in through the faces, amol/s."""
+        inward, outward = self.flows(c)
+        return inward - outward
 
     def invert(self, y: NDArray[Any], shift: float) -> tuple[NDArray[Any], float]:
         """Solve (-D L0 + shift) u = y approximately, in the precision of ``y``.

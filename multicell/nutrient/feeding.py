@@ -7,7 +7,7 @@ the cells: each field may have a grid and a geometry of its own.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, final
 
 import numpy as np
@@ -42,6 +42,8 @@ class Feeding:
 
     def __init__(self, scene: Scene) -> None:
         self._nutrients = scene.nutrients
+        scales = [part.uptake_scale for part in scene.types.values()]
+        self._scales = np.array(scales) if any(s != 1.0 for s in scales) else None
         self._order = solving_order(scene.nutrients)
         parameters = {name: FieldParameters.of(scene, name) for name in self._order}
         self._steady = [name for name in self._order if parameters[name].regime == "steady"]
@@ -85,8 +87,9 @@ class Feeding:
             if name in self._steady:
                 old = self.reports[name]
                 ledger.add(
-                    old.inflow, old.uptake, end - begin, secreted=old.produced, decayed=old.decayed
-                )
+                    old.inflow, old.uptake, end - begin,
+                    secreted=old.produced, decayed=old.decayed, outflow=old.outflow,
+                )  # fmt: skip
                 self.reports[name] = field.solve(cells.position, capacity, time=end, **with_cells)
             else:
                 before = field.stored()
@@ -100,6 +103,10 @@ class Feeding:
                     stored=field.stored() - before,
                 )
             self._sample(name, cells, capacity)
+
+    def gradients(self, position: FloatArray, names: Iterable[str]) -> dict[str, FloatArray]:
+        """Return the gradients of fields at positions, name -> (n, 3) mM/µm."""
+        return {name: self.fields[name].gradient(position) for name in names}
 
     def restore(self, frame: Frame) -> None:
         """Take fields, concentrations and accounts from a frame."""
@@ -128,6 +135,8 @@ class Feeding:
         """Return each cell's largest uptake and its secretion, (n,) amol/s."""
         nutrient = self._nutrients[name]
         active = activity(nutrient)[cells.state]
+        if self._scales is not None:
+            active = active * self._scales[cells.kind]
         capacity = nutrient.uptake * active * dependence(nutrient, self.concentrations, len(cells))
         if nutrient.secretion == 0.0 and not nutrient.secretion_from:
             return capacity, None

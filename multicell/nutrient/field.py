@@ -89,7 +89,7 @@ class FieldReport:
     """What a steady solve took and how well it balances; rates in amol/s.
 
     ``inflow + produced - uptake - decayed`` is zero up to ``residual``. ``inflow`` includes what a
-    perfusion brings.
+    perfusion brings and is net; ``outflow`` is what leaves through the faces.
     """
 
     newton: int
@@ -99,6 +99,7 @@ class FieldReport:
     uptake: float
     produced: float
     decayed: float
+    outflow: float = 0.0
 
 
 @final
@@ -281,6 +282,22 @@ class NutrientField:
         """
         return self.layout.gather(position, self._values)
 
+    def gradient(self, position: FloatArray) -> FloatArray:
+        """Return the gradient at positions (n, 3) in µm, (n, 3) mM/µm.
+
+        Differences of the interpolated field over one spacing, along the axes of the layout.
+        """
+        layout = self.layout
+        h = layout.spacing
+        axes = 2 if self.parameters.dimensions == 2 else 3
+        result = np.zeros_like(position)
+        for axis in range(axes):
+            step = np.zeros(3)
+            step[axis] = 0.5 * h
+            ahead, behind = (layout.gather(position + s * step, self._values) for s in (1, -1))
+            result[:, axis] = (ahead - behind) / h
+        return result
+
     def uptake(self, position: FloatArray, capacity: FloatArray) -> FloatArray:
         """Return what each cell takes up, (n,) amol/s."""
         c = self._values
@@ -376,6 +393,7 @@ class NutrientField:
             report.uptake,
             report.supplied - brought,
             p.decay * mass,
+            report.outflow,
         )
 
     def _summed(

@@ -57,6 +57,10 @@ class Layout(Protocol):
     """Nodes in space."""
 
     @property
+    def spacing(self) -> float:
+        """Distance of neighbouring nodes, µm."""
+
+    @property
     def volumes(self) -> FloatArray | float:
         """Volumes of the nodes, µm³; one number where they are equal."""
 
@@ -140,6 +144,11 @@ class BoxLayout:
         if height is None:
             return cls(lay(low, high, spacing))
         return cls(lay_flat(low, high, spacing, height))
+
+    @property
+    def spacing(self) -> float:
+        """Distance of neighbouring nodes, µm."""
+        return self.box.spacing
 
     @property
     def volumes(self) -> float:

@@ -177,7 +177,7 @@ def tissue_radius(scene: Scene) -> float:
     """Return the radius in µm of a ball of as many cells as there may be in the end."""
     cells = float(scene.initial.count)
     if scene.growth is not None:
-        doublings = min(scene.duration / scene.growth.cycle_time, 60.0)
+        doublings = min(scene.duration / scene.growth.mean_cycle, 60.0)
         cells = min(cells * 2.0**doublings, float(scene.stop_cells or 1e6))
     return float(_typical_radius(scene) * cells ** (1.0 / 3.0))
 

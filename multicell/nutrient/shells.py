@@ -183,5 +183,6 @@ class _Balance:
         uptake = float(np.sum(self.most * c / (self.half + c)))
         spent = self.linear * float(np.sum(self.shells.volumes * c))
         return SolveReport(
-            newton, 0, size, self.shells.inflow(c), uptake, spent, float(self.supply.sum())
-        )
+            newton, 0, size, self.shells.inflow(c), uptake, spent, float(self.supply.sum()),
+            max(-self.shells.inflow(c), 0.0),
+        )  # fmt: skip

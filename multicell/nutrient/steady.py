@@ -78,6 +78,8 @@ class SolveReport:
         What the rate ``linear`` takes: decay, outflow with a perfusion, storage.
     supplied : float, amol/s
         The nodes' supply.
+    outflow : float, amol/s
+        What leaves through the faces; ``inflow`` is net.
     """
 
     newton: int
@@ -87,6 +89,7 @@ class SolveReport:
     uptake: float
     spent: float = 0.0
     supplied: float = 0.0
+    outflow: float = 0.0
 
 
 def solve_steady(
@@ -239,14 +242,16 @@ class _State:
             left += problem.supply
             supplied = float(np.sum(problem.supply))
         v = op.volume
+        inward, outward = op.flows(self.c)
         return SolveReport(
             linear.newton,
             linear.cg,
             v * float(np.sum(np.abs(left))),
-            op.inflow(self.c),
+            inward - outward,
             v * float(np.sum(uptake)),
             v * problem.linear * float(np.sum(self.c)),
             v * supplied,
+            outward,
         )
 
 

@@ -1,0 +1,270 @@
+"""The cell cycle in phases: G1, S, G2, M, and G0 for cells that rest at the restriction point.
+
+A cell spends in each phase a time that it draws when it enters. In phases in which it grows its
+clock runs as fast as growth does (:func:`multicell.biology.growth.growth_factor`), in the others at
+its full rate, so that clock and volume agree and the volume doubles between birth and division.
+A coupling step may hold any part of a phase or several phases: what is left of the step is spent
+in the next one, also after division, so that cycles do not become longer with the step.
+
+At the end of G1 (the restriction point; A. B. Pardee, PNAS 71 (1974) 1286) a cell that finds too
+little nutrient or too much pressure goes to G0, and on to S when it decides anew in better
+conditions. Where the scene has no restriction, cells rest in any phase.
+
+With ``division = "smooth"`` a mother is replaced by her daughters at the beginning of M, and they
+part while M lasts: the cycle of a cell then is M, G1, S, G2. The daughters of one mother that are
+in M are one dividing cell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multicell import streams
+from multicell.biology.growth import birth_volume
+from multicell.cells import HALF, Cells, FloatArray, IntArray, Phase, State
+from multicell.contact import effective_modulus, effective_radius
+from multicell.parts import PHASES
+from multicell.streams import Purpose
+
+if TYPE_CHECKING:
+    from multicell.parts import PhaseLength
+    from multicell.scene import Scene
+
+
+@final
+@dataclass(frozen=True)
+class Cycling:
+    """Where cells are in their cycle after a step: columns of :class:`Cells`, and volumes."""
+
+    volume: FloatArray
+    state: NDArray[np.int8]
+    phase: NDArray[np.int8]
+    progress: FloatArray
+    phase_length: FloatArray
+
+
+def drawn_lengths(scene: Scene, ids: NDArray[np.int64], kind: NDArray[np.int16]) -> FloatArray:
+    """Return the durations of G1, S, G2 and M of each cell, (n, 4) s.
+
+    They depend on seed and identity only.
+    """
+    assert scene.growth is not None
+    u = streams.uniform(scene.seed, Purpose.PHASES, 0, ids, len(PHASES))
+    columns = [quantile(scene.growth.phases[name], u[:, k]) for k, name in enumerate(PHASES)]
+    return np.stack(columns, axis=1) * scale(scene, kind)[:, None]
+
+
+def scale(scene: Scene, kind: NDArray[np.int16]) -> FloatArray:
+    """Return the factor of each cell's type on durations, (n,)."""
+    if not scene.types:
+        return np.ones(len(kind))
+    return np.array([part.cycle_scale for part in scene.types.values()])[kind]
+
+
+def quantile(phase: PhaseLength, u: FloatArray) -> FloatArray:
+    """Return the durations at which a phase's distribution has the probabilities ``u``, s.
+
+    The normal distribution is cut symmetrically at three standard deviations, or at 90 % of the
+    mean where that is nearer.
+    """
+    from scipy import special
+
+    mean, variation = phase.duration, phase.variation
+    if phase.distribution == "fixed":
+        return np.full(len(u), mean)
+    if phase.distribution == "normal":
+        edge = special.ndtr(-min(3.0, 0.9 / variation))
+        return np.asarray(mean * (1.0 + variation * special.ndtri(edge + u * (1.0 - 2.0 * edge))))
+    shift = phase.shift if phase.distribution == "shifted-gamma" else 0.0
+    # the variation is that of the whole duration, shift included
+    shape = ((1.0 - shift) / variation) ** 2
+    random = special.gammaincinv(shape, u) / shape
+    return np.asarray(mean * (shift + (1.0 - shift) * random))
+
+
+def growing_time(scene: Scene, lengths: FloatArray) -> FloatArray:
+    """Return the time that each cell spends in phases in which it grows, (n,) s."""
+    return np.asarray(lengths[:, _grows(scene)[1:]].sum(axis=1))
+
+
+def advance(
+    scene: Scene, cells: Cells, factor: FloatArray, unfavourable: NDArray[np.bool_], dt: float
+) -> Cycling:
+    """Return where the cells are after a time ``dt`` (s).
+
+    Parameters
+    ----------
+    factor : (n,)
+        How fast cells grow here; see :func:`multicell.biology.growth.growth_factor`.
+    unfavourable : (n,) bool
+        Whether a cell would rest here.
+    """
+    growth = scene.growth
+    assert growth is not None
+    now = Cycling(
+        cells.volume, cells.state.copy(), cells.phase.copy(), cells.progress.copy(),
+        cells.phase_length.copy(),
+    )  # fmt: skip
+    left = np.where((cells.state == State.PROLIFERATING) & (cells.phase != Phase.G0), dt, 0.0)
+    grows = _grows(scene)
+    gain = birth_volume(scene) / cells.cycle_time
+    # a clock that stands still never comes to the end of its phase
+    active = np.flatnonzero(left > 0.0)
+    while active.size:
+        in_growth = grows[now.phase[active]]
+        rate = np.where(in_growth, factor[active], 1.0)
+        needed = np.full(active.size, np.inf)
+        to_go = now.phase_length[active] - now.progress[active]
+        np.divide(to_go, rate, out=needed, where=rate > 0.0)
+        spent = np.minimum(np.maximum(needed, 0.0), left[active])
+        now.progress[active] += rate * spent
+        now.volume[active] += np.where(in_growth, gain[active] * factor[active] * spent, 0.0)
+        left[active] -= spent
+        _change(scene, cells, now, active[needed <= spent], factor, unfavourable, left)
+        active = active[(left[active] > 0.0) & (needed <= spent)]
+    return now
+
+
+def _change(
+    scene: Scene,
+    cells: Cells,
+    now: Cycling,
+    at_end: NDArray[np.int64],
+    factor: FloatArray,
+    unfavourable: NDArray[np.bool_],
+    left: FloatArray,
+) -> None:
+    """Lead cells at the end of their phase into the next one."""
+    assert scene.growth is not None
+    phase = now.phase[at_end]
+    sequence = order(scene)
+    ripe = at_end[phase == sequence[-1]]
+    if ripe.size:
+        # what is left of the step is the daughters' time in their first phase
+        grow = _grows(scene)[sequence[0]]
+        ahead = left[ripe] * (factor[ripe] if grow else 1.0)
+        now.progress[ripe] = now.phase_length[ripe] + ahead
+        if grow:
+            now.volume[ripe] += 2.0 * ahead * birth_volume(scene) / cells.cycle_time[ripe]
+        left[ripe] = 0.0
+    resting = np.zeros(len(at_end), dtype=bool)
+    if scene.growth.restriction:
+        resting = (phase == Phase.G1) & unfavourable[at_end]
+        rest = at_end[resting]
+        now.phase[rest], now.state[rest] = Phase.G0, State.QUIESCENT
+        now.progress[rest] = now.phase_length[rest] = left[rest] = 0.0
+    go_on = at_end[(phase != sequence[-1]) & ~resting]
+    # G1, S, G2, M and then G1 again
+    now.phase[go_on] = now.phase[go_on] % Phase.M + 1
+    now.progress[go_on] = 0.0
+    now.phase_length[go_on] = _length_of(scene, cells, go_on, now.phase[go_on])
+
+
+def leave_rest(scene: Scene, cells: Cells, wakes: NDArray[np.bool_]) -> None:
+    """Lead the cells in G0 that are to go on into S."""
+    awake = np.flatnonzero(wakes & (cells.phase == Phase.G0) & (cells.state == State.QUIESCENT))
+    cells.state[awake], cells.phase[awake] = State.PROLIFERATING, Phase.S
+    cells.progress[awake] = 0.0
+    cells.phase_length[awake] = _length_of(scene, cells, awake, cells.phase[awake])
+
+
+def order(scene: Scene) -> list[Phase]:
+    """Return the phases in the order in which a cell goes through them from birth to division."""
+    assert scene.growth is not None
+    if scene.growth.division == "smooth":
+        return [Phase.M, Phase.G1, Phase.S, Phase.G2]
+    return [Phase.G1, Phase.S, Phase.G2, Phase.M]
+
+
+def newborn(scene: Scene, cells: Cells, progress: FloatArray) -> None:
+    """Put cells into their first phase, with what they have spent there already.
+
+    Sisters that part stay in M for the same time, which the mother's identity sets.
+    """
+    lengths = drawn_lengths(scene, cells.id, cells.kind)
+    first = order(scene)[0]
+    if first == Phase.M:
+        parents = np.maximum(cells.parent, 0)
+        of_mother = drawn_lengths(scene, parents, cells.kind)[:, Phase.M - 1]
+        lengths[:, Phase.M - 1] = np.where(cells.parent >= 0, of_mother, lengths[:, Phase.M - 1])
+    cells.phase = np.full(len(cells), first, dtype=np.int8)
+    cells.progress = progress
+    cells.phase_length = lengths[:, first - 1].copy()
+    cells.cycle_time = growing_time(scene, lengths)
+
+
+def parting(scene: Scene, cells: Cells, dt: float) -> tuple[IntArray, FloatArray] | None:
+    """Return the sisters that part, (m, 2) indices, and their slack with its rate, (m, 2).
+
+    At birth the slack is their overlap less the one at which their contact is at rest, so that they
+    feel no force of each other; it falls linearly over M. Over a coupling step of length ``dt``
+    it runs linearly to its value at the end.
+    """
+    if scene.growth is None or scene.growth.division != "smooth":
+        return None
+    young = np.flatnonzero((cells.phase == Phase.M) & (cells.parent >= 0))
+    young = young[np.lexsort((cells.id[young], cells.parent[young]))]
+    together = np.flatnonzero(cells.parent[young][1:] == cells.parent[young][:-1])
+    if not together.size:
+        return None
+    pairs = np.sort(np.stack([young[together], young[together + 1]], axis=1), axis=1)
+    first, second = pairs.T
+    r = cells.radius
+    overlap = r[first] + r[second] - (r[first] + r[second]) * (1.0 / HALF - 1.0)
+    modulus = effective_modulus(
+        cells.young[first], cells.poisson[first], cells.young[second], cells.poisson[second]
+    )
+    at_rest = scene.contact.equilibrium_overlap(modulus, effective_radius(r[first], r[second]))
+    whole = np.maximum(overlap - at_rest, 0.0)
+    length = cells.phase_length[first]
+    share = 1.0 - cells.progress[first] / length
+    living = cells.state[first] == State.PROLIFERATING
+    after = np.maximum(share - np.where(living, dt / length, 0.0), 0.0)
+    rate = whole * (after - share) / dt if dt > 0.0 else np.zeros_like(whole)
+    return pairs, np.stack([whole * share, rate], axis=1)
+
+
+def placed(scene: Scene, cells: Cells, share: FloatArray) -> FloatArray:
+    """Put cells at a share of their cycle, in [0, 1); return their volumes over that at birth."""
+    lengths = drawn_lengths(scene, cells.id, cells.kind)
+    cells.cycle_time = growing_time(scene, lengths)
+    sequence = np.array(order(scene))
+    lengths, grows = lengths[:, sequence - 1], _grows(scene)[sequence]
+    ends = np.cumsum(lengths, axis=1)
+    elapsed = share * ends[:, -1]
+    phase = np.minimum((elapsed[:, None] >= ends).sum(axis=1), len(PHASES) - 1)
+    rows = np.arange(len(cells))
+    cells.phase = sequence[phase].astype(np.int8)
+    cells.phase_length = lengths[rows, phase]
+    cells.progress = elapsed - (ends[rows, phase] - lengths[rows, phase])
+    before = np.arange(len(PHASES)) < phase[:, None]
+    grown = (lengths * grows * before).sum(axis=1) + cells.progress * grows[phase]
+    cells.age = elapsed
+    return np.asarray(1.0 + grown / cells.cycle_time)
+
+
+def phase_counts(cells: Cells) -> dict[str, int]:
+    """Return the number of living cells in each phase, by its name."""
+    living = (cells.state == State.PROLIFERATING) | (cells.state == State.QUIESCENT)
+    counts = np.bincount(cells.phase[living], minlength=len(Phase))
+    return {phase.name: int(counts[phase]) for phase in Phase}
+
+
+def _length_of(
+    scene: Scene, cells: Cells, index: NDArray[np.int64], phase: NDArray[np.int8]
+) -> FloatArray:
+    """Return how long the cells at ``index`` stay in a phase, s."""
+    lengths = drawn_lengths(scene, cells.id[index], cells.kind[index])
+    return np.asarray(lengths[np.arange(len(index)), phase - Phase.G1])
+
+
+def _grows(scene: Scene) -> NDArray[np.bool_]:
+    """Return for each :class:`Phase` whether cells grow in it."""
+    assert scene.growth is not None
+    known: Mapping[str, PhaseLength] = scene.growth.phases
+    return np.array([phase.name in known and known[phase.name].grows for phase in Phase])

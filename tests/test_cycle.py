@@ -1,0 +1,380 @@
+"""The cell cycle in phases, death by the clock, and the adhesion programme."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import multicell as mc
+from multicell import biology
+from multicell.biology.cycle import advance, drawn_lengths, newborn, phase_counts, quantile
+from multicell.cells import Phase, State
+from multicell.errors import SceneError
+from multicell.parts import PhaseLength
+from multicell.scene import Scene
+
+HOUR = 3600.0
+FIXED = {
+    "G1": {"duration": "6 h"},
+    "S": {"duration": "5 h"},
+    "G2": {"duration": "3 h"},
+    "M": {"duration": "1 h", "grows": False},
+}
+CYCLE = 15 * HOUR
+
+
+def scene(**changes):
+    entries = {
+        "duration": "1 d",
+        "initial": {"count": 1},
+        "cells": {"young_variation": 0.0},
+        "contact": {"law": "hertz"},
+        "growth": {"phases": FIXED},
+    }
+    return Scene.from_dict(entries).with_changes({k.replace("__", "."): v for k, v in
+                                                  changes.items()})  # fmt: skip
+
+
+def cells_of(described, count, stage="birth"):
+    described = described.with_changes({"initial.count": count, "initial.stage": stage})
+    return biology.initial_cells(described)
+
+
+def lived(described, cells, hours, dt):
+    """Let cells go through their cycle without mechanics; return them and their number in time."""
+    counts, next_id = [len(cells)], int(cells.id.max()) + 1
+    for step in range(1, round(hours * HOUR / dt) + 1):
+        n = len(cells)
+        now = advance(described, cells, np.ones(n), np.zeros(n, bool), dt)
+        cells = cells.take(np.arange(n))
+        cells.radius = np.cbrt(now.volume / (4 / 3 * np.pi))
+        cells.state, cells.phase = now.state, now.phase
+        cells.progress, cells.phase_length = now.progress, now.phase_length
+        cells, next_id = biology.divide(described, cells, step, next_id)
+        counts.append(len(cells))
+    return cells, np.array(counts)
+
+
+@pytest.mark.parametrize("dt", [600.0, 7 * 600.0, 4 * HOUR])
+def test_a_fixed_cycle_doubles_volume_and_number_whatever_the_step(dt):
+    described = scene()
+    start = cells_of(described, 3)
+    cells, _ = lived(described, start, 28, dt)
+    after = cells.age.max() if dt < HOUR else None
+    del after
+    assert len(cells) == 6
+    # 28 h are one cycle and 13 h: the daughters have grown through G1 and S, and 2 h of G2
+    assert (cells.phase == Phase.G2).all()
+    np.testing.assert_allclose(cells.progress, 2 * HOUR, rtol=1e-9)
+    birth = biology.birth_volume(described)
+    np.testing.assert_allclose(cells.volume, birth * (1 + 13 / 14), rtol=1e-9)
+
+
+def test_free_growth_is_exponential_with_rate_ln2_over_the_cycle():
+    """An asynchronous population doubles in each cycle, for fixed durations exactly in the mean."""
+    described = scene()
+    cells = cells_of(described, 4000, "asynchronous")
+    _, counts = lived(described, cells, 30, 900.0)
+    time = np.arange(len(counts)) * 900.0
+    rate = np.polyfit(time, np.log(counts), 1)[0]
+    assert rate == pytest.approx(np.log(2) / CYCLE, rel=0.02)
+    # the error of a count is at most that of n independent cells
+    assert counts[-1] == pytest.approx(4 * 4000, rel=4 / np.sqrt(4000))
+
+
+def test_random_durations_give_the_rate_of_the_euler_lotka_equation():
+    phases = {name: {**FIXED[name], "distribution": "gamma", "variation": 0.5} for name in FIXED}
+    described = scene(growth__phases=phases)
+    cells, _ = lived(described, cells_of(described, 300, "asynchronous"), 60, 1800.0)
+    _, counts = lived(described, cells, 20, 1800.0)
+    rate = np.polyfit(np.arange(len(counts)) * 1800.0, np.log(counts), 1)[0]
+    # 2 E[exp(-rate T)] = 1, T a sum of gamma distributions: product of (1 + rate m / k)^-k
+    means = np.array([6.0, 5.0, 3.0, 1.0]) * HOUR
+    log_product = (-4.0 * np.log1p(rate * means / 4.0)).sum()
+    assert np.log(2.0) + log_product == pytest.approx(0.0, abs=0.03)
+
+
+def test_phase_fractions_are_those_of_the_age_distribution():
+    described = scene()
+    cells = cells_of(described, 20000, "asynchronous")
+    ends = np.cumsum([0, 6, 5, 3, 1]) / 15
+    expected = 2.0 * (2.0 ** -ends[:-1] - 2.0 ** -ends[1:])
+    for population in (cells, lived(described, cells, 20, 1800.0)[0]):
+        counts = phase_counts(population)
+        found = np.array([counts[name] for name in ("G1", "S", "G2", "M")]) / len(population)
+        np.testing.assert_allclose(found, expected, atol=4 * 0.5 / np.sqrt(20000))
+        assert counts["G0"] == 0
+
+
+def test_the_number_of_cells_does_not_depend_on_the_coupling_step():
+    """Durations are drawn by identity and rests carried over: only the order of births differs."""
+    phases = {name: {**FIXED[name], "distribution": "normal", "variation": 0.1} for name in FIXED}
+    described = scene(growth__phases=phases)
+    start = cells_of(described, 2000, "asynchronous")
+    ends = [len(lived(described, start, 24, dt)[0]) for dt in (600.0, 1200.0, 2400.0, 4800.0)]
+    assert np.ptp(ends) < 0.01 * ends[0]
+
+
+@pytest.mark.parametrize(
+    ("phase", "law"),
+    [
+        ({"distribution": "gamma", "variation": 0.4}, stats.gamma(1 / 0.16, scale=0.16)),
+        (
+            {"distribution": "shifted-gamma", "variation": 0.2, "shift": 0.6},
+            stats.gamma(4.0, loc=0.6, scale=0.1),
+        ),
+        ({"distribution": "normal", "variation": 0.2}, stats.truncnorm(-3, 3, loc=1, scale=0.2)),
+        ({"distribution": "normal", "variation": 0.45}, stats.truncnorm(-2, 2, loc=1, scale=0.45)),
+    ],
+)
+def test_durations_follow_their_distribution(phase, law):
+    length = PhaseLength(duration=1000.0, **phase)
+    u = np.linspace(0.001, 0.999, 999)
+    np.testing.assert_allclose(quantile(length, u) / 1000.0, law.ppf(u), rtol=1e-9)
+    described = scene(growth__phases={**FIXED, "S": {"duration": 1000.0, **phase}})
+    drawn = drawn_lengths(described, np.arange(3000), np.zeros(3000, np.int16))[:, 1] / 1000.0
+    assert stats.kstest(drawn, law.cdf).pvalue > 0.01
+
+
+def test_cells_that_find_too_little_rest_at_the_end_of_g1_only():
+    described = scene(nutrients__oxygen={"quiescence": 0.02})
+    cells = cells_of(described, 200, "asynchronous")
+    n = len(cells)
+    now = advance(described, cells, np.full(n, 0.5), np.ones(n, bool), 20 * HOUR)
+    began = cells.phase == Phase.G1
+    assert (now.phase[began] == Phase.G0).all()
+    assert (now.state[began] == State.QUIESCENT).all()
+    # the others went on, at half speed where they grow; those that got through M wait to divide
+    assert (now.phase[~began] >= Phase.S).all()
+    assert (now.state[~began] == State.PROLIFERATING).all()
+    rich = advance(described, cells, np.ones(n), np.zeros(n, bool), 20 * HOUR)
+    assert not (rich.phase == Phase.G0).any()
+
+
+def test_rest_ends_in_s_when_conditions_are_good_again():
+    """A whole run: the medium is poor for a day, then rich, and all cells go on."""
+    described = scene(
+        duration="40 h",
+        initial__count=30,
+        initial__stage="asynchronous",
+        coupling_step="20 min",
+        nutrients__oxygen={
+            "boundary": 0.01, "media": [["24 h", 0.2]], "uptake": 1.0, "quiescence": 0.02,
+        },
+        output__every="4 h",
+    )  # fmt: skip
+    result = mc.run(described)
+    poor, rich = result.frames[5].cells, result.frames[-1].cells
+    assert (poor.state == State.QUIESCENT).all()
+    assert (poor.phase == Phase.G0).all()
+    assert not (rich.phase == Phase.G0).any()
+    assert len(rich) > len(poor)
+
+
+def test_daughters_inherit_what_is_heritable_and_draw_the_rest():
+    described = scene(cells__young_variation=0.2, cells__heritable=["young"])
+    mothers = cells_of(described, 50)
+    mothers.phase[:] = Phase.M
+    mothers.progress = mothers.phase_length + 60.0
+    daughters, _ = biology.divide(described, mothers, 1, 100)
+    np.testing.assert_array_equal(daughters.young, np.repeat(mothers.young, 2))
+    np.testing.assert_allclose(daughters.progress, 60.0)
+    assert (daughters.phase == Phase.G1).all()
+    other = described.with_changes({"cells.heritable": []})
+    drawn, _ = biology.divide(other, mothers, 1, 100)
+    assert (drawn.young != daughters.young).all()
+
+
+def test_types_have_cycles_of_their_own():
+    described = scene(types__fast={"cycle_scale": 0.5}, types__slow={"cycle_scale": 2.0})
+    cells = cells_of(described, 10)
+    newborn(described, cells, np.zeros(10))
+    np.testing.assert_allclose(cells.phase_length, np.where(cells.kind == 0, 3 * HOUR, 12 * HOUR))
+
+
+@pytest.mark.parametrize("dt", [HOUR, 5 * HOUR])
+def test_apoptosis_is_a_rate(dt):
+    """Survivors fall as exp(-kt), at any step; the dead shrink and go, and their volume is told."""
+    rate = 2e-5
+    described = Scene.from_dict(
+        {"duration": "30 h", "coupling_step": dt, "initial": {"count": 3000, "spacing": 3.0},
+         "contact": {"law": "hertz"}, "output": {"every": "30 h"},
+         "death": {"apoptosis_rate": rate, "apoptosis_time": "2 h"}}
+    )  # fmt: skip
+    result = mc.run(described)
+    summary = result.summary()
+    alive = np.exp(-rate * 30 * HOUR)
+    expected = 3000 * alive
+    assert summary["states"]["proliferating"] == pytest.approx(
+        expected, abs=4 * np.sqrt(3000 * alive * (1 - alive))
+    )
+    assert summary["removals"] > 0
+    start, end = result.frames[0].cells, result.frames[-1].cells
+    lost = start.volume.sum() - end.volume.sum()
+    assert summary["volume_released"] == pytest.approx(lost, rel=1e-10)
+    table = result.lineage
+    assert (table["end"] == "apoptotic").sum() == summary["removals"]
+    times = table["death_time"][np.isfinite(table["death_time"])]
+    law = stats.truncexpon(b=rate * 30 * HOUR, scale=1 / rate)
+    # a death is noticed at the end of its step
+    assert stats.kstest(times - 0.5 * dt, law.cdf).statistic < 0.03 + 0.6 * rate * dt
+
+
+def test_volume_grown_and_released_close_the_account():
+    described = mc.load_scene("spheroid").with_changes(
+        {"duration": "20 h", "initial.count": 80, "initial.stage": "uniform",
+         "nutrients.oxygen.boundary": "0.02 mM", "nutrients.oxygen.necrosis": "0.0135 mM",
+         "death.lysis_time": "3 h", "death.apoptosis_rate": "5e-6 1/s"}
+    )  # fmt: skip
+    simulation = mc.Simulation(described)
+    start, grown = simulation.cells.volume.sum(), 0.0
+    while not simulation.finished:
+        cells = simulation.cells
+        living = cells.take(cells.state == State.PROLIFERATING)
+        before = dict(zip(living.id.tolist(), living.volume.tolist(), strict=True))
+        factor = biology.growth_factor(described, simulation.concentrations, cells.pressure)
+        after = biology.volumes_after(described, cells, factor, described.coupling_step)
+        gain = dict(zip(cells.id.tolist(), after.tolist(), strict=True))
+        grown += sum(gain[k] - volume for k, volume in before.items())
+        simulation.step()
+    assert simulation.released > 0
+    balance = start + grown - simulation.released
+    assert simulation.cells.volume.sum() == pytest.approx(balance, rel=1e-10)
+
+
+ADHESIVE = {
+    "adhesion": {"strength": 0.1},
+    "types": {
+        "own": {
+            "receptor": 2.0,
+            "ligand": [[0.0, 1.0], ["10 h", 0.0]],
+            "receptor_by_phase": {"M": 0.1, "S": 0.5},
+            "receptor_by": {"oxygen": [["0 mM", 0.0], ["0.02 mM", 1.0]]},
+        }
+    },
+    "nutrients": {"oxygen": {"boundary": 0.01, "uptake": 0.001}},
+}
+
+
+def test_receptors_follow_phase_and_concentration_linearly_over_a_step():
+    described = scene(**ADHESIVE, initial__count=40, initial__stage="asynchronous")
+    simulation = mc.Simulation(described)
+    for _ in range(3):
+        cells, time = simulation.cells, simulation.time
+        oxygen = simulation.concentrations["oxygen"]
+        by_phase = np.select([cells.phase == Phase.M, cells.phase == Phase.S], [0.1, 0.5], 1.0)
+        expected = dict(zip(cells.id.tolist(), 2.0 * by_phase * oxygen / 0.02, strict=True))
+        motion = simulation._motion(time, time + 600.0, cells.radius)
+        np.testing.assert_array_equal(motion.bonds[:, 0], cells.receptor)
+        ends = motion.bonds[:, 0] + 600.0 * motion.bonds[:, 2]
+        np.testing.assert_allclose(ends, list(expected.values()), rtol=1e-12)
+        simulation.step()
+        for cell, receptor in zip(simulation.cells.id, simulation.cells.receptor, strict=True):
+            if cell in expected:
+                assert receptor == pytest.approx(expected[cell], rel=1e-12)
+    np.testing.assert_allclose(simulation.cells.ligand, 1.0 - simulation.time / (10 * HOUR))
+
+
+@pytest.mark.parametrize(
+    ("changes", "path", "words"),
+    [
+        ({"growth.phases": {"G1": {"duration": "6 h"}}}, "growth.phases.S", "is missing"),
+        ({"growth.phases.G3": {"duration": "6 h"}}, "growth.phases.G3", "not a known name"),
+        ({"growth.phases.S.duration": "-1 h"}, "growth.phases.S.duration", "above 0"),
+        (
+            {f"growth.phases.{name}.grows": False for name in FIXED},
+            "growth.phases",
+            "no phase in which cells grow",
+        ),
+        (
+            {"growth.phases.S.distribution": "normal", "growth.phases.S.variation": 0.8},
+            "growth.phases.S.variation",
+            "at most 0.5",
+        ),
+        ({"growth.critical_pressure": 0}, "growth.critical_pressure", "above 0"),
+        ({"death.apoptosis_rate": "-1e-6 1/s"}, "death.apoptosis_rate", "at least 0"),
+        ({"cells.heritable": ["young", "hair"]}, "cells.heritable", "must be one of"),
+        (
+            {**ADHESIVE, "types.own.receptor_by_phase": {"G4": 1.0}},
+            "types.own.receptor_by_phase.G4",
+            "not a phase",
+        ),
+        (
+            {**ADHESIVE, "types.own.receptor_by": {"oxigen": [[0, 1]]}},
+            "types.own.receptor_by.oxigen",
+            "Did you mean 'oxygen'",
+        ),
+        (
+            {**ADHESIVE, "types.own.receptor_by": {"oxygen": [[0.1, 1], [0, 2]]}},
+            "types.own.receptor_by.oxygen",
+            "concentrations that rise",
+        ),
+    ],
+)
+def test_bad_input(changes, path, words):
+    with pytest.raises(SceneError) as caught:
+        scene().with_changes(changes)
+    assert caught.value.path == path
+    assert words in str(caught.value)
+
+
+SMOOTH = {"growth.division": "smooth", "growth.restriction": False}
+
+
+def test_smooth_division_conserves_and_parts_over_m():
+    """Daughters begin inside the mother without a force between them, and end at rest."""
+    described = scene(
+        duration="9 h",
+        coupling_step="5 min",
+        contact={"law": "jkr", "surface_energy": 0.05},
+        output__every="5 min",
+        **{
+            "growth.phases": {
+                "G1": {"duration": "1 h"},
+                "S": {"duration": "1 h"},
+                "G2": {"duration": "1 h"},
+                "M": {"duration": "2 h", "grows": False},
+            },
+            **SMOOTH,
+        },
+    )
+    simulation = mc.Simulation(described)
+    volume, distance, mother = [], [], None
+    while len(simulation.cells) < 2:
+        mother = simulation.cells
+        simulation.step()
+    pair = simulation.cells
+    assert (pair.phase == Phase.M).all()
+    np.testing.assert_allclose(pair.position.mean(axis=0), mother.position[0], atol=1e-9)
+    pairs, slack = biology.parting(described, pair, 300.0)
+    assert pairs.tolist() == [[0, 1]]
+    gap = np.linalg.norm(pair.position[0] - pair.position[1])
+    modulus = 1.0 / (1.5 * (1 - 0.25))
+    at_rest = described.contact.equilibrium_overlap(modulus, pair.radius[0] / 2)
+    assert 2 * pair.radius[0] - gap - slack[0, 0] == pytest.approx(at_rest, rel=0.02)
+    while (simulation.cells.phase == Phase.M).all():
+        cells = simulation.cells
+        volume.append(cells.volume.sum())
+        distance.append(np.linalg.norm(cells.position[0] - cells.position[1]))
+        simulation.step()
+    assert len(distance) == 24
+    np.testing.assert_allclose(volume, volume[0], rtol=1e-12)
+    # the distance follows the slack: it rises steadily to that of two cells at rest
+    steps = np.diff(distance)
+    assert (steps > 0).all()
+    assert steps.max() < 2.0 * np.median(steps)
+    cells = simulation.cells
+    end = np.linalg.norm(cells.position[0] - cells.position[1])
+    assert end == pytest.approx(2 * cells.radius[0] - at_rest, rel=0.02)
+
+
+def test_smooth_division_keeps_the_age_distribution_and_needs_phases():
+    described = scene(**SMOOTH)
+    cells = cells_of(described, 20000, "asynchronous")
+    ends = np.cumsum([0, 1, 6, 5, 3]) / 15
+    expected = 2.0 * (2.0 ** -ends[:-1] - 2.0 ** -ends[1:])
+    for population in (cells, lived(described, cells, 20, 1800.0)[0]):
+        counts = phase_counts(population)
+        found = np.array([counts[name] for name in ("M", "G1", "S", "G2")]) / len(population)
+        np.testing.assert_allclose(found, expected, atol=4 * 0.5 / np.sqrt(20000))
+    with pytest.raises(SceneError, match="there are no phases"):
+        mc.load_scene("growth").with_changes({"growth.division": "smooth"})

@@ -1,0 +1,384 @@
+"""Step-wise comparison: every coupling step from its own recorded state, judged at its end."""
+
+import csv
+import io
+import json
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import multicell.comparison.measure as measure
+import multicell.comparison.stepwise as stepwise
+from multicell import SceneError, Simulation, StepFailed
+from multicell.cli import main
+from multicell.comparison import Method, WorkPrecision, compare
+from multicell.comparison.norms import NORMS
+from multicell.comparison.problem import Trajectory, replay
+from multicell.comparison.reference import default_pairs, key, paired, reference
+from multicell.comparison.stepwise import SAMPLES, sample, sample_size
+from multicell.integrators.base import Outcome
+from multicell.integrators.explicit import Euler
+from multicell.scene import Scene, load_scene
+
+PAIR = Scene.from_dict(
+    {
+        "title": "Two Hertz cells part",
+        "duration": "300 s",
+        "coupling_step": "60 s",
+        "initial": {"count": 2, "spacing": 0.8},
+        "cells": {"young_variation": 0.0},
+        "contact": {"law": "hertz"},
+    }
+)
+GROWING = Scene.from_dict(
+    {
+        "title": "Twelve cells grow",
+        "duration": "12 h",
+        "coupling_step": "20 min",
+        "initial": {"count": 12, "stage": "uniform"},
+        "growth": {"cycle_time": "15 h"},
+    }
+)
+RADIUS = PAIR.cells.division_radius * 0.5 ** (1 / 3)
+
+
+def parted(position, length):
+    """Return where two Hertz cells are after a time: dh/dt = -2 k h^1.5 / Γ in closed form."""
+    modulus = 1.0 / (0.75 * (1.0 - 0.25) * 2.0 / PAIR.cells.young)
+    stiff = modulus * math.sqrt(0.5 * RADIUS)
+    drag = 6.0 * math.pi * PAIR.drag.viscosity * RADIUS
+    middle, axis = position.mean(axis=0), position[1] - position[0]
+    distance = np.linalg.norm(axis)
+    overlap = ((2.0 * RADIUS - distance) ** -0.5 + stiff * length / drag) ** -2
+    half = 0.5 * (2.0 * RADIUS - overlap) * axis / distance
+    return np.array([middle - half, middle + half])
+
+
+@dataclass(frozen=True)
+class Planted:
+    """The exact solution from where a step starts, shifted by a little in every step."""
+
+    shift: float = 0.0
+    fail_in: float = math.inf
+
+    def integrate(self, system, position):
+        """Return the end of a step, or the planted failure in the step that ends after it."""
+        begin, end = system.motion.begin, system.motion.end
+        system.work.evaluations += 3
+        if begin <= self.fail_in < end:
+            return Outcome(begin, position, "the planted end", "plant none", 0)
+        return Outcome(end, parted(position, end - begin) + np.array([0, 0, self.shift]))
+
+
+def planted(make, name="planted"):
+    return Method(name, "step", make)
+
+
+EXACT = planted(lambda _: Planted(), "exact")
+BOTH_EXACT = [(EXACT, 1.0), (EXACT, 1.0)]
+
+
+def compared(methods, ladder, scene=PAIR, **options):
+    options = {"cache": False, "references": BOTH_EXACT, "repeats": 1, "stepwise": True} | options
+    return compare(scene, methods, {"step": ladder}, **options)
+
+
+# errors
+
+
+def test_every_step_starts_from_its_recorded_state_and_meets_the_closed_form():
+    found = reference(PAIR, stepwise=24, cache=False)
+    problem = found.problem
+    assert problem.total == len(problem.steps) == len(problem.starts) == 5
+    for start, end in zip(problem.starts, found.trajectory.positions, strict=True):
+        np.testing.assert_allclose(end, parted(start, 60.0), rtol=0, atol=1e-9 * RADIUS)
+    # the states were led to by a loose tolerance: they are near the solution, and not on it
+    chained = parted(problem.starts[0], 60.0)
+    assert 1e-9 < np.abs(problem.starts[1] - chained).max() / RADIUS < 0.05
+    assert 0.0 < found.uncertainty["position"] < 1e-8
+
+
+def test_an_error_of_each_step_is_found_and_not_carried_on():
+    drift = planted(lambda s: Planted(shift=s * RADIUS))
+    apart = compared([drift], [1e-3]).table[0]
+    whole = compared([drift], [1e-3], stepwise=False).table[0]
+    for norm in ("position", "position_median", "position_final"):
+        assert apart[f"error_{norm}"] == pytest.approx(1e-3, rel=1e-6)
+    assert whole["error_position"] == pytest.approx(5e-3, rel=1e-6)
+    assert whole["error_position_median"] == pytest.approx(3e-3, rel=1e-6)
+    for norm in ("energy", "gyration", "pair_distance"):
+        assert apart[f"error_{norm}"] == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("planted_error", [1e-2, 1e-6])
+def test_the_uncertainty_is_measured_step_by_step_too(planted_error):
+    off = planted(lambda s: Planted(shift=planted_error * RADIUS), "off")
+    result = compared([EXACT], [1.0], references=[(EXACT, 1.0), (off, 1.0)])
+    assert result.uncertainty["position"] == pytest.approx(planted_error, rel=1e-6)
+    assert result.table[0]["error_position"] == 0.0
+    assert result.fastest(1.1 * planted_error)["method"] == "exact"
+    assert result.fastest(0.9 * planted_error) is None
+
+
+def test_one_step_from_the_start_is_the_ordinary_comparison():
+    scene = PAIR.with_changes({"duration": "60 s"})
+    one, all_ = (compared(["euler", "rk4"], [8.0, 2.0], scene, stepwise=s) for s in (True, False))
+    for a, b in zip(one.table, all_.table, strict=True):
+        same = [name for name in a if name not in ("wall", "cpu", "spent", "mode")]
+        assert [a[name] for name in same] == [b[name] for name in same]
+    assert one.uncertainty == all_.uncertainty
+
+
+def test_a_method_of_order_one_is_seen_as_such():
+    assert compared(["euler"], [8.0, 4.0, 2.0, 1.0]).order("euler", "position") == pytest.approx(
+        1.0, abs=0.15
+    )
+
+
+def test_the_cost_is_the_sum_over_the_steps():
+    row = compared(["euler"], [10.0], stepwise=3).table[0]
+    assert (row["evaluations"], row["cost"]) == (18, 18.0)
+
+
+# failures
+
+
+@pytest.fixture(scope="module")
+def failing():
+    """Return a comparison in which a method fails in the fourth step at one setting."""
+    make = {2.0: Planted(fail_in=200.0), 1.0: Planted(shift=0.01)}
+    off = planted(lambda s: Planted(shift=1e-4 * RADIUS), "off")
+    fragile = planted(make.__getitem__, "fragile")
+    return compared([EXACT, fragile], [2.0, 1.0], references=[(EXACT, 1.0), (off, 1.0)])
+
+
+def test_a_failure_in_one_step_is_nan_with_words_and_a_cross(failing):
+    (row,) = failing.failures()
+    assert (row["method"], row["setting"]) == ("fragile", 2.0)
+    assert row["words"] == "the planted end (t = 180 s)"
+    assert all(math.isnan(row[f"error_{norm}"]) for norm in NORMS)
+    assert math.isnan(row["wall"])
+    assert math.isnan(row["cpu"])
+    strip = next(axes for axes in failing.figure().axes if axes.get_label() == "failures")
+    assert [line.get_label() for line in strip.lines] == ["fragile failed"]
+    np.testing.assert_array_equal(strip.lines[0].get_xdata(), [row["spent"]])
+
+
+def test_a_reference_that_fails_in_a_step_says_so():
+    stuck = planted(lambda _: Planted(fail_in=100.0), "stuck")
+    with pytest.raises(StepFailed, match="the reference by stuck failed: the planted end"):
+        compared([EXACT], [1.0], references=[(stuck, 1.0), (EXACT, 1.0)])
+    with pytest.raises(StepFailed, match="the check of the reference by stuck failed"):
+        compared([EXACT], [1.0], references=[(EXACT, 1.0), (stuck, 1.0)])
+
+
+# chart, page and files say what was compared
+
+
+def test_chart_page_and_csv_state_the_mode(failing, tmp_path):
+    mode = "step-wise, 5 of 5 coupling steps"
+    assert failing.facts["mode"] == mode
+    for figure in (failing.figure(), failing.norms_figure()):
+        assert any(mode in text.get_text() for text in figure.texts)
+    titles = [axes.get_title(loc="left") for axes in failing.norms_figure().axes]
+    assert "positions, worst step" in titles
+    page = failing.save(tmp_path).read_text(encoding="utf-8")
+    assert mode in page
+    assert "positions, largest over the steps / mean radius" in page
+    rows = list(csv.DictReader(io.StringIO((tmp_path / "workprecision.csv").read_text())))
+    assert {row["mode"] for row in rows} == {mode}
+    held = json.loads((tmp_path / "workprecision.json").read_text())
+    assert "over the steps" in held["norms"]["energy"]
+    whole = compared([EXACT], [1.0], stepwise=False)
+    assert whole.table[0]["mode"] == "whole run"
+    assert not any("step-wise" in text.get_text() for text in whole.figure().texts)
+
+
+def test_a_result_comes_back_from_its_json(failing):
+    again = WorkPrecision.from_json(failing.to_json())
+    assert again.to_csv() == failing.to_csv()
+    assert again.uncertainty == failing.uncertainty
+    assert again.scene == failing.scene
+    assert (again.clock, again.stepwise) == ("wall", True)
+    assert again.within(0.01).keys() == failing.within(0.01).keys()
+
+
+# sampling
+
+
+def noted(total, count):
+    """Return what a sampler keeps of a run of ``total`` steps, by the first coordinate."""
+
+    class Stays:
+        def integrate(self, system, position):
+            return Outcome(0.0, position)
+
+    class System:
+        motion = None
+
+    sampler = stepwise._Sampler(Stays(), count)
+    held = 0
+    for k in range(total):
+        sampler.integrate(System(), np.full((1, 3), float(k)))
+        held = max(held, len(sampler.held))
+    return [int(start[0, 0]) for start, _ in sampler.chosen(count)], held
+
+
+@pytest.mark.parametrize(("total", "count"), [(1, 4), (7, 24), (24, 24), (25, 24), (97, 5)])
+def test_a_sample_is_taken_from_the_middles_of_equal_parts(total, count):
+    chosen, _ = noted(total, count)
+    parts = min(total, count)
+    assert len(set(chosen)) == parts
+    edges = np.linspace(0, total, parts + 1)
+    middles = 0.5 * (edges[1:] + edges[:-1]) - 0.5
+    np.testing.assert_allclose(chosen, middles, atol=0.5 if total <= 16 * count else 1.0)
+
+
+def test_a_long_run_is_sampled_with_few_states_held():
+    chosen, held = noted(5000, 6)
+    assert held <= 16 * 6 + 1
+    # states are held at a stride of at most an eighth of the distance between two samples
+    middles = (np.arange(6) + 0.5) * 5000 / 6
+    np.testing.assert_allclose(chosen, middles, atol=5000 / 6 / 16 + 1)
+
+
+def test_the_sampled_states_are_those_of_the_simulation():
+    problem = sample(GROWING, Euler(5.0), 7)
+    simulation = Simulation(GROWING.with_changes({"integrator": "euler", "integrator.step": 5.0}))
+    begins = {step.motion.begin: k for k, step in enumerate(problem.steps)}
+    seen = 0
+    while not simulation.finished:
+        k = begins.get(simulation.time)
+        if k is not None:
+            np.testing.assert_array_equal(problem.starts[k], simulation.cells.position)
+            np.testing.assert_array_equal(problem.steps[k].motion.radius, simulation.cells.radius)
+            seen += 1
+        simulation.step()
+    assert seen == 7
+    assert problem.total == simulation.steps == 36
+    assert problem.counts[-1] > problem.counts[0] >= 12
+
+
+RICH = {
+    "duration": "6 h",
+    "initial.count": 30,
+    "contact.law": "exact-jkr",
+    "friction": {"normal": "0.1 nN s/um^3", "tangential": "0.1 nN s/um^3"},
+    "types.a": {"fraction": 0.5},
+    "types.b": {"fraction": 0.5, "young": "3 kPa"},
+    "nutrients.oxygen": {
+        "diffusion": "2000 um^2/s",
+        "boundary": "0.05 mM",
+        "uptake": "40 amol/s",
+        "half_saturation": "0.005 mM",
+        "growth_half_saturation": "0.01 mM",
+        "quiescence": "0.015 mM",
+        "necrosis": "0.008 mM",
+    },
+}
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_nutrient_division_types_friction_and_remembered_contacts_are_held(tmp_path, dimensions):
+    scene = GROWING.with_changes(RICH | {"dimensions": dimensions} if dimensions == 3 else {
+        "dimensions": 2, "duration": "6 h", "contact.law": "exact-jkr",
+        "types.a": {"fraction": 0.5}, "types.b": {"fraction": 0.5, "young": "3 kPa"},
+    })  # fmt: skip
+    options = {"stepwise": 5, "cache": tmp_path, "repeats": 1}
+    first = compare(scene, ["cvode"], {"tolerance": [1e-2, 1e-4]}, **options)
+    assert first.failures() == []
+    assert first.uncertainty["position"] < 1e-6
+    assert first.table[1]["error_position"] < 1e-2
+    again = reference(scene, stepwise=5, cache=tmp_path)
+    assert again.cached
+    problem = again.problem
+    assert len(problem.starts) == 5
+    assert any(len(step.motion.touching) for step in problem.steps)
+    assert all(step.motion.kind is not None for step in problem.steps)
+    assert problem.counts[-1] > problem.counts[0]
+    for start, step in zip(problem.starts, problem.steps, strict=True):
+        assert start.shape == (len(step.motion.radius), 3)
+
+
+def test_a_cached_sample_gives_the_same_steps_and_no_other_count(tmp_path):
+    pair = paired([("euler", 5.0), ("euler", 10.0)], GROWING, 4.0)
+    first, second = (reference(GROWING, pair=pair, stepwise=6, cache=tmp_path) for _ in range(2))
+    assert (first.cached, second.cached) == (False, True)
+    assert second.problem.mode == first.problem.mode == "step-wise, 6 of 36 coupling steps"
+    assert second.problem.mean_radius == first.problem.mean_radius
+    ends = [replay(r.problem, Euler(10.0)).positions for r in (first, second)]
+    for a, b in zip(*ends, strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert len({key(GROWING, None, pair, count) for count in (None, 6, 7)}) == 3
+
+
+def test_the_pair_for_single_steps_is_of_two_families(monkeypatch):
+    scene = load_scene("grow-2000")
+    unsolved = reference(PAIR, cache=False).problem
+    best = default_pairs(scene, unsolved, 24)[0]
+    assert [method.name for method, _ in best] == ["dopri5", "cvode"]
+    assert all(setting <= 1e-10 for _, setting in best)
+
+
+# time that judges
+
+
+def test_the_chosen_clock_judges(monkeypatch):
+    # of each method: loading, the solve of the errors, a warm-up, and the one that counts
+    times = iter([(9.0, 9.0), *[(1.0, 5.0)] * 3, (9.0, 9.0), *[(4.0, 2.0)] * 3])
+
+    def timed(problem, integrator, limit=math.inf):
+        found = replay(problem, integrator)
+        return Trajectory(found.positions, found.work, *next(times), found.problem)
+
+    monkeypatch.setattr(measure, "replay", timed)
+    methods = [EXACT, planted(lambda s: Planted(), "other")]
+    result = compared(methods, [1.0], clock="cpu")
+    assert list(result.within(0.1)) == ["other", "exact"]
+    assert [(row["wall"], row["cpu"]) for row in result.table] == [(1.0, 5.0), (4.0, 2.0)]
+    assert result.figure().axes[0].get_xlabel() == "processor time (s)"
+    by_wall = WorkPrecision(result.scene, result.table, result.uncertainty, result.facts)
+    assert list(by_wall.within(0.1)) == ["exact", "other"]
+    assert by_wall.figure().axes[0].get_xlabel() == "wall time (s)"
+
+
+# input
+
+
+def test_the_number_of_steps_is_read():
+    assert [sample_size(s) for s in (False, None, True, 3)] == [None, None, SAMPLES, 3]
+
+
+@pytest.mark.parametrize("wrong", [0, -2, 2.5, "all"])
+def test_a_wrong_number_of_steps_is_refused_before_anything_is_written(wrong, tmp_path):
+    with pytest.raises(SceneError, match=r"stepwise: is .* must be a whole number of 1 or more"):
+        compare(PAIR, [EXACT], stepwise=wrong, output=tmp_path / "out", cache=False)
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_unknown_clock_is_refused():
+    with pytest.raises(SceneError, match="clock: is 'sun', must be 'wall' or 'cpu'"):
+        compare(PAIR, [EXACT], clock="sun", cache=False)
+
+
+@pytest.mark.parametrize(("given", "mode"), [([], "24 of 30"), (["3"], "3 of 30")])
+def test_the_command_compares_step_wise(tmp_path, monkeypatch, given, mode):
+    monkeypatch.setenv("MULTICELL_CACHE", str(tmp_path / "cache"))
+    scene = tmp_path / "pair.toml"
+    scene.write_text(PAIR.with_changes({"coupling_step": "10 s"}).to_toml())
+    arguments = ["compare", str(scene), "--stepwise", *given, "--methods", "euler", "--json"]
+    options = ["--clock", "cpu", "--repeats", "1", "-o", str(tmp_path / "out"), "--quiet"]
+    done = CliRunner().invoke(main, [*arguments, *options])
+    assert done.exit_code == 0, done.output
+    assert {row["mode"] for row in json.loads(done.stdout)} == {f"step-wise, {mode} coupling steps"}
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "Judged by processor time" in page
+
+
+def test_the_command_refuses_no_steps(tmp_path):
+    done = CliRunner().invoke(main, ["compare", "doublet", "--stepwise", "0", "-o", str(tmp_path)])
+    assert done.exit_code == 2
+    assert "0 is not in the range x>=1" in done.output
