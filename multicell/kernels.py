@@ -510,11 +510,11 @@ def forces(cells, pairs, slack, law, position, elapsed, stokes, rows, out):
         return True
     for c in range(pairs.start.size):
         _force_chunk(c, cells.chunk, rows, pairs, law, elapsed, out)
-        if slack.other.size > 0:
-            _slacken_chunk(c, cells.chunk, rows, slack, law, elapsed, out)
         _push_chunk(c, cells, rows, elapsed, out)
         if stokes:
             _drag_chunk(c, cells.chunk, rows, law.drag, out)
+    if slack.other.size > 0:
+        _slacken(rows, slack, law, elapsed, stokes, out)
     return False
 
 
@@ -528,11 +528,11 @@ def forces_parallel(cells, pairs, slack, law, position, elapsed, stokes, rows, o
         return True
     for c in prange(pairs.start.size):
         _force_chunk(c, cells.chunk, rows, pairs, law, elapsed, out)
-        if slack.other.size > 0:
-            _slacken_chunk(c, cells.chunk, rows, slack, law, elapsed, out)
         _push_chunk(c, cells, rows, elapsed, out)
         if stokes:
             _drag_chunk(c, cells.chunk, rows, law.drag, out)
+    if slack.other.size > 0:
+        _slacken(rows, slack, law, elapsed, stokes, out)
     return False
 
 
@@ -667,13 +667,13 @@ def _slackened(rows, slack, law, elapsed, i, e, amount):
 
 
 @njit(cache=True, error_model="numpy")
-def _slacken_chunk(c, chunk, rows, slack, law, elapsed, out):
-    """Replace the force of the pairs with slack on the cells of one chunk.
+def _slacken(rows, slack, law, elapsed, stokes, out):
+    """Replace the forces of the pairs with slack, or with ``stokes`` their part of velocities.
 
     The list has given them the force of their whole overlap. That is taken off again here: the
     loops over the list, which all other pairs share, need not look for pairs with slack.
     """
-    for i in range(c * chunk, min((c + 1) * chunk, rows.shape[0])):
+    for i in range(rows.shape[0]):
         for e in range(slack.begin[i], slack.begin[i + 1]):
             amount = _slack_at(slack, e, elapsed)
             if amount == 0.0:
@@ -683,6 +683,8 @@ def _slacken_chunk(c, chunk, rows, slack, law, elapsed, out):
             whole, _, _ = _slackened(rows, slack, law, elapsed, i, e, 0.0)
             felt, _, _ = _slackened(rows, slack, law, elapsed, i, e, amount)
             change = (felt - whole) / math.sqrt(dx * dx + dy * dy + dz * dz + _TINY)
+            if stokes:
+                change *= 1.0 / (law.drag * rows[i, 3])
             out[i, 0] -= change * dx
             out[i, 1] -= change * dy
             out[i, 2] -= change * dz

@@ -15,9 +15,36 @@ For each tolerance: steps, evaluations and Jacobian products beyond those of the
 without a division, in all and of the dearest coupling step; then what the end (``--rest`` after
 M, so that all have come to rest) differs by from ``inside``: root mean square distance of the
 other 199 cells and of the farthest, of the daughters, radius of gyration and contact energy.
-Cost: half a minute on one core.
-Command: python tests/benchmarks/compare_division.py [--atol 0.01,0.001] [--coupling 600]
-    [--phase 3600] [--rest 172800] [--viscosity 5] [--axes 5]
+Cost: a few seconds on one core for each tolerance.
+Command: python tests/benchmarks/compare_division.py [--atol 0.01,0.001] [--cells 200]
+    [--coupling 600] [--phase 3600] [--rest 172800] [--viscosity 5] [--axes 5]
+    [--surface-energy 0.1] [--spacing 0.86] | [--scene]
+
+Found (means of five axes, steps beyond a run without a division, ``inside`` / ``parting``):
+
+=========================================  =========  ===========  ===========  ===========
+atol in µm                                 0.1        0.01         0.001        0.0001
+=========================================  =========  ===========  ===========  ===========
+200 cells, as above                        5.0 / 4.2  19.0 / 21.8  49.8 / 59.8  118 / 136
+200 cells, 0.05 kPa s                      26 / 39    41 / 94      103 / 258    194 / 436
+200 cells, coupling step 1 h               16 / 18    41 / 36      91 / 72      175 / 159
+200 cells, σ 0.001 nN/µm (spacing 0.93)    5.0 / 0.0  11.6 / 5.0   35.2 / 29.6
+division-shock to 130 min, 3 a step less    5 / 4      15 / 22      35 / 47      69 / 126
+the mother alone                           9.0 / 2.0  17.4 / 8.0   29.0 / 20.0  47.8 / 41.0
+the mother alone, 0.05 kPa s               19 / 4.0   35.4 / 6.0   46.0 / 11.2  70.8 / 22.8
+=========================================  =========  ===========  ===========  ===========
+
+Smooth parting saves a factor of 3 to 6 only where the sisters' own shock is all there is and is
+over long before M ends (1.2 to 4.5 at 5 kPa s). In a cluster at rest it saves none.
+Part of the shock is that the neighbours
+lose the mother's flanks, which no slack between the sisters softens; and a shock that decays
+takes steps as the logarithm of time, where cells that are pushed about for an hour take some at
+each of six restarts. Even the sisters alone take more (8 steps at 0.01 µm) than a third of what
+the shock costs in the cluster (19). Fewer steps go into the dearest coupling step (10 for 12
+at 0.01 µm, 5 for 13 with σ 0.001). ``dumbbell``, whose two spheres first press the neighbours
+twice, is no better. The ends differ by which pocket a few cells settle in: the others by 0.14 µm
+(rms, median of the axes; 0.002 where they find the same pocket), the radius of gyration by
+1e-4, the contact energy by up to 4e-4 of itself.
 """
 
 from __future__ import annotations
@@ -35,12 +62,12 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from strategies import cluster
 
-from multicell import JKR
+from multicell import JKR, load_scene
+from multicell.comparison.problem import record, replay
 from multicell.contact import effective_modulus, effective_radius
 from multicell.integrators.cvode import Cvode
 from multicell.mechanics import Mechanics, Motion
 
-LAW = JKR(surface_energy=0.1)
 HALF = 0.5 ** (1.0 / 3.0)
 MODULUS = effective_modulus(1.0, 0.5, 1.0, 0.5)
 COUNTS = ("steps", "evaluations", "jacobian_products")
@@ -51,37 +78,38 @@ WAYS = ("inside", "parting", "dumbbell")
 class Division:
     """Where the daughters begin, and over M their radius and the distance they rest at, µm."""
 
+    law: JKR
     begin: float
     times: np.ndarray
     radius: np.ndarray
     rest: np.ndarray | None
 
     @classmethod
-    def of(cls, way: str, mother: float, times: np.ndarray) -> Division:
+    def of(cls, law: JKR, way: str, mother: float, times: np.ndarray) -> Division:
         """Return a division of a mother of radius ``mother`` with M from 0 to 1 in ``times``."""
         daughter = HALF * mother
-        end = 2.0 * daughter - rest_overlap(daughter)
+        end = 2.0 * daughter - rest_overlap(law, daughter)
         inside = 2.0 * (mother - daughter)
         if way == "inside":
-            return cls(inside, times, np.full(len(times), daughter), None)
+            return cls(law, inside, times, np.full(len(times), daughter), None)
         if way == "parting":
             rest = inside + (end - inside) * times
-            return cls(inside, times, np.full(len(times), daughter), rest)
+            return cls(law, inside, times, np.full(len(times), daughter), rest)
         rest = 0.1 * mother + (end - 0.1 * mother) * times
         radius = np.array([dumbbell_radius(d, mother) for d in rest])
         radius += times * (daughter - radius[-1])
-        return cls(rest[0], times, radius, rest)
+        return cls(law, rest[0], times, radius, rest)
 
     def slack(self) -> np.ndarray | None:
         """Return the slack at the times: the rest distance without it less the one wanted."""
         if self.rest is None:
             return None
-        return 2.0 * self.radius - rest_overlap(self.radius) - self.rest
+        return 2.0 * self.radius - rest_overlap(self.law, self.radius) - self.rest
 
 
-def rest_overlap(radius):
+def rest_overlap(law, radius):
     """Return the overlap at rest of two cells of one radius, µm."""
-    return LAW.equilibrium_overlap(MODULUS, effective_radius(radius, radius))
+    return law.equilibrium_overlap(MODULUS, effective_radius(radius, radius))
 
 
 def dumbbell_radius(distance: float, mother: float) -> float:
@@ -94,14 +122,17 @@ def dumbbell_radius(distance: float, mother: float) -> float:
     return float(brentq(excess, 0.5 * mother, mother))
 
 
-def settled(cells: int, tight: Cvode) -> tuple[np.ndarray, np.ndarray, int]:
+def settled(setting, tight):
     """Return centres and radii of cells at rest, and which one is to divide."""
-    position, _, _ = cluster(cells, 3, spacing=0.86, variation=0.0)
-    radius = 5.0 * HALF * (1.0 + np.random.default_rng(3).uniform(size=cells)) ** (1.0 / 3.0)
+    position, _, _ = cluster(setting.cells, 3, spacing=setting.spacing, variation=0.0)
+    radius = (
+        5.0 * HALF * (1.0 + np.random.default_rng(3).uniform(size=setting.cells)) ** (1.0 / 3.0)
+    )
     middle = int(np.linalg.norm(position - position.mean(axis=0), axis=1).argmin())
     radius[middle] = 5.0
     for _ in range(10):
-        position = moved(position, motion(radius, 0.0 * radius, 0.0, 86400.0), tight)[0]
+        still = motion(radius, 0.0 * radius, 0.0, 86400.0)
+        position = moved(position, still, tight, setting.law, 5.0)[0]
     return position, radius, middle
 
 
@@ -115,9 +146,9 @@ def motion(radius, rate, begin, end, slack=None, slack_rate=0.0):
     return replace(made, slack_pairs=pair, slack=np.array([[slack, slack_rate]]))
 
 
-def moved(position, motion, method, viscosity=5.0):
+def moved(position, motion, method, law, viscosity):
     """Return where the cells are after a coupling step, and the mechanics."""
-    system = Mechanics(LAW, viscosity)
+    system = Mechanics(law, viscosity)
     system.begin(motion)
     outcome = method.integrate(system, position)
     if not outcome.done:
@@ -128,7 +159,7 @@ def moved(position, motion, method, viscosity=5.0):
 def run(cells, division, setting, method):
     """Return final positions, counts of each coupling step of M and its half after, and energy."""
     position, radius = cells[0], cells[1].copy()
-    coupling, viscosity = setting.coupling, setting.viscosity
+    coupling = setting.coupling
     steps = round(setting.phase / coupling)
     counts = []
     slack = None if division is None else division.slack()
@@ -142,11 +173,11 @@ def run(cells, division, setting, method):
             if slack is not None:
                 extra = (slack[k], (slack[k + 1] - slack[k]) / coupling)
         step = motion(radius.copy(), rate, k * coupling, (k + 1) * coupling, *extra)
-        position, system = moved(position, step, method, viscosity)
+        position, system = moved(position, step, method, setting.law, setting.viscosity)
         counts.append([getattr(system.work, name) for name in COUNTS])
     tight = Cvode(rtol=1e-8, atol=1e-5)
     still = motion(radius, 0.0 * radius, 0.0, setting.rest)
-    position, system = moved(position, still, tight)
+    position, system = moved(position, still, tight, setting.law, 5.0)
     return position, np.array(counts), system.energy(setting.rest, position)
 
 
@@ -165,7 +196,7 @@ def shock(cells, division, setting):
     position, radius = cells
     slack = division.slack()
     extra = () if slack is None else (slack[0], 0.0)
-    system = Mechanics(LAW, setting.viscosity)
+    system = Mechanics(setting.law, setting.viscosity)
     system.begin(motion(radius, 0.0 * radius, 0.0, 1.0, *extra))
     bound = system.stiffness_bound(0.0, position)
     return system.pressure(0.0, position)[-2:].max(), 2.0 / bound
@@ -179,7 +210,7 @@ def compare(atol, setting, start, axes):
     times = np.linspace(0.0, 1.0, round(setting.phase / setting.coupling) + 1)
     ends, excess = {}, {}
     for way in WAYS:
-        division = Division.of(way, start[1][start[2]], times)
+        division = Division.of(setting.law, way, start[1][start[2]], times)
         rows = []
         for k, axis in enumerate(axes):
             found, counts, energy = run(divided(start, axis, division), division, setting, method)
@@ -219,6 +250,37 @@ def report(way, ends, axes):
         )
 
 
+def built_in(atol):
+    """Print the steps after the division of ``division-shock``, instant and with slack over 1 h."""
+    scene = load_scene("division-shock").with_changes({"duration": "130 min"})
+    problem, _ = record(scene, Cvode(rtol=1e-6, atol=1e-5), threads=1)
+    first = next(k for k, step in enumerate(problem.steps) if step.before is not None)
+    daughters = problem.steps[first].before.offset[-2:]
+    motion = problem.steps[first].motion
+    radius, young = motion.radius[-2:], motion.young[-2:]
+    rest = problem.template.law.equilibrium_overlap(
+        effective_modulus(young[0], 0.5, young[1], 0.5), effective_radius(*radius)
+    )
+    slack = radius.sum() - np.linalg.norm(daughters[1] - daughters[0]) - rest
+    parting = list(problem.steps)
+    pair = np.array([[len(motion.radius) - 2, len(motion.radius) - 1]])
+    for k in range(6):
+        now = np.array([[slack * (1.0 - k / 6.0), -slack / 3600.0]])
+        step = parting[first + k]
+        parting[first + k] = replace(step, motion=replace(step.motion, slack_pairs=pair, slack=now))
+    method, counts, ends = Cvode(rtol=1e-6, atol=atol), [], []
+    for steps in (problem.steps, parting):
+        early = replay(replace(problem, steps=steps[:first]), method)
+        found = replay(replace(problem, steps=steps), method)
+        counts.append(found.work.steps - early.work.steps)
+        ends.append(found.positions[-1])
+    apart = math.sqrt(float(((ends[1] - ends[0])[:-2] ** 2).sum(axis=1).mean()))
+    print(
+        f"division-shock, atol {atol:g} µm: {counts[0]} and {counts[1]} steps after the division "
+        f"in {len(parting) - first} coupling steps; others apart at the end {apart:.2g} µm (rms)"
+    )
+
+
 def gyration(position):
     """Return the radius of gyration of the centres, µm."""
     return math.sqrt(float(((position - position.mean(axis=0)) ** 2).sum(axis=1).mean()))
@@ -234,8 +296,16 @@ def main():
     parser.add_argument("--rest", type=float, default=172800.0, help="s")
     parser.add_argument("--viscosity", type=float, default=5.0, help="kPa s")
     parser.add_argument("--axes", type=int, default=5)
+    parser.add_argument("--surface-energy", type=float, default=0.1, help="nN/µm")
+    parser.add_argument("--scene", action="store_true", help="division-shock itself instead")
+    parser.add_argument("--spacing", type=float, default=0.86, help="at the start, in diameters")
     setting = parser.parse_args()
-    start = settled(setting.cells, Cvode(rtol=1e-8, atol=1e-5))
+    if setting.scene:
+        for atol in map(float, setting.atol.split(",")):
+            built_in(atol)
+        return
+    setting.law = JKR(surface_energy=setting.surface_energy)
+    start = settled(setting, Cvode(rtol=1e-8, atol=1e-5))
     axes = np.random.default_rng(0).normal(size=(setting.axes, 3))
     axes /= np.linalg.norm(axes, axis=1)[:, None]
     print(
@@ -243,7 +313,7 @@ def main():
         f"{setting.viscosity:g} kPa s"
     )
     for way in WAYS:
-        division = Division.of(way, start[1][start[2]], np.linspace(0.0, 1.0, 7))
+        division = Division.of(setting.law, way, start[1][start[2]], np.linspace(0.0, 1.0, 7))
         pressure, step = shock(divided(start, axes[0], division), division, setting)
         print(f"{way:9s} at birth: pressure {pressure:.3g} kPa, Euler stable to {step:.3g} s")
     for atol in map(float, setting.atol.split(",")):
