@@ -62,9 +62,18 @@ def _parts(scene: Scene) -> list[Part]:
         Part("growth", scene.growth is not None, growth),
         Part("death", scene.death is not None, death),
         *nutrient_parts(scene),
-        Part("integrator", True, f"{method}: {METHODS[method]}"),
+        Part("integrator", True, f"{method}: {METHODS[method]}{_choice(scene)}"),
         Part("output", True, f"a frame every {hours(scene.output.every)}"),
     ]
+
+
+def _choice(scene: Scene) -> str:
+    """Return what ``auto`` chooses at the start and why; nothing for any other method."""
+    if scene.integrator.method != "auto":
+        return ""
+    from multicell.integrators.auto import explained
+
+    return f"; {explained(scene)}"
 
 
 def _run(scene: Scene) -> list[Number]:

@@ -325,6 +325,14 @@ class Simulation:
             return {name: np.zeros((len(self.cells), 3)) for name in self.scene.chemotaxis}
         return self._feeding.gradients(self.cells.position, self.scene.chemotaxis)
 
+    def prepared(self) -> Mechanics:
+        """Return the mechanics made ready for the next coupling step, which is not taken."""
+        begin = self.time
+        end = min(begin + self.scene.coupling_step, self.scene.duration)
+        radius, _ = self._grown(end - begin)
+        self._mechanics.begin(self._motion(begin, end, radius))
+        return self._mechanics
+
     def _move(self, begin: float, end: float, radius: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Integrate the positions; return them and the pressures at the end."""
         cells = self.cells
