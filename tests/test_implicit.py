@@ -221,7 +221,8 @@ def test_bounded_softening_changes_nothing_else():
 def test_settings_change_the_way_and_not_the_end(change):
     position, radius, young = cluster(80, 6, spacing=0.8)
     exact = reference(mechanics(radius, young, Hertz()), position, 1e-10)
-    outcome = Cvode(1e-12, 1e-6, **change).integrate(mechanics(radius, young, Hertz()), position)
+    method = Cvode(1e-12, 1e-6, light=False, **change)
+    outcome = method.integrate(mechanics(radius, young, Hertz()), position)
     assert outcome.done
     assert np.abs(outcome.position - exact).max() < 3e-5
 
@@ -364,6 +365,56 @@ def test_a_solver_that_keeps_breaking_ends_with_its_words():
     assert system.work.rejections > 1
 
 
+def test_cvode_begins_light_where_it_is_mild():
+    """The work is that of difference quotients; the end is within the tolerance the same."""
+    position, radius, young = cluster(200, 1, spacing=0.8)
+    ends, works = [], []
+    for light in (True, False):
+        system = mechanics(radius, young, JKR(surface_energy=0.1), duration=600.0)
+        outcome = Cvode(1e-6, 1e-3, light=light).integrate(system, position)
+        assert outcome.done
+        ends.append(outcome.position)
+        works.append(system.work)
+    assert np.abs(ends[0] - ends[1]).max() < 0.05
+    light, full = works
+    assert light.linearisations == light.jacobian_products == 0 < full.linearisations
+    assert light.evaluations > full.evaluations
+    assert light.steps <= light.newton_iterations <= light.evaluations
+    assert light.linear_iterations > 0
+    # every evaluation is one of Newton's or a product, but for those that find the first step
+    extra = light.evaluations - light.newton_iterations - light.linear_iterations
+    assert 0 <= extra <= 5
+
+
+def test_a_stiff_interval_is_that_of_the_full_method():
+    """Two steps tell, and are thrown away: the same bits, for a few evaluations more."""
+    position, radius, young = cluster(200, 1, spacing=0.8)
+    ends, works = [], []
+    for light in (True, False):
+        system = mechanics(radius, young, Hertz(), duration=6000.0, viscosity=0.005)
+        outcome = Cvode(1e-6, 1e-3, light=light).integrate(system, position)
+        assert outcome.done
+        ends.append(outcome.position.tobytes())
+        works.append(system.work)
+    assert ends[0] == ends[1]
+    assert works[0].steps == works[1].steps
+    assert 0 < works[0].evaluations - works[1].evaluations <= 16
+
+
+def test_an_interval_that_becomes_stiff_goes_over_to_the_full_method(monkeypatch):
+    monkeypatch.setattr("multicell.integrators.cvode._SLOW_START", 0.0)
+    position, radius, young = cluster(200, 1, spacing=0.8)
+    system = mechanics(radius, young, JKR(surface_energy=0.1), duration=600.0, viscosity=0.05)
+    outcome = Cvode(1e-6, 1e-2).integrate(system, position)
+    assert outcome.done
+    assert outcome.time == 600.0
+    assert system.work.linearisations > 0
+    alone = mechanics(radius, young, JKR(surface_energy=0.1), duration=600.0, viscosity=0.05)
+    assert Cvode(1e-6, 1e-2, light=False).integrate(alone, position).done
+    # what was begun light took evaluations in place of products
+    assert system.work.evaluations > alone.work.evaluations
+
+
 def test_auto_chooses_by_stiffness_and_says_why():
     position, radius, young = cluster(400, 2, spacing=0.9)
     soft = choose(mechanics(radius, young, duration=60.0), position, 1e-6, 1e-2)
@@ -464,7 +515,7 @@ def test_memory_that_nothing_was_written_to_decides_nothing(monkeypatch, name, v
         monkeypatch.setattr(Linearisation, "room", filled)
         system = mechanics(radius, young, duration=600.0, viscosity=viscosity)
         system._inverse[:] = filling
-        outcome = Cvode(atol=1e-3, preconditioner=name).integrate(system, position)
+        outcome = Cvode(atol=1e-3, preconditioner=name, light=False).integrate(system, position)
         assert outcome.done
         results.append((system.work, outcome.position))
     for work, end in results[1:]:
