@@ -252,14 +252,6 @@ class Simulation:
         fraction = observables.heterotypic_fraction(self.cells, self.contacts)
         return {"heterotypic_fraction": fraction}
 
-    def prepared(self) -> tuple[Mechanics, FloatArray]:
-        """Return the mechanics of the next coupling step, and the positions at its beginning."""
-        begin = self.time
-        end = min(begin + self.scene.coupling_step, self.scene.duration)
-        radius, _ = self._grown(end - begin)
-        self._mechanics.begin(self._motion(begin, end, radius))
-        return self._mechanics, self.cells.position
-
     def energy(self) -> float:
         """Return the contact energy of the cells, fJ."""
         self._mechanics.begin(self._motion(self.time, self.time, self.cells.radius))
@@ -332,6 +324,14 @@ class Simulation:
             # contacts are looked for before there is a field, and need no forces
             return {name: np.zeros((len(self.cells), 3)) for name in self.scene.chemotaxis}
         return self._feeding.gradients(self.cells.position, self.scene.chemotaxis)
+
+    def prepared(self) -> Mechanics:
+        """Return the mechanics made ready for the next coupling step, which is not taken."""
+        begin = self.time
+        end = min(begin + self.scene.coupling_step, self.scene.duration)
+        radius, _ = self._grown(end - begin)
+        self._mechanics.begin(self._motion(begin, end, radius))
+        return self._mechanics
 
     def _move(self, begin: float, end: float, radius: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Integrate the positions; return them and the pressures at the end."""

@@ -247,9 +247,9 @@ def test_explain_tells_what_auto_chooses_and_why():
         changed = load_scene(scene).with_changes({"integrator": "auto", **changes})
         return next(p["what"] for p in explain(changed)["parts"] if p["part"] == "integrator")
 
-    assert "at the start ab2-adaptive, which needs" in told("settle")
+    assert "ab2-adaptive, since it needs" in told("settle")
     stiff = told("stiff-inclusions")
-    assert "at the start rkc2" in stiff or "at the start cvode" in stiff
+    assert "rkc2, since at first" in stiff or "cvode, since at first" in stiff
     assert "stiffness λΔt is" in stiff
 
 

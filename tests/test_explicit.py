@@ -13,6 +13,7 @@ from multicell.integrators import explicit, loops, make
 from multicell.integrators.chebyshev import coefficients, spectral_radius, stable_length
 from multicell.integrators.explicit import (
     AdamsBashforth2,
+    AdaptiveAdams,
     AdaptiveEuler,
     Dopri5,
     Euler,
@@ -42,8 +43,9 @@ ALL = [
     Dopri5(1e-8, 1e-8),
     Rkc2(1e-5, 1e-4),
     Rkc2(step=4.0),
+    AdaptiveAdams(1e-6, 1e-5),
 ]
-ADAPTIVE = [AdaptiveEuler(), Dopri5(), Rkc2()]
+ADAPTIVE = [AdaptiveEuler(), AdaptiveAdams(), Dopri5(), Rkc2()]
 
 
 def name_of(method):
@@ -102,7 +104,9 @@ def test_order(name, law):
 
 
 @pytest.mark.parametrize("law", LAWS, ids=["hertz", "jkr"])
-@pytest.mark.parametrize(("make", "finest"), [(AdaptiveEuler, 6), (Dopri5, 9), (Rkc2, 9)])
+@pytest.mark.parametrize(
+    ("make", "finest"), [(AdaptiveEuler, 6), (AdaptiveAdams, 9), (Dopri5, 9), (Rkc2, 9)]
+)
 def test_the_error_follows_the_tolerance(make, finest, law):
     """Adaptive Euler stops at 1e-6: its steps grow like 1 / tolerance."""
     tolerances = 10.0 ** -np.arange(3.0, finest + 1.0)
@@ -236,7 +240,7 @@ def test_compiled_and_python_paths_agree(method, monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", [ALL[0], ALL[2], ALL[5], ALL[6]], ids=name_of)
+@pytest.mark.parametrize("method", [ALL[0], ALL[2], ALL[5], ALL[6], ALL[8]], ids=name_of)
 def test_same_bits_with_two_threads(method):
     position, radius, young = cluster(300, 7, spacing=0.75)
     ends, counts = [], []
@@ -269,7 +273,8 @@ def systems_that_need_python():
 @pytest.mark.parametrize("which", range(3), ids=["exact JKR", "types", "friction"])
 def test_systems_that_need_python(which):
     ends = []
-    for method in (RungeKutta4(0.5), Dopri5(1e-9, 1e-9), Rkc2(1e-6, 1e-6)):
+    methods = (RungeKutta4(0.5), Dopri5(1e-9, 1e-9), Rkc2(1e-6, 1e-6), AdaptiveAdams(1e-6, 1e-6))
+    for method in methods:
         system, position = list(systems_that_need_python())[which]
         assert explicit.needs_python(system)
         outcome = method.integrate(system, position)
@@ -280,6 +285,7 @@ def test_systems_that_need_python(which):
     assert np.abs(ends[0] - position).max() > 0.01
     np.testing.assert_allclose(ends[1], ends[0], atol=1e-5)
     np.testing.assert_allclose(ends[2], ends[0], atol=1e-4)
+    np.testing.assert_allclose(ends[3], ends[0], atol=1e-4)
 
 
 def test_plain_systems_need_no_python():
@@ -302,7 +308,9 @@ def test_a_fixed_step_that_moves_a_cell_too_far_ends_with_words(make):
     assert np.isfinite(outcome.position).all()
 
 
-@pytest.mark.parametrize("make", [AdaptiveEuler, Dopri5, Rkc2], ids=lambda m: m.__name__)
+@pytest.mark.parametrize(
+    "make", [AdaptiveEuler, AdaptiveAdams, Dopri5, Rkc2], ids=lambda m: m.__name__
+)
 def test_adaptive_methods_try_a_shorter_step(make):
     """A tolerance of a cell's size lets anything pass but the limit on displacements."""
     position, radius, young = cluster(200, 9, spacing=0.55)
@@ -415,6 +423,54 @@ def test_evaluations_per_step():
     assert Dopri5(1e-8, 1e-8).integrate(system, position).done
     work = system.work
     assert work.evaluations == 2 + 6 * (work.steps + work.rejections)
+    system = mechanics(radius, young, duration=50.0)
+    assert AdaptiveAdams(1e-6, 1e-5).integrate(system, position).done
+    work = system.work
+    # one at the start, two in each try of the first step, one a step from then on
+    assert work.steps > 10
+    assert 1 + work.steps < work.evaluations <= 2 + work.steps + 2 * work.rejections
+
+
+def test_adams_gives_up_where_it_would_take_longer_than_one_has_patience():
+    """It says so early, with the number that it then really takes."""
+    position, radius, young = cluster(60, 6, spacing=0.85)
+    system = mechanics(radius, young, duration=100.0, viscosity=0.02)
+    impatient = AdaptiveAdams(1e-6, 1e-2, patience=100)
+    outcome, expected = impatient.attempt(system, position)
+    assert not outcome.done
+    assert f"would take about {expected:.0f} evaluations" in outcome.problem
+    assert "stiff" in outcome.hint
+    assert system.work.evaluations <= 100
+    assert outcome.time < 50.0
+    whole = mechanics(radius, young, duration=100.0, viscosity=0.02)
+    patient, nothing = AdaptiveAdams(1e-6, 1e-2).attempt(whole, position)
+    assert patient.done
+    assert nothing == 0.0
+    assert whole.work.evaluations > 100
+    assert 0.2 < expected / whole.work.evaluations < 5.0
+    mild = mechanics(radius, young, duration=1.0)
+    assert impatient.integrate(mild, position).done
+
+
+def test_adams_changes_its_steps_with_what_happens():
+    """Where a stiff pair relaxes early, the steps grow; equal ones would be far more."""
+    position, radius, young = four_cells()
+    system = mechanics(radius, young, duration=2000.0)
+    assert AdaptiveAdams(1e-8, 1e-6).integrate(system, position).done
+    equal = system.work.steps
+    early = mechanics(radius, young, duration=200.0)
+    assert AdaptiveAdams(1e-8, 1e-6).integrate(early, position).done
+    assert early.work.steps > 0.2 * equal
+
+
+def test_a_tolerance_out_of_reach_of_adaptive_euler_is_named():
+    position, radius, young = cluster(50, 8, spacing=0.8)
+    outcome = AdaptiveEuler(1e-10, 1e-7, max_steps=500).integrate(
+        mechanics(radius, young, duration=600.0), position
+    )
+    assert "did not reach the end" in outcome.problem
+    assert "loosen integrator.atol" in outcome.hint
+    assert 0.0 < outcome.time < 600.0
 
 
 @pytest.mark.parametrize("method", ALL, ids=name_of)
@@ -461,6 +517,7 @@ def test_the_cache_of_the_loops_notices_other_files():
         ("ab2", AdamsBashforth2),
         ("rk4", RungeKutta4),
         ("euler-adaptive", AdaptiveEuler),
+        ("ab2-adaptive", AdaptiveAdams),
         ("dopri5", Dopri5),
         ("rkc2", Rkc2),
     ],
@@ -493,7 +550,9 @@ def test_control_of_steps_survives_what_is_no_number():
     assert loops.next_step(1.0, 1.0, 1.0, 3.0, True) < 1.0
 
 
-@pytest.mark.parametrize("make", [AdaptiveEuler, Dopri5, Rkc2], ids=lambda m: m.__name__)
+@pytest.mark.parametrize(
+    "make", [AdaptiveEuler, AdaptiveAdams, Dopri5, Rkc2], ids=lambda m: m.__name__
+)
 def test_a_tolerance_that_cannot_be_met_ends_with_words(make):
     position, radius, young = cluster(20, 1)
     outcome = make(0.0, 1e-20).integrate(mechanics(radius, young), position)

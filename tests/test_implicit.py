@@ -6,8 +6,9 @@ from strategies import cluster, mechanics
 
 from multicell import JKR, Hertz
 from multicell.errors import SceneError
+from multicell.explain import explain
 from multicell.integrators import METHODS, make
-from multicell.integrators.auto import Auto, choose, decay_rate
+from multicell.integrators.auto import Auto, choose, decay_rate, explained
 from multicell.integrators.backward_euler import BackwardEuler
 from multicell.integrators.cvode import Cvode
 from multicell.integrators.cvode_sparse import CvodeSparse
@@ -17,6 +18,8 @@ from multicell.integrators.scipy_methods import Scipy
 from multicell.mechanics import Linearisation
 from multicell.neighbours import spatial_order
 from multicell.parts import IntegratorOptions
+from multicell.scene import load_scene
+from multicell.simulation import Simulation
 from multicell.sparse import Pattern, limit, sparse_jacobian
 
 IMPLICIT = {
@@ -218,7 +221,8 @@ def test_bounded_softening_changes_nothing_else():
 def test_settings_change_the_way_and_not_the_end(change):
     position, radius, young = cluster(80, 6, spacing=0.8)
     exact = reference(mechanics(radius, young, Hertz()), position, 1e-10)
-    outcome = Cvode(1e-12, 1e-6, **change).integrate(mechanics(radius, young, Hertz()), position)
+    method = Cvode(1e-12, 1e-6, light=False, **change)
+    outcome = method.integrate(mechanics(radius, young, Hertz()), position)
     assert outcome.done
     assert np.abs(outcome.position - exact).max() < 3e-5
 
@@ -361,6 +365,56 @@ def test_a_solver_that_keeps_breaking_ends_with_its_words():
     assert system.work.rejections > 1
 
 
+def test_cvode_begins_light_where_it_is_mild():
+    """The work is that of difference quotients; the end is within the tolerance the same."""
+    position, radius, young = cluster(200, 1, spacing=0.8)
+    ends, works = [], []
+    for light in (True, False):
+        system = mechanics(radius, young, JKR(surface_energy=0.1), duration=600.0)
+        outcome = Cvode(1e-6, 1e-3, light=light).integrate(system, position)
+        assert outcome.done
+        ends.append(outcome.position)
+        works.append(system.work)
+    assert np.abs(ends[0] - ends[1]).max() < 0.05
+    light, full = works
+    assert light.linearisations == light.jacobian_products == 0 < full.linearisations
+    assert light.evaluations > full.evaluations
+    assert light.steps <= light.newton_iterations <= light.evaluations
+    assert light.linear_iterations > 0
+    # every evaluation is one of Newton's or a product, but for those that find the first step
+    extra = light.evaluations - light.newton_iterations - light.linear_iterations
+    assert 0 <= extra <= 5
+
+
+def test_a_stiff_interval_is_that_of_the_full_method():
+    """Two steps tell, and are thrown away: the same bits, for a few evaluations more."""
+    position, radius, young = cluster(200, 1, spacing=0.8)
+    ends, works = [], []
+    for light in (True, False):
+        system = mechanics(radius, young, Hertz(), duration=6000.0, viscosity=0.005)
+        outcome = Cvode(1e-6, 1e-3, light=light).integrate(system, position)
+        assert outcome.done
+        ends.append(outcome.position.tobytes())
+        works.append(system.work)
+    assert ends[0] == ends[1]
+    assert works[0].steps == works[1].steps
+    assert 0 < works[0].evaluations - works[1].evaluations <= 16
+
+
+def test_an_interval_that_becomes_stiff_goes_over_to_the_full_method(monkeypatch):
+    monkeypatch.setattr("multicell.integrators.cvode._SLOW_START", 0.0)
+    position, radius, young = cluster(200, 1, spacing=0.8)
+    system = mechanics(radius, young, JKR(surface_energy=0.1), duration=600.0, viscosity=0.05)
+    outcome = Cvode(1e-6, 1e-2).integrate(system, position)
+    assert outcome.done
+    assert outcome.time == 600.0
+    assert system.work.linearisations > 0
+    alone = mechanics(radius, young, JKR(surface_energy=0.1), duration=600.0, viscosity=0.05)
+    assert Cvode(1e-6, 1e-2, light=False).integrate(alone, position).done
+    # what was begun light took evaluations in place of products
+    assert system.work.evaluations > alone.work.evaluations
+
+
 def test_auto_chooses_by_stiffness_and_says_why():
     position, radius, young = cluster(400, 2, spacing=0.9)
     soft = choose(mechanics(radius, young, duration=60.0), position, 1e-6, 1e-2)
@@ -379,6 +433,58 @@ def test_auto_counts_the_steps_of_each_method():
     Auto().integrate(system, position)
     assert system.work.steps_ab2_adaptive == system.work.steps > 0
     assert system.work.steps_cvode == system.work.steps_rkc2 == system.work.steps_dopri5 == 0
+
+
+def test_auto_goes_over_to_an_implicit_method_where_adams_would_take_long():
+    position, radius, young = cluster(300, 2, spacing=0.9)
+    system = mechanics(radius, young, duration=6e4, viscosity=0.05)
+    outcome = Auto().integrate(system, position)
+    assert outcome.done
+    assert outcome.time == 6e4
+    work = system.work
+    assert work.steps_cvode > 0
+    # what was tried in vain is counted too, and was little
+    assert 0 < work.steps_ab2_adaptive < 50
+    assert work.steps == work.steps_cvode + work.steps_ab2_adaptive
+    fresh = mechanics(radius, young, duration=6e4, viscosity=0.05)
+    alone = Cvode().integrate(fresh, position)
+    assert outcome.position.tobytes() == alone.position.tobytes()
+
+
+def test_what_adams_expects_decides_where_it_is_low():
+    position, radius, young = cluster(400, 2, spacing=0.9)
+    soft = mechanics(radius, young, duration=60.0)
+    assert "ab2-adaptive" not in choose(soft, position, 1e-6, 1e-2).costs
+    expected = choose(soft, position, 1e-6, 1e-2, 40.0)
+    assert expected.method == "ab2-adaptive"
+    assert expected.costs["ab2-adaptive"] == 40.0
+    stiff = mechanics(radius, young, duration=6e4, viscosity=0.05)
+    assert "ab2-adaptive" not in choose(stiff, position, 1e-6, 1e-2, 2e5).costs
+
+
+@pytest.mark.parametrize(
+    ("viscosity", "choice"), [(5.0, "ab2-adaptive, since it needs"), (0.001, "cvode, since at fi")]
+)
+def test_explain_tells_what_auto_chooses_and_why(viscosity, choice):
+    """The method that is told is the one that the first coupling step is then done by."""
+    scene = load_scene("settle").with_changes(
+        {"integrator.method": "auto", "drag.viscosity": viscosity, "coupling_step": 600.0}
+    )
+    (told,) = [part["what"] for part in explain(scene)["parts"] if part["part"] == "integrator"]
+    assert told.endswith(explained(scene))
+    assert f"with 200 cell(s), {choice}" in told
+    assert "stiffness λΔt is" in told
+    simulation = Simulation(scene, threads=1)
+    simulation.step()
+    work = simulation.summary()["integrator"]
+    counter = "steps_cvode" if choice.startswith("cvode") else "steps_ab2_adaptive"
+    assert work[counter] > 0
+    if choice.startswith("ab2"):
+        assert work["steps_cvode"] == 0
+        assert f"needs {work['evaluations']} evaluations" in told
+    other = scene.with_changes({"integrator.method": "cvode"})
+    (told,) = [part["what"] for part in explain(other)["parts"] if part["part"] == "integrator"]
+    assert "evaluations" not in told
 
 
 def test_decay_rate_is_the_end_of_the_spectrum():
@@ -409,7 +515,7 @@ def test_memory_that_nothing_was_written_to_decides_nothing(monkeypatch, name, v
         monkeypatch.setattr(Linearisation, "room", filled)
         system = mechanics(radius, young, duration=600.0, viscosity=viscosity)
         system._inverse[:] = filling
-        outcome = Cvode(atol=1e-3, preconditioner=name).integrate(system, position)
+        outcome = Cvode(atol=1e-3, preconditioner=name, light=False).integrate(system, position)
         assert outcome.done
         results.append((system.work, outcome.position))
     for work, end in results[1:]:

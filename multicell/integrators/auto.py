@@ -144,6 +144,33 @@ class Auto:
         return kind(*options)  # type: ignore[no-any-return]
 
 
+def explained(scene: Scene) -> str:
+    """Return, for a person, what is chosen for the first coupling step of a scene, and why.
+
+    The cells are put in place and what they feel is computed; the coupling step is tried as far
+    as the choice needs it.
+    """
+    from multicell.simulation import Simulation
+
+    options = scene.integrator
+    auto = Auto(options.rtol, options.atol, options.max_steps, options.max_displacement)
+    start = Simulation(scene, threads=1)
+    system, position = start.prepared(), start.cells.position
+    outcome, expected = auto._mild(system, position)
+    evaluations = system.work.evaluations
+    found = choose(system, position, options.rtol, options.atol, expected)
+    where = f"in the first coupling step, with {len(position):,} cell(s),"
+    if outcome.done:
+        stiffness = found.rate * (system.motion.end - system.motion.begin)
+        return (
+            f"{where} ab2-adaptive, since it needs {evaluations} evaluations, below the "
+            f"{_PATIENCE} up to which nothing else is tried; stiffness λΔt is {stiffness:.3g} "
+            f"(λ = {found.rate:.3g}/s)"
+        )
+    why = f"would take about {expected:.0f} evaluations" if expected else "cannot go on"
+    return f"{where} {found.method}, since at first ab2-adaptive {why}; {found.reason}"
+
+
 def _count(system: Mechanics, name: str, before: int) -> None:
     """Count the steps since ``before`` as those of a method."""
     work = system.work
@@ -213,25 +240,3 @@ def _through_python(system: Mechanics) -> bool:
     from multicell.integrators.explicit import needs_python
 
     return needs_python(system)
-
-
-def explained(scene: Scene) -> str:
-    """Return what is chosen for the first coupling step of a scene, and why, in one sentence."""
-    from multicell.simulation import Simulation
-
-    simulation = Simulation(scene, threads=1)
-    if len(simulation.cells) == 0:
-        return "no cells, nothing to choose"
-    system, position = simulation.prepared()
-    options = scene.integrator
-    method = Auto(options.rtol, options.atol, options.max_steps, options.max_displacement)
-    before = system.work.evaluations
-    outcome, expected = method._mild(system, position)
-    if outcome.done:
-        spent = system.work.evaluations - before
-        return (
-            f"at the start ab2-adaptive, which needs {spent} evaluations for the first coupling "
-            f"step (at most {_PATIENCE} are tried)"
-        )
-    choice = choose(system, position, options.rtol, options.atol, expected)
-    return f"at the start {choice.method}: {choice.reason}"

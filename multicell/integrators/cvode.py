@@ -14,12 +14,17 @@ from sksundae.cvode import CVODE, CVODEJacTimes, CVODEPrecond
 
 from multicell.integrators.base import FloatArray, Outcome
 from multicell.integrators.preconditioners import preconditioner
-from multicell.integrators.restarts import Run, StepImpossible
-from multicell.mechanics import Mechanics
+from multicell.integrators.restarts import Restart, Run, StepImpossible
+from multicell.mechanics import Mechanics, StateRejected
 from multicell.sparse import limit
 
 _CONTACTS = 8.0
 """Largest decay rate of packed cells, in stiffness of the stiffest pair over drag."""
+_SLOW_START = 5e-4
+"""Share of the interval below which the first two steps of a mild start say that it is stiff."""
+_BUSY, _WINDOW = 6, 3
+"""Evaluations a step, over how many last steps, above which a mild start has become stiff."""
+_LIGHT_KRYLOV = 5
 _MILD, _STIFF = 3.0, 10.0
 """Products γλ up to which there is no preconditioning, and beyond which J is kept fresh."""
 
@@ -67,6 +72,10 @@ class Cvode:
         -∞ at first contact); infinite for the true slope. It leaves the solution as it is.
     formula
         ``"BDF"`` or ``"Adams"``. Adams formulas are solved by the same Newton method.
+    light
+        Begin with difference quotients for products and no preconditioner, which costs least
+        while steps are mild, and go over to the settings above as soon as the evaluations of
+        the last steps say that they are not. False for the settings above from the start.
     """
 
     rtol: float = 1e-6
@@ -83,6 +92,7 @@ class Cvode:
     newton: int = 3
     softening: float = 0.5
     formula: str = "BDF"
+    light: bool = True
 
     @classmethod
     def adams(cls, rtol: float, atol: float, max_steps: int, max_displacement: float) -> Cvode:
@@ -96,7 +106,92 @@ class Cvode:
     def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
         """Integrate over the coupling step of ``system``; see :class:`Integrator`."""
         run = Run(system, np.array(position), self.max_steps, self.max_displacement)
-        return run.integrate(lambda run, ceiling: _Krylov(self, run, ceiling))
+        mild = self.light
+
+        def start(run: Run, ceiling: float) -> _Krylov | _Light:
+            nonlocal mild
+            # a ceiling comes with a refusal: nothing mild about that
+            mild = mild and ceiling == 0.0 and run.steps == 0
+            if mild:
+                light = _Light(self, run)
+                if not light.begins_slowly():
+                    return light
+                mild = False
+            return _Krylov(self, run, ceiling)
+
+        return run.integrate(start)
+
+
+@final
+class _Light:
+    """CVODE as it comes: products by difference quotients, each of which is an evaluation."""
+
+    def __init__(self, method: Cvode, run: Run) -> None:
+        self.run, self.method = run, method
+        self._counts = [run.system.work.evaluations]
+        self._others = 0
+        self._probed: list[tuple[float, FloatArray]] = []
+        self.solver = CVODE(
+            run.velocity,
+            method=method.formula,
+            rtol=method.rtol,
+            atol=method.atol,
+            max_order=method.max_order,
+            max_nonlin_iters=method.newton,
+            linsolver=method.linear,
+            krylov_dim=_LIGHT_KRYLOV,
+        )
+        self.solver.init_step(0.0, run.position.ravel())
+
+    def step(self) -> tuple[float, FloatArray]:
+        """Take one step; ask for the full method where the last ones took many evaluations."""
+        if self._probed:
+            return self._probed.pop(0)
+        if self._stiff():
+            raise Restart
+        return self._advance()
+
+    def begins_slowly(self) -> bool:
+        """Return whether the first two steps, which are kept for later, say that it is stiff.
+
+        Error control chooses them. Where they are a tiny part of the interval, so many will
+        follow that the full method pays as soon as they lengthen.
+        """
+        try:
+            while len(self._probed) < 2 and (
+                not self._probed or self._probed[-1][0] < self.run.left
+            ):
+                self._probed.append(self._advance())
+        except (StateRejected, StepImpossible):
+            # the full method meets the same trouble, and has the means to go on
+            return True
+        return self._probed[-1][0] < _SLOW_START * self.run.length
+
+    def _advance(self) -> tuple[float, FloatArray]:
+        left = self.run.left
+        result = self.solver.step(left, method="onestep", tstop=left)
+        if not result.success:
+            raise StepImpossible(f"SUNDIALS: {result.message}")
+        self._count(result.nfev)
+        return float(result.t), result.y.reshape(-1, 3).copy()
+
+    def _stiff(self) -> bool:
+        """Return whether the last steps took so many evaluations that the full method pays."""
+        counts = self._counts
+        return len(counts) > _WINDOW and counts[-1] - counts[-1 - _WINDOW] > _BUSY * _WINDOW
+
+    def _count(self, direct: int) -> None:
+        """Count the iterations of a step: SUNDIALS tells the evaluations that are no products.
+
+        There is one in each Newton iteration. The first step has some more, to find its length;
+        it is so short that Newton's method needs one iteration.
+        """
+        work = self.run.system.work
+        others, self._others = direct - self._others, direct
+        work.newton_iterations += others if len(self._counts) > 1 else 1
+        if self.method.linear == "gmres":
+            work.linear_iterations += work.evaluations - self._counts[-1] - others
+        self._counts.append(work.evaluations)
 
 
 @final

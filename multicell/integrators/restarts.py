@@ -10,9 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Protocol, final
 
-import numpy as np
-
 from multicell.integrators.base import FloatArray, Outcome
+from multicell.integrators.loops import furthest_moved
 from multicell.mechanics import Mechanics, StateRejected
 
 _MOST_REFUSALS = 30
@@ -64,7 +63,6 @@ class Run:
         self.position = position
         self.max_steps = max_steps
         self.max_displacement = max_displacement
-        self._per_radius = 1.0 / np.square(system.motion.radius)
         self.length = system.motion.end - system.motion.begin
         self.elapsed = 0.0
         self.offset = 0.0
@@ -138,10 +136,7 @@ class Run:
             reached, moved_to = solver.step()
         except (StateRejected, StepImpossible) as error:
             raise _Refused(str(error), self.latest - before) from error
-        moves = moved_to - self.position
-        squares = np.einsum("ij,ij->i", moves, moves) * self._per_radius
-        cell = int(squares.argmax())
-        moved = float(np.sqrt(squares[cell]))
+        cell, moved = furthest_moved(self.position, moved_to, self.system.motion.radius)
         # a move that is no number is the largest
         if not moved <= self.max_displacement:
             raise _Refused(
