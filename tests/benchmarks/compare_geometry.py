@@ -1,8 +1,8 @@
 """The spheroid with its oxygen on shells against the one with a grid of cubes, up to 5,000 cells.
 
-Problem: the built-in spheroid from 200 cells with `geometry` box and radial; the same seeds. The largest
-relative difference of the growth curves, wall time of the field, and the departure of the cells
-from a ball.
+Problem: the built-in spheroid from 200 cells with `geometry` box and radial; the same seeds. The
+largest relative difference of the growth curves, wall time of the field, and the departure of the
+cells from a ball.
 Cost: about two minutes on one core.
 Command: python tests/benchmarks/compare_geometry.py [--cells 5000] [--seeds 1,2,3]
 """
@@ -19,8 +19,14 @@ from multicell.nutrient.roundness import departure
 
 def grown(geometry: str, seed: int, cells: int) -> mc.Result:
     """Run the spheroid on one thread."""
-    changes = {"nutrients.oxygen.geometry": geometry, "stop_cells": cells, "seed": seed,
-               "initial.count": 200, "initial.stage": "asynchronous", "duration": "9 d"}  # fmt: skip
+    changes = {
+        "nutrients.oxygen.geometry": geometry,
+        "stop_cells": cells,
+        "seed": seed,
+        "initial.count": 200,
+        "initial.stage": "asynchronous",
+        "duration": "9 d",
+    }
     scene = mc.load_scene("spheroid").with_changes({**changes, "integrator": "ab2-adaptive"})
     return mc.run(scene, threads=1)
 
