@@ -110,7 +110,7 @@ def _map(
     axes.axis(window)
     beside = axes.inset_axes((1.03, 0.0, 0.05, 1.0))
     bar = figure.colorbar(shades, cax=beside)
-    bar.outline.set_visible(False)  # type: ignore[operator]
+    bar.outline.set_visible(False)
     bar.ax.tick_params(labelsize=9)
     bar.ax.grid(False)
 
