@@ -131,7 +131,7 @@ def draw_profile(
         shown.append(float(means[filled].max(initial=0.0)))
     axes.plot(profile.middles, values, "o", color=BLUE, ms=5, label="at the cells", zorder=4)
     for meaning, level, style in thresholds(nutrient):
-        if 0.0 < level < 1.2 * max(shown):
+        if 0.0 < level < 1.1 * max(shown):  # within the axis
             axes.axhline(level, color=RED, lw=1.4, ls=style, label=f"below: cells {meaning}")
     axes.set(title=type_label(name).capitalize(), ylabel="mM")
     top = max(shown)

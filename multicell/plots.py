@@ -315,7 +315,7 @@ def _field_panels(
     names = list(profile.concentrations)
     rows = (len(names) + 2) // 2
     grid = figure.add_gridspec(
-        rows, 2, left=0.08, right=0.97, top=0.82, bottom=0.1, wspace=0.24, hspace=0.5
+        rows, 2, left=0.1, right=0.97, top=0.82, bottom=0.1, wspace=0.24, hspace=0.5
     )
     for k, name in enumerate(names):
         axes = figure.add_subplot(grid[k // 2, k % 2])
