@@ -22,6 +22,7 @@ FILES: Final = (
     "report.html",
     "growth.png",
     "section.png",
+    "fields.png",
     "profiles.png",
     "contacts.png",
     "pull.png",

@@ -22,6 +22,7 @@ SUMMARY_UNITS: Final[Mapping[str, str]] = {
     "diameter": "um",
     "necrotic_radius": "um",
     "viable_rim": "um",
+    "hypoxic_radius": "um",
     "largest_pressure": "kPa",
     "volume_released": "um^3",
     "wall": "s",
@@ -97,6 +98,24 @@ def necrotic_radius(cells: Cells) -> float:
 def viable_rim(cells: Cells) -> float:
     """Return the thickness of the layer outside the necrotic core in µm."""
     return 0.5 * diameter(cells) - necrotic_radius(cells)
+
+
+def hypoxic_radius(cells: Cells, concentration: FloatArray, threshold: float) -> float:
+    """Return the radius within which cells lack a nutrient, in µm; 0 if none does.
+
+    The formula of :func:`sphere_radius` over the cells below the threshold, dead ones too.
+
+    Parameters
+    ----------
+    cells
+        The population.
+    concentration : (n,) mM
+        At the cells.
+    threshold : mM
+        Below it cells rest.
+    """
+    lacking = concentration < threshold
+    return sphere_radius(cells, centre(cells), lacking) if lacking.any() else 0.0
 
 
 def state_counts(cells: Cells) -> dict[str, int]:

@@ -32,8 +32,10 @@ from multicell.drawing import (
     type_colours,
     type_label,
 )
+from multicell.field_plots import draw_hypoxic, draw_profile, field_maps, mark_media
 from multicell.frame import Field, Frame
 from multicell.observables import (
+    RadialProfile,
     centre,
     distances,
     field_profile,
@@ -72,13 +74,18 @@ class Plots:
             If the run has no history yet.
         """
         alive = self._scene.growth is not None or len(self._scene.nutrients) > 0
-        return (growth if alive else motion)(self._history, self._title)
+        if alive:
+            return growth(self._history, self._title, self._scene.nutrients)
+        return motion(self._history, self._title)
 
     def section(self, frame: int = -1) -> Figure:
         """Show the cells that the plane z = centre cuts, at frame number ``frame``."""
-        return section(
-            self._frames[frame], self._title, self._scene.nutrients, list(self._scene.types)
-        )
+        shown = self._frames[frame]
+        return section(shown, self._title, self._scene.nutrients, list(self._scene.types))
+
+    def fields(self, frame: int = -1) -> Figure:
+        """Show a map of every field in the plane z = centre, at frame number ``frame``."""
+        return field_maps(self._frames[frame], self._title, self._scene.nutrients)
 
     def profiles(self, frame: int = -1) -> Figure:
         """Concentration (or pressure) and states against the distance from the centre."""
@@ -107,7 +114,7 @@ class Plots:
 
 
 @styled
-def growth(history: History, title: str) -> Figure:
+def growth(history: History, title: str, nutrients: Mapping[str, Nutrient] | None = None) -> Figure:
     """Draw number of cells, diameter and states against time.
 
     Parameters
@@ -116,6 +123,8 @@ def growth(history: History, title: str) -> Figure:
         Columns of :func:`multicell.observables.history_row`.
     title
         Heading.
+    nutrients : name -> Nutrient, optional
+        Their switches of the medium are marked.
 
     Raises
     ------
@@ -134,6 +143,7 @@ def growth(history: History, title: str) -> Figure:
     for axes in figure.axes:
         axes.set_xlim(*_span(time))
         axes.set_xlabel(f"time ({unit.name})")
+    mark_media(figure.axes[0], nutrients or {}, _span(time), unit)
     figure.axes[0].set_xlabel("")
     return figure
 
@@ -212,9 +222,11 @@ def _draw_size(axes: Axes, time: FloatArray, history: History) -> None:
     if core.max() > 0:
         shown = np.where(core > 0, core, np.nan)
         axes.plot(time, shown, color=COLOURS["necrotic"], lw=2, ls="--", label="necrotic core")
-        axes.legend(loc="upper left")
+    lacking = draw_hypoxic(axes, time, history)
+    if core.max() > 0 or lacking > 0:
+        axes.legend(loc="upper left", fontsize=9, ncols=2)
     # room for the legend above the line
-    room = 1.5 if core.max() > 0 else 1.1
+    room = 1.7 if core.max() > 0 or lacking > 0 else 1.1
     axes.set_ylim(0.0, room * max(float(whole.max()), 1.0))
     axes.set_ylabel("diameter (µm)")
 
@@ -268,44 +280,73 @@ def profiles(
     )
     profile = radial_profile(frame, bins)
     figure = blank(title, f"{moment(frame)}: averages over shells about the centre")
+    if len(profile.concentrations) > 1:
+        _field_panels(figure, frame, profile, nutrients, types)
+        return figure
     grid = figure.add_gridspec(2, 1, left=0.09, right=0.77, top=0.82, bottom=0.11, hspace=0.32)
     upper = figure.add_subplot(grid[0])
     lower = figure.add_subplot(grid[1], sharex=upper)
-    r, edge = profile.middles, float(profile.edges[-1])
+    r = profile.middles
     if frame.concentrations:
-        several = len(profile.concentrations) > 1
-        for k, (name, values) in enumerate(profile.concentrations.items()):
-            if several:
-                scale = max(nutrients[name].highest, float(np.nanmax(values)))
-                label = f"{type_label(name)}\n/ {scale:.3g} mM"
-                colour = list(type_colours(profile.concentrations).values())[k]
-                upper.plot(r, values / scale, "o-", color=colour, ms=5, lw=2, label=label)
-                continue
+        for name, values in profile.concentrations.items():
             _draw_concentration(upper, r, values, name, nutrients[name])
             if name in frame.fields:
                 _draw_field_line(upper, frame.fields[name], middle, profile.edges)
-        unit = "part of the highest value" if several else "concentration (mM)"
-        upper.set(title="Concentration", ylabel=unit)
+        upper.set(title="Concentration", ylabel="concentration (mM)")
         upper.set_ylim(bottom=0.0)
     else:
         upper.plot(r, 1000.0 * profile.pressure, "o-", color=BLUE, lw=2, label="mean pressure")
         upper.set(title="Pressure", ylabel="pressure (Pa)")
-    bottom = np.zeros(len(r))
+    _draw_parts(lower, frame, profile, types)
+    for axes in (upper, lower):
+        handles, labels = axes.get_legend_handles_labels()
+        axes.legend(handles[::-1], labels[::-1], loc="upper left", bbox_to_anchor=(1.01, 1.03))
+    return figure
+
+
+def _field_panels(
+    figure: Figure,
+    frame: Frame,
+    profile: RadialProfile,
+    nutrients: Mapping[str, Nutrient],
+    types: Sequence[str],
+) -> None:
+    """Draw a panel for each field in its own range, and one for the states or types."""
+    names = list(profile.concentrations)
+    rows = (len(names) + 2) // 2
+    grid = figure.add_gridspec(
+        rows, 2, left=0.1, right=0.97, top=0.82, bottom=0.1, wspace=0.24, hspace=0.5
+    )
+    for k, name in enumerate(names):
+        axes = figure.add_subplot(grid[k // 2, k % 2])
+        draw_profile(axes, frame, profile, name, nutrients[name])
+        axes.set_xlim(0.0, float(profile.edges[-1]))
+        axes.legend(loc="best", fontsize=9)
+    axes = figure.add_subplot(grid[len(names) // 2, len(names) % 2])
+    _draw_parts(axes, frame, profile, types)
+    axes.set_ylim(0, 125)  # room for the legend above the bars
+    axes.set_yticks([0, 25, 50, 75, 100])
+    axes.legend(loc="upper left", fontsize=9, ncols=3)
+    for axes in figure.axes[-2:]:
+        axes.set_xlabel("distance from the centre (µm)")
+
+
+def _draw_parts(axes: Axes, frame: Frame, profile: RadialProfile, types: Sequence[str]) -> None:
+    """Draw which part of the cells of each shell is in a state or of a type."""
+    middle, bottom = centre(frame.cells), np.zeros(len(profile.counts))
     width = np.diff(profile.edges)
     by_type = len(types) > 1
     parts = _types_by_shell(frame, middle, profile.edges, types) if by_type else profile.fractions
     colours = {**COLOURS, **(type_colours(types) if by_type else {})}
     for name in [n for n in reversed(colours) if n in parts and np.nansum(parts[n]) > 0]:
         part = np.nan_to_num(100.0 * parts[name])
-        lower.bar(r, part, width, bottom, color=colours[name], label=type_label(name), lw=0)
+        axes.bar(
+            profile.middles, part, width, bottom, color=colours[name], label=type_label(name), lw=0
+        )
         bottom += part
     title_below = "Cells by type" if by_type else "Cells by state"
-    lower.set(title=title_below, ylabel="part of the cells (%)", ylim=(0, 100))
-    lower.set(xlabel="distance from the centre (µm)", xlim=(0.0, edge))
-    for axes in (upper, lower):
-        handles, labels = axes.get_legend_handles_labels()
-        axes.legend(handles[::-1], labels[::-1], loc="upper left", bbox_to_anchor=(1.01, 1.03))
-    return figure
+    axes.set(title=title_below, ylabel="part of the cells (%)", ylim=(0, 100))
+    axes.set(xlabel="distance from the centre (µm)", xlim=(0.0, float(profile.edges[-1])))
 
 
 def _types_by_shell(

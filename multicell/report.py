@@ -73,6 +73,7 @@ _SEPARATION, _MIXED = "separation force", "contacts between unlike cells"
 _CAPTIONS: Final = {
     "growth": "The population in the course of the run.",
     "section": "Cells that a plane through the centre cuts, each drawn with the radius of its cut.",
+    "fields": "A map of every field in the plane of the section, each over its own range.",
     "profiles": "Averages over spherical shells about the centre.",
     "contacts": "Contacts between cells of different types, and where each type is.",
     "pull": "Force that pulls the cells apart, beside what their contact can bear.",
@@ -203,6 +204,8 @@ def _drawings(result: Result) -> Iterator[tuple[str, Callable[[], Figure]]]:
         yield "growth", result.plot.growth
     if len(result.frames) and len(result.frames[-1].cells):
         yield "section", result.plot.section
+        if len(result.frames[-1].fields) > 1:
+            yield "fields", result.plot.fields
         if len(result.frames[-1].cells) >= _CROWD:
             yield "profiles", result.plot.profiles
     if len(result.frames) and len(result.history.get("heterotypic_fraction", ())):
@@ -244,9 +247,27 @@ def _work(summary: Mapping[str, Any]) -> Iterator[str]:
     yield _wall(summary.get("wall"))
     yield _table("Work of the integrator", summary.get("integrator"))
     ledger = {k: v for k, v in (summary.get("ledger") or {}).items() if isinstance(v, Mapping)}
-    for name, entries in ledger.items():
-        yield _table(f"Ledger of {name} (amol)", entries)
+    yield _ledgers(ledger)
     yield _table("Versions", summary.get("versions"))
+
+
+def _ledgers(ledger: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return a card with a row for each entry of the account and a column for each field."""
+    if not ledger:
+        return ""
+    head = "".join(f"<th>{escape(name)}</th>" for name in ledger)
+    entries = dict.fromkeys(key for account in ledger.values() for key in account)
+    rows = "".join(
+        f"<tr><th>{_name(key)}</th>"
+        + "".join(
+            f'<td class="number">{escape(_text(account[key])) if key in account else ""}</td>'
+            for account in ledger.values()
+        )
+        + "</tr>"
+        for key in entries
+    )
+    table = f'<div class="scroll"><table><tr><th></th>{head}</tr>{rows}</table></div>'
+    return f"<section><h2>Where each field's molecules went (amol)</h2>{table}</section>"
 
 
 def _table(title: str, entries: Mapping[str, Any] | None) -> str:

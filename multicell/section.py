@@ -75,7 +75,7 @@ def section(
     half = 1.22 * sphere_radius(frame.cells, middle) + 2.0 * float(frame.cells.radius.max())
     _frame_section(axes, middle, half)
     group, palette = _groups(cells, types)
-    _draw_circles(axes, place[cut > 0.0, :2], radius, group, list(palette.values()))
+    draw_circles(axes, place[cut > 0.0, :2], radius, group, list(palette.values()))
     # one field behind the cells: the scene's first
     name = next((name for name in nutrients if name in frame.fields), "")
     if name:
@@ -115,7 +115,7 @@ def _frame_section(axes: Axes, middle: FloatArray, half: float) -> None:
     axes.spines[["top", "right"]].set_visible(True)
 
 
-def _draw_circles(
+def draw_circles(
     axes: Axes, position: FloatArray, radius: FloatArray, group: IntArray, colours: list[str]
 ) -> None:
     """Draw circles of true size in the colour of the cells' groups."""
@@ -159,7 +159,7 @@ def slice_at(field: Field, z: float) -> FloatArray:
     return np.asarray((1.0 - weight) * layers[:, :, below] + weight * layers[:, :, above])
 
 
-def _refined(field: Field, z: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+def refined(field: Field, z: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return x, y and the field on the plane at z, four points to a grid spacing.
 
     The cubic spline is for the eye only: lines through the bare grid would look like polygons.
@@ -176,7 +176,7 @@ def _refined(field: Field, z: float) -> tuple[FloatArray, FloatArray, FloatArray
 def _draw_field(figure: Figure, axes: Axes, field: Field, z: float, nutrient: Nutrient) -> None:
     """Draw a field as shades behind the cells, and its thresholds as lines over them."""
     field = field.in_plane(z) if field.kind == "radial" else field
-    x, y, plane = _refined(field, z)
+    x, y, plane = refined(field, z)
     top = max(float(plane.max()), nutrient.boundary)
     if not top > 0.0:
         return

@@ -241,9 +241,20 @@ class Simulation:
         if _counts_contacts(self.scene):
             extra["contacts"] = float(len(self.contacts))
         extra |= self._mixing()
+        extra |= {f"hypoxic_radius_{name}": r for name, r in self._hypoxic().items()}
         if self.scene.pull is not None:
             extra["pull"] = self.scene.pull.force + self.scene.pull.rate * self.time
         return observables.history_row(self.time, self.step_index, self.cells, **extra)
+
+    def _hypoxic(self) -> dict[str, float]:
+        """Return the radius in which cells lack each nutrient that makes them rest, µm."""
+        return {
+            name: observables.hypoxic_radius(
+                self.cells, self.concentrations[name], nutrient.quiescence
+            )
+            for name, nutrient in self.scene.nutrients.items()
+            if nutrient.quiescence is not None and name in self.concentrations
+        }
 
     def _mixing(self) -> dict[str, float]:
         """Return how the types mix, where there is more than one."""
@@ -264,6 +275,7 @@ class Simulation:
         whole: dict[str, Any] = {"relative_remainder": max(remainders)} if remainders else {}
         return {
             **observables.state_summary(self.time, self.cells),
+            **({"hypoxic_radius": hypoxic} if (hypoxic := self._hypoxic()) else {}),
             "title": self.scene.title,
             "seed": self.scene.seed,
             "steps": self.step_index,

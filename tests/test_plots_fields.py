@@ -1,0 +1,108 @@
+"""Pictures and report of runs with several fields."""
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from synthetic import SCENE, cells_at, growing_frames, history_of
+
+from multicell import observables
+from multicell.plots import Plots, growth
+from multicell.result import Result, history_arrays
+from multicell.scene import Scene
+from multicell.simulation import Simulation
+
+
+def scene(geometry="box", **more):
+    field = {"geometry": geometry, "spacing": "15 um"}
+    return Scene.from_dict(
+        {
+            "title": "Three fields",
+            "duration": "1 h",
+            "coupling_step": "15 min",
+            "initial": {"count": 120},
+            "growth": {},
+            "nutrients": {
+                "oxygen": {**field, "boundary": 0.07, "quiescence": 0.06, "uptake": 40.0,
+                           "media": [["30 min", "0.065 mM"]]},
+                "glucose": {**field, "boundary": 5.5, "diffusion": 200.0, "uptake": 60.0},
+                "lactate": {**field, "boundary": 0.0, "diffusion": 500.0, "uptake": 0.0,
+                            "secretion_from": {"glucose": 2.0}},
+            },
+            **more,
+        }
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module", params=["box", "radial", "plane"])
+def result(request):
+    flat = {"dimensions": 2} if request.param == "plane" else {}
+    chosen = scene("box" if flat else request.param, **flat)
+    simulation = Simulation(chosen)
+    rows, frames = [simulation.history_row()], [simulation.frame()]
+    while not simulation.finished:
+        simulation.step()
+        rows.append(simulation.history_row())
+        frames.append(simulation.frame())
+    return Result(None, frames, history_arrays(rows), simulation.summary(), chosen)
+
+
+def titles(figure):
+    return [axes.get_title(loc="left") for axes in figure.axes]
+
+
+def test_profiles_have_a_panel_for_each_field_in_its_own_range(result):
+    figure = result.plot.profiles()
+    assert titles(figure) == ["Oxygen", "Glucose", "Lactate", "Cells by state"]
+    for axes, name in zip(figure.axes, result.scene.nutrients, strict=False):
+        top = result.frames[-1].concentrations[name].max()
+        assert 0.5 * top < axes.get_ylim()[1] < 3.0 * top
+
+
+def test_every_field_has_a_map_over_its_own_values(result):
+    figure = result.plot.fields()
+    assert titles(figure)[:4] == [
+        "Cells by state", "Oxygen (mM)", "Glucose (mM)", "Lactate (mM)",
+    ]  # fmt: skip
+    for axes, name in zip(figure.axes[1:4], result.scene.nutrients, strict=True):
+        (image,) = axes.images
+        values = result.frames[-1].fields[name].values
+        assert image.get_clim()[0] <= values.min() + 0.05 * np.ptp(values)
+        assert image.get_clim()[1] >= values.max() - 0.05 * np.ptp(values)
+
+
+def test_history_and_summary_tell_the_hypoxic_radius(result):
+    cells, low = result.frames[-1].cells, result.frames[-1].concentrations["oxygen"] < 0.06
+    expected = observables.sphere_radius(cells, observables.centre(cells), low)
+    assert expected > 0.0
+    assert result.history["hypoxic_radius_oxygen"][-1] == expected
+    assert result.summary()["hypoxic_radius"] == {"oxygen": expected}
+    assert "hypoxic_radius_glucose" not in result.history
+
+
+def test_growth_marks_the_switch_of_the_medium(result):
+    figure = result.plot.growth()
+    texts = [text.get_text().strip() for text in figure.findobj(mpl.text.Text)]
+    assert "oxygen 0.065 mM" in texts
+
+
+def test_report_has_one_ledger_with_a_column_for_each_field(result, tmp_path):
+    page = result.report(tmp_path).read_text(encoding="utf-8")
+    assert "<th></th><th>oxygen</th><th>glucose</th><th>lactate</th>" in page
+    for entry in ("inflow", "uptake", "secreted", "decayed", "relaid", "stored", "remainder"):
+        assert f"<tr><th>{entry}</th>" in page
+    assert (tmp_path / "fields.png").is_file()
+
+
+def test_cells_below_the_threshold_make_the_hypoxic_ball():
+    cells = cells_at([[0.0, 0, 0], [40.0, 0, 0], [-40.0, 0, 0]], radius=5.0)
+    got = observables.hypoxic_radius(cells, np.array([0.01, 0.05, 0.05]), 0.02)
+    assert got == pytest.approx(5.0, rel=1e-12)
+    assert observables.hypoxic_radius(cells, np.full(3, 0.02), 0.02) == 0.0
+
+
+def test_a_frame_without_fields_has_no_map():
+    frames = growing_frames(count=2, last=50)
+    bare = type(frames[0])(0.0, 0, frames[0].cells)
+    with pytest.raises(ValueError, match="no fields"):
+        Plots([bare], {}, SCENE).fields()
+    assert len(growth(history_arrays(history_of(frames)), "bare").axes) == 3
