@@ -215,9 +215,9 @@ def test_cvode_follows_its_tolerance():
     result = compare(PAIR, ["cvode"], ladder, cache=False, references=BOTH_EXACT, repeats=1)
     for row in result.table:
         assert row["error_position"] < 30.0 * row["setting"]
-        assert row["jacobian_products"] > 0
+        assert row["linear_iterations"] > 0
         work = Work(row["evaluations"], row["linearisations"], row["jacobian_products"])
-        assert row["cost"] == weighted_cost(work) > row["evaluations"]
+        assert row["cost"] == weighted_cost(work) >= row["evaluations"]
 
 
 # planted failures

@@ -140,11 +140,10 @@ def test_nothing_is_negative(side, strength, seed, supply):
     sink = 10.0**strength * rng.random(operator.shape) ** 4
     made = supply * rng.random(operator.shape) ** 8
     c, _ = solve_steady(operator, sink, 0.005, np.full(operator.shape, 0.1), supply=made)
-    # far below the solver's tolerance a starved node may be left on either side of zero
-    assert c.min() >= -1e-12 * c.max()
+    assert c.min() >= 0.0
     shells = Shells(90.0, 12, D, 0.1)
     radial, _ = shells.solve(sink[0, 0, 0] + sink.ravel()[:12], 0.005, np.full(12, 0.1))
-    assert radial.min() >= -1e-15 * 0.1
+    assert radial.min() >= 0.0
 
 
 # --- shells ---------------------------------------------------------------------------------------

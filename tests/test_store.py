@@ -295,8 +295,8 @@ def test_report_writes_only_files_that_overwriting_removes(tmp_path):
     folder = written(tmp_path / "out", frames)
     write_summary(folder, {"cells": len(frames[-1].cells)})
     load_result(folder).report()
-    # one cell type and no pull
-    expected = set(FILES) - {"contacts.png", "pull.png"}
+    # one cell type, no pull, one field
+    expected = set(FILES) - {"contacts.png", "pull.png", "fields.png"}
     assert {entry.name for entry in folder.iterdir()} == expected
 
 

@@ -6,10 +6,12 @@ part of the evaluations; the counts that are reported are those of :class:`Mecha
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, final
+from typing import Any, TypeVar, cast, final
 
 import numpy as np
+from numba import njit
 from sksundae.cvode import CVODE, CVODEJacTimes, CVODEPrecond
 
 from multicell.integrators.base import FloatArray, Outcome
@@ -18,6 +20,9 @@ from multicell.integrators.restarts import Restart, Run, StepImpossible
 from multicell.mechanics import Mechanics, StateRejected
 from multicell.sparse import limit
 
+_F = TypeVar("_F", bound=Callable[..., Any])
+_jit = cast(Callable[[_F], _F], njit(cache=True))
+
 _CONTACTS = 8.0
 """Largest decay rate of packed cells, in stiffness of the stiffest pair over drag."""
 _SLOW_START = 5e-4
@@ -25,6 +30,8 @@ _SLOW_START = 5e-4
 _BUSY, _WINDOW = 6, 3
 """Evaluations a step, over how many last steps, above which a mild start has become stiff."""
 _LIGHT_KRYLOV = 5
+_INCREMENT = 1e-5
+"""Largest change of a coordinate in a difference quotient, in mean radii."""
 _MILD, _STIFF = 3.0, 10.0
 """Products γλ up to which there is no preconditioning, and beyond which J is kept fresh."""
 
@@ -122,6 +129,25 @@ class Cvode:
         return run.integrate(start)
 
 
+@_jit
+def _displace(y: FloatArray, v: FloatArray, largest: float, out: FloatArray) -> float:
+    """Write ``y + share v`` to ``out``; return the share, 0 where ``v`` is zero."""
+    most = 0.0
+    for n in range(v.size):
+        most = max(most, abs(v[n]))
+    share = largest / most if most > 0.0 else 0.0
+    for n in range(v.size):
+        out[n] = y[n] + share * v[n]
+    return share
+
+
+@_jit
+def _divide(out: FloatArray, before: FloatArray, share: float) -> None:
+    """Make a difference quotient of the value after a change by ``share``."""
+    for n in range(out.size):
+        out[n] = (out[n] - before[n]) / share
+
+
 @final
 class _Light:
     """CVODE as it comes: products by difference quotients, each of which is an evaluation."""
@@ -130,6 +156,8 @@ class _Light:
         self.run, self.method = run, method
         self._counts = [run.system.work.evaluations]
         self._others = 0
+        self._small = _INCREMENT * float(run.system.motion.radius.mean())
+        self._moved = np.empty(3 * len(run.position))
         self._probed: list[tuple[float, FloatArray]] = []
         self.solver = CVODE(
             run.velocity,
@@ -140,6 +168,7 @@ class _Light:
             max_nonlin_iters=method.newton,
             linsolver=method.linear,
             krylov_dim=_LIGHT_KRYLOV,
+            jactimes=CVODEJacTimes(None, self.product),
         )
         self.solver.init_step(0.0, run.position.ravel())
 
@@ -166,6 +195,21 @@ class _Light:
             # the full method meets the same trouble, and has the means to go on
             return True
         return self._probed[-1][0] < _SLOW_START * self.run.length
+
+    def product(
+        self, t: float, y: FloatArray, yp: FloatArray, v: FloatArray, jv: FloatArray
+    ) -> None:
+        """Jacobian times vector by a difference quotient.
+
+        SUNDIALS's own moves cells by about the tolerance: by as much as a contact reaches where
+        that is loose, and the steps then end in another equilibrium.
+        """
+        share = _displace(y, v, self._small, self._moved)
+        if share == 0.0:
+            jv[:] = 0.0
+            return
+        self.run.velocity(t, self._moved, jv)
+        _divide(jv, yp, share)
 
     def _advance(self) -> tuple[float, FloatArray]:
         left = self.run.left

@@ -110,6 +110,9 @@ class Shells:
         for newton in range(_MAX_NEWTON + self.count):
             size = float(np.abs(left).sum())
             if size <= max(tolerance * total, problem.rounding(c)):
+                if c.min() < 0.0:
+                    c = problem.lifted(c)
+                    size = float(np.abs(problem.residual(c)[0]).sum())
                 return c, problem.report(c, newton, size)
             c, left, total = problem.step(c, left)
         raise NutrientFailed(
@@ -150,17 +153,7 @@ class _Balance:
 
     def step(self, c: FloatArray, left: FloatArray) -> tuple[FloatArray, FloatArray, float]:
         """Return the state after a Newton step that lowers the energy, and its imbalance."""
-        from scipy.linalg import solveh_banded
-
-        g, shells = self.shells.conductance, self.shells
-        diagonal = self._slope.copy()
-        diagonal[:-1] += g
-        diagonal[1:] += g
-        diagonal[-1] += shells._outer * (1.0 - shells._factor)
-        banded = np.zeros((2, shells.count))
-        banded[0, 1:] = -g
-        banded[1] = diagonal
-        correction = solveh_banded(banded, left, check_finite=False)
+        correction = self._solve(self._slope, left)
         slope, share = float(left @ correction), 1.0
         for _ in range(_MAX_BACKTRACKS):
             trial = c + share * correction
@@ -170,6 +163,32 @@ class _Balance:
                 break
             share *= max(slope / (slope - now), 0.25)
         return trial, there, total
+
+    def lifted(self, c: FloatArray) -> FloatArray:
+        """Return the state with the share q / (K + c) of uptake from ``c``, and none below zero.
+
+        Every right-hand side is a supply and the matrix an M-matrix, whose factors have no
+        positive entry beside the diagonal: nothing is subtracted on the way to the solution.
+        """
+        shells = self.shells
+        rate = self.most / (self.half + np.maximum(c, 0.0)) + self.linear * shells.volumes
+        brought = self.supply.copy()
+        brought[-1] += shells._outer * shells._const
+        return self._solve(rate, brought)
+
+    def _solve(self, rate: FloatArray, right: FloatArray) -> FloatArray:
+        """Solve for what ``rate`` and diffusion, both in µm³/s, take of ``right``, amol/s."""
+        from scipy.linalg import solveh_banded
+
+        g, shells = self.shells.conductance, self.shells
+        diagonal = rate.copy()
+        diagonal[:-1] += g
+        diagonal[1:] += g
+        diagonal[-1] += shells._outer * (1.0 - shells._factor)
+        banded = np.zeros((2, shells.count))
+        banded[0, 1:] = -g
+        banded[1] = diagonal
+        return np.asarray(solveh_banded(banded, right, check_finite=False))
 
     def rounding(self, c: FloatArray) -> float:
         """Return the part of the imbalance that is rounding, amol/s."""

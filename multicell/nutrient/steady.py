@@ -11,8 +11,10 @@ decay, exchange with a flow, and the 1/dt of an implicit step in time.
 **No concentration is negative.** -D L is an M-matrix (for values, slopes that supply, and mixed
 conditions alike), uptake is diagonal and vanishes with c: the solution satisfies
 (-D L0 + m + q / (K + c)) c = s + boundary terms >= 0 with an inverse that has no negative entry.
-Nothing is clipped, so where the exact value is far below the solver's tolerance (the depth of a
-starved core) a node may be left at about -1e-13 times the medium's value.
+Nothing is clipped: where the exact value is far below the solver's tolerance (the depth of a
+starved core) and a node is left at about -1e-13 times the medium's value, Gauss-Seidel sweeps over
+such nodes alone bring each to its own balance. Their equations are an M-matrix with a positive
+right-hand side too, so the sweeps end above zero, and no sweep raises the sum of all imbalances.
 
 **Newton converges from any start.** With the law continued below zero along its tangent (there the
 solution never is) F is the gradient of a strictly convex energy, so a line search on its slope is
@@ -53,6 +55,8 @@ FORCING = 0.03
 """Largest part of the imbalance that the linear solver may leave over."""
 
 MAX_BACKTRACKS = 30
+
+MAX_SWEEPS = 1000  # over the nodes below zero; one to three are usual
 
 SHIFT = 1.0
 """The preconditioner's uniform uptake, relative to the mean of the linearised uptake."""
@@ -135,6 +139,11 @@ def solve_steady(
     state, done = _newton(_State(problem, np.array(start, dtype=np.float64)), tolerance, solver)
     if not done and np.isfinite(state.size):
         state, done = _descend(problem, start, tolerance, solver)
+    if done and not state.lift():
+        raise NutrientFailed(
+            f"the steady nutrient field is below zero at some nodes after {MAX_SWEEPS} sweeps",
+            "Check uptake, diffusion and half_saturation of the nutrient for sensible values",
+        )
     if not done:
         raise NutrientFailed(
             f"the steady nutrient field did not converge: after {solver.newton} Newton steps the "
@@ -208,6 +217,18 @@ class _State:
             op.ghost, *op.weights, self.residual, self.rate,
         )  # fmt: skip
         self.size, self.norm = float(np.sqrt(squares)), float(np.sqrt(size))
+
+    def lift(self) -> bool:
+        """Bring nodes left below zero to their own balance; return whether none is left."""
+        if not self.c.min(initial=0.0) < 0.0:
+            return True
+        problem, op = self.problem, self.problem.operator
+        left = stencil.balance_negative(
+            self.c, problem.sink, problem.source, problem.half, op.stiffness, problem.linear,
+            op.ghost, *op.weights, MAX_SWEEPS,
+        )  # fmt: skip
+        self.evaluate()
+        return bool(left == 0)
 
     def target(self, tolerance: float) -> float:
         """Return the norm of the imbalance in mM/s at which the solution is accepted.

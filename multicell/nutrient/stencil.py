@@ -163,6 +163,75 @@ def imbalance(
 
 
 @_jit
+def balance_negative(
+    c: FloatArray,
+    sink: FloatArray,
+    source: FloatArray,
+    half: float,
+    stiffness: float,
+    linear: float,
+    ghost: FloatArray,
+    wx: FloatArray,
+    wy: FloatArray,
+    wz: FloatArray,
+    most: int,
+) -> int:
+    """Bring all nodes below zero to their own balance, in sweeps, until there are none.
+
+    A node is given the concentration at which its sinks meet its source and what comes from its
+    neighbours; one that has reached zero is left alone from then on. Return how many are below
+    zero after at most ``most`` sweeps.
+    """
+    nx, ny, nz = c.shape
+    below = np.flatnonzero(c.ravel() < 0.0)
+    left = below.size
+    for sweep in range(most):
+        if left == 0:
+            break
+        left = 0
+        for m in range(below.size):
+            # every other sweep runs backwards: what a neighbour brings crosses the core at once
+            n = below[m if sweep % 2 == 0 else below.size - 1 - m]
+            i, j, k = n // (ny * nz), n // nz % ny, n % nz
+            if c[i, j, k] >= 0.0:
+                continue
+            gain, loss = source[i, j, k], linear
+            for face in range(6):
+                w = 1.0
+                if wx.size:
+                    axis, high = face // 2, face % 2
+                    if axis == 0:
+                        w = wx[i + high, j, k]
+                    elif axis == 1:
+                        w = wy[i, j + high, k]
+                    else:
+                        w = wz[i, j, k + high]
+                step = 2 * (face % 2) - 1
+                a = i + step if face // 2 == 0 else i
+                b = j + step if face // 2 == 1 else j
+                d = k + step if face // 2 == 2 else k
+                if 0 <= a < nx and 0 <= b < ny and 0 <= d < nz:
+                    gain += stiffness * w * c[a, b, d]
+                    loss += stiffness * w
+                else:
+                    loss += stiffness * w * (1.0 - ghost[face])
+            if gain >= 0.0:  # loss c + sink c / (half + c) = gain
+                middle = loss * half + sink[i, j, k] - gain
+                root = np.sqrt(middle * middle + 4.0 * loss * gain * half)
+                # the smaller of two sums would cancel
+                v = (
+                    2.0 * gain * half / (middle + root)
+                    if middle > 0.0
+                    else 0.5 * (root - middle) / loss
+                )
+            else:
+                v = gain / (loss + sink[i, j, k] / half)
+            c[i, j, k] = v
+            left += v < 0.0
+    return left
+
+
+@_jit
 def begin(
     rate: FloatArray,
     residual: FloatArray,
