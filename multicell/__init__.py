@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from multicell.comparison.result import WorkPrecision
     from multicell.comparison.stability import StabilityMap, stability
     from multicell.comparison.workprecision import compare
+    from multicell.exporting import export
     from multicell.result import Result, load_result
     from multicell.resuming import resume
     from multicell.running import run
@@ -41,6 +42,7 @@ __all__ = [
     "StepFailed",
     "WorkPrecision",
     "compare",
+    "export",
     "load_result",
     "load_scene",
     "resume",
@@ -58,6 +60,7 @@ _LAZY = {
     "WorkPrecision": "multicell.comparison.result",
     "StabilityMap": "multicell.comparison.stability",
     "compare": "multicell.comparison.workprecision",
+    "export": "multicell.exporting",
     "resume": "multicell.resuming",
     "run": "multicell.running",
     "scene_names": "multicell.scene",

@@ -188,6 +188,44 @@ def resume(
         _show(result, written, quiet, as_json)
 
 
+@main.command()
+@click.argument("folder", type=click.Path(path_type=Path))
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    required=True,
+    help="Folder for the tables.",
+)
+@click.option(
+    "--tables",
+    metavar="NAMES",
+    help="Which tables, separated by commas: lineage, history, cells, contacts; by default all.",
+)
+@click.option("--frame", type=int, help="Cells and contacts of this frame only; -1 is the last.")
+@click.option("--overwrite", is_flag=True, help="Replace files of the same names.")
+@as_json_option
+def export(
+    folder: Path,
+    output: Path,
+    tables: str | None,
+    frame: int | None,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Write the results in FOLDER as CSV tables, with units in their headers."""
+    with errors(as_json):
+        from multicell.exporting import export as write
+
+        chosen = None if tables is None else [name.strip() for name in tables.split(",")]
+        paths = write(folder, output, tables=chosen, frame=frame, overwrite=overwrite)
+        if as_json:
+            print_json({"files": [str(path) for path in paths]})
+            return
+        for path in paths:
+            click.echo(path)
+
+
 main.add_command(compare)
 main.add_command(stability)
 
