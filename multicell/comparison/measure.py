@@ -17,6 +17,8 @@ from multicell.mechanics import Work
 
 Row = dict[str, Any]
 DONE, FAILED, SKIPPED = "done", "failed", "skipped"
+_TRIALS = 3
+"""Tolerances at which a method may fail before it is held to be too slow for finer ones."""
 
 
 @final
@@ -56,7 +58,7 @@ def climb(
 ) -> list[Row]:
     """Return the rows of one method, from coarse to fine, until patience or budget end."""
     rows: list[Row] = []
-    foreseen = 0.0
+    foreseen, failures = 0.0, 0
     # compiled and loaded before the clock of the first point runs
     first = replace(exact.problem, steps=exact.problem.steps[:1])
     replay(first, method.make(ladder[0]), effort.patience)
@@ -76,6 +78,10 @@ def climb(
         # half the step takes twice as long; a tolerance costs less the higher the order
         growth = finer if method.control == "step" else 1.0
         foreseen = growth * (rows[-1]["wall"] if found.done else found.wall)
+        failures += not found.done
+        if not found.done and method.control == "tolerance" and failures < _TRIALS:
+            # a loose tolerance may be what it fails at, or what takes so long
+            foreseen = 0.0
     return [{**row, "mode": exact.problem.mode} for row in rows]
 
 
