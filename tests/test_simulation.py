@@ -277,7 +277,8 @@ def test_public_names():
     assert set(mc.__all__) == {
         "JKR", "Cells", "Hertz", "MulticellError", "OutputError", "Result", "Scene",
         "SceneError", "Simulation", "StabilityMap", "State", "StepFailed", "WorkPrecision",
-        "compare", "load_result", "load_scene", "resume", "run", "scene_names", "stability",
+        "compare", "export", "load_result", "load_scene", "resume", "run", "scene_names",
+        "stability",
     }  # fmt: skip
     assert all(hasattr(mc, name) for name in mc.__all__)
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):

@@ -12,15 +12,20 @@ evaluations of the velocity, calibrated with ``tests/benchmarks/calibrate_auto.p
 of 100 to 5000 cells, z = λΔt from 9 to 2·10⁶, tolerances of 0.01 and 0.0001 µm). With
 θ = (atol + rtol r) / 0.01 µm and n cells:
 
-- ``ab2-adaptive``: as many as it expects itself. Where that is less than z / 0.4 its steps are held
-  down by stability, not by accuracy, and the others' predictions, which are high where only a few
-  cells are stiff, would lose against it: then it is taken only if it needs fewer evaluations than
-  the least that RKC2 gets by with, √(8 z) + 15;
+- ``ab2-adaptive``: as many as it expects itself, if those are fewer than the least that RKC2 gets
+  by with, √(8 z) + 15. Else stability holds its steps down, and a first estimate made among the
+  short steps of its start is several times too high: 1.2 z, or 0.3 of what it expects if that is
+  more;
 - ``dopri5``: 6 max(12 θ^-0.1, z / 3), 2.5 times that where stability limits the step at a loose
-  tolerance: modes at the edge of stability then rattle, and lists are built at every step;
+  tolerance: modes at the edge of stability then rattle, and lists are built at every step. At a
+  loose tolerance its order does not pay where contacts form and break;
 - ``rkc2``: a (√(1 + 1.54 z / a) + 3) with a = 22 z^0.17 θ^-0.4 steps;
 - ``cvode``: a ((6 + 2.5 lg z) θ^0.1 + 2000 / n) with a = 8 z^0.22 θ^-0.25 steps; the last term is
-  the cost of calling Python.
+  the cost of calling Python. Here θ is a hundredth: on the stiff scenes of the calibration and of
+  ``docs/which_integrator.py`` the error of ``cvode`` at a tolerance is that of ``rkc2`` at a
+  hundred times as much or more, since stability keeps the steps of explicit methods short.
+
+What runs through Python at every evaluation costs the explicit methods 700 / n evaluations more.
 """
 
 from __future__ import annotations
@@ -40,10 +45,14 @@ if TYPE_CHECKING:
 _ITERATIONS = 6
 _PATIENCE = 150
 """Evaluations up to which nothing but Adams-Bashforth is tried."""
-_TIGHT = 1e-3
+_TIGHT = 0.03
 """θ up to which a method of order 5 may cost less than Adams-Bashforth."""
 _CALL = 2.0e3
-"""Evaluations times cells that one call from Python costs."""
+"""Evaluations times cells that the calls of Python in a step of CVODE cost."""
+_STAGE = 700.0
+"""The same for an evaluation of an explicit method that goes through Python."""
+_AS_EXACT = 0.01
+"""Tolerance at which CVODE is as exact as RKC2, over that of RKC2."""
 
 
 @final
@@ -191,21 +200,23 @@ def choose(
     z = max(rate * (motion.end - motion.begin), 1.0)
     n = max(len(system), 1)
     theta = (atol + rtol * float(motion.radius.mean() if len(system) else 1.0)) / 0.01
-    called = _CALL / n if _through_python(system) else 0.0
+    called = _STAGE / n if _through_python(system) else 0.0
 
     accurate, stable = 12.0 * theta**-0.1, z / 3.0
-    rattle = 2.5 if stable > accurate and theta > 0.03 else 1.0
+    rattle = 2.5 if stable > accurate and theta > _TIGHT else 1.0
     dopri5 = 6.0 * max(accurate, stable) * rattle
     steps = 22.0 * z**0.17 * theta**-0.4
     rkc2 = steps * (math.sqrt(1.0 + 1.54 * z / steps) + 3.0)
-    steps = 8.0 * z**0.22 * theta**-0.25
-    cvode = steps * ((6.0 + 2.5 * math.log10(z)) * theta**0.1 + _CALL / n + called)
-    costs = {"dopri5": dopri5 * (1.0 + called), "rkc2": rkc2 * (1.0 + called), "cvode": cvode}
-    if expected > 0.0 and (z < 0.4 * expected or expected < math.sqrt(8.0 * z) + 15.0):
-        costs["ab2-adaptive"] = expected * (1.0 + called)
+    explicit = {"dopri5": dopri5, "rkc2": rkc2}
+    if expected > 0.0:
+        mild = expected < math.sqrt(8.0 * z) + 15.0
+        explicit["ab2-adaptive"] = expected if mild else max(1.2 * z, 0.3 * expected)
         if theta > _TIGHT:
-            # the order of Dormand-Prince does not pay where contacts form and break
-            costs["dopri5"] = max(costs["dopri5"], 1.01 * costs["ab2-adaptive"])
+            explicit["dopri5"] = max(dopri5, 1.01 * explicit["ab2-adaptive"])
+    finer = _AS_EXACT * theta
+    steps = 8.0 * z**0.22 * finer**-0.25
+    costs = {name: cost * (1.0 + called) for name, cost in explicit.items()}
+    costs["cvode"] = steps * ((6.0 + 2.5 * math.log10(z)) * finer**0.1 + _CALL / n)
     return Choice(min(costs, key=lambda name: costs[name]), rate, z, costs)
 
 
