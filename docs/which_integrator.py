@@ -2,7 +2,7 @@
 
 Problem   the scenes of the chart, each with all methods that can hold it, beside CVODE as
           scikit-sundae sets it up; growing and driven scenes are compared step by step
-Cost      about 25 minutes on 2 cores (the budgets are printed); --quick takes a tenth
+Cost      about 40 minutes on 2 cores (the budgets are printed); --quick takes a tenth
 Command   python docs/which_integrator.py            (or with names of cases: settle-1000 ...)
 
 Each case that is finished is kept as CSV and JSON in docs/chart-data, and is not computed again
@@ -70,14 +70,14 @@ CASES = (
     Case("settle-1000", "settle-1000", budget=75),
     Case("stiff-inclusions", "stiff-inclusions", budget=120),
     Case("grow-2000 at 5 kPa s", "grow-2000", {"drag.viscosity": 5.0}, 90, 24),
-    Case("grow-2000 at 0.5 kPa s", "grow-2000", {"drag.viscosity": 0.5}, 120, 24),
-    Case("grow-2000 at 0.05 kPa s", "grow-2000", {"drag.viscosity": 0.05}, 240, 12),
-    Case("sorting", "sorting", {}, 90, 24),
+    Case("grow-2000 at 0.5 kPa s", "grow-2000", {"drag.viscosity": 0.5}, 200, 24),
+    Case("grow-2000 at 0.05 kPa s", "grow-2000", {"drag.viscosity": 0.05}, 360, 12),
+    Case("sorting", "sorting", {}, 180, 24),
     Case("spheroid to 5000 cells", "spheroid", {"stop_cells": 5000}, 120, 24),
     Case("division-shock in 2D", "division-shock", FLAT, 30),
     Case("settle-1000 in 2D", "settle-1000", FLAT, 45),
-    Case("sorting in 2D", "sorting", FLAT, 45, 24),
-    Case("grow-2000 in 2D at 0.5 kPa s", "grow-2000", FLAT | {"drag.viscosity": 0.5}, 60, 24),
+    Case("sorting in 2D", "sorting", FLAT, 90, 24),
+    Case("grow-2000 in 2D at 0.5 kPa s", "grow-2000", FLAT | {"drag.viscosity": 0.5}, 120, 24),
 )
 
 
