@@ -1,5 +1,9 @@
 """Implicit methods: against SciPy, the sparse Jacobian, what they refuse, what they say."""
 
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from strategies import cluster, mechanics
@@ -238,6 +242,44 @@ def test_new_contacts_start_a_new_pattern():
     np.testing.assert_allclose(
         other.energy(600.0, outcome.position), other.energy(600.0, exact.position), rtol=1e-2
     )
+
+
+STOPPED = """
+import gc, sys
+sys.path.insert(0, {folder!r})
+import numpy as np
+from strategies import cluster, mechanics
+from multicell.integrators.cvode_sparse import CvodeSparse
+from multicell.mechanics import Mechanics
+
+class Stopped(Exception):
+    pass
+
+def stop(*_):
+    raise Stopped
+
+position, radius, young = cluster(30, 4, spacing=0.7)
+kept = getattr(Mechanics, {where!r})
+for _ in range(20):
+    # memory full of what is not zero: what is freed without having been made is found out
+    rubbish = [np.full(k, 1e300) for k in range(1, 2000)]
+    del rubbish
+    setattr(Mechanics, {where!r}, stop)
+    try:
+        CvodeSparse().integrate(mechanics(radius, young), position)
+    except Stopped:
+        print("stopped")
+    gc.collect()
+    setattr(Mechanics, {where!r}, kept)
+assert CvodeSparse().integrate(mechanics(radius, young), position).done
+"""
+
+
+@pytest.mark.parametrize("where", ["velocity", "linearise"])
+def test_a_direct_solver_stopped_before_its_first_factorisation_does_not_crash(where):
+    program = STOPPED.format(folder=str(Path(__file__).parent), where=where)
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert (done.returncode, done.stdout.count("stopped")) == (0, 20), done.stderr[-2000:]
 
 
 @pytest.mark.parametrize("name", sorted(METHODS))

@@ -7,6 +7,7 @@ that has no place in it, a new solver is started, which begins again at first or
 
 from __future__ import annotations
 
+import ctypes
 import warnings
 from dataclasses import dataclass
 from typing import final
@@ -85,6 +86,10 @@ class _Direct:
                 sparsity=self.pattern.matrix(np.ones(len(self.pattern.index))),
                 jacfn=self.jacobian,
             )
+        # SUNDIALS frees what SuperLU_MT factorised without asking whether it ever did: to let go of
+        # a solver that was stopped before its first Jacobian ends the process
+        self._factorised = False
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(self.solver))
         self.solver.init_step(0.0, run.position.ravel())
 
     def step(self) -> tuple[float, FloatArray]:
@@ -102,6 +107,9 @@ class _Direct:
         self.system.linearise(self.run.clock(t), y.reshape(-1, 3))
         limit(self.system, self.softening)
         self.lost = self.pattern.fill(self.system, values)
+        if not self._factorised:
+            self._factorised = True
+            ctypes.pythonapi.Py_DecRef(ctypes.py_object(self.solver))
 
 
 def holds(system: Mechanics, method: str, most_cells: int, reason: str) -> None:
