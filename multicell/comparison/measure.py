@@ -19,6 +19,8 @@ Row = dict[str, Any]
 DONE, FAILED, SKIPPED = "done", "failed", "skipped"
 _TRIALS = 3
 """Tolerances at which a method may fail before it is held to be too slow for finer ones."""
+_COMPILATION = 20.0
+"""Wall time in s that a first coupling step may take in any case."""
 
 
 @final
@@ -59,9 +61,9 @@ def climb(
     """Return the rows of one method, from coarse to fine, until patience or budget end."""
     rows: list[Row] = []
     foreseen, failures = 0.0, 0
-    # compiled and loaded before the clock of the first point runs
+    # compiled and loaded before the clock of the first point runs, however short the patience
     first = replace(exact.problem, steps=exact.problem.steps[:1])
-    replay(first, method.make(ladder[0]), effort.patience)
+    replay(first, method.make(ladder[0]), max(effort.patience, _COMPILATION))
     begin = clock.perf_counter()
     for k, setting in enumerate(ladder):
         spent = clock.perf_counter() - begin
