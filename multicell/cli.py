@@ -336,4 +336,6 @@ def _print_summary(console: Console, summary: dict[str, Any], output: Path) -> N
     if "evaluations" in work:
         table.add_row(_plain("force evaluations"), _plain(f"{work['evaluations']:,}"))
     console.print(table)
+    for note in summary.get("notes", ()):
+        console.print(_plain(f"Note: {note}"), style="yellow")
     console.print(_plain(f"Results are in '{output}'."))

@@ -27,6 +27,8 @@ SUMMARY_UNITS: Final[Mapping[str, str]] = {
     "volume_released": "um^3",
     "wall": "s",
     "ledger": "amol",
+    "fields.spacing": "um",
+    "fields.discretisation_error": "mM",
     "separation.time": "s",
     "separation.force": "nN",
 }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from html import escape
 from pathlib import Path
@@ -21,6 +21,11 @@ if TYPE_CHECKING:
 
 # the page may load nothing at all: pictures are part of it
 _POLICY: Final = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+
+_FIELD: Final = {
+    "spacing": "spacing (µm)",
+    "discretisation_error": "estimated error at the cells (mM)",
+}
 
 _CSS: Final = """
 :root { --ink:#22303c; --quiet:#64737f; --line:#e1e7ec; --green:#1f7f54; --page:#f4f6f8; }
@@ -177,6 +182,9 @@ def measures(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     balance = (summary.get("ledger") or {}).get("relative_remainder")
     if balance is not None:
         yield "nutrient unaccounted for", f"{balance:.1e}"
+    for name, field in (summary.get("fields") or {}).items():
+        if "discretisation_error" in field:
+            yield f"grid error of {name}", f"{field['discretisation_error']:.1e} mM"
 
 
 def _percent(part: float) -> str:
@@ -248,7 +256,18 @@ def _work(summary: Mapping[str, Any]) -> Iterator[str]:
     yield _table("Work of the integrator", summary.get("integrator"))
     ledger = {k: v for k, v in (summary.get("ledger") or {}).items() if isinstance(v, Mapping)}
     yield _ledgers(ledger)
+    for name, field in (summary.get("fields") or {}).items():
+        yield _table(f"Grid of {name}", {_FIELD.get(key, key): v for key, v in field.items()})
+    yield _notes(summary.get("notes") or ())
     yield _table("Versions", summary.get("versions"))
+
+
+def _notes(notes: Sequence[str]) -> str:
+    """Return a card with remarks on the run, or nothing without any."""
+    if not notes:
+        return ""
+    lines = "".join(f"<p>{escape(note)}</p>" for note in notes)
+    return f"<section><h2>Notes</h2>{lines}</section>"
 
 
 def _ledgers(ledger: Mapping[str, Mapping[str, Any]]) -> str:

@@ -242,6 +242,8 @@ class Simulation:
             extra["contacts"] = float(len(self.contacts))
         extra |= self._mixing()
         extra |= {f"hypoxic_radius_{name}": r for name, r in self._hypoxic().items()}
+        if any(part.geometry != "box" for part in self.scene.nutrients.values()):
+            extra["departure_from_a_ball"] = _departure(self.cells)
         if self.scene.pull is not None:
             extra["pull"] = self.scene.pull.force + self.scene.pull.rate * self.time
         return observables.history_row(self.time, self.step_index, self.cells, **extra)
@@ -284,6 +286,7 @@ class Simulation:
             "volume_released": self.released,
             "integrator": {"method": self.scene.integrator.method, **asdict(self._mechanics.work)},
             "ledger": {**ledgers, **whole},
+            **self._fitness(),
             **({"separation": self.separation} if self.separation else {}),
             **self._mixing(),
             "wall": {**self.wall, "total": sum(self.wall.values())},
@@ -291,6 +294,13 @@ class Simulation:
             "versions": versions(),
             "units": dict(observables.SUMMARY_UNITS),
         }
+
+    def _fitness(self) -> dict[str, Any]:
+        """Return how well grids and geometries of the fields fit the tissue."""
+        if self._feeding is None:
+            return {}
+        fields, notes = self._feeding.fitness(self.cells, self.time)
+        return {"fields": fields, **({"notes": notes} if notes else {})}
 
     @contextmanager
     def _phase(self, name: str) -> Iterator[None]:
@@ -472,6 +482,13 @@ def _remembers(scene: Scene) -> bool:
 def _counts_contacts(scene: Scene) -> bool:
     """Return whether anything asks for the pairs in contact; to find them costs a little."""
     return _remembers(scene) or len(scene.types) > 1 or scene.pull is not None
+
+
+def _departure(cells: Cells) -> float:
+    """Return the departure of the tissue from a ball; only scenes with shells load it."""
+    from multicell.nutrient.roundness import departure
+
+    return departure(cells.position, cells.radius)
 
 
 def _feeding(scene: Scene) -> Feeding | None:

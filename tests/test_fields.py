@@ -1,15 +1,20 @@
 """Whole runs with several fields: dependences, ledgers, media, geometries, wrong input."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import multicell as mc
 from multicell.errors import SceneError
+from multicell.nutrient.accuracy import discretisation_error
 from multicell.nutrient.feeding import dependence
+from multicell.nutrient.field import NutrientField
 from multicell.nutrient.layout import BoxLayout, ShellLayout, restored
-from multicell.nutrient.plan import regime, scales, solving_order, spacing
+from multicell.nutrient.plan import FieldParameters, regime, scales, solving_order, spacing
 from multicell.nutrient.roundness import departure, round_enough
 from multicell.scene import Scene
+from multicell.simulation import Simulation
 
 THREE = {
     "lactate": {
@@ -162,6 +167,61 @@ def test_auto_takes_shells_for_a_ball_and_a_box_for_two_balls():
     cells.position[cells.position[:, 0] > 0.0, 0] += 100.0
     two = mc.Simulation(scene(**auto, initial__count=300), cells=cells)
     assert {field.kind for field in two.fields.values()} == {"box"}
+
+
+@pytest.mark.parametrize(("geometry", "finest"), [("radial", 8), ("box", 4)])
+@pytest.mark.parametrize("spacing", [20.0, 14.0])
+def test_the_estimated_error_of_the_grid_is_that_against_a_finer_one(geometry, finest, spacing):
+    described = mc.load_scene("spheroid").with_changes(
+        {"initial.count": 2000, "initial.spacing": 0.9, "nutrients.oxygen.geometry": geometry,
+         "nutrients.oxygen.spacing": spacing}
+    )  # fmt: skip
+    cells = Simulation(described).cells
+    capacity = np.full(len(cells), 40.0)
+    parameters = FieldParameters.of(described, "oxygen")
+    found = []
+    for h in (spacing, spacing / finest):
+        field = NutrientField("oxygen", replace(parameters, spacing=h))
+        field.solve(cells.position, capacity, radius=cells.radius)
+        found.append((field, field.sample(cells.position)))
+    (field, coarse), (_, fine) = found
+    true = np.abs(coarse - fine).max()
+    kept = field.field().values.tobytes()
+    estimate = discretisation_error(field, parameters, cells, capacity, None, 0.0)
+    assert 0.4 * true < estimate < 2.5 * true
+    assert field.field().values.tobytes() == kept
+    transient = replace(parameters, regime="transient")
+    assert discretisation_error(field, transient, cells, capacity, None, 0.0) is None
+
+
+def test_the_summary_tells_what_each_field_lives_on():
+    run = mc.run(scene(duration="1 h", **{"nutrients.oxygen.geometry": "radial",
+                                          "nutrients.oxygen.regime": "transient"}))  # fmt: skip
+    fields = run.summary()["fields"]
+    assert fields["oxygen"]["geometry"] == "shells"
+    assert fields["lactate"]["geometry"] == "cubes"
+    assert 0.0 < fields["lactate"]["discretisation_error"] < 0.1
+    assert "discretisation_error" not in fields["oxygen"]
+    assert 0.0 <= fields["oxygen"]["departure_from_a_ball"] < 1.0
+    last = run.frames[-1].cells
+    expected = departure(last.position, last.radius)
+    assert run.history["departure_from_a_ball"][-1] == expected
+    assert fields["oxygen"]["departure_from_a_ball"] == expected
+    flat = mc.run(scene(duration="20 min", dimensions=2)).summary()["fields"]
+    assert {field["geometry"] for field in flat.values()} == {"squares"}
+
+
+def test_a_radial_field_says_when_the_tissue_is_no_ball():
+    described = scene(duration="20 min", **everywhere("geometry", "radial"))
+    assert "notes" not in mc.run(described).summary()
+    simulation = Simulation(described)
+    stretched = simulation.cells.take(np.arange(60))
+    stretched.position[:, 0] *= 2.0
+    pulled = Simulation(described, cells=stretched)
+    notes = pulled.summary()["notes"]
+    assert len(notes) == 3
+    assert "oxygen lives on spherical shells" in "".join(notes)
+    assert "roundness_limit = 0.1" in notes[0]
 
 
 def test_departure_of_ellipsoids_is_that_of_their_axes():

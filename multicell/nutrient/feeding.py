@@ -8,14 +8,17 @@ the cells: each field may have a grid and a geometry of its own.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
 from multicell.cells import Cells, FloatArray, State
 from multicell.ledger import Ledger
 from multicell.nutrient.field import FieldReport, NutrientField
+from multicell.nutrient.grid import NutrientFailed
+from multicell.nutrient.layout import ShellLayout
 from multicell.nutrient.plan import FieldParameters, solving_order
+from multicell.nutrient.roundness import departure
 
 if TYPE_CHECKING:
     from multicell.frame import Field, Frame
@@ -46,6 +49,7 @@ class Feeding:
         self._scales = np.array(scales) if any(s != 1.0 for s in scales) else None
         self._order = solving_order(scene.nutrients)
         parameters = {name: FieldParameters.of(scene, name) for name in self._order}
+        self._parameters = parameters
         self._steady = [name for name in self._order if parameters[name].regime == "steady"]
         self.fields = {name: NutrientField(name, parameters[name]) for name in scene.nutrients}
         self.ledger = {name: Ledger() for name in scene.nutrients}
@@ -123,6 +127,46 @@ class Feeding:
     def snapshot(self) -> dict[str, Field]:
         """Return the fields as they were last solved."""
         return {name: field.field() for name, field in self.fields.items()}
+
+    def fitness(self, cells: Cells, time: float) -> tuple[dict[str, dict[str, Any]], list[str]]:
+        """Return for each field what it lives on, and how well that fits the cells as they are.
+
+        Returns
+        -------
+        fields : name -> dict
+            ``geometry`` (cubes, squares or shells), ``spacing`` (µm), ``discretisation_error``
+            at the cells (mM) where it is known, and for shells ``departure_from_a_ball``.
+        notes
+            Remarks on fields that do not fit.
+        """
+        from multicell.nutrient.accuracy import discretisation_error
+
+        fields: dict[str, dict[str, Any]] = {}
+        notes: list[str] = []
+        for name in self._order:
+            field, parameters = self.fields[name], self._parameters[name]
+            shells = isinstance(field.layout, ShellLayout)
+            kind = "shells" if shells else "squares" if parameters.dimensions == 2 else "cubes"
+            fields[name] = {"geometry": kind, "spacing": field.layout.spacing}
+            capacity, production = self._demand(name, cells)
+            try:
+                error = discretisation_error(field, parameters, cells, capacity, production, time)
+            except NutrientFailed as trouble:
+                notes.append(f"The error that the grid of {name} makes is not known: {trouble}")
+                error = None
+            if error is not None:
+                fields[name]["discretisation_error"] = error
+            if not shells:
+                continue
+            departed = departure(cells.position, cells.radius)
+            fields[name]["departure_from_a_ball"] = departed
+            if departed > parameters.roundness_limit:
+                notes.append(
+                    f"{name} lives on spherical shells, but the tissue departs from a ball by "
+                    f"{departed:.2g}, more than roundness_limit = {parameters.roundness_limit:g}: "
+                    "geometry = 'auto' would go over to a grid of cubes."
+                )
+        return fields, notes
 
     def _sample(self, name: str, cells: Cells, capacity: FloatArray) -> None:
         """Keep what the cells find and take up of a field."""

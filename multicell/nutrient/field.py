@@ -13,7 +13,7 @@ from multicell.cells import FloatArray
 from multicell.nutrient import layout as layouts
 from multicell.nutrient.grid import Box
 from multicell.nutrient.layout import BoxLayout, Layout, Operator, ShellLayout
-from multicell.nutrient.roundness import departure, round_enough
+from multicell.nutrient.roundness import round_enough
 from multicell.nutrient.steady import SolveReport
 from multicell.nutrient.transient import Amounts, March, TransientReport, march
 
@@ -318,10 +318,6 @@ class NutrientField:
         values.flags.writeable = False
         self._values = values
         self._operator = None
-
-    def roundness(self, position: FloatArray, radius: FloatArray) -> float:
-        """Return the departure of the cells from a ball; above the limit a radial field errs."""
-        return departure(position, radius)
 
     def _lay(self, position: FloatArray, radius: FloatArray) -> tuple[Layout, bool]:
         """Return the layout round the cells, and whether it is the last one."""
