@@ -77,7 +77,7 @@ class Cells:
     state : (n,) int8
         One of :class:`State`.
     age : (n,) float64, s
-        Time since birth.
+        Time since birth; of a dead cell, since its death.
     cycle_time : (n,) float64, s
         Time in which the cell doubles its volume when nothing limits it; with phases, the time
         that it spends in those in which it grows.

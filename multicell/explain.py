@@ -75,7 +75,13 @@ def _death_words(scene: Scene) -> str:
     death = scene.death
     if death is None:
         return "absent: necrotic cells keep their place and volume"
-    words = f"necrotic cells lose their volume in about {hours(death.lysis_time)}"
+    words = ""
+    if death.necrosis_rate is not None:
+        words = f"starved cells die after {hours(1.0 / death.necrosis_rate)} on average; "
+    words += "necrotic cells "
+    if death.swelling > 1.0:
+        words += f"swell to {death.swelling:g} times their volume in {hours(death.swelling_time)}, "
+    words += f"lose their volume in about {hours(death.lysis_time)}"
     if death.apoptosis_rate > 0.0:
         life = hours(1.0 / death.apoptosis_rate)
         words += f"; cells live {life} on average until they die by themselves"

@@ -188,8 +188,24 @@ class Growth:
 @final
 @parameters
 class Death:
-    """How cells die and go: the dead lose their volume exponentially, then they are removed."""
+    """How cells die and go: the dead lose their volume exponentially, then they are removed.
 
+    Necrotic cells may swell first: exponentially to ``swelling`` times their volume within
+    ``swelling_time``, at the end of which they burst.
+    """
+
+    necrosis_rate: float | None = quantity(
+        "1/s",
+        default=None,
+        above=0,
+        doc="at which cells die beyond a threshold of necrosis; absent: they die at once",
+    )
+    swelling: float = number(
+        default=1.0, at_least=1, at_most=8, doc="volume of a necrotic cell that bursts / at death"
+    )
+    swelling_time: float = quantity(
+        "s", default=21600.0, above=0, doc="from death to bursting, where cells swell"
+    )
     lysis_time: float = quantity(
         "s", default=172800.0, above=0, doc="mean time in which necrotic cells lose their volume"
     )

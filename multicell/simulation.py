@@ -132,7 +132,7 @@ class Simulation:
                 self._feeding.begin(self.cells, self.time)
                 self._set_bonds(self.concentrations)
         with self._phase("biology"):
-            self._change_states()
+            self._change_states(0.0)
 
     def _restore(self, frame: Frame) -> None:
         """Go on from a frame."""
@@ -221,7 +221,7 @@ class Simulation:
             if self._feeding is not None:
                 self._feeding.advance(self.cells, begin, end)
         with self._phase("biology"):
-            self._change_states()
+            self._change_states(end - begin)
 
     def frame(self) -> Frame:
         """Return the state as a frame that later steps do not change."""
@@ -406,9 +406,10 @@ class Simulation:
         cells = self.cells.take(np.arange(len(self.cells)))
         cells.position, cells.radius, cells.pressure = position, radius, pressure
         cells.age = cells.age + dt
-        shrunk = np.isin(cells.state, DEAD)
-        if shrunk.any():
-            lost = self.cells.radius[shrunk] ** 3 - radius[shrunk] ** 3
+        dead = np.isin(cells.state, DEAD)
+        if dead.any():
+            # what the dead took up when they swelled counts against what they lose
+            lost = self.cells.radius[dead] ** 3 - radius[dead] ** 3
             self.released += SPHERE * float(lost.sum())
         if cycling is not None:
             cells.state, cells.phase = cycling.state, cycling.phase
@@ -449,15 +450,18 @@ class Simulation:
             self.cells = self.cells.take(neighbours.spatial_order(self.cells.position, width))
             self._unsorted = 0
 
-    def _change_states(self) -> None:
+    def _change_states(self, dt: float) -> None:
         before = self.cells.state
-        self.cells.state = update_states(self.scene, self.cells, self.concentrations)
+        self.cells.state = update_states(
+            self.scene, self.cells, self.concentrations, self.step_index, dt
+        )
         if restricted(self.scene):
             due = deciding(self.cells, self.scene.coupling_step, self.scene.cells.reaction_time)
             well = ~unfavourable(self.scene, self.cells, self.concentrations)
             leave_rest(self.scene, self.cells, due & well)
         dead = (self.cells.state != before) & np.isin(self.cells.state, DEAD)
         if dead.any():
+            self.cells.age[dead] = 0.0
             self.lineage.died(np.sort(self.cells.id[dead]), self.time)
 
 

@@ -47,6 +47,7 @@ class Purpose(IntEnum):
     MOTILITY = 8
     PHASES = 9
     APOPTOSIS = 10
+    NECROSIS = 11
 
 
 def _product(a: np.uint64, b: UIntArray) -> tuple[UIntArray, UIntArray]:

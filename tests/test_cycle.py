@@ -219,11 +219,62 @@ def test_apoptosis_is_a_rate(dt):
     assert stats.kstest(times - 0.5 * dt, law.cdf).statistic < 0.03 + 0.6 * rate * dt
 
 
-def test_volume_grown_and_released_close_the_account():
+STARVED = {
+    "contact": {"law": "hertz"}, "coupling_step": HOUR,
+    "nutrients": {"oxygen": {"boundary": 0.01, "uptake": 0.0, "necrosis": 0.02}},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("dt", [HOUR, 5 * HOUR])
+def test_necrosis_may_be_a_rate(dt):
+    """Where all starve survivors fall as exp(-kt) at any step; at once where no rate is given."""
+    rate = 2e-5
+    described = Scene.from_dict(
+        {**STARVED, "duration": "30 h", "coupling_step": dt, "output": {"every": "30 h"},
+         "initial": {"count": 3000, "spacing": 3.0},
+         "death": {"necrosis_rate": rate, "lysis_time": "1000 h"}}
+    )  # fmt: skip
+    result = mc.run(described)
+    alive = np.exp(-rate * 30 * HOUR)
+    assert result.summary()["states"]["necrotic"] == pytest.approx(
+        3000 * (1 - alive), abs=4 * np.sqrt(3000 * alive * (1 - alive))
+    )
+    assert result.frames[0].cells.state.max() == State.PROLIFERATING
+    times = result.lineage["death_time"][np.isfinite(result.lineage["death_time"])]
+    law = stats.truncexpon(b=rate * 30 * HOUR, scale=1 / rate)
+    assert stats.kstest(times - 0.5 * dt, law.cdf).statistic < 0.03 + 0.6 * rate * dt
+    dead = result.frames[-1].cells.state == State.NECROTIC
+    np.testing.assert_allclose(
+        np.sort(30 * HOUR - result.frames[-1].cells.age[dead]), np.sort(times), atol=1e-6
+    )
+    at_once = mc.Simulation(described.with_changes({"death.necrosis_rate": None}))
+    assert (at_once.cells.state == State.NECROTIC).all()
+
+
+@pytest.mark.parametrize("dt", [0.25 * HOUR, HOUR, 7 * HOUR])
+def test_necrotic_cells_swell_and_burst_in_closed_form(dt):
+    described = Scene.from_dict(
+        {**STARVED, "duration": "14 h", "coupling_step": dt, "initial": {"count": 1},
+         "death": {"swelling": 2.0, "swelling_time": "5 h", "lysis_time": "6 h"}}
+    )  # fmt: skip
+    simulation = mc.Simulation(described)
+    start = float(simulation.cells.volume[0])
+    while not simulation.finished:
+        simulation.step()
+        since = simulation.time / HOUR
+        exact = 2.0 ** min(since / 5.0, 1.0) * np.exp(-max(since - 5.0, 0.0) / 6.0)
+        assert simulation.cells.volume[0] == pytest.approx(start * exact, rel=1e-12)
+        lost = start - simulation.cells.volume[0]
+        assert simulation.released == pytest.approx(lost, rel=1e-9)
+
+
+@pytest.mark.parametrize("death", [{}, {"death.swelling": 2.0, "death.necrosis_rate": "1e-4 1/s"}])
+def test_volume_grown_and_released_close_the_account(death):
     described = mc.load_scene("spheroid").with_changes(
         {"duration": "20 h", "initial.count": 80, "initial.stage": "uniform",
          "nutrients.oxygen.boundary": "0.02 mM", "nutrients.oxygen.necrosis": "0.0135 mM",
-         "death.lysis_time": "3 h", "death.apoptosis_rate": "5e-6 1/s"}
+         "death.swelling_time": "2 h",
+         "death.lysis_time": "3 h", "death.apoptosis_rate": "5e-6 1/s", **death}
     )  # fmt: skip
     simulation = mc.Simulation(described)
     start, grown = simulation.cells.volume.sum(), 0.0
@@ -292,6 +343,8 @@ def test_receptors_follow_phase_and_concentration_linearly_over_a_step():
         ),
         ({"growth.critical_pressure": 0}, "growth.critical_pressure", "above 0"),
         ({"death.apoptosis_rate": "-1e-6 1/s"}, "death.apoptosis_rate", "at least 0"),
+        ({"death.necrosis_rate": 0}, "death.necrosis_rate", "above 0"),
+        ({"death.swelling": 0.5}, "death.swelling", "at least 1"),
         ({"cells.heritable": ["young", "hair"]}, "cells.heritable", "must be one of"),
         (
             {**ADHESIVE, "types.own.receptor_by_phase": {"G4": 1.0}},

@@ -30,6 +30,36 @@ def apoptotic(scene: Scene, cells: Cells) -> NDArray[np.bool_]:
     return np.asarray(cells.age * rate >= -np.log1p(-u))
 
 
+def necrotic(
+    scene: Scene, cells: Cells, beyond: NDArray[np.bool_], step: int, dt: float
+) -> NDArray[np.bool_]:
+    """Return which of the cells beyond a threshold of necrosis die of it, (n,).
+
+    All, unless the scene gives a rate k: then each cell dies in a time dt with the probability
+    1 - exp(-k dt). Times until death are distributed exponentially whatever the coupling step.
+
+    Parameters
+    ----------
+    scene
+        Gives the rate.
+    cells
+        The population; the identities are read.
+    beyond : (n,) bool
+        Cells that find too little or too much of a nutrient.
+    step
+        Number of the coupling step, which the random numbers depend on.
+    dt
+        Time since the last decision, s.
+    """
+    rate = None if scene.death is None else scene.death.necrosis_rate
+    if rate is None:
+        return beyond
+    dies = beyond.copy()
+    u = streams.uniform(scene.seed, Purpose.NECROSIS, step, cells.id[beyond])[:, 0]
+    dies[beyond] = u < -np.expm1(-rate * dt)
+    return dies
+
+
 def remove_lysed(scene: Scene, cells: Cells) -> tuple[Cells, int]:
     """Remove dead cells smaller than ``removal_fraction`` of the birth volume.
 

@@ -10,6 +10,7 @@ import numpy as np
 from multicell.cells import SPHERE, Cells, FloatArray, State
 
 if TYPE_CHECKING:
+    from multicell.parts import Death
     from multicell.scene import Scene
 
 
@@ -79,7 +80,8 @@ def volumes_after(scene: Scene, cells: Cells, factor: FloatArray, dt: float) -> 
 
     Proliferating cells grow linearly, V' = factor V_birth / cycle_time, so that one that nothing
     limits doubles in its cycle time; quiescent cells keep their volume; necrotic cells shrink as
-    V' = -V / lysis_time, apoptotic ones as V' = -V / apoptosis_time. Both are integrated
+    V' = -V / lysis_time, after they have swollen as V' = V ln(swelling) / swelling_time where the
+    scene has them swell; apoptotic ones shrink as V' = -V / apoptosis_time. All is integrated
     exactly for the given factor. Growth may pass the
     division volume within the step: the excess goes to the daughters.
 
@@ -104,6 +106,16 @@ def volumes_after(scene: Scene, cells: Cells, factor: FloatArray, dt: float) -> 
         rate = factor[growing] * birth_volume(scene) / cells.cycle_time[growing]
         volume[growing] += dt * rate
     if scene.death is not None:
-        volume[cells.state == State.NECROTIC] *= np.exp(-dt / scene.death.lysis_time)
+        necrotic = cells.state == State.NECROTIC
+        volume[necrotic] *= _necrotic_factor(scene.death, cells.age[necrotic], dt)
         volume[cells.state == State.APOPTOTIC] *= np.exp(-dt / scene.death.apoptosis_time)
     return volume
+
+
+def _necrotic_factor(death: Death, since: FloatArray, dt: float) -> FloatArray:
+    """Return the volume of necrotic cells after ``dt`` over that now, a time ``since`` death."""
+    if death.swelling == 1.0:
+        return np.full_like(since, np.exp(-dt / death.lysis_time))
+    swelling = np.clip(death.swelling_time - since, 0.0, dt)
+    rate = np.log(death.swelling) / death.swelling_time
+    return np.asarray(np.exp(rate * swelling - (dt - swelling) / death.lysis_time))

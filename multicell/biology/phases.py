@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.biology.death import apoptotic
+from multicell.biology.death import apoptotic, necrotic
 from multicell.cells import DEAD, Cells, FloatArray, State
 
 if TYPE_CHECKING:
@@ -26,16 +26,21 @@ _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
 
 def update_states(
-    scene: Scene, cells: Cells, concentrations: Mapping[str, FloatArray]
+    scene: Scene,
+    cells: Cells,
+    concentrations: Mapping[str, FloatArray],
+    step: int = 0,
+    dt: float = 0.0,
 ) -> NDArray[np.int8]:
     """Return the new state of each cell.
 
-    A cell turns necrotic at once where a nutrient is below its ``necrosis`` threshold, or above
-    ``necrosis_above``, and stays so for ever; one whose life by apoptosis
-    has run out turns apoptotic. Another cell that is due to decide
-    (:func:`deciding`) rests (quiescent) if a nutrient is below its ``quiescence`` threshold or its
-    pressure reaches the critical pressure, and proliferates if neither holds. A scene that has
-    neither nutrients nor a critical pressure leaves all states as they are.
+    A cell turns necrotic where a nutrient is below its ``necrosis`` threshold, or above
+    ``necrosis_above``, at once or at a rate (:func:`multicell.biology.death.necrotic`), and
+    stays so for ever; one whose life by apoptosis has run out turns apoptotic. Another cell
+    that is due to decide (:func:`deciding`) rests (quiescent) if a nutrient is below its
+    ``quiescence`` threshold or its pressure reaches the critical pressure, and proliferates if
+    neither holds. A scene that has neither nutrients nor a critical pressure leaves all states
+    as they are.
 
     Parameters
     ----------
@@ -45,6 +50,10 @@ def update_states(
         The population, n cells; its states, pressures, ages and identities are read.
     concentrations : mapping of (n,), mM
         Concentration at the cells, for every nutrient of the scene.
+    step
+        Number of the coupling step that has ended.
+    dt
+        Its length, s; 0 at the start of a run.
 
     Returns
     -------
@@ -60,13 +69,14 @@ def update_states(
     dies = apoptotic(scene, cells) & ~np.isin(cells.state, DEAD)
     if not scene.nutrients and critical is None:
         return np.where(dies, State.APOPTOTIC, cells.state).astype(np.int8)
-    dead = cells.state == State.NECROTIC
+    beyond = np.zeros(len(cells), dtype=bool)
     for name, nutrient in scene.nutrients.items():
         c = np.asarray(concentrations[name])
         if nutrient.necrosis is not None:
-            dead |= c < nutrient.necrosis
+            beyond |= c < nutrient.necrosis
         if nutrient.necrosis_above is not None:
-            dead |= c > nutrient.necrosis_above
+            beyond |= c > nutrient.necrosis_above
+    dead = (cells.state == State.NECROTIC) | necrotic(scene, cells, beyond, step, dt)
     living = cells.state
     if not restricted(scene):
         resting = unfavourable(scene, cells, concentrations)
