@@ -30,6 +30,9 @@ _SLOW_START = 5e-4
 _BUSY, _WINDOW = 6, 3
 """Evaluations a step, over how many last steps, above which a mild start has become stiff."""
 _LIGHT_KRYLOV = 5
+_FIRST = 4e-6
+"""First step of a mild start over the interval. CVODE's own is about as long, and it takes two
+evaluations to find it; the second one may be ten thousand times longer."""
 _INCREMENT = 1e-5
 """Largest change of a coordinate in a difference quotient, in mean radii."""
 _MILD, _STIFF = 3.0, 10.0
@@ -168,6 +171,7 @@ class _Light:
             max_nonlin_iters=method.newton,
             linsolver=method.linear,
             krylov_dim=_LIGHT_KRYLOV,
+            first_step=_FIRST * run.left,
             jactimes=CVODEJacTimes(None, self.product),
         )
         self.solver.init_step(0.0, run.position.ravel())
