@@ -30,7 +30,7 @@ _SLOW_START = 5e-4
 _BUSY, _WINDOW = 6, 3
 """Evaluations a step, over how many last steps, above which a mild start has become stiff."""
 _LIGHT_KRYLOV = 5
-_FIRST = 4e-6
+_FIRST = 1e-6
 """First step of a mild start over the interval. CVODE's own is about as long, and it takes two
 evaluations to find it; the second one may be ten thousand times longer."""
 _INCREMENT = 1e-5
