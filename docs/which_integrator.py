@@ -133,7 +133,7 @@ def compared(
         budget=share * case.budget,
         # a method that is hopeless here must not eat up the time of the others
         patience=share * case.budget / 15.0,
-        repeats=3,
+        repeats=5,
         progress=tell,
     )
 

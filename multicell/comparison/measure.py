@@ -19,6 +19,8 @@ Row = dict[str, Any]
 DONE, FAILED, SKIPPED = "done", "failed", "skipped"
 _TRIALS = 3
 """Tolerances at which a method may fail before it is held to be too slow for finer ones."""
+_SHORT = 0.02
+"""Wall time in s of a solve up to which an untimed one goes before it."""
 _COMPILATION = 20.0
 """Wall time in s that a first coupling step may take in any case."""
 
@@ -51,22 +53,38 @@ class Effort:
         return min(self.patience / 5.0, max(self.budget, 0.0) / (2.0 * self.points))
 
 
+@final
+@dataclass
+class Timed:
+    """A point that was solved and is to be timed again; ``spent`` is the wall time that took."""
+
+    row: Row
+    method: Method
+    share: float
+    spent: float
+
+
 def climb(
     method: Method,
     ladder: Sequence[float],
     exact: Reference,
     effort: Effort,
     tell: Callable[[str], None],
-) -> list[Row]:
-    """Return the rows of one method, from coarse to fine, until patience or budget end."""
+) -> tuple[list[Row], list[Timed]]:
+    """Return the rows of one method, from coarse to fine, until patience or budget end.
+
+    Each point that was solved is timed once; the others of its repeats are left for
+    :func:`time_again`, and their time is set aside in the budget.
+    """
     rows: list[Row] = []
-    foreseen, failures = 0.0, 0
+    again: list[Timed] = []
+    foreseen, failures, aside = 0.0, 0, 0.0
     # compiled and loaded before the clock of the first point runs, however short the patience
     first = replace(exact.problem, steps=exact.problem.steps[:1])
     replay(first, method.make(ladder[0]), max(effort.patience, _COMPILATION))
     begin = clock.perf_counter()
     for k, setting in enumerate(ladder):
-        spent = clock.perf_counter() - begin
+        spent = clock.perf_counter() - begin + aside
         # a point takes two solves at least; the first one is tried in any case
         dear = foreseen > effort.patience or spent + 2.0 * foreseen > effort.budget
         if rows and dear:
@@ -76,6 +94,10 @@ def climb(
         tell(f"{method.name} at {setting:.3g}")
         found = replay(exact.problem, method.make(setting), effort.patience)
         rows.append(_measured(method, setting, found, exact, effort))
+        if found.done:
+            wall = rows[-1]["wall"]
+            again.append(Timed(rows[-1], method, effort.share, wall))
+            aside += min((effort.repeats - 1) * wall, effort.share)
         finer = ladder[k] / ladder[k + 1] if k + 1 < len(ladder) else 1.0
         # half the step takes twice as long; a tolerance costs less the higher the order
         growth = finer if method.control == "step" else 1.0
@@ -84,7 +106,29 @@ def climb(
         if not found.done and method.control == "tolerance" and failures < _TRIALS:
             # a loose tolerance may be what it fails at, or what takes so long
             foreseen = 0.0
-    return [{**row, "mode": exact.problem.mode} for row in rows]
+    for row in rows:
+        row["mode"] = exact.problem.mode
+    return rows, again
+
+
+def time_again(points: Sequence[Timed], problem: Problem, repeats: int) -> None:
+    """Time points of all methods in turns, and keep the minimum of each in its row.
+
+    A machine is slower for minutes at a time. In turns all methods meet the same minutes, and
+    the ratios of their times are those of the methods.
+    """
+    for _ in range(repeats - 1):
+        for point in points:
+            if point.spent >= point.share:
+                continue
+            solver = point.method.make(point.row["setting"])
+            if point.row["wall"] < _SHORT:
+                # the caches of the processor hold what the point before has left there
+                replay(problem, solver)
+            found = replay(problem, solver)
+            point.spent += found.wall
+            point.row["wall"] = min(point.row["wall"], found.wall)
+            point.row["cpu"] = min(point.row["cpu"], found.cpu)
 
 
 def _measured(
@@ -105,20 +149,15 @@ def _measured(
 def _timed(
     problem: Problem, integrator: Integrator, first: float, effort: Effort
 ) -> tuple[float, float]:
-    """Return the minimum wall time and the minimum processor time of several solves, s.
+    """Return the wall time and the processor time of one solve, s.
 
     The solve that gave the error has compiled the kernels and filled the caches; if it was
-    short another one warms up. Of a long solve one repetition is enough.
+    short another one warms up.
     """
     if first < effort.share:
         replay(problem, integrator)
-    wall: list[float] = []
-    cpu: list[float] = []
-    while not wall or (len(wall) < effort.repeats and sum(wall) < effort.share):
-        again = replay(problem, integrator)
-        wall.append(again.wall)
-        cpu.append(again.cpu)
-    return min(wall), min(cpu)
+    again = replay(problem, integrator)
+    return again.wall, again.cpu
 
 
 def _row(

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from multicell.cells import Cells
-from multicell.comparison.measure import Effort, climb
+from multicell.comparison.measure import Effort, Row, Timed, climb, time_again
 from multicell.comparison.methods import Ladder, Method, named, settings, stiffness
 from multicell.comparison.reference import Reference, blank, paired, reference
 from multicell.comparison.result import CLOCKS, FILES, WorkPrecision
@@ -74,7 +74,8 @@ def compare(
     cache
         Folder of cached references; True for the user's own, False for none.
     repeats
-        Number of timed solves of each point.
+        Number of timed solves of each point, of which the fastest counts. The first follows
+        the solve that gives the error; the others go round all methods in turns.
     patience
         Wall time in s that one solve may take; a finer setting that is foreseen to take longer
         is skipped, one that does take longer fails at its next coupling step. The repeats of a
@@ -122,12 +123,19 @@ def compare(
     decay = stiffness(exact.problem, exact.trajectory)
     whole = max(90.0, 10.0 * exact.wall) if budget is None else budget
     begin = time.perf_counter()
-    table = []
+    table: list[Row] = []
+    again: list[Timed] = []
     for k, method in enumerate(chosen):
         left = whole - (time.perf_counter() - begin)
         rungs = settings(method, ladder, exact.problem, decay)
         effort = Effort(repeats, patience, left / (len(chosen) - k), len(rungs))
-        table += climb(method, rungs, exact, effort, tell)
+        rows, timed = climb(method, rungs, exact, effort, tell)
+        table += rows
+        again += timed
+        # what its repeats will take is gone for the others
+        whole -= sum(min((repeats - 1) * point.spent, point.share) for point in timed)
+    tell("timing again, all methods in turns")
+    time_again(again, exact.problem, repeats)
     result = WorkPrecision(described, table, exact.uncertainty, _facts(exact, decay), clock)
     if output is not None:
         result.save(output)
