@@ -70,11 +70,12 @@ def climb(
     exact: Reference,
     effort: Effort,
     tell: Callable[[str], None],
-) -> tuple[list[Row], list[Timed]]:
+) -> tuple[list[Row], list[Timed], float]:
     """Return the rows of one method, from coarse to fine, until patience or budget end.
 
     Each point that was solved is timed once; the others of its repeats are left for
-    :func:`time_again`, and their time is set aside in the budget.
+    :func:`time_again`, and their time is set aside in the budget. The third value is the part of
+    the budget that is gone, in s; compilation and loading are not part of it.
     """
     rows: list[Row] = []
     again: list[Timed] = []
@@ -108,7 +109,7 @@ def climb(
             foreseen = 0.0
     for row in rows:
         row["mode"] = exact.problem.mode
-    return rows, again
+    return rows, again, clock.perf_counter() - begin + aside
 
 
 def time_again(points: Sequence[Timed], problem: Problem, repeats: int) -> None:

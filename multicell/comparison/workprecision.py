@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -82,7 +81,7 @@ def compare(
         point may take a fifth of it together.
     budget
         Wall time in s for all methods, divided among those that are left; finer settings than
-        it allows are skipped. By default 90 s, or ten times what the reference took if that
+        it allows are skipped. By default 60 s, or ten times what the reference took if that
         is longer.
     threads
         Number of threads, by default all.
@@ -121,19 +120,16 @@ def compare(
         progress=tell,
     )  # fmt: skip
     decay = stiffness(exact.problem, exact.trajectory)
-    whole = max(90.0, 10.0 * exact.wall) if budget is None else budget
-    begin = time.perf_counter()
+    left = max(60.0, 10.0 * exact.wall) if budget is None else budget
     table: list[Row] = []
     again: list[Timed] = []
     for k, method in enumerate(chosen):
-        left = whole - (time.perf_counter() - begin)
         rungs = settings(method, ladder, exact.problem, decay)
         effort = Effort(repeats, patience, left / (len(chosen) - k), len(rungs))
-        rows, timed = climb(method, rungs, exact, effort, tell)
+        rows, timed, spent = climb(method, rungs, exact, effort, tell)
         table += rows
         again += timed
-        # what its repeats will take is gone for the others
-        whole -= sum(min((repeats - 1) * point.spent, point.share) for point in timed)
+        left -= spent
     tell("timing again, all methods in turns")
     time_again(again, exact.problem, repeats)
     result = WorkPrecision(described, table, exact.uncertainty, _facts(exact, decay), clock)
