@@ -4,7 +4,7 @@ Problem   600 cells at 102 h of culture grow to 20,000, with oxygen, glucose and
 Data      Freyer & Sutherland, Cancer Res. 46 (1986) 3504, as digitised by others; the medium that
           the data belong to is not stated there
 Fitted    by hand, two parameters: the radius at division (sizes) and the duration of G1 (rate)
-Cost      about 2 minutes on 2 cores
+Cost      half a minute on 2 cores
 Command   python docs/emt6.py
 """
 
