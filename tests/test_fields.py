@@ -156,7 +156,7 @@ def test_shells_and_box_agree_for_a_ball_of_cells():
     changes = {"growth": None, "death": None, "initial.count": 400}
     box = mc.Simulation(scene(**changes)).concentrations["oxygen"]
     radial = mc.Simulation(scene(**changes, **everywhere("geometry", "radial")))
-    np.testing.assert_allclose(radial.concentrations["oxygen"].mean(), box.mean(), rtol=0.06)
+    np.testing.assert_allclose(radial.concentrations["oxygen"].mean(), box.mean(), rtol=0.015)
 
 
 def test_auto_takes_shells_for_a_ball_and_a_box_for_two_balls():

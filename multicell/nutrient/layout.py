@@ -35,6 +35,14 @@ _TISSUE = 0.5
 """Part of a node's volume that is cells from which on it is tissue."""
 
 
+_CUBE = 1.14445
+"""Harmonic radius of a cube seen from its middle, over half its edge.
+
+The harmonic function with the values 1/|x| on the faces is 1 / 1.14445 there (half edge 1; by its
+series of sines).
+"""
+
+
 class Operator(Protocol):
     """Solves for a field on the nodes of a layout."""
 
@@ -243,7 +251,12 @@ class ShellLayout:
     def round(
         cls, position: FloatArray, radius: FloatArray, margin: float, spacing: float
     ) -> ShellLayout:
-        """Lay it ``margin`` beyond the outermost cell; ``spacing`` gives way."""
+        """Lay it ``margin`` or more beyond the outermost cell; ``spacing`` gives way.
+
+        Its surface is that of the ball which lets as much through to its middle as the cube
+        that would be laid round the same cells: how a tissue is fed does not depend on the
+        geometry of the grid.
+        """
         if len(position) == 0:
             count = max(2, int(np.ceil(margin / spacing)))
             return cls(np.zeros(3), margin / count, count)
@@ -251,6 +264,8 @@ class ShellLayout:
             extent(position, margin)  # raises with words
         centre = np.average(position, axis=0, weights=radius**3)
         outer = float(np.sqrt(np.square(position - centre).sum(axis=1).max())) + margin
+        low, high = extent(position, margin)
+        outer = max(outer, _CUBE * 0.5 * float((high - low).mean()))
         count = int(np.ceil(outer / spacing * (1.0 - 1e-12)))
         if count > 1_000_000:
             raise NutrientFailed(
