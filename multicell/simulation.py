@@ -242,7 +242,8 @@ class Simulation:
             extra["contacts"] = float(len(self.contacts))
         extra |= self._mixing()
         extra |= {f"hypoxic_radius_{name}": r for name, r in self._hypoxic().items()}
-        if any(part.geometry != "box" for part in self.scene.nutrients.values()):
+        round_fields = any(part.geometry != "box" for part in self.scene.nutrients.values())
+        if round_fields and self.scene.dimensions == 3:
             extra["departure_from_a_ball"] = _departure(self.cells)
         if self.scene.pull is not None:
             extra["pull"] = self.scene.pull.force + self.scene.pull.rate * self.time
