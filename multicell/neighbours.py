@@ -14,7 +14,6 @@ made from the sorted coordinates instead, and memory stays proportional to cells
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import final
 
@@ -219,7 +218,8 @@ def _bins(position, width):
         low[a], high = position[0, a], position[0, a]
         for i in range(n):
             low[a], high = min(low[a], position[i, a]), max(high, position[i, a])
-        counts[a] = math.floor((high - low[a]) / width) + 1.0
+        # math.floor makes an integer, which is undefined for what no integer holds
+        counts[a] = np.floor((high - low[a]) / width) + 1.0
         total *= counts[a]
     shape = np.zeros(3, np.int64)
     if total <= _BINS_PER_CELL * n + _SPARE_BINS:

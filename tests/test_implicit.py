@@ -335,7 +335,13 @@ def test_backward_euler_ends_with_words():
     position, radius, young = cluster(60, 8, spacing=0.6)
     system = mechanics(radius, young, duration=4000.0)
     outcome = BackwardEuler(2000.0).integrate(system, position)
-    assert "step of 2e+03 s has no solution that a line search finds" in outcome.problem
+    # which of the two ways comes first hangs on the last bits, and these on the processor
+    ways = ("has no solution that a line search finds", "did not converge in 30 iterations")
+    assert "step of 2e+03 s" in outcome.problem
+    assert any(way in outcome.problem for way in ways)
+    # no step lowers a residual that is rounding, and none is small enough for no tolerance
+    outcome = BackwardEuler(10.0, tolerance=0.0, newton=1000).integrate(system, position)
+    assert "step of 10 s has no solution that a line search finds" in outcome.problem
     outcome = BackwardEuler(10.0, max_displacement=0.01).integrate(system, position)
     assert "step of 10 s would move the cell" in outcome.problem
     assert "shorter integrator.step" in outcome.hint

@@ -243,8 +243,8 @@ def stages_for(step, rate, most):
     stages = 2
     while stages < most and stable_length(stages) < step * rate:
         # the law tells where to look, its exact value decides
-        guess = int(math.sqrt(1.5 * step * rate + 1.0)) - 1
-        stages = max(stages + 1, min(guess, most))
+        guess = int(min(math.sqrt(1.5 * step * rate + 1.0), most + 1.0)) - 1
+        stages = max(stages + 1, guess)
     return stages
 
 
