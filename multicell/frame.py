@@ -92,6 +92,8 @@ class Progress:
         The account of each field, amol, and what a steady one exchanges now, amol/s.
     work : name -> int
         What the integration has cost.
+    local_error : float or None, µm
+        The largest estimated error of a cell in a step of the integration, where there is one.
     """
 
     next_id: int
@@ -103,6 +105,7 @@ class Progress:
     ledger: Mapping[str, Mapping[str, float]]
     rates: Mapping[str, Mapping[str, float]]
     work: Mapping[str, int]
+    local_error: float | None = None
 
 
 @final

@@ -27,6 +27,7 @@ SUMMARY_UNITS: Final[Mapping[str, str]] = {
     "volume_released": "um^3",
     "wall": "s",
     "ledger": "amol",
+    "integrator.largest_local_error": "um",
     "fields.spacing": "um",
     "fields.discretisation_error": "mM",
     "separation.time": "s",

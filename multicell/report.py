@@ -27,6 +27,8 @@ _FIELD: Final = {
     "discretisation_error": "estimated error at the cells (mM)",
 }
 
+_WORK: Final = {"largest_local_error": "largest estimated error of a cell in a step (µm)"}
+
 _CSS: Final = """
 :root { --ink:#22303c; --quiet:#64737f; --line:#e1e7ec; --green:#1f7f54; --page:#f4f6f8; }
 * { box-sizing:border-box; }
@@ -253,7 +255,8 @@ def _work(summary: Mapping[str, Any]) -> Iterator[str]:
     """Yield cards: cells by state, wall time, work of the integrator, ledger, versions."""
     yield _table("Cells by state", summary.get("states"))
     yield _wall(summary.get("wall"))
-    yield _table("Work of the integrator", summary.get("integrator"))
+    work = summary.get("integrator") or {}
+    yield _table("Work of the integrator", {_WORK.get(key, key): v for key, v in work.items()})
     ledger = {k: v for k, v in (summary.get("ledger") or {}).items() if isinstance(v, Mapping)}
     yield _ledgers(ledger)
     for name, field in (summary.get("fields") or {}).items():

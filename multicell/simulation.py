@@ -83,6 +83,9 @@ class Simulation:
         Events so far.
     released : float, µm³
         Volume that dead cells have lost, their remains at removal included.
+    local_error : float or None, µm
+        The largest error that the integrator expects to have made with a cell in one of its steps
+        so far; None before the first step, and with a method that makes no estimate.
     wall : phase -> s
         Wall time of each phase of the loop.
 
@@ -105,6 +108,7 @@ class Simulation:
         self.wall = dict.fromkeys(PHASES, 0.0)
         self.step_index = self.divisions = self.removals = 0
         self.released = 0.0
+        self.local_error: float | None = None
         self._mechanics = _mechanics(scene, thread_count(threads))
         # identities of the pairs in contact, (m, 2): what exact JKR remembers, and others count
         self.contacts = np.empty((0, 2), dtype=np.int64)
@@ -143,7 +147,7 @@ class Simulation:
         self.cells = frame.cells.take(np.arange(len(frame.cells)))
         self.contacts = np.array(frame.contacts)
         self.divisions, self.removals = known.divisions, known.removals
-        self.released = known.released
+        self.released, self.local_error = known.released, known.local_error
         self._next_id, self._unsorted = known.next_id, known.unsorted
         self.separation = None if known.separation is None else dict(known.separation)
         for name, count in known.work.items():
@@ -164,6 +168,7 @@ class Simulation:
             {} if feeding is None else {n: asdict(x) for n, x in feeding.ledger.items()},
             {} if feeding is None else {n: asdict(x) for n, x in feeding.reports.items()},
             asdict(self._mechanics.work),
+            self.local_error,
         )
 
     @property
@@ -285,7 +290,7 @@ class Simulation:
             "divisions": self.divisions,
             "removals": self.removals,
             "volume_released": self.released,
-            "integrator": {"method": self.scene.integrator.method, **asdict(self._mechanics.work)},
+            "integrator": self._work(),
             "ledger": {**ledgers, **whole},
             **self._fitness(),
             **({"separation": self.separation} if self.separation else {}),
@@ -295,6 +300,12 @@ class Simulation:
             "versions": versions(),
             "units": dict(observables.SUMMARY_UNITS),
         }
+
+    def _work(self) -> dict[str, Any]:
+        """Return what the integration has cost, and the largest error that it tells of."""
+        work = {"method": self.scene.integrator.method, **asdict(self._mechanics.work)}
+        known = {} if self.local_error is None else {"largest_local_error": self.local_error}
+        return {**work, **known}
 
     def _fitness(self) -> dict[str, Any]:
         """Return how well grids and geometries of the fields fit the tissue."""
@@ -366,6 +377,8 @@ class Simulation:
         if not outcome.done:
             cell = None if outcome.cell is None else int(cells.id[outcome.cell])
             raise StepFailed(outcome.time, outcome.problem, outcome.hint, cell)
+        if not math.isnan(outcome.local_error):
+            self.local_error = max(outcome.local_error, self.local_error or 0.0)
         pressure = self._mechanics.pressure(end, outcome.position)
         if _counts_contacts(self.scene):
             self._note_contacts(self._mechanics.contacts(end, outcome.position), end)

@@ -32,6 +32,7 @@ from multicell.integrators.loops import (
     displace,
     evaluate,
     furthest_moved,
+    largest_length,
     next_step,
     shorter,
     weighted_rms,
@@ -52,10 +53,10 @@ def adaptive_adams(source, pairs, control, patience, position, length, radius, c
     trial, error = np.empty_like(position), np.empty_like(position)
     old, now, new = 0, 1, 2
     elapsed, previous, last, moved, cell = 0.0, 1.0, 0.0, 0.0, -1
-    accepted, tried, before = 0, 0, counts[EVALUATIONS]
+    accepted, tried, before, worst = 0, 0, counts[EVALUATIONS], 0.0
     status, pairs = evaluate(source, pairs, 0.0, position, slopes[now])
     if status != DONE:
-        return Report(status, 0.0, 0.0, -1, math.inf), pairs
+        return Report(status, 0.0, 0.0, -1, math.inf, math.nan), pairs
     # not further than the neighbour list reaches: a refused trial would cost two lists
     displace(position, 1.0, slopes[now], trial)
     cell, moved = furthest_moved(position, trial, radius)
@@ -68,11 +69,11 @@ def adaptive_adams(source, pairs, control, patience, position, length, radius, c
         step = left / np.ceil(left / step * (1.0 - 1e-12))
         if accepted == control.most_steps or step < _SHORTEST * length:
             status = OUT_OF_STEPS if accepted == control.most_steps else STALLED
-            return Report(status, elapsed, step, cell, moved), pairs
+            return Report(status, elapsed, step, cell, moved, math.nan), pairs
         if patience and tried >= _TRIED:
             expected = counts[EVALUATIONS] - before + left / step
             if expected > patience:
-                return Report(TOO_LONG, elapsed, step, -1, expected), pairs
+                return Report(TOO_LONG, elapsed, step, -1, expected, math.nan), pairs
         tried += 1
         status = DONE
         if accepted == 0:
@@ -112,6 +113,7 @@ def adaptive_adams(source, pairs, control, patience, position, length, radius, c
         elapsed = length if whole else elapsed + step
         copy(trial, position)
         old, now, new = now, new, old
+        worst = max(worst, largest_length(error))
         counts[STEPS] += 1
         accepted += 1
         last = step
@@ -121,7 +123,7 @@ def adaptive_adams(source, pairs, control, patience, position, length, radius, c
             wanted = step
         step, held = (min(step, wanted) if held else wanted), False
         previous = max(size, 1e-4)
-    return Report(DONE, length, step, -1, 0.0), pairs
+    return Report(DONE, length, step, -1, 0.0, worst), pairs
 
 
 @compiled

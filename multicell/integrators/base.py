@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Protocol, final
 
@@ -30,6 +31,9 @@ class Outcome:
         What to try then.
     cell : int or None
         Index of the cell that shows the problem most.
+    local_error : float
+        The largest error that the method expects to have made with any cell in one of its steps,
+        µm; NaN for a method that makes no estimate.
     """
 
     time: float
@@ -37,6 +41,7 @@ class Outcome:
     problem: str = ""
     hint: str = ""
     cell: int | None = None
+    local_error: float = math.nan
 
     @property
     def done(self) -> bool:

@@ -34,6 +34,7 @@ from multicell.integrators.loops import (
     evaluate,
     fitted,
     furthest_moved,
+    largest_length,
     next_step,
     shorter,
     starting_step,
@@ -271,13 +272,13 @@ def fixed_chebyshev(
         if status == DONE:
             status, pairs = _chebyshev(source, pairs, table, position, slope, elapsed, step, work)
         if status != DONE:
-            return Report(status, elapsed, step, -1, math.inf), pairs
+            return Report(status, elapsed, step, -1, math.inf, math.nan), pairs
         cell, moved = furthest_moved(position, work[0], radius)
         if moved > allowed:
-            return Report(MOVED, elapsed, step, cell, moved), pairs
+            return Report(MOVED, elapsed, step, cell, moved, math.nan), pairs
         copy(work[0], position)
         counts[STEPS] += 1
-    return Report(DONE, length, step, -1, 0.0), pairs
+    return Report(DONE, length, step, -1, 0.0, math.nan), pairs
 
 
 @compiled
@@ -287,10 +288,10 @@ def adaptive_chebyshev(source, pairs, control, most_stages, position, length, ra
     slope, vector = np.empty_like(position), np.empty_like(position)
     error = np.zeros_like(position)
     table = coefficients(2)
-    elapsed, previous, accepted, cell, moved = 0.0, 1.0, 0, -1, 0.0
+    elapsed, previous, accepted, cell, moved, worst = 0.0, 1.0, 0, -1, 0.0, 0.0
     status, pairs = evaluate(source, pairs, 0.0, position, slope)
     if status != DONE:
-        return Report(status, 0.0, 0.0, -1, math.inf), pairs
+        return Report(status, 0.0, 0.0, -1, math.inf, math.nan), pairs
     step, pairs = starting_step(
         source, pairs, control, position, slope, work[0], work[1], length, radius
     )
@@ -309,7 +310,7 @@ def adaptive_chebyshev(source, pairs, control, most_stages, position, length, ra
         step = fitted(step, length - elapsed)
         if accepted == control.most_steps or step < _SHORTEST * length:
             status = OUT_OF_STEPS if accepted == control.most_steps else STALLED
-            return Report(status, elapsed, step, cell, moved), pairs
+            return Report(status, elapsed, step, cell, moved, math.nan), pairs
         stages = stages_for(step, _SAFETY * rate, most_stages)
         if stages != table.shape[0] - 1:
             table = coefficients(stages)
@@ -337,6 +338,7 @@ def adaptive_chebyshev(source, pairs, control, most_stages, position, length, ra
         elapsed = length if whole else elapsed + step
         copy(trial, position)
         copy(work[1], slope)
+        worst = max(worst, largest_length(error))
         counts[STEPS] += 1
         accepted += 1
         age += 1
@@ -345,4 +347,4 @@ def adaptive_chebyshev(source, pairs, control, most_stages, position, length, ra
         wanted = next_step(step, size, previous, control.order, False)
         step, held = (min(step, wanted) if held else wanted), False
         previous = max(size, 1e-4)
-    return Report(DONE, length, step, -1, 0.0), pairs
+    return Report(DONE, length, step, -1, 0.0, worst), pairs

@@ -16,7 +16,7 @@ from sksundae.cvode import CVODE, CVODEJacTimes, CVODEPrecond
 
 from multicell.integrators.base import FloatArray, Outcome
 from multicell.integrators.preconditioners import preconditioner
-from multicell.integrators.restarts import Restart, Run, StepImpossible
+from multicell.integrators.restarts import Predictor, Restart, Run, StepImpossible
 from multicell.mechanics import Mechanics, StateRejected
 from multicell.sparse import limit
 
@@ -161,9 +161,10 @@ class _Light:
         self._others = 0
         self._small = _INCREMENT * float(run.system.motion.radius.mean())
         self._moved = np.empty(3 * len(run.position))
-        self._probed: list[tuple[float, FloatArray]] = []
+        self._probed: list[tuple[float, FloatArray, float]] = []
+        self._predictor = Predictor(run)
         self.solver = CVODE(
-            run.velocity,
+            self._predictor.velocity,
             method=method.formula,
             rtol=method.rtol,
             atol=method.atol,
@@ -176,7 +177,7 @@ class _Light:
         )
         self.solver.init_step(0.0, run.position.ravel())
 
-    def step(self) -> tuple[float, FloatArray]:
+    def step(self) -> tuple[float, FloatArray, float]:
         """Take one step; ask for the full method where the last ones took many evaluations."""
         if self._probed:
             return self._probed.pop(0)
@@ -215,13 +216,14 @@ class _Light:
         self.run.velocity(t, self._moved, jv)
         _divide(jv, yp, share)
 
-    def _advance(self) -> tuple[float, FloatArray]:
+    def _advance(self) -> tuple[float, FloatArray, float]:
         left = self.run.left
         result = self.solver.step(left, method="onestep", tstop=left)
         if not result.success:
             raise StepImpossible(f"SUNDIALS: {result.message}")
         self._count(result.nfev)
-        return float(result.t), result.y.reshape(-1, 3).copy()
+        error = self._predictor.error(result.t, result.y)
+        return float(result.t), result.y.reshape(-1, 3).copy(), error
 
     def _stiff(self) -> bool:
         """Return whether the last steps took so many evaluations that the full method pays."""
@@ -253,13 +255,15 @@ class _Krylov:
         self._reference = np.full(3 * len(run.position), np.inf)
         # without a preconditioner γ is not told: J is then kept as fresh as for stiff steps
         self._gamma, self._rate = np.inf, 1.0
+        self._used, self._reached = np.inf, 0.0
         self._far = method.far * float(run.system.motion.radius.mean())
         options: dict[str, Any] = {}
         if method.preconditioner != "none":
             self._preconditioner = preconditioner(method.preconditioner, run.system)
             options["precond"] = CVODEPrecond(self.setup, self.solve, side=method.side)
+        self._predictor = Predictor(run)
         self.solver = CVODE(
-            run.velocity,
+            self._predictor.velocity,
             method=method.formula,
             rtol=method.rtol,
             atol=method.atol,
@@ -273,13 +277,22 @@ class _Krylov:
         )
         self.solver.init_step(0.0, run.position.ravel())
 
-    def step(self) -> tuple[float, FloatArray]:
+    def step(self) -> tuple[float, FloatArray, float]:
         """Take one step."""
         left = self.run.left
         result = self.solver.step(left, method="onestep", tstop=left)
         if not result.success:
             raise StepImpossible(f"SUNDIALS: {result.message}")
-        return float(result.t), result.y.reshape(-1, 3).copy()
+        step, self._reached = float(result.t) - self._reached, float(result.t)
+        error = self._predictor.error(result.t, result.y, self._order(step))
+        return float(result.t), result.y.reshape(-1, 3).copy(), error
+
+    def _order(self, step: float) -> int:
+        """Return the order of a step of BDF, which its γ tells: h/γ = 1 + 1/2 + ... + 1/q."""
+        if self.method.formula != "BDF" or not self._used < np.inf:
+            return 1
+        sums = np.cumsum(1.0 / np.arange(1, self.method.max_order + 1))
+        return 1 + int(np.abs(sums - step / self._used).argmin())
 
     def linearise(self, t: float, y: FloatArray, yp: FloatArray) -> None:
         """Get ready for products before a linear solve."""
@@ -331,6 +344,7 @@ class _Krylov:
         gamma: float, delta: float, lr: int,
     ) -> None:  # fmt: skip
         """Apply the preconditioner; where the step is mild it would cost more than it saves."""
+        self._used = gamma
         if gamma * self._rate < _MILD:
             z[:] = r
             return

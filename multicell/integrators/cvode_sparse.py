@@ -18,7 +18,7 @@ from sksundae.cvode import CVODE
 from multicell import neighbours
 from multicell.errors import SceneError
 from multicell.integrators.base import FloatArray, Outcome
-from multicell.integrators.restarts import Restart, Run, StepImpossible
+from multicell.integrators.restarts import Predictor, Restart, Run, StepImpossible
 from multicell.mechanics import Mechanics
 from multicell.sparse import Pattern, limit
 
@@ -73,11 +73,12 @@ class _Direct:
         margin = method.margin * float(largest.mean())
         self.pattern = Pattern.of(neighbours.build(run.position, largest, margin))
         self.lost = 0
+        self._predictor = Predictor(run)
         with warnings.catch_warnings():
             # it warns that a pattern with a Jacobian is not used for difference quotients
             warnings.filterwarnings("ignore", message="Custom sparse Jacobian")
             self.solver = CVODE(
-                run.velocity,
+                self._predictor.velocity,
                 method="BDF",
                 rtol=method.rtol,
                 atol=method.atol,
@@ -92,7 +93,7 @@ class _Direct:
         ctypes.pythonapi.Py_IncRef(ctypes.py_object(self.solver))
         self.solver.init_step(0.0, run.position.ravel())
 
-    def step(self) -> tuple[float, FloatArray]:
+    def step(self) -> tuple[float, FloatArray, float]:
         """Take one step."""
         if self.lost:
             raise Restart
@@ -100,7 +101,8 @@ class _Direct:
         result = self.solver.step(left, method="onestep", tstop=left)
         if not result.success:
             raise StepImpossible(f"SUNDIALS: {result.message}")
-        return float(result.t), result.y.reshape(-1, 3).copy()
+        error = self._predictor.error(result.t, result.y)
+        return float(result.t), result.y.reshape(-1, 3).copy(), error
 
     def jacobian(self, t: float, y: FloatArray, yp: FloatArray, values: FloatArray) -> None:
         """Write the Jacobian's values in CSC order."""

@@ -379,7 +379,7 @@ def _integrate(
     if ended is not None:
         ended.append(report)
     if report.status == loops.DONE:
-        return Outcome(motion.end, state)
+        return Outcome(motion.end, state, local_error=float(report.error))
     return _failure(motion.begin, state, report, source, max_displacement, hint)
 
 

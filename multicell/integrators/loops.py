@@ -80,13 +80,17 @@ class Control(NamedTuple):
 
 
 class Report(NamedTuple):
-    """How a loop ended: time since the beginning and last step tried, s; the worst cell."""
+    """How a loop ended: time since the beginning and last step tried, s; the worst cell.
+
+    ``error`` is the largest estimated error of a cell in an accepted step, µm, or NaN.
+    """
 
     status: int
     elapsed: float
     step: float
     cell: int
     moved: float
+    error: float
 
 
 def _index(dispatcher: Any) -> Any:
@@ -246,6 +250,16 @@ def furthest_moved(before, after, radius):
     return cell, most
 
 
+@njit(cache=True)
+def largest_length(values):
+    """Return the length of the longest row."""
+    square = 0.0
+    for i in range(values.shape[0]):
+        x, y, z = values[i, 0], values[i, 1], values[i, 2]
+        square = max(square, x * x + y * y + z * z)
+    return math.sqrt(square)
+
+
 @njit(cache=True, error_model="numpy")
 def weighted_rms(values, before, after, rtol, atol):
     """Return the root mean square of values_k / (atol + rtol |x_k|), larger |x| of the two."""
@@ -336,14 +350,14 @@ def fixed_runge_kutta(source, pairs, tableau, position, length, steps, allowed, 
         if status == DONE:
             status, pairs = _stages(source, pairs, tableau, slopes, position, elapsed, step, trial)
         if status != DONE:
-            return Report(status, elapsed, step, -1, math.inf), pairs
+            return Report(status, elapsed, step, -1, math.inf, math.nan), pairs
         combine(position, step, tableau.b, slopes, tableau.c.size, trial)
         cell, moved = furthest_moved(position, trial, radius)
         if moved > allowed:
-            return Report(MOVED, elapsed, step, cell, moved), pairs
+            return Report(MOVED, elapsed, step, cell, moved, math.nan), pairs
         copy(trial, position)
         counts[STEPS] += 1
-    return Report(DONE, length, step, -1, 0.0), pairs
+    return Report(DONE, length, step, -1, 0.0, math.nan), pairs
 
 
 @compiled
@@ -364,14 +378,14 @@ def adams_bashforth(source, pairs, position, length, steps, allowed, radius, cou
         elif k > 0:
             weights[new], weights[1 - new] = 1.5, -0.5
         if status != DONE:
-            return Report(status, elapsed, step, -1, math.inf), pairs
+            return Report(status, elapsed, step, -1, math.inf, math.nan), pairs
         combine(position, step, weights, slopes, 2, trial)
         cell, moved = furthest_moved(position, trial, radius)
         if moved > allowed:
-            return Report(MOVED, elapsed, step, cell, moved), pairs
+            return Report(MOVED, elapsed, step, cell, moved, math.nan), pairs
         copy(trial, position)
         counts[STEPS] += 1
-    return Report(DONE, length, step, -1, 0.0), pairs
+    return Report(DONE, length, step, -1, 0.0, math.nan), pairs
 
 
 @compiled
@@ -380,10 +394,10 @@ def adaptive_runge_kutta(source, pairs, tableau, control, position, length, radi
     last = tableau.c.size - 1
     slopes = np.empty((tableau.c.size, position.shape[0], 3))
     trial, error = np.empty_like(position), np.empty_like(position)
-    elapsed, previous, accepted, cell, moved = 0.0, 1.0, 0, -1, 0.0
+    elapsed, previous, accepted, cell, moved, worst = 0.0, 1.0, 0, -1, 0.0, 0.0
     status, pairs = evaluate(source, pairs, 0.0, position, slopes[0])
     if status != DONE:
-        return Report(status, 0.0, 0.0, -1, math.inf), pairs
+        return Report(status, 0.0, 0.0, -1, math.inf, math.nan), pairs
     step, pairs = starting_step(
         source, pairs, control, position, slopes[0], trial, error, length, radius
     )
@@ -392,7 +406,7 @@ def adaptive_runge_kutta(source, pairs, tableau, control, position, length, radi
         step = fitted(step, length - elapsed)
         if accepted == control.most_steps or step < _SHORTEST * length:
             status = OUT_OF_STEPS if accepted == control.most_steps else STALLED
-            return Report(status, elapsed, step, cell, moved), pairs
+            return Report(status, elapsed, step, cell, moved, math.nan), pairs
         status, pairs = _stages(source, pairs, tableau, slopes, position, elapsed, step, trial)
         # the result, where the last stage was
         cell, moved = furthest_moved(position, trial, radius)
@@ -411,10 +425,11 @@ def adaptive_runge_kutta(source, pairs, tableau, control, position, length, radi
         elapsed = length if whole else elapsed + step
         copy(trial, position)
         copy(slopes[last], slopes[0])
+        worst = max(worst, largest_length(error))
         counts[STEPS] += 1
         accepted += 1
         wanted = next_step(step, size, previous, control.order, False)
         # no growth right after a refusal
         step, held = (min(step, wanted) if held else wanted), False
         previous = max(size, 1e-4)
-    return Report(DONE, length, step, -1, 0.0), pairs
+    return Report(DONE, length, step, -1, 0.0, worst), pairs

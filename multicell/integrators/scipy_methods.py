@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from dataclasses import dataclass
 from typing import Any, final
@@ -94,14 +95,14 @@ class _Stepped:
             rtol=method.rtol, atol=method.atol, max_step=ceiling or np.inf, **options,
         )  # fmt: skip
 
-    def step(self) -> tuple[float, FloatArray]:
-        """Take one step."""
+    def step(self) -> tuple[float, FloatArray, float]:
+        """Take one step; SciPy keeps its estimate of the error to itself."""
         message = self.solver.step()
         self.system.work.factorisations += self.solver.nlu - self.factorised
         self.factorised = self.solver.nlu
         if self.solver.status == "failed":
             raise StepImpossible(f"SciPy: {message}")
-        return float(self.solver.t), np.array(self.solver.y).reshape(-1, 3)
+        return float(self.solver.t), np.array(self.solver.y).reshape(-1, 3), math.nan
 
     def velocity(self, t: float, y: FloatArray) -> FloatArray:
         """Right-hand side."""
