@@ -70,3 +70,23 @@ class StepFailed(MulticellError):  # noqa: N818 - it names what happened, like S
         self.cell = cell
         where = f"cell {cell}, " if cell is not None else ""
         super().__init__(f"step failed ({where}t = {time:.6g} s): {problem}. {hint}")
+
+
+@final
+class NutrientFailed(MulticellError):  # noqa: N818 - it names what happened, like StepFailed
+    """A nutrient field that cannot be laid or solved.
+
+    Parameters
+    ----------
+    problem
+        What happened, in words.
+    hint
+        What to try.
+    """
+
+    exit_code: ClassVar[int] = 1
+
+    def __init__(self, problem: str, hint: str) -> None:
+        self.problem = problem
+        self.hint = hint
+        super().__init__(f"{problem}. {hint}")

@@ -65,6 +65,12 @@ class Lineage:
         """Return the length of each log."""
         return {log: len(columns["id"]) for log, columns in self.logs.items()}
 
+    def cut(self, counts: Mapping[str, int]) -> None:
+        """Forget what came after the logs had these lengths."""
+        for log, length in counts.items():
+            for column in self.logs[log].values():
+                del column[length:]
+
     def rows(self, log: str, begin: int) -> dict[str, NDArray[Any]]:
         """Return the rows of a log from ``begin`` on, by column."""
         return {

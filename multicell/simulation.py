@@ -35,7 +35,7 @@ from multicell.biology import (
     volumes_after,
 )
 from multicell.cells import DEAD, SPHERE, Cells, FloatArray, IntArray
-from multicell.errors import StepFailed
+from multicell.errors import NutrientFailed, StepFailed
 from multicell.folder import versions
 from multicell.frame import Field, Frame, Progress
 from multicell.ledger import Ledger
@@ -49,6 +49,12 @@ if TYPE_CHECKING:
 
 PHASES = ("nutrient", "biology", "mechanics", "events", "record")
 """Phases of the loop whose wall time is measured."""
+
+_STATE = (
+    "cells", "step_index", "contacts", "separation", "divisions", "removals", "released",
+    "local_error", "_next_id", "_unsorted",
+)  # fmt: skip
+"""What a coupling step changes, beside fields, logs and counts of work."""
 
 _STALE_ORDER = 0.05
 """Part of the cells that may be new before all are sorted in space again."""
@@ -133,7 +139,10 @@ class Simulation:
             self._find_first_contacts()
         with self._phase("nutrient"):
             if self._feeding is not None:
-                self._feeding.begin(self.cells, self.time)
+                try:
+                    self._feeding.begin(self.cells, self.time)
+                except NutrientFailed as failure:
+                    raise StepFailed(self.time, failure.problem, failure.hint) from failure
                 self._set_bonds(self.concentrations)
         with self._phase("biology"):
             self._change_states(0.0)
@@ -209,9 +218,21 @@ class Simulation:
         Raises
         ------
         StepFailed
-            If positions or a field cannot be solved for; the state is then still that of
-            the step's beginning.
+            If positions or a field cannot be solved for. After this and any other exception
+            (Ctrl-C) the state is that of the step's beginning.
         """
+        kept = self._kept()
+        try:
+            self._advance()
+        except NutrientFailed as failure:
+            self._take_back(kept)
+            raise StepFailed(self.time, failure.problem, failure.hint) from failure
+        except BaseException:
+            self._take_back(kept)
+            raise
+
+    def _advance(self) -> None:
+        """Do one coupling step; an exception leaves parts of it behind."""
         begin = self.time
         end = min(begin + self.scene.coupling_step, self.scene.duration)
         with self._phase("biology"):
@@ -227,6 +248,29 @@ class Simulation:
                 self._feeding.advance(self.cells, begin, end)
         with self._phase("biology"):
             self._change_states(end - begin)
+
+    def _kept(self) -> dict[str, Any]:
+        """Return what :meth:`_take_back` needs to undo a step.
+
+        A step makes new arrays and does not write into those that are there: to keep them is
+        to remember them. Logs and accounts only grow.
+        """
+        return {
+            "lineage": self.lineage.counts(),
+            "work": asdict(self._mechanics.work),
+            "feeding": None if self._feeding is None else self._feeding.kept(),
+            "rest": {name: getattr(self, name) for name in _STATE},
+        }
+
+    def _take_back(self, kept: Mapping[str, Any]) -> None:
+        """Make the state that was kept the state again."""
+        self.lineage.cut(kept["lineage"])
+        for name, count in kept["work"].items():
+            setattr(self._mechanics.work, name, count)
+        if self._feeding is not None:
+            self._feeding.take_back(kept["feeding"])
+        for name, value in kept["rest"].items():
+            setattr(self, name, value)
 
     def frame(self) -> Frame:
         """Return the state as a frame that later steps do not change."""

@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pde import ScalarField
 
-from multicell.errors import MulticellError
+from multicell.errors import MulticellError, NutrientFailed
 from multicell.nutrient.field import NutrientField
-from multicell.nutrient.grid import MAX_NODES, Box, NutrientFailed, extent, lay, moved
+from multicell.nutrient.grid import MAX_NODES, Box, extent, lay, moved
 from multicell.nutrient.parts import Nutrient
 from multicell.nutrient.plan import FieldParameters
 

@@ -7,9 +7,9 @@ from pde.grids.cartesian import CartesianGrid
 from scipy.fft import dstn, idstn, set_workers
 from scipy.sparse.linalg import spsolve
 
+from multicell.errors import NutrientFailed
 from multicell.nutrient import stencil
 from multicell.nutrient.diffusion import Diffusion, sine_eigenvalues
-from multicell.nutrient.grid import NutrientFailed
 from multicell.nutrient.steady import solve_steady
 from multicell.nutrient.transfer import scatter
 

@@ -8,14 +8,15 @@ the cells: each field may have a grid and a geometry of its own.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
 from multicell.cells import Cells, FloatArray, State
+from multicell.errors import NutrientFailed
 from multicell.ledger import Ledger
 from multicell.nutrient.field import FieldReport, NutrientField
-from multicell.nutrient.grid import NutrientFailed
 from multicell.nutrient.layout import ShellLayout
 from multicell.nutrient.plan import FieldParameters, solving_order
 from multicell.nutrient.roundness import departure
@@ -107,6 +108,23 @@ class Feeding:
                     stored=field.stored() - before,
                 )
             self._sample(name, cells, capacity)
+
+    def kept(self) -> dict[str, Any]:
+        """Return what :meth:`take_back` needs to undo an :meth:`advance`."""
+        return {
+            "fields": {name: field.kept() for name, field in self.fields.items()},
+            "ledger": {name: replace(account) for name, account in self.ledger.items()},
+            "concentrations": dict(self.concentrations),
+            "reports": dict(self.reports),
+            "uptake": dict(self._uptake),
+        }
+
+    def take_back(self, kept: Mapping[str, Any]) -> None:
+        """Make fields, concentrations and accounts what they were."""
+        for name, field in self.fields.items():
+            field.take_back(kept["fields"][name])
+        self.ledger, self.concentrations = kept["ledger"], kept["concentrations"]
+        self.reports, self._uptake = kept["reports"], kept["uptake"]
 
     def gradients(self, position: FloatArray, names: Iterable[str]) -> dict[str, FloatArray]:
         """Return the gradients of fields at positions, name -> (n, 3) mM/µm."""

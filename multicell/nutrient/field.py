@@ -319,6 +319,16 @@ class NutrientField:
         self._values = values
         self._operator = None
 
+    def kept(self) -> tuple[Any, ...]:
+        """Return what :meth:`take_back` needs to undo a solve."""
+        return self._layout, self._values, self.layings
+
+    def take_back(self, kept: tuple[Any, ...]) -> None:
+        """Make a solution that was kept the last one again."""
+        self._layout, self._values, self.layings = kept
+        # whose conditions may have been changed on the way
+        self._operator, self._conditions = None, {}
+
     def _lay(self, position: FloatArray, radius: FloatArray) -> tuple[Layout, bool]:
         """Return the layout round the cells, and whether it is the last one."""
         p = self.parameters

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, final
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 
 from multicell.cells import FloatArray
-from multicell.errors import MulticellError
+from multicell.errors import NutrientFailed
 from multicell.nutrient.transfer import gather
 
 if TYPE_CHECKING:
@@ -20,26 +20,6 @@ MAX_NODES = 256**3
 _FARTHEST = 1e9  # spacings from the origin; beyond, rounding would eat into the grid's spacing
 
 _NEARLY = 0.75  # an axis longer than this part of the longest gets as many nodes
-
-
-@final
-class NutrientFailed(MulticellError):  # noqa: N818 - it names what happened, like StepFailed
-    """A nutrient field that cannot be laid or solved.
-
-    Parameters
-    ----------
-    problem
-        What happened, in words.
-    hint
-        What to try.
-    """
-
-    exit_code: ClassVar[int] = 1
-
-    def __init__(self, problem: str, hint: str) -> None:
-        self.problem = problem
-        self.hint = hint
-        super().__init__(f"{problem}. {hint}")
 
 
 @final

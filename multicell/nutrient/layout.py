@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any, Protocol, final
 import numpy as np
 
 from multicell.cells import SPHERE, FloatArray
+from multicell.errors import NutrientFailed
 from multicell.nutrient import transfer
 from multicell.nutrient.diffusion import Diffusion
 from multicell.nutrient.grid import (
     Box,
-    NutrientFailed,
     extent,
     lay,
     lay_flat,

@@ -14,7 +14,7 @@ from typing import Any, final
 import numpy as np
 
 from multicell.cells import FloatArray
-from multicell.nutrient.grid import NutrientFailed
+from multicell.errors import NutrientFailed
 from multicell.nutrient.steady import TOLERANCE, SolveReport
 
 _MAX_NEWTON = 60  # and as many more as there are shells: the edge of a starved core may move by one

@@ -38,9 +38,9 @@ from typing import final
 import numpy as np
 
 from multicell.cells import FloatArray
+from multicell.errors import NutrientFailed
 from multicell.nutrient import stencil
 from multicell.nutrient.diffusion import Diffusion
-from multicell.nutrient.grid import NutrientFailed
 
 TOLERANCE = 1e-9
 """Bound on the sum of all nodes' imbalances, relative to the total uptake."""

@@ -16,7 +16,7 @@ from typing import final
 import numpy as np
 
 from multicell.cells import FloatArray
-from multicell.nutrient.grid import NutrientFailed
+from multicell.errors import NutrientFailed
 from multicell.nutrient.steady import SolveReport
 
 Solve = Callable[[FloatArray, float, float], tuple[FloatArray, SolveReport, float]]
