@@ -490,6 +490,8 @@ class Simulation:
         self._unsorted += self._next_id - first + removed
         if self._next_id > first or removed:
             self.lineage.events(before, self.cells, self.time)
+            there = np.isin(self.contacts, self.cells.id).all(axis=1)
+            self.contacts = self.contacts[there]
 
     def _set_bonds(self, concentrations: Mapping[str, FloatArray]) -> None:
         """Set receptors and ligands of all cells at the start."""

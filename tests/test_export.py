@@ -102,3 +102,29 @@ def test_command(run, tmp_path):
     )
     assert wrong.exit_code == 2
     assert "exists already" in wrong.output
+
+
+def test_contacts_are_between_cells_that_are_there(tmp_path):
+    """Mothers that divided and cells that were removed once stayed in the pairs of a frame."""
+    scene = mc.Scene.from_dict(
+        {
+            "duration": "10 h",
+            "coupling_step": "30 min",
+            "initial": {"count": 30, "stage": "uniform"},
+            "contact": {"law": "exact-jkr", "surface_energy": 0.02},
+            "growth": {"cycle_time": "8 h"},
+            "death": {"apoptosis_rate": "2e-5 1/s", "apoptosis_time": "30 min"},
+            "output": {"every": "30 min"},
+        }
+    )
+    result = mc.run(scene, output=tmp_path / "out", report=False)
+    assert result.summary()["divisions"] > 0
+    assert result.summary()["removals"] > 0
+    for frame in result.frames:
+        assert len(frame.contacts)
+        assert np.isin(frame.contacts, frame.cells.id).all()
+        assert (frame.contacts[:, 0] != frame.contacts[:, 1]).all()
+    mc.export(tmp_path / "out", tmp_path / "tables", tables=["contacts"])
+    found = np.genfromtxt(tmp_path / "tables" / "contacts.csv", delimiter=",", names=True)
+    assert (found["first_id"] != found["second_id"]).all()
+    assert (found["distance_um"] > 0.0).all()
