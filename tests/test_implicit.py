@@ -400,7 +400,7 @@ class Breaking:
         if self.run.elapsed >= 2.0:
             raise StepImpossible("it broke")
         self.taken += 1
-        return float(self.taken), self.run.position.copy()
+        return float(self.taken), self.run.position.copy(), np.nan
 
 
 def test_a_solver_that_keeps_breaking_ends_with_its_words():
