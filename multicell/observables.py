@@ -28,6 +28,7 @@ SUMMARY_UNITS: Final[Mapping[str, str]] = {
     "wall": "s",
     "ledger": "amol",
     "fields.spacing": "um",
+    "fields.layer": "um",
     "fields.discretisation_error": "mM",
     "separation.time": "s",
     "separation.force": "nN",
