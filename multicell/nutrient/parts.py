@@ -223,14 +223,14 @@ class Nutrient:
         "um",
         default=50.0,
         above=0,
-        at_most=1e5,
+        at_most=1e6,
         doc="of the grid around the cells; no meaning in a domain, or where layer is given",
     )
     layer: float | None = quantity(
         "um",
         default=None,
         above=0,
-        at_most=1e5,
+        at_most=1e6,
         doc="of medium that is not stirred, round a ball of tissue (geometry = 'radial'); "
         "absent: by margin",
     )

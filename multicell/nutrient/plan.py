@@ -29,7 +29,7 @@ _POINTS = 5.0
 MAX_NODES = 256**3
 """Largest grid that is ever laid: an array of it takes 128 MiB, a solve about fifteen of them."""
 
-_FINEST = 0.01
+_FINEST = 0.001
 """Least spacing of a grid over the radius of a dividing cell: below, cells are points to it."""
 
 
