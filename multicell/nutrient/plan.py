@@ -215,7 +215,7 @@ class Scales:
         order); infinite without uptake.
     length : float, µm
         Over which the field varies: ``depth`` or the tissue's radius, whichever is smaller,
-        with the margin or the layer; in a fixed domain half of its longest side.
+        with the margin or the layer; in a fixed domain that of its slowest mode.
     time : float, s
         Diffusion time, length² / D.
     damkohler : float
@@ -239,9 +239,24 @@ def scales(scene: Scene, name: str) -> Scales:
     radius = tissue_radius(scene)
     length = min(depth, radius) + (nutrient.margin if nutrient.layer is None else nutrient.layer)
     if scene.domain is not None:
-        length = 0.5 * max(box.sides(scene.domain))
+        length = _slowest(nutrient, box.sides(scene.domain))
     damkohler = demand * radius**2 / supply if supply > 0.0 else math.inf
     return Scales(demand, depth, length, length**2 / nutrient.diffusion, damkohler)
+
+
+def _slowest(nutrient: Nutrient, lengths: list[float]) -> float:
+    """Return the length 1/|k| of the slowest mode of diffusion in a box, µm.
+
+    Along an axis of length L it has k = π/L between two values, π/2L between a value and a wall,
+    and 0 between walls. A mixed condition is a value behind a layer as thick as 1/rate.
+    """
+    square = 0.0
+    for axis, length in zip("xyz", lengths, strict=False):
+        ends = [_side(nutrient, axis + end) for end in "-+"]
+        fixed = [side for side in ends if side.type != "derivative"]
+        across = length + sum(1.0 / side.rate for side in fixed if side.rate is not None)
+        square += (0.5 * math.pi * len(fixed) / across) ** 2
+    return 1.0 / math.sqrt(square) if square > 0.0 else max(lengths) / math.pi
 
 
 def tissue_radius(scene: Scene) -> float:
