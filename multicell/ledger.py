@@ -22,6 +22,8 @@ class Ledger:
         Over the sides of the grid and, where the field is perfused, from the flow; net.
     outflow
         What has left a steady field over its sides, part of the above.
+    washed
+        What a perfusion took with it; as much or more it brought, and inflow holds the difference.
     content
         The most that the field held at the end of any step.
     uptake, secreted, decayed
@@ -40,6 +42,7 @@ class Ledger:
     stored: float = 0.0
     outflow: float = 0.0
     content: float = 0.0
+    washed: float = 0.0
 
     def add(
         self,
@@ -53,6 +56,7 @@ class Ledger:
         relaid: float = 0.0,
         stored: float = 0.0,
         content: float = 0.0,
+        washed: float = 0.0,
     ) -> None:
         """Add rates (amol/s) that held for a time ``dt`` (s), or amounts where it is left out.
 
@@ -63,6 +67,7 @@ class Ledger:
         self.secreted += secreted * dt
         self.decayed += decayed * dt
         self.outflow += outflow * dt
+        self.washed += washed * dt
         self.relaid += relaid
         self.stored += stored
         self.content = max(self.content, content)
@@ -75,10 +80,10 @@ class Ledger:
 
     @property
     def turnover(self) -> float:
-        """The larger of all that was gained and all that was spent, amol."""
+        """The larger of all that was gained and all that was spent, with what passed, amol."""
         gained = max(self.inflow, 0.0) + self.secreted + max(self.relaid, 0.0)
         spent = self.uptake + self.decayed + max(-self.inflow, 0.0) + max(-self.relaid, 0.0)
-        return max(gained, spent, abs(self.stored)) + self.outflow
+        return max(gained, spent, abs(self.stored)) + self.outflow + self.washed
 
     @property
     def relative_remainder(self) -> float:
@@ -91,6 +96,7 @@ class Ledger:
         return {
             "inflow": self.inflow,
             "outflow": self.outflow,
+            "washed": self.washed,
             "uptake": self.uptake,
             "secreted": self.secreted,
             "decayed": self.decayed,

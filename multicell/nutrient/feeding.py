@@ -94,6 +94,7 @@ class Feeding:
                 ledger.add(
                     old.inflow, old.uptake, end - begin,
                     secreted=old.produced, decayed=old.decayed, outflow=old.outflow,
+                    washed=old.washed,
                 )  # fmt: skip
                 self.reports[name] = field.solve(cells.position, capacity, time=end, **with_cells)
                 ledger.add(0.0, 0.0, content=field.stored())
@@ -106,6 +107,7 @@ class Feeding:
                     secreted=march.produced,
                     decayed=march.decayed,
                     relaid=march.relaid,
+                    washed=march.washed,
                     stored=(now := field.stored()) - before,
                     content=now,
                 )

@@ -98,7 +98,8 @@ class FieldReport:
     """What a steady solve took and how well it balances; rates in amol/s.
 
     ``inflow + produced - uptake - decayed`` is zero up to ``residual``. ``inflow`` includes what a
-    perfusion brings and is net; ``outflow`` is what leaves through the faces.
+    perfusion brings and is net; ``outflow`` is what leaves through the faces, ``washed`` what a
+    perfusion takes.
     """
 
     newton: int
@@ -109,6 +110,7 @@ class FieldReport:
     produced: float
     decayed: float
     outflow: float = 0.0
+    washed: float = 0.0
 
 
 @final
@@ -404,6 +406,7 @@ class NutrientField:
             report.supplied - brought,
             p.decay * mass,
             report.outflow,
+            p.perfusion * mass,
         )
 
     def _summed(
@@ -424,6 +427,7 @@ class NutrientField:
             done.rejections,
             done.first_order,
             done.error,
+            p.perfusion * amounts.mass,
         )
 
 

@@ -103,7 +103,7 @@ class Nutrient:
         "um^2/s",
         default=2000.0,
         at_least=1e-6,
-        at_most=1e9,
+        at_most=1e8,
         doc="diffusion coefficient",
         hint="Oxygen has 2000 um^2/s in tissue, a virus a few, a gas 2e7.",
     )
@@ -111,7 +111,7 @@ class Nutrient:
         "um^2/s",
         default=None,
         at_least=1e-6,
-        at_most=1e9,
+        at_most=1e8,
         doc="outside tissue; absent: the same everywhere",
     )
     boundary: float = quantity(
