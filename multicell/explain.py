@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from multicell.cells import Cells
+from multicell.domain import sides
 from multicell.explain_contact import contact_notes, contact_numbers, contact_parts
 from multicell.explain_nutrient import nutrient_notes, nutrient_numbers, nutrient_parts
 from multicell.facts import Number, Part, hours
@@ -52,6 +53,7 @@ def _parts(scene: Scene) -> list[Part]:
         Part("growth", scene.growth is not None, _growth_words(scene)),
         Part("death", scene.death is not None, _death_words(scene)),
         *_taxis(scene),
+        Part("domain", scene.domain is not None, _domain_words(scene)),
         *nutrient_parts(scene),
         Part("integrator", True, _integrator_words(scene)),
         Part("output", True, f"a frame every {hours(scene.output.every)}"),
@@ -102,6 +104,19 @@ def _taxis(scene: Scene) -> list[Part]:
         what = f"{scene.haptotaxis.landscape}: a free cell drifts at up to {speed:.3g} um/h"
         parts.append(Part("haptotaxis", True, what))
     return parts
+
+
+def _domain_words(scene: Scene) -> str:
+    domain = scene.domain
+    names = ", ".join(scene.nutrients)
+    if domain is None:
+        return f"absent: no walls; fields that follow the cells: {names or 'none'}"
+    lengths = " x ".join(f"{length:g}" for length in sides(domain))
+    words = f"a box of {lengths} um; fields that stand still on it: {names or 'none'}"
+    if domain.wall == "refuse":
+        return f"{words}; no walls: a cell whose centre leaves it ends the run"
+    young = scene.cells.young if domain.young is None else domain.young
+    return f"{words}; its sides are elastic walls of {young:g} kPa"
 
 
 def _integrator_words(scene: Scene) -> str:

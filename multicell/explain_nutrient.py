@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final
 
+from multicell import domain as box
 from multicell.facts import Number, Part, hours
 from multicell.nutrient import plan
 
@@ -56,17 +57,31 @@ def _regime_reason(scene: Scene, name: str) -> str:
 
 def _geometry(scene: Scene, nutrient: Nutrient, spacing: float) -> str:
     """Return the words for a field's grid."""
+    if scene.domain is not None:
+        return _standing(scene, spacing)
     if scene.dimensions == 2:
         return f"squares of {spacing:g} um that follow the cells, since the scene is flat"
     if nutrient.geometry == "radial":
-        return f"spherical shells of {spacing:g} um, as the scene says"
+        layer = nutrient.layer
+        words = f"spherical shells of {spacing:g} um that follow the cells, as the scene says"
+        return words if layer is None else f"{words}, in a layer of {layer:g} um round the tissue"
     if nutrient.geometry == "auto":
         limit = nutrient.roundness_limit
         return (
-            f"spherical shells of {spacing:g} um while the tissue is round within {limit:g}, "
-            "else a grid of cubes"
+            f"spherical shells of {spacing:g} um that follow the cells while the tissue is round "
+            f"within {limit:g}, else a grid of cubes"
         )
     return f"a grid of cubes of {spacing:g} um that follows the cells"
+
+
+def _standing(scene: Scene, spacing: float) -> str:
+    """Return the words for the grid of a field on a fixed domain."""
+    assert scene.domain is not None
+    lengths = box.sides(scene.domain)
+    counts = box.filling(lengths, spacing) or ()
+    step = lengths[0] / counts[0] if counts else spacing
+    kind = "squares" if scene.dimensions == 2 else "cubes"
+    return f"{' x '.join(map(str, counts))} {kind} of {step:g} um that stand still on the domain"
 
 
 def _medium(nutrient: Nutrient) -> str:
@@ -102,6 +117,9 @@ def _numbers(scene: Scene, name: str) -> list[Number]:
     reach = min(critical, plan.tissue_radius(scene)) + nutrient.margin
     across = math.ceil(2.0 * reach / plan.spacing(scene, name))
     points = across**2 if scene.dimensions == 2 else across**3
+    if scene.domain is not None:
+        counts = box.filling(box.sides(scene.domain), plan.spacing(scene, name))
+        points = math.prod(counts or ())
     numbers += [
         Number(f"{name}: largest uptake", found.demand, "mM/s", "of tissue without gaps"),
         Number(f"{name}: diffusion length", found.depth, "um", "the depth to which tissue is fed"),

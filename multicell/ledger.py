@@ -12,7 +12,9 @@ class Ledger:
     """Running totals of one field, amol.
 
     A steady field stores nothing: what comes in and is secreted is taken up or decays at once.
-    A transient one stores the rest. The remainder says how well the account is balanced.
+    A transient one stores the rest. The remainder says how well the account is balanced. It is
+    rated by the larger of all that went through and all that was ever there at a time: where
+    nothing happens, flows are rounding, and a part of them would say nothing.
 
     Attributes
     ----------
@@ -20,6 +22,10 @@ class Ledger:
         Over the sides of the grid and, where the field is perfused, from the flow; net.
     outflow
         What has left a steady field over its sides, part of the above.
+    washed
+        What a perfusion took with it; as much or more it brought, and inflow holds the difference.
+    content
+        The most that the field held at the end of any step.
     uptake, secreted, decayed
         By the cells; by the cells; by first-order decay.
     relaid
@@ -35,6 +41,8 @@ class Ledger:
     relaid: float = 0.0
     stored: float = 0.0
     outflow: float = 0.0
+    content: float = 0.0
+    washed: float = 0.0
 
     def add(
         self,
@@ -47,18 +55,22 @@ class Ledger:
         outflow: float = 0.0,
         relaid: float = 0.0,
         stored: float = 0.0,
+        content: float = 0.0,
+        washed: float = 0.0,
     ) -> None:
         """Add rates (amol/s) that held for a time ``dt`` (s), or amounts where it is left out.
 
-        ``relaid`` and ``stored`` are amounts always.
+        ``relaid`` and ``stored`` are amounts always, and so is ``content``, what the field holds.
         """
         self.inflow += inflow * dt
         self.uptake += uptake * dt
         self.secreted += secreted * dt
         self.decayed += decayed * dt
         self.outflow += outflow * dt
+        self.washed += washed * dt
         self.relaid += relaid
         self.stored += stored
+        self.content = max(self.content, content)
 
     @property
     def remainder(self) -> float:
@@ -68,22 +80,29 @@ class Ledger:
 
     @property
     def turnover(self) -> float:
-        """The larger of all that was gained and all that was spent, amol."""
+        """The larger of all that was gained and all that was spent, with what passed, amol."""
         gained = max(self.inflow, 0.0) + self.secreted + max(self.relaid, 0.0)
         spent = self.uptake + self.decayed + max(-self.inflow, 0.0) + max(-self.relaid, 0.0)
-        return max(gained, spent, abs(self.stored)) + self.outflow
+        return max(gained, spent, abs(self.stored)) + self.outflow + self.washed
+
+    @property
+    def relative_remainder(self) -> float:
+        """Size of the remainder over the larger of turnover and content; 0 where all is zero."""
+        scale = max(self.turnover, self.content)
+        return abs(self.remainder) / scale if scale > 0.0 else 0.0
 
     def summary(self) -> dict[str, float]:
-        """Return totals in amol, and the remainder relative to the turnover."""
-        turnover = self.turnover
+        """Return totals in amol, and the remainder relative to turnover or content."""
         return {
             "inflow": self.inflow,
             "outflow": self.outflow,
+            "washed": self.washed,
             "uptake": self.uptake,
             "secreted": self.secreted,
             "decayed": self.decayed,
             "relaid": self.relaid,
             "stored": self.stored,
+            "content": self.content,
             "remainder": self.remainder,
-            "relative_remainder": abs(self.remainder) / turnover if turnover else 0.0,
+            "relative_remainder": self.relative_remainder,
         }

@@ -22,6 +22,7 @@ from multicell.slack import Slack
 
 if TYPE_CHECKING:
     from multicell.rubbing import Rubbing
+    from multicell.walls import Walls
 
 FloatArray = NDArray[np.float64]
 
@@ -106,13 +107,17 @@ class Motion:
 @final
 @dataclass
 class Linearisation:
-    """Direction, dF/dh + F/d and F/d of every pair at one state."""
+    """Direction, dF/dh + F/d and F/d of every pair at one state.
+
+    ``walls`` is the stiffness of each cell's walls along each axis, (n, 3) nN/µm, or empty.
+    """
 
     pairs: neighbours.PairList
     normal: FloatArray
     along: FloatArray
     across: FloatArray
     data: kernels.PairData | None = None
+    walls: FloatArray = field(default_factory=lambda: _NOTHING)
 
     @classmethod
     def room(cls, pairs: neighbours.PairList) -> Linearisation:
@@ -150,6 +155,8 @@ class Mechanics:
         nN s/µm³; see :mod:`multicell.friction`.
     surface_energies : (k, k), optional
         Symmetric matrix over the cell types, nN/µm, in place of the law's surface energy.
+    walls : optional
+        Elastic walls that the cells press against.
     """
 
     law: PairLaw
@@ -161,6 +168,7 @@ class Mechanics:
     bond_strength: float = 0.0
     friction: tuple[float, float] = (0.0, 0.0)
     surface_energies: FloatArray | None = None
+    walls: Walls | None = None
     work: Work = field(default_factory=Work)
 
     def __post_init__(self) -> None:
@@ -252,6 +260,8 @@ class Mechanics:
             linear.normal, linear.along, linear.across,
         )  # fmt: skip
         linear.data = self._pair_data
+        if self.walls is not None:
+            linear.walls = self.walls.stiffness(self._rows)
         if self._slack:
             kernels.relinearise(
                 self._rows, self._pair_data, self._slack.data, self._law,
@@ -285,10 +295,13 @@ class Mechanics:
         self.work.jacobian_products += 1
         linear = self._linearised()
         run = kernels.products_parallel if self._shared(linear.pairs) else kernels.products
+        drag = self.drag if self._rubbing is None else 0.0
         run(
             self.chunk, self._rows, linear.data, linear.normal, linear.along, linear.across,
-            self.drag if self._rubbing is None else 0.0, _frozen(vector), out,
+            drag, _frozen(vector), out,
         )  # fmt: skip
+        if self.walls is not None:
+            self.walls.subtract_products(self._rows, linear.walls, drag, _frozen(vector), out)
         rubbing = self._rubbing
         if rubbing is not None:
             try:
@@ -308,7 +321,7 @@ class Mechanics:
         kernels.apply_blocks(self._inverse, _frozen(vector), out)
 
     def force(self, time: float, position: FloatArray) -> FloatArray:
-        """Return the contact and external force on each cell, (n, 3) nN."""
+        """Return the force of contacts, of walls and from outside on each cell, (n, 3) nN."""
         out = np.empty_like(position)
         self._forces(time, position, False, out)
         return out
@@ -334,12 +347,14 @@ class Mechanics:
         return found[np.lexsort((found[:, 1], found[:, 0]))]
 
     def energy(self, time: float, position: FloatArray) -> float:
-        """Return the contact energy Σ U(h) over all pairs, fJ."""
+        """Return the contact energy Σ U(h) over all pairs, and over all walls, fJ."""
         self._settle(time, position)
         elapsed = time - self.motion.begin
         total = float(kernels.energy(self._rows, self._pair_data, self._law, elapsed))
         if self._slack:
             total += kernels.slack_energy(self._rows, self._slack.data, self._law, elapsed)
+        if self.walls is not None:
+            total += self.walls.energy(self._rows)
         return total
 
     def pressure(self, time: float, position: FloatArray) -> FloatArray:
@@ -347,7 +362,8 @@ class Mechanics:
 
         p_i = 1/(3 V_i) ½ Σ_j F_ij d_ij with the volume V_i of the free sphere: a third of
         the trace of the contact stress of one cell. It is zero on average in a cluster at
-        rest, where adhesion and repulsion balance.
+        rest, where adhesion and repulsion balance. A wall at the distance d adds F d to the
+        sum, as a neighbour at 2 d would.
         """
         self._settle(time, position)
         virials = np.empty(len(self))
@@ -355,6 +371,8 @@ class Mechanics:
         kernels.half_virials(self._rows, self._pair_data, self._law, elapsed, virials)
         if self._slack:
             kernels.add_slack_virials(self._rows, self._slack.data, self._law, elapsed, virials)
+        if self.walls is not None:
+            self.walls.add_virials(self._rows, virials)
         return np.asarray(virials / (3.0 * SPHERE * self._rows[:, 3] ** 3))
 
     def stiffness_bound(self, time: float, position: FloatArray) -> float:
@@ -376,6 +394,8 @@ class Mechanics:
         kernels.diagonal_blocks(
             linear.data, linear.normal, linear.along, linear.across, self._blocks
         )
+        if self.walls is not None:
+            self._blocks[:, :3] += linear.walls
 
     def _forces(
         self, time: float, position: FloatArray, stokes: bool, out: FloatArray
@@ -389,6 +409,8 @@ class Mechanics:
             time - self.motion.begin, stokes, self._rows, out,
         ):  # fmt: skip
             pairs = self._rebuild(position)
+        if self.walls is not None:
+            self.walls.add_forces(self._rows, self.drag if stokes else 0.0, out)
         return pairs
 
     def _settle(self, time: float, position: FloatArray) -> neighbours.PairList:

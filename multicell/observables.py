@@ -29,6 +29,7 @@ SUMMARY_UNITS: Final[Mapping[str, str]] = {
     "ledger": "amol",
     "integrator.largest_local_error": "um",
     "fields.spacing": "um",
+    "fields.layer": "um",
     "fields.discretisation_error": "mM",
     "separation.time": "s",
     "separation.force": "nN",

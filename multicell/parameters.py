@@ -241,9 +241,11 @@ def flag(*, default: Any = MISSING, doc: str = "") -> Any:
     return _field(Parameter(convert, allowed="true or false", doc=doc), default)
 
 
-def quantities(unit: str, *, at_least: float | None = None, doc: str = "") -> Any:
+def quantities(
+    unit: str, *, at_least: float | None = None, at_most: float | None = None, doc: str = ""
+) -> Any:
     """Declare an optional table of names to quantities, or to numbers where ``unit`` is empty."""
-    bounds = Bounds(at_least=at_least)
+    bounds = Bounds(at_least=at_least, at_most=at_most)
 
     def convert(value: object, path: str) -> Tables[float]:
         entries = dict(value) if isinstance(value, Tables) else _mapping(value, path)
@@ -274,14 +276,16 @@ def course(*, default: float, at_least: float | None = None, doc: str = "") -> A
     return _field(Parameter(convert, to_plain, doc=doc), ((0.0, default),))
 
 
-def schedule(unit: str, *, at_least: float | None = None, doc: str = "") -> Any:
+def schedule(
+    unit: str, *, at_least: float | None = None, at_most: float | None = None, doc: str = ""
+) -> Any:
     """Declare a list of ``[time, quantity]`` with times that rise, by default None.
 
     The stored value is a tuple of (time in s, value in ``unit``).
     """
 
     def convert(value: object, path: str) -> tuple[tuple[float, float], ...]:
-        return _course(value, path, unit, Bounds(at_least=at_least))
+        return _course(value, path, unit, Bounds(at_least=at_least, at_most=at_most))
 
     def to_plain(value: tuple[tuple[float, float], ...]) -> Any:
         return [list(point) for point in value]
@@ -310,6 +314,27 @@ def _course(
     if any(b <= a for a, b in itertools.pairwise(times)):
         raise SceneError(path, f"has the times {times} s, must have times that rise")
     return result
+
+
+def interval(unit: str, *, at_least: float | None = None, at_most: float | None = None,
+             doc: str = "") -> Any:  # fmt: skip
+    """Declare an optional pair of quantities, the lower one first; stored as a tuple."""
+    bounds = Bounds(at_least=at_least, at_most=at_most)
+
+    def convert(value: object, path: str) -> tuple[float, float]:
+        if not isinstance(value, list | tuple) or len(value) != 2:
+            hint = f"For example ['-100 {unit}', '100 {unit}']."
+            raise SceneError(path, f"is {shown(value)}, must be a list of two quantities", hint)
+        low, high = (to_base(end, unit, path) for end in value)
+        for end, given in zip((low, high), value, strict=True):
+            bounds.require(end, given, path, unit, "")
+        if not low < high:
+            problem = f"goes from {low:g} to {high:g} {unit}, must have the lower end first"
+            raise SceneError(path, problem)
+        return low, high
+
+    allowed = f"two quantities: {bounds.words(unit)}"
+    return _field(Parameter(convert, list, unit=unit, allowed=allowed, doc=doc), None)
 
 
 def names(options: Iterable[str], *, doc: str = "") -> Any:
@@ -417,6 +442,7 @@ class Tables(Mapping[str, V]):
         course,
         schedule,
         names,
+        interval,
         responses,
     ),
 )

@@ -15,6 +15,7 @@ from multicell.parameters import (
     count,
     course,
     flag,
+    interval,
     names,
     number,
     parameters,
@@ -373,3 +374,55 @@ class Motility:
     persistence: float = quantity(
         "s", default=600.0, above=0, doc="polarisation time, between two changes of direction"
     )
+
+
+@final
+@parameters
+class Domain:
+    """A box that stands still: the fields live on it, and its sides are walls for the cells.
+
+    Absent, a field's grid is laid round the cells anew in every step.
+    """
+
+    x: tuple[float, float] | None = interval(
+        "um", at_least=-1e6, at_most=1e6, doc="from side x- to side x+"
+    )
+    y: tuple[float, float] | None = interval(
+        "um", at_least=-1e6, at_most=1e6, doc="from side y- to side y+"
+    )
+    z: tuple[float, float] | None = interval(
+        "um", at_least=-1e6, at_most=1e6, doc="from side z- to side z+; not in two dimensions"
+    )
+    wall: str = choice(
+        ["elastic", "refuse"],
+        default="elastic",
+        doc="elastic: cells press against the sides; refuse: nothing holds a cell, and the run "
+        "ends when the centre of one is outside",
+    )
+    young: float | None = quantity(
+        "kPa",
+        default=None,
+        above=0,
+        at_most=1e9,
+        doc="Young's modulus of elastic walls; absent: that of the cells",
+    )
+    poisson: float | None = number(
+        default=None,
+        above=-1,
+        at_most=0.5,
+        doc="Poisson ratio of elastic walls; absent: that of the cells",
+        hint="No isotropic solid has a Poisson ratio above 0.5.",
+    )
+
+    def check(self) -> None:
+        """Raise ``SceneError`` for a stiffness of walls that there are not."""
+        for name in ("young", "poisson"):
+            if self.wall == "refuse" and getattr(self, name) is not None:
+                hint = "Only elastic walls have a stiffness."
+                raise SceneError(name, "has no meaning where wall = 'refuse'", hint)
+
+    def corners(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+        """Return the lower and the upper corner, µm, infinite along an axis that is absent."""
+        free = (-np.inf, np.inf)
+        (a, b), (c, d), (e, f) = (side or free for side in (self.x, self.y, self.z))
+        return (a, c, e), (b, d, f)

@@ -16,6 +16,7 @@ from typing import Any, final
 
 from multicell.celltypes import check_types
 from multicell.contact import LAWS, PairLaw
+from multicell.domain import check_domain
 from multicell.errors import SceneError
 from multicell.nutrient.parts import Nutrient
 from multicell.nutrient.plan import check_nutrients
@@ -40,6 +41,7 @@ from multicell.parts import (
     CellType,
     Chemotaxis,
     Death,
+    Domain,
     Drag,
     Friction,
     Growth,
@@ -68,7 +70,7 @@ class Scene:
         The run ends after the coupling step in which this many cells exist.
     initial, cells, contact, drag, integrator, output
         The parts that each scene has.
-    growth, death, adhesion, friction, motility, pull
+    growth, death, adhesion, friction, motility, pull, domain
         None where the scene has no such part.
     types : mapping of name to CellType, read-only
         Empty where all cells are alike.
@@ -105,6 +107,7 @@ class Scene:
     )
     haptotaxis: Haptotaxis | None = table(Haptotaxis, default=None, doc="absent: even ground")
     pull: Pull | None = table(Pull, default=None, doc="absent: no external force")
+    domain: Domain | None = table(Domain, default=None, doc="absent: fields follow the cells")
     nutrients: Mapping[str, Nutrient] = tables(
         Nutrient, default_factory=Tables, doc="absent: no cell ever starves"
     )
@@ -121,6 +124,7 @@ class Scene:
         if smoothing > smallest:
             problem = f"is {smoothing:g} um, must be at most the birth radius {smallest:g} um"
             raise SceneError("contact.smoothing", problem, "0 turns it off.")
+        check_domain(self)
         check_nutrients(self)
         for name in self.chemotaxis:
             if name not in self.nutrients:

@@ -35,7 +35,8 @@ from multicell.biology import (
     volumes_after,
 )
 from multicell.cells import DEAD, SPHERE, Cells, FloatArray, IntArray
-from multicell.errors import NutrientFailed, StepFailed
+from multicell.domain import strayed, walls
+from multicell.errors import NutrientFailed, SceneError, StepFailed
 from multicell.folder import versions
 from multicell.frame import Field, Frame, Progress
 from multicell.ledger import Ledger
@@ -98,7 +99,7 @@ class Simulation:
     Raises
     ------
     SceneError
-        If there are not as many threads.
+        If there are not as many threads, or a cell starts outside the scene's domain.
     """
 
     def __init__(
@@ -129,6 +130,7 @@ class Simulation:
 
     def _start(self, cells: Cells) -> None:
         """Begin with these cells."""
+        _refuse_outside(self.scene, cells)
         self.cells = cells
         self._set_bonds({})
         self._next_id = int(cells.id.max(initial=-1)) + 1
@@ -154,6 +156,7 @@ class Simulation:
             raise ValueError("this frame does not hold what a run needs to go on")
         self.step_index = frame.step
         self.cells = frame.cells.take(np.arange(len(frame.cells)))
+        _refuse_outside(self.scene, self.cells)
         self.contacts = np.array(frame.contacts)
         self.divisions, self.removals = known.divisions, known.removals
         self.released, self.local_error = known.released, known.local_error
@@ -421,12 +424,27 @@ class Simulation:
         if not outcome.done:
             cell = None if outcome.cell is None else int(cells.id[outcome.cell])
             raise StepFailed(outcome.time, outcome.problem, outcome.hint, cell)
+        self._keep_inside(outcome.position, cells, end)
         if not math.isnan(outcome.local_error):
             self.local_error = max(outcome.local_error, self.local_error or 0.0)
         pressure = self._mechanics.pressure(end, outcome.position)
         if _counts_contacts(self.scene):
             self._note_contacts(self._mechanics.contacts(end, outcome.position), end)
         return outcome.position, pressure
+
+    def _keep_inside(self, position: FloatArray, cells: Cells, time: float) -> None:
+        """Raise ``StepFailed`` where a centre has left the scene's domain."""
+        domain = self.scene.domain
+        found = None if domain is None else strayed(domain, position)
+        if domain is None or found is None:
+            return
+        cell, side = found
+        where = position[cell, "xyz".index(side[0])]
+        hint = "Give the walls a larger domain.young, let less push the cells, or widen the domain"
+        if domain.wall == "refuse":
+            hint = "Widen the domain, or let its wall be 'elastic'"
+        problem = f"its centre left the domain through the side {side}, to {side[0]} = {where:g} um"
+        raise StepFailed(time, problem, hint, int(cells.id[cell]))
 
     def _find_first_contacts(self) -> None:
         """Find the pairs that overlap at the start, before any of them has touched."""
@@ -480,7 +498,12 @@ class Simulation:
 
     def _divide_and_remove(self) -> None:
         first, before = self._next_id, self.cells
-        self.cells, self._next_id = divide(self.scene, self.cells, self.step_index, first)
+        divided, next_id = divide(self.scene, self.cells, self.step_index, first)
+        if next_id > first:
+            # daughters lie within their mother: only one that is pressed nearly flat, or that no
+            # wall holds, can have one outside
+            self._keep_inside(divided.position, divided, self.time)
+        self.cells, self._next_id = divided, next_id
         whole = float(self.cells.volume.sum())
         self.cells, removed = remove_lysed(self.scene, self.cells)
         if removed:
@@ -535,7 +558,19 @@ def _mechanics(scene: Scene, threads: int) -> Mechanics:
         bond_strength=0.0 if scene.adhesion is None else scene.adhesion.strength,
         friction=(0.0, 0.0) if rubbing is None else (rubbing.normal, rubbing.tangential),
         surface_energies=celltypes.surface_energies(scene),
+        walls=walls(scene),
     )
+
+
+def _refuse_outside(scene: Scene, cells: Cells) -> None:
+    """Raise ``SceneError`` for a cell that starts outside the scene's domain."""
+    found = None if scene.domain is None else strayed(scene.domain, cells.position)
+    if found is not None:
+        cell, side = found
+        place = ", ".join(f"{x:g}" for x in cells.position[cell])
+        problem = f"is too small: cell {cells.id[cell]} starts at ({place}) um, beyond side {side}"
+        hint = "Widen the domain, or start with fewer cells."
+        raise SceneError(f"domain.{side[0]}", problem, hint)
 
 
 def _remembers(scene: Scene) -> bool:

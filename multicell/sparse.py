@@ -1,7 +1,8 @@
 """The Jacobian as a sparse matrix, and preconditioners made from the pairs.
 
 Written with Γ_i = 6πη r_i and, for each pair, P = K = k n nᵀ - (F/d)(I - n nᵀ), the Jacobian of
-the velocities has blocks J_ij = P_ij / Γ_i and J_ii = -Σ_j P_ij / Γ_i. An implicit method
+the velocities has blocks J_ij = P_ij / Γ_i and J_ii = -Σ_j P_ij / Γ_i; walls add their
+stiffness, one number for each axis, to the sum over j. An implicit method
 solves (I - γJ) x = b, which is M x = Γ b with the symmetric
 
     M = Γ - γK:   M_ii = Γ_i + γ Σ_j P_ij,   M_ij = -γ P_ij.
@@ -39,11 +40,12 @@ OffsetArray = NDArray[np.int64]
 @njit(cache=True)
 def _collect_chunk(
     c, chunk, rows, first, second, start, inner_end, outer_end, normal, along, across,
-    gamma, drag, begin, near, link, blocks,
+    gamma, drag, walls, begin, near, link, blocks,
 ):  # fmt: skip
     """Write the diagonal blocks of one chunk of M, and its inner pairs that touch.
 
-    ``near`` and ``link`` (n, w, s with P = w n nᵀ + s I, times γ) hold the pairs of cell i at
+    ``walls`` is the stiffness of each cell's walls along the axes, or has no rows. ``near`` and
+    ``link`` (n, w, s with P = w n nᵀ + s I, times γ) hold the pairs of cell i at
     ``begin[i, 0]:begin[i, 1]``.
     """
     low, high = c * chunk, min((c + 1) * chunk, rows.shape[0])
@@ -51,6 +53,10 @@ def _collect_chunk(
         begin[i, 0] = begin[i, 1] = 0
         blocks[i, 0] = blocks[i, 1] = blocks[i, 2] = drag * rows[i, 3]
         blocks[i, 3] = blocks[i, 4] = blocks[i, 5] = 0.0
+    if walls.shape[0] > 0:
+        for i in range(low, high):
+            for k in range(3):
+                blocks[i, k] += gamma * walls[i, k]
     at = start[c]
     for p in range(start[c], outer_end[c]):
         s = gamma * max(-across[p], 0.0)
@@ -148,13 +154,13 @@ def _factor_chunk(c, chunk, incomplete, begin, near, link, blocks):
 @njit(cache=True)
 def factor(
     chunk, rows, first, second, start, inner_end, outer_end, normal, along, across,
-    gamma, drag, incomplete, begin, near, link, blocks,
+    gamma, drag, walls, incomplete, begin, near, link, blocks,
 ):  # fmt: skip
     """Prepare :func:`sweep` for a γ at the linearisation given by its pairs."""
     for c in range(start.size):
         _collect_chunk(
             c, chunk, rows, first, second, start, inner_end, outer_end, normal, along, across,
-            gamma, drag, begin, near, link, blocks,
+            gamma, drag, walls, begin, near, link, blocks,
         )  # fmt: skip
         _factor_chunk(c, chunk, incomplete, begin, near, link, blocks)
 
@@ -162,13 +168,13 @@ def factor(
 @njit(cache=True, parallel=True)
 def factor_parallel(
     chunk, rows, first, second, start, inner_end, outer_end, normal, along, across,
-    gamma, drag, incomplete, begin, near, link, blocks,
+    gamma, drag, walls, incomplete, begin, near, link, blocks,
 ):  # fmt: skip
     """Do the same as :func:`factor`, with the chunks shared among threads."""
     for c in prange(start.size):
         _collect_chunk(
             c, chunk, rows, first, second, start, inner_end, outer_end, normal, along, across,
-            gamma, drag, begin, near, link, blocks,
+            gamma, drag, walls, begin, near, link, blocks,
         )  # fmt: skip
         _factor_chunk(c, chunk, incomplete, begin, near, link, blocks)
 
@@ -369,13 +375,22 @@ class Pattern:
         """Write J of the last linearisation, 1/s; return how many blocks have no place."""
         linear = system.linearisation
         pairs = linear.pairs
-        return int(
+        lost = int(
             assemble(
                 system.rows, pairs.first, pairs.second, pairs.start, pairs.inner_end,
                 pairs.outer_end, linear.normal, linear.along, linear.across, system.drag,
                 self.column, self.row, values,
             )
         )  # fmt: skip
+        if linear.walls.size:
+            mobility = 1.0 / (system.drag * system.rows[:, 3:4])
+            values[self._diagonal()] -= (mobility * linear.walls).ravel()
+        return lost
+
+    def _diagonal(self) -> NDArray[Any]:
+        """Return where the 3 n entries of the diagonal stand."""
+        columns = np.repeat(np.arange(len(self.pointer) - 1), np.diff(self.pointer))
+        return np.flatnonzero(self.index == columns)
 
     def matrix(self, values: FloatArray) -> Any:
         """Return a ``scipy.sparse.csc_matrix`` with these values."""
@@ -386,19 +401,21 @@ class Pattern:
 
 
 def limit(system: Mechanics, fraction: float) -> float:
-    """Bound the softening of every pair in the last linearisation; return the largest dF/dh.
+    """Bound the softening of every pair in the last linearisation; return the largest slope.
 
     Where dF/dh is below -``fraction`` E_ij r_ij it is raised to that, until the next
-    :meth:`Mechanics.linearise`. Only the way to the solution changes, not the solution.
+    :meth:`Mechanics.linearise`. Only the way to the solution changes, not the solution. The
+    slope that is returned is dF/dh of a pair or of a wall, nN/µm.
     """
     linear = system.linearisation
     pairs = linear.pairs
-    return float(
+    stiffest = float(
         limit_softening(
             system.rows, pairs.first, pairs.second, pairs.start, pairs.outer_end, fraction,
             linear.along, linear.across,
         )
     )  # fmt: skip
+    return max(stiffest, float(linear.walls.max(initial=0.0)))
 
 
 def sparse_jacobian(system: Mechanics) -> Any:
@@ -436,6 +453,7 @@ class Sweeps:
     def __init__(self, incomplete: bool = False) -> None:
         self.incomplete = incomplete
         self._near = np.empty(0, dtype=np.int32)
+        self._link = np.empty((0, 5))
         self._begin = np.empty((0, 2), dtype=np.int64)
 
     def setup(self, system: Mechanics, gamma: float) -> None:
@@ -455,7 +473,7 @@ class Sweeps:
         run(
             system.chunk, system.rows, pairs.first, pairs.second, pairs.start, pairs.inner_end,
             pairs.outer_end, linear.normal, linear.along, linear.across, gamma, system.drag,
-            self.incomplete, self._begin, self._near, self._link, self._blocks,
+            linear.walls, self.incomplete, self._begin, self._near, self._link, self._blocks,
         )  # fmt: skip
 
     def solve(self, system: Mechanics, vector: FloatArray, out: FloatArray) -> None:

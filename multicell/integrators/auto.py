@@ -227,7 +227,7 @@ def decay_rate(system: Mechanics, position: FloatArray) -> float:
     the start is fixed. The estimate is from below: a random start of 3n numbers finds the upper
     end of a dense spectrum to a tenth or so.
     """
-    if len(system) < 2:
+    if len(system) < 2 and system.walls is None:
         return 0.0
     try:
         system.linearise(system.motion.begin, position)

@@ -292,11 +292,13 @@ def needs_python(system: Mechanics) -> bool:
     """Return whether each evaluation must go through Python.
 
     Exact JKR and surface energies between types keep values for each pair, which are made
-    in Python with each neighbour list, and friction solves a linear system. The loops are
-    the same then, uncompiled around compiled arithmetic.
+    in Python with each neighbour list, friction solves a linear system, and walls are a part
+    that scenes without them do not load. The loops are the same then, uncompiled around
+    compiled arithmetic.
     """
     between_types = system.surface_energies is not None and system.motion.kind is not None
-    return between_types or system.law.code == kernels.EXACT_JKR or max(system.friction) > 0.0
+    rubbed = max(system.friction) > 0.0 or system.walls is not None
+    return between_types or system.law.code == kernels.EXACT_JKR or rubbed
 
 
 def _runge_kutta(

@@ -17,7 +17,7 @@ from multicell.cells import Cells, FloatArray, State
 from multicell.errors import NutrientFailed
 from multicell.ledger import Ledger
 from multicell.nutrient.field import FieldReport, NutrientField
-from multicell.nutrient.layout import ShellLayout
+from multicell.nutrient.layout import ShellLayout, tissue_radius
 from multicell.nutrient.plan import FieldParameters, solving_order
 from multicell.nutrient.roundness import departure
 
@@ -74,6 +74,7 @@ class Feeding:
                 )
             else:
                 field.fill(cells.position, radius=cells.radius, time=time)
+            self.ledger[name].add(0.0, 0.0, content=field.stored())
             self._sample(name, cells, capacity)
 
     def advance(self, cells: Cells, begin: float, end: float) -> None:
@@ -94,8 +95,10 @@ class Feeding:
                 ledger.add(
                     old.inflow, old.uptake, end - begin,
                     secreted=old.produced, decayed=old.decayed, outflow=old.outflow,
+                    washed=old.washed,
                 )  # fmt: skip
                 self.reports[name] = field.solve(cells.position, capacity, time=end, **with_cells)
+                ledger.add(0.0, 0.0, content=field.stored())
             else:
                 before = field.stored()
                 march = field.advance(cells.position, capacity, begin=begin, end=end, **with_cells)
@@ -105,7 +108,9 @@ class Feeding:
                     secreted=march.produced,
                     decayed=march.decayed,
                     relaid=march.relaid,
-                    stored=field.stored() - before,
+                    washed=march.washed,
+                    stored=(now := field.stored()) - before,
+                    content=now,
                 )
             self._sample(name, cells, capacity)
 
@@ -134,7 +139,7 @@ class Feeding:
         """Take fields, concentrations and accounts from a frame."""
         assert frame.progress is not None
         for name, field in self.fields.items():
-            field.restore(frame.fields[name])
+            field.restore(frame.fields[name], frame.time)
             self.concentrations[name] = np.array(frame.concentrations[name])
             self.ledger[name] = Ledger(**frame.progress.ledger[name])
         self.reports = {
@@ -166,6 +171,8 @@ class Feeding:
             shells = isinstance(field.layout, ShellLayout)
             kind = "shells" if shells else "squares" if parameters.dimensions == 2 else "cubes"
             fields[name] = {"geometry": kind, "spacing": field.layout.spacing}
+            if parameters.layer is not None and isinstance(field.layout, ShellLayout):
+                self._rate_layer(name, field.layout, parameters.layer, cells, fields, notes)
             capacity, production = self._demand(name, cells)
             try:
                 error = discretisation_error(field, parameters, cells, capacity, production, time)
@@ -185,6 +192,22 @@ class Feeding:
                     "geometry = 'auto' would go over to a grid of cubes."
                 )
         return fields, notes
+
+    @staticmethod
+    def _rate_layer(
+        name: str, shells: ShellLayout, wanted: float, cells: Cells,
+        fields: dict[str, dict[str, Any]], notes: list[str],
+    ) -> None:  # fmt: skip
+        """Say how thick the layer round the tissue is, and whether a stray cell made it thicker."""
+        if len(cells) == 0:
+            return
+        found = shells.radius - tissue_radius(cells.position, cells.radius)
+        fields[name]["layer"] = found
+        if found > wanted * (1.0 + 1e-9):
+            notes.append(
+                f"A cell lies farther from the tissue than the layer of {name} is thick: shells "
+                f"reach to it, and the layer is {found:.3g} um instead of {wanted:.3g} um."
+            )
 
     def _sample(self, name: str, cells: Cells, capacity: FloatArray) -> None:
         """Keep what the cells find and take up of a field."""

@@ -20,6 +20,7 @@ from multicell.nutrient.transient import Amounts, March, TransientReport, march
 if TYPE_CHECKING:
     from multicell.frame import Field
     from multicell.nutrient.parts import Side
+    from multicell.parts import Domain
 
 
 class NutrientParameters(Protocol):
@@ -44,6 +45,14 @@ class NutrientParameters(Protocol):
     @property
     def margin(self) -> float:
         """Least distance from a cell's centre to the faces, µm."""
+
+    @property
+    def layer(self) -> float | None:
+        """Distance of the shells' surface from the tissue's, µm; None: by the margin."""
+
+    @property
+    def domain(self) -> Domain | None:
+        """The box that the field lives on; None: it follows the cells."""
 
     @property
     def height(self) -> float:
@@ -89,7 +98,8 @@ class FieldReport:
     """What a steady solve took and how well it balances; rates in amol/s.
 
     ``inflow + produced - uptake - decayed`` is zero up to ``residual``. ``inflow`` includes what a
-    perfusion brings and is net; ``outflow`` is what leaves through the faces.
+    perfusion brings and is net; ``outflow`` is what leaves through the faces, ``washed`` what a
+    perfusion takes.
     """
 
     newton: int
@@ -100,6 +110,7 @@ class FieldReport:
     produced: float
     decayed: float
     outflow: float = 0.0
+    washed: float = 0.0
 
 
 @final
@@ -107,7 +118,8 @@ class NutrientField:
     """One substance that diffuses, is taken up and secreted by cells, and decays.
 
     The faces of its grid lie at ``margin`` from the outermost centres: a layer of medium without
-    convection lies round the cells, always as thick as that.
+    convection lies round the cells, always as thick as that. With a ``domain`` they lie on its
+    sides, and stay there.
 
     Parameters
     ----------
@@ -275,28 +287,28 @@ class NutrientField:
     def sample(self, position: FloatArray) -> FloatArray:
         """Return the concentration in mM at positions (n, 3) in µm, interpolated linearly.
 
+        Between the last nodes and the faces by the conditions there: on a face with a value it is
+        that value.
+
         Raises
         ------
         ValueError
             Before the first solve, and for positions outside the grid.
         """
-        return self.layout.gather(position, self._values)
+        return self.layout.read(position, self._values, self._conditions)
 
     def gradient(self, position: FloatArray) -> FloatArray:
         """Return the gradient at positions (n, 3) in µm, (n, 3) mM/µm.
 
-        Differences of the interpolated field over one spacing, along the axes of the layout.
+        Differences of the interpolated field over one spacing, along the axes of a box or the
+        radius of shells; exact for parabolas, up to the faces.
+
+        Raises
+        ------
+        ValueError
+            Before the first solve, and for positions outside the grid.
         """
-        layout = self.layout
-        h = layout.spacing
-        axes = 2 if self.parameters.dimensions == 2 else 3
-        result = np.zeros_like(position)
-        for axis in range(axes):
-            step = np.zeros(3)
-            step[axis] = 0.5 * h
-            ahead, behind = (layout.gather(position + s * step, self._values) for s in (1, -1))
-            result[:, axis] = (ahead - behind) / h
-        return result
+        return self.layout.gradient(position, self._values)
 
     def uptake(self, position: FloatArray, capacity: FloatArray) -> FloatArray:
         """Return what each cell takes up, (n,) amol/s."""
@@ -312,12 +324,13 @@ class NutrientField:
         """Return the last solution; its values are read-only."""
         return self.layout.field(self.name, self._values)
 
-    def restore(self, field: Field) -> None:
-        """Take layout and values of a field from a frame."""
+    def restore(self, field: Field, time: float = 0.0) -> None:
+        """Take layout and values of a field from a frame of a time in s."""
         self._layout, values = layouts.restored(field)
         values.flags.writeable = False
         self._values = values
         self._operator = None
+        self._conditions = self._layout.conditions(self.parameters.sides(time))
 
     def kept(self) -> tuple[Any, ...]:
         """Return what :meth:`take_back` needs to undo a solve."""
@@ -337,9 +350,12 @@ class NutrientField:
             now = isinstance(self._layout, ShellLayout)
             radial = round_enough(position, radius, p.roundness_limit, now_radial=now)
         if radial:
-            return ShellLayout.round(position, radius, p.margin, p.spacing), False
+            return ShellLayout.round(position, radius, p.margin, p.spacing, p.layer), False
         height = p.height if p.dimensions == 2 else None
-        found = BoxLayout.round(position, p.margin, p.spacing, height)
+        if p.domain is None:
+            found = BoxLayout.round(position, p.margin, p.spacing, height)
+        else:
+            found = BoxLayout.within(p.domain, p.spacing, height)
         same = self._layout is not None and found == self._layout
         return (self.layout, True) if same else (found, False)
 
@@ -400,6 +416,7 @@ class NutrientField:
             report.supplied - brought,
             p.decay * mass,
             report.outflow,
+            p.perfusion * mass,
         )
 
     def _summed(
@@ -420,6 +437,7 @@ class NutrientField:
             done.rejections,
             done.first_order,
             done.error,
+            p.perfusion * amounts.mass,
         )
 
 

@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from multicell.cells import FloatArray
+from multicell.domain import filling
 from multicell.errors import NutrientFailed
+from multicell.nutrient.plan import MAX_NODES
 from multicell.nutrient.transfer import gather
 
 if TYPE_CHECKING:
     from pde.grids.cartesian import CartesianGrid
-
-MAX_NODES = 256**3
-"""Largest grid that is ever laid: an array of it takes 128 MiB, a solve about fifteen of them."""
 
 _FARTHEST = 1e9  # spacings from the origin; beyond, rounding would eat into the grid's spacing
 
@@ -127,6 +126,41 @@ def lay_flat(low: FloatArray, high: FloatArray, spacing: float, height: float) -
     x, y = (most if s > _NEARLY * longest else _fast(s / step) for s in (high - low)[:2])
     a, b = (float(m - 0.5 * n * step) for m, n in zip(middle, (x, y), strict=True))
     return Box((a, b, -0.5 * step), (x, y, 1), step, height)
+
+
+def fill(low: FloatArray, high: FloatArray, spacing: float, height: float | None) -> Box:
+    """Fill a box that stands still with cubes, or in two dimensions with squares.
+
+    Parameters
+    ----------
+    low, high : (3,), µm
+        Its corners; where ``height`` is given the third axis is not looked at.
+    spacing : float, µm
+        Largest edge of a cube; see :func:`multicell.domain.filling`.
+    height : float, µm, optional
+        Of the layer in two dimensions.
+
+    Raises
+    ------
+    NutrientFailed
+        If no cubes fill it.
+    """
+    axes = 3 if height is None else 2
+    lengths = (high - low)[:axes]
+    counts = filling([float(length) for length in lengths], spacing)
+    if counts is None:
+        raise NutrientFailed(
+            f"no cubes of about {spacing:g} um fill the domain",
+            "Take lengths that are multiples of one spacing",
+        )
+    _refuse_too_large(np.array(counts, dtype=float), lengths, spacing)
+    step = float((lengths / counts).max())
+    while not (lengths / step <= counts).all():  # rounding must leave no point outside
+        step = float(np.nextafter(step, np.inf))
+    a, b = float(low[0]), float(low[1])
+    if height is None:
+        return Box((a, b, float(low[2])), (counts[0], counts[1], counts[2]), step)
+    return Box((a, b, -0.5 * step), (counts[0], counts[1], 1), step, height)
 
 
 def overlaps(old: Box, new: Box) -> list[FloatArray]:

@@ -6,19 +6,21 @@ values of the layout before it, and makes the operator that solves on it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from multicell.cells import SPHERE, FloatArray
 from multicell.errors import NutrientFailed
-from multicell.nutrient import transfer
+from multicell.nutrient import faces, transfer
 from multicell.nutrient.diffusion import Diffusion
 from multicell.nutrient.grid import (
     Box,
     extent,
+    fill,
     lay,
     lay_flat,
     moved,
@@ -30,6 +32,7 @@ from multicell.nutrient.steady import SolveReport, solve_steady
 if TYPE_CHECKING:
     from multicell.frame import Field
     from multicell.nutrient.parts import Side
+    from multicell.parts import Domain
 
 _TISSUE = 0.5
 """Part of a node's volume that is cells from which on it is tissue."""
@@ -76,7 +79,15 @@ class Layout(Protocol):
         """Spread amounts of the cells, (n,), over the nodes as densities."""
 
     def gather(self, position: FloatArray, values: FloatArray) -> FloatArray:
-        """Interpolate at positions (n, 3) in µm."""
+        """Interpolate at positions (n, 3) in µm, with the weights of :meth:`scatter`."""
+
+    def read(
+        self, position: FloatArray, values: FloatArray, conditions: Mapping[str, Any]
+    ) -> FloatArray:
+        """Do the same, but between the last nodes and the faces by the conditions there."""
+
+    def gradient(self, position: FloatArray, values: FloatArray) -> FloatArray:
+        """Return the gradient at positions (n, 3) in µm: differences over one spacing."""
 
     def filled(self, value: float) -> FloatArray:
         """Return an array of the nodes."""
@@ -153,6 +164,12 @@ class BoxLayout:
             return cls(lay(low, high, spacing))
         return cls(lay_flat(low, high, spacing, height))
 
+    @classmethod
+    def within(cls, domain: Domain, spacing: float, height: float | None) -> BoxLayout:
+        """Lay it on a box that stands still, the faces on its sides."""
+        low, high = (np.array(corner) for corner in domain.corners())
+        return cls(fill(low, high, spacing, height))
+
     @property
     def spacing(self) -> float:
         """Distance of neighbouring nodes, µm."""
@@ -177,6 +194,64 @@ class BoxLayout:
     def gather(self, position: FloatArray, values: FloatArray) -> FloatArray:
         """Interpolate at positions (n, 3) in µm."""
         return transfer.gather(self._points(position), values, self.box.origin, self.box.spacing)
+
+    def read(
+        self, position: FloatArray, values: FloatArray, conditions: Mapping[str, Any]
+    ) -> FloatArray:
+        """Do the same, but between the last nodes and the faces by the conditions there."""
+        found = self.gather(position, values)
+        near = self._nearer_than(0.5, position)
+        if near.any():
+            padded = faces.by_condition(values, conditions, self.spacing, "xyz"[: self._axes])
+            found[near] = self._gather_padded(position[near], padded)
+        return found
+
+    def gradient(self, position: FloatArray, values: FloatArray) -> FloatArray:
+        """Return the gradient at positions (n, 3) in µm: differences over one spacing.
+
+        Exact for parabolas, up to the faces: there the values are extrapolated.
+        """
+        near = self._nearer_than(1.0, position)
+        result = np.zeros(position.shape)
+        result[~near] = self._differences(position[~near], values, self.gather)
+        if near.any():
+            self.gather(position[near], values)  # refuses what lies outside
+            padded = faces.by_parabola(values, self._axes)
+            result[near] = self._differences(position[near], padded, self._gather_padded)
+        return result
+
+    @property
+    def _axes(self) -> int:
+        return 3 if self.box.height is None else 2
+
+    def _nearer_than(self, share: float, position: FloatArray) -> NDArray[np.bool_]:
+        """Return which positions are nearer to a face than a share of the spacing."""
+        box, axes = self.box, self._axes
+        u = (position[:, :axes] - np.array(box.origin[:axes])) / box.spacing
+        inside = (u >= share) & (u <= np.array(box.shape[:axes]) - share)
+        return np.asarray(~inside.all(axis=1))
+
+    def _gather_padded(self, position: FloatArray, padded: FloatArray) -> FloatArray:
+        """Interpolate between values with a node more at both ends of each axis."""
+        box = self.box
+        moved = [o - box.spacing * (axis < self._axes) for axis, o in enumerate(box.origin)]
+        origin = (moved[0], moved[1], moved[2])
+        return transfer.gather(self._points(position), padded, origin, box.spacing)
+
+    def _differences(
+        self,
+        position: FloatArray,
+        values: FloatArray,
+        gather: Callable[[FloatArray, FloatArray], FloatArray],
+    ) -> FloatArray:
+        h = self.spacing
+        result = np.zeros(position.shape)
+        for axis in range(self._axes):
+            step = np.zeros(3)
+            step[axis] = 0.5 * h
+            ahead, behind = (gather(position + s * step, values) for s in (1, -1))
+            result[:, axis] = (ahead - behind) / h
+        return result
 
     def filled(self, value: float) -> FloatArray:
         """Return an array of the nodes."""
@@ -238,6 +313,24 @@ class BoxLayout:
         )
 
 
+def tissue_radius(position: FloatArray, radius: FloatArray) -> float:
+    """Return the radius in µm of the uniform ball with the same radius of gyration.
+
+    Weighted by volume and with the cells' own extent: half the diameter of the summary. It is
+    exact for one cell and for a ball, and one cell that strays hardly changes it.
+
+    Parameters
+    ----------
+    position : (n, 3), µm
+        n is at least 1.
+    radius : (n,), µm
+    """
+    weight = radius**3
+    away = position - np.average(position, axis=0, weights=weight)
+    square = np.square(away).sum(axis=1) + 0.6 * radius**2
+    return float(np.sqrt(np.average(square, weights=weight) / 0.6))
+
+
 @final
 @dataclass(frozen=True, eq=False)
 class ShellLayout:
@@ -249,23 +342,34 @@ class ShellLayout:
 
     @classmethod
     def round(
-        cls, position: FloatArray, radius: FloatArray, margin: float, spacing: float
+        cls,
+        position: FloatArray,
+        radius: FloatArray,
+        margin: float,
+        spacing: float,
+        layer: float | None = None,
     ) -> ShellLayout:
         """Lay it ``margin`` or more beyond the outermost cell; ``spacing`` gives way.
 
         Its surface is that of the ball which lets as much through to its middle as the cube
         that would be laid round the same cells: how a tissue is fed does not depend on the
-        geometry of the grid.
+        geometry of the grid. With a ``layer`` the surface lies so far beyond the tissue's,
+        that of the ball with the same radius of gyration, or where the outermost centre is if
+        that is farther.
         """
         if len(position) == 0:
-            count = max(2, int(np.ceil(margin / spacing)))
-            return cls(np.zeros(3), margin / count, count)
+            beyond = margin if layer is None else layer
+            count = max(2, int(np.ceil(beyond / spacing)))
+            return cls(np.zeros(3), beyond / count, count)
         if not np.isfinite(position).all():
             extent(position, margin)  # raises with words
         centre = np.average(position, axis=0, weights=radius**3)
-        outer = float(np.sqrt(np.square(position - centre).sum(axis=1).max())) + margin
-        low, high = extent(position, margin)
-        outer = max(outer, _CUBE * 0.5 * float((high - low).mean()))
+        outermost = float(np.sqrt(np.square(position - centre).sum(axis=1).max()))
+        if layer is None:
+            low, high = extent(position, margin)
+            outer = max(outermost + margin, _CUBE * 0.5 * float((high - low).mean()))
+        else:
+            outer = max(tissue_radius(position, radius) + layer, outermost)
         count = int(np.ceil(outer / spacing * (1.0 - 1e-12)))
         if count > 1_000_000:
             raise NutrientFailed(
@@ -287,7 +391,7 @@ class ShellLayout:
 
     def _weights(self, position: FloatArray) -> tuple[Any, Any, FloatArray]:
         """Return for each cell the inner and the outer shell and the weight of the outer one."""
-        distance = np.sqrt(np.square(position - self.centre).sum(axis=1))
+        distance = self._distance(position)
         if not (distance <= self.radius * (1.0 + 1e-12)).all():
             raise ValueError("a position lies outside the nutrient grid")
         u = distance / self.spacing - 0.5
@@ -306,6 +410,37 @@ class ShellLayout:
         """Interpolate at positions (n, 3) in µm."""
         inner, outer, weight = self._weights(position)
         return np.asarray((1.0 - weight) * values[inner] + weight * values[outer])
+
+    def read(
+        self, position: FloatArray, values: FloatArray, conditions: Mapping[str, Any]
+    ) -> FloatArray:
+        """Do the same, but between the last node and the surface by the condition there."""
+        found = self.gather(position, values)
+        weight = self._distance(position) / self.spacing - (self.count - 0.5)
+        near = weight > 0.0
+        const, factor = faces.ghost_terms(conditions, self.spacing)
+        ghost, w = const + factor * values[-1], weight[near]
+        found[near] = (1.0 - w) * values[-1] + w * ghost
+        return found
+
+    def gradient(self, position: FloatArray, values: FloatArray) -> FloatArray:
+        """Return the gradient at positions (n, 3) in µm: differences over one spacing.
+
+        Along the radius, exact for parabolas of it, up to the surface: there the values are
+        extrapolated. At the centre it is zero.
+        """
+        self._weights(position)  # refuses what lies outside
+        h, distance = self.spacing, self._distance(position)
+        mirrored = np.concatenate([values[:1], values])
+        nodes = (np.arange(self.count + 2) - 0.5) * h
+        known = np.append(mirrored, faces.beyond(mirrored[::-1]))
+        ahead = np.interp(distance + 0.5 * h, nodes, known)
+        behind = np.interp(np.abs(distance - 0.5 * h), nodes, known)
+        outward = (position - self.centre) / np.where(distance > 0.0, distance, 1.0)[:, None]
+        return np.asarray(((ahead - behind) / h)[:, None] * outward)
+
+    def _distance(self, position: FloatArray) -> FloatArray:
+        return np.asarray(np.sqrt(np.square(position - self.centre).sum(axis=1)))
 
     def filled(self, value: float) -> FloatArray:
         """Return an array of the nodes."""

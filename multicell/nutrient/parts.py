@@ -19,6 +19,12 @@ from multicell.parameters import (
     tables,
 )
 
+MOST = 1e5
+"""Largest concentration, mM: more than pure water, 55,500 mM."""
+
+_DENSE = "Nothing dissolves to more: pure water is 55,500 mM."
+_FLUX = "A cell that takes up its own volume of pure water in a second has 3e7 amol/s."
+
 FACES = ("*", "r+", "x", "y", "z", "x-", "x+", "y-", "y+", "z-", "z+")
 """Names of the sides of a field's grid, as py-pde has them; ``*`` stands for all others."""
 
@@ -35,17 +41,29 @@ class Side:
 
     type: str = choice(["value", "derivative", "mixed"], default="value", doc="of the condition")
     value: float | None = quantity(
-        "mM", default=None, at_least=0, doc="concentration; absent: that of the medium"
+        "mM",
+        default=None,
+        at_least=0,
+        at_most=MOST,
+        doc="concentration; absent: that of the medium",
+        hint=_DENSE,
     )
     derivative: float | None = quantity(
         "mM/um",
         default=None,
         at_least=0,
+        at_most=MOST,
         doc="slope along the outward normal: positive supplies, zero is a wall",
-        hint="A drain that takes more than there is would make concentrations negative.",
+        hint="A drain that takes more than there is would make concentrations negative; "
+        "a side brings at most a pure substance within a micrometre.",
     )
     rate: float | None = quantity(
-        "1/um", default=None, above=0, doc="permeability of the side over the diffusion coefficient"
+        "1/um",
+        default=None,
+        above=0,
+        at_most=1e6,
+        doc="permeability of the side over the diffusion coefficient",
+        hint="A rate far above one over the spacing is a side with the value itself.",
     )
 
     def check(self) -> None:
@@ -70,8 +88,10 @@ class Dependence:
     rises where g falls, with effect = -1 it is g / (half + g) and ends where there is no g.
     """
 
-    effect: float = number(at_least=-1, doc="relative change of the uptake where g is zero")
-    half: float = quantity("mM", above=0, doc="concentration g of half the effect")
+    effect: float = number(
+        at_least=-1, at_most=1e6, doc="relative change of the uptake where g is zero"
+    )
+    half: float = quantity("mM", above=0, at_most=MOST, doc="concentration g of half the effect")
 
 
 @final
@@ -79,13 +99,34 @@ class Dependence:
 class Nutrient:
     """A dissolved substance: diffusion, boundary, Michaelis-Menten uptake, effect on the cells."""
 
-    diffusion: float = quantity("um^2/s", default=2000.0, above=0, doc="diffusion coefficient")
-    diffusion_medium: float | None = quantity(
-        "um^2/s", default=None, above=0, doc="outside tissue; absent: the same everywhere"
+    diffusion: float = quantity(
+        "um^2/s",
+        default=2000.0,
+        at_least=1e-6,
+        at_most=1e8,
+        doc="diffusion coefficient",
+        hint="Oxygen has 2000 um^2/s in tissue, a virus a few, a gas 2e7.",
     )
-    boundary: float = quantity("mM", default=0.07, at_least=0, doc="concentration in the medium")
+    diffusion_medium: float | None = quantity(
+        "um^2/s",
+        default=None,
+        at_least=1e-6,
+        at_most=1e8,
+        doc="outside tissue; absent: the same everywhere",
+    )
+    boundary: float = quantity(
+        "mM",
+        default=0.07,
+        at_least=0,
+        at_most=MOST,
+        doc="concentration in the medium",
+        hint=_DENSE,
+    )
     media: tuple[tuple[float, float], ...] | None = schedule(
-        "mM", at_least=0, doc="[time, concentration] of the medium from these times on"
+        "mM",
+        at_least=0,
+        at_most=MOST,
+        doc="[time, concentration] of the medium from these times on",
     )
     media_change: str = choice(
         ["steps", "linear"], default="steps", doc="at the times of media, or all the way between"
@@ -94,12 +135,28 @@ class Nutrient:
         Side, names=FACES, default_factory=Tables, doc="absent: the medium's value on all sides"
     )
     perfusion: float = quantity(
-        "1/s", default=0.0, at_least=0, doc="exchange with the medium everywhere, a flow through"
+        "1/s",
+        default=0.0,
+        at_least=0,
+        at_most=1e6,
+        doc="exchange with the medium everywhere, a flow through",
     )
-    decay: float = quantity("1/s", default=0.0, at_least=0, doc="first-order decay")
-    uptake: float = quantity("amol/s", default=20.0, at_least=0, doc="largest uptake of a cell")
+    decay: float = quantity("1/s", default=0.0, at_least=0, at_most=1e6, doc="first-order decay")
+    uptake: float = quantity(
+        "amol/s",
+        default=20.0,
+        at_least=0,
+        at_most=1e9,
+        doc="largest uptake of a cell",
+        hint=_FLUX,
+    )
     half_saturation: float = quantity(
-        "mM", default=0.005, above=0, doc="concentration of half the largest uptake"
+        "mM",
+        default=0.005,
+        at_least=1e-12,
+        at_most=MOST,
+        doc="concentration of half the largest uptake",
+        hint="1e-12 mM is one molecule in the volume of a tissue of 0.1 mm.",
     )
     quiescent_uptake: float = number(
         default=0.5, at_least=0, at_most=1, doc="uptake of a quiescent / of a proliferating cell"
@@ -108,25 +165,37 @@ class Nutrient:
         Dependence, default_factory=Tables, doc="how uptake depends on other fields, by name"
     )
     secretion: float = quantity(
-        "amol/s", default=0.0, at_least=0, doc="of a proliferating cell; a quiescent one as uptake"
+        "amol/s",
+        default=0.0,
+        at_least=0,
+        at_most=1e9,
+        doc="of a proliferating cell; a quiescent one as uptake",
+        hint=_FLUX,
     )
     secretion_from: Mapping[str, float] | None = quantities(
-        "", at_least=0, doc="amount secreted for each amount taken up of other fields, by name"
+        "",
+        at_least=0,
+        at_most=1e6,
+        doc="amount secreted for each amount taken up of other fields, by name",
     )
     growth_half_saturation: float | None = quantity(
-        "mM", default=None, above=0, doc="of half the largest growth (Monod); absent: no effect"
+        "mM",
+        default=None,
+        above=0,
+        at_most=MOST,
+        doc="of half the largest growth (Monod); absent: no effect",
     )
     growth_inhibition: float | None = quantity(
-        "mM", default=None, above=0, doc="that halves growth; absent: no effect"
+        "mM", default=None, above=0, at_most=MOST, doc="that halves growth; absent: no effect"
     )
     quiescence: float | None = quantity(
-        "mM", default=None, at_least=0, doc="below: quiescent; absent: never"
+        "mM", default=None, at_least=0, at_most=MOST, doc="below: quiescent; absent: never"
     )
     necrosis: float | None = quantity(
-        "mM", default=None, at_least=0, doc="below: necrotic; absent: never"
+        "mM", default=None, at_least=0, at_most=MOST, doc="below: necrotic; absent: never"
     )
     necrosis_above: float | None = quantity(
-        "mM", default=None, above=0, doc="above: necrotic; absent: never"
+        "mM", default=None, above=0, at_most=MOST, doc="above: necrotic; absent: never"
     )
     regime: str = choice(
         ["auto", "steady", "transient"],
@@ -134,7 +203,7 @@ class Nutrient:
         doc="auto: steady where diffusion settles within a coupling step",
     )
     time_tolerance: float = number(
-        default=1e-3, above=0, at_most=0.1, doc="error of a transient step / concentration"
+        default=1e-3, at_least=1e-9, at_most=0.1, doc="error of a transient step / concentration"
     )
     initial: str = choice(
         ["medium", "steady"], default="medium", doc="where a transient field starts from"
@@ -150,9 +219,27 @@ class Nutrient:
     spacing: float | None = quantity(
         "um", default=None, above=0, doc="of the grid; absent: by the diffusion length"
     )
-    margin: float = quantity("um", default=50.0, above=0, doc="of the grid around the cells")
+    margin: float = quantity(
+        "um",
+        default=50.0,
+        above=0,
+        at_most=1e6,
+        doc="of the grid around the cells; no meaning in a domain, or where layer is given",
+    )
+    layer: float | None = quantity(
+        "um",
+        default=None,
+        above=0,
+        at_most=1e6,
+        doc="of medium that is not stirred, round a ball of tissue (geometry = 'radial'); "
+        "absent: by margin",
+    )
     height: float | None = quantity(
-        "um", default=None, above=0, doc="of the layer in 2D; absent: the largest cell's diameter"
+        "um",
+        default=None,
+        at_least=1e-3,
+        at_most=1e6,
+        doc="of the layer in 2D; absent: the largest cell's diameter",
     )
 
     def check(self) -> None:

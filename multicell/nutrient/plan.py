@@ -10,12 +10,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, final
 
+from multicell import domain as box
 from multicell.cells import SPHERE
 from multicell.errors import SceneError
 from multicell.parameters import near_miss
 
 if TYPE_CHECKING:
     from multicell.nutrient.parts import Nutrient, Side
+    from multicell.parts import Domain
     from multicell.scene import Scene
 
 _SETTLED = 1.0
@@ -23,6 +25,12 @@ _SETTLED = 1.0
 
 _POINTS = 5.0
 """Spacings in the diffusion length where the grid is chosen for the user."""
+
+MAX_NODES = 256**3
+"""Largest grid that is ever laid: an array of it takes 128 MiB, a solve about fifteen of them."""
+
+_FINEST = 0.001
+"""Least spacing of a grid over the radius of a dividing cell: below, cells are points to it."""
 
 
 def check_nutrients(scene: Scene) -> None:
@@ -33,6 +41,9 @@ def check_nutrients(scene: Scene) -> None:
         _check_spacing(scene, path, nutrient)
         _check_sides(scene, path, nutrient)
         _check_medium(path, nutrient)
+        _check_layer(path, nutrient)
+        if scene.domain is not None:
+            _check_in_domain(scene, name)
     solving_order(scene.nutrients)
 
 
@@ -60,6 +71,10 @@ def _check_spacing(scene: Scene, path: str, nutrient: Nutrient) -> None:
             "(two diameters of a dividing cell): grid too coarse for its cells"
         )
         raise SceneError(f"{path}.spacing", problem, "Take about one diameter.")
+    finest = _FINEST * scene.cells.division_radius
+    if nutrient.spacing is not None and nutrient.spacing < finest:
+        problem = f"is {nutrient.spacing:g} um, must be at least {finest:g} um: finer than any cell"
+        raise SceneError(f"{path}.spacing", problem, "Take about one diameter.")
 
 
 def _check_sides(scene: Scene, path: str, nutrient: Nutrient) -> None:
@@ -72,9 +87,14 @@ def _check_sides(scene: Scene, path: str, nutrient: Nutrient) -> None:
         if flat and (face.startswith("z") or face == "r+"):
             problem = "does not exist in a scene of 2 dimensions"
             raise SceneError(f"{path}.sides.{face}", problem, "Use 'x-' to 'y+' or '*'.")
-    if nutrient.regime == "steady" and not level_fixed(nutrient, scene.dimensions):
-        hint = "Give one side a value, or a perfusion, or let the field be 'transient'."
-        raise SceneError(f"{path}.sides", "fix no level: no steady state is defined", hint)
+    if not level_fixed(nutrient, scene.dimensions):
+        if nutrient.regime == "steady":
+            hint = "Give one side a value, or a perfusion, or let the field be 'transient'."
+            raise SceneError(f"{path}.sides", "fix no level: no steady state is defined", hint)
+        if nutrient.initial == "steady":
+            problem = "is 'steady', but the sides fix no level: there is no steady state"
+            hint = "Start from 'medium', or give one side a value, or a perfusion."
+            raise SceneError(f"{path}.initial", problem, hint)
     shaped = {face for face in nutrient.sides if face not in ("*", "r+")}
     if nutrient.geometry == "auto" and shaped:
         hint = "Take geometry = 'box', or only '*'."
@@ -87,12 +107,61 @@ def _check_medium(path: str, nutrient: Nutrient) -> None:
         raise SceneError(f"{path}.media", f"begins at {nutrient.media[0][0]:g} s, before the run")
 
 
+def _check_layer(path: str, nutrient: Nutrient) -> None:
+    """Check that a layer lies round shells: only there it is as thick everywhere."""
+    if nutrient.layer is not None and nutrient.geometry != "radial":
+        problem = f"has no meaning with geometry = '{nutrient.geometry}'"
+        hint = (
+            "The layer of a ball needs geometry = 'radial'; a grid of cubes has its faces at "
+            "'margin' from the outermost centres, farther at the corners."
+        )
+        raise SceneError(f"{path}.layer", problem, hint)
+
+
+def _check_in_domain(scene: Scene, name: str) -> None:
+    """Check that a field can live on the box that the scene fixes."""
+    path, nutrient, domain = f"nutrients.{name}", scene.nutrients[name], scene.domain
+    assert domain is not None
+    if nutrient.geometry != "box":
+        problem = f"is '{nutrient.geometry}' in a scene with a domain, which is a box"
+        raise SceneError(f"{path}.geometry", problem, "Take geometry = 'box', or leave domain out.")
+    wanted, lengths = spacing(scene, name), box.sides(domain)
+    if math.prod(max(length / wanted, 2.0) for length in lengths) > MAX_NODES:
+        problem = f"is {wanted:g} um: the domain would need more than {MAX_NODES} nodes"
+        raise SceneError(f"{path}.spacing", problem, "Take a larger spacing or a smaller domain.")
+    found = box.filling(lengths, wanted)
+    if found is None:
+        whole = [abs(length / wanted - round(length / wanted)) for length in lengths]
+        axis = "xyz"[whole.index(max(whole))]
+        given = " x ".join(f"{length:g}" for length in lengths)
+        problem = (
+            f"makes a box of {given} um, which no cubes of {0.25 * wanted:.3g} to {wanted:.3g} um "
+            f"fill (the spacing of {name})"
+        )
+        fit = max(round(lengths["xyz".index(axis)] / wanted), 2) * wanted
+        hint = f"Take lengths that are multiples of one spacing, here for example {fit:.6g} um."
+        raise SceneError(f"domain.{axis}", problem, hint)
+    if math.prod(found) > MAX_NODES:
+        problem = f"makes a grid of {math.prod(found)} nodes, more than the {MAX_NODES} allowed"
+        hint = "Take lengths that are multiples of one larger spacing."
+        raise SceneError("domain", problem, hint)
+
+
 def level_fixed(nutrient: Nutrient, dimensions: int = 3) -> bool:
-    """Return whether sides, perfusion or decay fix the level of a steady field."""
+    """Return whether sides, perfusion or decay fix the level of a steady field.
+
+    A field that may go over from shells to a box needs it on both.
+    """
     if nutrient.perfusion > 0.0 or nutrient.decay > 0.0:
         return True
-    faces = _faces(dimensions) if nutrient.geometry == "box" else ("r+",)
-    return any(_side(nutrient, face).type != "derivative" for face in faces)
+    shells = nutrient.geometry != "box" and dimensions == 3
+    cubes = nutrient.geometry != "radial"
+    fixed = [
+        any(_side(nutrient, face).type != "derivative" for face in faces)
+        for faces, used in ((("r+",), shells), (_faces(dimensions), cubes))
+        if used
+    ]
+    return all(fixed)
 
 
 def _faces(dimensions: int) -> tuple[str, ...]:
@@ -146,7 +215,7 @@ class Scales:
         order); infinite without uptake.
     length : float, µm
         Over which the field varies: ``depth`` or the tissue's radius, whichever is smaller,
-        with the margin.
+        with the margin or the layer; in a fixed domain that of its slowest mode.
     time : float, s
         Diffusion time, length² / D.
     damkohler : float
@@ -168,9 +237,26 @@ def scales(scene: Scene, name: str) -> Scales:
     supply = nutrient.diffusion * nutrient.highest
     depth = math.sqrt(2.0 * supply / demand) if demand > 0.0 else math.inf
     radius = tissue_radius(scene)
-    length = min(depth, radius) + nutrient.margin
+    length = min(depth, radius) + (nutrient.margin if nutrient.layer is None else nutrient.layer)
+    if scene.domain is not None:
+        length = _slowest(nutrient, box.sides(scene.domain))
     damkohler = demand * radius**2 / supply if supply > 0.0 else math.inf
     return Scales(demand, depth, length, length**2 / nutrient.diffusion, damkohler)
+
+
+def _slowest(nutrient: Nutrient, lengths: list[float]) -> float:
+    """Return the length 1/|k| of the slowest mode of diffusion in a box, µm.
+
+    Along an axis of length L it has k = π/L between two values, π/2L between a value and a wall,
+    and 0 between walls. A mixed condition is a value behind a layer as thick as 1/rate.
+    """
+    square = 0.0
+    for axis, length in zip("xyz", lengths, strict=False):
+        ends = [_side(nutrient, axis + end) for end in "-+"]
+        fixed = [side for side in ends if side.type != "derivative"]
+        across = length + sum(1.0 / side.rate for side in fixed if side.rate is not None)
+        square += (0.5 * math.pi * len(fixed) / across) ** 2
+    return 1.0 / math.sqrt(square) if square > 0.0 else max(lengths) / math.pi
 
 
 def tissue_radius(scene: Scene) -> float:
@@ -226,13 +312,17 @@ class FieldParameters:
     height: float
     regime: str
     dimensions: int
+    domain: Domain | None = None
 
     @classmethod
     def of(cls, scene: Scene, name: str) -> FieldParameters:
         """Return the parameters of a field of a scene."""
         nutrient = scene.nutrients[name]
         height = nutrient.height or 2.0 * scene.cells.division_radius
-        return cls(nutrient, spacing(scene, name), height, regime(scene, name), scene.dimensions)
+        return cls(
+            nutrient, spacing(scene, name), height, regime(scene, name), scene.dimensions,
+            scene.domain,
+        )  # fmt: skip
 
     @property
     def diffusion(self) -> float:
@@ -253,6 +343,11 @@ class FieldParameters:
     def margin(self) -> float:
         """Least distance from a cell's centre to the faces, µm."""
         return self.nutrient.margin
+
+    @property
+    def layer(self) -> float | None:
+        """Distance of the shells' surface from the tissue's, µm; None: by the margin."""
+        return self.nutrient.layer
 
     @property
     def decay(self) -> float:

@@ -15,6 +15,7 @@ import numpy as np
 
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed
+from multicell.nutrient.faces import ghost_terms
 from multicell.nutrient.steady import TOLERANCE, SolveReport
 
 _MAX_NEWTON = 60  # and as many more as there are shells: the edge of a starved core may move by one
@@ -64,15 +65,7 @@ class Shells:
     def set_boundary(self, boundary: float | Mapping[str, Any]) -> None:
         """Take another condition on the surface: its ghost value is ``const + factor c``."""
         condition = boundary if isinstance(boundary, Mapping) else {"value": float(boundary)}
-        h = self.spacing
-        if condition.get("type") == "mixed":
-            rate, const = float(condition["value"]), float(condition["const"])
-            whole = 1.0 / h + 0.5 * rate
-            self._const, self._factor = const / whole, (1.0 / h - 0.5 * rate) / whole
-        elif "derivative" in condition:
-            self._const, self._factor = h * float(condition["derivative"]), 1.0
-        else:
-            self._const, self._factor = 2.0 * float(condition["value"]), -1.0
+        self._const, self._factor = ghost_terms(condition, self.spacing)
 
     def inflow(self, c: FloatArray) -> float:
         """Return the flow in through the surface, amol/s."""

@@ -62,6 +62,8 @@ class TransientReport:
         Steps taken and refused, and steps whose second-order value was negative somewhere.
     error : float
         Largest estimate of a step's error over the concentration scale.
+    washed : float
+        What a perfusion took with it.
     """
 
     inflow: float
@@ -73,6 +75,7 @@ class TransientReport:
     rejections: int
     first_order: int
     error: float
+    washed: float = 0.0
 
 
 @final

@@ -1,0 +1,190 @@
+"""Ledgers whose remainder means something, and fields that are refused at the door."""
+
+import numpy as np
+import pytest
+
+import multicell as mc
+from multicell.errors import SceneError
+from multicell.ledger import Ledger
+from multicell.nutrient.parts import Nutrient
+from multicell.nutrient.plan import level_fixed
+from multicell.scene import Scene
+
+CLOSED = {"*": {"type": "derivative", "derivative": 0.0}}
+
+
+def scene(nutrient, **changes):
+    entries = {
+        "duration": "2 h",
+        "coupling_step": "10 min",
+        "initial": {"count": 20, "stage": "uniform"},
+        "growth": {"cycle_time": "8 h"},
+        "nutrients": {"a": nutrient},
+    }
+    return Scene.from_dict(entries).with_changes(changes)
+
+
+def ran(described):
+    simulation = mc.Simulation(described)
+    while not simulation.finished:
+        simulation.step()
+    return simulation
+
+
+IDLE = {
+    "steady, nothing taken up": {"uptake": 0.0, "regime": "steady"},
+    "transient, nothing taken up": {"uptake": 0.0, "regime": "transient"},
+    "shells, nothing taken up": {"uptake": 0.0, "regime": "steady", "geometry": "radial"},
+    "closed": {"uptake": 0.0, "regime": "transient", "sides": CLOSED},
+    "closed and taken up": {"uptake": 1e-9, "regime": "transient", "sides": CLOSED},
+    "hardly any uptake": {"uptake": 1e-12, "regime": "steady"},
+    "a trace": {"uptake": 1e-15, "boundary": 1e-9, "regime": "steady"},
+    "much of it": {"uptake": 1e-6, "boundary": 1e5, "regime": "steady"},
+    "slow and dense": {"uptake": 0.0, "boundary": 1e5, "regime": "transient", "diffusion": 1e-6},
+    "fast": {"uptake": 1e-3, "regime": "steady", "diffusion": 1e5},
+}
+
+
+@pytest.mark.parametrize("case", IDLE)
+def test_where_nothing_happens_the_remainder_is_rounding_over_what_is_there(case):
+    ledger = ran(scene(IDLE[case])).ledger["a"]
+    assert ledger.content > 0.0
+    assert ledger.summary()["relative_remainder"] <= 1e-8
+    assert ledger.summary()["content"] == ledger.content
+
+
+def test_where_there_is_nothing_there_is_no_remainder():
+    ledger = ran(scene({"boundary": 0.0, "uptake": 20.0})).ledger["a"]
+    assert ledger.summary()["relative_remainder"] == 0.0
+    assert ledger.remainder == 0.0
+
+
+@pytest.mark.parametrize("regime", ["steady", "transient"])
+def test_a_true_imbalance_shows(regime):
+    """A thousandth of what is taken up, left out of the account, is found again to a percent."""
+    simulation = ran(scene({"regime": regime, "uptake": 40.0}))
+    ledger = simulation.ledger["a"]
+    assert ledger.relative_remainder < 1e-8
+    ledger.uptake *= 0.999
+    assert ledger.relative_remainder > 1e-4
+    assert abs(ledger.remainder) == pytest.approx(1e-3 * ledger.uptake, rel=1e-2)
+
+
+def test_an_imbalance_of_an_idle_field_shows_as_part_of_what_is_there():
+    ledger = Ledger()
+    ledger.add(0.0, 0.0, content=1000.0)
+    ledger.add(1e-13, 0.0, 60.0, content=900.0)
+    assert ledger.content == 1000.0
+    assert ledger.relative_remainder == pytest.approx(6e-15)
+    ledger.add(1.0, 0.0, 10.0)
+    assert ledger.relative_remainder == pytest.approx(0.01)
+    ledger.add(1e6, 0.0)
+    assert ledger.relative_remainder == pytest.approx(1.0)
+
+
+def test_the_account_of_a_frame_can_be_taken_up_again():
+    described = scene({"regime": "transient"})
+    frame = mc.run(described).frames[-1]
+    known = frame.progress.ledger["a"]
+    again = mc.Simulation(described, frame=frame).ledger["a"]
+    assert again == Ledger(**known)
+    assert again.content > 0.0
+    # a frame that was written before the content was counted
+    assert Ledger(**{k: v for k, v in known.items() if k != "content"}).content == 0.0
+
+
+# --- a steady start without a steady state -----------------------------------------------------
+
+
+@pytest.mark.parametrize("regime", ["auto", "transient", "steady"])
+@pytest.mark.parametrize("derivative", [0.0, 1e-5])
+def test_a_steady_start_needs_a_steady_state(regime, derivative):
+    sides = {"*": {"type": "derivative", "derivative": derivative}}
+    nutrient = {"regime": regime, "initial": "steady", "sides": sides}
+    with pytest.raises(SceneError) as caught:
+        scene(nutrient)
+    assert caught.value.path in ("nutrients.a.initial", "nutrients.a.sides")
+    for fixed in ({"perfusion": 1e-4}, {"decay": 1e-4}, {"sides": {**sides, "x+": {}}}):
+        begun = mc.Simulation(scene({**nutrient, **fixed}))
+        assert np.isfinite(begun.concentrations["a"]).all()
+    started = mc.Simulation(scene({**nutrient, "regime": "transient", "initial": "medium"}))
+    np.testing.assert_allclose(started.concentrations["a"], 0.07)
+
+
+def test_a_level_must_be_fixed_on_every_geometry_that_a_field_may_have():
+    wall = {"type": "derivative", "derivative": 0.0}
+    assert level_fixed(Nutrient(geometry="radial", sides={"r+": {}, "*": wall}))
+    assert not level_fixed(Nutrient(geometry="auto", sides={"r+": {}, "*": wall}))
+    assert not level_fixed(Nutrient(geometry="auto", sides={"r+": wall}))
+    assert level_fixed(Nutrient(geometry="auto", sides={"r+": wall}), dimensions=2)
+
+
+# --- what no solution has -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("boundary", 1e300),
+        ("boundary", "1 Mmol/l"),
+        ("boundary", 1.1e5),
+        ("media", [[60.0, 1e300]]),
+        ("sides", {"x-": {"value": 1e300}}),
+        ("sides", {"x-": {"type": "mixed", "rate": 1e300}}),
+        ("sides", {"x-": {"type": "derivative", "derivative": 1e300}}),
+        ("diffusion", 1e300),
+        ("diffusion", 1e-300),
+        ("diffusion_medium", 1e-300),
+        ("diffusion_medium", 1e300),
+        ("uptake", 1e300),
+        ("secretion", 1e300),
+        ("half_saturation", 1e-300),
+        ("half_saturation", 1e300),
+        ("decay", 1e300),
+        ("perfusion", 1e300),
+        ("quiescence", 1e300),
+        ("necrosis", 1e300),
+        ("necrosis_above", 1e300),
+        ("growth_half_saturation", 1e300),
+        ("growth_inhibition", 1e300),
+        ("spacing", 1e-300),
+        ("spacing", 1e-3),
+        ("margin", 1e300),
+        ("height", 1e300),
+        ("height", 1e-300),
+        ("layer", 1e300),
+        ("time_tolerance", 1e-300),
+    ],
+)
+def test_absurd_quantities_are_refused_by_path(key, value):
+    with pytest.raises(SceneError) as caught:
+        scene({key: value})
+    assert caught.value.path.startswith(f"nutrients.a.{key}")
+    assert "must be" in caught.value.problem
+
+
+EDGES = {
+    "dense": {"boundary": 1e5},
+    "dense and hungry": {"boundary": 1e5, "uptake": 1e9},
+    "hungry": {"uptake": 1e9},
+    "hungry and saturated": {"uptake": 1e9, "half_saturation": 1e-12},
+    "slow": {"diffusion": 1e-6, "uptake": 1e-3},
+    "fast": {"diffusion": 1e8},
+    "decaying": {"decay": 1e6},
+    "flushed": {"perfusion": 1e6},
+    "secreted": {"secretion": 1e9, "uptake": 0.0},
+    "behind a film": {"sides": {"*": {"type": "mixed", "rate": 1e-9}}},
+    "behind nothing": {"sides": {"*": {"type": "mixed", "rate": 1e6}}},
+    "supplied": {"sides": {"x-": {"type": "derivative", "derivative": 1e5}}},
+}
+
+
+@pytest.mark.parametrize("regime", ["steady", "transient"])
+@pytest.mark.parametrize("case", EDGES)
+def test_at_the_bounds_accounts_close(case, regime):
+    """Whatever is allowed is solved with a balance, or fails by name."""
+    described = scene({**EDGES[case], "regime": regime}, duration="20 min")
+    simulation = ran(described)
+    assert np.isfinite(simulation.concentrations["a"]).all()
+    assert (simulation.concentrations["a"] >= 0.0).all()
+    assert simulation.ledger["a"].relative_remainder <= 1e-6

@@ -1,0 +1,398 @@
+"""A fixed domain: fields that stand still, and cells that its sides hold or that are named."""
+
+import subprocess
+import sys
+from dataclasses import fields as columns
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import multicell as mc
+from multicell.contact import compliance
+from multicell.domain import filling, strayed
+from multicell.errors import SceneError, StepFailed
+from multicell.explain import explain
+from multicell.nutrient.plan import scales
+from multicell.nutrient.roundness import departure
+from multicell.parts import Domain
+from multicell.scene import Scene
+
+BOX = {"x": [-45.0, 65.0], "y": ["-40 um", "30 um"], "z": [-30, 30]}
+FLAT = {"x": [-45.0, 65.0], "y": [-40.0, 30.0]}
+
+
+def scene(**changes):
+    entries = {
+        "duration": "2 h",
+        "initial": {"count": 12, "spacing": 0.9, "stage": "uniform"},
+        "contact": {"law": "hertz"},
+        "domain": BOX,
+    }
+    changes = {key.replace("__", "."): value for key, value in changes.items()}
+    return Scene.from_dict(entries).with_changes(changes)
+
+
+# --- how cubes fill a box ----------------------------------------------------------------------
+
+
+@given(
+    st.lists(st.integers(2, 40), min_size=2, max_size=3),
+    st.floats(0.3, 20.0),
+    st.floats(1.0, 3.0),
+)
+def test_cubes_fill_a_box_and_no_larger_ones_do(counts, edge, coarser):
+    lengths, wanted = [n * edge for n in counts], coarser * edge
+    found = filling(lengths, wanted)
+    assert found is not None
+    steps = np.array(lengths) / found
+    np.testing.assert_allclose(steps, steps[0], rtol=1e-9)
+    assert steps[0] <= wanted * (1 + 1e-9)
+    assert min(found) >= 2
+    # by trying all numbers of cubes along the shortest side: coarser ones do not fit
+    shortest = min(lengths)
+    for n in range(2, round(shortest / steps[0])):
+        step = shortest / n
+        whole = [abs(length / step - round(length / step)) < 1e-9 for length in lengths]
+        assert step > wanted * (1 - 1e-9) or not all(whole)
+
+
+def test_a_box_that_no_cubes_fill():
+    assert filling([100.0, 100.0 * np.sqrt(2.0), 50.0], 10.0) is None
+    assert filling([100.0, 40.0], 30.0) == (5, 2)
+
+
+@pytest.mark.parametrize("flat", [False, True])
+@pytest.mark.parametrize("regime", ["steady", "transient"])
+def test_faces_lie_on_the_sides_and_stay_there_while_tissue_grows(flat, regime):
+    changes = {"dimensions": 2, "domain": FLAT} if flat else {}
+    described = scene(
+        growth={"cycle_time": "8 h"},
+        nutrients={"oxygen": {"regime": regime, "spacing": "7 um", "boundary": "0.2 mM"}},
+        coupling_step="10 min",
+        **changes,
+    )
+    simulation = mc.Simulation(described)
+    first = simulation._feeding.fields["oxygen"].box
+    sides = [first.origin[a] for a in range(2 + (not flat))]
+    np.testing.assert_array_equal(sides, [-45.0, -40.0, -30.0][: len(sides)])
+    np.testing.assert_allclose(
+        first.upper[: len(sides)], [65.0, 30.0, 30.0][: len(sides)], rtol=1e-15
+    )
+    assert first.spacing == pytest.approx(5.0)
+    while not simulation.finished:
+        simulation.step()
+    assert simulation._feeding.fields["oxygen"].box == first
+    assert simulation._feeding.fields["oxygen"].layings == 1
+    ledger = simulation.ledger["oxygen"]
+    assert ledger.relaid == 0.0
+    assert ledger.uptake > 0.0
+    assert ledger.relative_remainder < 1e-8
+    assert simulation.divisions > 0
+
+
+def test_a_centre_on_any_side_is_on_the_grid():
+    """Rounding must not put a corner of the domain outside its own grid."""
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        edge, counts = rng.uniform(1.0, 9.0), rng.integers(3, 20, 3)
+        low = rng.uniform(-100.0, 100.0, 3)
+        high = low + edge * counts
+        domain = Domain(**{axis: [low[a], high[a]] for a, axis in enumerate("xyz")})
+        corners = np.array([low, high])
+        position = np.array([[corners[i, 0], corners[j, 1], corners[k, 2]]
+                             for i in (0, 1) for j in (0, 1) for k in (0, 1)])  # fmt: skip
+        assert strayed(domain, position) is None
+        from multicell.nutrient.layout import BoxLayout
+
+        layout = BoxLayout.within(domain, 1.7 * edge, None)
+        assert layout.box.spacing <= 1.7 * edge * (1 + 1e-12)
+        np.testing.assert_allclose(layout.gather(position, layout.filled(2.0)), 2.0, rtol=1e-12)
+        assert strayed(domain, np.nextafter(position[:1], -np.inf)) == (0, "x-")
+
+
+# --- what is refused ----------------------------------------------------------------------------
+
+OXYGEN = {"oxygen": {}}
+
+
+@pytest.mark.parametrize(
+    ("changes", "path", "words"),
+    [
+        ({"domain": {"x": [-9, 9], "y": [-9, 9]}}, "domain.z", "is missing"),
+        ({"domain": BOX, "dimensions": 2}, "domain.z", "2 dimensions"),
+        ({"domain": {**BOX, "x": [5, -5]}}, "domain.x", "lower end first"),
+        ({"domain": {**BOX, "x": [5]}}, "domain.x", "two quantities"),
+        ({"domain": {**BOX, "x": ["5 s", "7 s"]}}, "domain.x", "must be a length"),
+        ({"domain": {**BOX, "x": [-1e7, 0]}}, "domain.x", "at least -1e"),
+        ({"domain": {**BOX, "x": [-3, 3]}}, "domain.x", "at least 10 um"),
+        ({"domain": {**BOX, "u": [-3, 3]}}, "domain.u", "not a known key"),
+        ({"domain": {**BOX, "wall": "sticky"}}, "domain.wall", "must be one of"),
+        ({"domain": {**BOX, "young": 0}}, "domain.young", "above 0"),
+        ({"domain": {**BOX, "poisson": 0.6}}, "domain.poisson", "at most 0.5"),
+        ({"domain": {**BOX, "wall": "refuse", "young": 1}}, "domain.young", "no meaning"),
+        ({"nutrients": {"o2": {"geometry": "radial"}}}, "nutrients.o2.geometry", "with a domain"),
+        ({"nutrients": {"o2": {"geometry": "auto"}}}, "nutrients.o2.geometry", "with a domain"),
+        (
+            {"domain": {**BOX, "y": [-30, 41.42135623]}, "nutrients": OXYGEN},
+            "domain.y",
+            "which no cubes of",
+        ),
+        (
+            {"domain": {k: [-1e4, 1e4] for k in "xyz"}, "nutrients": OXYGEN},
+            "nutrients.oxygen.spacing",
+            "more than 16777216 nodes",
+        ),
+    ],
+)
+def test_bad_domains_are_refused_by_path(changes, path, words):
+    with pytest.raises(SceneError) as caught:
+        scene(**changes)
+    assert caught.value.path == path
+    assert words in caught.value.problem
+
+
+def test_a_refused_length_comes_with_one_that_fits():
+    changes = {"domain": {**BOX, "y": [-30.0, 41.42135623]}, "nutrients": OXYGEN}
+    with pytest.raises(SceneError, match="for example 70 um"):
+        scene(**changes)
+    changes["domain"] = {**BOX, "y": [-30.0, 40.0]}
+    assert scene(**changes).domain.y == (-30.0, 40.0)
+
+
+def test_a_domain_survives_a_round_trip_and_may_be_taken_away():
+    described = scene(domain__young="3 kPa")
+    assert described.domain == Domain(**BOX, young=3.0)
+    assert Scene.from_dict(described.to_dict()) == described
+    import tomllib
+
+    assert Scene.from_dict(tomllib.loads(described.to_toml())) == described
+    assert described.with_changes({"domain": None}).domain is None
+
+
+def test_cells_that_start_outside_are_refused():
+    described = scene(domain={**BOX, "z": [2.0, 62.0]})
+    with pytest.raises(SceneError, match=r"domain\.z: is too small: cell \d+ starts at .* side z-"):
+        mc.Simulation(described)
+
+
+def state(simulation):
+    cells = simulation.cells
+    return {
+        **{c.name: np.array(getattr(cells, c.name)) for c in columns(cells)},
+        "time": simulation.time,
+        "step": simulation.step_index,
+        "contacts": np.array(simulation.contacts),
+        "released": simulation.released,
+        "next": simulation._next_id,
+    }
+
+
+def unchanged(before, after):
+    for name in before:
+        np.testing.assert_array_equal(before[name], after[name], err_msg=name)
+
+
+def until_failure(simulation):
+    """Step until a step fails; return the state before it, and the failure."""
+    for _ in range(300):
+        before = state(simulation)
+        try:
+            simulation.step()
+        except StepFailed as error:
+            return before, error
+    raise AssertionError("no step failed")
+
+
+def test_where_nothing_holds_them_a_cell_that_leaves_is_named():
+    described = scene(
+        domain={**BOX, "wall": "refuse"}, haptotaxis={"force": 5.0, "axis": "y"},
+        initial__count=3, drag__viscosity="0.05 kPa s", coupling_step="5 s",
+        integrator={"method": "euler", "step": 1.0},
+    )  # fmt: skip
+    simulation = mc.Simulation(described)
+    before, caught = until_failure(simulation)
+    unchanged(before, state(simulation))
+    ahead = int(simulation.cells.id[simulation.cells.position[:, 1].argmax()])
+    assert caught.cell == ahead
+    assert "through the side y+" in caught.problem
+    assert caught.problem.endswith("um")
+    assert "'elastic'" in caught.hint
+
+
+def test_a_wall_too_soft_to_hold_is_named():
+    described = scene(
+        domain={**BOX, "young": "1 Pa"}, haptotaxis={"force": 5.0},
+        initial__count=1, drag__viscosity="0.05 kPa s", coupling_step="5 s",
+        integrator={"method": "cvode"},
+    )  # fmt: skip
+    simulation = mc.Simulation(described)
+    _, caught = until_failure(simulation)
+    assert "side x+" in caught.problem
+    assert "domain.young" in caught.hint
+    held = mc.Simulation(described.with_changes({"domain.young": "10 kPa", "duration": "20 min"}))
+    while not held.finished:
+        held.step()
+    radius, young = held.cells.radius[0], held.cells.young[0]
+    modulus = 1.0 / (compliance(young, 0.5) + compliance(10.0, 0.5))
+    depth = (5.0 / (modulus * np.sqrt(radius))) ** (2 / 3)
+    # haptotaxis is a constant force: rest is where Hertz bears it, to the tolerance
+    assert held.cells.position[0, 0] == pytest.approx(65.0 - radius + depth, abs=0.02)
+
+
+def test_a_daughter_outside_fails_the_step_and_leaves_its_beginning():
+    """Her centre is within the mother, but may be beyond a side that does not hold."""
+    described = scene(
+        domain={**BOX, "wall": "refuse"}, growth={"cycle_time": "1 h", "cycle_variation": 0.0},
+        initial__count=1, initial__stage="birth", duration="3 h",
+    )  # fmt: skip
+    simulation = mc.Simulation(described)
+    simulation.cells.position[0] = [0.0, 0.0, 30.0]
+    before, caught = until_failure(simulation)
+    assert "side z+" in caught.problem
+    unchanged(before, state(simulation))
+    assert simulation.divisions == 0
+
+
+# --- runs ---------------------------------------------------------------------------------------
+
+
+def grown(**changes):
+    """Return a run in which tissue fills a box and presses against its sides."""
+    return scene(
+        duration="9 h", growth={"cycle_time": "3 h"}, initial__count=20,
+        domain={k: [-17.0, 17.0] for k in "xyz"}, domain__young="5 kPa", cells__young="1 kPa",
+        **changes,
+    )  # fmt: skip
+
+
+def test_tissue_that_grows_in_a_box_stays_in_it_and_takes_its_shape():
+    simulation = mc.Simulation(grown())
+    while not simulation.finished:
+        simulation.step()
+    cells = simulation.cells
+    assert len(cells) > 150
+    assert np.abs(cells.position).max() < 17.0
+    # pressed against all six sides, by some tenths of a radius
+    depth = cells.radius[:, None] - (17.0 - np.abs(cells.position))
+    assert (depth.max(axis=0) > 0.5).all()
+    assert (depth.max(axis=0) < cells.radius.max()).all()
+    assert cells.pressure.mean() > 0.05
+    free = mc.Simulation(grown().with_changes({"domain": None}))
+    while not free.finished:
+        free.step()
+    assert np.abs(free.cells.position).max() > 20.0
+    assert cells.pressure.mean() > 3.0 * free.cells.pressure.mean()
+    # a ball reaches as far along its diagonal as along an axis, a cube √3 times as far
+    assert np.linalg.norm(cells.position, axis=1).max() > 1.4 * np.abs(cells.position).max()
+    assert departure(cells.position, cells.radius) < 0.05
+
+
+@pytest.mark.parametrize("method", ["cvode", "auto", "rkc2", "backward-euler"])
+def test_runs_in_a_box_have_the_same_bits_resumed_and_on_any_number_of_threads(method):
+    described = grown(
+        integrator={"method": method},
+        nutrients={"oxygen": {"boundary": "0.2 mM", "regime": "transient"}},
+        chemotaxis={"oxygen": {}},
+    ).with_changes({"duration": "3 h", "output.every": "1 h"})
+    frames = mc.run(described, threads=1).frames
+    assert len(frames[-1].cells) > len(frames[0].cells)
+    for threads in (1, 2):
+        again = mc.Simulation(described, threads=threads, frame=frames[1])
+        while not again.finished:
+            again.step()
+        last = again.frame()
+        for column in columns(last.cells):
+            one, other = (getattr(f.cells, column.name) for f in (frames[-1], last))
+            np.testing.assert_array_equal(one, other, err_msg=column.name)
+        one, other = (f.fields["oxygen"] for f in (frames[-1], last))
+        np.testing.assert_array_equal(one.values, other.values)
+        assert (frames[-1].progress.ledger, frames[-1].progress.work) == (
+            last.progress.ledger, last.progress.work,
+        )  # fmt: skip
+
+
+def test_a_cluster_climbs_the_gradient_between_two_reservoirs():
+    """The title of the scene, against closed forms.
+
+    Between c = 0 at x = -100 µm and 0.01 mM at x = 400 µm without uptake c is linear, and the force
+    F = f g/(g + half) with g = 0.01 mM / 500 µm. Contacts cancel in the sum over all cells, so that
+    the centre weighted by the radii moves at N F / (6πη Σ r_i), but for the random motion.
+    """
+    described = mc.load_scene("chemotaxis")
+    frames = mc.run(described).frames
+    gradient = 0.01 / 500.0
+    centres, found = [], []
+    for frame in frames:
+        cells, c = frame.cells, frame.concentrations["attractant"]
+        np.testing.assert_allclose(c, gradient * (cells.position[:, 0] + 100.0), atol=1e-9)
+        field = frame.fields["attractant"]
+        nodes = field.origin[0] + (np.arange(field.values.shape[0]) + 0.5) * field.spacing
+        exact = gradient * (nodes + 100.0)
+        np.testing.assert_allclose(field.values, np.broadcast_to(
+            exact[:, None, None], field.values.shape), atol=1e-9)  # fmt: skip
+        np.testing.assert_array_equal(field.origin, [-100.0, -60.0, -60.0])
+        centres.append(np.average(cells.position, axis=0, weights=cells.radius))
+        found.append(c.mean())
+        assert cells.position[:, 0].max() + cells.radius.max() < 400.0
+    centres = np.array(centres)
+    assert (np.diff(centres[:, 0]) > 0.0).all()
+    assert (np.diff(found) > 0.0).all()
+    assert found[-1] > 3.0 * found[0]
+    cells = frames[0].cells
+    force = 0.4 * gradient / (gradient + 1e-5)
+    speed = len(cells) * force / (6 * np.pi * 0.5 * cells.radius.sum())
+    # random pushes of 0.1 nN for 10 min each: v τ √(intervals/3) over √N, below 1 µm in 12 h
+    time = np.array([frame.time for frame in frames])
+    np.testing.assert_allclose(centres[:, 0] - centres[0, 0], speed * time, atol=2.0)
+    assert np.abs(centres[:, 1:]).max() < 2.0
+    assert speed * time[-1] > 250.0
+
+
+# --- what is said -------------------------------------------------------------------------------
+
+
+def test_explain_says_which_fields_follow_the_cells_and_which_stand_still():
+    def told(described):
+        return {p["part"]: p["what"] for p in explain(described)["parts"]}
+
+    still = told(mc.load_scene("chemotaxis"))
+    assert "fields that stand still on it: attractant" in still["domain"]
+    assert "elastic walls of 1 kPa" in still["domain"]
+    assert "stand still on the domain" in still["nutrients.attractant"]
+    moving = told(mc.load_scene("spheroid"))
+    assert "fields that follow the cells: oxygen" in moving["domain"]
+    assert "follow" in moving["nutrients.oxygen"]
+    assert "follow" not in still["nutrients.attractant"]
+    shells = mc.load_scene("spheroid").with_changes({"nutrients.oxygen.geometry": "radial"})
+    assert "shells of" in told(shells)["nutrients.oxygen"]
+    assert "follow" in told(shells)["nutrients.oxygen"]
+    refused = mc.load_scene("chemotaxis").with_changes({"domain.wall": "refuse"})
+    assert "ends the run" in told(refused)["domain"]
+    assert "ends: none" not in told(mc.load_scene("settle"))["domain"]
+
+
+@pytest.mark.parametrize(
+    ("ends", "k"),
+    [
+        (("value", "value"), np.pi / 110.0),
+        (("value", "derivative"), np.pi / 220.0),
+    ],
+)
+def test_the_diffusion_time_of_a_domain_is_that_of_its_slowest_mode(ends, k):
+    wall = {"type": "derivative", "derivative": 0.0}
+    sides = {"*": wall, **{f"x{s}": {"value": 1.0} for s, e in zip("-+", ends, strict=True)
+                           if e == "value"}}  # fmt: skip
+    described = scene(nutrients={"a": {"sides": sides, "diffusion": 50.0, "uptake": 0.0}})
+    assert scales(described, "a").time == pytest.approx(1.0 / (50.0 * k**2))
+
+
+def test_scenes_without_a_domain_do_not_load_walls():
+    code = (
+        "import sys, multicell as mc; "
+        "mc.run(mc.load_scene('growth').with_changes({'duration': '20 min'})); "
+        "print('multicell.walls' in sys.modules)"
+    )
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert out.stdout.strip() == "False"
