@@ -84,7 +84,7 @@ UNITS: Final[Mapping[str, str]] = {
 def _patterns() -> list[tuple[re.Pattern[str], str]]:
     """Return what matches names with a star, with their units."""
     return [
-        (re.compile(".+".join(map(re.escape, name.split("*"))), re.DOTALL), unit)
+        (re.compile(r"[^.]+".join(map(re.escape, name.split("*")))), unit)
         for name, unit in UNITS.items()
         if "*" in name
     ]
