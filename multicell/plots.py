@@ -249,8 +249,7 @@ def _draw_states(axes: Axes, time: FloatArray, history: History) -> None:
     if held.max() > 0:  # above the dead, whom nothing holds back
         dead = history["necrotic"] + history["apoptotic"]
         label = "living, growth halved by pressure"
-        mark = "--" if len(time) > 1 else "o"
-        axes.plot(time, dead + held, mark, color=INK, lw=2, label=label)
+        axes.plot(time, dead + held, _mark(time), color=INK, lw=2, label=label)
     # room for the legend above a flat top
     _count_axis(axes, (1.25 if held.max() == 0 else 1.35) * float(history["cells"].max()))
     handles, labels = axes.get_legend_handles_labels()

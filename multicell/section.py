@@ -76,8 +76,8 @@ def section(
     cut = frame.cells.radius**2 - (place[:, 2] - middle[2]) ** 2
     cells = frame.cells.take(cut > 0.0)
     radius = np.sqrt(cut[cut > 0.0])
-    what = "section through the centre" if dimensions == 3 else "all cells"
-    figure = blank(title, f"{moment(frame)}: {what} ({cell_count(len(cells))})")
+    cut_through = f": section through the centre ({cell_count(len(cells))})"
+    figure = blank(title, moment(frame) + (cut_through if dimensions == 3 else ""))
     axes = figure.add_axes((0.03, 0.04, 0.66, 0.83))
     size = uniform_radius(frame.cells, middle, dimensions)
     half = 1.22 * size + 2.0 * float(frame.cells.radius.max())
