@@ -59,7 +59,8 @@ def observed(run: Run) -> tuple[float, ...]:
     """Return the observables at the end of a run."""
     summary = mc.run(setup(*run), threads=1).summary()
     summary["radius"] = 0.5 * summary["diameter"]
-    return tuple(float(summary[name]) for name in OBSERVABLES)
+    # a run without a necrotic core has no rim
+    return tuple(np.nan if summary[n] is None else float(summary[n]) for n in OBSERVABLES)
 
 
 def ensemble(seeds: Sequence[int], steps: Sequence[float], processes: int) -> np.ndarray:

@@ -24,7 +24,7 @@ from multicell.drawing import (
     type_label,
 )
 from multicell.frame import Frame
-from multicell.observables import centre, distances
+from multicell.observables import centre, distances, sizes
 from multicell.pairs import Pair, pair_of
 
 if TYPE_CHECKING:
@@ -48,14 +48,14 @@ def random_mixing(cells: Cells) -> float:
     return float(1.0 - (numbers * (numbers - 1.0)).sum() / (count * (count - 1.0)))
 
 
-def mean_distances(cells: Cells, types: int) -> FloatArray:
+def mean_distances(cells: Cells, types: int, dimensions: int) -> FloatArray:
     """Return the mean distance of each type's cells from the centre: (types,), µm.
 
     NaN for a type without cells.
     """
     if len(cells) == 0:
         return np.full(types, np.nan)
-    distance = distances(cells, centre(cells))
+    distance = distances(cells, centre(cells, dimensions))
     number = np.bincount(cells.kind, minlength=types)
     total = np.bincount(cells.kind, weights=distance, minlength=types)
     mean = np.full(types, np.nan)
@@ -97,7 +97,7 @@ def contacts(frames: Sequence[Frame], history: History, scene: Scene, title: str
     lower = figure.add_subplot(grid[1, 0])
     _draw_contacts(lower, history, unit)
     right = figure.add_subplot(grid[:, 1])
-    _draw_distances(right, frames, list(scene.types), unit)
+    _draw_distances(right, frames, scene, unit)
     end = float(history["time"][-1]) / unit.seconds
     for axes in (upper, lower, right):
         axes.set_xlim((0.0, end) if end > 0.0 else (-0.5, 0.5))
@@ -145,10 +145,11 @@ def _draw_contacts(axes: Axes, history: History, unit: TimeUnit) -> None:
     axes.set_ylabel("number of pairs")
 
 
-def _draw_distances(axes: Axes, frames: Sequence[Frame], names: list[str], unit: TimeUnit) -> None:
+def _draw_distances(axes: Axes, frames: Sequence[Frame], scene: Scene, unit: TimeUnit) -> None:
     """Draw the mean distance of each type from the centre."""
+    names = list(scene.types)
     time = np.array([frame.time for frame in frames]) / unit.seconds
-    mean = np.array([mean_distances(frame.cells, len(names)) for frame in frames])
+    mean = np.array([mean_distances(f.cells, len(names), scene.dimensions) for f in frames])
     axes.set_title("Distance from the centre")
     handles = []
     for k, colour in enumerate(type_colours(names).values()):
@@ -162,15 +163,17 @@ def _draw_distances(axes: Axes, frames: Sequence[Frame], names: list[str], unit:
     axes.legend(handles, [type_label(name) for name in names], loc="upper left")
 
 
-def distance_of_two(diameter: FloatArray, cells: Cells) -> FloatArray:
+def distance_of_two(diameter: FloatArray, cells: Cells, dimensions: int) -> FloatArray:
     """Return the distance of two cells of constant radii from their common diameter, µm.
 
-    It inverts :func:`multicell.observables.sphere_radius`: with the parts p of the volume,
-    (3/5) R² = p₁ p₂ d² + (3/5) (p₁ r₁² + p₂ r₂²).
+    It inverts :func:`multicell.observables.uniform_radius`: with the parts p of the volume (in a
+    plane of the area) and q = d / (d + 2), q R² = p₁ p₂ x² + q (p₁ r₁² + p₂ r₂²).
     """
-    part = cells.volume / cells.volume.sum()
+    size = sizes(cells, dimensions)
+    part = size / size.sum()
     own = float(part @ cells.radius**2)
-    square = 0.6 * (0.25 * np.square(diameter) - own) / float(np.prod(part))
+    share = dimensions / (dimensions + 2)
+    square = share * (0.25 * np.square(diameter) - own) / float(np.prod(part))
     return np.sqrt(np.maximum(square, 0.0))
 
 
@@ -223,7 +226,9 @@ def pull(frames: Sequence[Frame], history: History, scene: Scene, title: str) ->
     axes = figure.add_axes((0.09, 0.12, 0.87, 0.63))
     axes.set_ylabel("force (nN)")
     two = len(frames[0].cells) == 2 and scene.growth is None
-    x = distance_of_two(history["diameter"], frames[0].cells) if two else history["diameter"]
+    x = history["diameter"]
+    if two:
+        x = distance_of_two(x, frames[0].cells, scene.dimensions)
     axes.set_xlabel("distance of the two centres (µm)" if two else "diameter of all cells (µm)")
     kept = slice(0, max(last, 0) + 1)
     axes.plot(x[kept], force[kept], _style(x[kept]), color=BLUE, lw=2.4, label="pull", zorder=3)

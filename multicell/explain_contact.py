@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from multicell.contact import JKR, ExactJKR, Hertz
 from multicell.facts import Number, Part, hours
+from multicell.packing import collapse_notes, strongest_attraction
 from multicell.pairs import Pair, birth_radius, daughters_stiffness, drag, pairs, typical_radius
 from multicell.springs import Spring
 
@@ -67,11 +68,12 @@ def contact_numbers(scene: Scene) -> list[Number]:
             "for two fresh daughters alone; several times less in tissue",
         )
     )
-    return [*numbers, *_motility(scene), *_pull(scene)]
+    return [*numbers, *_packing(scene), *_motility(scene), *_pull(scene)]
 
 
 def contact_notes(scene: Scene) -> Iterator[str]:
     """Yield remarks on contact and motion that are allowed but may not be meant."""
+    yield from collapse_notes(scene)
     own = list(pairs(scene, typical_radius(scene)))
     if isinstance(scene.contact, JKR) and all(_surface_energy(pair) == 0.0 for _, pair in own):
         yield "A surface energy of zero makes JKR the same as Hertz."
@@ -206,6 +208,17 @@ def _rubbing(scene: Scene, named: str, area: float, stokes: float) -> list[Numbe
         )
         for way, coefficient in both
     ]
+
+
+def _packing(scene: Scene) -> list[Number]:
+    """Return how strongly cells attract each other against collapse; nothing where none does."""
+    numbers = []
+    for label, (ratio, _, _) in strongest_attraction(scene).items():
+        if 0.0 < ratio < math.inf:
+            named = f", {label}" if label else ""
+            meaning = "of newborn cells, integrated over space: tissue collapses above 1"
+            numbers.append(Number(f"attraction / repulsion{named}", ratio, "", meaning))
+    return numbers
 
 
 def _motility(scene: Scene) -> list[Number]:

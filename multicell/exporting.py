@@ -14,8 +14,8 @@ from multicell.cells import Cells, Phase, State
 from multicell.errors import OutputError
 from multicell.folder import words
 from multicell.frame import Frame
-from multicell.observables import SUMMARY_UNITS
 from multicell.parameters import near_miss
+from multicell.quantities import unit_of
 from multicell.result import Result, load_result
 
 Table = Mapping[str, NDArray[Any]]
@@ -42,7 +42,8 @@ def export(
     ``lineage`` has one row for every cell that ever was (:meth:`Lineage.table`), ``history`` one
     for each coupling step, ``cells`` and ``contacts`` one for each cell and each pair in contact in
     each frame. Where a run does not count its contacts (:attr:`Frame.contacts`), pairs whose
-    spheres overlap are taken. A column with a dimension ends in its unit: ``position_x_um``.
+    spheres overlap are taken. A column with a dimension ends in its unit (``position_x_um``), and a
+    number that does not exist, such as the viable rim without a core, is left empty.
 
     Parameters
     ----------
@@ -103,8 +104,18 @@ def _write(writer: Any, parts: Iterable[Table]) -> None:
     for k, part in enumerate(parts):
         if k == 0:
             writer.writerow(part)
-        # Python's numbers are written with all digits that tell them apart
-        writer.writerows(zip(*(column.tolist() for column in part.values()), strict=True))
+        writer.writerows(zip(*map(_written, part.values()), strict=True))
+
+
+def _written(column: NDArray[Any]) -> list[Any]:
+    """Return what is written of a column: nothing where there is no number."""
+    # Python's numbers are written with all digits that tell them apart
+    values: list[Any] = column.tolist()
+    if column.dtype.kind == "f":
+        missing = np.isnan(column)
+        if missing.any():
+            return ["" if no else value for value, no in zip(values, missing.tolist(), strict=True)]
+    return values
 
 
 def _cells(run: Result, frames: Iterator[tuple[int, Frame]]) -> Iterator[Table]:
@@ -115,12 +126,12 @@ def _cells(run: Result, frames: Iterator[tuple[int, Frame]]) -> Iterator[Table]:
         n = len(frame.cells)
         table: dict[str, NDArray[Any]] = {
             "frame": np.full(n, number),
-            "time_s": np.full(n, frame.time),
+            _titled("time", unit_of("cells.time")): np.full(n, frame.time),
         }
-        for name, spec in Cells.schema().items():
+        for name in Cells.schema():
             if name in _OF_PHASES and not phases:
                 continue
-            column, unit = getattr(frame.cells, name), spec["unit"]
+            column, unit = getattr(frame.cells, name), unit_of(f"cells.{name}")
             if name == "kind":
                 column = kinds[column]
             elif name in _NAMED:
@@ -131,7 +142,8 @@ def _cells(run: Result, frames: Iterator[tuple[int, Frame]]) -> Iterator[Table]:
                 for axis, values in zip(_axes(column.shape[1]), column.T, strict=True):
                     table[_titled(f"{name}_{axis}", unit)] = values
         for name, values in frame.concentrations.items():
-            table[_titled(f"concentration_{name}", "mM")] = values
+            unit = unit_of(f"cells.concentration_{name}")
+            table[_titled(f"concentration_{name}", unit)] = values
         yield table
 
 
@@ -145,14 +157,15 @@ def _contacts(run: Result, frames: Iterator[tuple[int, Frame]]) -> Iterator[Tabl
             pairs = _overlapping(cells)
         n, (first, second) = len(pairs), pairs.T
         apart = np.linalg.norm(cells.position[first] - cells.position[second], axis=1)
-        yield {
+        table = {
             "frame": np.full(n, number),
-            "time_s": np.full(n, frame.time),
+            "time": np.full(n, frame.time),
             "first_id": cells.id[first],
             "second_id": cells.id[second],
-            "distance_um": apart,
-            "overlap_um": cells.radius[first] + cells.radius[second] - apart,
+            "distance": apart,
+            "overlap": cells.radius[first] + cells.radius[second] - apart,
         }
+        yield {_titled(name, unit_of(f"contacts.{name}")): v for name, v in table.items()}
 
 
 def _overlapping(cells: Cells) -> NDArray[np.int64]:
@@ -174,13 +187,13 @@ def _lineage(run: Result, frames: Iterator[tuple[int, Frame]]) -> Iterator[Table
     for name, column in run.lineage.items():
         if name == "kind":
             column = kinds[column]
-        table[_titled(name, "s" if name.endswith("_time") else "")] = column
+        table[_titled(name, unit_of(f"lineage.{name}"))] = column
     yield table
 
 
 def _history(run: Result, frames: Iterator[tuple[int, Frame]]) -> Iterator[Table]:
     """Give the history, one row for each coupling step."""
-    yield {_titled(name, SUMMARY_UNITS.get(name, "")): v for name, v in run.history.items()}
+    yield {_titled(name, unit_of(name)): column for name, column in run.history.items()}
 
 
 TABLES: Final[Mapping[str, Callable[[Result, Iterator[tuple[int, Frame]]], Iterator[Table]]]] = {

@@ -24,7 +24,7 @@ from multicell.drawing import (
     type_label,
 )
 from multicell.frame import Field, Frame
-from multicell.observables import RadialProfile, centre, field_profile, sphere_radius
+from multicell.observables import RadialProfile, centre, field_profile, uniform_radius
 from multicell.section import draw_circles, refined
 
 if TYPE_CHECKING:
@@ -36,7 +36,9 @@ _MARKED: Final = 12  # switches of the medium, above which lines would hide the 
 
 
 @styled
-def field_maps(frame: Frame, title: str, nutrients: Mapping[str, Nutrient]) -> Figure:
+def field_maps(
+    frame: Frame, title: str, nutrients: Mapping[str, Nutrient], dimensions: int
+) -> Figure:
     """Draw the cells that the plane z = centre cuts, and beside them a map of every field.
 
     Parameters
@@ -47,6 +49,8 @@ def field_maps(frame: Frame, title: str, nutrients: Mapping[str, Nutrient]) -> F
         Heading.
     nutrients : name -> Nutrient
         Thresholds, drawn as contour lines, in the order of the maps.
+    dimensions
+        Of the scene.
 
     Raises
     ------
@@ -56,10 +60,10 @@ def field_maps(frame: Frame, title: str, nutrients: Mapping[str, Nutrient]) -> F
     shown = [name for name in nutrients if name in frame.fields]
     if not shown:
         raise ValueError("the frame has no fields: there is nothing to map")
-    cells, middle = frame.cells, centre(frame.cells)
+    cells, middle = frame.cells, centre(frame.cells, dimensions)
     cut = cells.radius**2 - (cells.position[:, 2] - middle[2]) ** 2
     place, radius = cells.position[cut > 0.0, :2], np.sqrt(cut[cut > 0.0])
-    half = 1.22 * sphere_radius(cells, middle) + 2.0 * float(cells.radius.max())
+    half = 1.22 * uniform_radius(cells, middle, dimensions) + 2.0 * float(cells.radius.max())
     figure = blank(title, f"{moment(frame)}: section through the centre, {2 * half:.0f} µm wide")
     columns = min(len(shown) + 1, 3) if len(shown) < 3 else (len(shown) + 2) // 2
     grid = figure.add_gridspec(
@@ -116,7 +120,12 @@ def _map(
 
 
 def draw_profile(
-    axes: Axes, frame: Frame, profile: RadialProfile, name: str, nutrient: Nutrient
+    axes: Axes,
+    frame: Frame,
+    profile: RadialProfile,
+    name: str,
+    nutrient: Nutrient,
+    dimensions: int,
 ) -> None:
     """Draw one field against the radius in its own unit: line the field, points the cells."""
     values = profile.concentrations[name]
@@ -124,7 +133,7 @@ def draw_profile(
     if name in frame.fields:
         field = frame.fields[name]
         edges = np.arange(0.0, profile.edges[-1] + field.spacing, field.spacing)
-        means = field_profile(field, centre(frame.cells), edges)
+        means = field_profile(field, centre(frame.cells, dimensions), edges)
         filled = np.isfinite(means)
         middles = 0.5 * (edges[1:] + edges[:-1])
         axes.plot(middles[filled], means[filled], color=BLUE, lw=2, alpha=0.6, label="field")
@@ -150,8 +159,8 @@ def draw_hypoxic(axes: Axes, time: FloatArray, history: Mapping[str, FloatArray]
             colour = (COLOURS["quiescent"], RED, QUIET)[k % 3]
             axes.plot(time, shown, color=colour, lw=1.8, ls=("-.", ":")[k % 2], label=label)
             largest = max(largest, float(size.max()))
-    if largest > 0.0 or history["necrotic_radius"].max() > 0.0:
-        rim = history["viable_rim"]
+    rim = history["viable_rim"]  # there is none without a core
+    if np.isfinite(rim).any():
         axes.plot(time, rim, color=COLOURS["proliferating"], lw=1.8, label="viable rim (thickness)")
     return largest
 

@@ -1,44 +1,32 @@
 """Numbers that describe a population: size, necrotic core, viable rim, radial profiles.
 
-All functions take a state and return plain numbers or arrays; none of them changes a state.
+All functions take a state and return plain numbers or arrays; none of them changes a state. Where
+lengths are measured they need the dimensions of the scene: a ball and a disc have formulas of
+their own.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final, final
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.cells import Cells, FloatArray, IntArray, State
+from multicell.cells import DEAD, Cells, FloatArray, IntArray, State
 from multicell.frame import Field, Frame
 
 Mask = NDArray[np.bool_]
 
-SUMMARY_UNITS: Final[Mapping[str, str]] = {
-    "time": "s",
-    "diameter": "um",
-    "necrotic_radius": "um",
-    "viable_rim": "um",
-    "hypoxic_radius": "um",
-    "largest_pressure": "kPa",
-    "volume_released": "um^3",
-    "wall": "s",
-    "ledger": "amol",
-    "integrator.largest_local_error": "um",
-    "fields.spacing": "um",
-    "fields.layer": "um",
-    "fields.discretisation_error": "mM",
-    "separation.time": "s",
-    "separation.force": "nN",
-}
-"""Units of the dimensional entries of a summary; everything else is a count or a ratio."""
+
+def sizes(cells: Cells, dimensions: int) -> FloatArray:
+    """Return what each cell fills of its space, (n,): volume in µm³, in a plane its area in µm²."""
+    return cells.volume if dimensions == 3 else np.asarray(np.pi * cells.radius**2)
 
 
-def centre(cells: Cells) -> FloatArray:
-    """Return the centroid of all cells, weighted by volume: (3,), µm.
+def centre(cells: Cells, dimensions: int) -> FloatArray:
+    """Return the centroid of all cells, weighted by :func:`sizes`: (3,), µm.
 
     Raises
     ------
@@ -47,7 +35,7 @@ def centre(cells: Cells) -> FloatArray:
     """
     if len(cells) == 0:
         raise ValueError("a population of no cells has no centre")
-    return np.average(cells.position, axis=0, weights=cells.volume)
+    return np.average(cells.position, axis=0, weights=sizes(cells, dimensions))
 
 
 def distances(cells: Cells, origin: FloatArray) -> FloatArray:
@@ -55,13 +43,17 @@ def distances(cells: Cells, origin: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.norm(cells.position - origin, axis=1))
 
 
-def sphere_radius(cells: Cells, origin: FloatArray, mask: Mask | None = None) -> float:
-    """Return the radius of the uniform ball with the cells' radius of gyration about ``origin``.
+def uniform_radius(
+    cells: Cells, origin: FloatArray, dimensions: int, mask: Mask | None = None
+) -> float:
+    """Return the radius of the uniform ball (or disc) with the cells' radius of gyration.
 
-    A uniform ball of radius R has the mean square distance 3/5 R² from its centre, so that
-    R² = 5/3 Σ V_i (|x_i - origin|² + 3/5 r_i²) / Σ V_i. The second term is the cell's own
-    extent, which makes the formula exact for a single cell too. Cells that stick out count
-    little and gaps between cells do not count at all.
+    In d dimensions the mean square distance from the centre of a uniform ball of radius R is
+    q R² with q = d / (d + 2): 3/5 in space, 1/2 in a plane. So
+    R² = Σ s_i (|x_i - origin|² + q r_i²) / (q Σ s_i), with the volumes s_i of the cells in space
+    and their areas in a plane. The second term is the cell's own extent, which makes the formula
+    exact for a single cell too. Cells that stick out count little and gaps between cells do not
+    count at all.
 
     Parameters
     ----------
@@ -69,6 +61,8 @@ def sphere_radius(cells: Cells, origin: FloatArray, mask: Mask | None = None) ->
         The population.
     origin : (3,) µm
         Point from which distances are taken.
+    dimensions
+        Of the scene: 3, or 2 where all cells lie in a plane.
     mask : (n,) bool
         Cells to take; all of them when absent.
 
@@ -80,34 +74,50 @@ def sphere_radius(cells: Cells, origin: FloatArray, mask: Mask | None = None) ->
     chosen = cells if mask is None else cells.take(mask)
     if len(chosen) == 0:
         return 0.0
-    square = distances(chosen, origin) ** 2 + 0.6 * chosen.radius**2
-    return float(np.sqrt(5.0 / 3.0 * np.average(square, weights=chosen.volume)))
+    share = dimensions / (dimensions + 2)
+    square = distances(chosen, origin) ** 2 + share * chosen.radius**2
+    mean = np.average(square, weights=sizes(chosen, dimensions))
+    return float(np.sqrt((dimensions + 2) / dimensions * mean))
 
 
-def diameter(cells: Cells) -> float:
-    """Return the diameter of the population in µm (:func:`sphere_radius`), 0 without cells."""
-    return 2.0 * sphere_radius(cells, centre(cells)) if len(cells) else 0.0
+def diameter(cells: Cells, dimensions: int) -> float:
+    """Return the diameter of the population in µm (:func:`uniform_radius`), 0 without cells."""
+    if len(cells) == 0:
+        return 0.0
+    return 2.0 * uniform_radius(cells, centre(cells, dimensions), dimensions)
 
 
-def necrotic_radius(cells: Cells) -> float:
+def necrotic_radius(cells: Cells, dimensions: int) -> float:
     """Return the radius of the necrotic core in µm, 0 if no cell is necrotic.
 
-    The formula of :func:`sphere_radius` over necrotic cells about the centre of all cells; a
+    The formula of :func:`uniform_radius` over necrotic cells about the centre of all cells; a
     core that is hollow, because its oldest cells were removed, is measured somewhat too large.
     """
     dead = cells.state == State.NECROTIC
-    return sphere_radius(cells, centre(cells), dead) if dead.any() else 0.0
+    if not dead.any():
+        return 0.0
+    return uniform_radius(cells, centre(cells, dimensions), dimensions, dead)
 
 
-def viable_rim(cells: Cells) -> float:
-    """Return the thickness of the layer outside the necrotic core in µm."""
-    return 0.5 * diameter(cells) - necrotic_radius(cells)
+def viable_rim(cells: Cells, dimensions: int) -> float:
+    """Return the thickness of the layer outside the necrotic core in µm, NaN without a core.
+
+    Necrotic cells that lie further out than the others on average are no core either: there is
+    no layer outside them.
+    """
+    core = necrotic_radius(cells, dimensions)
+    rim = 0.5 * diameter(cells, dimensions) - core
+    # rounding must not take the rim of a population that is all core
+    lost = rim < -1e-12 * core
+    return float("nan") if core == 0.0 or lost else max(rim, 0.0)
 
 
-def hypoxic_radius(cells: Cells, concentration: FloatArray, threshold: float) -> float:
+def hypoxic_radius(
+    cells: Cells, concentration: FloatArray, threshold: float, dimensions: int
+) -> float:
     """Return the radius within which cells lack a nutrient, in µm; 0 if none does.
 
-    The formula of :func:`sphere_radius` over the cells below the threshold, dead ones too.
+    The formula of :func:`uniform_radius` over the cells below the threshold, dead ones too.
 
     Parameters
     ----------
@@ -117,9 +127,49 @@ def hypoxic_radius(cells: Cells, concentration: FloatArray, threshold: float) ->
         At the cells.
     threshold : mM
         Below it cells rest.
+    dimensions
+        Of the scene.
     """
     lacking = concentration < threshold
-    return sphere_radius(cells, centre(cells), lacking) if lacking.any() else 0.0
+    if not lacking.any():
+        return 0.0
+    return uniform_radius(cells, centre(cells, dimensions), dimensions, lacking)
+
+
+def packing_ratio(cells: Cells, dimensions: int) -> float:
+    """Return the sum of the cells' volumes over the volume of the ball round them, NaN if none.
+
+    In a plane it is areas over the area of the disc. The ball is that of :func:`diameter`. Spheres
+    that do not overlap stay at or below 1, since no body has a smaller radius of gyration than the
+    ball of its volume; :func:`multicell.packing.densest` says how much overlap is too much.
+    """
+    if len(cells) == 0:
+        return float("nan")
+    radius = 0.5 * diameter(cells, dimensions)
+    return float(((cells.radius / radius) ** dimensions).sum())
+
+
+def pressure_summary(cells: Cells, critical: float) -> dict[str, float | int]:
+    """Return how much pressure holds back the growth of the living cells.
+
+    Parameters
+    ----------
+    cells
+        The population.
+    critical
+        Pressure p_crit at which growth stops, kPa.
+
+    Returns
+    -------
+    dict
+        ``pressure_factor``: mean of min(1, max(0, 1 - p/p_crit)), the factor of pressure on the
+        rate of growth, over all living cells, NaN if none lives. ``held_by_pressure``: number of
+        living cells in which it is 1/2 or less.
+    """
+    living = cells.pressure[~np.isin(cells.state, DEAD)]
+    factor = np.clip(1.0 - living / critical, 0.0, 1.0)
+    mean = float(factor.mean()) if len(factor) else float("nan")
+    return {"pressure_factor": mean, "held_by_pressure": int((factor <= 0.5).sum())}
 
 
 def state_counts(cells: Cells) -> dict[str, int]:
@@ -150,23 +200,32 @@ def largest_pressure(cells: Cells) -> float:
     return float(cells.pressure.max()) if len(cells) else 0.0
 
 
-def state_summary(time: float, cells: Cells) -> dict[str, Any]:
+def state_summary(time: float, cells: Cells, dimensions: int) -> dict[str, Any]:
     """Return the part of a summary that follows from the cells alone.
 
-    The units of its entries are those of :data:`SUMMARY_UNITS`.
+    A number that does not exist is None: ``viable_rim`` without a core, ``packing_ratio`` without
+    cells. The units are those of :func:`multicell.quantities.unit_of`.
     """
     return {
         "time": float(time),
         "cells": len(cells),
-        "diameter": diameter(cells),
-        "necrotic_radius": necrotic_radius(cells),
-        "viable_rim": viable_rim(cells),
+        "diameter": diameter(cells, dimensions),
+        "necrotic_radius": necrotic_radius(cells, dimensions),
+        "viable_rim": known(viable_rim(cells, dimensions)),
+        "packing_ratio": known(packing_ratio(cells, dimensions)),
         "largest_pressure": largest_pressure(cells),
         "states": state_counts(cells),
     }
 
 
-def history_row(time: float, step: int, cells: Cells, **extra: float) -> dict[str, float]:
+def known(value: float) -> float | None:
+    """Return a number, or None in place of NaN."""
+    return None if np.isnan(value) else value
+
+
+def history_row(
+    time: float, step: int, cells: Cells, dimensions: int, **extra: float
+) -> dict[str, float]:
     """Return one row of a run's history.
 
     Parameters
@@ -175,6 +234,8 @@ def history_row(time: float, step: int, cells: Cells, **extra: float) -> dict[st
         Simulated time in s and number of coupling steps done.
     cells
         All cells.
+    dimensions
+        Of the scene.
     **extra
         More columns; a history keeps the columns of its first row.
 
@@ -182,20 +243,20 @@ def history_row(time: float, step: int, cells: Cells, **extra: float) -> dict[st
     -------
     dict
         ``time`` (s), ``step``, ``cells``, ``proliferating``, ``quiescent``, ``necrotic``,
-        ``apoptotic``,
-        ``diameter``, ``necrotic_radius``, ``viable_rim`` (µm), ``largest_pressure`` (kPa) and
-        the extra columns, all as floats.
+        ``apoptotic``, ``diameter``, ``necrotic_radius``, ``viable_rim`` (µm), ``packing_ratio``,
+        ``largest_pressure`` (kPa) and the extra columns, all as floats; NaN where a number does
+        not exist.
     """
-    summary = state_summary(time, cells)
+    summary = state_summary(time, cells, dimensions)
     states = summary.pop("states")
     row = {"time": summary.pop("time"), "step": step, **summary, **states, **extra}
-    return {name: float(value) for name, value in row.items()}
+    return {n: float("nan") if value is None else float(value) for n, value in row.items()}
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class RadialProfile:
-    """Averages over spherical shells about the centre of a population.
+    """Averages over spherical shells, in a plane over rings, about the centre of a population.
 
     Attributes
     ----------
@@ -223,8 +284,8 @@ class RadialProfile:
         return np.asarray(0.5 * (self.edges[1:] + self.edges[:-1]))
 
 
-def radial_profile(frame: Frame, bins: int = 20) -> RadialProfile:
-    """Return averages over ``bins`` shells of equal thickness that hold all cells.
+def radial_profile(frame: Frame, dimensions: int, bins: int = 20) -> RadialProfile:
+    """Return averages over ``bins`` shells (or rings) of equal thickness that hold all cells.
 
     Raises
     ------
@@ -234,7 +295,7 @@ def radial_profile(frame: Frame, bins: int = 20) -> RadialProfile:
     if bins < 1:
         raise ValueError(f"a profile needs at least 1 bin, got {bins}")
     cells = frame.cells
-    radius = distances(cells, centre(cells))
+    radius = distances(cells, centre(cells, dimensions))
     edges = np.linspace(0.0, max(float(radius.max()), float(cells.radius.max())), bins + 1)
     return RadialProfile(
         edges=edges,

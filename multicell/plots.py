@@ -40,7 +40,7 @@ from multicell.observables import (
     distances,
     field_profile,
     radial_profile,
-    sphere_radius,
+    uniform_radius,
 )
 from multicell.section import section
 
@@ -80,17 +80,19 @@ class Plots:
 
     def section(self, frame: int = -1) -> Figure:
         """Show the cells that the plane z = centre cuts, at frame number ``frame``."""
-        shown = self._frames[frame]
-        return section(shown, self._title, self._scene.nutrients, list(self._scene.types))
+        scene, shown = self._scene, self._frames[frame]
+        return section(shown, self._title, scene.nutrients, list(scene.types), scene.dimensions)
 
     def fields(self, frame: int = -1) -> Figure:
         """Show a map of every field in the plane z = centre, at frame number ``frame``."""
-        return field_maps(self._frames[frame], self._title, self._scene.nutrients)
+        scene, shown = self._scene, self._frames[frame]
+        return field_maps(shown, self._title, scene.nutrients, scene.dimensions)
 
     def profiles(self, frame: int = -1) -> Figure:
         """Concentration (or pressure) and states against the distance from the centre."""
         scene = self._scene
-        return profiles(self._frames[frame], self._title, scene.nutrients, list(scene.types))
+        shown = self._frames[frame]
+        return profiles(shown, self._title, scene.nutrients, list(scene.types), scene.dimensions)
 
     def contacts(self) -> Figure:
         """Draw the contacts between unlike cells against time, and where each type is.
@@ -243,15 +245,24 @@ def _draw_states(axes: Axes, time: FloatArray, history: History) -> None:
         labels=names,
         lw=0,
     )
+    held = history.get("held_by_pressure", np.zeros(1))
+    if held.max() > 0:  # above the dead, whom nothing holds back
+        dead = history["necrotic"] + history["apoptotic"]
+        label = "living, growth halved by pressure"
+        axes.plot(time, dead + held, _mark(time), color=INK, lw=2, label=label)
     # room for the legend above a flat top
-    _count_axis(axes, 1.25 * float(history["cells"].max()))
+    _count_axis(axes, (1.25 if held.max() == 0 else 1.35) * float(history["cells"].max()))
     handles, labels = axes.get_legend_handles_labels()
     axes.legend(handles[::-1], labels[::-1], loc="upper left", handlelength=1.0)
 
 
 @styled
 def profiles(
-    frame: Frame, title: str, nutrients: Mapping[str, Nutrient], types: Sequence[str] = ()
+    frame: Frame,
+    title: str,
+    nutrients: Mapping[str, Nutrient],
+    types: Sequence[str],
+    dimensions: int,
 ) -> Figure:
     """Draw concentrations, or pressure without nutrients, and states against the radius.
 
@@ -267,21 +278,23 @@ def profiles(
         Thresholds to mark.
     types
         Names of the cell types.
+    dimensions
+        Of the scene: 3 for shells about the centre, 2 for rings.
 
     Raises
     ------
     ValueError
         If the frame has no cells.
     """
-    middle = centre(frame.cells)
+    middle = centre(frame.cells, dimensions)
     # shells about a cell wide, but never so few that a profile cannot be seen
-    bins = int(
-        np.clip(sphere_radius(frame.cells, middle) / (2.0 * frame.cells.radius.mean()), 4, 40)
-    )
-    profile = radial_profile(frame, bins)
-    figure = blank(title, f"{moment(frame)}: averages over shells about the centre")
+    size = uniform_radius(frame.cells, middle, dimensions)
+    bins = int(np.clip(size / (2.0 * frame.cells.radius.mean()), 4, 40))
+    profile = radial_profile(frame, dimensions, bins)
+    shells = "shells" if dimensions == 3 else "rings"
+    figure = blank(title, f"{moment(frame)}: averages over {shells} about the centre")
     if len(profile.concentrations) > 1:
-        _field_panels(figure, frame, profile, nutrients, types)
+        _field_panels(figure, frame, profile, nutrients, types, dimensions)
         return figure
     grid = figure.add_gridspec(2, 1, left=0.09, right=0.77, top=0.82, bottom=0.11, hspace=0.32)
     upper = figure.add_subplot(grid[0])
@@ -297,7 +310,7 @@ def profiles(
     else:
         upper.plot(r, 1000.0 * profile.pressure, "o-", color=BLUE, lw=2, label="mean pressure")
         upper.set(title="Pressure", ylabel="pressure (Pa)")
-    _draw_parts(lower, frame, profile, types)
+    _draw_parts(lower, frame, profile, types, dimensions)
     for axes in (upper, lower):
         handles, labels = axes.get_legend_handles_labels()
         axes.legend(handles[::-1], labels[::-1], loc="upper left", bbox_to_anchor=(1.01, 1.03))
@@ -310,6 +323,7 @@ def _field_panels(
     profile: RadialProfile,
     nutrients: Mapping[str, Nutrient],
     types: Sequence[str],
+    dimensions: int,
 ) -> None:
     """Draw a panel for each field in its own range, and one for the states or types."""
     names = list(profile.concentrations)
@@ -319,11 +333,11 @@ def _field_panels(
     )
     for k, name in enumerate(names):
         axes = figure.add_subplot(grid[k // 2, k % 2])
-        draw_profile(axes, frame, profile, name, nutrients[name])
+        draw_profile(axes, frame, profile, name, nutrients[name], dimensions)
         axes.set_xlim(0.0, float(profile.edges[-1]))
         axes.legend(loc="best", fontsize=9)
     axes = figure.add_subplot(grid[len(names) // 2, len(names) % 2])
-    _draw_parts(axes, frame, profile, types)
+    _draw_parts(axes, frame, profile, types, dimensions)
     axes.set_ylim(0, 125)  # room for the legend above the bars
     axes.set_yticks([0, 25, 50, 75, 100])
     axes.legend(loc="upper left", fontsize=9, ncols=3)
@@ -331,9 +345,11 @@ def _field_panels(
         axes.set_xlabel("distance from the centre (µm)")
 
 
-def _draw_parts(axes: Axes, frame: Frame, profile: RadialProfile, types: Sequence[str]) -> None:
+def _draw_parts(
+    axes: Axes, frame: Frame, profile: RadialProfile, types: Sequence[str], dimensions: int
+) -> None:
     """Draw which part of the cells of each shell is in a state or of a type."""
-    middle, bottom = centre(frame.cells), np.zeros(len(profile.counts))
+    middle, bottom = centre(frame.cells, dimensions), np.zeros(len(profile.counts))
     width = np.diff(profile.edges)
     by_type = len(types) > 1
     parts = _types_by_shell(frame, middle, profile.edges, types) if by_type else profile.fractions

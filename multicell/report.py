@@ -9,9 +9,10 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from multicell.drawing import save, time_unit
+from multicell.drawing import cell_count, save, time_unit
 from multicell.errors import OutputError
 from multicell.folder import package_version, words, write_text
+from multicell.quantities import unit_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -22,12 +23,10 @@ if TYPE_CHECKING:
 # the page may load nothing at all: pictures are part of it
 _POLICY: Final = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 
-_FIELD: Final = {
-    "spacing": "spacing (µm)",
-    "discretisation_error": "estimated error at the cells (mM)",
+_LABELS: Final = {
+    "discretisation_error": "estimated error at the cells",
+    "largest_local_error": "largest estimated error of a cell in a step",
 }
-
-_WORK: Final = {"largest_local_error": "largest estimated error of a cell in a step (µm)"}
 
 _CSS: Final = """
 :root { --ink:#22303c; --quiet:#64737f; --line:#e1e7ec; --green:#1f7f54; --page:#f4f6f8; }
@@ -85,6 +84,12 @@ _CAPTIONS: Final = {
     "contacts": "Contacts between cells of different types, and where each type is.",
     "pull": "Force that pulls the cells apart, beside what their contact can bear.",
 }
+_FLAT_CAPTIONS: Final = {
+    **_CAPTIONS,
+    "section": "The cells, all in one plane.",
+    "fields": "A map of every field in the plane of the cells, each over its own range.",
+    "profiles": "Averages over rings about the centre.",
+}
 
 
 def write_report(result: Result, folder: str | Path | None = None) -> Path:
@@ -112,7 +117,10 @@ def write_report(result: Result, folder: str | Path | None = None) -> Path:
         raise OutputError("the run has no output folder: say where the report shall go")
     with words("use the output folder", place):
         place.mkdir(parents=True, exist_ok=True)
-    pictures = "".join(_picture(place, name, draw) for name, draw in _drawings(result))
+    captions = _CAPTIONS if result.scene.dimensions == 3 else _FLAT_CAPTIONS
+    pictures = "".join(
+        _picture(place, name, draw, captions[name]) for name, draw in _drawings(result)
+    )
     path = place / "report.html"
     figures = dict(measures(result.summary())) | dict(_contact_measures(result))
     write_text(path, page(result.scene, result.summary(), pictures, figures))
@@ -169,6 +177,8 @@ def measures(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         "diameter": ("diameter", lambda d: f"{d:.0f} µm"),
         "viable_rim": ("viable rim", lambda d: f"{d:.0f} µm"),
         "necrotic_radius": ("radius of the necrotic core", lambda d: f"{d:.0f} µm"),
+        "packing_ratio": ("packing ratio", lambda ratio: f"{ratio:.2f}"),
+        "held_by_pressure": ("growth halved by pressure", cell_count),
         "divisions": ("divisions", lambda n: f"{n:,}"),
         "removals": ("cells removed", lambda n: f"{n:,}"),
         "separation": (_SEPARATION, lambda s: f"{s['force']:.4g} nN"),
@@ -176,7 +186,7 @@ def measures(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     }
     for key, (name, shown) in formats.items():
         value = summary.get(key)
-        if value is not None and value == value:  # a fraction of no contacts is NaN
+        if value is not None and value == value:  # a rim without a core does not exist
             yield name, shown(value)
     total = (summary.get("wall") or {}).get("total")
     if total is not None:
@@ -224,13 +234,13 @@ def _drawings(result: Result) -> Iterator[tuple[str, Callable[[], Figure]]]:
         yield "pull", result.plot.pull
 
 
-def _picture(place: Path, name: str, draw: Callable[[], Figure]) -> str:
+def _picture(place: Path, name: str, draw: Callable[[], Figure], words_below: str) -> str:
     """Save a picture and return it as HTML."""
     path = place / f"{name}.png"
     save(draw(), path)
     with words("read", path):
         data = base64.b64encode(path.read_bytes()).decode("ascii")
-    caption = escape(_CAPTIONS[name])
+    caption = escape(words_below)
     return (
         f'<section><figure><img alt="{caption}" src="data:image/png;base64,{data}">'
         f"<figcaption>{caption}</figcaption></figure></section>\n"
@@ -253,14 +263,13 @@ def _tiles(figures: Mapping[str, str]) -> Iterator[str]:
 
 def _work(summary: Mapping[str, Any]) -> Iterator[str]:
     """Yield cards: cells by state, wall time, work of the integrator, ledger, versions."""
-    yield _table("Cells by state", summary.get("states"))
+    yield _table("Cells by state", summary.get("states"), "states")
     yield _wall(summary.get("wall"))
-    work = summary.get("integrator") or {}
-    yield _table("Work of the integrator", {_WORK.get(key, key): v for key, v in work.items()})
+    yield _table("Work of the integrator", summary.get("integrator"), "integrator")
     ledger = {k: v for k, v in (summary.get("ledger") or {}).items() if isinstance(v, Mapping)}
     yield _ledgers(ledger)
     for name, field in (summary.get("fields") or {}).items():
-        yield _table(f"Grid of {name}", {_FIELD.get(key, key): v for key, v in field.items()})
+        yield _table(f"Grid of {name}", field, f"fields.{name}")
     yield _notes(summary.get("notes") or ())
     yield _table("Versions", summary.get("versions"))
 
@@ -280,7 +289,7 @@ def _ledgers(ledger: Mapping[str, Mapping[str, Any]]) -> str:
     head = "".join(f"<th>{escape(name)}</th>" for name in ledger)
     entries = dict.fromkeys(key for account in ledger.values() for key in account)
     rows = "".join(
-        f"<tr><th>{_name(key)}</th>"
+        f"<tr><th>{_titled(f'ledger.*.{key}', key)}</th>"
         + "".join(
             f'<td class="number">{escape(_text(account[key])) if key in account else ""}</td>'
             for account in ledger.values()
@@ -289,15 +298,19 @@ def _ledgers(ledger: Mapping[str, Mapping[str, Any]]) -> str:
         for key in entries
     )
     table = f'<div class="scroll"><table><tr><th></th>{head}</tr>{rows}</table></div>'
-    return f"<section><h2>Where each field's molecules went (amol)</h2>{table}</section>"
+    return f"<section><h2>Where each field's molecules went</h2>{table}</section>"
 
 
-def _table(title: str, entries: Mapping[str, Any] | None) -> str:
-    """Return a card with a table of two columns, or nothing without entries."""
+def _table(title: str, entries: Mapping[str, Any] | None, path: str = "") -> str:
+    """Return a card with a table of two columns, or nothing without entries.
+
+    ``path`` leads to the entries in the summary, which gives their units.
+    """
     if not entries:
         return ""
     rows = "".join(
-        f'<tr><th>{_name(name)}</th><td class="number">{escape(_text(value))}</td></tr>'
+        f"<tr><th>{_titled(f'{path}.{name}', name) if path else _name(name)}</th>"
+        f'<td class="number">{escape(_text(value))}</td></tr>'
         for name, value in entries.items()
     )
     table = f'<div class="scroll"><table>{rows}</table></div>'
@@ -364,6 +377,23 @@ def _setting(name: str, value: Any, parameter: Any) -> str:
 
 def _curve(points: tuple[tuple[float, float], ...]) -> str:
     return " ".join(f"{_text(y)} at {_text(x)}" for x, y in points)
+
+
+def _titled(path: str, key: str) -> str:
+    """Return the name of an entry of the summary with its unit."""
+    unit = escape(_unit(path))
+    return f"{_name(_LABELS.get(key, key))} ({unit})" if unit else _name(_LABELS.get(key, key))
+
+
+def _unit(path: str) -> str:
+    """Return the unit of an entry as it is printed; texts and entries of other versions have none.
+
+    A page of a run that an other version made must not fail for a name that this one lacks.
+    """
+    try:
+        return unit_of(path).replace("um", "µm").replace("^3", "³")
+    except KeyError:
+        return ""
 
 
 def _name(key: str) -> str:

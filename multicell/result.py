@@ -110,20 +110,21 @@ def load_result(folder: str | Path) -> Result:
 
     folder = Path(folder)
     frames = open_frames(folder)
+    scene = load_scene(folder / "scene.toml")
     return Result(
         folder=folder,
         frames=frames,
         history=open_history(folder),
-        summary_dict=_read_summary(folder / "summary.json", frames),
-        scene=load_scene(folder / "scene.toml"),
+        summary_dict=_read_summary(folder / "summary.json", frames, scene),
+        scene=scene,
         lineage=open_lineage(folder).table() if len(frames) else {},
     )
 
 
-def _read_summary(path: Path, frames: Sequence[Frame]) -> dict[str, Any]:
+def _read_summary(path: Path, frames: Sequence[Frame], scene: Scene) -> dict[str, Any]:
     """Read the summary, or put one together from the last frame where there is none."""
     if not path.is_file():
-        return _partial_summary(frames)
+        return _partial_summary(frames, scene)
     try:
         summary = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
@@ -133,12 +134,13 @@ def _read_summary(path: Path, frames: Sequence[Frame]) -> dict[str, Any]:
     return summary
 
 
-def _partial_summary(frames: Sequence[Frame]) -> dict[str, Any]:
+def _partial_summary(frames: Sequence[Frame], scene: Scene) -> dict[str, Any]:
     """Return what the last frame of a killed run tells."""
-    from multicell.observables import SUMMARY_UNITS, state_summary
+    from multicell.observables import state_summary
+    from multicell.quantities import units_of
 
-    summary: dict[str, Any] = {"interrupted": True, "units": dict(SUMMARY_UNITS)}
+    summary: dict[str, Any] = {}
     if len(frames):
         last = frames[-1]
-        summary |= state_summary(last.time, last.cells) | {"steps": last.step}
-    return summary
+        summary |= state_summary(last.time, last.cells, scene.dimensions) | {"steps": last.step}
+    return {"interrupted": True, **summary, "units": units_of(summary)}

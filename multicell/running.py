@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, final
 from multicell.folder import write_summary
 from multicell.frame import Frame
 from multicell.interrupts import between_steps
+from multicell.quantities import units_of
 from multicell.result import Result, history_arrays
 from multicell.simulation import Simulation
 from multicell.threads import thread_count
@@ -144,6 +145,7 @@ class Recorder:
         wall = self._summary["wall"]
         assert isinstance(wall, dict)
         wall["startup"] = self.startup
+        self._summary["units"] = units_of(self._summary)
         if interrupted:
             self._summary["interrupted"] = True
         if self._store is not None:

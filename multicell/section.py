@@ -27,7 +27,7 @@ from multicell.drawing import (
     type_label,
 )
 from multicell.frame import Field, Frame
-from multicell.observables import centre, sphere_radius
+from multicell.observables import centre, uniform_radius
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -40,7 +40,11 @@ _WATER: Final = ListedColormap(np.linspace(to_rgb("#ffffff"), to_rgb("#8fbce0"),
 
 @styled
 def section(
-    frame: Frame, title: str, nutrients: Mapping[str, Nutrient], types: Sequence[str] = ()
+    frame: Frame,
+    title: str,
+    nutrients: Mapping[str, Nutrient],
+    types: Sequence[str],
+    dimensions: int,
 ) -> Figure:
     """Draw the cells that the plane z = centre cuts, each with the radius of its cut.
 
@@ -58,21 +62,25 @@ def section(
         Thresholds, drawn as contour lines, and the concentration around the grid.
     types
         Names of the cell types.
+    dimensions
+        Of the scene: in 2 all cells lie in the plane.
 
     Raises
     ------
     ValueError
         If the frame has no cells.
     """
-    middle = centre(frame.cells)
+    middle = centre(frame.cells, dimensions)
     few = 1 < len(frame.cells) <= 3 and not frame.fields
     place = _in_plane(frame.cells.position, middle) if few else frame.cells.position
     cut = frame.cells.radius**2 - (place[:, 2] - middle[2]) ** 2
     cells = frame.cells.take(cut > 0.0)
     radius = np.sqrt(cut[cut > 0.0])
-    figure = blank(title, f"{moment(frame)}: section through the centre ({cell_count(len(cells))})")
+    cut_through = f": section through the centre ({cell_count(len(cells))})"
+    figure = blank(title, moment(frame) + (cut_through if dimensions == 3 else ""))
     axes = figure.add_axes((0.03, 0.04, 0.66, 0.83))
-    half = 1.22 * sphere_radius(frame.cells, middle) + 2.0 * float(frame.cells.radius.max())
+    size = uniform_radius(frame.cells, middle, dimensions)
+    half = 1.22 * size + 2.0 * float(frame.cells.radius.max())
     _frame_section(axes, middle, half)
     group, palette = _groups(cells, types)
     draw_circles(axes, place[cut > 0.0, :2], radius, group, list(palette.values()))
@@ -81,7 +89,8 @@ def section(
     if name:
         _draw_field(figure, axes, frame.fields[name], float(middle[2]), nutrients[name])
     _scale_bar(axes, middle, half)
-    _section_legend(figure, group, palette)
+    shown = "Cells in this section" if dimensions == 3 else "Cells"
+    _section_legend(figure, group, palette, shown)
     return figure
 
 
@@ -217,7 +226,9 @@ def _scale_bar(axes: Axes, middle: FloatArray, half: float) -> None:
     axes.text(left + 0.5 * length, low + 0.035 * half, f"{length} µm", ha="center", zorder=5)
 
 
-def _section_legend(figure: Figure, group: IntArray, palette: Mapping[str, str]) -> None:
+def _section_legend(
+    figure: Figure, group: IntArray, palette: Mapping[str, str], title: str
+) -> None:
     """Explain the colours, with the number of cells of each group in the section."""
     counts = np.bincount(group, minlength=len(palette)).tolist()
     shown = [(name, palette[name], n) for name, n in zip(palette, counts, strict=True) if n]
@@ -228,7 +239,7 @@ def _section_legend(figure: Figure, group: IntArray, palette: Mapping[str, str])
         labels,
         loc="upper left",
         bbox_to_anchor=(0.71, 0.87),
-        title="Cells in this section",
+        title=title,
         title_fontproperties={"weight": "bold", "size": 13},
         alignment="left",
     )

@@ -42,6 +42,7 @@ from multicell.frame import Field, Frame, Progress
 from multicell.ledger import Ledger
 from multicell.lineage import Lineage
 from multicell.mechanics import Mechanics, Motion
+from multicell.quantities import units_of
 from multicell.threads import thread_count
 
 if TYPE_CHECKING:
@@ -299,13 +300,25 @@ class Simulation:
             extra["departure_from_a_ball"] = _departure(self.cells)
         if self.scene.pull is not None:
             extra["pull"] = self.scene.pull.force + self.scene.pull.rate * self.time
-        return observables.history_row(self.time, self.step_index, self.cells, **extra)
+        extra |= self._held_back()
+        dimensions = self.scene.dimensions
+        return observables.history_row(self.time, self.step_index, self.cells, dimensions, **extra)
+
+    def _held_back(self) -> dict[str, float | int]:
+        """Return how much pressure holds growth back, where it does."""
+        growth = self.scene.growth
+        if growth is None or growth.critical_pressure is None:
+            return {}
+        return observables.pressure_summary(self.cells, growth.critical_pressure)
 
     def _hypoxic(self) -> dict[str, float]:
         """Return the radius in which cells lack each nutrient that makes them rest, µm."""
         return {
             name: observables.hypoxic_radius(
-                self.cells, self.concentrations[name], nutrient.quiescence
+                self.cells,
+                self.concentrations[name],
+                nutrient.quiescence,
+                self.scene.dimensions,
             )
             for name, nutrient in self.scene.nutrients.items()
             if nutrient.quiescence is not None and name in self.concentrations
@@ -324,12 +337,17 @@ class Simulation:
         return self._mechanics.energy(self.time, self.cells.position)
 
     def summary(self) -> dict[str, Any]:
-        """Return the numbers that describe the run so far; ``units`` names the units."""
+        """Return the numbers that describe the run so far; ``units`` names the units.
+
+        A number that does not exist (the viable rim without a core) is None.
+        """
+        own = observables.state_summary(self.time, self.cells, self.scene.dimensions)
         ledgers = {name: ledger.summary() for name, ledger in self.ledger.items()}
         remainders = [entry["relative_remainder"] for entry in ledgers.values()]
         whole: dict[str, Any] = {"relative_remainder": max(remainders)} if remainders else {}
-        return {
-            **observables.state_summary(self.time, self.cells),
+        summary = {
+            **own,
+            **{name: observables.known(value) for name, value in self._held_back().items()},
             **({"hypoxic_radius": hypoxic} if (hypoxic := self._hypoxic()) else {}),
             "title": self.scene.title,
             "seed": self.scene.seed,
@@ -339,14 +357,14 @@ class Simulation:
             "volume_released": self.released,
             "integrator": self._work(),
             "ledger": {**ledgers, **whole},
-            **self._fitness(),
+            **self._fitness(own["packing_ratio"]),
             **({"separation": self.separation} if self.separation else {}),
-            **self._mixing(),
+            **{name: observables.known(value) for name, value in self._mixing().items()},
             "wall": {**self.wall, "total": sum(self.wall.values())},
             "threads": self._mechanics.threads,
             "versions": versions(),
-            "units": dict(observables.SUMMARY_UNITS),
         }
+        return {**summary, "units": units_of(summary)}
 
     def _work(self) -> dict[str, Any]:
         """Return what the integration has cost, and the largest error that it tells of."""
@@ -354,12 +372,16 @@ class Simulation:
         known = {} if self.local_error is None else {"largest_local_error": self.local_error}
         return {**work, **known}
 
-    def _fitness(self) -> dict[str, Any]:
-        """Return how well grids and geometries of the fields fit the tissue."""
-        if self._feeding is None:
-            return {}
-        fields, notes = self._feeding.fitness(self.cells, self.time)
-        return {"fields": fields, **({"notes": notes} if notes else {})}
+    def _fitness(self, packing: float | None) -> dict[str, Any]:
+        """Return how well grids and geometries fit the tissue, and remarks on what does not."""
+        from multicell.packing import packing_notes
+
+        known: dict[str, Any] = {}
+        notes = packing_notes(self.scene, packing)
+        if self._feeding is not None:
+            known["fields"], remarks = self._feeding.fitness(self.cells, self.time)
+            notes += remarks
+        return {**known, **({"notes": notes} if notes else {})}
 
     @contextmanager
     def _phase(self, name: str) -> Iterator[None]:
@@ -536,7 +558,7 @@ class Simulation:
     def _change_states(self, dt: float) -> None:
         before = self.cells.state
         self.cells.state = update_states(
-            self.scene, self.cells, self.concentrations, self.step_index, dt
+            self.scene, self.cells, self.concentrations, self.step_index, dt, self.time
         )
         if restricted(self.scene):
             due = deciding(self.cells, self.scene.coupling_step, self.scene.cells.reaction_time)

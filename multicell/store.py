@@ -41,7 +41,7 @@ from multicell.frames import open_frames as open_frames  # part of the public st
 from multicell.frames import open_history as open_history
 from multicell.frames import open_lineage as open_lineage
 from multicell.lineage import COLUMNS, Lineage
-from multicell.observables import SUMMARY_UNITS
+from multicell.quantities import unit_of
 
 if TYPE_CHECKING:
     from multicell.scene import Scene
@@ -269,7 +269,7 @@ class Store:
         self._file = h5py.File(self._path, "r+", libver=LIBVER, locking="best-effort")
         group = self._file.require_group("history")
         for name in [name for name in names if name not in group]:
-            _column(group, name, np.float64, unit=SUMMARY_UNITS.get(name, ""))
+            _column(group, name, np.float64, unit=unit_of(name))
         self._file.swmr_mode = True
         self._history = names
 

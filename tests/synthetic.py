@@ -72,7 +72,7 @@ def spheroid(count=4000, time=9.0 * 86400.0, seed=1):
     """Return a frame with a spheroid: necrotic core, quiescent layer, growing rim."""
     position = ball(count, seed=seed) + np.array([12.0, -7.0, 3.0])
     cells = cells_at(position)
-    middle = centre(cells)
+    middle = centre(cells, 3)
     radius = distances(cells, middle)
     size = float(radius.max()) + 5.0
     c = oxygen(radius, size)
@@ -109,4 +109,4 @@ def growing_frames(count=8, days=9.0, last=4000):
 
 def history_of(frames):
     """Return the history rows of frames."""
-    return [history_row(f.time, f.step, f.cells) for f in frames]
+    return [history_row(f.time, f.step, f.cells, 3) for f in frames]

@@ -19,37 +19,37 @@ def _uniform_ball(radius, count=200_000, seed=3):
 
 def test_one_cell_has_its_own_size_wherever_it_lies():
     cells = cells_at([[40.0, -3.0, 7.0]], radius=4.5)
-    assert observables.diameter(cells) == pytest.approx(9.0, rel=1e-14)
-    assert observables.viable_rim(cells) == pytest.approx(4.5, rel=1e-14)
-    assert observables.necrotic_radius(cells) == 0.0
+    assert observables.diameter(cells, 3) == pytest.approx(9.0, rel=1e-14)
+    assert np.isnan(observables.viable_rim(cells, 3))
+    assert observables.necrotic_radius(cells, 3) == 0.0
 
 
 def test_one_necrotic_cell_is_all_core():
     cells = cells_at([[1.0, 2.0, 3.0]], radius=4.5, state=State.NECROTIC)
-    assert observables.necrotic_radius(cells) == pytest.approx(4.5, rel=1e-14)
-    assert observables.viable_rim(cells) == pytest.approx(0.0, abs=1e-14)
+    assert observables.necrotic_radius(cells, 3) == pytest.approx(4.5, rel=1e-14)
+    assert observables.viable_rim(cells, 3) == pytest.approx(0.0, abs=1e-14)
 
 
 def test_two_cells_follow_the_parallel_axis_theorem():
     cells = cells_at([[-6.0, 0.0, 0.0], [6.0, 0.0, 0.0]], radius=5.0)
     expected = np.sqrt(5.0 / 3.0 * (36.0 + 0.6 * 25.0))
-    assert observables.diameter(cells) == pytest.approx(2.0 * expected, rel=1e-14)
+    assert observables.diameter(cells, 3) == pytest.approx(2.0 * expected, rel=1e-14)
 
 
 def test_centre_is_weighted_by_volume():
     cells = cells_at([[0.0, 0.0, 0.0], [9.0, 0.0, 0.0]], radius=[2.0, 1.0])
-    np.testing.assert_allclose(observables.centre(cells), [1.0, 0.0, 0.0], rtol=1e-14)
+    np.testing.assert_allclose(observables.centre(cells, 3), [1.0, 0.0, 0.0], rtol=1e-14)
 
 
 def test_uniform_ball_is_measured_with_its_own_radius():
     cells = cells_at(_uniform_ball(100.0) + np.array([30.0, 0.0, -8.0]), radius=0.5)
     # standard error of the mean square distance: sqrt(12/175) R^2 / sqrt(n), half of it in R
-    assert observables.diameter(cells) == pytest.approx(200.0, rel=4 * 0.262 / 2 / 447)
+    assert observables.diameter(cells, 3) == pytest.approx(200.0, rel=4 * 0.262 / 2 / 447)
 
 
 def test_packed_ball_does_not_depend_on_the_cells_overlap():
     position = ball(4000, jitter=0.0)
-    small, large = (observables.diameter(cells_at(position, radius=r)) for r in (1.0, 5.0))
+    small, large = (observables.diameter(cells_at(position, radius=r), 3) for r in (1.0, 5.0))
     expected = 2.0 * (3 * 4000 * 8.4**3 / np.sqrt(2) / (4 * np.pi)) ** (1 / 3)
     assert small == pytest.approx(expected, rel=5e-3)
     # exactly R^2 + r^2: only the cells' own extent differs
@@ -61,8 +61,8 @@ def test_ball_with_core_gives_core_and_rim():
     core = np.linalg.norm(position, axis=1) < 60.0
     state = np.where(core, State.NECROTIC, State.PROLIFERATING)
     cells = cells_at(position, radius=0.2, state=state)
-    assert observables.necrotic_radius(cells) == pytest.approx(60.0, rel=4e-3)
-    assert observables.viable_rim(cells) == pytest.approx(40.0, rel=1e-2)
+    assert observables.necrotic_radius(cells, 3) == pytest.approx(60.0, rel=4e-3)
+    assert observables.viable_rim(cells, 3) == pytest.approx(40.0, rel=1e-2)
     counts = observables.state_counts(cells)
     assert counts == {"proliferating": int((~core).sum()), "quiescent": 0, "necrotic": core.sum(),
                       "apoptotic": 0}  # fmt: skip
@@ -70,22 +70,23 @@ def test_ball_with_core_gives_core_and_rim():
 
 def test_no_cells_have_no_size_and_no_centre():
     cells = Cells.empty()
-    row = observables.history_row(600.0, 1, cells)
-    assert row["cells"] == row["diameter"] == row["necrotic_radius"] == row["viable_rim"] == 0.0
+    row = observables.history_row(600.0, 1, cells, 3)
+    assert row["cells"] == row["diameter"] == row["necrotic_radius"] == 0.0
+    assert np.isnan([row["viable_rim"], row["packing_ratio"]]).all()
     with pytest.raises(ValueError, match="no centre"):
-        observables.centre(cells)
+        observables.centre(cells, 3)
 
 
 def test_measures_do_not_depend_on_the_order_of_cells():
     cells = spheroid(500).cells
     turned = cells.take(np.random.default_rng(5).permutation(len(cells)))
-    first, second = (observables.history_row(0.0, 0, c) for c in (cells, turned))
-    assert second == pytest.approx(first, rel=1e-12)
+    first, second = (observables.history_row(0.0, 0, c, 3) for c in (cells, turned))
+    assert second == pytest.approx(first, rel=1e-12, nan_ok=True)
 
 
 def test_history_row_holds_floats_and_extra_columns():
     frame = spheroid(300)
-    row = observables.history_row(frame.time, frame.step, frame.cells, evaluations=17)
+    row = observables.history_row(frame.time, frame.step, frame.cells, 3, evaluations=17)
     assert all(type(value) is float for value in row.values())
     assert row["evaluations"] == 17.0
     assert row["cells"] == row["proliferating"] + row["quiescent"] + row["necrotic"]
@@ -94,7 +95,7 @@ def test_history_row_holds_floats_and_extra_columns():
 
 def test_profile_counts_every_cell_once_and_fractions_add_up():
     frame = spheroid(4000)
-    profile = observables.radial_profile(frame, bins=12)
+    profile = observables.radial_profile(frame, 3, bins=12)
     assert profile.counts.sum() == len(frame.cells)
     filled = profile.counts > 0
     np.testing.assert_allclose(sum(profile.fractions.values())[filled], 1.0, rtol=1e-14)
@@ -105,7 +106,7 @@ def test_profile_counts_every_cell_once_and_fractions_add_up():
 def test_profile_of_a_linear_concentration_is_its_mean_by_shell():
     cells = cells_at([[-9.0, 0, 0], [9.0, 0, 0], [-3.0, 0, 0], [3.0, 0, 0]], radius=1.0)
     frame = Frame(0.0, 0, cells, {"oxygen": np.array([9.0, 11.0, 2.0, 4.0])})
-    profile = observables.radial_profile(frame, bins=3)
+    profile = observables.radial_profile(frame, 3, bins=3)
     np.testing.assert_allclose(profile.edges, [0.0, 3.0, 6.0, 9.0])
     np.testing.assert_array_equal(profile.counts, [0, 2, 2])
     np.testing.assert_allclose(profile.concentrations["oxygen"], [np.nan, 3.0, 10.0])
@@ -113,7 +114,7 @@ def test_profile_of_a_linear_concentration_is_its_mean_by_shell():
 
 def test_profile_refuses_no_bins():
     with pytest.raises(ValueError, match="at least 1 bin"):
-        observables.radial_profile(spheroid(20), bins=0)
+        observables.radial_profile(spheroid(20), 3, bins=0)
 
 
 def test_field_profile_of_the_squared_radius():

@@ -32,7 +32,7 @@ def frames():
 @pytest.fixture(scope="module")
 def result(frames):
     last = frames[-1]
-    summary = state_summary(last.time, last.cells) | {
+    summary = state_summary(last.time, last.cells, 3) | {
         "divisions": 1700,
         "steps": 1296,
         "integrator": {"method": "cvode", "evaluations": 12345},

@@ -72,7 +72,7 @@ def test_every_field_has_a_map_over_its_own_values(result):
 
 def test_history_and_summary_tell_the_hypoxic_radius(result):
     cells, low = result.frames[-1].cells, result.frames[-1].concentrations["oxygen"] < 0.06
-    expected = observables.sphere_radius(cells, observables.centre(cells), low)
+    expected = observables.uniform_radius(cells, observables.centre(cells, 3), 3, low)
     assert expected > 0.0
     assert result.history["hypoxic_radius_oxygen"][-1] == expected
     assert result.summary()["hypoxic_radius"] == {"oxygen": expected}
@@ -95,9 +95,9 @@ def test_report_has_one_ledger_with_a_column_for_each_field(result, tmp_path):
 
 def test_cells_below_the_threshold_make_the_hypoxic_ball():
     cells = cells_at([[0.0, 0, 0], [40.0, 0, 0], [-40.0, 0, 0]], radius=5.0)
-    got = observables.hypoxic_radius(cells, np.array([0.01, 0.05, 0.05]), 0.02)
+    got = observables.hypoxic_radius(cells, np.array([0.01, 0.05, 0.05]), 0.02, 3)
     assert got == pytest.approx(5.0, rel=1e-12)
-    assert observables.hypoxic_radius(cells, np.full(3, 0.02), 0.02) == 0.0
+    assert observables.hypoxic_radius(cells, np.full(3, 0.02), 0.02, 3) == 0.0
 
 
 def test_a_frame_without_fields_has_no_map():

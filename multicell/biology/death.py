@@ -16,18 +16,32 @@ if TYPE_CHECKING:
     from multicell.scene import Scene
 
 
-def apoptotic(scene: Scene, cells: Cells) -> NDArray[np.bool_]:
+def apoptotic(scene: Scene, cells: Cells, time: float) -> NDArray[np.bool_]:
     """Return which cells have reached the end of their life by apoptosis, (n,).
 
     With a constant rate k lives are distributed exponentially. Each cell draws its own once, keyed
-    by its identity, and dies when its age passes it: the outcome knows nothing of the coupling
-    step but for the moment at which the death is noticed.
+    by its identity, and dies when the time that it has lived in the run passes it: since its birth,
+    or since the start for a cell that was there then. An exponential life has no memory, so the age
+    of a cell at the start says nothing about what remains. Survivors are N exp(-kt) from t = 0 on,
+    and the outcome knows nothing of the coupling step but for the moment at which the death is
+    noticed.
+
+    Parameters
+    ----------
+    scene
+        Gives the rate.
+    cells
+        The population; identities and ages are read.
+    time
+        Since the start of the run, s.
     """
     rate = 0.0 if scene.death is None else scene.death.apoptosis_rate
     if rate == 0.0:
         return np.zeros(len(cells), dtype=bool)
     u = streams.uniform(scene.seed, Purpose.APOPTOSIS, 0, cells.id)[:, 0]
-    return np.asarray(cells.age * rate >= -np.log1p(-u))
+    # who was there at the start is older than the run, who was born in it is younger
+    lived = np.minimum(cells.age, time)
+    return np.asarray(lived * rate > -np.log1p(-u))
 
 
 def necrotic(

@@ -31,6 +31,7 @@ def update_states(
     concentrations: Mapping[str, FloatArray],
     step: int = 0,
     dt: float = 0.0,
+    time: float = 0.0,
 ) -> NDArray[np.int8]:
     """Return the new state of each cell.
 
@@ -54,6 +55,8 @@ def update_states(
         Number of the coupling step that has ended.
     dt
         Its length, s; 0 at the start of a run.
+    time
+        At its end, since the start of the run, s.
 
     Returns
     -------
@@ -66,7 +69,7 @@ def update_states(
         If a nutrient of the scene has no concentrations.
     """
     critical = None if scene.growth is None else scene.growth.critical_pressure
-    dies = apoptotic(scene, cells) & ~np.isin(cells.state, DEAD)
+    dies = apoptotic(scene, cells, time) & ~np.isin(cells.state, DEAD)
     if not scene.nutrients and critical is None:
         return np.where(dies, State.APOPTOTIC, cells.state).astype(np.int8)
     beyond = np.zeros(len(cells), dtype=bool)

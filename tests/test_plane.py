@@ -1,0 +1,224 @@
+"""Measures in two and three dimensions on discs and balls of known size, and what uses them."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from synthetic import cells_at
+
+import multicell as mc
+from multicell import contact_plots, observables
+from multicell.cells import Cells, State
+from multicell.frame import Frame
+from multicell.report import measures
+from multicell.simulation import Simulation
+
+BOTH = pytest.mark.parametrize("dimensions", [2, 3])
+SHIFT = np.array([30.0, -70.0, 0.0])
+
+
+def uniform(radius: float, dimensions: int, count: int = 100_000, seed: int = 3) -> np.ndarray:
+    """Return points of a uniform disc or ball: the radius by inversion of its distribution."""
+    rng = np.random.default_rng(seed)
+    direction = rng.normal(size=(count, 3))
+    direction[:, dimensions:] = 0.0
+    direction /= np.linalg.norm(direction, axis=1)[:, None]
+    return direction * (radius * rng.random(count) ** (1.0 / dimensions))[:, None]
+
+
+def lattice(radius: float, spacing: float, dimensions: int) -> np.ndarray:
+    """Return a square or cubic lattice, cut to a disc or ball."""
+    axis = np.arange(-np.ceil(radius / spacing), np.ceil(radius / spacing) + 1) * spacing
+    points = np.stack(np.meshgrid(*[axis + 0.3] * dimensions, indexing="ij"), -1)
+    points = points.reshape(-1, dimensions)
+    points = points[np.linalg.norm(points, axis=1) < radius]
+    return np.pad(points, ((0, 0), (0, 3 - dimensions)))
+
+
+def moment_by_samples(cells: Cells, dimensions: int) -> float:
+    """Return the mean square distance from the centroid of the cells' bodies, each on its own."""
+    rng = np.random.default_rng(8)
+    size = cells.radius**dimensions
+    owner = rng.choice(len(cells), 400_000, p=size / size.sum())
+    inner = uniform(1.0, dimensions, 400_000, seed=9)
+    points = cells.position[owner] + cells.radius[owner, None] * inner
+    return float(np.square(points - points.mean(axis=0)).sum(axis=1).mean())
+
+
+@BOTH
+def test_one_cell_has_its_own_size(dimensions):
+    cells = cells_at([[40.0, -3.0, 0.0]], radius=4.5)
+    assert observables.diameter(cells, dimensions) == pytest.approx(9.0, rel=1e-14)
+    assert observables.packing_ratio(cells, dimensions) == pytest.approx(1.0, rel=1e-13)
+    dead = cells_at([[40.0, -3.0, 0.0]], radius=4.5, state=State.NECROTIC)
+    assert observables.necrotic_radius(dead, dimensions) == pytest.approx(4.5, rel=1e-14)
+    assert observables.viable_rim(dead, dimensions) == pytest.approx(0.0, abs=1e-12)
+
+
+@BOTH
+def test_unlike_cells_are_measured_as_their_bodies_are(dimensions):
+    """Against the bodies themselves, sampled: sizes, centre and the cells' own extent."""
+    rng = np.random.default_rng(2)
+    position = rng.uniform(-40.0, 40.0, (12, 3))
+    position[:, dimensions:] = 0.0
+    cells = cells_at(position, radius=rng.uniform(1.0, 12.0, 12))
+    share = dimensions / (dimensions + 2)
+    expected = np.sqrt(moment_by_samples(cells, dimensions) / share)
+    assert observables.diameter(cells, dimensions) == pytest.approx(2 * expected, rel=3e-3)
+    size = cells.radius**dimensions
+    middle = (size[:, None] * position).sum(axis=0) / size.sum()
+    np.testing.assert_allclose(observables.centre(cells, dimensions), middle, rtol=1e-12)
+
+
+@BOTH
+def test_a_uniform_disc_or_ball_of_500_um(dimensions):
+    cells = cells_at(uniform(250.0, dimensions) + SHIFT, radius=0.5)
+    assert observables.diameter(cells, dimensions) == pytest.approx(500.0, rel=3e-3)
+
+
+@BOTH
+def test_a_dense_tissue_with_a_core(dimensions):
+    """Diameter, core, rim, hypoxic part and packing of touching cells in a disc and in a ball."""
+    position = lattice(150.0 if dimensions == 2 else 80.0, 4.0, dimensions)
+    edge = 150.0 if dimensions == 2 else 80.0
+    distance = np.linalg.norm(position, axis=1)
+    state = np.where(distance < 0.5 * edge, State.NECROTIC, State.PROLIFERATING)
+    cells = cells_at(position + SHIFT, radius=2.0, state=state)
+    assert observables.diameter(cells, dimensions) == pytest.approx(2 * edge, rel=6e-3)
+    assert observables.necrotic_radius(cells, dimensions) == pytest.approx(0.5 * edge, rel=1e-2)
+    assert observables.viable_rim(cells, dimensions) == pytest.approx(0.5 * edge, rel=1e-2)
+    lacking = observables.hypoxic_radius(cells, distance, 0.7 * edge, dimensions)
+    assert lacking == pytest.approx(0.7 * edge, rel=1e-2)
+    filled = np.pi / 4 if dimensions == 2 else np.pi / 6
+    assert observables.packing_ratio(cells, dimensions) == pytest.approx(filled, rel=2e-2)
+
+
+def test_growth_speed_of_a_disc_is_that_of_its_edge():
+    """A disc whose edge moves at 10 µm/h is seen to do so."""
+    sizes = [observables.diameter(cells_at(uniform(r, 2), radius=0.5), 2) for r in (100.0, 110.0)]
+    assert sizes[1] - sizes[0] == pytest.approx(20.0, rel=1e-3)
+
+
+@BOTH
+def test_cells_that_do_not_overlap_never_pass_a_packing_ratio_of_one(dimensions):
+    """No body has a smaller radius of gyration than the ball of its volume."""
+    rng = np.random.default_rng(4)
+    for count in (2, 3, 7, 40):
+        position = np.zeros((count, 3))
+        radius = rng.uniform(0.2, 5.0, count)
+        for k in range(1, count):  # each is pushed in from outside until it touches
+            way = rng.normal(size=3) * (np.arange(3) < dimensions)
+            way /= np.linalg.norm(way)
+            far = np.linspace(300.0, 0.0, 6001)[:, None] * way
+            gap = np.linalg.norm(far[:, None] - position[:k], axis=2) - radius[:k] - radius[k]
+            position[k] = far[np.argmax((gap < 0.0).any(axis=1)) - 1]
+        cells = cells_at(position, radius=radius)
+        assert 0.0 < observables.packing_ratio(cells, dimensions) <= 1.0
+
+
+@BOTH
+def test_profiles_count_in_rings_and_shells(dimensions):
+    cells = cells_at(uniform(100.0, dimensions, 50_000) + SHIFT, radius=0.5)
+    c = np.linalg.norm(cells.position - SHIFT, axis=1)
+    profile = observables.radial_profile(Frame(0.0, 0, cells, {"oxygen": c}), dimensions, bins=5)
+    inner, outer = profile.edges[:-1], profile.edges[1:]
+    filled = (outer**dimensions - inner**dimensions) / profile.edges[-1] ** dimensions
+    np.testing.assert_allclose(profile.counts / len(cells), filled, rtol=0.1)
+    d = dimensions
+    mean = d / (d + 1) * (outer ** (d + 1) - inner ** (d + 1)) / (outer**d - inner**d)
+    np.testing.assert_allclose(profile.concentrations["oxygen"], mean, rtol=2e-2)
+
+
+@BOTH
+def test_distance_of_two_cells_follows_from_their_diameter(dimensions):
+    for apart in (3.0, 11.0):
+        cells = cells_at([[0.0, 0, 0], [apart, 0, 0]], radius=[4.0, 7.0])
+        size = np.array([observables.diameter(cells, dimensions)])
+        found = contact_plots.distance_of_two(size, cells, dimensions)
+        assert found[0] == pytest.approx(apart, rel=1e-12)
+
+
+@BOTH
+def test_a_rim_without_a_core_is_absent_everywhere(dimensions, tmp_path):
+    scene = mc.Scene.from_dict(
+        {"duration": "20 min", "dimensions": dimensions, "initial": {"count": 12}}
+    )
+    result = mc.run(scene, output=tmp_path / "run")
+    assert np.isnan(result.history["viable_rim"]).all()
+    assert (result.history["necrotic_radius"] == 0.0).all()
+    assert result.summary()["viable_rim"] is None
+    assert not any(name == "viable rim" for name, _ in measures(result.summary()))
+    mc.export(result, tmp_path / "csv", tables=["history"])
+    head, *rows = (tmp_path / "csv" / "history.csv").read_text().splitlines()
+    place = head.split(",").index("viable_rim_um")
+    assert [row.split(",")[place] for row in rows] == [""] * 3
+    page = (tmp_path / "run" / "report.html").read_text()
+    assert "viable rim" not in page
+    assert ("shells" in page) == (dimensions == 3)
+
+
+def test_dead_cells_outside_the_others_are_no_core():
+    """Where a poison kills from outside there is no layer beyond the dead ones."""
+    position = uniform(100.0, 3, 5000)
+    outside = np.linalg.norm(position, axis=1) > 80.0
+    cells = cells_at(position, radius=1.0, state=np.where(outside, State.NECROTIC, 0))
+    assert observables.necrotic_radius(cells, 3) > 100.0
+    assert np.isnan(observables.viable_rim(cells, 3))
+
+
+@BOTH
+def test_a_simulation_measures_in_its_own_dimensions(dimensions):
+    scene = mc.Scene.from_dict({"duration": "10 min", "dimensions": dimensions,
+                                "initial": {"count": 300}})  # fmt: skip
+    simulation = Simulation(scene)
+    cells, row, summary = simulation.cells, simulation.history_row(), simulation.summary()
+    # n touching cells of radius r in the densest packing, about a centre among them
+    radius, filled = cells.radius[0], {2: np.pi / 12**0.5, 3: np.pi / 18**0.5}[dimensions]
+    sites = radius * (300 / filled) ** (1.0 / dimensions)
+    expected = 2.0 * np.sqrt(sites**2 + radius**2)
+    assert row["diameter"] == summary["diameter"] == pytest.approx(expected, rel=1e-2)
+    assert row["packing_ratio"] == summary["packing_ratio"]
+    assert row["packing_ratio"] == pytest.approx(
+        300 * (2 * radius / expected) ** dimensions, rel=3e-2
+    )
+
+
+# --- growth that pressure holds back --------------------------------------------------------------
+
+
+def test_pressure_factor_and_number_of_cells_held_by_hand():
+    position = np.arange(18.0).reshape(6, 3)
+    pressure = np.array([-0.1, 0.0, 0.05, 0.04, 0.3, 0.3])
+    state = [State.PROLIFERATING, State.QUIESCENT, State.PROLIFERATING, State.PROLIFERATING,
+             State.PROLIFERATING, State.NECROTIC]  # fmt: skip
+    cells = cells_at(position, state=state, pressure=pressure)
+    found = observables.pressure_summary(cells, 0.1)
+    assert found == {"pressure_factor": pytest.approx((1 + 1 + 0.5 + 0.6 + 0) / 5),
+                     "held_by_pressure": 2}  # fmt: skip
+    none = observables.pressure_summary(cells.take(np.array([5])), 0.1)
+    assert np.isnan(none["pressure_factor"])
+    assert none["held_by_pressure"] == 0
+
+
+def test_a_contact_inhibited_monolayer_tells_that_it_is(tmp_path):
+    """Many of its cells are held back though none of them rests; a free one tells nothing."""
+    scene = mc.load_scene("monolayer").with_changes(
+        {"initial.count": 300, "initial.spacing": 0.9, "duration": "12 h"}
+    )
+    result = mc.run(scene, output=tmp_path)
+    history, summary = result.history, result.summary()
+    assert summary["held_by_pressure"] > 50
+    assert 0.1 < summary["pressure_factor"] < 0.9
+    assert history["held_by_pressure"][-1] == summary["held_by_pressure"]
+    assert (history["held_by_pressure"] <= history["cells"]).all()
+    assert "growth halved by pressure" in dict(measures(summary))
+    lines = [line.get_label() for axes in result.plot.growth().axes for line in axes.get_lines()]
+    assert any("halved by pressure" in label for label in lines)
+    page = (tmp_path / "report.html").read_text()
+    assert re.search("rings about the centre", page)
+    assert "shells" not in page
+    free = mc.run(scene.with_changes({"growth.critical_pressure": None, "duration": "15 min"}))
+    assert "pressure_factor" not in free.history
+    assert "held_by_pressure" not in free.summary()

@@ -1,0 +1,161 @@
+"""Every number that a run hands out has a unit, or is declared to have none."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from numbers import Number
+
+import h5py
+import numpy as np
+import pytest
+
+import multicell as mc
+from multicell.quantities import UNITS, unit_of, units_of
+from multicell.units import to_base
+
+PHASES = {"G1": {"duration": "3 h"}, "S": {"duration": "3 h"}, "G2": {"duration": "2 h"},
+          "M": {"duration": "1 h", "grows": False}}  # fmt: skip
+SHORT = {"duration": "30 min", "output": {"every": "10 min"}}
+SCENES = {
+    "all of biology and nutrients": {
+        **SHORT, "initial": {"count": 60, "stage": "asynchronous"},
+        "growth": {"phases": PHASES, "critical_pressure": 0.1},
+        "death": {"apoptosis_rate": 1e-4, "necrosis_rate": 1e-3},
+        "types": {"a": {"receptor": 1.0, "ligand": 1.0}, "b": {"young": 2.0}},
+        "adhesion": {"strength": 0.01}, "friction": {},
+        "motility": {}, "chemotaxis": {"oxygen": {}}, "haptotaxis": {},
+        "nutrients": {
+            "oxygen": {"quiescence": 0.068, "necrosis": 0.01, "geometry": "radial",
+                       "sides": {}},
+            "waste_2": {"uptake": 0.0, "secretion": 3.0, "boundary": 0.0, "regime": "transient"},
+        },
+    },
+    "a plane with a field": {
+        **SHORT, "dimensions": 2, "initial": {"count": 30},
+        "growth": {"critical_pressure": 0.02}, "death": {},
+        "nutrients": {"oxygen": {"quiescence": 0.06, "necrosis": 0.05, "uptake": 500.0}},
+        "integrator": {"method": "auto"},
+    },
+    "a pull with memory": {
+        "duration": "3 min", "coupling_step": "10 s", "initial": {"count": 2, "spacing": 0.95},
+        "contact": {"law": "exact-jkr"}, "pull": {"force": 2.0, "rate": 0.01},
+        "drag": {"viscosity": 0.5},
+    },
+    "bare mechanics": {
+        "duration": "10 min", "initial": {"count": 3}, "integrator": {"method": "euler"}
+    },
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module", params=SCENES)
+def run(request, tmp_path_factory):
+    entries = SCENES[request.param]
+    folder = tmp_path_factory.mktemp("units") / "run"
+    return mc.run(mc.Scene.from_dict(entries), output=folder, report=False)
+
+
+def leaves(entries, prefix=""):
+    """Give every number of a summary by its dotted name, those that do not exist too."""
+    for name, value in entries.items():
+        if isinstance(value, dict):
+            yield from leaves(value, f"{prefix}{name}.")
+        elif value is None or (isinstance(value, Number) and not isinstance(value, bool)):
+            yield f"{prefix}{name}", value
+
+
+def test_every_number_of_history_summary_and_tables_has_a_unit(run, tmp_path):
+    for name in run.history:
+        unit_of(name)
+    found = dict(leaves(run.summary()))
+    assert len(found) > 30
+    units = run.summary()["units"]
+    for name in found:
+        assert units.get(name, "") == unit_of(name)
+    assert set(units) <= set(found)
+    on_disk = json.loads((run.folder / "summary.json").read_text(encoding="utf-8"))
+    assert on_disk["units"] == units == units_of(run.summary())
+    for path in mc.export(run, tmp_path):
+        with path.open(encoding="utf-8", newline="") as file:
+            titles = next(csv.reader(file), [])
+        assert titles
+        for title in titles:
+            assert_titled(path.stem, title)
+
+
+def assert_titled(table, title):
+    """Check that the title of a column is a declared name with its unit behind it."""
+    for cut in range(len(title), 0, -1):
+        name = re.sub("_[xyz]$", "", title[:cut])
+        try:
+            unit = unit_of(name if table == "history" else f"{table}.{name}")
+        except KeyError:
+            continue
+        behind = unit.replace("^", "").replace("/", "_per_").replace(" ", "_")
+        if title == (f"{title[:cut]}_{behind}" if unit else title[:cut]):
+            return
+    pytest.fail(f"{table}: no unit for {title}")
+
+
+def test_every_history_column_has_its_unit_in_hdf5(run):
+    seen = {}
+
+    def visit(path, item):
+        if isinstance(item, h5py.Dataset) and re.search(r"(^|/)history/[^/]+$", path):
+            seen[path.rsplit("/", 1)[1]] = item.attrs["unit"]
+
+    for file in sorted(run.folder.rglob("*.h5")):
+        with h5py.File(file, "r") as opened:
+            opened.visititems(visit)
+    assert seen == {name: unit_of(name) for name in run.history}
+
+
+def test_the_scenes_have_all_that_is_declared():
+    """A name that no run hands out is a leftover."""
+    given = set()
+    for entries in SCENES.values():
+        result = mc.run(mc.Scene.from_dict(entries))
+        given |= set(result.history) | {name for name, _ in leaves(result.summary())}
+    given |= {"heterotypic_fraction"}
+    for declared in UNITS:
+        if declared.startswith(("cells.", "contacts.", "lineage.", "integrator.steps_")):
+            continue
+        pattern = "[^.]+".join(map(re.escape, declared.split("*")))
+        startup = declared == "wall.*"
+        assert startup or any(re.fullmatch(pattern, name) for name in given), declared
+
+
+def test_units_are_those_that_the_scene_files_know():
+    for unit in {unit_of(name.replace("*", "x")) for name in UNITS} - {"", "um^3", "amol"}:
+        assert to_base(f"1 {unit}", unit) == 1.0
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["", "radius", "hypoxic_radius", "ledger.oxygen", "cells.height", "ledger.oxygen.lost",
+     "ledger.a.b.inflow", "wall", "fields.oxygen.error"],
+)  # fmt: skip
+def test_an_unknown_name_is_refused(name):
+    with pytest.raises(KeyError, match="no unit is declared"):
+        unit_of(name)
+
+
+def test_an_undeclared_number_is_refused_and_texts_have_no_unit():
+    with pytest.raises(KeyError, match=r"fields.oxygen.error"):
+        units_of({"fields": {"oxygen": {"error": 1.0}}})
+    assert units_of({"title": "x", "notes": ["a"], "interrupted": True, "cells": 3}) == {}
+    assert units_of({"viable_rim": None, "ledger": {"o_2": {"inflow": 0.0}}}) == {
+        "viable_rim": "um", "ledger.o_2.inflow": "amol"}  # fmt: skip
+    assert unit_of("hypoxic_radius_oxygen") == unit_of("hypoxic_radius.oxygen") == "um"
+    assert unit_of("cells.concentration_oxygen") == "mM"
+    assert unit_of("cells.position") == "um"
+
+
+def test_the_report_names_units(tmp_path):
+    result = mc.run(mc.Scene.from_dict(SCENES["a plane with a field"]), output=tmp_path)
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    for words in ("spacing (µm)", "estimated error at the cells (mM)", "inflow (amol)",
+                  "<th>relative remainder</th>"):  # fmt: skip
+        assert words in page
+    assert np.isfinite(result.history["hypoxic_radius_oxygen"]).all()
