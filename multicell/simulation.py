@@ -41,6 +41,7 @@ from multicell.frame import Field, Frame, Progress
 from multicell.ledger import Ledger
 from multicell.lineage import Lineage
 from multicell.mechanics import Mechanics, Motion
+from multicell.sizes import check_memory
 from multicell.threads import thread_count
 
 if TYPE_CHECKING:
@@ -101,6 +102,8 @@ class Simulation:
         frame: Frame | None = None,
         lineage: Lineage | None = None,
     ) -> None:
+        if cells is None and frame is None:
+            check_memory(scene)
         self.scene = scene
         self.wall = dict.fromkeys(PHASES, 0.0)
         self.step_index = self.divisions = self.removals = 0
