@@ -394,9 +394,7 @@ def responses(unit: str, *, at_least: float | None = None, doc: str = "") -> Any
     def to_plain(value: Mapping[str, Any]) -> dict[str, Any]:
         return {name: [list(point) for point in curve] for name, curve in value.items()}
 
-    parameter = Parameter(
-        convert, to_plain, unit=unit, doc=doc, kind="responses", bounds=bounds
-    )
+    parameter = Parameter(convert, to_plain, unit=unit, doc=doc, kind="responses", bounds=bounds)
     return _field(parameter, None)
 
 
@@ -515,7 +513,7 @@ def build(part: type[T], value: object, path: str = "", also: tuple[str, ...] = 
     for key in entries:
         if key not in known:
             hint = near_miss(key, [*also, *known])
-            raise SceneError(_join(path, key), "is not a known key here", hint)
+            raise SceneError(_join(path, key or "''"), "is not a known key here", hint)
     for spec in fields(part):  # type: ignore[arg-type]
         needed = spec.default is MISSING and spec.default_factory is MISSING
         if needed and spec.name not in entries:

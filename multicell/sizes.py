@@ -7,6 +7,7 @@ overflow or end in nonsense, not what is merely unusual.
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import is_dataclass, replace
@@ -105,28 +106,56 @@ def _check_steps(scene: Scene) -> None:
 
 
 def _check_overlap(scene: Scene) -> None:
-    """Raise ``SceneError`` for cells so sticky that at rest they would lie in one another."""
+    """Raise ``SceneError`` for cells so sticky that they would be drawn into one another.
+
+    Two cells must repel each other before their centres meet, at birth and before division, under
+    the largest surface energy and the most bonds that occur, with the smallest mean modulus.
+    """
     law: Any = scene.contact
-    if not hasattr(law, "surface_energy"):
-        return
-    given = [e for k in scene.types.values() for e in (k.surface_energy or {}).values()]
-    most = max(given, default=law.surface_energy)
-    young = min(
-        (k.young or scene.cells.young for k in scene.types.values()), default=scene.cells.young
-    )
-    if most == 0.0:
-        return
-    radius = 0.5 ** (1.0 / 3.0) * scene.cells.division_radius
-    modulus = effective_modulus(young, scene.cells.poisson, young, scene.cells.poisson)
-    sticky = replace(law, surface_energy=most)
-    overlap = float(sticky.equilibrium_overlap(modulus, effective_radius(radius, radius)))
-    if not overlap < 2.0 * radius:
-        problem = (
-            f"lets newborn cells of radius {radius:.3g} um rest at an overlap of {overlap:.3g} um, "
-            "beyond their centres"
+    energies = [e for k in scene.types.values() for e in (k.surface_energy or {}).values()]
+    young = min((k.young or scene.cells.young for k in scene.types.values()), default=0.0)
+    young, poisson = young or scene.cells.young, scene.cells.poisson
+    if energies and hasattr(law, "surface_energy"):
+        law = replace(law, surface_energy=max(energies))
+    modulus, bonds = effective_modulus(young, poisson, young, poisson), _most_bonds(scene)
+    for radius in (0.5 ** (1.0 / 3.0) * scene.cells.division_radius, scene.cells.division_radius):
+        pair, deep = effective_radius(radius, radius), 1.99 * radius
+        force = float(law.force(deep, modulus, pair, rest=2.0 * radius, touching=True))
+        if force > math.pi * float(pair) * bonds * deep:
+            continue
+        path = "adhesion.strength" if force > 0.0 else "contact.surface_energy"
+        problem = f"draws cells of radius {radius:.3g} um into one another, centre upon centre"
+        raise SceneError(path, problem, "Let cells stick less, or take a larger cells.young.")
+
+
+def _most_bonds(scene: Scene) -> float:
+    """Return the largest adhesive force per contact area that receptors may ever cause, kPa."""
+    if scene.adhesion is None:
+        return 0.0
+    most = [
+        (
+            _most(kind.receptor, kind.receptor_by_phase, kind.receptor_by),
+            _most(kind.ligand, kind.ligand_by_phase, kind.ligand_by),
         )
-        hint = "Take a smaller surface energy, or a larger cells.young."
-        raise SceneError("contact.surface_energy", problem, hint)
+        for kind in scene.types.values()
+    ]
+    pairs = ((a, b) for a in most for b in most)
+    both = (0.5 * (a[0] * b[1] + a[1] * b[0]) for a, b in pairs)
+    return scene.adhesion.strength * max(both, default=0.0)
+
+
+def _most(
+    course: tuple[tuple[float, float], ...],
+    by_phase: Mapping[str, float] | None,
+    by_field: Mapping[str, tuple[tuple[float, float], ...]] | None,
+) -> float:
+    """Return the largest concentration of receptors or ligands that a type may ever have."""
+    most = max(value for _, value in course)
+    if by_phase:
+        most *= max(1.0, *by_phase.values())
+    for curve in (by_field or {}).values():
+        most *= max(1.0, *(factor for _, factor in curve))
+    return most
 
 
 def check_memory(scene: Scene) -> None:
