@@ -295,7 +295,6 @@ def course(*, default: float, at_least: float | None = None, doc: str = "") -> A
 
     The stored value is a tuple of (time in s, value), with times that rise.
     """
-
     bounds = Bounds(at_least=at_least)
 
     def convert(value: object, path: str) -> tuple[tuple[float, float], ...]:
@@ -316,7 +315,6 @@ def schedule(unit: str, *, at_least: float | None = None, doc: str = "") -> Any:
 
     The stored value is a tuple of (time in s, value in ``unit``).
     """
-
     bounds = Bounds(at_least=at_least)
 
     def convert(value: object, path: str) -> tuple[tuple[float, float], ...]:

@@ -29,6 +29,10 @@ the index of a step is a key of the random numbers, and the time a product with 
 MOST_FIXED_STEPS: Final = 1e7
 """Most steps of a fixed length in one coupling step, between which nothing can interrupt a run."""
 
+MOST_CONTRAST: Final = 1e5
+"""Largest ratio of diffusion outside tissue and inside; known ones are below ten. Balances are
+differences of flows, which lose one digit for every factor of ten."""
+
 BYTES_PER_CELL: Final = 1000
 """What a running simulation holds for each cell at least: state, lists, solver vectors."""
 
@@ -39,6 +43,7 @@ def check_sizes(scene: Scene) -> None:
         _check_size(path, value, unit, spec)
     _check_steps(scene)
     _check_overlap(scene)
+    _check_diffusion(scene)
 
 
 def _numbers(part: Any, path: str) -> Iterator[tuple[str, float, str, Parameter]]:
@@ -156,6 +161,19 @@ def _most(
     for curve in (by_field or {}).values():
         most *= max(1.0, *(factor for _, factor in curve))
     return most
+
+
+def _check_diffusion(scene: Scene) -> None:
+    """Raise ``SceneError`` for tissue and medium so unlike that a solver loses one of them."""
+    for name, field in scene.nutrients.items():
+        ratio = (field.diffusion_medium or field.diffusion) / field.diffusion
+        if not 1.0 / MOST_CONTRAST <= ratio <= MOST_CONTRAST:
+            problem = (
+                f"is {field.diffusion_medium:g} um^2/s, {ratio:.3g} times that of tissue; must be "
+                f"within a factor of {MOST_CONTRAST:g}"
+            )
+            hint = "Give such a layer a side of type 'mixed', or of type 'derivative'."
+            raise SceneError(f"nutrients.{name}.diffusion_medium", problem, hint)
 
 
 def check_memory(scene: Scene) -> None:

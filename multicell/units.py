@@ -39,10 +39,10 @@ RANGES = {
     "nN": (1e-12, 1e9),
     "nN/s": (1e-15, 1e9),
     "nN/um": (1e-9, 1e9),
-    "kPa s": (1e-9, 1e12),
+    "kPa s": (1e-8, 1e12),
     "kPa s/um": (1e-12, 1e12),
     "um^2/s": (1e-9, 1e9),
-    "mM": (1e-12, 1e6),
+    "mM": (1e-12, 1e5),
     "mM/um": (1e-15, 1e6),
     "amol/s": (1e-12, 1e12),
     "1/s": (1e-15, 1e6),
@@ -52,7 +52,7 @@ RANGES = {
 """Smallest and largest size of a number other than zero that a scene may hold, by its unit.
 
 Far beyond any use: lengths from a picometre to a metre, times from a microsecond to thirty thousand
-years, moduli from a micropascal to beyond diamond, viscosities from a twentieth of air's to a
+years, moduli from a micropascal to beyond diamond, viscosities from half of air's to a
 thousand times that of glass at its transition, concentrations from a femtomole per litre to beyond
 any pure substance, diffusion up to a hundred times that in gases. Inside, a product of a dozen such
 numbers stays far from the ends of a float (1e-308 and 1e308), so that no formula overflows or loses

@@ -70,14 +70,15 @@ OTHER_UNITS = {
 """Other ways to write a unit, with other factors."""
 
 WILD_NUMBERS = (
-    0, -1, 1, 2**31, 2**63 - 1, 2**63, 10**18, -(10**18), 10**400, 0.0, -0.0, 5e-324, 1e-300, -1e-300,
-    1e-30, 1e30, 1e300, -1e300, 1.7976931348623157e308, 0.1, 0.5, 1.5, math.nan, math.inf, -math.inf,
+    0, -1, 1, 2**31, 2**63 - 1, 2**63, 10**18, -(10**18), 10**400, 0.0, -0.0, 5e-324, 1e-300,
+    -1e-300, 1e-30, 1e30, 1e300, -1e300, 1.7976931348623157e308, 0.1, 0.5, 1.5,
+    math.nan, math.inf, -math.inf,
 )  # fmt: skip
 WILD_TEXTS = (
-    "", " ", "nan", "inf", "1", "1 um", "1 parsec", "-5 s", "0 s", "1e400 um", "1e-400 um", "5 um^2",
-    "5 um^-2147483648", "5 s**9**9**9", "1 degC", "1e5 K/min", "5 kPa s s s", "1 h 5 min", "07:32:00",
-    "x" * 5000, "9" * 90 + " um", "é", "µ" * 40, "5 µm", "\u2028", "a\0b", "🧫", "1 " + "(" * 39,
-    "5 um/0", "__import__('os')", "jkr", "cvode", "radial", "true", "a.b",
+    "", " ", "nan", "inf", "1", "1 um", "1 parsec", "-5 s", "0 s", "1e400 um", "1e-400 um",
+    "5 um^2", "5 um^-2147483648", "5 s**9**9**9", "1 degC", "1e5 K/min", "5 kPa s s s",
+    "1 h 5 min", "07:32:00", "x" * 5000, "9" * 90 + " um", "é", "µ" * 40, "5 µm", "\u2028", "a\0b",
+    "🧫", "1 " + "(" * 39, "5 um/0", "__import__('os')", "jkr", "cvode", "radial", "true", "a.b",
 )  # fmt: skip
 WILD = (
     *WILD_NUMBERS, *WILD_TEXTS, True, False, None, [], {}, [[]], [[0, 1]], [[0, 1], [0, 2]],
@@ -267,7 +268,7 @@ def base(value):
     if not isinstance(value, str):
         return value
     digits, unit = value.split(" ", 1)
-    home = next(u for u, others in {**{u: () for u in USUAL}, **OTHER_UNITS}.items()
+    home = next(u for u, others in {**dict.fromkeys(USUAL, ()), **OTHER_UNITS}.items()
                 if unit == u or unit in others)  # fmt: skip
     import pint
 
@@ -368,6 +369,11 @@ def _fit_field(scene, field, earlier, fields, flat):
     if flat and field.get("geometry") == "radial":
         del field["geometry"]
     _fit_sides(field, flat)
+    if "diffusion_medium" in field:
+        inside = base(field.get("diffusion", 2000.0))
+        field["diffusion_medium"] = min(
+            max(base(field["diffusion_medium"]), inside / 50), 50 * inside
+        )
     if "necrosis" in field and "quiescence" in field:
         low, high = sorted((base(field["necrosis"]), base(field["quiescence"])))
         field["necrosis"], field["quiescence"] = low, high if high > low else 2.0 * low + 1e-3
@@ -399,7 +405,7 @@ def _fit_sides(field, flat):
 
 
 @st.composite
-def plausible(draw, extreme=0.02, small=True):
+def plausible(draw, extreme=0.004, small=True):
     """Draw the entries of a scene that fits together; ``small``: that runs in a moment."""
     drawer = Drawer(draw, extreme)
     scene = drawer.part(Scene, "")
@@ -412,8 +418,13 @@ def plausible(draw, extreme=0.02, small=True):
         options = scene.get("integrator")
         if isinstance(options, dict) and "step" in options:
             options["step"] = max(base(options["step"]), 1e-3 * step)
-        if isinstance(options, dict):
-            options.pop("max_steps", None)
+        if not isinstance(options, dict):
+            options = scene["integrator"] = {"method": options or "cvode"}
+        options["max_steps"] = drawer.one_of([1, 300, 300, 300, 300])
+        for field in scene.get("nutrients", {}).values():
+            field["margin"] = min(base(field.get("margin", 50.0)), 60.0)
+            field["spacing"] = max(base(field.get("spacing", 8.0)), 4.0)
+            field["time_tolerance"] = max(field.get("time_tolerance", 1e-2), 1e-3)
     scene = fitted(scene)
     if small:
         scene["duration"] = scene["coupling_step"] * drawer.one_of([1.0, 2.0, 2.5, 3.0])
@@ -461,7 +472,7 @@ def broken_text(draw, text):
         at = draw(st.integers(0, max(len(text) - 1, 0)))
         end = at + draw(st.integers(0, 12))
         filling = draw(st.sampled_from(
-            ["", "=", "[", "]", '"', "\n", "[[", "1e999", "\0", "#", "'''", ".", "é", text[at:end] * 2]
+            ["", "=", "[", "]", '"', "\n", "[[", "1e999", "\0", "#", "'''", ".", text[at:end] * 2]
         ))  # fmt: skip
         text = text[:at] + filling + text[end:]
     return text
