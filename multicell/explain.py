@@ -10,6 +10,7 @@ import numpy as np
 
 from multicell.cells import Cells
 from multicell.domain import sides
+from multicell.errors import MulticellError
 from multicell.explain_contact import contact_notes, contact_numbers, contact_parts
 from multicell.explain_nutrient import nutrient_notes, nutrient_numbers, nutrient_parts
 from multicell.facts import Number, Part, hours
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from multicell.scene import Scene
 
 _NEIGHBOURS: Final = 12  # of a cell in dense packing
+_MOST_TRIED: Final = 50_000  # cells up to which a coupling step is tried to tell what is chosen
 
 
 def explain(scene: Scene) -> dict[str, Any]:
@@ -123,15 +125,23 @@ def _integrator_words(scene: Scene) -> str:
     method = scene.integrator.method
     if method != "auto":
         return f"{method}: {METHODS[method]}"
+    if scene.initial.count > _MOST_TRIED:
+        return f"{method}: {METHODS[method]}; not tried here with so many cells"
     from multicell.integrators.auto import explained
 
-    return f"{method}: {METHODS[method]}; {explained(scene)}"
+    try:
+        choice = explained(scene)
+    except MulticellError as error:
+        choice = f"the first coupling step cannot be taken: {error}"
+    return f"{method}: {METHODS[method]}; {choice}"
 
 
 def _run(scene: Scene) -> list[Number]:
     """Return the numbers of coupling steps and frames."""
     steps = math.ceil(scene.duration / scene.coupling_step * (1.0 - 1e-12))
+    # frames are saved between coupling steps, so that there are no more than those and one
     frames = math.floor(scene.duration / scene.output.every * (1.0 + 1e-12)) + 1
+    frames = min(frames, steps + 1)
     return [
         Number("duration", scene.duration, "s", f"simulated time: {hours(scene.duration)}"),
         Number("coupling steps", steps, "", f"of {scene.coupling_step:g} s each"),

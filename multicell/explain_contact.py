@@ -161,7 +161,7 @@ def _pair_numbers(scene: Scene, label: str, pair: Pair) -> list[Number]:
         whom += ", bonds as at the start"
     rest = pair.equilibrium_overlap()
     # spheres that do not stick are not stiff at first contact: take a tenth of the radius
-    overlap = rest if rest > 0.0 or isinstance(pair.law, Spring) else 0.05 * pair.rest
+    overlap = rest if pair.stiffness(rest) > 0.0 else 0.05 * pair.rest
     touching = overlap if overlap > 0.0 else 0.05 * pair.rest
     where = "at rest" if overlap == rest else "at an overlap of a tenth of the radius"
     friction = drag(scene, 0.5 * pair.rest)

@@ -65,8 +65,9 @@ class Pair:
         if self.bonds == 0.0:
             return low
         high = max(low, 1e-6 * self.rest)
-        while self.force(high) < 0.0 and high < self.rest:
-            high *= 2.0
+        most = (1.0 - 1e-9) * self.rest  # there the centres meet, and no law goes on
+        while self.force(high) < 0.0 and high < most:
+            high = min(2.0 * high, most)
         for _ in range(100):
             middle = 0.5 * (low + high)
             low, high = (middle, high) if self.force(middle) < 0.0 else (low, middle)

@@ -49,6 +49,18 @@ class Parameter:
         The key of a table that a bare string in the table's place stands for, else empty.
     table
         The class of a table, else None.
+    kind
+        Name of the function that declared it, such as ``"quantity"``.
+    bounds
+        The interval of its numbers.
+    options
+        The names that are allowed; of a variant the names of its parts.
+    parts
+        The parts of a variant by name.
+    key
+        The key of a variant that says which part it is.
+    examples
+        Values that are accepted, where ``kind`` does not say how to make some.
     """
 
     convert: Callable[[Any, str], Any]
@@ -58,6 +70,12 @@ class Parameter:
     doc: str = ""
     shorthand: str = ""
     table: type | None = None
+    kind: str = ""
+    bounds: Bounds | None = None
+    options: tuple[str, ...] = ()
+    parts: Mapping[str, type] | None = None
+    key: str = ""
+    examples: tuple[Any, ...] = ()
 
 
 @final
@@ -96,7 +114,7 @@ class Bounds:
         """Raise ``SceneError`` if ``value``, which the user wrote as ``given``, lies outside."""
         if not self.contain(value):
             tail = f" {unit}" if unit else ""
-            text = given if isinstance(given, str) else f"{given}{tail}"
+            text = given if isinstance(given, str) else f"{shown(given)}{tail}"
             raise SceneError(path, f"is {text}, must be {self.words(unit)}", hint)
 
 
@@ -123,7 +141,10 @@ def quantity(
         bounds.require(number, value, path, unit, hint)
         return number
 
-    return _field(Parameter(convert, unit=unit, allowed=bounds.words(unit), doc=doc), default)
+    parameter = Parameter(
+        convert, unit=unit, allowed=bounds.words(unit), doc=doc, kind="quantity", bounds=bounds
+    )
+    return _field(parameter, default)
 
 
 def number(
@@ -144,14 +165,15 @@ def number(
         bounds.require(result, value, path, "", hint)
         return result
 
-    return _field(Parameter(convert, allowed=bounds.words(), doc=doc), default)
+    parameter = Parameter(convert, allowed=bounds.words(), doc=doc, kind="number", bounds=bounds)
+    return _field(parameter, default)
 
 
 def count(
     *,
     default: Any = MISSING,
     at_least: int = 0,
-    at_most: int | None = None,
+    at_most: int = 10**9,
     doc: str = "",
     hint: str = "",
 ) -> Any:
@@ -164,7 +186,8 @@ def count(
         bounds.require(int(value), value, path, "", hint)
         return int(value)
 
-    return _field(Parameter(convert, allowed=bounds.words(), doc=doc), default)
+    parameter = Parameter(convert, allowed=bounds.words(), doc=doc, kind="count", bounds=bounds)
+    return _field(parameter, default)
 
 
 def choice(options: Iterable[str], *, default: Any = MISSING, doc: str = "") -> Any:
@@ -174,7 +197,10 @@ def choice(options: Iterable[str], *, default: Any = MISSING, doc: str = "") -> 
     def convert(value: object, path: str) -> str:
         return chosen(value, names, path)
 
-    return _field(Parameter(convert, allowed=" or ".join(names), doc=doc), default)
+    parameter = Parameter(
+        convert, allowed=" or ".join(names), doc=doc, kind="choice", options=tuple(names)
+    )
+    return _field(parameter, default)
 
 
 def text(*, default: Any = MISSING, doc: str = "") -> Any:
@@ -185,7 +211,7 @@ def text(*, default: Any = MISSING, doc: str = "") -> Any:
             raise SceneError(path, f"is {shown(value)}, must be one line of text")
         return value
 
-    return _field(Parameter(convert, doc=doc), default)
+    return _field(Parameter(convert, doc=doc, kind="text"), default)
 
 
 def table(
@@ -206,7 +232,7 @@ def table(
             value = {shorthand: value}
         return value if isinstance(value, part) else build(part, value, path)
 
-    parameter = Parameter(convert, plain, doc=doc, shorthand=shorthand, table=part)
+    parameter = Parameter(convert, plain, doc=doc, shorthand=shorthand, table=part, kind="table")
     return _field(parameter, default, default_factory)
 
 
@@ -227,7 +253,11 @@ def variant(
         return {key: name, **plain(value)}
 
     allowed = f"{key}: {' or '.join(options)}"
-    return _field(Parameter(convert, to_plain, allowed=allowed, doc=doc), MISSING, default_factory)
+    parameter = Parameter(
+        convert, to_plain, allowed=allowed, doc=doc, kind="variant", options=tuple(options),
+        parts=options, key=key,
+    )  # fmt: skip
+    return _field(parameter, MISSING, default_factory)
 
 
 def flag(*, default: Any = MISSING, doc: str = "") -> Any:
@@ -238,7 +268,7 @@ def flag(*, default: Any = MISSING, doc: str = "") -> Any:
             raise SceneError(path, f"is {shown(value)}, must be true or false")
         return value
 
-    return _field(Parameter(convert, allowed="true or false", doc=doc), default)
+    return _field(Parameter(convert, allowed="true or false", doc=doc, kind="flag"), default)
 
 
 def quantities(
@@ -247,9 +277,10 @@ def quantities(
     """Declare an optional table of names to quantities, or to numbers where ``unit`` is empty."""
     bounds = Bounds(at_least=at_least, at_most=at_most)
 
-    def convert(value: object, path: str) -> Tables[float]:
+    def convert(value: object, path: str) -> Tables[float] | None:
         entries = dict(value) if isinstance(value, Tables) else _mapping(value, path)
-        return Tables({name: one(name, entry, path) for name, entry in entries.items()})
+        # an empty table says no more than an absent one, which is how it would be written
+        return Tables({name: one(name, e, path) for name, e in entries.items()}) or None
 
     def one(name: str, entry: object, path: str) -> float:
         where = f"{path}.{name}"
@@ -257,7 +288,8 @@ def quantities(
         bounds.require(converted, entry, where, unit, "")
         return converted
 
-    return _field(Parameter(convert, dict, unit=unit, doc=doc), None)
+    parameter = Parameter(convert, dict, unit=unit, doc=doc, kind="quantities", bounds=bounds)
+    return _field(parameter, None)
 
 
 def course(*, default: float, at_least: float | None = None, doc: str = "") -> Any:
@@ -265,15 +297,19 @@ def course(*, default: float, at_least: float | None = None, doc: str = "") -> A
 
     The stored value is a tuple of (time in s, value), with times that rise.
     """
+    bounds = Bounds(at_least=at_least)
 
     def convert(value: object, path: str) -> tuple[tuple[float, float], ...]:
         points = value if isinstance(value, list | tuple) else [(0.0, value)]
-        return _course(points, path, "", Bounds(at_least=at_least))
+        found = _course(points, path, "", bounds)
+        # a single value holds always: its time says nothing, and would not be written
+        return found if len(found) > 1 else ((0.0, found[0][1]),)
 
     def to_plain(value: tuple[tuple[float, float], ...]) -> Any:
         return value[0][1] if len(value) == 1 else [list(point) for point in value]
 
-    return _field(Parameter(convert, to_plain, doc=doc), ((0.0, default),))
+    parameter = Parameter(convert, to_plain, doc=doc, kind="course", bounds=bounds)
+    return _field(parameter, ((0.0, default),))
 
 
 def schedule(
@@ -283,14 +319,16 @@ def schedule(
 
     The stored value is a tuple of (time in s, value in ``unit``).
     """
+    bounds = Bounds(at_least=at_least, at_most=at_most)
 
     def convert(value: object, path: str) -> tuple[tuple[float, float], ...]:
-        return _course(value, path, unit, Bounds(at_least=at_least, at_most=at_most))
+        return _course(value, path, unit, bounds)
 
     def to_plain(value: tuple[tuple[float, float], ...]) -> Any:
         return [list(point) for point in value]
 
-    return _field(Parameter(convert, to_plain, unit=unit, doc=doc), None)
+    parameter = Parameter(convert, to_plain, unit=unit, doc=doc, kind="schedule", bounds=bounds)
+    return _field(parameter, None)
 
 
 def _course(
@@ -346,7 +384,10 @@ def names(options: Iterable[str], *, doc: str = "") -> Any:
             raise SceneError(path, f"is {shown(value)}, must be a list of names")
         return tuple(chosen(name, known, path) for name in value)
 
-    return _field(Parameter(convert, list, allowed=", ".join(known), doc=doc), ())
+    parameter = Parameter(
+        convert, list, allowed=", ".join(known), doc=doc, kind="names", options=tuple(known)
+    )
+    return _field(parameter, ())
 
 
 def responses(unit: str, *, at_least: float | None = None, doc: str = "") -> Any:
@@ -356,9 +397,10 @@ def responses(unit: str, *, at_least: float | None = None, doc: str = "") -> Any
     """
     bounds = Bounds(at_least=at_least)
 
-    def convert(value: object, path: str) -> Tables[tuple[tuple[float, float], ...]]:
+    def convert(value: object, path: str) -> Tables[tuple[tuple[float, float], ...]] | None:
         entries = dict(value) if isinstance(value, Tables) else _mapping(value, path)
-        return Tables({name: one(curve, f"{path}.{name}") for name, curve in entries.items()})
+        curves = {name: one(curve, f"{path}.{name}") for name, curve in entries.items()}
+        return Tables(curves) or None  # as an empty table of quantities
 
     def one(curve: object, path: str) -> tuple[tuple[float, float], ...]:
         points = list(curve) if isinstance(curve, list | tuple) else []
@@ -375,7 +417,8 @@ def responses(unit: str, *, at_least: float | None = None, doc: str = "") -> Any
     def to_plain(value: Mapping[str, Any]) -> dict[str, Any]:
         return {name: [list(point) for point in curve] for name, curve in value.items()}
 
-    return _field(Parameter(convert, to_plain, doc=doc), None)
+    parameter = Parameter(convert, to_plain, unit=unit, doc=doc, kind="responses", bounds=bounds)
+    return _field(parameter, None)
 
 
 def tables(
@@ -399,7 +442,10 @@ def tables(
     def to_plain(value: Tables[Any]) -> dict[str, Any]:
         return {name: plain(entry) for name, entry in value.items()}
 
-    return _field(Parameter(convert, to_plain, doc=doc, table=part), MISSING, default_factory)
+    parameter = Parameter(
+        convert, to_plain, doc=doc, table=part, kind="tables", options=tuple(known or ())
+    )
+    return _field(parameter, MISSING, default_factory)
 
 
 @final
@@ -491,7 +537,7 @@ def build(part: type[T], value: object, path: str = "", also: tuple[str, ...] = 
     for key in entries:
         if key not in known:
             hint = near_miss(key, [*also, *known])
-            raise SceneError(_join(path, key), "is not a known key here", hint)
+            raise SceneError(_join(path, key or "''"), "is not a known key here", hint)
     for spec in fields(part):  # type: ignore[arg-type]
         needed = spec.default is MISSING and spec.default_factory is MISSING
         if needed and spec.name not in entries:

@@ -31,7 +31,9 @@ from multicell.parameters import (
 class Initial:
     """The cells at the start."""
 
-    count: int = count(default=1, at_least=1, doc="number of cells")
+    count: int = count(
+        default=1, at_least=1, at_most=10**8, doc="number of cells", hint="A million is a lot."
+    )
     arrangement: str = choice(
         ["ball"], default="ball", doc="hexagonal close packing that is cut to a ball"
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time as clock
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -178,8 +179,10 @@ class Recorder:
 
     def _count_frames(self, time: float) -> None:
         """Find when the next frame after a time is due."""
-        while self._next_frame <= time * (1.0 + 1e-12):
-            self._next_frame += self._scene.output.every
+        every, now = self._scene.output.every, time * (1.0 + 1e-12)
+        due = (math.floor(now / every) + 1) * every
+        # where the frames are closer than the rounding of the time, the next step has one
+        self._next_frame = max(due, math.nextafter(now, math.inf))
 
 
 def _open_store(scene: Scene, output: str | Path | None, overwrite: bool) -> Store | None:

@@ -52,6 +52,7 @@ from multicell.parts import (
     OutputOptions,
     Pull,
 )
+from multicell.sizes import check_sizes
 from multicell.units import BASE_UNITS, shown
 
 
@@ -118,6 +119,7 @@ class Scene:
 
     def check(self) -> None:
         """Raise ``SceneError`` for parts that do not fit together."""
+        check_sizes(self)
         check_types(self)
         smallest = 0.5 ** (1.0 / 3.0) * self.cells.division_radius
         smoothing = getattr(self.contact, "smoothing", 0.0)
@@ -265,7 +267,10 @@ def _change(entries: dict[str, Any], key: str, value: Any) -> None:
     if value is None and last in node:
         del node[last]
     else:
-        node[last] = deepcopy(value)  # a later key may write into it
+        try:
+            node[last] = deepcopy(value)  # a later key may write into it
+        except RecursionError:
+            raise SceneError(key, "is nested too deeply") from None
     if key == "contact.law" and isinstance(value, str) and value in LAWS:
         allowed = {"law", *specs(LAWS[value])}
         entries["contact"] = {k: v for k, v in node.items() if k in allowed}

@@ -43,6 +43,7 @@ from multicell.ledger import Ledger
 from multicell.lineage import Lineage
 from multicell.mechanics import Mechanics, Motion
 from multicell.quantities import units_of
+from multicell.sizes import check_memory
 from multicell.threads import thread_count
 
 if TYPE_CHECKING:
@@ -112,6 +113,8 @@ class Simulation:
         frame: Frame | None = None,
         lineage: Lineage | None = None,
     ) -> None:
+        if cells is None and frame is None:
+            check_memory(scene)
         self.scene = scene
         self.wall = dict.fromkeys(PHASES, 0.0)
         self.step_index = self.divisions = self.removals = 0

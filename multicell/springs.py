@@ -155,7 +155,10 @@ class Linear(Spring):
         "nN/um", default=1.0, above=0.0, doc="Spring stiffness μ at rest"
     )
     cutoff: float = number(
-        default=1.5, at_least=1.0, doc="Largest distance at which the law acts / rest distance"
+        default=1.5,
+        at_least=1.0,
+        at_most=10.0,
+        doc="Largest distance at which the law acts / rest distance",
     )
 
     def _force(self, h: FloatArray, s: FloatArray, range_: FloatArray) -> FloatArray:
@@ -178,7 +181,10 @@ class Cubic(Spring):
         "nN/um", default=1.0, above=0.0, doc="Spring stiffness μ at rest"
     )
     cutoff: float = number(
-        default=1.5, above=1.0, doc="Largest distance at which the law acts / rest distance"
+        default=1.5,
+        above=1.0,
+        at_most=10.0,
+        doc="Largest distance at which the law acts / rest distance",
     )
 
     def _force(self, h: FloatArray, s: FloatArray, range_: FloatArray) -> FloatArray:
@@ -207,9 +213,14 @@ class GeneralisedLinear(Spring):
         "nN/um", default=1.0, above=0.0, doc="Spring stiffness μ at rest"
     )
     cutoff: float = number(
-        default=1.5, at_least=1.0, doc="Largest distance at which the law acts / rest distance"
+        default=1.5,
+        at_least=1.0,
+        at_most=10.0,
+        doc="Largest distance at which the law acts / rest distance",
     )
-    decay: float = number(default=5.0, above=0.0, doc="α: how fast the attraction fades")
+    decay: float = number(
+        default=5.0, above=0.0, at_most=1e3, doc="α: how fast the attraction fades"
+    )
 
     def _force(self, h: FloatArray, s: FloatArray, range_: FloatArray) -> FloatArray:
         with np.errstate(divide="ignore"):

@@ -32,6 +32,33 @@ _KINDS = {
     "1/um": ("an inverse length", "0.01 1/um"),
     "mM/um": ("a gradient of concentration", "1e-4 mM/um"),
 }
+RANGES = {
+    "um": (1e-6, 1e6),
+    "s": (1e-6, 1e12),
+    "kPa": (1e-9, 1e10),
+    "nN": (1e-12, 1e9),
+    "nN/s": (1e-15, 1e9),
+    "nN/um": (1e-9, 1e9),
+    "kPa s": (1e-8, 1e12),
+    "kPa s/um": (1e-12, 1e12),
+    "um^2/s": (1e-9, 1e9),
+    "mM": (1e-12, 1e5),
+    "mM/um": (1e-15, 1e6),
+    "amol/s": (1e-12, 1e12),
+    "1/s": (1e-15, 1e6),
+    "1/um": (1e-9, 1e6),
+    "": (1e-12, 1e12),
+}
+"""Smallest and largest size of a number other than zero that a scene may hold, by its unit.
+
+Far beyond any use: lengths from a picometre to a metre, times from a microsecond to thirty thousand
+years, moduli from a micropascal to beyond diamond, viscosities from half of air's to a
+thousand times that of glass at its transition, concentrations from a femtomole per litre to beyond
+any pure substance, diffusion up to a hundred times that in gases. Inside, a product of a dozen such
+numbers stays far from the ends of a float (1e-308 and 1e308), so that no formula overflows or loses
+what it needs to an underflow.
+"""
+
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)(.*)", re.DOTALL)
 _UNIT_TEXT = re.compile(r"[A-Za-zµμ0-9 */^().²³¹⁻-]{1,40}")
 # A power of a power or a long exponent would keep the parser busy for ever.
@@ -83,7 +110,7 @@ def finite(value: object, path: str, wanted: str, hint: str = "") -> float:
         number = math.inf
     if not math.isfinite(number):
         raise SceneError(path, f"is {shown(value)}, must be a finite number", hint)
-    return number
+    return number + 0.0  # there is one zero: -0.0 would be written and drawn as another
 
 
 def shown(value: object) -> str:
@@ -92,7 +119,12 @@ def shown(value: object) -> str:
         return "a table"
     if isinstance(value, list | tuple):
         return "a list"
-    text = repr(value)
+    if isinstance(value, str):
+        value = value if len(value) <= 60 else f"{value[:60]}..."
+    try:
+        text = repr(value)
+    except (ValueError, RecursionError):  # integers of thousands of digits, deep nesting
+        return f"an '{type(value).__name__}' too long to show"
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
@@ -106,6 +138,8 @@ def _from_text(text: str, unit: str, path: str) -> float:
         raise SceneError(path, f"is {shown(text)}, a string without a unit", _example(unit))
     factor = _factor(unit_text, unit, text, path)
     number = finite(float(digits), path, "a number")
+    if number == 0.0 and not Decimal(digits).is_zero():
+        raise SceneError(path, f"is {shown(text)}, too small for a number", _example(unit))
     if number == 0.0:
         return 0.0
     product = float(Decimal(digits) * Decimal(repr(factor)))

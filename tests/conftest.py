@@ -6,3 +6,10 @@ from hypothesis import settings
 # so that a failure can be seen again
 settings.register_profile("multicell", deadline=None, derandomize=True)
 settings.load_profile("multicell")
+
+
+def pytest_addoption(parser):
+    group = parser.getgroup("multicell", "how long the harnesses search")
+    group.addoption("--scenes", type=int, default=300, help="scenes drawn and loaded")
+    group.addoption("--runs", type=int, default=24, help="small scenes drawn and run")
+    group.addoption("--first-seed", type=int, default=0, help="of the scenes; others each time")

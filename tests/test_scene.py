@@ -428,14 +428,18 @@ def positive(top=1e6):
     return st.floats(1e-6, top)
 
 
+def zero_or(least, most):
+    return st.just(0.0) | st.floats(least, most)
+
+
 NUTRIENTS = st.fixed_dictionaries(
     {
         "diffusion": positive(),
-        "necrosis": st.floats(0, 0.01),
+        "necrosis": zero_or(1e-6, 0.01),
         "quiescence": st.floats(0.011, 1),
         "spacing": st.floats(0.1, 4.0),
     },
-    optional={"uptake": st.floats(0, 1e3), "margin": positive()},
+    optional={"uptake": zero_or(1e-6, 1e3), "margin": positive()},
 )
 SCENES = st.fixed_dictionaries(
     {"duration": positive() | st.integers(1, 30).map("{} d".format)},
@@ -448,10 +452,10 @@ SCENES = st.fixed_dictionaries(
         ),
         "cells": st.fixed_dictionaries(
             {"division_radius": st.floats(1, 50)},
-            optional={"poisson": st.floats(-0.99, 0.5), "young": positive()},
+            optional={"poisson": zero_or(0.01, 0.5), "young": st.floats(1, 1e6)},
         ),
         "contact": st.just({"law": "hertz"})
-        | st.builds(lambda energy: {"surface_energy": energy}, st.floats(0, 1e3)),
+        | st.builds(lambda energy: {"surface_energy": energy}, zero_or(1e-9, 0.01)),
         "growth": st.fixed_dictionaries({}, optional={"critical_pressure": positive()}),
         "death": st.fixed_dictionaries({}, optional={"removal_fraction": st.floats(0.01, 0.99)}),
         "nutrients": st.dictionaries(
@@ -480,7 +484,7 @@ def test_toml_round_trip(tmp_path, entries):
     assert load_scene(file) == scene
 
 
-@given(entries=SCENES, boundary=st.floats(0, 10))
+@given(entries=SCENES, boundary=zero_or(1e-6, 10))
 def test_changes_touch_nothing_else(entries, boundary):
     scene = Scene.from_dict(entries)
     name = next(iter(scene.nutrients), "oxygen")

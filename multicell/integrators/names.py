@@ -23,3 +23,6 @@ METHODS: dict[str, str] = {
     "scipy-bdf": "outside reference: SciPy's BDF, up to 6000 cells",
 }
 """Name of each integration method -> what it is, in one line."""
+
+FIXED_STEP = ("backward-euler", "euler", "heun", "ab2", "rk4")
+"""Methods that take equal steps of the length that the scene gives."""

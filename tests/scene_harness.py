@@ -1,0 +1,434 @@
+"""What must hold of every scene, and worker processes that try it with many.
+
+A case is a dict of a scene. :func:`load_case` and :func:`run_case` return what became of it, or
+raise :class:`Fault`. :func:`campaign` draws cases in worker processes, which are killed when a case
+takes longer than it may, and returns a :class:`Tally` with all faults.
+"""
+
+from __future__ import annotations
+
+import collections
+import json
+import multiprocessing
+import tempfile
+import time as clock
+import traceback
+import tracemalloc
+import warnings
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+SECONDS_TO_LOAD = 8.0
+BYTES_TO_LOAD = 100e6
+SECONDS_TO_RUN = 60.0
+"""Compilation of a law and a method that no case had before included."""
+REMAINDER = 1e-6
+NOT_A_NUMBER = {"heterotypic_fraction"}
+"""Observables that are documented to be NaN: no contacts, no fraction of contacts."""
+ENDLESS = {"cycle_time"}
+"""Columns that are documented to be infinite: nothing grows, no cycle ends."""
+
+
+class Fault(Exception):  # noqa: N818 - what was found, not a failure of the harness
+    """Something that must never be; the text begins with its kind."""
+
+
+# --- loading -----------------------------------------------------------------------------------
+
+
+def load_case(entries):
+    """Load a scene from a dict and as TOML; return ``"loaded"`` or ``"refused"``."""
+    from multicell.scene import Scene
+
+    tracemalloc.start()
+    try:
+        begin = clock.process_time()
+        made = _made(lambda: Scene.from_dict(entries), entries)
+        _load_text(entries, made)
+        if isinstance(made, Scene):
+            _round_trips(made)
+        seconds, (_, peak) = clock.process_time() - begin, tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    if seconds > SECONDS_TO_LOAD:
+        raise Fault(f"slow: {seconds:.1f} s")
+    if peak > BYTES_TO_LOAD:
+        raise Fault(f"memory: {peak / 1e6:.0f} MB")
+    if not isinstance(made, Scene):
+        return "refused"
+    if made.integrator.method != "auto":  # which tries a step: a thing for runs
+        explained(made)
+    return "loaded"
+
+
+def _made(make, entries):
+    """Return the scene, or the text of the error that names the place."""
+    from multicell.errors import SceneError
+
+    try:
+        return make()
+    except SceneError as error:
+        if not place_exists(error.path, entries):
+            raise Fault(f"path: {error.path[:80]!r} is no place in the scene: {error}") from error
+        if not error.problem:
+            raise Fault(f"words: no problem at {error.path!r}") from error
+        return str(error)
+
+
+def _load_text(entries, made):
+    """Write the entries as TOML, where TOML can; load_scene must say the same as from_dict."""
+    import tomli_w
+
+    from multicell.scene import load_scene
+
+    try:
+        content = tomli_w.dumps(entries)
+    except (AttributeError, TypeError, ValueError, RecursionError):
+        return  # no TOML: None, bytes, keys that are no text, endless integers
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "scene.toml"
+        try:
+            file.write_text(content, encoding="utf-8")
+        except UnicodeEncodeError:
+            return
+        again = _made(lambda: load_scene(file), entries)
+    # where several places are wrong, the order of the tables decides which is named
+    if type(again) is not type(made) or (again != made and not isinstance(made, str)):
+        raise Fault(f"text: from TOML {again}, from the dict {made}")
+
+
+def _round_trips(scene):
+    """Check that a scene comes back from its dict, its TOML text and no changes as it was."""
+    import tomllib
+
+    from multicell.scene import Scene, load_scene
+
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "scene.toml"
+        file.write_text(scene.to_toml(), encoding="utf-8")
+        assert tomllib.loads(file.read_text(encoding="utf-8")) == scene.to_dict()
+        others = [load_scene(file), Scene.from_dict(scene.to_dict()), scene.with_changes({})]
+    for other in others:
+        same = other == scene and hash(other) == hash(scene) and repr(other) == repr(scene)
+        if not same:
+            raise Fault(f"round trip: {scene} came back as {other}")
+
+
+def place_exists(path, entries):
+    """Return whether a dotted path leads to a place in entries, or to one that may be there."""
+    from multicell.scene import Scene
+
+    if not path:
+        return not isinstance(entries, dict) or not all(isinstance(key, str) for key in entries)
+    return _leads(path, entries, Scene)
+
+
+def _leads(path, node, part):
+    from multicell.parameters import specs
+
+    known = {} if part is None else specs(part)
+    here = list(node) if isinstance(node, dict) else []
+    for key in {*(k or "''" for k in here if isinstance(k, str)), *known}:
+        if path == key:
+            return True
+        if path.startswith(f"{key}."):
+            spec = known.get(key)
+            rest = path[len(key) + 1 :]
+            below = node.get(key) if isinstance(node, dict) else None
+            if spec is None:
+                return _leads(rest, below, part)
+            if spec.parts is not None:
+                tables = [spec.key, *(k for p in spec.parts.values() for k in specs(p))]
+                return rest in tables or _leads(rest, below, None)
+            if spec.kind in ("table", ""):
+                return rest == spec.shorthand or _leads(rest, below, spec.table)
+            name, _, tail = rest.partition(".")
+            entry = below.get(name) if isinstance(below, dict) else None
+            missing = name in spec.options or spec.kind in ("quantities", "responses")
+            if entry is None and not missing and not (isinstance(below, dict) and rest in below):
+                return False
+            return not tail or rest in (below or {}) or _leads(tail, entry, spec.table)
+    return False
+
+
+def explained(scene):
+    """Return what ``explain`` says, which must be plain and finite, or end by name."""
+    from multicell.explain import explain
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        told = explain(scene)
+    json.dumps(told)
+    for number in told["numbers"]:
+        value = number["value"]
+        if not np.isfinite(value) and "infinite" not in number["meaning"]:
+            raise Fault(f"explain: {number['name'].split(',')[0]} is {value}")
+    return told
+
+
+# --- running -----------------------------------------------------------------------------------
+
+
+def run_case(entries):
+    """Run a scene to its end; return ``"ran"``, ``"refused"`` or the name of its failure."""
+    from multicell.errors import SceneError, StepFailed
+    from multicell.nutrient.grid import NutrientFailed
+    from multicell.running import run
+    from multicell.scene import Scene
+
+    try:
+        scene = Scene.from_dict(entries)
+    except SceneError:
+        return "refused"
+    explained(scene)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        try:
+            result = run(scene, threads=1)
+        except (StepFailed, NutrientFailed, SceneError) as error:
+            return type(error).__name__
+    check_result(result)
+    return "ran"
+
+
+def check_result(result):
+    """Raise :class:`Fault` for a number that is none, an open ledger, cells lost or made."""
+    for name, column in result.history.items():
+        _finite(f"history.{name}", column, name)
+    for frame in result.frames:
+        _check_frame(frame)
+    summary = result.summary()
+    _walk("summary", summary)
+    for name, ledger in summary["ledger"].items():
+        left = ledger if name == "relative_remainder" else ledger["relative_remainder"]
+        if not left <= REMAINDER:
+            raise Fault(f"ledger: {name} is left open by {left:.3g}")
+    _check_numbers(result, summary)
+
+
+def _check_frame(frame):
+    for name in type(frame.cells).schema():
+        _finite(f"cells.{name}", getattr(frame.cells, name), name)
+    if not (frame.cells.radius > 0.0).all():
+        raise Fault("radius: not above zero")
+    for name, values in frame.concentrations.items():
+        _finite(f"concentrations.{name}", values, name)
+        if not (values >= 0.0).all():
+            raise Fault(f"concentration: {values.min():.3g} at a cell")
+    for name, one in frame.fields.items():
+        _finite(f"fields.{name}", one.values, name)
+
+
+def _finite(where, values, name):
+    values = np.asarray(values)
+    good = np.isfinite(values) if values.dtype.kind == "f" else np.ones(values.shape, bool)
+    if name in ENDLESS:
+        good |= np.isposinf(values)
+    if name in NOT_A_NUMBER:
+        good |= np.isnan(values)
+    if not good.all():
+        raise Fault(f"not finite: {where} has {values[~good].ravel()[0]}")
+
+
+def _walk(where, value):
+    if isinstance(value, dict):
+        for name, entry in value.items():
+            _walk(f"{where}.{name}", entry)
+    elif isinstance(value, float):
+        _finite(where, value, where.rsplit(".", 1)[1])
+
+
+def _check_numbers(result, summary):
+    """Check that cells come from divisions and go by removal only, and volume by growth, death."""
+    scene, last = result.scene, result.frames[-1].cells
+    expected = scene.initial.count + summary["divisions"] - summary["removals"]
+    if not len(last) == summary["cells"] == result.history["cells"][-1] == expected:
+        raise Fault(f"cells: {len(last)} in the frame, {summary['cells']} counted, {expected} due")
+    born = result.lineage["id"]
+    if len(born) != scene.initial.count + 2 * summary["divisions"] or len(set(born)) != len(born):
+        raise Fault(f"lineage: {len(born)} cells after {summary['divisions']} divisions")
+    if not set(last.id) <= set(born):
+        raise Fault("lineage: a cell was never born")
+    before, after = result.frames[0].cells.volume.sum(), last.volume.sum()
+    if scene.growth is None and scene.death is None and not np.isclose(before, after, rtol=1e-9):
+        raise Fault(f"volume: from {before:.6g} to {after:.6g} without growth and death")
+    if scene.death is None and after < before * (1.0 - 1e-9):
+        raise Fault(f"volume: from {before:.6g} down to {after:.6g} without death")
+
+
+# --- many cases --------------------------------------------------------------------------------
+
+
+@dataclass
+class Tally:
+    """What became of many cases."""
+
+    counts: collections.Counter = field(default_factory=collections.Counter)
+    faults: dict = field(default_factory=dict)
+    seconds: float = 0.0
+
+    @property
+    def total(self):
+        """Number of cases."""
+        return sum(self.counts.values())
+
+    def add(self, verdict, entries):
+        """Count a verdict; of each kind of fault the smallest scene is kept."""
+        if verdict.startswith("FAULT "):
+            kind = verdict.splitlines()[0]
+            if kind not in self.faults or len(repr(entries)) < len(repr(self.faults[kind][1])):
+                self.faults[kind] = (verdict, entries)
+            verdict = "FAULT"
+        self.counts[verdict] += 1
+
+    def __str__(self):
+        """Return one line of counts, and every kind of fault with a scene that shows it."""
+        counts = ", ".join(f"{name} {count}" for name, count in self.counts.most_common())
+        lines = [f"{self.total} in {self.seconds:.0f} s: {counts}"]
+        for verdict, entries in self.faults.values():
+            lines += ["", verdict, f"scene: {entries!r}"]
+        return "\n".join(lines)
+
+
+KINDS = {"load": (load_case, SECONDS_TO_LOAD), "run": (run_case, SECONDS_TO_RUN)}
+_BATCH = {"load": 500, "run": 50}
+
+
+def judged(kind, entries):
+    """Return what became of a case, or a text that begins with ``FAULT``."""
+    try:
+        return KINDS[kind][0](entries)
+    except Fault as fault:
+        return f"FAULT {fault}"
+    except Exception as error:
+        places = traceback.extract_tb(error.__traceback__)
+        place = next((p for p in reversed(places) if "multicell/" in p.filename), places[-1])
+        where = f"{Path(place.filename).name}:{place.name}"
+        return f"FAULT raw {type(error).__name__} in {where}: {str(error)[:100]}\n" + "".join(
+            traceback.format_tb(error.__traceback__)[-6:]
+        )
+
+
+def _work(pipe):
+    """Draw and judge cases as the parent asks for: (kind, seed, number)."""
+    from multicell.scene import load_scene
+
+    explained(load_scene("spheroid"))  # what is imported once is no case's
+    while (task := pipe.recv()) is not None:
+        _draw(*task, pipe)
+        pipe.send(("done", None))
+
+
+def _draw(kind, seed, number, pipe):
+    import hypothesis
+    import scene_strategies
+    from hypothesis import HealthCheck, Phase, given, settings
+
+    @hypothesis.seed(seed)
+    @settings(
+        max_examples=number, database=None, deadline=None, phases=[Phase.generate],
+        suppress_health_check=list(HealthCheck),
+    )  # fmt: skip
+    @given(entries=scene_strategies.wild() if kind == "load" else scene_strategies.plausible())
+    def each(entries):
+        pipe.send(("begin", entries))
+        pipe.send(("end", judged(kind, entries)))
+
+    each()
+
+
+@dataclass
+class _Worker:
+    """A process, and what it is at."""
+
+    context: object
+    process: object = None
+    pipe: object = None
+    task: tuple | None = None
+    left: int = 0
+    case: object = None
+    since: float = 0.0
+
+    def start(self):
+        """Begin with a new process."""
+        self.pipe, other = self.context.Pipe()
+        self.process = self.context.Process(target=_work, args=(other,), daemon=True)
+        self.process.start()
+        other.close()
+        self.case = None
+
+    def give(self, task):
+        """Send a task."""
+        self.task, self.left, self.case = task, task[2], None
+        self.pipe.send(task)
+
+    def stop(self):
+        """End the process."""
+        self.process.kill()
+        self.process.join()
+        self.pipe.close()
+
+
+def campaign(kind, number, workers=2, first_seed=0, report=None):
+    """Draw and judge ``number`` cases; ``report`` is called with the tally now and then."""
+    begin = clock.monotonic()
+    context = multiprocessing.get_context("spawn")
+    tasks = collections.deque()
+    while sum(task[2] for task in tasks) < number:
+        size = min(_BATCH[kind], number - sum(task[2] for task in tasks))
+        tasks.append((kind, first_seed + len(tasks), size))
+    tally, crew = Tally(), [_Worker(context) for _ in range(min(workers, len(tasks)))]
+    for worker in crew:
+        worker.start()
+        worker.give(tasks.popleft())
+    try:
+        while crew:
+            ready = multiprocessing.connection.wait([w.pipe for w in crew], timeout=1.0)
+            for worker in list(crew):
+                _attend(worker, worker.pipe in ready, kind, tally, tasks)
+                if worker.task is None:
+                    worker.stop()
+                    crew.remove(worker)
+            tally.seconds = clock.monotonic() - begin
+            if report is not None:
+                report(tally)
+    finally:
+        for worker in crew:
+            worker.stop()
+    return tally
+
+
+def _attend(worker, ready, kind, tally, tasks):
+    """Take what a worker says; replace it where it says nothing for too long, or has died."""
+    problem = ""
+    if ready:
+        try:
+            word, what = worker.pipe.recv()
+        except EOFError:
+            worker.process.join()
+            if worker.case is None:
+                raise RuntimeError("a worker died between two cases") from None
+            problem = f"FAULT died with exit code {worker.process.exitcode}"
+        else:
+            if word == "begin":
+                worker.case, worker.since = what, clock.monotonic()
+            elif word == "end":
+                tally.add(what, worker.case)
+                worker.case, worker.left = None, worker.left - 1
+            else:  # hypothesis may run out of new cases before the number is reached
+                worker.task = None
+    # a case that ends a little too late tells so itself, and its time is that of the processor
+    elif worker.case is not None and clock.monotonic() - worker.since > 4.0 * KINDS[kind][1]:
+        problem = "FAULT hang"
+    if problem:
+        tally.add(problem, worker.case)
+        worker.stop()
+        worker.start()
+        seed = worker.task[1] + 1_000_003
+        worker.task = None
+        if worker.left > 1:
+            tasks.append((kind, seed, worker.left - 1))
+    if worker.task is None and tasks:
+        worker.give(tasks.popleft())

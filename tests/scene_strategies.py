@@ -1,0 +1,478 @@
+"""Scenes for tests, drawn from the declarations of the package: keys that come later are drawn too.
+
+:func:`plausible` scenes fit together and mostly hold usual numbers; :func:`wild` ones are such
+scenes, now and then with numbers from all of their ranges, and with some places broken: other
+types, wrong units, numbers at the ends of what there is, unknown keys, tables in place of values.
+"""
+
+from __future__ import annotations
+
+import copy
+import datetime
+import math
+
+from hypothesis import strategies as st
+
+from multicell.cells import Phase
+from multicell.nutrient.parts import FACES
+from multicell.parameters import specs
+from multicell.parts import PHASES
+from multicell.scene import Scene
+from multicell.units import RANGES
+
+FIELDS = ("oxygen", "glucose", "drug")
+TYPES = ("soft", "stiff", "third")
+NAMES = {
+    "types": TYPES,
+    "nutrients": FIELDS,
+    "chemotaxis": FIELDS,
+    "uptake_on": FIELDS,
+    "secretion_from": FIELDS,
+    "receptor_by": FIELDS,
+    "ligand_by": FIELDS,
+    "surface_energy": TYPES,
+    "receptor_by_phase": tuple(Phase.__members__),
+    "ligand_by_phase": tuple(Phase.__members__),
+    "sides": FACES,
+    "phases": PHASES,
+}
+"""Names of the entries of the tables that have named entries."""
+
+USUAL = {
+    "um": (1.0, 50.0),
+    "s": (60.0, 1e5),
+    "kPa": (0.3, 10.0),
+    "nN": (1e-3, 1.0),
+    "nN/s": (1e-5, 1e-2),
+    "nN/um": (1e-3, 0.2),
+    "kPa s": (0.05, 20.0),
+    "kPa s/um": (1e-3, 1.0),
+    "um^2/s": (10.0, 3000.0),
+    "mM": (1e-3, 0.5),
+    "mM/um": (1e-6, 1e-3),
+    "amol/s": (0.1, 50.0),
+    "1/s": (1e-7, 1e-3),
+    "1/um": (1e-3, 1.0),
+    "": (0.1, 3.0),
+}
+"""Numbers as scenes have them, by unit; those with a default are drawn round it."""
+
+OTHER_UNITS = {
+    "um": ("mm", "nm", "micrometer", "dm"),
+    "s": ("h", "min", "d", "ms"),
+    "kPa": ("Pa", "MPa", "nN/um**2", "nN um^-2"),
+    "kPa s": ("Pa s", "kPa*s", "nN s/um^2"),
+    "um^2/s": ("mm**2/h", "um*um/s", "cm^2 s^-1"),
+    "mM": ("mol/m^3", "uM", "amol/um^3"),
+    "amol/s": ("fmol/min", "amol s**-1"),
+    "1/s": ("1/h", "Hz", "s^-1"),
+}
+"""Other ways to write a unit, with other factors."""
+
+WILD_NUMBERS = (
+    0, -1, 1, 2**31, 2**63 - 1, 2**63, 10**18, -(10**18), 10**400, 0.0, -0.0, 5e-324, 1e-300,
+    -1e-300, 1e-30, 1e30, 1e300, -1e300, 1.7976931348623157e308, 0.1, 0.5, 1.5,
+    math.nan, math.inf, -math.inf,
+)  # fmt: skip
+WILD_TEXTS = (
+    "", " ", "nan", "inf", "1", "1 um", "1 parsec", "-5 s", "0 s", "1e400 um", "1e-400 um",
+    "5 um^2", "5 um^-2147483648", "5 s**9**9**9", "1 degC", "1e5 K/min", "5 kPa s s s",
+    "1 h 5 min", "07:32:00", "x" * 5000, "9" * 90 + " um", "é", "µ" * 40, "5 µm", "\u2028", "a\0b",
+    "🧫", "1 " + "(" * 39, "5 um/0", "__import__('os')", "jkr", "cvode", "radial", "true", "a.b",
+)  # fmt: skip
+WILD = (
+    *WILD_NUMBERS, *WILD_TEXTS, True, False, None, [], {}, [[]], [[0, 1]], [[0, 1], [0, 2]],
+    [["1 h", 1], ["2 h", 5e-324]], [[1, 2, 3]], [None], {"": 1}, {"x": {"y": {"z": 0}}}, {"law": 3},
+    {"type": "mixed"}, b"bytes", datetime.date(2026, 1, 1), datetime.time(1, 2),
+    datetime.datetime(2026, 1, 1, 1, 2), 1j, {1: 2}, {"a b": {}}, {"type": "value", "value": 1e300},
+    [0] * 5000, {f"k{i}": i for i in range(2000)},
+)  # fmt: skip
+
+
+def declared(part=Scene, path=""):
+    """Yield every key that a scene may have as a dotted path, ``*`` for names, and its spec."""
+    for name, spec in specs(part).items():
+        where = f"{path}{name}"
+        yield where, spec
+        if spec.parts is not None:
+            yield f"{where}.{spec.key}", spec
+            for one in spec.parts.values():
+                yield from declared(one, f"{where}.")
+        elif spec.table is not None:
+            yield from declared(spec.table, f"{where}.*." if spec.kind == "tables" else f"{where}.")
+
+
+def keys_of(entries, part=Scene, path=""):
+    """Yield the declared key, as :func:`declared` names it, of everything in a dict of a scene."""
+    known = specs(part)
+    for name, value in entries.items():
+        if name not in known:
+            continue
+        where, spec = f"{path}{name}", known[name]
+        yield where
+        if spec.parts is not None:
+            yield f"{where}.{spec.key}"
+            rest = {key: entry for key, entry in value.items() if key != spec.key}
+            yield from keys_of(rest, spec.parts[value[spec.key]], f"{where}.")
+        elif spec.kind == "tables":
+            for entry in value.values():
+                yield from keys_of(entry, spec.table, f"{where}.*.")
+        elif spec.table is not None and isinstance(value, dict):
+            yield from keys_of(value, spec.table, f"{where}.")
+
+
+class Drawer:
+    """Draws values for declarations; ``extreme`` is the part of numbers from all of their range."""
+
+    def __init__(self, draw, extreme):
+        self.draw, self.extreme = draw, extreme
+
+    def chance(self, share):
+        return self.draw(st.integers(0, 999)) < 1000 * share
+
+    def one_of(self, options):
+        return self.draw(st.sampled_from(list(options)))
+
+    def part(self, part, path):
+        """Return a table of a part: its needed keys, and some of the others."""
+        entries = {}
+        for spec, field in ((specs(part)[f.name], f) for f in part.__dataclass_fields__.values()
+                            if f.name in specs(part)):  # fmt: skip
+            needed = field.default is field.default_factory  # both are missing
+            if needed or self.chance(0.45):
+                value = self.value(spec, field, f"{path}{field.name}")
+                if value is not None:
+                    entries[field.name] = value
+        return entries
+
+    def value(self, spec, field, path):
+        """Return a value that the declaration accepts."""
+        if spec.examples:
+            return copy.deepcopy(self.one_of(spec.examples))
+        make = getattr(self, f"_{spec.kind}", None)
+        return None if make is None else make(spec, field, path)
+
+    def _quantity(self, spec, field, path):
+        return self.written(self.size(spec, spec.unit, field.default), spec.unit)
+
+    def _number(self, spec, field, path):
+        return self.size(spec, "", field.default)
+
+    def _count(self, spec, field, path):
+        low, high = int(spec.bounds.at_least), int(spec.bounds.at_most)
+        if self.chance(self.extreme):
+            return self.one_of([low, high, (low + high) // 2])
+        return self.draw(st.integers(low, min(high, low + 20)))
+
+    def _choice(self, spec, field, path):
+        return self.one_of(spec.options)
+
+    def _text(self, spec, field, path):
+        return self.one_of(["", "A scene", 'with "quotes" \\ and # and = [x]', "é µ 🧫"])
+
+    def _flag(self, spec, field, path):
+        return self.chance(0.5)
+
+    def _names(self, spec, field, path):
+        return [name for name in spec.options if self.chance(0.5)]
+
+    def _table(self, spec, field, path):
+        if spec.shorthand and self.chance(0.2):
+            return self.one_of(specs(spec.table)[spec.shorthand].options)
+        return self.part(spec.table, f"{path}.")
+
+    def _variant(self, spec, field, path):
+        name = self.one_of(spec.options)
+        return {spec.key: name, **self.part(spec.parts[name], f"{path}.")}
+
+    def _tables(self, spec, field, path):
+        names = self.some(spec.options or NAMES[path.split(".")[-1]])
+        return {name: self.part(spec.table, f"{path}.{name}.") for name in names}
+
+    def _quantities(self, spec, field, path):
+        names = self.some(NAMES[path.split(".")[-1]])
+        return {name: self.written(self.size(spec, spec.unit), spec.unit) for name in names}
+
+    def _responses(self, spec, field, path):
+        names = self.some(NAMES[path.split(".")[-1]])
+        return {name: [[x, self.size(spec, "")] for x in self.rising(spec.unit)] for name in names}
+
+    def _course(self, spec, field, path):
+        if self.chance(0.5):
+            return self.size(spec, "")
+        return [[self.written(t, "s"), self.size(spec, "")] for t in self.rising("s")]
+
+    def _schedule(self, spec, field, path):
+        return [
+            [self.written(t, "s"), self.written(self.size(spec, spec.unit), spec.unit)]
+            for t in self.rising("s")
+        ]
+
+    def some(self, names):
+        """Return some of the names, in their order; seldom none."""
+        count = self.one_of([0, 1, 1, 2, 2, len(names)])
+        return list(names)[:count] if self.chance(0.5) else list(names)[-count:] if count else []
+
+    def rising(self, unit):
+        """Return one to three sizes of a unit that rise, perhaps from zero."""
+        low, high = USUAL[unit]
+        start = self.one_of([0.0, low])
+        return [start + k * high / 7 for k in range(self.one_of([1, 2, 3]))]
+
+    def size(self, spec, unit, default=None):
+        """Return a number that a declaration accepts, mostly a usual one."""
+        ends = spec.bounds
+        smallest, largest = RANGES[unit]
+        low = max(x for x in (ends.at_least, ends.above, 0.0) if x is not None)
+        low = low or smallest
+        high = min(x for x in (ends.at_most, ends.below, largest) if x is not None)
+        if ends.contain(0.0) and self.chance(0.1):
+            return 0.0
+        if self.chance(self.extreme):
+            share = self.one_of([0.0, 1.0, self.draw(st.floats(0.0, 1.0))])
+            value = math.exp(math.log(low) + share * (math.log(high) - math.log(low)))
+        else:
+            around = isinstance(default, float) and default > 0.0
+            least, most = (default / 3.0, default * 3.0) if around else USUAL[unit]
+            share = self.draw(st.floats(0.0, 1.0))
+            value = least * (most / least) ** share
+        value = float(f"{min(max(value, low), high):.4g}")
+        while not (ends.contain(value) and smallest * 0.99 <= value <= largest):
+            value = 0.5 * (low + high) if value != 0.5 * (low + high) else 0.5 * value
+        return value
+
+    def written(self, value, unit):
+        """Return a quantity as a number, or as text with one of the ways to write its unit."""
+        if not unit or self.chance(0.6):
+            return value
+        if unit not in OTHER_UNITS or value == 0.0 or self.chance(0.6):
+            return f"{value:.6g} {unit}"
+        import pint
+
+        other = self.one_of(OTHER_UNITS[unit])
+        registry = _registry(pint)
+        return f"{registry.Quantity(value, unit).to(other).magnitude:.9g} {other}"
+
+
+_REGISTRY = []
+
+
+def _registry(pint):
+    if not _REGISTRY:
+        _REGISTRY.append(pint.UnitRegistry())
+    return _REGISTRY[0]
+
+
+def base(value):
+    """Return a quantity that :meth:`Drawer.written` wrote as a number of base units."""
+    if not isinstance(value, str):
+        return value
+    digits, unit = value.split(" ", 1)
+    home = next(u for u, others in {**dict.fromkeys(USUAL, ()), **OTHER_UNITS}.items()
+                if unit == u or unit in others)  # fmt: skip
+    import pint
+
+    return float(_registry(pint).Quantity(float(digits), unit).to(home).magnitude)
+
+
+def fitted(entries):
+    """Return a scene's entries without what does not fit to the rest (the checks of a scene)."""
+    scene = copy.deepcopy(entries)
+    flat = scene.get("dimensions", 3) == 2
+    fields, types = scene.get("nutrients", {}), scene.get("types", {})
+    _fit_cells(scene)
+    _fit_growth(scene)
+    _fit_types(scene, types, fields)
+    for number, (name, field) in enumerate(fields.items()):
+        _fit_field(scene, field, list(fields)[:number], fields, flat)
+        assert name in fields
+    scene["chemotaxis"] = {n: x for n, x in scene.get("chemotaxis", {}).items() if n in fields}
+    if flat and scene.get("haptotaxis", {}).get("axis") == "z":
+        scene["haptotaxis"]["axis"] = "y"
+    return scene
+
+
+def _fit_cells(scene):
+    cells = scene.get("cells", {})
+    if cells.get("poisson", 0.5) > 0.5:
+        cells["allow_unphysical_poisson"] = True
+    contact = scene.get("contact", {})
+    radius = 0.79 * base(cells.get("division_radius", 5.0))
+    if "smoothing" in contact and base(contact["smoothing"]) > radius:
+        contact["smoothing"] = 0.0
+
+
+def _fit_growth(scene):
+    growth = scene.get("growth")
+    if growth is None:
+        return
+    phases = growth.get("phases", {})
+    if phases:
+        for name in PHASES:
+            phases.setdefault(name, {"duration": 7200.0})
+        if not any(phase.get("grows", True) for phase in phases.values()):
+            phases["G1"]["grows"] = True
+        for phase in phases.values():
+            if phase.get("distribution") == "normal":
+                phase["variation"] = min(phase.get("variation", 0.2), 0.5)
+        growth["phases"] = {name: phases[name] for name in PHASES}
+        cycle = sum(base(phase["duration"]) for phase in phases.values())
+    else:
+        growth.pop("division", None)
+        cycle = base(growth.get("cycle_time", 54000.0))
+    scales = [kind.get("cycle_scale", 1.0) for kind in scene.get("types", {}).values()]
+    cycle *= min(scales, default=1.0)
+    if base(scene.get("coupling_step", 600.0)) > cycle:
+        scene["growth"], scene["coupling_step"] = {}, 600.0
+        for kind in scene.get("types", {}).values():
+            kind.pop("cycle_scale", None)
+
+
+def _fit_types(scene, types, fields):
+    sticky = scene.get("contact", {"law": "jkr"})["law"] in ("jkr", "exact-jkr")
+    given = sticky and any("surface_energy" in kind for kind in types.values())
+    phases = bool((scene.get("growth") or {}).get("phases"))
+    for number, kind in enumerate(types.values()):
+        if number == 0:
+            kind["fraction"] = 1.0
+        kind.pop("surface_energy", None)
+        if given:
+            kind["surface_energy"] = dict.fromkeys(types, 0.05 + 0.01 * len(types))
+        for key in ("receptor_by_phase", "ligand_by_phase"):
+            if not phases and kind.get(key):
+                del kind[key]
+        for key in ("receptor_by", "ligand_by"):
+            if key in kind:
+                kind[key] = {name: x for name, x in kind[key].items() if name in fields}
+        if "adhesion" not in scene:
+            kind.pop("receptor", None)
+            kind.pop("ligand", None)
+    if "adhesion" in scene:
+        if types:
+            next(iter(types.values()))["receptor"] = 1.0
+        else:
+            del scene["adhesion"]
+
+
+def _fit_field(scene, field, earlier, fields, flat):
+    for key in ("uptake_on", "secretion_from"):
+        if key in field:
+            field[key] = {name: x for name, x in field[key].items() if name in earlier}
+    if field.get("uptake_on") and base(field.get("uptake", 20.0)) == 0.0:
+        del field["uptake_on"]
+    for name in list(field.get("secretion_from", {})):
+        if base(fields[name].get("uptake", 20.0)) == 0.0:
+            del field["secretion_from"][name]
+    radius = base(scene.get("cells", {}).get("division_radius", 5.0))
+    if "spacing" in field and base(field["spacing"]) > 4.0 * radius:
+        field["spacing"] = radius
+    if flat and field.get("geometry") == "radial":
+        del field["geometry"]
+    _fit_sides(field, flat)
+    if "diffusion_medium" in field:
+        inside = base(field.get("diffusion", 2000.0))
+        field["diffusion_medium"] = min(
+            max(base(field["diffusion_medium"]), inside / 50), 50 * inside
+        )
+    if "necrosis" in field and "quiescence" in field:
+        low, high = sorted((base(field["necrosis"]), base(field["quiescence"])))
+        field["necrosis"], field["quiescence"] = low, high if high > low else 2.0 * low + 1e-3
+
+
+def _fit_sides(field, flat):
+    geometry = field.get("geometry", "box")
+    sides = field.get("sides", {})
+    for face in list(sides):
+        shell = face in ("*", "r+") if geometry != "box" else face != "r+"
+        if not shell or (flat and (face.startswith("z") or face == "r+")):
+            del sides[face]
+    for side in sides.values():
+        kind = side.get("type", "value")
+        if kind != "derivative":
+            side.pop("derivative", None)
+        else:
+            side.setdefault("derivative", 0.0)
+            side.pop("value", None)
+        if kind != "mixed":
+            side.pop("rate", None)
+        else:
+            side.setdefault("rate", 0.02)
+    closed = sides and all(side.get("type") == "derivative" for side in sides.values())
+    if closed:
+        next(iter(sides.values())).clear()
+        if "*" in sides:
+            sides["*"] = {}
+
+
+@st.composite
+def plausible(draw, extreme=0.004, small=True):
+    """Draw the entries of a scene that fits together; ``small``: that runs in a moment."""
+    drawer = Drawer(draw, extreme)
+    scene = drawer.part(Scene, "")
+    if small:
+        step = drawer.one_of([1.0, 10.0, 60.0, 600.0, 1800.0])
+        scene["coupling_step"] = step
+        scene.setdefault("initial", {})["count"] = drawer.one_of([1, 2, 3, 5, 8, 12, 20])
+        scene["initial"].setdefault("spacing", 0.9)
+        scene.pop("stop_cells", None)
+        options = scene.get("integrator")
+        if isinstance(options, dict) and "step" in options:
+            options["step"] = max(base(options["step"]), 1e-3 * step)
+        if not isinstance(options, dict):
+            options = scene["integrator"] = {"method": options or "cvode"}
+        options["max_steps"] = drawer.one_of([1, 300, 300, 300, 300])
+        for field in scene.get("nutrients", {}).values():
+            field["margin"] = min(base(field.get("margin", 50.0)), 60.0)
+            field["spacing"] = max(base(field.get("spacing", 8.0)), 4.0)
+            field["time_tolerance"] = max(field.get("time_tolerance", 1e-2), 1e-3)
+    scene = fitted(scene)
+    if small:
+        scene["duration"] = scene["coupling_step"] * drawer.one_of([1.0, 2.0, 2.5, 3.0])
+    return scene
+
+
+@st.composite
+def wild(draw):
+    """Draw entries with which a scene must either be made or refused by name."""
+    extreme = draw(st.sampled_from([0.0, 0.02, 0.1, 0.5]))
+    scene = draw(plausible(extreme=extreme, small=draw(st.booleans())))
+    for _ in range(draw(st.sampled_from([0, 0, 1, 1, 2, 4]))):
+        _break(draw, scene)
+    return scene
+
+
+def _break(draw, scene):
+    """Put something else in one place of a scene's entries."""
+    node = scene
+    while True:
+        tables = [value for value in node.values() if isinstance(value, dict) and value]
+        if not tables or draw(st.integers(0, 2)) == 0:
+            break
+        node = draw(st.sampled_from(tables))
+    what = draw(st.sampled_from(["value", "value", "value", "drop", "add", "replace"]))
+    names = list(node)
+    if what == "add" or not names:
+        key = draw(st.sampled_from(["x", "", "viscositty", "a.b", "é", "oxygen", "G1", "k" * 300]))
+        node[key] = copy.deepcopy(draw(st.sampled_from(WILD)))
+    elif what == "drop":
+        del node[draw(st.sampled_from(names))]
+    else:
+        key = draw(st.sampled_from(names))
+        value = node[key]
+        if what == "value" and isinstance(value, list) and value and isinstance(value[0], list):
+            value[-1] = copy.deepcopy(draw(st.sampled_from(WILD)))
+        else:
+            node[key] = copy.deepcopy(draw(st.sampled_from(WILD)))
+
+
+@st.composite
+def broken_text(draw, text):
+    """Draw a text with some places cut, doubled or replaced."""
+    for _ in range(draw(st.integers(1, 3))):
+        at = draw(st.integers(0, max(len(text) - 1, 0)))
+        end = at + draw(st.integers(0, 12))
+        filling = draw(st.sampled_from(
+            ["", "=", "[", "]", '"', "\n", "[[", "1e999", "\0", "#", "'''", ".", text[at:end] * 2]
+        ))  # fmt: skip
+        text = text[:at] + filling + text[end:]
+    return text

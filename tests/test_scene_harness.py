@@ -1,0 +1,273 @@
+"""Scenes drawn from the declarations: each loads or is refused by name, runs or fails by name.
+
+``pytest tests/test_scene_harness.py -s --scenes 20000 --runs 1000 --first-seed 1`` searches longer,
+in a process for each core, and prints what became of them. Every fault found got a test here.
+"""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+import scene_strategies as drawn
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from scene_harness import Fault, campaign, explained, load_case, place_exists, run_case
+
+from multicell.errors import SceneError
+from multicell.running import Recorder
+from multicell.scene import Scene, load_scene
+from multicell.simulation import Simulation
+from multicell.sizes import check_memory
+from multicell.units import RANGES, shown, to_base
+
+# --- the search --------------------------------------------------------------------------------
+
+
+def workers():
+    """Return one process for each core that may be used."""
+    count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return max(1, count or 1)
+
+
+def searched(request, kind, option):
+    """Draw as many cases as the command asks for; print and return the tally."""
+    number = request.config.getoption(option)
+    seed = request.config.getoption("--first-seed") * 10_000
+    tally = campaign(kind, number, workers=workers(), first_seed=seed)
+    print(f"\n{option[2:]}: {tally}")
+    assert not tally.faults, str(tally)
+    assert tally.total >= 0.9 * number
+    return tally.counts
+
+
+@pytest.mark.slow
+def test_scenes_load_or_are_refused_by_name(request):
+    counts = searched(request, "load", "--scenes")
+    assert set(counts) == {"loaded", "refused"}
+    assert 0.25 < counts["loaded"] / counts.total() < 0.9, "a search of one kind only finds nothing"
+
+
+@pytest.mark.slow
+def test_small_scenes_run_to_finite_numbers_or_fail_by_name(request):
+    counts = searched(request, "run", "--runs")
+    assert set(counts) <= {"ran", "refused", "StepFailed", "NutrientFailed", "SceneError"}
+    assert counts["ran"] / counts.total() > 0.6, "the search runs too little"
+
+
+def test_every_declared_key_is_drawn():
+    """A key of a new kind needs a way to be drawn: ``Parameter.kind``, or ``examples``."""
+    seen = set()
+
+    @settings(max_examples=300, suppress_health_check=list(HealthCheck))
+    @given(entries=drawn.plausible(small=False))
+    def look(entries):
+        seen.update(drawn.keys_of(entries))
+
+    look()
+    missing = {key for key, _ in drawn.declared()} - seen
+    assert not missing
+
+
+@settings(max_examples=60, suppress_health_check=list(HealthCheck))
+@given(data=st.data())
+def test_broken_text_is_refused_by_name(tmp_path_factory, data):
+    file = tmp_path_factory.mktemp("scene") / "scene.toml"
+    text = data.draw(drawn.broken_text(load_scene("treatment").to_toml()))
+    file.write_text(text, encoding="utf-8")
+    try:
+        load_scene(file)
+    except SceneError as error:
+        assert error.problem
+
+
+def test_the_harness_sees_faults(monkeypatch):
+    monkeypatch.setattr(Scene, "to_dict", lambda self: {"duration": 2.0})
+    with pytest.raises((Fault, AssertionError)):
+        load_case({"duration": 1.0})
+    assert not place_exists("nutrients.oxygen.boundary", {"duration": 1.0})
+    assert not place_exists("", {"duration": 1.0})
+    assert place_exists("duration", {})
+
+
+# --- faults that it found, each with its class -------------------------------------------------
+
+
+def refusal(entries):
+    with pytest.raises(SceneError) as caught:
+        Scene.from_dict({"duration": 3600.0, **entries})
+    return caught.value
+
+
+def numbers():
+    """Yield every declared number of a scene that stands in a table without names."""
+    for path, spec in drawn.declared():
+        if spec.kind in ("quantity", "number") and "*" not in path:
+            yield pytest.param(path, spec, id=path)
+
+
+@pytest.mark.parametrize("value", [1e300, 1e-300, 5e-324])
+@pytest.mark.parametrize(("path", "spec"), list(numbers()))
+def test_numbers_that_nothing_can_be_computed_with_are_refused(path, spec, value):
+    *tables, key = path.split(".")
+    entries = {key: value}
+    if tables[:1] == ["contact"]:
+        entries["law"] = next(
+            name for name, part in specs_of_laws().items() if key in drawn.specs(part)
+        )
+    for name in reversed(tables):
+        entries = {name: entries}
+    error = refusal(entries)
+    assert error.path == path or error.path in ("coupling_step", "integrator.step")
+
+
+def specs_of_laws():
+    return drawn.specs(Scene)["contact"].parts
+
+
+@pytest.mark.parametrize(
+    ("entries", "path"),
+    [
+        ({"initial": {"count": 10**18}}, "initial.count"),
+        ({"integrator": {"max_steps": 10**18}}, "integrator.max_steps"),
+        ({"duration": 1e6, "coupling_step": 1e-6}, "coupling_step"),
+        ({"integrator": {"method": "euler", "step": 1e-6}}, "integrator.step"),
+        ({"growth": {"cycle_time": 500.0}}, "coupling_step"),
+        (
+            {"growth": {"cycle_time": 6000.0}, "types": {"a": {"cycle_scale": 0.05}}},
+            "coupling_step",
+        ),
+        ({"cells": {"young": 1e-6}}, "contact.surface_energy"),
+        ({"cells": {"young": 1e-6}, "contact": {"law": "exact-jkr"}}, "contact.surface_energy"),
+        (
+            {
+                "adhesion": {"strength": 1e6},
+                "types": {"a": {"receptor": 1, "ligand": [[0, 0], ["5 d", 1]]}},
+            },
+            "adhesion.strength",
+        ),
+        (
+            {"nutrients": {"o2": {"diffusion_medium": 1e9, "diffusion": 1.0}}},
+            "nutrients.o2.diffusion_medium",
+        ),
+        ({"nutrients": {"o2": {"media": [[0, 1], ["1 h", 1e300]]}}}, "nutrients.o2.media"),
+        ({"types": {"a": {"receptor_by": {"o2": [[0, 1e300]]}}}}, "types.a.receptor_by.o2"),
+        ({"contact": {"law": "linear", "cutoff": 1e9}}, "contact.cutoff"),
+        ({"cells": {"": 1}}, "cells.''"),
+        ({"": 1}, "''"),
+    ],
+)
+def test_what_would_hang_overflow_or_collapse_is_refused(entries, path):
+    assert refusal(entries).path == path
+
+
+def test_ranges_say_zero_only_where_zero_is_allowed():
+    assert "must be from 1e-08 to 1e+12 kPa s" in refusal({"drag": {"viscosity": 1e-30}}).problem
+    assert "must be 0 or from" in refusal({"contact": {"surface_energy": 1e-30}}).problem
+    assert all(0.0 < low < 1.0 < high for low, high in RANGES.values())
+
+
+def test_cells_that_do_not_fit_into_memory_are_refused_before_they_are_made(monkeypatch):
+    monkeypatch.setattr("multicell.sizes.physical_memory", lambda: 2**30)
+    scene = Scene(duration=1.0, initial={"count": 10**8})
+    with pytest.raises(SceneError, match=r"initial.count: is 100,000,000: .* need about 100 GB"):
+        Simulation(scene)
+    check_memory(Scene(duration=1.0, initial={"count": 10**5}))
+    monkeypatch.setattr("multicell.sizes.physical_memory", lambda: None)
+    check_memory(scene)
+
+
+@pytest.mark.parametrize("value", [10**5000, -(10**5000)], ids=["large", "small"])
+def test_integers_of_thousands_of_digits_are_refused_with_words(value):
+    assert "too long to show" in refusal({"initial": {"count": value}}).problem
+    assert "finite" in refusal({"coupling_step": value}).problem
+    assert len(shown("x" * 10**6)) < 100
+
+
+def test_deep_nesting_is_refused_with_words():
+    value = []
+    for _ in range(100_000):
+        value = [value]
+    with pytest.raises(SceneError, match="nested too deeply"):
+        Scene(duration=1.0).with_changes({"title": value})
+
+
+@pytest.mark.parametrize(
+    "entries",
+    [
+        {"types": {"a": {"receptor_by_phase": {}, "ligand_by_phase": {}}}},
+        {"types": {"a": {"receptor_by": {}, "ligand_by": {}, "surface_energy": {}}}},
+        {"adhesion": {}, "types": {"a": {"receptor": [["5 h", 1.0]], "ligand": 1}}},
+        {"nutrients": {"o2": {"secretion_from": {}, "uptake_on": {}, "sides": {}}}},
+        {"growth": {}, "death": {}, "friction": {}, "motility": {}, "pull": {}, "haptotaxis": {}},
+        {"growth": {"phases": {}}, "types": {}, "chemotaxis": {}, "nutrients": {}},
+        {"initial": {"jitter": -0.0}, "cells": {"heritable": [], "poisson": -0.0}},
+        {"title": "with \"quotes\" \\ # = [x] ''' é"},
+    ],
+)
+def test_empty_and_single_values_survive_a_round_trip(entries):
+    assert load_case({"duration": 3600.0, **entries}) == "loaded"
+
+
+@pytest.mark.parametrize("text", ["1e-400 um", "-1e-999999999 um", "0.0e-5 um"])
+def test_a_quantity_is_never_rounded_to_nothing(text):
+    if float(text.split("e")[0]) == 0.0:
+        assert to_base(text, "um") == 0.0
+    else:
+        with pytest.raises(SceneError, match="too small for a number"):
+            to_base(text, "um")
+
+
+@pytest.mark.parametrize("every", [1e-6, 1.0, 7.0, 10.0, 25.0, 1e12])
+def test_frames_are_due_as_by_counting(every):
+    """The next frame is the first multiple of ``every`` after now, at once also for tiny ones."""
+    scene = Scene(duration=1e9, coupling_step=10.0, output={"every": every})
+    recorder = Recorder(scene, None)
+    for step in range(40):
+        recorder._count_frames(10.0 * step)
+        due = every * (10.0 * step // every + 1.0)
+        if every >= 1.0:
+            assert recorder._next_frame == pytest.approx(due, rel=1e-12)
+        assert 10.0 * step < recorder._next_frame <= 10.0 * step + every * (1.0 + 1e-9)
+    recorder._count_frames(1e9)
+    assert recorder._next_frame > 1e9
+
+
+def test_more_frames_than_coupling_steps_are_not_promised():
+    scene = Scene(duration=3600.0, output={"every": 1e-6})
+    told = {number["name"]: number["value"] for number in explained(scene)["numbers"]}
+    assert (told["coupling steps"], told["frames"]) == (6, 7)
+
+
+@pytest.mark.parametrize(
+    "entries",
+    [
+        {"contact": {"law": "linear", "cutoff": 1.0}},
+        {"contact": {"law": "generalised-linear", "cutoff": 1.0}},
+        {
+            "contact": {"law": "generalised-linear"},
+            "adhesion": {"strength": 0.08},
+            "types": {"a": {"receptor": 1, "ligand": 1}},
+        },
+    ],
+)
+def test_explain_finds_rest_where_the_law_is_at_its_end(entries):
+    explained(Scene.from_dict({"duration": 3600.0, **entries}))
+
+
+def test_explain_tells_that_the_first_step_cannot_be_taken():
+    field = {"uptake": 1.0, "spacing": 1e-3}
+    scene = Scene(duration=600.0, integrator="auto", nutrients={"o2": field})
+    words = [part["what"] for part in explained(scene)["parts"] if part["part"] == "integrator"]
+    assert "the first coupling step cannot be taken: cells and margin spread" in words[0]
+    many = Scene(duration=600.0, integrator="auto", initial={"count": 10**8})
+    words = [part["what"] for part in explained(many)["parts"] if part["part"] == "integrator"]
+    assert words[0].endswith("not tried here with so many cells")
+
+
+@pytest.mark.parametrize(
+    "entries",
+    [{"growth": {}, "initial": {"count": 3}, "coupling_step": 600.0}],
+)
+def test_scenes_that_once_failed_run(entries):
+    assert run_case({"duration": 1200.0, **entries}) == "ran"
