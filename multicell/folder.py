@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from importlib import metadata
 from pathlib import Path
@@ -29,10 +29,10 @@ FILES: Final = (
     "contacts.png",
     "pull.png",
 )
-"""Everything that a run leaves in its output folder; overwriting removes it, and :data:`PASSING`."""
+"""Everything that a run leaves in its output folder, and all that overwriting removes there."""
 
 PASSING: Final = ("frames.journal", "scene.toml.next")
-"""What is in the folder only while a run goes on, or after it was killed or met a full disk."""
+"""What is there only while a run goes on, or after it was killed or met a full disk."""
 
 LOCK: Final = ".multicell.lock"
 """A file that is locked while a run writes into its folder; it is not there at other times."""
@@ -127,15 +127,15 @@ def make_folder(folder: str | Path, *, overwrite: bool = False) -> Path:
     return folder
 
 
-def clear_folder(folder: Path) -> None:
-    """Remove the files of an earlier run, and of links the links, not what they lead to.
+def remove(folder: Path, names: Iterable[str]) -> None:
+    """Remove files of a run, also half-written ones; of links the links, not what they lead to.
 
     Raises
     ------
     OutputError
         If one of them cannot be removed.
     """
-    for name in (*PASSING, *FILES):
+    for name in names:
         for path in (folder / name, folder / f"{name}.part"):
             with words("remove", path):
                 path.unlink(missing_ok=True)
@@ -166,7 +166,7 @@ def prepare_folder(folder: str | Path, *, overwrite: bool = False) -> Path:
     """
     folder = make_folder(folder, overwrite=overwrite)
     with locked(folder):
-        clear_folder(folder)
+        remove(folder, (*PASSING, *FILES))
     return folder
 
 

@@ -45,9 +45,10 @@ from multicell import hdf5
 from multicell.errors import OutputError
 from multicell.folder import (
     FILES,
-    clear_folder,
+    PASSING,
     locked,
     make_folder,
+    remove,
     sync_folder,
     versions,
     words,
@@ -116,7 +117,7 @@ class Store:
         with ExitStack() as stack:
             stack.enter_context(locked(folder))
             make_folder(folder, overwrite=overwrite)  # another run may have come first
-            clear_folder(folder)
+            remove(folder, (*PASSING, *FILES))
             text = scene.to_toml(versions())
             write_text(folder / "scene.toml", text)
             names = tuple(scene.nutrients)
@@ -162,10 +163,7 @@ class Store:
                 journal.sync()
             with words("write", folder / "scene.toml"):
                 part.replace(folder / "scene.toml")
-            for name in FILES:
-                if name not in ("scene.toml", JOURNAL, hdf5.NAME):
-                    with words("remove", folder / name):
-                        (folder / name).unlink(missing_ok=True)
+            remove(folder, [name for name in FILES if name not in ("scene.toml", hdf5.NAME)])
             store = cls(folder, journal, names, stack.pop_all())
         store._frames, store._rows = place + 1, rows
         store._columns, store._logged = contents.columns, lineage.counts()
@@ -266,8 +264,8 @@ class Store:
             hdf5.write(self.folder / hdf5.NAME, _whole(contents))
         except OutputError as error:
             raise OutputError(
-                f"{error}. All {len(contents.places)} frames of the run are kept in {JOURNAL} and can "
-                "be read; 'multicell resume' makes one file of them when there is room"
+                f"{error}. All {len(contents.places)} frames of the run are kept in {JOURNAL} and "
+                "can be read; 'multicell resume' makes one file of them when there is room"
             ) from error
         self._journal.close()
         with words("remove", self.folder / JOURNAL):
