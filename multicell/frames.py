@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple, final, overload
 
@@ -133,39 +133,57 @@ class Contents:
             log = record if record.kind == "lineage" else None
 
     def _take(self, record: journal.Record, log: journal.Record | None) -> bool:
-        """Follow one record; return whether it fits to what came before."""
+        """Follow one record if it fits to what came before; return whether it does."""
         facts = record.facts
         match record.kind:
             case "open":
-                self.identity = str(facts["identity"])
-                self.scene = str(facts["scene"])
-                names = tuple(sorted(map(str, facts["nutrients"])))
-                fits = self.file is None or names == self.nutrients
-                self.nutrients = names
-                self._cut(int(facts["frames"]), int(facts["rows"]))
+                return self._begin(facts)
             case "back":
-                fits = 0 <= facts["frames"] <= len(self.places) and facts["rows"] <= self.rows
-                self.scene = str(facts["scene"])
-                self._cut(int(facts["frames"]), int(facts["rows"]))
+                return self._go_back(facts)
             case "rows":
-                columns = tuple(map(str, facts["columns"]))
-                (_, _, shape) = facts["arrays"][0]
-                fits = facts["start"] == self.rows and shape[1] == len(columns)
-                fits = fits and (not self.columns or sorted(columns) == sorted(self.columns))
-                self.columns = self.columns or columns
-                self._rows.append(_Rows(record, int(shape[0])))
+                return self._add_rows(record)
             case "lineage":
-                fits = facts["number"] == len(self.places)
+                return bool(facts["number"] == len(self.places))
             case "frame":
-                fits = facts["number"] == len(self.places) and log is not None
+                if log is None or facts["number"] != len(self.places):
+                    return False
                 place = float(facts["time"]), int(facts["step"]), record.digest
                 self.places.append(_Place(*place, None, record, log))
-            case _:
-                fits = False
-        return bool(fits)
+                return True
+        return False
+
+    def _begin(self, facts: Mapping[str, Any]) -> bool:
+        """Begin where a journal begins: after a frame of the file, or with nothing."""
+        names = tuple(sorted(map(str, facts["nutrients"])))
+        if self.identity or (self.file is not None and names != self.nutrients):
+            return False
+        self.identity, self.nutrients = str(facts["identity"]), names
+        return self._go_back(facts)
+
+    def _go_back(self, facts: Mapping[str, Any]) -> bool:
+        """Forget what a run that was resumed from an earlier frame has left behind."""
+        frames, rows, scene = facts["frames"], facts["rows"], facts["scene"]
+        if not (0 <= frames <= len(self.places) and 0 <= rows <= self.rows):
+            return False
+        self._cut(int(frames), int(rows))
+        self.scene = str(scene)
+        return True
+
+    def _add_rows(self, record: journal.Record) -> bool:
+        """Add rows to the history."""
+        columns = tuple(map(str, record.facts["columns"]))
+        ((_, _, (length, width)),) = record.facts["arrays"]
+        known = self.columns or columns
+        if sorted(columns) != sorted(known) or width != len(set(columns)):
+            return False
+        if record.facts["start"] != self.rows:
+            return False
+        self.columns = known
+        self._rows.append(_Rows(record, int(length)))
+        return True
 
     def _cut(self, frames: int, rows: int) -> None:
-        """Forget what a run that was resumed from an earlier frame has left behind."""
+        """Keep the first frames and rows only."""
         del self.places[frames:]
         kept, before = [], 0
         for part in self._rows:

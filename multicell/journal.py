@@ -4,12 +4,13 @@ HDF5 leaves an unreadable file behind when the disk is full or the process is ki
 of a write. So while a run goes on its results go here, by plain writes to the end of the file, and
 only what is complete counts. The file is a sequence of records
 
-    tag (4 bytes), length of facts, length of body, checksums of facts, body and these 24 bytes
+    tag (4 bytes), length of facts, length of body, checksums of facts, of body, and of these 24
+    bytes with the same checksum of the record before
     facts: JSON, with the kind of the record, and names, types and shapes of the arrays
     body: the arrays one after another, little-endian, in C order
 
-A record that the file ends in the middle of is one that was being written: it does not count, and
-the next one is written over it.
+So no record can be missing, or be in the place of another. A record that the file ends in the
+middle of is one that was being written: it does not count, and the next one is written over it.
 """
 
 from __future__ import annotations
@@ -83,10 +84,11 @@ class Journal:
     What was appended before is then still there, and nothing of what was refused.
     """
 
-    def __init__(self, path: Path, descriptor: int, end: int) -> None:
+    def __init__(self, path: Path, descriptor: int, end: int = 0, chain: int = 0) -> None:
         self._path = path
         self._descriptor = descriptor
         self._end = end
+        self._chain = chain
         self._torn = False  # whether there may be a part of a record behind the end
         self._synced = clock.monotonic()
 
@@ -96,7 +98,7 @@ class Journal:
         path = folder / NAME
         part = path.with_name(f"{NAME}.part")
         with words("write", path):
-            journal = cls(path, new_file(part), 0)
+            journal = cls(path, new_file(part))
             try:
                 journal.append([(facts, {})])
                 journal.sync()
@@ -108,13 +110,13 @@ class Journal:
         return journal
 
     @classmethod
-    def reopen(cls, folder: Path, end: int) -> Journal:
-        """Go on with a journal behind its complete records, which end at ``end``."""
-        path = folder / NAME
+    def reopen(cls, reader: Reader) -> Journal:
+        """Go on with a journal behind its complete records."""
+        path, end = reader.path, reader.end
         with words("write", path):
             flags = os.O_RDWR | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
             descriptor = os.open(path, flags)
-            journal = cls(path, descriptor, end)
+            journal = cls(path, descriptor, end, reader.chain)
             try:
                 os.ftruncate(descriptor, end)
             except BaseException:
@@ -124,7 +126,11 @@ class Journal:
 
     def append(self, records: Sequence[tuple[Mapping[str, Any], Arrays]]) -> None:
         """Write records; a call that does not come to its end leaves none of them."""
-        data = b"".join(part for facts, arrays in records for part in _parts(facts, arrays))
+        chain, parts = self._chain, []
+        for facts, arrays in records:
+            chain, pieces = _parts(facts, arrays, chain)
+            parts += pieces
+        data = b"".join(parts)
         with words("write", self._path):
             if self._torn:
                 os.ftruncate(self._descriptor, self._end)
@@ -136,7 +142,7 @@ class Journal:
             except OSError as error:
                 self._take_back(error)
                 raise
-            self._end, self._torn = place, False
+            self._end, self._chain, self._torn = place, chain, False
 
     def _write(self, data: bytes) -> int:
         """Write behind the last complete record; return where it ends."""
@@ -172,14 +178,14 @@ class Journal:
                 os.close(descriptor)
 
 
-def _parts(facts: Mapping[str, Any], arrays: Arrays) -> list[Any]:
-    """Return the pieces of a record."""
-    described_as = {**facts, "arrays": described(arrays)} if arrays else facts
-    text = json.dumps(described_as).encode()
+def _parts(facts: Mapping[str, Any], arrays: Arrays, chain: int) -> tuple[int, list[Any]]:
+    """Return the checksum of a record's head, and the pieces of the record."""
+    text = json.dumps({**facts, "arrays": described(arrays)} if arrays else facts).encode()
     pieces = [flat(array) for array in arrays.values()]
     length = sum(len(piece) for piece in pieces)
     head = _HEAD.pack(_TAG, len(text), length, zlib.crc32(text), digest(arrays), 0)[:-4]
-    return [head, struct.pack("<I", zlib.crc32(head)), text, *pieces]
+    chain = zlib.crc32(head, chain)
+    return chain, [head, chain.to_bytes(4, "little"), text, *pieces]
 
 
 @final
@@ -189,8 +195,8 @@ class Reader:
     Attributes
     ----------
     records : list of Record
-    end : int
-        Where the last complete record ends.
+    end, chain : int
+        Where the last complete record ends, and the checksum of its head.
     damage : str or None
         What ends the records before the end of the file, in words.
 
@@ -203,7 +209,7 @@ class Reader:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.records: list[Record] = []
-        self.end = 0
+        self.end = self.chain = 0
         self.damage: str | None = None
         with words("read", path), path.open("rb") as file:
             size = os.fstat(file.fileno()).st_size
@@ -220,7 +226,7 @@ class Reader:
         if len(head) < _HEAD.size:
             return False
         tag, letters, length, of_facts, of_body, of_head = _HEAD.unpack(head)
-        if tag != _TAG or zlib.crc32(head[:-4]) != of_head or letters > _LARGEST_FACTS:
+        if tag != _TAG or zlib.crc32(head[:-4], self.chain) != of_head or letters > _LARGEST_FACTS:
             # after a loss of power the end may be there without what was written to it
             if any(head) or any(file.read(1 << 16)):
                 self.damage = f"the record at byte {self.end} is damaged"
@@ -234,7 +240,7 @@ class Reader:
             self.damage = f"the record at byte {self.end} is damaged"
             return False
         self.records.append(Record(facts, begin, length, of_body))
-        self.end = begin + length
+        self.end, self.chain = begin + length, of_head
         return True
 
     def arrays(self, record: Record) -> dict[str, NDArray[Any]]:

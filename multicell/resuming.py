@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from multicell.result import Result
     from multicell.scene import Scene
 
-_NONE = np.empty(0)
 _MAY_CHANGE = ("duration", "stop_cells", "title", "output", "integrator")
 _OF_A_NUTRIENT = ("boundary", "media", "media_change", "sides", "perfusion")
 
@@ -90,8 +89,7 @@ def resume(
         scene = _changed(recorded_scene(contents), changes or {})
         threads = thread_count(threads)
         simulation = _simulation(scene, contents, place, threads)
-        last = simulation.step_index
-        rows = int((contents.history().get("step", _NONE) <= last).sum())
+        rows = _rows(contents, simulation.step_index)
         interrupt = stack.enter_context(between_steps())
         if here:
             for k in range(place):  # what is damaged is better known before the run than after it
@@ -144,6 +142,18 @@ def _simulation(scene: Scene, contents: Contents, place: int, threads: int) -> S
             "To prolong it, change duration or stop_cells"
         )
     return simulation
+
+
+def _rows(contents: Contents, step: int) -> int:
+    """Return how many rows of the history there are up to a step."""
+    steps = contents.history().get("step", np.empty(0))
+    rows = int((steps <= step).sum())
+    if rows != step + 1:
+        raise OutputError(
+            f"the history in '{contents.folder}' has {rows} rows up to step {step}, must have "
+            f"{step + 1}: no run can go on from there"
+        )
+    return rows
 
 
 def _complete(contents: Contents) -> bool:

@@ -156,7 +156,7 @@ class Store:
                 journal = Journal.create(folder, facts)
                 stack.callback(journal.close)
             else:
-                journal = Journal.reopen(folder, contents.journal.end)
+                journal = Journal.reopen(contents.journal)
                 stack.callback(journal.close)
                 facts = {"kind": "back", "scene": text, "frames": place + 1, "rows": rows}
                 journal.append([(facts, {})])
@@ -222,7 +222,7 @@ class Store:
             If a later row has other columns.
         """
         if not self._columns:
-            self._columns = tuple(row)
+            self._columns = tuple(sorted(row))  # as they come back from HDF5
         if set(row) != set(self._columns):
             changed = sorted(set(row) ^ set(self._columns))
             raise ValueError(f"history columns differ from those of the first row: {changed}")
