@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Iterable
 from functools import wraps
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-from multicell.folder import words
+from multicell.folder import write_bytes
 from multicell.frame import Frame
 
 if TYPE_CHECKING:
@@ -110,8 +111,10 @@ def save(figure: Figure, path: Path) -> None:
     OutputError
         If the file cannot be written.
     """
-    with words("write", path):
-        figure.savefig(path, dpi=DPI, metadata={"Software": "multicell"})
+    # drawn in memory: a picture is either complete or not there
+    picture = io.BytesIO()
+    figure.savefig(picture, format="png", dpi=DPI, metadata={"Software": "multicell"})
+    write_bytes(path, picture.getvalue())
 
 
 def type_colours(names: Iterable[str]) -> dict[str, str]:

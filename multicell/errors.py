@@ -40,9 +40,22 @@ class SceneError(MulticellError):
 
 @final
 class OutputError(MulticellError):
-    """An output folder or file that cannot be used."""
+    """An output folder or file that cannot be used: written, read, or trusted.
 
-    exit_code: ClassVar[int] = 2
+    Parameters
+    ----------
+    problem
+        What is wrong, where, and what to do about it.
+    exit_code
+        2 for a folder that could not be used from the start, 1 for a run that could not go on
+        writing.
+    """
+
+    exit_code: int = 2  # type: ignore[misc]  # of each one its own
+
+    def __init__(self, problem: str, *, exit_code: int = 2) -> None:
+        super().__init__(problem)
+        self.exit_code = exit_code
 
 
 @final

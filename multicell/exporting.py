@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from multicell.cells import Cells, Phase, State
 from multicell.errors import OutputError
-from multicell.folder import words
+from multicell.folder import replacing, words
 from multicell.frame import Frame
 from multicell.parameters import near_miss
-from multicell.quantities import unit_of
+from multicell.quantities import known_unit, unit_of
 from multicell.result import Result, load_result
 
 Table = Mapping[str, NDArray[Any]]
@@ -81,12 +81,12 @@ def export(
     folder = Path(output)
     paths = [folder / f"{name}.csv" for name in chosen]
     for path in paths:
-        if path.exists() and not overwrite:
+        if (path.exists() or path.is_symlink()) and not overwrite:
             raise OutputError(f"'{path}' exists already: choose another folder or overwrite")
     with words("use the output folder", folder):
         folder.mkdir(parents=True, exist_ok=True)
     for name, path in zip(chosen, paths, strict=True):
-        with words("write", path), path.open("w", newline="", encoding="utf-8") as file:
+        with replacing(path, "w", newline="", encoding="utf-8") as file:
             _write(csv.writer(file), TABLES[name](run, _frames(run, frame)))
     return paths
 
@@ -152,7 +152,9 @@ def _contacts(run: Result, frames: Iterator[tuple[int, Frame]]) -> Iterator[Tabl
     for number, frame in frames:
         cells = frame.cells
         order = np.argsort(cells.id)
-        pairs = order[np.searchsorted(cells.id, frame.contacts, sorter=order)]
+        # a pair of which one has divided or was removed since is a pair no more
+        there = np.isin(frame.contacts, cells.id).all(axis=1)
+        pairs = order[np.searchsorted(cells.id, frame.contacts[there], sorter=order)]
         if len(pairs) == 0:
             pairs = _overlapping(cells)
         n, (first, second) = len(pairs), pairs.T
@@ -193,7 +195,7 @@ def _lineage(run: Result, frames: Iterator[tuple[int, Frame]]) -> Iterator[Table
 
 def _history(run: Result, frames: Iterator[tuple[int, Frame]]) -> Iterator[Table]:
     """Give the history, one row for each coupling step."""
-    yield {_titled(name, unit_of(name)): column for name, column in run.history.items()}
+    yield {_titled(name, known_unit(name)): column for name, column in run.history.items()}
 
 
 TABLES: Final[Mapping[str, Callable[[Result, Iterator[tuple[int, Frame]]], Iterator[Table]]]] = {

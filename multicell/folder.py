@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from importlib import metadata
 from pathlib import Path
-from typing import Any, Final
+from typing import IO, Any, Final
 
 import numpy as np
+from filelock import FileLock, Timeout
 
 from multicell import __version__
 from multicell.errors import OutputError
@@ -27,7 +29,13 @@ FILES: Final = (
     "contacts.png",
     "pull.png",
 )
-"""Everything that multicell writes into an output folder, and all that overwriting removes."""
+"""Everything that a run leaves in its output folder, and all that overwriting removes there."""
+
+PASSING: Final = ("frames.journal", "scene.toml.next")
+"""What is there only while a run goes on, or after it was killed or met a full disk."""
+
+LOCK: Final = ".multicell.lock"
+"""A file that is locked while a run writes into its folder; it is not there at other times."""
 
 _PACKAGES: Final = ("numpy", "scipy", "numba", "scikit-sundae", "py-pde", "h5py")
 
@@ -57,6 +65,82 @@ def words(action: str, path: Path) -> Iterator[None]:
         raise OutputError(f"cannot {action} '{path}': {reason}") from error
 
 
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Keep other runs out of a folder; the lock of a process that is killed is gone with it.
+
+    Raises
+    ------
+    OutputError
+        If a run is going on in the folder, or it cannot be written to.
+    """
+    path = folder / LOCK
+    lock = FileLock(path, timeout=0, thread_local=False)
+    with words("use the output folder", folder):
+        if path.is_symlink():  # a lock is a file of its own, never one that a link names
+            path.unlink()
+        try:
+            lock.acquire()
+        except Timeout:
+            raise OutputError(
+                f"a run is going on in '{folder}': wait for its end or choose another folder"
+            ) from None
+    try:
+        yield
+    finally:
+        # removed while it is held: who waits for it sees that it has no name any more
+        with suppress(OSError):
+            path.unlink()
+        lock.release()
+
+
+def make_folder(folder: str | Path, *, overwrite: bool = False) -> Path:
+    """Make an output folder, or refuse one that holds something and may not be overwritten.
+
+    Raises
+    ------
+    OutputError
+        If the folder is a file, holds something and may not be overwritten, is to be
+        overwritten through a symbolic link, or cannot be made.
+    """
+    folder = Path(folder)
+    with words("use the output folder", folder):
+        if folder.is_symlink() and not folder.exists():
+            raise OutputError(
+                f"output '{folder}' is a link to '{folder.readlink()}' that is missing"
+            )
+        if folder.exists() and not folder.is_dir():
+            raise OutputError(f"output '{folder}' is a file, not a folder")
+        folder.mkdir(parents=True, exist_ok=True)
+        held = sorted(entry.name for entry in folder.iterdir() if entry.name != LOCK)
+    if held and not overwrite:
+        raise OutputError(
+            f"output folder '{folder}' is not empty (it holds {held[0]}"
+            f"{f' and {len(held) - 1} more' if len(held) > 1 else ''}). "
+            "Choose another folder, or allow overwriting (--overwrite, overwrite=True)"
+        )
+    if held and folder.is_symlink():
+        raise OutputError(
+            f"output '{folder}' is a link to '{folder.readlink()}': to overwrite what is there, "
+            "name that folder itself"
+        )
+    return folder
+
+
+def remove(folder: Path, names: Iterable[str]) -> None:
+    """Remove files of a run, also half-written ones; of links the links, not what they lead to.
+
+    Raises
+    ------
+    OutputError
+        If one of them cannot be removed.
+    """
+    for name in names:
+        for path in (folder / name, folder / f"{name}.part"):
+            with words("remove", path):
+                path.unlink(missing_ok=True)
+
+
 def prepare_folder(folder: str | Path, *, overwrite: bool = False) -> Path:
     """Make an empty output folder, or clear an old one of multicell's own files.
 
@@ -65,7 +149,9 @@ def prepare_folder(folder: str | Path, *, overwrite: bool = False) -> Path:
     folder
         Path of the folder; parents are made.
     overwrite
-        Remove the files of an earlier run (:data:`FILES`, nothing else) first.
+        Remove the files of an earlier run (:data:`FILES`, nothing else) first. Links among them
+        are removed themselves; what they lead to stays. A folder that is a link itself is
+        refused: what is removed must have been named.
 
     Returns
     -------
@@ -75,25 +161,71 @@ def prepare_folder(folder: str | Path, *, overwrite: bool = False) -> Path:
     Raises
     ------
     OutputError
-        If the folder is a file, holds something and may not be overwritten, or cannot be
-        made or changed.
+        If the folder is a file, holds something and may not be overwritten, cannot be made or
+        changed, or if a run is going on in it.
     """
-    folder = Path(folder)
-    with words("use the output folder", folder):
-        if folder.exists() and not folder.is_dir():
-            raise OutputError(f"output '{folder}' is a file, not a folder")
-        folder.mkdir(parents=True, exist_ok=True)
-        held = sorted(entry.name for entry in folder.iterdir())
-    if held and not overwrite:
-        raise OutputError(
-            f"output folder '{folder}' is not empty (it holds {held[0]}"
-            f"{f' and {len(held) - 1} more' if len(held) > 1 else ''}). "
-            "Choose another folder, or allow overwriting (--overwrite, overwrite=True)"
-        )
-    for name in FILES:
-        with words("remove", folder / name):
-            (folder / name).unlink(missing_ok=True)
+    folder = make_folder(folder, overwrite=overwrite)
+    with locked(folder):
+        remove(folder, (*PASSING, *FILES))
     return folder
+
+
+def new_file(path: Path) -> int:
+    """Create a file, in the place of a file or link of this name, and return its descriptor.
+
+    What a link leads to is never written to.
+    """
+    path.unlink(missing_ok=True)
+    return os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
+
+
+@contextmanager
+def replacing(path: Path, mode: str = "wb", **options: Any) -> Iterator[IO[Any]]:
+    """Write a file beside its place and move it there when it is complete and on disk.
+
+    Whatever happens, under ``path`` there is the old file or the new one, and nothing beside it.
+    A process that is killed leaves a file that ends in ``.part``.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be written, for example because the disk is full.
+    """
+    part = path.with_name(path.name + ".part")
+    with words("write", path), ExitStack() as stack:
+        if path.is_dir():
+            raise OSError(errno.EISDIR, os.strerror(errno.EISDIR))
+        descriptor = new_file(part)
+        stack.callback(part.unlink, missing_ok=True)
+        with os.fdopen(descriptor, mode, **options) as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        part.replace(path)
+        stack.pop_all()
+    sync_folder(path.parent)
+
+
+def sync_folder(folder: Path) -> None:
+    """Have the names in a folder on disk too, where the system can do that."""
+    with suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write a file so that it is either the old one or complete.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be written.
+    """
+    with replacing(path) as file:
+        file.write(data)
 
 
 def write_text(path: Path, text: str) -> None:
@@ -104,10 +236,7 @@ def write_text(path: Path, text: str) -> None:
     OutputError
         If it cannot be written.
     """
-    with words("write", path):
-        partial = path.with_name(path.name + ".part")
-        partial.write_text(text, encoding="utf-8")
-        partial.replace(path)
+    write_bytes(path, text.encode("utf-8"))
 
 
 def _plain(value: Any) -> Any:

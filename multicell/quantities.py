@@ -122,6 +122,17 @@ def unit_of(name: str) -> str:
     raise KeyError(f"no unit is declared for {name!r}: see multicell.quantities.UNITS")
 
 
+def known_unit(name: str) -> str:
+    """Return the unit of a number, ``""`` also for a name of another version that this one lacks.
+
+    For those who read what a run has left: a run itself asks :func:`unit_of`.
+    """
+    try:
+        return unit_of(name)
+    except KeyError:
+        return ""
+
+
 def units_of(summary: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
     """Return the units of all entries of a summary that have one, by their dotted names.
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 from multicell.drawing import cell_count, save, time_unit
 from multicell.errors import OutputError
 from multicell.folder import package_version, words, write_text
-from multicell.quantities import unit_of
+from multicell.quantities import known_unit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -386,14 +386,8 @@ def _titled(path: str, key: str) -> str:
 
 
 def _unit(path: str) -> str:
-    """Return the unit of an entry as it is printed; texts and entries of other versions have none.
-
-    A page of a run that an other version made must not fail for a name that this one lacks.
-    """
-    try:
-        return unit_of(path).replace("um", "µm").replace("^3", "³")
-    except KeyError:
-        return ""
+    """Return the unit of an entry as it is printed; texts and entries of other versions have none."""
+    return known_unit(path).replace("um", "µm").replace("^3", "³")
 
 
 def _name(key: str) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,6 +15,7 @@ from multicell.errors import OutputError
 from multicell.frame import Frame
 
 if TYPE_CHECKING:
+    from multicell.frames import Contents
     from multicell.plots import Plots
     from multicell.scene import Scene
 
@@ -92,46 +92,113 @@ def history_arrays(rows: Iterable[Mapping[str, float]]) -> dict[str, NDArray[np.
     return {name: np.array([row[name] for row in rows], float) for name in rows[0]} if rows else {}
 
 
-def load_result(folder: str | Path) -> Result:
+def load_result(folder: str | Path, *, damaged: bool = False) -> Result:
     """Open the folder of a finished, interrupted or killed run.
 
     A killed run leaves no ``summary.json``: its summary is then taken from the last frame and
     marked ``"interrupted": true``.
 
+    Parameters
+    ----------
+    folder
+        Of the run.
+    damaged
+        Open also a folder whose journal is damaged, with the frames before the damage.
+
     Raises
     ------
     OutputError
-        If the folder holds no results, or results that cannot be read.
+        If the folder holds no results, or results that cannot be read or are not what was
+        written. A frame is checked when it is read, and raises this error then.
     SceneError
         If its ``scene.toml`` cannot be read.
     """
-    from multicell.scene import load_scene
-    from multicell.store import open_frames, open_history, open_lineage
+    from multicell.frames import Contents, Frames
 
-    folder = Path(folder)
-    frames = open_frames(folder)
-    scene = load_scene(folder / "scene.toml")
+    contents = Contents(folder)
+    if not damaged:
+        contents.whole()
+    frames = Frames(contents)
+    summary = read_summary(contents.folder / "summary.json")
+    scene = recorded_scene(contents)
     return Result(
-        folder=folder,
+        folder=contents.folder,
         frames=frames,
-        history=open_history(folder),
-        summary_dict=_read_summary(folder / "summary.json", frames, scene),
+        history=contents.history(),
+        summary_dict=_partial_summary(frames, scene) if summary is None else summary,
         scene=scene,
-        lineage=open_lineage(folder).table() if len(frames) else {},
+        lineage=contents.lineage(len(frames) - 1).table() if len(frames) else {},
     )
 
 
-def _read_summary(path: Path, frames: Sequence[Frame], scene: Scene) -> dict[str, Any]:
-    """Read the summary, or put one together from the last frame where there is none."""
-    if not path.is_file():
-        return _partial_summary(frames, scene)
+def recorded_scene(contents: Contents) -> Scene:
+    """Return the scene of a result folder.
+
+    Raises
+    ------
+    OutputError
+        If ``scene.toml`` is not the scene that was run: its numbers would be given to frames
+        that were computed with others.
+    SceneError
+        If it cannot be read.
+    """
+    import tomllib
+
+    from multicell.scene import Scene, load_scene
+
+    path = contents.folder / "scene.toml"
     try:
-        summary = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        run = Scene.from_dict(tomllib.loads(contents.scene))
+    except ValueError as error:
+        raise OutputError(f"the scene in '{contents.folder}' is damaged: {error}") from error
+    texts = (path, path.with_name("scene.toml.next"))
+    # remarks may change; numbers may not
+    if not any(_same_text(text, contents.scene) for text in texts) and load_scene(path) != run:
+        raise OutputError(
+            f"'{path}' is not the scene that was run, so the frames beside it do not belong to it. "
+            "To go on with changes use 'multicell resume --set'"
+        )
+    if sorted(run.nutrients) != sorted(contents.nutrients):
+        raise OutputError(
+            f"the frames in '{contents.folder}' have fields of {sorted(contents.nutrients)}, the "
+            f"scene has {sorted(run.nutrients)}"
+        )
+    return run
+
+
+def _same_text(path: Path, text: str) -> bool:
+    """Return whether a file holds just this text."""
+    data = text.encode()
+    try:
+        return path.is_file() and path.stat().st_size == len(data) and path.read_bytes() == data
+    except OSError:
+        return False  # whoever needs the file will say what is wrong with it
+
+
+_LARGEST_SUMMARY = 1 << 26
+
+
+def read_summary(path: Path) -> dict[str, Any] | None:
+    """Read a summary, or return None where there is none.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be read, or is no table as a run writes it.
+    """
+    from multicell.folder import words
+    from multicell.records import parse_table
+
+    with words("read", path):
+        if not path.is_file():
+            return None
+        if path.stat().st_size > _LARGEST_SUMMARY:
+            raise OutputError(f"cannot read '{path}': it is larger than any summary")
+        text = path.read_bytes()
+    try:
+        return parse_table(text)
+    except OutputError as error:
         raise OutputError(f"cannot read '{path}': {error}") from error
-    if not isinstance(summary, dict):
-        raise OutputError(f"cannot read '{path}': it does not hold a table")
-    return summary
 
 
 def _partial_summary(frames: Sequence[Frame], scene: Scene) -> dict[str, Any]:

@@ -8,18 +8,20 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from multicell.errors import OutputError, SceneError
-from multicell.frames import open_frames, open_history, open_lineage
+from multicell.folder import locked
+from multicell.frames import Contents
 from multicell.interrupts import between_steps
-from multicell.lineage import Lineage
-from multicell.running import Recorder, finished, go_on
+from multicell.records import can_go_on
+from multicell.result import read_summary, recorded_scene
+from multicell.running import Recorder, finished, go_on, under_way
 from multicell.simulation import Simulation
 from multicell.store import Store
 from multicell.threads import thread_count
 
 if TYPE_CHECKING:
-    from multicell.frame import Frame
-    from multicell.frames import Frames
     from multicell.result import Result
     from multicell.scene import Scene
 
@@ -39,6 +41,9 @@ def resume(
     report: bool = True,
 ) -> Result:
     """Go on with a run from a frame; without changes it becomes what it would have been.
+
+    A run that has come to its end but could not write all of its results (disk full) is finished
+    now.
 
     Parameters
     ----------
@@ -71,53 +76,90 @@ def resume(
     StepFailed
         As for :func:`multicell.run`.
     """
-    from multicell.scene import load_scene
-
     begin = clock.perf_counter()
     folder = Path(folder)
-    frames = open_frames(folder)
-    place = _place(frames, frame, folder)
-    scene = _changed(load_scene(folder / "scene.toml"), changes or {})
-    start = frames[place]
-    lineage = open_lineage(folder, place)
-    threads = thread_count(threads)
-    simulation = _simulation(scene, start, lineage, threads, folder)
+    here = output is None or Path(output).resolve() == folder.resolve()
     with ExitStack() as stack:
+        contents = Contents(folder)
+        if here:
+            stack.enter_context(locked(folder))
+            contents = Contents(folder)  # another run may have come first
+        place = _place(contents, frame)
+        _check_damage(contents, frame, here)
+        scene = _changed(recorded_scene(contents), changes or {})
+        threads = thread_count(threads)
+        simulation = _simulation(scene, contents, place, threads)
+        rows = _rows(contents, simulation.step_index)
         interrupt = stack.enter_context(between_steps())
-        store = _copied(frames, place, folder, output, scene, overwrite)
+        if here:
+            for k in range(place):  # what is damaged is better known before the run than after it
+                contents.frame(k)
+            store = Store.go_on(contents, place, rows, scene)
+        else:
+            store = Store.create(Path(output or folder), scene, overwrite)
         recorder = Recorder(scene, store)
         stack.callback(recorder.close)
-        recorder.skip(start)
+        stack.enter_context(under_way())
+        if not here:
+            store.copy(contents, place, rows)
+        recorder.skip(contents.frame(place))
         recorder.startup = clock.perf_counter() - begin
         go_on(simulation, recorder, interrupt, progress)
     return finished(recorder, report)
 
 
-def _place(frames: Frames, frame: int, folder: Path) -> int:
+def _place(contents: Contents, frame: int) -> int:
     """Return the number of a frame from the first."""
-    count = len(frames)
+    count = len(contents.places)
     place = frame + count if frame < 0 else frame
     if not 0 <= place < count:
         have = f"it has the frames 0 to {count - 1}" if count else "it has no frames"
-        raise OutputError(f"the run in '{folder}' has no frame {frame}: {have}")
+        raise OutputError(f"the run in '{contents.folder}' has no frame {frame}: {have}")
     return place
 
 
-def _simulation(
-    scene: Scene, start: Frame, lineage: Lineage, threads: int, folder: Path
-) -> Simulation:
+def _check_damage(contents: Contents, frame: int, here: bool) -> None:
+    """Let a run with a damaged journal go on from a frame that was named, and elsewhere."""
+    if contents.damage is not None and (frame < 0 or here):
+        contents.whole()
+
+
+def _simulation(scene: Scene, contents: Contents, place: int, threads: int) -> Simulation:
     """Return the simulation at a frame, or say why it cannot go on."""
+    folder, start = contents.folder, contents.frame(place)
     if start.progress is None:
         raise OutputError(
             f"the frame at {start.time:g} s in '{folder}' does not hold what a run needs to go on"
         )
+    problem = can_go_on(start)
+    if problem:
+        raise OutputError(f"no run can go on from the frame at {start.time:g} s: {problem}")
+    lineage = contents.lineage(place)
     simulation = Simulation(scene, threads=threads, frame=start, lineage=lineage)
-    if simulation.finished:
+    if simulation.finished and _complete(contents):
         raise OutputError(
             f"the run in '{folder}' ends with the frame at {start.time:g} s. "
             "To prolong it, change duration or stop_cells"
         )
     return simulation
+
+
+def _rows(contents: Contents, step: int) -> int:
+    """Return how many rows of the history there are up to a step."""
+    steps = contents.history().get("step", np.empty(0))
+    rows = int((steps <= step).sum())
+    if rows != step + 1:
+        raise OutputError(
+            f"the history in '{contents.folder}' has {rows} rows up to step {step}, must have "
+            f"{step + 1}: no run can go on from there"
+        )
+    return rows
+
+
+def _complete(contents: Contents) -> bool:
+    """Return whether a run has written all that it writes at its end."""
+    summary = read_summary(contents.folder / "summary.json")
+    return contents.journal is None and summary is not None and not summary.get("interrupted")
 
 
 def _changed(scene: Scene, changes: Mapping[str, Any]) -> Scene:
@@ -131,27 +173,3 @@ def _changed(scene: Scene, changes: Mapping[str, Any]) -> Scene:
             allowed = ", ".join([*_MAY_CHANGE, *(f"nutrients.<name>.{k}" for k in _OF_A_NUTRIENT)])
             raise SceneError(key, "cannot change while a run goes on", f"Allowed: {allowed}")
     return scene.with_changes(changes)
-
-
-def _copied(
-    frames: Frames,
-    place: int,
-    folder: Path,
-    output: str | Path | None,
-    scene: Scene,
-    overwrite: bool,
-) -> Store:
-    """Return a store that holds all that came up to a frame."""
-    here = output is None or Path(output).resolve() == folder.resolve()
-    history = open_history(folder)
-    lineages = [open_lineage(folder, k) for k in range(place + 1)]
-    store = Store.create(folder if here else Path(output or folder), scene, overwrite, part=here)
-    last = frames[place].step
-    rows = int((history["step"] <= last).sum()) if history else 0
-    for k in range(rows):
-        store.append_history({name: float(column[k]) for name, column in history.items()})
-    for k in range(place + 1):
-        store.append(frames[k], lineages[k])
-    if here:
-        store.settle(scene)
-    return store

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 import time as clock
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, final
 
+from multicell.errors import OutputError
 from multicell.folder import write_summary
 from multicell.frame import Frame
 from multicell.interrupts import between_steps
@@ -60,6 +61,9 @@ def run(
     ------
     SceneError, OutputError
         For input that cannot be used, before the first step.
+    OutputError
+        With exit code 1 if results cannot be written later on, for example because the disk is
+        full. What was saved before can be read, and resumed when there is room.
     StepFailed
         If a step cannot be solved. Like after Ctrl-C, the folder then holds all frames so far,
         the history and a summary with ``"interrupted": true``.
@@ -70,6 +74,7 @@ def run(
     threads = thread_count(threads)  # before the folder is made
     recorder = Recorder(scene, _open_store(scene, output, overwrite))
     with ExitStack() as stack:
+        stack.enter_context(under_way())
         interrupt = stack.enter_context(between_steps())
         stack.callback(recorder.close)
         simulation = Simulation(scene, threads=threads)
@@ -93,17 +98,43 @@ def go_on(
             if progress is not None:
                 progress(simulation)
             interrupt()
-    except BaseException:
-        recorder.finish(simulation, interrupted=True)
+    except OutputError as error:
+        # what cannot be written now cannot be finished either
+        raise OutputError(
+            f"{error}. The run stopped at {simulation.time:g} s; what was saved before can be "
+            "read, and 'multicell resume' goes on from it when there is room"
+        ) from error
+    except BaseException as error:
+        try:
+            recorder.finish(simulation, interrupted=True)
+        except OutputError as trouble:
+            error.add_note(str(trouble))  # the first error is the one that counts
         raise
     recorder.finish(simulation, interrupted=False)
 
 
+@contextmanager
+def under_way() -> Iterator[None]:
+    """Count what cannot be written from now on as a failure of the run, not as bad input."""
+    try:
+        yield
+    except OutputError as error:
+        error.exit_code = 1
+        raise
+
+
 def finished(recorder: Recorder, report: bool) -> Result:
     """Return the result of a run that has ended, with its report if there is a folder."""
-    result = recorder.result()
-    if report and result.folder is not None:
-        result.report()
+    with under_way():
+        result = recorder.result()
+        if report and result.folder is not None:
+            try:
+                result.report()
+            except OutputError as error:
+                raise OutputError(
+                    f"{error}. The run is complete; only its report is missing: "
+                    f"multicell.load_result({str(result.folder)!r}).report() writes it"
+                ) from error
     return result
 
 
@@ -150,10 +181,11 @@ class Recorder:
         if interrupted:
             self._summary["interrupted"] = True
         if self._store is not None:
+            self._store.settle()
             write_summary(self._store.folder, self._summary)
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the files."""
         if self._store is not None:
             self._store.close()
 

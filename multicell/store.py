@@ -1,4 +1,12 @@
-"""Result files: ``frames.h5`` that grows while a run goes on, and the files beside it.
+"""Result files: a journal while a run goes on, ``frames.h5`` when it has ended.
+
+While a run goes on each frame is appended to ``frames.journal`` (:mod:`multicell.journal`), with
+what the history and the lineage have gained. A run that is killed at any moment, or meets a full
+disk, leaves all frames that it had finished, and the history up to about a second before; what the
+last second brought may be lost when the power fails. At its end, also an early one, all becomes one
+file ``frames.h5`` in HDF5, written beside its place and moved there. If there is no room for it the
+journal stays, and is read, resumed and exported all the same. A run that is resumed leaves
+``frames.h5`` as it is and begins a journal that says from which frame on it counts.
 
 Layout of ``frames.h5`` for k frames and m history rows::
 
@@ -6,6 +14,7 @@ Layout of ``frames.h5`` for k frames and m history rows::
     /cells/concentration_<nutrient>  likewise, mM
     /frames/offset (k + 1)           frame j owns the rows offset[j] ... offset[j + 1] - 1
     /frames/time, /frames/step (k)
+    /frames/digest (k)               CRC-32 of all that a frame holds
     /fields/<nutrient>/values        grids one after another in C order, with their offset
     /fields/<nutrient>/offset (k + 1), shape (k, 3), origin (k, 3), spacing, height, radial (k)
     /contacts/pair (., 2)            identities of pairs in contact, where the law remembers them
@@ -14,152 +23,161 @@ Layout of ``frames.h5`` for k frames and m history rows::
     /lineage/<log>/<column>          logs of births, deaths and ends up to the last frame
     /lineage/<log>/offset (k + 1)
     /history/<column> (m)
+    /scene                           bytes of ``scene.toml``
 
-The file is written in HDF5's single-writer multiple-reader mode: it can be opened while the run
-goes on, and a run that is killed at any moment leaves all frames that it had finished, and the
-history up to about a second before.
+It is an ordinary file without links to others: h5py, pandas and xarray open it, and a copy of it is
+complete. The attributes ``identity`` and ``absorbed`` tell it and its journals apart, ``digest``
+(of the file and of the history) are the checksums of what belongs to no single frame.
 """
 
 from __future__ import annotations
 
-import json
 import time as clock
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+import uuid
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self, final
 
-import h5py
 import numpy as np
 
-from multicell.cells import Cells
-from multicell.folder import FILES, package_version, prepare_folder, versions, words, write_text
+from multicell import hdf5
+from multicell.errors import OutputError
+from multicell.folder import (
+    FILES,
+    PASSING,
+    locked,
+    make_folder,
+    remove,
+    sync_folder,
+    versions,
+    words,
+    write_text,
+)
 from multicell.folder import write_summary as write_summary  # part of the public store
 from multicell.frame import Frame
-from multicell.frames import FORMAT, LIBVER
+from multicell.frames import Contents
 from multicell.frames import open_frames as open_frames  # part of the public store
 from multicell.frames import open_history as open_history
 from multicell.frames import open_lineage as open_lineage
+from multicell.journal import NAME as JOURNAL
+from multicell.journal import Journal
 from multicell.lineage import COLUMNS, Lineage
-from multicell.quantities import unit_of
+from multicell.records import Arrays, arrays_of, log_arrays
 
 if TYPE_CHECKING:
     from multicell.scene import Scene
 
-_ROWS: Final = 4096  # rows in a chunk of the long arrays: 32 kB
-_SHORT: Final = 256  # rows in a chunk of the arrays with one entry per frame or step
-
-
-def _column(group: Any, name: str, dtype: Any, *, width: int | None = None, unit: str = "") -> None:
-    """Create an empty array in ``group`` that grows along its first axis."""
-    tail = () if width is None else (width,)
-    rows = _ROWS if group.name.startswith(("/cells", "/fields")) else _SHORT
-    column = group.create_dataset(
-        name, (0, *tail), dtype, maxshape=(None, *tail), chunks=(rows, *tail)
-    )
-    column.attrs["unit"] = unit
-
-
-def _put(column: Any, start: int, values: Any) -> None:
-    """Make ``values`` the rows from ``start`` on, and the last ones."""
-    rows = np.asarray(values)
-    column.resize(start + len(rows), axis=0)
-    if len(rows):
-        column[start:] = rows
+_HISTORY_EVERY: Final = 1.0  # s of the wall clock
 
 
 @final
 class Store:
-    """The writer of a result folder; it is the only owner of the open file.
+    """The writer of a result folder; it is the only owner of the open journal.
 
-    Use :meth:`create`; as a context manager it closes itself. All methods raise
-    :class:`~multicell.errors.OutputError` when the system refuses to write (disk full).
-    A call that does not come to its end (Ctrl-C) leaves no trace: the next one writes over it.
+    Use :meth:`create` or :meth:`go_on`; as a context manager it settles and closes itself. All
+    methods raise :class:`~multicell.errors.OutputError` when the system refuses to write (disk
+    full); what was written before stays. A call that does not come to its end (Ctrl-C) leaves no
+    trace.
     """
 
-    def __init__(self, folder: Path, file: h5py.File, nutrients: Sequence[str], path: Path) -> None:
+    def __init__(
+        self, folder: Path, journal: Journal, nutrients: tuple[str, ...], held: ExitStack
+    ) -> None:
         self.folder = folder
-        self._path = path
-        self._file = file
-        self._nutrients = tuple(nutrients)
-        self._history: tuple[str, ...] = ()
-        self._flushed = clock.monotonic()
-        # what is complete: the only truth about where the next rows go
-        self._frames = self._history_rows = self._rows = self._pairs = self._letters = 0
+        self._journal = journal
+        self._nutrients = nutrients
+        self._held = held
+        self._columns: tuple[str, ...] = ()
+        self._pending: list[list[float]] = []
+        self._written = clock.monotonic()
+        # what is complete: the only truth about what comes next
+        self._frames = self._rows = 0
         self._logged = dict.fromkeys(COLUMNS, 0)
-        self._points = dict.fromkeys(nutrients, 0)
 
     @classmethod
-    def create(
-        cls, folder: str | Path, scene: Scene, overwrite: bool = False, *, part: bool = False
-    ) -> Self:
-        """Prepare the folder, write ``scene.toml`` and open an empty ``frames.h5``.
+    def create(cls, folder: str | Path, scene: Scene, overwrite: bool = False) -> Self:
+        """Prepare the folder, write ``scene.toml`` and begin an empty journal.
 
         Parameters
         ----------
         folder
-            Output folder (:func:`prepare_folder`).
+            Output folder; from now on no other run may write to it.
         scene
             The scene of the run; it says which nutrients the frames have.
         overwrite
             Remove the files of an earlier run first.
-        part
-            Leave the folder as it is and write to ``frames.h5.part``, until :meth:`settle`.
 
         Raises
         ------
         OutputError
-            If the folder cannot be used.
+            If the folder cannot be used (:func:`multicell.folder.prepare_folder`).
         """
-        if part:
-            folder = Path(folder)
-        else:
-            folder = prepare_folder(folder, overwrite=overwrite)
-            write_text(folder / "scene.toml", scene.to_toml(versions()))
-        path = folder / ("frames.h5.part" if part else "frames.h5")
-        with words("write", path):
-            file = h5py.File(path, "w", libver=LIBVER, locking="best-effort")
-            store = cls(folder, file, list(scene.nutrients), path)
-            store._lay_out()
-            file.swmr_mode = True
+        folder = make_folder(folder, overwrite=overwrite)
+        with ExitStack() as stack:
+            stack.enter_context(locked(folder))
+            make_folder(folder, overwrite=overwrite)  # another run may have come first
+            remove(folder, (*PASSING, *FILES))
+            text = scene.to_toml(versions())
+            write_text(folder / "scene.toml", text)
+            names = tuple(scene.nutrients)
+            journal = Journal.create(folder, _opening(text, names, "", 0, 0))
+            stack.callback(journal.close)
+            return cls(folder, journal, names, stack.pop_all())
+
+    @classmethod
+    def go_on(cls, contents: Contents, place: int, rows: int, scene: Scene) -> Self:
+        """Go on in a folder after one of its frames; its lock is the caller's affair.
+
+        What came after the frame, and files that describe the end of the earlier run, do not
+        count any more once this returns; until then nothing is lost.
+
+        Parameters
+        ----------
+        contents
+            Of the folder.
+        place
+            Number of the frame.
+        rows
+            How many rows of the history came up to it.
+        scene
+            The scene to go on with.
+        """
+        folder, names = contents.folder, contents.nutrients
+        lineage = contents.lineage(place)
+        text = scene.to_toml(versions())
+        # beside its place, until the journal says that this is the scene from now on
+        part = folder / "scene.toml.next"
+        write_text(part, text)
+        with ExitStack() as stack:
+            if contents.journal is None:
+                base = "" if contents.file is None else contents.file.identity
+                facts = _opening(text, names, base, place + 1, rows)
+                journal = Journal.create(folder, facts)
+                stack.callback(journal.close)
+            else:
+                journal = Journal.reopen(contents.journal)
+                stack.callback(journal.close)
+                facts = {"kind": "back", "scene": text, "frames": place + 1, "rows": rows}
+                journal.append([(facts, {})])
+                journal.sync()
+            with words("write", folder / "scene.toml"):
+                part.replace(folder / "scene.toml")
+            remove(folder, [name for name in FILES if name not in ("scene.toml", hdf5.NAME)])
+            store = cls(folder, journal, names, stack.pop_all())
+        store._frames, store._rows = place + 1, rows
+        store._columns, store._logged = contents.columns, lineage.counts()
         return store
 
-    def _lay_out(self) -> None:
-        """Create all arrays but the history, whose columns are known with its first row."""
-        self._file.attrs.update(format=FORMAT, multicell=package_version())
-        cells = self._file.create_group("cells")
-        for name, spec in Cells.schema().items():
-            _column(cells, name, spec["dtype"], width=spec["width"], unit=spec["unit"])
-        frames = self._file.create_group("frames")
-        _column(frames, "offset", np.int64)
-        _column(frames, "time", np.float64, unit="s")
-        _column(frames, "step", np.int64)
-        _put(frames["offset"], 0, [0])
-        contacts = self._file.create_group("contacts")
-        _column(contacts, "pair", np.int64, width=2)
-        _column(contacts, "offset", np.int64)
-        _put(contacts["offset"], 0, [0])
-        progress = self._file.create_group("progress")
-        _column(progress, "text", np.uint8)
-        _column(progress, "offset", np.int64)
-        _put(progress["offset"], 0, [0])
-        for log, columns in COLUMNS.items():
-            group = self._file.create_group(f"lineage/{log}")
-            for name, dtype in columns.items():
-                _column(group, name, dtype, unit="s" if name == "time" else "")
-            _column(group, "offset", np.int64)
-            _put(group["offset"], 0, [0])
-        for name in self._nutrients:
-            _column(cells, f"concentration_{name}", np.float64, unit="mM")
-            group = self._file.create_group(f"fields/{name}")
-            _column(group, "values", np.float64, unit="mM")
-            _column(group, "offset", np.int64)
-            _column(group, "shape", np.int64, width=3)
-            _column(group, "origin", np.float64, width=3, unit="um")
-            _column(group, "spacing", np.float64, unit="um")
-            _column(group, "height", np.float64, unit="um")
-            _column(group, "radial", np.int8)
-            _put(group["offset"], 0, [0])
+    def copy(self, contents: Contents, place: int, rows: int) -> None:
+        """Begin with what another folder holds up to a frame."""
+        history = contents.history(rows)
+        self._columns = tuple(history)
+        self._pending = [
+            list(row) for row in zip(*(c.tolist() for c in history.values()), strict=True)
+        ]
+        for k in range(place + 1):
+            self._add(contents.arrays(k), contents.log(k))
 
     def append(self, frame: Frame, lineage: Lineage | None = None) -> None:
         """Write a frame to disk.
@@ -176,134 +194,126 @@ class Store:
             If the frame's nutrients are not those of the scene, or the number of
             concentrations is not the number of cells.
         """
-        if set(frame.concentrations) != set(self._nutrients):
-            raise ValueError(
-                f"frame has concentrations of {sorted(frame.concentrations)}, "
-                f"the scene has {sorted(self._nutrients)}"
-            )
-        for name, values in frame.concentrations.items():
-            if len(values) != len(frame.cells):
-                raise ValueError(f"{len(values)} values of {name} for {len(frame.cells)} cells")
-        with words("write", self._path):
-            cells, rows = self._file["cells"], self._rows + len(frame.cells)
-            for name, column in frame.cells.columns():
-                _put(cells[name], self._rows, column)
-            for name in self._nutrients:
-                _put(cells[f"concentration_{name}"], self._rows, frame.concentrations[name])
-            pairs = self._pairs + len(frame.contacts)
-            _put(self._file["contacts"]["pair"], self._pairs, frame.contacts)
-            _put(self._file["contacts"]["offset"], self._frames + 1, [pairs])
-            points = {name: self._put_field(name, frame) for name in self._nutrients}
-            letters = self._put_progress(frame)
-            logged = self._put_lineage(lineage)
-            # the rows must be on disk before the index that makes them a frame
-            self._file.flush()
-            index = self._file["frames"]
-            _put(index["offset"], self._frames + 1, [rows])
-            _put(index["step"], self._frames, [frame.step])
-            _put(index["time"], self._frames, [frame.time])
-            self._file.flush()
-            self._frames, self._rows, self._points = self._frames + 1, rows, points
-            self._pairs, self._letters, self._logged = pairs, letters, logged
+        self._add(arrays_of(frame, self._nutrients), log_arrays(lineage, self._logged))
 
-    def _put_progress(self, frame: Frame) -> int:
-        """Write what a run needs to go on, or nothing; return where it ends."""
-        text = b"" if frame.progress is None else json.dumps(asdict(frame.progress)).encode()
-        group, end = self._file["progress"], self._letters + len(text)
-        _put(group["text"], self._letters, np.frombuffer(text, dtype=np.uint8))
-        _put(group["offset"], self._frames + 1, [end])
-        return end
-
-    def _put_lineage(self, lineage: Lineage | None) -> dict[str, int]:
-        """Write the new rows of the logs; return how long they are."""
-        counts = dict(self._logged)
-        for log, begin in self._logged.items():
-            group = self._file["lineage"][log]
-            if lineage is not None:
-                for name, values in lineage.rows(log, begin).items():
-                    _put(group[name], begin, values)
-                counts[log] = lineage.counts()[log]
-            _put(group["offset"], self._frames + 1, [counts[log]])
-        return counts
-
-    def _put_field(self, name: str, frame: Frame) -> int:
-        """Write a field, an absent one as a grid of no points; return where it ends."""
-        group, field = self._file["fields"][name], frame.fields.get(name)
-        values = np.empty((0, 0, 0)) if field is None else field.values
-        end = self._points[name] + values.size
-        _put(group["values"], self._points[name], values.ravel())
-        _put(group["offset"], self._frames + 1, [end])
-        _put(group["shape"], self._frames, [values.shape])
-        _put(group["origin"], self._frames, [np.full(3, np.nan) if field is None else field.origin])
-        _put(group["spacing"], self._frames, [np.nan if field is None else field.spacing])
-        _put(group["height"], self._frames, [np.nan if field is None else field.height])
-        _put(group["radial"], self._frames, [field is not None and field.kind == "radial"])
-        return end
+    def _add(self, arrays: Arrays, log: Arrays) -> None:
+        """Write a frame with the new rows of the logs, and the history up to it."""
+        facts = {
+            "kind": "frame",
+            "number": self._frames,
+            "time": float(arrays["time"]),
+            "step": int(arrays["step"]),
+        }
+        logs = {"kind": "lineage", "number": self._frames}
+        self._journal.append([*self._history_records(), (logs, log), (facts, arrays)])
+        self._history_is_written()
+        self._frames += 1
+        for name in COLUMNS:
+            self._logged[name] += len(log[f"{name}/id"])
 
     def append_history(self, row: Mapping[str, float]) -> None:
-        """Write one row of the history; the first row says which columns there are.
+        """Add one row to the history; the first row says which columns there are.
+
+        It is on disk with the next frame, or after a second.
 
         Raises
         ------
         ValueError
             If a later row has other columns.
         """
-        with words("write", self._path):
-            if not self._history:
-                self._lay_out_history(tuple(row))
-            if set(row) != set(self._history):
-                changed = sorted(set(row) ^ set(self._history))
-                raise ValueError(f"history columns differ from those of the first row: {changed}")
-            group = self._file["history"]
-            for name in self._history:
-                _put(group[name], self._history_rows, [float(row[name])])
-            self._history_rows += 1
-            # a flush costs more than a small coupling step: a killed run loses one second
-            if clock.monotonic() - self._flushed > 1.0:
-                self._file.flush()
-                self._flushed = clock.monotonic()
+        if not self._columns:
+            self._columns = tuple(sorted(row))  # as they come back from HDF5
+        if set(row) != set(self._columns):
+            changed = sorted(set(row) ^ set(self._columns))
+            raise ValueError(f"history columns differ from those of the first row: {changed}")
+        self._pending.append([float(row[name]) for name in self._columns])
+        # to write costs more than a small coupling step: a killed run loses one second
+        if clock.monotonic() - self._written > _HISTORY_EVERY:
+            self.flush()
 
-    def _lay_out_history(self, names: tuple[str, ...]) -> None:
-        """Create the history's arrays: HDF5 allows that only outside its SWMR mode."""
-        self._file.close()
-        self._file = h5py.File(self._path, "r+", libver=LIBVER, locking="best-effort")
-        group = self._file.require_group("history")
-        for name in [name for name in names if name not in group]:
-            _column(group, name, np.float64, unit=unit_of(name))
-        self._file.swmr_mode = True
-        self._history = names
+    def _history_records(self) -> list[tuple[Mapping[str, Any], Arrays]]:
+        """Return what is to be written of the history."""
+        if not self._pending:
+            return []
+        facts = {"kind": "rows", "start": self._rows, "columns": list(self._columns)}
+        return [(facts, {"rows": np.array(self._pending, "<f8")})]
 
-    def settle(self, scene: Scene) -> None:
-        """Let a file made as a part take the place of ``frames.h5``, and go on there.
-
-        Files that describe the end of the earlier run are removed.
-        """
-        whole = self.folder / "frames.h5"
-        with words("write", whole):
-            self._file.flush()
-            self._file.close()
-            self._path.replace(whole)
-            self._path = whole
-            self._file = h5py.File(whole, "r+", libver=LIBVER, locking="best-effort")
-            self._file.swmr_mode = True
-        write_text(self.folder / "scene.toml", scene.to_toml(versions()))
-        for name in FILES:
-            if name not in ("scene.toml", "frames.h5"):
-                with words("remove", self.folder / name):
-                    (self.folder / name).unlink(missing_ok=True)
+    def _history_is_written(self) -> None:
+        self._rows += len(self._pending)
+        self._pending.clear()
+        self._written = clock.monotonic()
 
     def flush(self) -> None:
-        """Hand everything to the operating system; appending a frame does so by itself."""
-        with words("write", self._path):
-            self._file.flush()
+        """Write what there is of the history."""
+        if self._pending:
+            self._journal.append(self._history_records())
+            self._history_is_written()
+
+    def settle(self) -> None:
+        """Make one file ``frames.h5`` of all that there is.
+
+        Raises
+        ------
+        OutputError
+            If that cannot be written. Everything then stays readable in the journal.
+        """
+        self.flush()
+        self._journal.sync()
+        contents = Contents(self.folder)
+        try:
+            hdf5.write(self.folder / hdf5.NAME, _whole(contents))
+        except OutputError as error:
+            raise OutputError(
+                f"{error}. All {len(contents.places)} frames of the run are kept in {JOURNAL} and "
+                "can be read; 'multicell resume' makes one file of them when there is room"
+            ) from error
+        self._journal.close()
+        with words("remove", self.folder / JOURNAL):
+            (self.folder / JOURNAL).unlink()
+        sync_folder(self.folder)
 
     def close(self) -> None:
-        """Close the file; closing twice does no harm."""
-        with words("write", self._path):
-            self._file.close()
+        """Close the journal and let others write to the folder; closing twice does no harm."""
+        self._held.close()
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self.close()
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        try:
+            if kind is None:
+                self.settle()
+        finally:
+            self.close()
+
+
+def _opening(
+    scene: str, nutrients: tuple[str, ...], base: str, frames: int, rows: int
+) -> dict[str, Any]:
+    """Return the first record of a journal: what it goes on from."""
+    return {
+        "kind": "open",
+        "identity": uuid.uuid4().hex,
+        "base": base,
+        "frames": frames,
+        "rows": rows,
+        "scene": scene,
+        "nutrients": list(nutrients),
+    }
+
+
+def _whole(contents: Contents) -> hdf5.Whole:
+    """Return all that a folder holds as one file is to hold it."""
+
+    def frames() -> Iterator[tuple[Arrays, int, Arrays]]:
+        for k, place in enumerate(contents.places):
+            yield contents.arrays(k), place.digest, contents.log(k)
+
+    return hdf5.Whole(
+        contents.scene,
+        contents.nutrients,
+        frames(),
+        contents.history(),
+        uuid.uuid4().hex,
+        contents.identity,
+    )

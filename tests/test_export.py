@@ -128,3 +128,18 @@ def test_contacts_are_between_cells_that_are_there(tmp_path):
     found = np.genfromtxt(tmp_path / "tables" / "contacts.csv", delimiter=",", names=True)
     assert (found["first_id"] != found["second_id"]).all()
     assert (found["distance_um"] > 0.0).all()
+
+
+def test_contacts_of_cells_that_are_gone_are_left_out(tmp_path):
+    scene = mc.load_scene("sorting").with_changes({"initial.count": 30, "duration": "10 min"})
+    run = mc.run(scene)
+    last = run.frames[-1]
+    gone = [int(last.contacts[0, 0]), int(last.cells.id.max())]
+    kept = last.cells.take(~np.isin(last.cells.id, gone))
+    frame = mc.frame.Frame(last.time, last.step, kept, contacts=last.contacts)
+    result = mc.Result(None, [frame], run.history, run.summary(), scene, run.lineage)
+    mc.export(result, tmp_path, tables=["contacts"])
+    read = {(int(r["first_id"]), int(r["second_id"])) for r in rows(tmp_path / "contacts.csv")}
+    expected = last.contacts[~np.isin(last.contacts, gone).any(axis=1)]
+    assert read == set(map(tuple, expected.tolist()))
+    assert 0 < len(read) < len(last.contacts)

@@ -123,7 +123,7 @@ def test_what_cannot_be_resumed_is_refused_with_words(tmp_path):
     with pytest.raises(OutputError, match="result format 1"):
         mc.resume(folder, 0)
     with h5py.File(folder / "frames.h5", "r+") as file:
-        file.attrs["format"] = 2
+        file.attrs["format"] = 3
     same(before, contents(folder))
 
 

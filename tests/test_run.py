@@ -243,9 +243,7 @@ def _listening():
 
 
 def _frames(out):
-    if not (out / "frames.h5").exists():
-        return 0
     try:
         return len(mc.load_result(out).frames)
     except mc.MulticellError:
-        return 0  # the file is being laid out
+        return 0  # nothing is there yet

@@ -14,7 +14,6 @@ import pytest
 from synthetic import BARE, SCENE, cells_at, growing_frames, history_of, spheroid
 
 import multicell
-from multicell import store as store_module
 from multicell.cells import Cells
 from multicell.errors import OutputError
 from multicell.folder import FILES, prepare_folder, to_json, write_summary
@@ -114,7 +113,7 @@ def test_folder_holds_the_scene_and_the_file_its_units(tmp_path):
     written(tmp_path / "out", [spheroid(30)])
     assert load_scene(tmp_path / "out" / "scene.toml") == SCENE
     with h5py.File(tmp_path / "out" / "frames.h5") as file:
-        assert file.attrs["format"] == 2
+        assert file.attrs["format"] == 3
         assert file.attrs["multicell"] == multicell.__version__
         for name, spec in Cells.schema().items():
             assert file["cells"][name].attrs["unit"] == spec["unit"]
@@ -163,30 +162,30 @@ def test_killed_writer_leaves_all_finished_frames(tmp_path, wait):
 
 def test_append_that_breaks_off_leaves_no_trace(tmp_path, monkeypatch):
     frames = growing_frames(count=3, last=300)
-    put = store_module._put
+    write = os.write
 
-    for stop in (1, 5, 11, 13, 17, 19):
-        calls = 0
+    for stop in (0, 1, 20, 5_000, 20_000):
 
-        def interrupted(column, start, values, stop=stop):
-            nonlocal calls
-            calls += 1
-            if calls == stop:
-                raise KeyboardInterrupt
-            put(column, start, values)
+        def interrupted(descriptor, data, stop=stop):
+            write(descriptor, data[:stop])
+            raise KeyboardInterrupt
 
         folder = tmp_path / str(stop)
         with Store.create(folder, SCENE) as store:
             store.append(frames[0])
             with monkeypatch.context() as patch:
-                patch.setattr(store_module, "_put", interrupted)
+                patch.setattr(os, "write", interrupted)
                 with pytest.raises(KeyboardInterrupt):
                     store.append(frames[1])
+            assert len(open_frames(folder)) == 1
+            # a shorter one than that which broke off: nothing of it may stay behind
+            store.append(spheroid(20))
             store.append(frames[2])
         back = open_frames(folder)
-        assert len(back) == 2
+        assert len(back) == 3
         assert_same_frame(frames[0], back[0])
-        assert_same_frame(frames[2], back[1])
+        assert_same_frame(spheroid(20), back[1])
+        assert_same_frame(frames[2], back[2])
 
 
 def test_wrong_frames_and_rows_are_refused(tmp_path):
@@ -249,6 +248,7 @@ def test_results_that_cannot_be_read_are_refused_with_words(tmp_path):
     (tmp_path / "frames.h5").write_bytes(b"not HDF5")
     with pytest.raises(OutputError, match="cannot read"):
         open_frames(tmp_path)
+    (tmp_path / "frames.h5").unlink()
     with h5py.File(tmp_path / "frames.h5", "w", libver=("v110", "v110")) as file:
         file.attrs["format"] = 99
     with pytest.raises(OutputError, match="format 99"):

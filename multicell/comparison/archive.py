@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from multicell.comparison.problem import Events, Problem, Step, Trajectory
-from multicell.folder import words
+from multicell.folder import replacing, words
 from multicell.mechanics import Motion
 
 _FORMAT = 2
@@ -50,10 +50,8 @@ def save(path: Path, problem: Problem, trajectory: Trajectory, facts: Mapping[st
     }
     with words("write", path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        partial = path.with_name(path.name + ".part")
-        with partial.open("wb") as file:
-            np.savez(file, **arrays)
-        partial.replace(path)
+    with replacing(path) as file:
+        np.savez(file, **arrays)
     return True
 
 

@@ -1,0 +1,379 @@
+"""Damage to result folders, and what must hold of whatever reads them then.
+
+Each case is one number: :func:`hurt` does the same damage for the same number.
+"""
+
+import json
+import os
+import random
+import resource
+import shutil
+import signal
+import zlib
+from itertools import pairwise
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+import multicell as mc
+from multicell.frames import Contents
+from multicell.journal import _HEAD, Reader
+
+MEMORY = 3 << 30  # bytes of address space beyond what the process has
+RECORD_FILES = ("frames.h5", "frames.journal")
+
+
+def hurt(folder, rng):
+    """Damage a folder and say how."""
+    ways = [_cut, _cut, _flip, _flip, _flip, _overwrite, _lengthen, _replace, _text]
+    if (folder / "frames.h5").is_file():
+        ways += [_edit] * 10
+    if (folder / "frames.journal").is_file():
+        ways += [_shuffle] * 3
+    way = rng.choice(ways)
+    return f"{way.__name__}: {way(folder, rng)}"
+
+
+def _some_file(folder, rng, names=RECORD_FILES):
+    names = [*names, *names, "scene.toml", "summary.json"]
+    return rng.choice([folder / name for name in names if (folder / name).is_file()])
+
+
+def _cut(folder, rng):
+    path = _some_file(folder, rng)
+    size = rng.choice([0, rng.randrange(200), rng.randrange(path.stat().st_size)])
+    os.truncate(path, min(size, path.stat().st_size))
+    return f"{path.name} to {size} bytes"
+
+
+def _flip(folder, rng):
+    path = _some_file(folder, rng)
+    data = bytearray(path.read_bytes())
+    # HDF5 has its own structure at the beginning and all over the file
+    reach = rng.choice([100, 2_000, len(data), len(data)])
+    places = [rng.randrange(min(reach, len(data))) for _ in range(rng.choice([1, 1, 1, 2, 8, 64]))]
+    for place in places:
+        data[place] ^= 1 << rng.randrange(8)
+    path.write_bytes(data)
+    return f"{path.name} at {places}"
+
+
+def _overwrite(folder, rng):
+    path = _some_file(folder, rng)
+    data = bytearray(path.read_bytes())
+    start = rng.randrange(len(data))
+    length = min(rng.choice([4, 100, 4096, 1 << 20]), len(data) - start)
+    data[start : start + length] = rng.choice(
+        [bytes(length), b"\xff" * length, rng.randbytes(length)]
+    )
+    path.write_bytes(data)
+    return f"{path.name} from {start} for {length}"
+
+
+def _lengthen(folder, rng):
+    path = _some_file(folder, rng)
+    tail = rng.choice([bytes(5000), rng.randbytes(5000), path.read_bytes()])
+    path.write_bytes(path.read_bytes() + tail)
+    return path.name
+
+
+def _replace(folder, rng):
+    path = _some_file(folder, rng)
+    path.unlink()
+    what = rng.choice(["nothing", "folder", "empty", "text", "dangling", "loop", "fifo", "other"])
+    if what == "folder":
+        path.mkdir()
+    elif what in ("empty", "text"):
+        path.write_text("" if what == "empty" else "these are not results\n" * 50)
+    elif what in ("dangling", "loop"):
+        path.symlink_to("nowhere" if what == "dangling" else path.name)
+    elif what == "fifo":
+        os.mkfifo(path)
+    elif what == "other":
+        names = [n for n in (*RECORD_FILES, "summary.json") if (folder / n).is_file()]
+        shutil.copy(folder / rng.choice([*names, "scene.toml"]), path) if names else None
+    return f"{path.name} by {what}"
+
+
+def _text(folder, rng):
+    """Edit the small files as a person or a broken program would."""
+    deep, digits = "[" * 100_000 + "]" * 100_000, "1" * 5000
+    if rng.random() < 0.5 or not (folder / "summary.json").is_file():
+        path = folder / "scene.toml"
+        text = path.read_text()
+        edits = {
+            "other cells": text.replace("young = 1.0", "young = 1.5"),
+            "other nutrient": text.replace("nutrients.oxygen", "nutrients.glucose"),
+            "no nutrient": text[: text.index("[nutrients")],
+            "deep": f"title = {deep}\n" + text,
+            "digits": f"seed = {digits}\n",
+            "latin": "title = 'Gewebe \udce4'\n" + text,
+            "remark": "# looked at\n" + text,
+        }
+        name = rng.choice(list(edits))
+        path.write_bytes(edits[name].encode("utf-8", "surrogateescape"))
+        return f"scene.toml, {name}"
+    edits = {
+        "deep": deep,
+        "deep table": '{"a":' * 5000 + "1" + "}" * 5000,
+        "digits": f'{{"cells": {digits}}}',
+        "list": "[1, 2]",
+        "number": "3",
+        "latin": '{"title": "\udce4"}',
+        "nothing": "",
+    }
+    name = rng.choice(list(edits))
+    (folder / "summary.json").write_bytes(edits[name].encode("utf-8", "surrogateescape"))
+    return f"summary.json, {name}"
+
+
+def _shuffle(folder, rng):
+    """Leave out, repeat or exchange records of the journal; each remains as it was."""
+    path = folder / "frames.journal"
+    data, records = path.read_bytes(), Reader(path).records
+    ends = [0, *(record.begin + record.length for record in records)]
+    pieces = [data[a:b] for a, b in pairwise(ends)]
+    k, j = rng.randrange(len(pieces)), rng.randrange(len(pieces))
+    way = rng.choice(["left out", "repeated", "exchanged", "forged"])
+    if way == "left out":
+        del pieces[k]
+    elif way == "repeated":
+        pieces.insert(j, pieces[k])
+    elif way == "exchanged":
+        pieces[k], pieces[j] = pieces[j], pieces[k]
+    else:
+        pieces[k] = _forged(pieces[k], rng)
+    path.write_bytes(b"".join(pieces) if rng.random() < 0.5 else _chained(pieces))
+    return f"record {k} {way} at {j}"
+
+
+def _forged(piece, rng):
+    """Return a record whose facts are wrong and whose checksums are right."""
+    tag, letters, length, _, body, _ = _HEAD.unpack(piece[: _HEAD.size])
+    facts = json.loads(piece[_HEAD.size : _HEAD.size + letters])
+    key = rng.choice(list(facts))
+    facts[key] = rng.choice([None, -1, 10**30, "x", [], {}, [[1, 2, 3]], float("nan")])
+    text = json.dumps(facts).encode()
+    head = _HEAD.pack(tag, len(text), length, zlib.crc32(text), body, 0)
+    return head + text + piece[_HEAD.size + letters :]
+
+
+def _chained(pieces):
+    """Join records with the right checksums of their heads."""
+    data, chain = b"", 0
+    for piece in pieces:
+        chain = zlib.crc32(piece[: _HEAD.size - 4], chain)
+        data += piece[: _HEAD.size - 4] + chain.to_bytes(4, "little") + piece[_HEAD.size :]
+    return data
+
+
+def _edit(folder, rng):
+    """Edit frames.h5 with h5py, which keeps all of HDF5's own checksums right."""
+    path = folder / "frames.h5"
+    with h5py.File(path, "r+") as file:
+        sets, groups = [], []
+        file.visititems(lambda n, o: (sets if isinstance(o, h5py.Dataset) else groups).append(n))
+        name = rng.choice(sets)
+        way = rng.choice([
+            "delete", "delete group", "value", "value", "value", "shrink", "grow", "huge", "type",
+            "width", "soft", "external", "storage", "virtual", "group", "attribute", "no attribute",
+            "index", "state", "loop",
+        ])  # fmt: skip
+        if way == "delete":
+            del file[name]
+        elif way == "delete group":
+            name = rng.choice(groups)
+            del file[name]
+        elif way == "value":
+            _other_value(file[name], rng)
+        elif way in ("shrink", "grow", "huge"):
+            rows = len(file[name])
+            size = {"shrink": rng.randrange(rows + 1), "grow": rows + 5, "huge": 1 << 55}[way]
+            file[name].resize(size, axis=0)
+        elif way == "type":
+            _put(file, name, file[name][()].astype(rng.choice(["<f4", ">f8", "<i4", "S3"])))
+        elif way == "width":
+            _put(file, name, np.zeros((len(file[name]), 2, 2)))
+        elif way in ("soft", "external", "loop"):
+            _link(file, folder, name, way)
+        elif way in ("storage", "virtual"):
+            _elsewhere(file, folder, name, way)
+        elif way == "group":
+            del file[name]
+            file.create_group(name)
+        elif way == "attribute":
+            key = rng.choice(list(file.attrs))
+            file.attrs[key] = rng.choice([-1, 10**6, "x", np.zeros(3), np.nan])
+            name = f"attribute {key}"
+        elif way == "no attribute":
+            key = rng.choice(list(file.attrs))
+            del file.attrs[key]
+            name = f"attribute {key}"
+        elif way == "index":
+            name = rng.choice([n for n in sets if n.endswith(("offset", "shape"))])
+            values = file[name][()]
+            values[rng.randrange(len(values))] = rng.choice([-1, 0, 7, 1 << 40, -(1 << 62)])
+            file[name][...] = values
+        elif way == "state":
+            name = rng.choice(["cells/state", "cells/phase", "cells/kind", "lineage/ends/cause"])
+            if len(file[name]):
+                file[name][rng.randrange(len(file[name]))] = rng.choice([-5, 9, 77, 127])
+    return f"{way} {name}"
+
+
+def _other_value(column, rng):
+    """Change one number by so little that only a checksum can tell."""
+    if column.size:
+        values = column[()]
+        place = rng.randrange(values.size)
+        flat = values.reshape(-1).view(np.uint8)
+        flat[place * values.itemsize] ^= 1
+        column[...] = values
+
+
+def _put(file, name, values):
+    del file[name]
+    file.create_dataset(name, data=values)
+
+
+def _link(file, folder, name, way):
+    """Put a link in the place of a data set, to where its data are."""
+    if way == "soft":
+        file.move(name, "moved")
+        file[name] = h5py.SoftLink("/moved")
+    elif way == "loop":
+        del file[name]
+        file[name] = h5py.SoftLink(f"/{name}")
+    else:
+        with h5py.File(folder / "elsewhere.h5", "a") as other:
+            file.copy(name, other, "data")
+        del file[name]
+        file[name] = h5py.ExternalLink("elsewhere.h5", "/data")
+
+
+def _elsewhere(file, folder, name, way):
+    """Let a data set keep its data in another file."""
+    values = file[name][()]
+    del file[name]
+    if way == "storage":
+        (folder / "raw").write_bytes(values.tobytes() or b"x")
+        if values.size:
+            raw = [(str(folder / "raw"), 0, values.nbytes)]
+            file.create_dataset(name, values.shape, values.dtype, external=raw)
+        return
+    with h5py.File(folder / "elsewhere.h5", "a") as other:
+        other["data"] = values
+    layout = h5py.VirtualLayout(values.shape, values.dtype)
+    if values.size:
+        layout[...] = h5py.VirtualSource(str(folder / "elsewhere.h5"), "data", values.shape)
+    file.create_virtual_dataset(name, layout)
+
+
+# --- what must hold ---------------------------------------------------------------------------
+
+
+def check(number, folder, whole):
+    """Damage a folder and read it in all ways; return 0, or 1 with words where one is wrong."""
+    folder, whole = Path(folder), Path(whole)
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    rng = random.Random(number)
+    print(hurt(folder, rng), flush=True)
+    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize() \
+        if Path("/proc/self/statm").exists() else 0  # fmt: skip
+    if used:
+        resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, used + MEMORY))
+    before = {path: path.lstat().st_size for path in folder.parent.iterdir() if path != folder}
+    ways = [_frames_and_more, _tables]
+    ways += rng.sample([_resumed_here, _resumed_from_the_first, _report], 2)
+    refusals = []
+    for way in ways:
+        try:
+            way(folder, whole)
+        except mc.MulticellError as error:
+            refusals.append(f"{way.__name__} refused: {error}")
+    assert all(len(text) < 2000 for text in refusals)
+    after = {path: path.lstat().st_size for path in folder.parent.iterdir() if path in before}
+    assert before == after, "something outside the folder has changed"
+    print("\n".join(refusals), flush=True)
+    return 0
+
+
+def _frames_and_more(folder, whole):
+    """All that can be read is what was written."""
+    here, there = Contents(folder), Contents(whole)
+    frames = [place.digest for place in there.places]
+    assert [place.digest for place in here.places] == frames[: len(here.places)]
+    known = {}
+    for k in range(len(here.places)):
+        try:
+            known[k] = here.frame(k)
+        except mc.OutputError:
+            continue
+    for k, frame in known.items():
+        _same_frame(frame, there.frame(k))
+    _same_history(here.history(), there.history())
+    result = mc.load_result(folder)
+    assert len(result.frames) == len(here.places)
+    if here.places:
+        _same_columns(result.lineage, there.lineage(len(here.places) - 1).table())
+
+
+def _same_frame(frame, other):
+    assert (frame.time, frame.step) == (other.time, other.step)
+    for name, column in frame.cells.columns():
+        assert column.tobytes() == getattr(other.cells, name).tobytes(), name
+    assert set(frame.fields) == set(other.fields)
+    for name, field in frame.fields.items():
+        assert field.values.tobytes() == other.fields[name].values.tobytes()
+        assert field.origin.tobytes() == other.fields[name].origin.tobytes()
+        assert field.spacing == other.fields[name].spacing
+    for name, values in frame.concentrations.items():
+        assert values.tobytes() == other.concentrations[name].tobytes()
+    assert frame.contacts.tobytes() == other.contacts.tobytes()
+    assert repr(frame.progress) == repr(other.progress)
+
+
+def _same_history(history, other):
+    for name, column in history.items():
+        assert column.tobytes() == other[name][: len(column)].tobytes(), name
+
+
+def _same_columns(one, other):
+    assert set(one) == set(other)
+    for name, column in one.items():
+        assert column.tolist() == other[name].tolist() or (
+            np.asarray(column, float).tobytes() == np.asarray(other[name], float).tobytes()
+        ), name
+
+
+def _tables(folder, whole):
+    """A table that can be exported begins as the right one does."""
+    mc.export(folder, folder / "tables", overwrite=True)
+    for path in (folder / "tables").iterdir():
+        right = (whole / "tables" / path.name).read_bytes()
+        if path.name != "lineage.csv":  # ends come to earlier lines later
+            assert right.startswith(path.read_bytes()), path.name
+
+
+def _resumed_here(folder, whole):
+    """A run that can go on comes to the right end."""
+    _same_run(mc.resume(folder, report=False, threads=1), whole)
+
+
+def _resumed_from_the_first(folder, whole):
+    result = mc.resume(folder, 0, output=folder / "again", report=False, threads=1)
+    _same_run(result, whole)
+
+
+def _report(folder, whole):
+    mc.load_result(folder).report()
+
+
+def _same_run(result, whole):
+    there = mc.load_result(whole)
+    assert len(result.frames) == len(there.frames)
+    for frame, other in zip(result.frames, there.frames, strict=True):
+        _same_frame(frame, other)
+    _same_history(there.history, result.history)
+    _same_columns(result.lineage, there.lineage)

@@ -1,0 +1,113 @@
+"""Processes that may be killed, crash or hang, at the price of a fork each.
+
+``Forks`` starts one Python process that loads multicell and its kernels, and from then on splits
+off a child for each task: a command line of ``multicell``, or a function of a test module.
+"""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import multicell
+
+SERVER = "import sys, forks; sys.exit(forks.serve())"
+WARM = {"duration": "20 min", "initial.count": 30}
+
+
+class Forks:
+    """A process that splits off others; use it as a context manager."""
+
+    def __enter__(self):
+        package = Path(multicell.__file__).parents[1]
+        paths = os.pathsep.join([str(package), str(Path(__file__).parent)])
+        environment = {**os.environ, "PYTHONPATH": paths, "OMP_WAIT_POLICY": "passive"}
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", SERVER],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            env=environment,
+        )
+        return self
+
+    def __exit__(self, *_):
+        self._process.stdin.close()
+        self._process.wait(60)
+
+    def ask(self, **task):
+        """Do a task in a child and return its exit code (or minus a signal), output and time."""
+        self._process.stdin.write(json.dumps(task) + "\n")
+        self._process.stdin.flush()
+        return json.loads(self._process.stdout.readline())
+
+    def multicell(self, *arguments, **options):
+        """Run a command."""
+        return self.ask(arguments=[str(a) for a in arguments], **options)
+
+
+def serve():
+    """Answer tasks until there are no more."""
+    import multicell as mc
+    from multicell import cli, exporting, report  # noqa: F401 - loaded once, for all children
+
+    mc.run(mc.load_scene("spheroid").with_changes(WARM), threads=1)
+    for line in sys.stdin:
+        task = json.loads(line)
+        read, write = os.pipe()
+        begin = time.monotonic()
+        child = os.fork()
+        if child == 0:
+            os.close(read)
+            _become(write)
+            return _work(task)
+        os.close(write)
+        code = _watch(child, task, begin)
+        with os.fdopen(read, errors="replace") as pipe:
+            text = pipe.read(1 << 20)
+        answer = {"code": code, "text": text, "seconds": time.monotonic() - begin}
+        print(json.dumps(answer), flush=True)
+    return 0
+
+
+def _become(write):
+    """Send all output of this process to a pipe, and take no more tasks."""
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+    os.dup2(write, 1)
+    os.dup2(write, 2)
+
+
+def _work(task):
+    """Do a task in this process, and return its exit code."""
+    if "function" in task:
+        module, _, name = task["function"].partition(":")
+        return getattr(__import__(module), name)(**task["with"]) or 0
+    from multicell.cli import main
+
+    try:
+        main(task["arguments"])
+    except SystemExit as error:
+        return error.code
+    return 0
+
+
+def _watch(child, task, begin):
+    """Wait for a child, or kill it where the task says so; return its exit code."""
+    limit = begin + task.get("limit", 60.0)
+    kill_at = begin + task["kill_after"] if "kill_after" in task else None
+    appears = task.get("kill_when")
+    while True:
+        done, status = os.waitpid(child, os.WNOHANG)
+        if done:
+            return os.waitstatus_to_exitcode(status)
+        now = time.monotonic()
+        if appears is not None and kill_at is None and os.path.lexists(appears):
+            kill_at = now + task.get("delay", 0.0)
+        if now > limit or (kill_at is not None and now > kill_at):
+            os.kill(child, signal.SIGKILL)
+            os.waitpid(child, 0)
+            return "hung" if now > limit else -int(signal.SIGKILL)
+        time.sleep(0.0005 if appears is not None and kill_at is None else 0.001)

@@ -1,0 +1,219 @@
+"""Runs that are killed, and runs whose disk gets full: nothing that was saved is ever lost.
+
+``pytest tests/test_kill_and_full_disk.py --kills 100 --full-disks 40`` does as many as asked.
+"""
+
+import os
+import random
+import subprocess
+
+import h5py
+import numpy as np
+import pytest
+from forks import Forks
+
+import multicell as mc
+from multicell.frames import Contents
+
+# cells grow, divide, starve, die and are removed; many frames, with a field each
+CHANGES = {
+    "duration": "10 h",
+    "initial.count": 60,
+    "initial.stage": "uniform",
+    "growth.cycle_time": "6 h",
+    "nutrients.oxygen.boundary": "0.025 mM",
+    "nutrients.oxygen.quiescence": "0.021 mM",
+    "nutrients.oxygen.necrosis": "0.0205 mM",
+    "death.lysis_time": "2 h",
+    "output.every": "30 min",
+}
+SETTINGS = [part for key, value in CHANGES.items() for part in ("--set", f"{key}={value}")]
+
+
+def contents(folder):
+    """Return the bytes of all data sets of a result file."""
+    found = {}
+    with h5py.File(folder / "frames.h5", "r") as file:
+        file.visititems(
+            lambda name, item: (
+                found.update({name: item[()].tobytes()}) if isinstance(item, h5py.Dataset) else None
+            )
+        )
+    return found
+
+
+def summary(folder):
+    table = mc.load_result(folder).summary()
+    return {name: entry for name, entry in table.items() if name not in ("wall", "threads")}
+
+
+def command(verb, folder, *more):
+    if verb == "run":
+        return ["run", "spheroid", "-o", folder, *SETTINGS, "--quiet", "--threads", "1", *more]
+    return ["resume", folder, "--quiet", "--threads", "1", *more]
+
+
+@pytest.fixture(scope="module")
+def forks():
+    with Forks() as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def undisturbed(forks, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("undisturbed") / "out"
+    done = forks.multicell(*command("run", folder))
+    assert done["code"] == 0, done["text"]
+    run = mc.load_result(folder)
+    assert run.summary()["divisions"] > 5
+    assert run.summary()["removals"] > 0
+    assert len(run.frames) == 21
+    return folder, done["seconds"]
+
+
+def assert_a_beginning(folder, whole):
+    """Hold what a folder holds against the run that nothing disturbed; return how many frames."""
+    try:
+        run = mc.load_result(folder)
+    except mc.OutputError as error:
+        assert "there are no results" in str(error)  # noqa: PT017
+        return 0
+    here, there = Contents(folder), Contents(whole)
+    count = len(run.frames)
+    assert [place.digest for place in here.places] == [p.digest for p in there.places[:count]]
+    for k, frame in enumerate(run.frames):
+        assert frame.step == there.places[k].step
+    for name, column in there.history().items():
+        rows = here.history().get(name, np.empty(0))
+        assert rows.tobytes() == column[: len(rows)].tobytes()
+    if count:
+        whole_run = mc.load_result(whole)
+        born = whole_run.lineage["birth_time"] <= run.frames[-1].time
+        np.testing.assert_array_equal(run.lineage["id"], whole_run.lineage["id"][born])
+    return count
+
+
+def finish(forks, folder, whole):
+    """Go on in a folder until its run is complete, and compare it with the undisturbed one."""
+    count = assert_a_beginning(folder, whole)
+    verb = ["resume", folder] if count else ["run", folder, "--overwrite"]
+    done = forks.multicell(*command(*verb))
+    if done["code"] == 2:
+        assert "ends with the frame" in done["text"], done["text"]  # only its report was missing
+    else:
+        assert done["code"] == 0, done["text"]
+        assert (folder / "report.html").is_file()
+        assert not list(folder.glob("*.part"))
+    assert contents(folder) == contents(whole)
+    assert summary(folder) == summary(whole)
+    assert not {entry.name for entry in folder.iterdir()} & {"frames.journal", "scene.toml.next"}
+
+
+def test_killed_runs_go_on_to_the_same_bits(forks, undisturbed, tmp_path, pytestconfig):
+    whole, seconds = undisturbed
+    for case in range(pytestconfig.getoption("kills")):
+        rng = random.Random(case)
+        folder = tmp_path / f"run{case}"
+        how = _moment(rng, folder, seconds)
+        killed = forks.multicell(*command("run", folder), **how)
+        assert killed["code"] in (0, -9), (case, killed)
+        for again in range(rng.choice([0, 0, 1, 2])):
+            if assert_a_beginning(folder, whole) and killed["code"] == -9:
+                how = _moment(rng, folder, seconds)
+                killed = forks.multicell(*command("resume", folder), **how)
+                assert killed["code"] in (0, 2, -9), (case, again, killed)
+        try:
+            finish(forks, folder, whole)
+        except BaseException as error:
+            error.add_note(f"kill {case}")
+            raise
+
+
+def _moment(rng, folder, seconds):
+    """Return a moment to kill: any, or one at which a file is about to be replaced."""
+    part = rng.choice(
+        [None, None, "frames.h5.part", "frames.journal", "summary.json", "growth.png.part"]
+    )
+    if part is None:
+        return {"kill_after": rng.uniform(0.0, 1.1 * seconds)}
+    return {"kill_when": str(folder / part), "delay": rng.choice([0.0, rng.uniform(0.0, 0.02)])}
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """Give a function that makes a small disk, and one that gives it another size."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    mounted = []
+
+    def mount(kilobytes):
+        options = f"size={kilobytes}k"
+        again = [*(["remount"] if mounted else []), options]
+        done = subprocess.run(
+            ["mount", "-t", "tmpfs", "-o", ",".join(again), "tmpfs", str(place)],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        if done.returncode != 0 and not mounted:
+            pytest.skip(f"a small disk cannot be mounted here: {done.stderr.strip()}")
+        assert done.returncode == 0, done.stderr
+        mounted.append(kilobytes)
+        return place
+
+    def unmount():
+        if mounted:
+            subprocess.run(["umount", str(place)], check=True)
+            mounted.clear()
+
+    if os.name != "posix" or not hasattr(os, "geteuid") or os.geteuid() != 0:
+        pytest.skip("to mount a small disk one must be root")
+    yield mount, unmount
+    unmount()
+
+
+def test_a_full_disk_ends_a_run_with_one_error_and_loses_nothing(
+    forks, undisturbed, small_disk, pytestconfig
+):
+    whole, _ = undisturbed
+    mount, unmount = small_disk
+    size = sum(entry.stat().st_size for entry in whole.iterdir()) / 1024.0
+    stopped = 0
+    for case in range(pytestconfig.getoption("full_disks")):
+        rng = random.Random(1000 + case)
+        try:
+            folder = mount(_size(rng, case, size)) / "out"
+            done = forks.multicell(*command("run", folder))
+            stopped += _stopped_with_words(done, folder, whole)
+            if rng.random() < 0.5 and done["code"] == 1 and Contents(folder).places:
+                mount(int(rng.uniform(0.5, 2.0) * size) + 200)
+                done = forks.multicell(*command("resume", folder))
+                _stopped_with_words(done, folder, whole)
+            mount(int(20 * size))
+            if done["code"] != 0:
+                finish(forks, folder, whole)
+        except BaseException as error:
+            error.add_note(f"full disk {case}")
+            raise
+        finally:
+            unmount()
+    assert stopped or not pytestconfig.getoption("full_disks")
+
+
+def _size(rng, case, size):
+    """Return a size of the disk in kB at which it gets full in the run, or at its end."""
+    return int(rng.uniform(0.02, 0.9) * size) if case % 2 else int(rng.uniform(0.6, 2.0) * size)
+
+
+def _stopped_with_words(done, folder, whole):
+    """Check how a run ended whose disk may have been full; return whether it was."""
+    if done["code"] == 0:
+        return False
+    lines = done["text"].strip().splitlines()
+    assert len(lines) == 1, done["text"]
+    assert lines[0].startswith("Error: "), done["text"]
+    assert "No space left" in lines[0] or "ends with the frame" in lines[0], done["text"]
+    count = assert_a_beginning(folder, whole) if folder.is_dir() else 0
+    # before the first step the folder could not be used; a run that was complete needs nothing
+    assert done["code"] == 1 or count == 0 or "ends with the frame" in lines[0]
+    return True

@@ -1,0 +1,278 @@
+"""One run at a time in a folder, links that are never followed, and a file that others can open."""
+
+import errno
+import os
+import shutil
+
+import h5py
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+from click.testing import CliRunner
+from synthetic import SCENE, growing_frames, history_of, spheroid
+
+import multicell as mc
+from multicell import folder as folder_module
+from multicell.cli import main
+from multicell.errors import OutputError
+from multicell.folder import LOCK, write_text
+from multicell.frames import Contents
+from multicell.store import Store, open_frames, open_history
+
+QUICK = {"duration": "4 min", "output.every": "1 min", "initial.count": 12}
+ARGUMENTS = ["--set", "duration=4 min", "--set", "initial.count=12", "--no-report", "--quiet"]
+
+
+@pytest.fixture
+def settled(tmp_path):
+    folder = tmp_path / "out"
+    mc.run(mc.load_scene("settle").with_changes(QUICK), output=folder, report=False)
+    return folder
+
+
+def written(folder, frames, settle=True):
+    store = Store.create(folder, SCENE)
+    for frame, row in zip(frames, history_of(frames), strict=True):
+        store.append_history(row)
+        store.append(frame)
+    if settle:
+        store.settle()
+    store.close()
+    return folder
+
+
+def test_h5py_pandas_and_xarray_open_the_file(tmp_path):
+    frames = growing_frames(count=4, last=300)
+    folder = written(tmp_path / "out", frames)
+    # a copy of the one file is complete
+    path = shutil.copy(folder / "frames.h5", tmp_path / "copy.h5")
+    shutil.rmtree(folder)
+    count = sum(len(frame.cells) for frame in frames)
+    with h5py.File(path) as file:
+        radius = file["cells/radius"][()]
+        offset = file["frames/offset"][()]
+        table = pd.DataFrame({name: file["cells"][name][()] for name in ("id", "radius", "state")})
+        history = pd.DataFrame({name: column[()] for name, column in file["history"].items()})
+        assert mc.Scene.from_dict(_toml(file["scene"][()])) == SCENE
+    assert len(table) == count
+    last = frames[-1].cells
+    np.testing.assert_array_equal(radius[offset[-2] : offset[-1]], last.radius)
+    assert table["radius"].iloc[-len(last) :].tolist() == last.radius.tolist()
+    assert history["time"].tolist() == [frame.time for frame in frames]
+    with xr.open_dataset(path, group="cells", engine="h5netcdf", phony_dims="sort") as cells:
+        assert cells["radius"].attrs["unit"] == "um"
+        np.testing.assert_array_equal(cells["radius"].values, radius)
+        assert cells["position"].shape == (count, 3)
+    with xr.open_dataset(path, group="history", engine="h5netcdf", phony_dims="sort") as rows:
+        np.testing.assert_array_equal(rows["cells"].values, history["cells"])
+
+
+def _toml(data):
+    import tomllib
+
+    return tomllib.loads(data.tobytes().decode())
+
+
+def test_journal_and_file_read_the_same(tmp_path):
+    frames = growing_frames(count=5, last=200)
+    journal = written(tmp_path / "journal", frames, settle=False)
+    settled = written(tmp_path / "settled", frames)
+    assert {entry.name for entry in journal.iterdir()} == {"scene.toml", "frames.journal"}
+    assert {entry.name for entry in settled.iterdir()} == {"scene.toml", "frames.h5"}
+    one, other = Contents(journal), Contents(settled)
+    assert [place.digest for place in one.places] == [place.digest for place in other.places]
+    assert open_history(journal).keys() == open_history(settled).keys()
+    for name, column in open_history(journal).items():
+        np.testing.assert_array_equal(column, open_history(settled)[name])
+    # a process that is killed between writing the one and removing the other
+    written(tmp_path / "both", frames, settle=False)
+    store = Store.create(tmp_path / "crash", SCENE)
+    store.append(frames[0])
+    shutil.copy(tmp_path / "crash" / "frames.journal", tmp_path / "kept")
+    store.settle()
+    store.close()
+    shutil.copy(tmp_path / "kept", tmp_path / "crash" / "frames.journal")
+    assert len(open_frames(tmp_path / "crash")) == 1
+    assert Contents(tmp_path / "crash").journal is None
+    # a journal beside a file that it knows nothing of
+    shutil.copy(settled / "frames.h5", tmp_path / "both" / "frames.h5")
+    with pytest.raises(OutputError, match="one of them is from another run"):
+        open_frames(tmp_path / "both")
+
+
+def test_a_reader_keeps_its_frames_when_the_run_ends(tmp_path):
+    frames = growing_frames(count=3, last=100)
+    store = Store.create(tmp_path / "out", SCENE)
+    for frame in frames:
+        store.append(frame)
+    back = open_frames(tmp_path / "out")
+    store.settle()
+    store.close()
+    for first, second in zip(frames, back, strict=True):
+        np.testing.assert_array_equal(first.cells.position, second.cells.position)
+    shutil.rmtree(tmp_path / "out")
+    written(tmp_path / "out", [spheroid(7), spheroid(8), spheroid(9)])
+    with pytest.raises(OutputError, match="it holds another run"):
+        back[0]
+
+
+def test_a_folder_in_which_a_run_goes_on_is_refused(tmp_path):
+    scene = mc.load_scene("settle").with_changes(QUICK)
+    folder, tried = tmp_path / "out", []
+
+    def try_others(simulation):
+        if tried:
+            return
+        before = len(open_frames(folder))
+        run = ["run", "settle", "-o", str(folder), *ARGUMENTS]
+        for arguments, words in (
+            (run, "not empty"),
+            ([*run, "--overwrite"], "a run is going on in"),
+            (["resume", str(folder), "--no-report", "--quiet"], "a run is going on in"),
+        ):
+            done = CliRunner().invoke(main, arguments)
+            assert done.exit_code == 2, done.output
+            assert words in done.output
+            tried.append(words)
+        assert len(open_frames(folder)) == before
+
+    result = mc.run(scene, output=folder, report=False, progress=try_others)
+    assert len(tried) == 3
+    assert len(result.frames) == 5
+    assert not (folder / LOCK).exists()
+    # nothing is locked any more
+    mc.run(scene, output=folder, report=False, overwrite=True)
+
+
+def test_links_are_never_followed_out_of_the_folder(settled, tmp_path):
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    names = ["frames.h5", "frames.journal", "scene.toml", "summary.json", "growth.png", LOCK,
+             "frames.h5.part", "frames.journal.part", "summary.json.part"]  # fmt: skip
+    for name in names:
+        (outside / name).write_text("precious")
+        (settled / name).unlink(missing_ok=True)
+        (settled / name).symlink_to(outside / name)
+    scene = mc.load_scene("settle").with_changes(QUICK)
+    mc.run(scene, output=settled, overwrite=True)
+    for name in names:
+        assert (outside / name).read_text() == "precious"
+        assert not (settled / name).is_symlink()
+    assert mc.load_result(settled).summary()["cells"] == 12
+    # tables too
+    for name in ("cells", "history"):
+        (outside / f"{name}.csv").write_text("precious")
+        (tmp_path / "tables").mkdir(exist_ok=True)
+        (tmp_path / "tables" / f"{name}.csv").symlink_to(outside / f"{name}.csv")
+    mc.export(settled, tmp_path / "tables", tables=["cells", "history"], overwrite=True)
+    for name in ("cells", "history"):
+        assert (outside / f"{name}.csv").read_text() == "precious"
+        assert len((tmp_path / "tables" / f"{name}.csv").read_text()) > 100
+
+
+def test_a_folder_that_is_a_link_is_written_to_but_not_overwritten(settled, tmp_path):
+    link = tmp_path / "link"
+    link.symlink_to(settled)
+    before = (settled / "frames.h5").read_bytes()
+    scene = mc.load_scene("settle").with_changes(QUICK)
+    with pytest.raises(OutputError, match="name that folder itself"):
+        mc.run(scene, output=link, overwrite=True)
+    assert (settled / "frames.h5").read_bytes() == before
+    assert len(mc.load_result(link).frames) == 5
+    dangling = tmp_path / "dangling"
+    dangling.symlink_to(tmp_path / "nowhere")
+    with pytest.raises(OutputError, match="is missing"):
+        mc.run(scene, output=dangling, overwrite=True)
+    new = tmp_path / "new"
+    new.mkdir()
+    (tmp_path / "to-new").symlink_to(new)
+    mc.run(scene, output=tmp_path / "to-new", report=False)
+    assert len(mc.load_result(new).frames) == 5
+
+
+@pytest.mark.parametrize("stage", ["frames.journal", "frames.h5", "summary.json", "growth.png",
+                                   "report.html"])  # fmt: skip
+def test_each_file_that_cannot_be_written_is_one_error(stage, tmp_path, monkeypatch):
+    """As on a full disk, at each of the files in turn; see also test_kill_and_full_disk."""
+    scene = mc.load_scene("settle").with_changes(QUICK)
+    whole = mc.run(scene, output=tmp_path / "whole", report=False)
+    folder = tmp_path / "out"
+    _refuse(monkeypatch, stage)
+    with pytest.raises(OutputError, match="No space left on device") as caught:
+        mc.run(scene, output=folder)
+    assert caught.value.exit_code == 1
+    assert stage in str(caught.value)
+    assert not list(folder.glob("*.part"))
+    assert not (folder / LOCK).exists()
+    monkeypatch.undo()
+    left = mc.load_result(folder)
+    assert len(left.frames) == (1 if stage == "frames.journal" else 5)
+    for one, other in zip(left.frames, whole.frames, strict=False):
+        np.testing.assert_array_equal(one.cells.position, other.cells.position)
+    if stage in ("growth.png", "report.html"):
+        with pytest.raises(OutputError, match="To prolong it"):
+            mc.resume(folder)
+        left.report()
+    else:
+        mc.resume(folder)
+    assert (folder / "report.html").is_file()
+    assert mc.load_result(folder).summary()["cells"] == 12
+    assert "interrupted" not in mc.load_result(folder).summary()
+    for one, other in zip(
+        Contents(folder).places, Contents(tmp_path / "whole").places, strict=True
+    ):
+        assert one.digest == other.digest
+
+
+def _refuse(monkeypatch, stage):
+    """Let the system refuse to write one file, the journal after its first frame."""
+    full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    if stage == "frames.journal":
+        write = os.write
+
+        def refused(descriptor, data):
+            if os.lseek(descriptor, 0, os.SEEK_CUR) > 4000:
+                write(descriptor, data[:500])
+                raise full
+            return write(descriptor, data)
+
+        monkeypatch.setattr(os, "write", refused)
+        return
+    new_file = folder_module.new_file
+
+    def limited(path):
+        descriptor = new_file(path)
+        if path.name == f"{stage}.part":
+            os.close(descriptor)
+            return os.open("/dev/full", os.O_RDWR)
+        return descriptor
+
+    monkeypatch.setattr(folder_module, "new_file", limited)
+
+
+def test_a_summary_that_cannot_be_written_leaves_the_old_one(tmp_path):
+    write_text(tmp_path / "summary.json", "old")
+    (tmp_path / "summary.json.part").mkdir()
+    with pytest.raises(OutputError, match=r"cannot write .*summary\.json"):
+        write_text(tmp_path / "summary.json", "new")
+    assert (tmp_path / "summary.json").read_text() == "old"
+
+
+def test_damage_says_what_can_still_be_read(tmp_path):
+    folder = tmp_path / "out"
+    changes = {**QUICK, "duration": "20 min", "initial.count": 400}
+    mc.run(mc.load_scene("settle").with_changes(changes), output=folder, report=False)
+    data = bytearray((folder / "frames.h5").read_bytes())
+    with h5py.File(folder / "frames.h5") as file:
+        chunk = file["cells/position"].id.get_chunk_info(1)
+        first = int(np.searchsorted(file["frames/offset"][()], 4096, side="right")) - 1
+    data[chunk.byte_offset + 100] ^= 1
+    (folder / "frames.h5").write_bytes(data)
+    result = mc.load_result(folder)
+    with pytest.raises(OutputError, match=f"frame {first} .* damaged.* --frame {first - 1}"):
+        result.frames[first]
+    assert len(result.frames[first - 1].cells) == 400
+    done = CliRunner().invoke(main, ["resume", str(folder), "--frame", str(first - 1), "--quiet"])
+    assert done.exit_code == 0, done.output
+    assert len(mc.load_result(folder).frames[first].cells) == 400
