@@ -72,7 +72,7 @@ class Scipy:
         """
         if self.name in _LIMITS:
             holds(system, f"scipy-{self.name}", *_LIMITS[self.name])
-        run = Run(system, np.array(position), self.max_steps, self.max_displacement)
+        run = Run(system, np.array(position), self.max_steps, self.max_displacement, self.atol)
         return run.integrate(lambda run, ceiling: _Stepped(self, run, ceiling))
 
 
@@ -96,7 +96,11 @@ class _Stepped:
 
     def step(self) -> tuple[float, FloatArray]:
         """Take one step."""
-        message = self.solver.step()
+        try:
+            message = self.solver.step()
+        except (RuntimeError, np.linalg.LinAlgError) as error:
+            # SuperLU on a matrix that is singular to rounding
+            raise StepImpossible(f"SciPy: {error}") from error
         self.system.work.factorisations += self.solver.nlu - self.factorised
         self.factorised = self.solver.nlu
         if self.solver.status == "failed":
