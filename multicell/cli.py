@@ -22,6 +22,7 @@ from multicell.cli_common import (
     print_json,
 )
 from multicell.cli_compare import compare, stability
+from multicell.door import Commands, complain
 from multicell.errors import OutputError, StepFailed
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     from multicell.scene import Scene
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, message="multicell %(version)s")
 def main() -> None:
     """Simulate multicellular tissue cell by cell.
@@ -256,11 +257,11 @@ def _finish_early(error: BaseException, output: Path, no_report: bool, as_json: 
             result.report()
     except OutputError as trouble:
         # the first error is the one that counts: it follows
-        click.echo(f"Nothing could be reported: {trouble}", err=True)
+        complain(f"Nothing could be reported: {trouble}")
         return
     count = len(result.frames)
     last = result.frames[-1].time if count else 0.0
-    click.echo(f"{count} frame(s) up to {_time(last)} are kept in '{output}'.", err=True)
+    complain(f"{count} frame(s) up to {_time(last)} are kept in '{output}'.")
     if as_json and isinstance(error, KeyboardInterrupt):
         print_json({**result.summary(), "interrupted": True})
 

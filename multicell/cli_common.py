@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import sys
 import tomllib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -9,13 +11,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from multicell.errors import MulticellError
+from multicell.door import INTERRUPTED, complain
+from multicell.errors import MulticellError, SceneError
+from multicell.units import shown
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-INTERRUPTED = 130
-"""Exit code after Ctrl-C."""
+_DEEPEST = 20
+"""Tables and lists of a scene stand at most five deep."""
 
 as_json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
 changes_option = click.option(
@@ -39,28 +43,52 @@ def parse_changes(items: Sequence[str]) -> dict[str, Any]:
     ------
     click.BadParameter
         If an item has no ``=`` or no key.
+    SceneError
+        For a value that cannot be read, with its key.
     """
     changes: dict[str, Any] = {}
     for item in items:
         key, equals, text = item.partition("=")
-        if not equals or not key.strip():
+        key = key.strip()
+        if not equals or not key:
             raise click.BadParameter(f"'{item}' is not KEY=VALUE", param_hint="'--set'")
-        changes[key.strip()] = _value(text.strip())
+        # the last one of a key counts, at its place among the others
+        changes.pop(key, None)
+        changes[key] = _value(key, text.strip())
     return changes
 
 
-def _value(text: str) -> Any:
+def _value(key: str, text: str) -> Any:
     """Return a TOML value, or the text itself where it is none."""
     if not text:
         return None
     try:
+        text.encode()
+    except UnicodeEncodeError:
+        raise SceneError(shown(key), "is not UTF-8 text") from None
+    try:
         parsed = tomllib.loads(f"value = {text}")
     except tomllib.TOMLDecodeError:
         return text
+    except RecursionError:
+        raise SceneError(key, "is nested too deeply") from None
+    except ValueError:  # integers of thousands of digits
+        raise SceneError(key, f"is a number of too many digits: {shown(text)}") from None
     value = parsed["value"]
+    if _depth(value) > _DEEPEST:
+        raise SceneError(key, f"is nested more than {_DEEPEST} deep")
     known = isinstance(value, bool | int | float | str | list | dict)
     # a line break would smuggle in a second key; a date is no value of a scene
     return value if known and set(parsed) == {"value"} else text
+
+
+def _depth(value: Any) -> int:
+    """Return how many tables and lists stand in each other, without recursion."""
+    depth, level = 0, [value]
+    while level := [x for x in level if isinstance(x, list | dict)]:
+        depth += 1
+        level = [y for x in level for y in (x.values() if isinstance(x, dict) else x)]
+    return depth
 
 
 @contextmanager
@@ -71,10 +99,10 @@ def errors(as_json: bool) -> Iterator[None]:
     except MulticellError as error:
         if as_json:
             print_json({"error": str(error), "kind": type(error).__name__})
-        click.echo(f"Error: {error}", err=True)
+        complain(f"Error: {error}")
         raise click.exceptions.Exit(error.exit_code) from None
     except KeyboardInterrupt:
-        click.echo("Interrupted.", err=True)
+        complain("Interrupted.")
         raise click.exceptions.Exit(INTERRUPTED) from None
 
 
@@ -89,4 +117,10 @@ def print_json(document: Any) -> None:
     """Print one JSON document."""
     from multicell.folder import to_json
 
-    click.echo(to_json(document))
+    text = to_json(document)
+    try:
+        text.encode(getattr(sys.stdout, "encoding", None) or "utf-8")
+    except UnicodeEncodeError:
+        # spelt out it would be other text; escaped it is the same
+        text = json.dumps(json.loads(text), indent=2)
+    click.echo(text)

@@ -16,6 +16,7 @@ from multicell.cli_common import (
     parse_changes,
     print_json,
 )
+from multicell.door import complain
 
 _output = click.option(
     "-o",
@@ -155,4 +156,4 @@ def _names(methods: str | None) -> list[str] | None:
     return [name.strip() for name in methods.split(",") if name.strip()] if methods else None
 
 
-_say: Callable[[Any], None] = lambda text: click.echo(str(text), err=True)  # noqa: E731
+_say: Callable[[Any], None] = lambda text: complain(str(text))  # noqa: E731

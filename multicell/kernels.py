@@ -31,6 +31,8 @@ BLOCK = 256
 HERTZ, JKR, EXACT_JKR, LINEAR, CUBIC, GENERALISED_LINEAR = range(6)
 _TINY = 1e-300
 """Keeps coincident centres finite: their direction, and so their force, is zero."""
+NEARLY_SINGULAR = 1e7
+"""Ratio of eigenvalues from which on cofactors of a block have no digits left."""
 _RESOLVED = 1e-8
 """Least distance from exact JKR's turning point at which a slope is taken."""
 
@@ -958,12 +960,37 @@ def diagonal_blocks(pairs, normal, along, across, out):
 
 
 @njit(cache=True)
+def invert_by_pivots(a, b, c, f, g, h, least, out):
+    """Write the inverse of a symmetric matrix whose eigenvalues are ``least`` or more.
+
+    ``a, b, c`` stand on the diagonal, ``f, g, h`` at xy, xz, yz. By L D Lᵀ: cofactors lose all
+    digits where a stiff contact stands beside a free direction. No pivot is below ``least``;
+    where rounding says so, it is rounding.
+    """
+    one = 1.0 / max(a, least)
+    p, q = f * one, g * one
+    two = 1.0 / max(b - p * f, least)
+    s = (h - p * g) * two
+    three = 1.0 / max(c - q * g - s * (h - p * g), least)
+    t = p * s - q
+    out[0] = one + p * p * two + t * t * three
+    out[1] = two + s * s * three
+    out[2] = three
+    out[3] = -p * two - t * s * three
+    out[4] = t * three
+    out[5] = -s * three
+
+
+@njit(cache=True)
 def invert_blocks(rows, blocks, gamma, drag, out):
     """Write the inverse of I + γ/Γ_i times each block, in the same six entries."""
     for i in range(rows.shape[0]):
         w = gamma / (drag * rows[i, 3])
         a, b, c = 1.0 + w * blocks[i, 0], 1.0 + w * blocks[i, 1], 1.0 + w * blocks[i, 2]
         f, g, h = w * blocks[i, 3], w * blocks[i, 4], w * blocks[i, 5]
+        if max(a, b, c) > NEARLY_SINGULAR:
+            invert_by_pivots(a, b, c, f, g, h, 1.0, out[i])
+            continue
         xx, xy, xz = b * c - h * h, g * h - f * c, f * h - b * g
         scale = 1.0 / (a * xx + f * xy + g * xz)
         out[i, 0] = xx * scale

@@ -5,10 +5,11 @@ All of it goes to stderr; stdout belongs to results.
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any, cast
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -27,7 +28,9 @@ def reporter(scene: Scene, *, show: bool = True) -> Iterator[Progress | None]:
         return
     from rich.console import Console
 
-    console = Console(stderr=True, highlight=False)
+    from multicell.door import Faltering
+
+    console = Console(file=cast(IO[str], Faltering(sys.stderr)), highlight=False)
     with _bar(scene, console) if console.is_terminal else _lines(scene, console) as progress:
         yield progress
 

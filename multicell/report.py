@@ -386,7 +386,7 @@ def _titled(path: str, key: str) -> str:
 
 
 def _unit(path: str) -> str:
-    """Return the unit of an entry as it is printed; texts and entries of other versions have none."""
+    """Return the unit of an entry as it is printed; a text has none."""
     return known_unit(path).replace("um", "µm").replace("^3", "³")
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import re
+import stat
 from collections.abc import Mapping
 from copy import deepcopy
 from pathlib import Path
@@ -54,6 +55,9 @@ from multicell.parts import (
 )
 from multicell.sizes import check_sizes
 from multicell.units import BASE_UNITS, shown
+
+_LARGEST_FILE = 10_000_000
+"""Bytes of a scene file; those with thousands of media changes have less than one million."""
 
 
 @final
@@ -232,7 +236,7 @@ def _read(source: str | Path) -> str:
     path = Path(os.path.expanduser(source))
     bare = isinstance(source, str) and not path.suffix and path.name == source
     try:
-        return path.read_text(encoding="utf-8")
+        return _file_text(path, source)
     except FileNotFoundError:
         if bare:
             hint = near_miss(str(source), names)
@@ -245,6 +249,20 @@ def _read(source: str | Path) -> str:
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise SceneError("", f"the scene file {str(source)!r} cannot be read: {reason}") from None
+
+
+def _file_text(path: Path, source: str | Path) -> str:
+    """Return the text of a regular file of a scene's size; a pipe or device may never end."""
+    mode = path.stat().st_mode
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        problem = f"the scene {str(source)!r} is a device, pipe or socket, not a file"
+        raise SceneError("", problem, "Write the scene to a file first.")
+    with path.open("rb") as file:
+        content = file.read(_LARGEST_FILE + 1)
+    if len(content) > _LARGEST_FILE:
+        problem = f"the scene file {str(source)!r} is larger than {_LARGEST_FILE // 10**6} MB"
+        raise SceneError("", problem, "No scene needs so much text.")
+    return content.decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")
 
 
 def _change(entries: dict[str, Any], key: str, value: Any) -> None:

@@ -29,12 +29,17 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from multicell.kernels import NEARLY_SINGULAR, invert_by_pivots
+
 if TYPE_CHECKING:
     from multicell.mechanics import Mechanics
     from multicell.neighbours import PairList
 
 FloatArray = NDArray[np.float64]
 OffsetArray = NDArray[np.int64]
+_EPS = float(np.finfo(float).eps)
+_FLAT = 1.0 / NEARLY_SINGULAR**2
+"""Determinant over the product of the diagonal below which cofactors are rounding."""
 
 
 @njit(cache=True)
@@ -109,6 +114,9 @@ def _invert(blocks, i):
     f, g, h = blocks[i, 3], blocks[i, 4], blocks[i, 5]
     xx, xy, xz = b * c - h * h, g * h - f * c, f * h - b * g
     determinant = a * xx + f * xy + g * xz
+    if not determinant > _FLAT * a * b * c:
+        invert_by_pivots(a, b, c, f, g, h, _EPS * max(a, b, c), blocks[i])
+        return determinant
     scale = 1.0 / determinant
     blocks[i, 0] = xx * scale
     blocks[i, 1] = (a * c - g * g) * scale
@@ -452,6 +460,7 @@ class Sweeps:
 
     def __init__(self, incomplete: bool = False) -> None:
         self.incomplete = incomplete
+        # a tissue may have no pairs at all: then nothing below asks for room
         self._near = np.empty(0, dtype=np.int32)
         self._link = np.empty((0, 5))
         self._begin = np.empty((0, 2), dtype=np.int64)

@@ -66,7 +66,8 @@ def adaptive_adams(source, pairs, control, patience, position, length, radius, c
     while elapsed < length:
         left = length - elapsed
         # equal steps to the end, so that no tiny one is left over
-        step = left / np.ceil(left / step * (1.0 - 1e-12))
+        if step > _SHORTEST * length:
+            step = left / np.ceil(left / step * (1.0 - 1e-12))
         if accepted == control.most_steps or step < _SHORTEST * length:
             status = OUT_OF_STEPS if accepted == control.most_steps else STALLED
             return Report(status, elapsed, step, cell, moved, math.nan), pairs

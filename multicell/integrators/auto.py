@@ -37,6 +37,7 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from multicell.integrators.base import FloatArray, Integrator, Outcome
+from multicell.integrators.limits import beyond
 from multicell.mechanics import Mechanics, StateRejected
 
 if TYPE_CHECKING:
@@ -113,6 +114,9 @@ class Auto:
 
     def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
         """Integrate over the coupling step of ``system``; see :class:`Integrator`."""
+        refused = beyond(system, position, self.max_displacement, self.atol)
+        if refused is not None:
+            return refused
         outcome, expected = self._mild(system, position)
         if outcome.done:
             return outcome

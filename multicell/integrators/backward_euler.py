@@ -15,6 +15,7 @@ from typing import Any, final
 import numpy as np
 
 from multicell.integrators.base import FloatArray, Outcome, furthest
+from multicell.integrators.limits import beyond
 from multicell.integrators.preconditioners import Preconditioner, preconditioner
 from multicell.mechanics import Mechanics, StateRejected
 from multicell.sparse import limit
@@ -59,6 +60,9 @@ class BackwardEuler:
 
     def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
         """Integrate over the coupling step of ``system``; see :class:`Integrator`."""
+        refused = beyond(system, position, self.max_displacement, self.tolerance)
+        if refused is not None:
+            return refused
         motion = system.motion
         count = max(1, math.ceil((motion.end - motion.begin) / self.step * (1.0 - 1e-12)))
         step = (motion.end - motion.begin) / count

@@ -115,7 +115,7 @@ class Cvode:
 
     def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
         """Integrate over the coupling step of ``system``; see :class:`Integrator`."""
-        run = Run(system, np.array(position), self.max_steps, self.max_displacement)
+        run = Run(system, np.array(position), self.max_steps, self.max_displacement, self.atol)
         mild = self.light
 
         def start(run: Run, ceiling: float) -> _Krylov | _Light:

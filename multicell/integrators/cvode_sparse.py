@@ -56,7 +56,7 @@ class CvodeSparse:
             If there are too many cells, or friction between them.
         """
         holds(system, "cvode-sparse", self.most_cells, "its factors would fill the memory")
-        run = Run(system, np.array(position), self.max_steps, self.max_displacement)
+        run = Run(system, np.array(position), self.max_steps, self.max_displacement, self.atol)
         return run.integrate(lambda run, ceiling: _Direct(self, run, ceiling))
 
 

@@ -25,6 +25,7 @@ import numpy as np
 from multicell import kernels
 from multicell.integrators import loops, tableaus
 from multicell.integrators.base import FloatArray, Outcome
+from multicell.integrators.limits import beyond
 from multicell.mechanics import Mechanics
 from multicell.neighbours import PairList
 
@@ -214,7 +215,9 @@ class AdaptiveAdams:
             )
 
         ended: list[loops.Report] = []
-        outcome = _integrate(system, position, run, self.max_displacement, _TOLERANCE_HINT, ended)
+        outcome = _integrate(
+            system, position, run, self.max_displacement, _TOLERANCE_HINT, ended, self.atol
+        )
         long = bool(ended) and ended[0].status == loops.TOO_LONG
         return outcome, float(ended[0].moved) if long else 0.0
 
@@ -279,8 +282,11 @@ class Rkc2:
                 source, pairs, control, most, state, length, radius, counts
             )
 
-        run, hint = (fixed, _STEP_HINT) if self.step > 0.0 else (adaptive, _TOLERANCE_HINT)
-        return _integrate(system, position, run, self.max_displacement, hint)
+        if self.step > 0.0:
+            return _integrate(system, position, fixed, self.max_displacement, _STEP_HINT)
+        return _integrate(
+            system, position, adaptive, self.max_displacement, _TOLERANCE_HINT, atol=self.atol
+        )
 
 
 def _check_tolerances(rtol: float, atol: float) -> None:
@@ -327,7 +333,9 @@ def _adaptive(
             source, pairs, tableau, control, state, length, system.motion.radius, counts
         )
 
-    return _integrate(system, position, run, control.max_displacement, _TOLERANCE_HINT)
+    return _integrate(
+        system, position, run, control.max_displacement, _TOLERANCE_HINT, atol=control.atol
+    )
 
 
 def _loop(dispatcher: Any, source: Any) -> Any:
@@ -355,6 +363,7 @@ def _integrate(
     max_displacement: float,
     hint: str,
     ended: list[loops.Report] | None = None,
+    atol: float = 0.0,
 ) -> Outcome:
     """Run a loop on a copy of the positions; count its work; put its end into words.
 
@@ -365,6 +374,9 @@ def _integrate(
     state = np.array(position, dtype=float, order="C")
     if len(system) == 0 or length <= 0.0:
         return Outcome(motion.end, state)
+    refused = beyond(system, state, max_displacement, atol)
+    if refused is not None:
+        return refused
     counts = np.zeros(4, dtype=np.int64)
     if needs_python(system):
         source: Any = loops.Called(system)

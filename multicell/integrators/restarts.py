@@ -14,6 +14,7 @@ from typing import Protocol, final
 import numpy as np
 
 from multicell.integrators.base import FloatArray, Outcome
+from multicell.integrators.limits import beyond
 from multicell.integrators.loops import furthest_moved, largest_length
 from multicell.mechanics import Mechanics, StateRejected
 
@@ -72,12 +73,18 @@ class Run:
     """
 
     def __init__(
-        self, system: Mechanics, position: FloatArray, max_steps: int, max_displacement: float
+        self,
+        system: Mechanics,
+        position: FloatArray,
+        max_steps: int,
+        max_displacement: float,
+        atol: float = 0.0,
     ) -> None:
         self.system = system
         self.position = position
         self.max_steps = max_steps
         self.max_displacement = max_displacement
+        self.atol = atol
         self.length = system.motion.end - system.motion.begin
         self.elapsed = 0.0
         self.offset = 0.0
@@ -104,12 +111,15 @@ class Run:
 
     def integrate(self, start: Start) -> Outcome:
         """Step to the end of the interval, starting again where that helps."""
+        refused = beyond(self.system, self.position, self.max_displacement, self.atol)
+        if refused is not None:
+            return refused
         ceiling = 0.0
         refusals = 0
         while True:
             self.offset, self.latest = self.elapsed, 0.0
             try:
-                lifted = self._advance(start(self, ceiling), ceiling)
+                lifted = self._advance(self._started(start, ceiling), ceiling)
             except _Refused as refusal:
                 self.system.work.rejections += 1
                 self.problem, self.cell = str(refusal), refusal.cell
@@ -129,6 +139,13 @@ class Run:
             end = self.system.motion.end
             return Outcome(end, self.position, local_error=self.local_error)
         return Outcome(time, self.position, self.problem, self.hint, self.cell)
+
+    def _started(self, start: Start, ceiling: float) -> Solver:
+        """Return a solver; one that tries states before its first step may fail at that."""
+        try:
+            return start(self, ceiling)
+        except (StateRejected, StepImpossible) as error:
+            raise _Refused(str(error), self.latest) from error
 
     def _advance(self, solver: Solver, ceiling: float) -> bool:
         """Step until the end, or until the ceiling may be lifted (then return True)."""

@@ -73,7 +73,7 @@ class Scipy:
         """
         if self.name in _LIMITS:
             holds(system, f"scipy-{self.name}", *_LIMITS[self.name])
-        run = Run(system, np.array(position), self.max_steps, self.max_displacement)
+        run = Run(system, np.array(position), self.max_steps, self.max_displacement, self.atol)
         return run.integrate(lambda run, ceiling: _Stepped(self, run, ceiling))
 
 
@@ -97,7 +97,11 @@ class _Stepped:
 
     def step(self) -> tuple[float, FloatArray, float]:
         """Take one step; SciPy keeps its estimate of the error to itself."""
-        message = self.solver.step()
+        try:
+            message = self.solver.step()
+        except (RuntimeError, np.linalg.LinAlgError) as error:
+            # SuperLU on a matrix that is singular to rounding
+            raise StepImpossible(f"SciPy: {error}") from error
         self.system.work.factorisations += self.solver.nlu - self.factorised
         self.factorised = self.solver.nlu
         if self.solver.status == "failed":

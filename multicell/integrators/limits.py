@@ -1,0 +1,82 @@
+"""What double precision can follow: a coupling step beyond it is refused before it is tried.
+
+An implicit step solves (I - γJ) x = b. Rigid motions, and all motions of cells that touch
+nothing, have the eigenvalue 1; pressing two cells together has 1 + γλ. Rounding the largest
+entries, by ε γλ, is therefore an error in the 1: from ε γλ = 1 on, the matrix no longer says that
+cells at rest stay where they are. Newton's method then converges to states in which cells were
+thrown apart, where no contact is left, no force, and so nothing for error control to see. Up to
+ε λΔt = 10⁻³ each iteration still gains three digits in the slow motions.
+
+Error control says nothing either where the tolerance exceeds the move that a cell may make in
+one step: then no error is too large.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from multicell.contact import effective_modulus
+from multicell.integrators.base import FloatArray, Outcome
+from multicell.mechanics import Mechanics
+
+LARGEST_STIFFNESS = 1e-3 / float(np.finfo(float).eps)
+"""Largest λΔt, 4.5·10¹², that is tried; tissue in water has 10⁷."""
+_CONTACTS = 8.0
+"""Largest decay rate of packed cells, in stiffness of a pair over the drag of a cell."""
+
+
+def stiffness_scale(system: Mechanics) -> float:
+    """Return the order of magnitude of the largest decay rate λ, 1/s, without any evaluation.
+
+    That of packed cells of mean size and of the largest modulus, pressed together by half
+    their effective radius.
+    """
+    motion = system.motion
+    if len(system) < 2:
+        return 0.0
+    radius = float(motion.radius.mean())
+    stiffest = motion.young / (1.0 - np.square(motion.poisson))
+    at = int(stiffest.argmax())
+    young, poisson = motion.young[at], motion.poisson[at]
+    modulus = effective_modulus(young, poisson, young, poisson)
+    pair = system.law.stiffness(0.25 * radius, modulus, 0.5 * radius, rest=2.0 * radius)
+    return _CONTACTS * abs(float(pair)) / (system.drag * radius)
+
+
+def beyond(
+    system: Mechanics, position: FloatArray, max_displacement: float, atol: float = 0.0
+) -> Outcome | None:
+    """Return how a coupling step ends that cannot be followed, or None if it can.
+
+    Parameters
+    ----------
+    system
+        Made ready for the coupling step.
+    position
+        (n, 3) µm, at its beginning.
+    max_displacement
+        Fraction of its radius that a cell may move in a step.
+    atol
+        Absolute tolerance, µm; zero for methods without error control.
+    """
+    motion = system.motion
+    length = motion.end - motion.begin
+    stiffness = stiffness_scale(system) * length
+    if not stiffness <= LARGEST_STIFFNESS:
+        return Outcome(
+            motion.begin,
+            position,
+            f"contacts relax about {stiffness:.2g} times within a coupling step of {length:.3g} s; "
+            f"double precision follows up to {LARGEST_STIFFNESS:.2g}",
+            "Raise drag.viscosity, soften the cells or shorten coupling_step",
+        )
+    radius = float(motion.radius.mean()) if len(system) else np.inf
+    if not atol <= max_displacement * radius:
+        return Outcome(
+            motion.begin,
+            position,
+            f"the tolerance of {atol:.3g} um exceeds what a cell of radius {radius:.3g} um may "
+            f"move in a step ({max_displacement:g} of it): no error would be too large",
+            "Choose a smaller integrator.atol",
+        )
+    return None
