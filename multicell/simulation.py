@@ -118,6 +118,7 @@ class Simulation:
         self.scene = scene
         self.wall = dict.fromkeys(PHASES, 0.0)
         self.step_index = self.divisions = self.removals = 0
+        self._origin = (0, 0.0)
         self.released = 0.0
         self.local_error: float | None = None
         self._mechanics = _mechanics(scene, thread_count(threads))
@@ -159,6 +160,9 @@ class Simulation:
         if known is None:
             raise ValueError("this frame does not hold what a run needs to go on")
         self.step_index = frame.step
+        if frame.time != frame.step * self.scene.coupling_step:
+            # a run whose last step was a shorter one has been prolonged: count from here
+            self._origin = (frame.step, frame.time)
         self.cells = frame.cells.take(np.arange(len(frame.cells)))
         _refuse_outside(self.scene, self.cells)
         self.contacts = np.array(frame.contacts)
@@ -199,13 +203,16 @@ class Simulation:
 
     @property
     def time(self) -> float:
-        """Simulated time, s: a multiple of the coupling step, or the end."""
-        return min(self.step_index * self.scene.coupling_step, self.scene.duration)
+        """Simulated time, s: whole coupling steps from the start or a prolonged end, or the end."""
+        step, time = self._origin
+        return min(time + (self.step_index - step) * self.scene.coupling_step, self.scene.duration)
 
     @property
     def steps(self) -> int:
         """Number of coupling steps from the start to the scene's end."""
-        return max(1, math.ceil(self.scene.duration / self.scene.coupling_step * (1.0 - 1e-12)))
+        step, time = self._origin
+        ahead = (self.scene.duration - time) / self.scene.coupling_step
+        return max(1, step + math.ceil(ahead * (1.0 - 1e-12)))
 
     @property
     def finished(self) -> bool:
