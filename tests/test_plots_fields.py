@@ -72,7 +72,8 @@ def test_every_field_has_a_map_over_its_own_values(result):
 
 def test_history_and_summary_tell_the_hypoxic_radius(result):
     cells, low = result.frames[-1].cells, result.frames[-1].concentrations["oxygen"] < 0.06
-    expected = observables.uniform_radius(cells, observables.centre(cells, 3), 3, low)
+    d = result.scene.dimensions
+    expected = observables.uniform_radius(cells, observables.centre(cells, d), d, low)
     assert expected > 0.0
     assert result.history["hypoxic_radius_oxygen"][-1] == expected
     assert result.summary()["hypoxic_radius"] == {"oxygen": expected}
@@ -89,7 +90,7 @@ def test_report_has_one_ledger_with_a_column_for_each_field(result, tmp_path):
     page = result.report(tmp_path).read_text(encoding="utf-8")
     assert "<th></th><th>oxygen</th><th>glucose</th><th>lactate</th>" in page
     for entry in ("inflow", "uptake", "secreted", "decayed", "relaid", "stored", "remainder"):
-        assert f"<tr><th>{entry}</th>" in page
+        assert f"<tr><th>{entry} (amol)</th>" in page
     assert (tmp_path / "fields.png").is_file()
 
 
