@@ -14,7 +14,8 @@ from typing import Any, Final
 
 _STATES: Final = ("proliferating", "quiescent", "necrotic", "apoptotic")
 _AMOUNTS: Final = (
-    "inflow", "outflow", "uptake", "secreted", "decayed", "relaid", "stored", "remainder", "content", "washed",
+    "inflow", "outflow", "uptake", "secreted", "decayed", "relaid", "stored", "remainder",
+    "content", "washed",
 )  # fmt: skip
 _COUNTS: Final = (
     "evaluations", "linearisations", "jacobian_products", "preconditioner_setups",
