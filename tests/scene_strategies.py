@@ -20,6 +20,7 @@ from multicell.parts import PHASES
 from multicell.scene import Scene
 from multicell.units import RANGES
 
+SCIPY_IMPLICIT = ("scipy-lsoda", "scipy-radau", "scipy-bdf")
 FIELDS = ("oxygen", "glucose", "drug")
 TYPES = ("soft", "stiff", "third")
 NAMES = {
@@ -426,6 +427,9 @@ def plausible(draw, extreme=0.004, small=True):
             field["margin"] = min(base(field.get("margin", 50.0)), 60.0)
             field["spacing"] = max(base(field.get("spacing", 8.0)), 4.0)
             field["time_tolerance"] = max(field.get("time_tolerance", 1e-2), 1e-3)
+        matrix = options.get("method") in ("cvode-sparse", *SCIPY_IMPLICIT)
+        if "friction" in scene and matrix and drawer.chance(0.9):
+            options["method"] = "cvode"
     scene = fitted(scene)
     if small:
         _loosen(scene)
