@@ -20,6 +20,7 @@ from multicell.parts import PHASES
 from multicell.scene import Scene
 from multicell.units import RANGES
 
+SCIPY_IMPLICIT = ("scipy-lsoda", "scipy-radau", "scipy-bdf")
 FIELDS = ("oxygen", "glucose", "drug")
 TYPES = ("soft", "stiff", "third")
 NAMES = {
@@ -413,22 +414,47 @@ def plausible(draw, extreme=0.004, small=True):
         step = drawer.one_of([1.0, 10.0, 60.0, 600.0, 1800.0])
         scene["coupling_step"] = step
         scene.setdefault("initial", {})["count"] = drawer.one_of([1, 2, 3, 5, 8, 12, 20])
-        scene["initial"].setdefault("spacing", 0.9)
+        near = scene["initial"].get("spacing", 0.9)
+        scene["initial"]["spacing"] = near if drawer.chance(0.1) else min(max(near, 0.8), 1.3)
         scene.pop("stop_cells", None)
         options = scene.get("integrator")
         if isinstance(options, dict) and "step" in options:
             options["step"] = max(base(options["step"]), 1e-3 * step)
         if not isinstance(options, dict):
             options = scene["integrator"] = {"method": options or "cvode"}
-        options["max_steps"] = drawer.one_of([1, 300, 300, 300, 300])
+        options["max_steps"] = drawer.one_of([1, *[1000] * 15])
         for field in scene.get("nutrients", {}).values():
             field["margin"] = min(base(field.get("margin", 50.0)), 60.0)
             field["spacing"] = max(base(field.get("spacing", 8.0)), 4.0)
             field["time_tolerance"] = max(field.get("time_tolerance", 1e-2), 1e-3)
+        matrix = options.get("method") in ("cvode-sparse", *SCIPY_IMPLICIT)
+        if "friction" in scene and matrix and drawer.chance(0.9):
+            options["method"] = "cvode"
     scene = fitted(scene)
     if small:
+        _loosen(scene)
+        for field in scene.get("nutrients", {}).values():
+            field["margin"] = min(base(field["margin"]), 12.0 * base(field["spacing"]))
         scene["duration"] = scene["coupling_step"] * drawer.one_of([1.0, 2.0, 2.5, 3.0])
     return scene
+
+
+def _loosen(scene):
+    """Let cells stick so little that none is drawn into another."""
+    kinds = scene.get("types", {}).values()
+    young = [base(kind["young"]) for kind in kinds if "young" in kind]
+    softest = min([*young, base(scene.get("cells", {}).get("young", 1.0))])
+    if scene.get("contact", {"law": "jkr"})["law"] in ("jkr", "exact-jkr"):
+        contact = scene.setdefault("contact", {"law": "jkr"})
+        contact["surface_energy"] = min(base(contact.get("surface_energy", 0.1)), 0.1 * softest)
+        if contact["surface_energy"] < 1e-9:
+            contact["surface_energy"] = 0.0
+        for kind in kinds:
+            if "surface_energy" in kind:
+                energy = min(0.05, 0.1 * softest)
+                kind["surface_energy"] = dict.fromkeys(kind["surface_energy"], energy)
+    if "adhesion" in scene:
+        scene["adhesion"]["strength"] = 1e-3 * softest
 
 
 @st.composite

@@ -52,7 +52,8 @@ def test_scenes_load_or_are_refused_by_name(request):
 @pytest.mark.slow
 def test_small_scenes_run_to_finite_numbers_or_fail_by_name(request):
     counts = searched(request, "run", "--runs")
-    assert set(counts) <= {"ran", "refused", "StepFailed", "NutrientFailed", "SceneError"}
+    named = {"ran", "refused", "StepFailed", "NutrientFailed"}
+    assert {name.split(" at ")[0] for name in counts} <= {*named, "SceneError"}
     assert counts["ran"] / counts.total() > 0.6, "the search runs too little"
 
 
@@ -76,9 +77,17 @@ def test_broken_text_is_refused_by_name(tmp_path_factory, data):
     file = tmp_path_factory.mktemp("scene") / "scene.toml"
     text = data.draw(drawn.broken_text(load_scene("treatment").to_toml()))
     file.write_text(text, encoding="utf-8")
+<<<<<<< HEAD
     # text that stays whole by chance may be a scene; anything else is refused with words
     with suppress(SceneError):
         assert load_scene(file).duration > 0.0
+=======
+    try:
+        made = load_scene(file)
+    except SceneError as error:
+        made = str(error)
+    assert isinstance(made, Scene) or made
+>>>>>>> fuzz/fuzz
 
 
 def test_the_harness_sees_faults(monkeypatch):
@@ -267,7 +276,15 @@ def test_explain_tells_that_the_first_step_cannot_be_taken():
 
 @pytest.mark.parametrize(
     "entries",
-    [{"growth": {}, "initial": {"count": 3}, "coupling_step": 600.0}],
+    [
+        {"growth": {}, "initial": {"count": 3}, "coupling_step": 600.0},
+        {  # a field that goes from shells to cubes, and has a side that only shells have
+            "initial": {"count": 2},
+            "nutrients": {
+                "o2": {"geometry": "auto", "regime": "steady", "sides": {"r+": {"value": 0.1}}}
+            },
+        },
+    ],
 )
 def test_scenes_that_once_failed_run(entries):
     assert run_case({"duration": 1200.0, **entries}) == "ran"

@@ -61,7 +61,10 @@ def discretisation_error(
     if parameters.regime != "steady" or len(cells) == 0:
         return None
     geometry = "radial" if isinstance(field.layout, ShellLayout) else "box"
-    nutrient = replace(parameters.nutrient, geometry=geometry)
+    # a field that chose cubes for itself may have a side of shells, which cubes do not
+    sides = parameters.nutrient.sides
+    there = {face: x for face, x in sides.items() if face != "r+" or geometry == "radial"}
+    nutrient = replace(parameters.nutrient, geometry=geometry, sides=there)
     found = []
     for factor in (1.0, 2.0):
         spacing = factor * field.layout.spacing
