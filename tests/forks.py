@@ -4,6 +4,7 @@
 off a child for each task: a command line of ``multicell``, or a function of a test module.
 """
 
+import faulthandler
 import json
 import os
 import signal
@@ -78,6 +79,7 @@ def _become(write):
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     os.dup2(write, 1)
     os.dup2(write, 2)
+    faulthandler.enable()
 
 
 def _work(task):
@@ -96,7 +98,7 @@ def _work(task):
 
 def _watch(child, task, begin):
     """Wait for a child, or kill it where the task says so; return its exit code."""
-    limit = begin + task.get("limit", 60.0)
+    limit = begin + task.get("limit", 120.0)
     kill_at = begin + task["kill_after"] if "kill_after" in task else None
     appears = task.get("kill_when")
     while True:
@@ -107,6 +109,9 @@ def _watch(child, task, begin):
         if appears is not None and kill_at is None and os.path.lexists(appears):
             kill_at = now + task.get("delay", 0.0)
         if now > limit or (kill_at is not None and now > kill_at):
+            if now > limit:  # it says where it stands
+                os.kill(child, signal.SIGABRT)
+                time.sleep(1.0)
             os.kill(child, signal.SIGKILL)
             os.waitpid(child, 0)
             return "hung" if now > limit else -int(signal.SIGKILL)
