@@ -372,7 +372,10 @@ def interval(unit: str, *, at_least: float | None = None, at_most: float | None 
         return low, high
 
     allowed = f"two quantities: {bounds.words(unit)}"
-    return _field(Parameter(convert, list, unit=unit, allowed=allowed, doc=doc), None)
+    parameter = Parameter(
+        convert, list, unit=unit, allowed=allowed, doc=doc, kind="interval", bounds=bounds
+    )
+    return _field(parameter, None)
 
 
 def names(options: Iterable[str], *, doc: str = "") -> Any:

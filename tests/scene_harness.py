@@ -10,6 +10,7 @@ from __future__ import annotations
 import collections
 import json
 import multiprocessing
+import re
 import tempfile
 import time as clock
 import traceback
@@ -20,6 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
+_NUMBER = re.compile(r"-?\d[\d.e+-]*")
 SECONDS_TO_LOAD = 8.0
 BYTES_TO_LOAD = 100e6
 SECONDS_TO_RUN = 60.0
@@ -27,8 +29,8 @@ SECONDS_TO_RUN = 60.0
 REMAINDER = 1e-6
 """Of an account, over what flowed; where the box holds far more than that, over its content:"""
 OF_CONTENT = 1e-8
-NOT_A_NUMBER = {"heterotypic_fraction"}
-"""Observables that are documented to be NaN: no contacts, no fraction of contacts."""
+NOT_A_NUMBER = {"heterotypic_fraction", "viable_rim", "pressure_factor"}
+"""Observables that are documented to be NaN: without contacts, a core, or living cells."""
 ENDLESS = {"cycle_time"}
 """Columns that are documented to be infinite: nothing grows, no cycle ends."""
 
@@ -176,7 +178,6 @@ def explained(scene):
 def run_case(entries):
     """Run a scene to its end; return ``"ran"``, ``"refused"`` or the name of its failure."""
     from multicell.errors import SceneError, StepFailed
-    from multicell.nutrient.grid import NutrientFailed
     from multicell.running import run
     from multicell.scene import Scene
 
@@ -193,8 +194,8 @@ def run_case(entries):
             if not place_exists(error.path, entries):
                 raise Fault(f"path: {error.path!r} is no place in the scene: {error}") from error
             return f"SceneError at {error.path}"
-        except (StepFailed, NutrientFailed) as error:
-            return type(error).__name__
+        except StepFailed as error:
+            return f"StepFailed ({_NUMBER.sub('#', error.problem)[:60]})"
     check_result(result)
     return "ran"
 

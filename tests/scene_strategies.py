@@ -198,6 +198,13 @@ class Drawer:
         names = self.some(NAMES[path.split(".")[-1]])
         return {name: [[x, self.size(spec, "")] for x in self.rising(spec.unit)] for name in names}
 
+    def _interval(self, spec, field, path):
+        least, most = USUAL[spec.unit]
+        if self.chance(self.extreme):
+            return [self.one_of([spec.bounds.at_least, 0.0]), spec.bounds.at_most]
+        low, high = (self.draw(st.floats(least, most)) for _ in range(2))
+        return [self.written(float(f"{-low:.4g}"), spec.unit), float(f"{high:.4g}")]
+
     def _course(self, spec, field, path):
         if self.chance(0.5):
             return self.size(spec, "")
@@ -282,6 +289,7 @@ def fitted(entries):
     flat = scene.get("dimensions", 3) == 2
     fields, types = scene.get("nutrients", {}), scene.get("types", {})
     _fit_cells(scene)
+    _fit_domain(scene, flat)
     _fit_growth(scene)
     _fit_types(scene, types, fields)
     for number, (name, field) in enumerate(fields.items()):
@@ -301,6 +309,24 @@ def _fit_cells(scene):
     radius = 0.79 * base(cells.get("division_radius", 5.0))
     if "smoothing" in contact and base(contact["smoothing"]) > radius:
         contact["smoothing"] = 0.0
+
+
+def _fit_domain(scene, flat):
+    """Let the box hold the cells, and let cubes fill it."""
+    domain = scene.get("domain")
+    if domain is None:
+        return
+    if domain.get("wall") == "refuse":
+        domain.pop("young", None)
+        domain.pop("poisson", None)
+    radius = base(scene.get("cells", {}).get("division_radius", 5.0))
+    unit = 2.0 * radius
+    for axis in "xyz":
+        low, high = (base(end) for end in domain.pop(axis, [-radius, radius]))
+        if axis == "z" and flat:
+            continue
+        ends = (max(4, min(math.ceil(abs(end) / unit), 8)) for end in (low, high))
+        domain[axis] = [sign * unit * count for sign, count in zip((-1, 1), ends, strict=True)]
 
 
 def _fit_growth(scene):
@@ -369,6 +395,12 @@ def _fit_field(scene, field, earlier, fields, flat):
         field["spacing"] = radius
     if flat and field.get("geometry") == "radial":
         del field["geometry"]
+    if "domain" in scene:
+        field.pop("geometry", None)
+        if "spacing" in field:
+            field["spacing"] = radius
+    if field.get("geometry") != "radial":
+        field.pop("layer", None)
     _fit_sides(field, flat)
     if "diffusion_medium" in field:
         inside = base(field.get("diffusion", 2000.0))
