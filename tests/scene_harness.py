@@ -27,6 +27,8 @@ SECONDS_TO_RUN = 60.0
 REMAINDER = 1e-6
 """Of an account, over what flowed; where the box holds far more than that, over its content:"""
 OF_CONTENT = 1e-8
+NOTHING = 1e-9
+"""amol: a thousandth of a molecule."""
 NOT_A_NUMBER = {"heterotypic_fraction"}
 """Observables that are documented to be NaN: no contacts, no fraction of contacts."""
 ENDLESS = {"cycle_time"}
@@ -220,7 +222,7 @@ def _check_ledger(name, ledger, last):
     flat = last.height / last.spacing if last.kind != "radial" and last.height else 1.0
     content = float((last.values * volumes).sum()) * flat * last.spacing**3
     flowed = abs(ledger["remainder"]) / max(ledger["relative_remainder"], 1e-300)
-    if not abs(ledger["remainder"]) <= REMAINDER * flowed + OF_CONTENT * content:
+    if not abs(ledger["remainder"]) <= REMAINDER * flowed + OF_CONTENT * content + NOTHING:
         raise Fault(f"ledger: {name} is left open by {ledger['relative_remainder']:.3g}")
 
 
