@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time as clock
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
     from multicell.lineage import Lineage
     from multicell.scene import Scene
     from multicell.store import Store
+
+_COUNTABLE = 2.0**40
 
 
 def run(
@@ -208,8 +211,10 @@ class Recorder:
 
     def _count_frames(self, time: float) -> None:
         """Find when the next frame after a time is due."""
-        while self._next_frame <= time * (1.0 + 1e-12):
-            self._next_frame += self._scene.output.every
+        every = self._scene.output.every
+        done = time * (1.0 + 1e-12) / every
+        # where many would be due within rounding, the next step has one
+        self._next_frame = (math.floor(done) + 1) * every if done < _COUNTABLE else time
 
 
 def _open_store(scene: Scene, output: str | Path | None, overwrite: bool) -> Store | None:

@@ -11,4 +11,4 @@ settings.load_profile("multicell")
 def pytest_addoption(parser):
     parser.addoption("--kills", type=int, default=4, help="runs that are killed")
     parser.addoption("--full-disks", type=int, default=4, help="runs on a disk that gets full")
-    parser.addoption("--damages", type=int, default=60, help="result folders that are damaged")
+    parser.addoption("--damages", type=int, default=36, help="result folders that are damaged")
