@@ -15,4 +15,4 @@ def pytest_addoption(parser):
     group.addoption("--first-seed", type=int, default=0, help="of the scenes; others each time")
     group.addoption("--kills", type=int, default=4, help="runs that are killed")
     group.addoption("--full-disks", type=int, default=4, help="runs on a disk that gets full")
-    group.addoption("--damages", type=int, default=60, help="result folders that are damaged")
+    group.addoption("--damages", type=int, default=36, help="result folders that are damaged")
