@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from multicell.scene import Scene
     from multicell.store import Store
 
-_COUNTABLE = 2.0**40
-
 
 def run(
     scene: Scene,

@@ -38,7 +38,7 @@ IDLE = {
     "closed": {"uptake": 0.0, "regime": "transient", "sides": CLOSED},
     "closed and taken up": {"uptake": 1e-9, "regime": "transient", "sides": CLOSED},
     "hardly any uptake": {"uptake": 1e-12, "regime": "steady"},
-    "a trace": {"uptake": 1e-15, "boundary": 1e-9, "regime": "steady"},
+    "a trace": {"uptake": 1e-12, "boundary": 1e-9, "regime": "steady"},
     "much of it": {"uptake": 1e-6, "boundary": 1e5, "regime": "steady"},
     "slow and dense": {"uptake": 0.0, "boundary": 1e5, "regime": "transient", "diffusion": 1e-6},
     "fast": {"uptake": 1e-3, "regime": "steady", "diffusion": 1e5},
@@ -188,3 +188,29 @@ def test_at_the_bounds_accounts_close(case, regime):
     assert np.isfinite(simulation.concentrations["a"]).all()
     assert (simulation.concentrations["a"] >= 0.0).all()
     assert simulation.ledger["a"].relative_remainder <= 1e-6
+
+
+@pytest.mark.parametrize("geometry", ["box", "radial"])
+@pytest.mark.parametrize("medium_diffusion", [None, 200.0])
+@pytest.mark.parametrize("regime", ["steady", "transient"])
+def test_a_field_that_nothing_feeds_is_empty_at_once(geometry, medium_diffusion, regime):
+    """Iterations from the medium's value left rounding, of either sign or as a remainder."""
+    field = {
+        "boundary": 0.066,
+        "sides": {"*": {"value": 0.0}},
+        "uptake": 11.5,
+        "decay": 5.7e-7,
+        "geometry": geometry,
+        "regime": regime,
+        "initial": "steady",
+        "spacing": 4.0,
+        **({} if medium_diffusion is None else {"diffusion_medium": medium_diffusion}),
+    }
+    scene = mc.Scene.from_dict(
+        {"duration": 180.0, "coupling_step": 60.0, "nutrients": {"oxygen": field}}
+    )
+    result = mc.run(scene)
+    for frame in result.frames:
+        assert not frame.fields["oxygen"].values.any()
+    assert result.summary()["ledger"]["oxygen"]["remainder"] == 0.0
+    assert result.summary()["ledger"]["oxygen"]["relative_remainder"] == 0.0

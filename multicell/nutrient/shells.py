@@ -99,6 +99,8 @@ class Shells:
         """
         problem = _Balance(self, sink, half_saturation, linear, supply)
         c = np.array(start, dtype=float)
+        if self._const == 0.0 and not problem.supply.any():
+            c[:] = 0.0  # as for boxes: nothing comes in
         left, total = problem.residual(c)
         for newton in range(_MAX_NEWTON + self.count):
             size = float(np.abs(left).sum())

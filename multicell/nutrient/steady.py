@@ -136,6 +136,9 @@ def solve_steady(
     """
     problem = _Problem(operator, sink, half_saturation, linear, supply)
     solver = _Linear(operator)
+    if not problem.source.any():
+        # nothing comes in: what iterations from elsewhere would leave is rounding, of either sign
+        start = np.zeros_like(start, dtype=np.float64)
     state, done = _newton(_State(problem, np.array(start, dtype=np.float64)), tolerance, solver)
     if not done and np.isfinite(state.size):
         state, done = _descend(problem, start, tolerance, solver)
