@@ -151,6 +151,8 @@ def recorded_scene(contents: Contents) -> Scene:
         run = Scene.from_dict(tomllib.loads(contents.scene))
     except ValueError as error:
         raise OutputError(f"the scene in '{contents.folder}' is damaged: {error}") from error
+    if path.exists() and not path.is_file():
+        raise OutputError(f"'{path}' is no file")  # to read a pipe would wait for ever
     texts = (path, path.with_name("scene.toml.next"))
     # remarks may change; numbers may not
     if not any(_same_text(text, contents.scene) for text in texts) and load_scene(path) != run:

@@ -288,3 +288,14 @@ def test_frames_are_counted_at_once_however_many_are_due(every, expected):
         {**QUICK, "coupling_step": "1 min", "output.every": every}
     )
     assert len(mc.run(scene).frames) == expected
+
+
+@pytest.mark.parametrize("name", ["frames.h5", "frames.journal", "scene.toml", "summary.json"])
+def test_a_pipe_in_the_place_of_a_file_is_not_waited_for(name, settled):
+    (settled / name).unlink(missing_ok=True)
+    os.mkfifo(settled / name)
+    if name in ("frames.h5", "scene.toml"):
+        with pytest.raises(OutputError, match=r"no results|is no file"):
+            mc.load_result(settled)
+    else:
+        assert len(mc.load_result(settled).frames) == 5
