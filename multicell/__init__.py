@@ -10,14 +10,14 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from multicell.cells import Cells, State
-from multicell.contact import JKR, Hertz
 from multicell.errors import MulticellError, OutputError, SceneError, StepFailed
 
 if TYPE_CHECKING:
+    from multicell.cells import Cells, State
     from multicell.comparison.result import WorkPrecision
     from multicell.comparison.stability import StabilityMap, stability
     from multicell.comparison.workprecision import compare
+    from multicell.contact import JKR, Hertz
     from multicell.exporting import export
     from multicell.result import Result, load_result
     from multicell.resuming import resume
@@ -52,9 +52,13 @@ __all__ = [
 ]
 
 _LAZY = {
+    "Cells": "multicell.cells",
+    "Hertz": "multicell.contact",
+    "JKR": "multicell.contact",
     "Result": "multicell.result",
     "Scene": "multicell.scene",
     "Simulation": "multicell.simulation",
+    "State": "multicell.cells",
     "load_result": "multicell.result",
     "load_scene": "multicell.scene",
     "WorkPrecision": "multicell.comparison.result",

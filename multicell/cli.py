@@ -6,6 +6,7 @@ sentence on stderr. With ``--json`` stdout holds exactly one JSON document.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -224,7 +225,7 @@ def export(
             print_json({"files": [str(path) for path in paths]})
             return
         for path in paths:
-            click.echo(path)
+            click.echo(path, file=sys.stdout)
 
 
 main.add_command(compare)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from multicell.door import INTERRUPTED, complain
+from multicell.door import INTERRUPTED, complain, quietly
 from multicell.errors import MulticellError, SceneError
 from multicell.units import shown
 
@@ -65,7 +65,7 @@ def _value(key: str, text: str) -> Any:
     try:
         text.encode()
     except UnicodeEncodeError:
-        raise SceneError(shown(key), "is not UTF-8 text") from None
+        raise SceneError(key, "is not UTF-8 text") from None
     try:
         parsed = tomllib.loads(f"value = {text}")
     except tomllib.TOMLDecodeError:
@@ -97,9 +97,10 @@ def errors(as_json: bool) -> Iterator[None]:
     try:
         yield
     except MulticellError as error:
-        if as_json:
-            print_json({"error": str(error), "kind": type(error).__name__})
         complain(f"Error: {error}")
+        if as_json:
+            with quietly():
+                print_json({"error": str(error), "kind": type(error).__name__})
         raise click.exceptions.Exit(error.exit_code) from None
     except KeyboardInterrupt:
         complain("Interrupted.")
@@ -123,4 +124,5 @@ def print_json(document: Any) -> None:
     except UnicodeEncodeError:
         # spelt out it would be other text; escaped it is the same
         text = json.dumps(json.loads(text), indent=2)
-    click.echo(text)
+    # click's own choice of a stream would be UTF-8 where this one is ASCII
+    click.echo(text, file=sys.stdout)

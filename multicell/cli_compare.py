@@ -18,6 +18,14 @@ from multicell.cli_common import (
 )
 from multicell.door import complain
 
+
+def _positive(context: click.Context, option: click.Parameter, value: float | None) -> float | None:
+    """Refuse a time that is none; infinity is one."""
+    if value is not None and not value > 0.0:
+        raise click.BadParameter(f"{value:g} is not above 0 s.", context, option)
+    return value
+
+
 _output = click.option(
     "-o",
     "--output",
@@ -55,8 +63,12 @@ _quiet = click.option("--quiet", is_flag=True, help="Print nothing but errors.")
     help="The time that judges; that of the processors suffers less from other load.",
 )
 @click.option("--repeats", type=click.IntRange(min=1), default=3, help="Timed solves per point.")
-@click.option("--patience", type=float, default=10.0, help="Longest solve in s.")
-@click.option("--budget", type=float, help="Time for all methods together in s.")
+@click.option(
+    "--patience", type=float, default=10.0, callback=_positive, help="Longest solve in s."
+)
+@click.option(
+    "--budget", type=float, callback=_positive, help="Time for all methods together in s."
+)
 @click.option("--threads", type=click.IntRange(min=1), help="Number of threads.")
 @_overwrite
 @_quiet
@@ -153,7 +165,12 @@ def stability(
 
 def _names(methods: str | None) -> list[str] | None:
     """Return the methods of a comma-separated list."""
-    return [name.strip() for name in methods.split(",") if name.strip()] if methods else None
+    if methods is None:
+        return None
+    names = [name.strip() for name in methods.split(",") if name.strip()]
+    if not names:
+        raise click.BadParameter("no method is named", param_hint="'--methods'")
+    return names
 
 
 _say: Callable[[Any], None] = lambda text: complain(str(text))  # noqa: E731

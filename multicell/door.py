@@ -23,8 +23,8 @@ from multicell.errors import MulticellError
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C."""
-PIPE_CLOSED = 141
-"""Exit code where the reader of our output has gone, as shells report it."""
+PIPE_CLOSED = 1
+"""Exit code where the reader of our output has gone: click's and rich's, without words."""
 DEBUG = "MULTICELL_DEBUG"
 """Environment variable that shows the traceback of an unexpected error."""
 
@@ -99,8 +99,8 @@ def _explained(error: Exception, as_json: bool) -> int:
     if isinstance(error, BrokenPipeError):
         return PIPE_CLOSED
     if isinstance(error, click.ClickException):
-        with _quietly():
-            error.show()
+        with quietly():
+            error.show(file=sys.stderr)
         message, code = error.format_message(), error.exit_code
     else:
         message, code = in_words(error)
@@ -112,7 +112,7 @@ def _explained(error: Exception, as_json: bool) -> int:
     if as_json and not _unwritable(error):
         from multicell.cli_common import print_json
 
-        with _quietly():
+        with quietly():
             print_json({"error": message, "kind": type(error).__name__})
     return code
 
@@ -138,8 +138,8 @@ def in_words(error: Exception) -> tuple[str, int]:
 
 def complain(text: str) -> None:
     """Print a line on stderr, where that can be written to."""
-    with _quietly():
-        click.echo(text, err=True)
+    with quietly():
+        click.echo(text, file=sys.stderr, err=True)
 
 
 def leave(code: int) -> NoReturn:
@@ -202,7 +202,7 @@ def _unwritable(error: Exception) -> bool:
 
 
 @contextmanager
-def _quietly() -> Iterator[None]:
+def quietly() -> Iterator[None]:
     """Go on where a stream cannot be written to: the exit code says what there is to say."""
     try:
         yield
@@ -222,7 +222,7 @@ def _spelling() -> Iterator[None]:
         yield
     finally:
         for stream, errors in changed:
-            with _quietly():
+            with quietly():
                 stream.reconfigure(errors=errors)
 
 

@@ -80,10 +80,10 @@ def export(
         raise OutputError(f"there is no frame {frame}: the run has {count}")
     folder = Path(output)
     paths = [folder / f"{name}.csv" for name in chosen]
-    for path in paths:
-        if (path.exists() or path.is_symlink()) and not overwrite:
-            raise OutputError(f"'{path}' exists already: choose another folder or overwrite")
     with words("use the output folder", folder):
+        there = next((path for path in paths if path.exists() or path.is_symlink()), None)
+        if there is not None and not overwrite:
+            raise OutputError(f"'{there}' exists already: choose another folder or overwrite")
         folder.mkdir(parents=True, exist_ok=True)
     for name, path in zip(chosen, paths, strict=True):
         with replacing(path, "w", newline="", encoding="utf-8") as file:

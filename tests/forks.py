@@ -79,6 +79,8 @@ def _become(write):
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     os.dup2(write, 1)
     os.dup2(write, 2)
+    # a stream remembers whether what it writes to can be wound back, and a pipe cannot
+    sys.stdout, sys.stderr = (os.fdopen(number, "w", closefd=False) for number in (1, 2))
     faulthandler.enable()
 
 

@@ -256,7 +256,7 @@ def test_explain_finds_rest_where_the_law_is_at_its_end(entries):
 
 
 def test_explain_tells_that_the_first_step_cannot_be_taken():
-    field = {"uptake": 1.0, "spacing": 1e-3}
+    field = {"uptake": 1.0, "spacing": 5e-3, "margin": 50.0}
     scene = Scene(duration=600.0, integrator="auto", nutrients={"o2": field})
     words = [part["what"] for part in explained(scene)["parts"] if part["part"] == "integrator"]
     assert "the first coupling step cannot be taken: cells and margin spread" in words[0]

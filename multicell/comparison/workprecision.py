@@ -105,8 +105,6 @@ def compare(
     count = sample_size(stepwise)
     if clock not in CLOCKS:
         raise SceneError("clock", f"is {clock!r}, must be {' or '.join(map(repr, CLOCKS))}")
-    if output is not None:
-        _prepare(output, overwrite)
     tell = progress or (lambda _: None)
     radius = blank(described, cells, threads).mean_radius
     asked = METHODS if methods is None else methods
@@ -115,6 +113,8 @@ def compare(
     chosen = [m if isinstance(m, Method) else named(m, described, radius) for m in asked]
     pair = None if references is None else paired(references, described, radius)
     _check_ladder(chosen, ladder)
+    if output is not None:
+        _prepare(output, overwrite)
     exact = reference(
         described, pair=pair, stepwise=count, cells=cells, cache=cache, threads=threads,
         progress=tell,

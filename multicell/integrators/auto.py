@@ -114,7 +114,7 @@ class Auto:
 
     def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
         """Integrate over the coupling step of ``system``; see :class:`Integrator`."""
-        refused = beyond(system, position, self.max_displacement, self.atol)
+        refused = beyond(system, position, self.atol)
         if refused is not None:
             return refused
         outcome, expected = self._mild(system, position)

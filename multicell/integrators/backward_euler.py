@@ -22,6 +22,15 @@ from multicell.sparse import limit
 
 _HALVINGS = 8
 _MOST_ITERATIONS = 200
+_RESIDUAL = 100.0
+"""Largest residual at the end of Newton's method, in tolerances of its last correction.
+
+Since no eigenvalue of I - γJ of a cluster at rest is below 1, the error is at most the residual.
+The correction alone does not tell: where γλ is large, the linear solver's residual may hide a
+motion of the cluster as a whole.
+"""
+_FINER = 1e-2
+"""What ``forcing`` is multiplied by where that residual is exceeded."""
 _DECREASE = 1e-4
 """Least relative decrease of the residual for a full Newton step (Armijo's rule)."""
 
@@ -60,7 +69,9 @@ class BackwardEuler:
 
     def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
         """Integrate over the coupling step of ``system``; see :class:`Integrator`."""
-        refused = beyond(system, position, self.max_displacement, self.tolerance)
+        if len(system) == 0:
+            return Outcome(system.motion.end, np.array(position))
+        refused = beyond(system, position, self.tolerance)
         if refused is not None:
             return refused
         motion = system.motion
@@ -99,6 +110,7 @@ class _Step:
         self.method, self.system, self.start, self.end, self.step = method, system, start, end, step
         self.trial = start.copy()
         self.weight = system.drag * system.motion.radius[:, None]
+        self.forcing = method.forcing
         self.worst: int | None = None
 
     def solve(self) -> str:
@@ -121,7 +133,9 @@ class _Step:
                 )
             residual, taken = found
             if taken * np.abs(correction).max(initial=0.0) <= method.tolerance:
-                return ""
+                if np.abs(residual).max(initial=0.0) <= _RESIDUAL * method.tolerance:
+                    return ""
+                self.forcing *= _FINER
         self.worst = int(np.square(residual).sum(axis=1).argmax())
         return (
             f"Newton's method did not converge in {method.newton} iterations in a step of "
@@ -176,7 +190,7 @@ class _Step:
         """Return the solution, or None where the curvature is not positive."""
         solution, left = np.zeros_like(residual), -residual
         better = np.empty_like(residual)
-        target = self.method.forcing * self._norm(residual)
+        target = self.forcing * self._norm(residual)
         direction, before = np.zeros_like(residual), 1.0
         for _ in range(_MOST_ITERATIONS):
             if self._norm(left) <= target:
@@ -207,7 +221,7 @@ class _Step:
             return out.ravel()
 
         solution, _ = gmres(
-            LinearOperator(shape, matvec=apply), -residual.ravel(), rtol=self.method.forcing,
+            LinearOperator(shape, matvec=apply), -residual.ravel(), rtol=self.forcing,
             restart=30, maxiter=10, M=LinearOperator(shape, matvec=approximately),
         )  # fmt: skip
         return np.asarray(solution).reshape(-1, 3)

@@ -374,7 +374,7 @@ def _integrate(
     state = np.array(position, dtype=float, order="C")
     if len(system) == 0 or length <= 0.0:
         return Outcome(motion.end, state)
-    refused = beyond(system, state, max_displacement, atol)
+    refused = beyond(system, state, atol)
     if refused is not None:
         return refused
     counts = np.zeros(4, dtype=np.int64)

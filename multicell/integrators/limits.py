@@ -7,8 +7,8 @@ cells at rest stay where they are. Newton's method then converges to states in w
 thrown apart, where no contact is left, no force, and so nothing for error control to see. Up to
 ε λΔt = 10⁻³ each iteration still gains three digits in the slow motions.
 
-Error control says nothing either where the tolerance exceeds the move that a cell may make in
-one step: then no error is too large.
+Error control says nothing either where the tolerance exceeds a cell's diameter: then no error
+is too large.
 """
 
 from __future__ import annotations
@@ -43,9 +43,7 @@ def stiffness_scale(system: Mechanics) -> float:
     return _CONTACTS * abs(float(pair)) / (system.drag * radius)
 
 
-def beyond(
-    system: Mechanics, position: FloatArray, max_displacement: float, atol: float = 0.0
-) -> Outcome | None:
+def beyond(system: Mechanics, position: FloatArray, atol: float = 0.0) -> Outcome | None:
     """Return how a coupling step ends that cannot be followed, or None if it can.
 
     Parameters
@@ -54,8 +52,6 @@ def beyond(
         Made ready for the coupling step.
     position
         (n, 3) µm, at its beginning.
-    max_displacement
-        Fraction of its radius that a cell may move in a step.
     atol
         Absolute tolerance, µm; zero for methods without error control.
     """
@@ -70,13 +66,13 @@ def beyond(
             f"double precision follows up to {LARGEST_STIFFNESS:.2g}",
             "Raise drag.viscosity, soften the cells or shorten coupling_step",
         )
-    radius = float(motion.radius.mean()) if len(system) else np.inf
-    if not atol <= max_displacement * radius:
+    diameter = 2.0 * float(motion.radius.mean()) if len(system) else np.inf
+    if not atol <= diameter:
         return Outcome(
             motion.begin,
             position,
-            f"the tolerance of {atol:.3g} um exceeds what a cell of radius {radius:.3g} um may "
-            f"move in a step ({max_displacement:g} of it): no error would be too large",
+            f"the tolerance of {atol:.3g} um exceeds the cells' diameter of {diameter:.3g} um: "
+            "no error would be too large",
             "Choose a smaller integrator.atol",
         )
     return None

@@ -111,7 +111,9 @@ class Run:
 
     def integrate(self, start: Start) -> Outcome:
         """Step to the end of the interval, starting again where that helps."""
-        refused = beyond(self.system, self.position, self.max_displacement, self.atol)
+        if len(self.system) == 0:
+            return Outcome(self.system.motion.end, self.position)
+        refused = beyond(self.system, self.position, self.atol)
         if refused is not None:
             return refused
         ceiling = 0.0
