@@ -27,7 +27,7 @@ SCENES = {
         "adhesion": {"strength": 0.01}, "friction": {},
         "motility": {}, "chemotaxis": {"oxygen": {}}, "haptotaxis": {},
         "nutrients": {
-            "oxygen": {"quiescence": 0.068, "necrosis": 0.01, "geometry": "radial",
+            "oxygen": {"quiescence": 0.068, "necrosis": 0.01, "geometry": "radial", "layer": 40.0,
                        "sides": {}},
             "waste_2": {"uptake": 0.0, "secretion": 3.0, "boundary": 0.0, "regime": "transient"},
         },

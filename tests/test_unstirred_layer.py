@@ -9,7 +9,7 @@ from multicell.nutrient.field import NutrientField
 from multicell.nutrient.layout import ShellLayout, tissue_radius
 from multicell.nutrient.parts import Nutrient
 from multicell.nutrient.plan import FieldParameters
-from multicell.observables import sphere_radius
+from multicell.observables import uniform_radius
 
 R, D = 150.0, 2000.0
 
@@ -97,7 +97,7 @@ def test_the_tissue_is_that_of_the_summary():
     cells = simulation.cells
     centre = np.average(cells.position, axis=0, weights=cells.radius**3)
     assert tissue_radius(cells.position, cells.radius) == pytest.approx(
-        sphere_radius(cells, centre), rel=1e-12
+        uniform_radius(cells, centre, 3), rel=1e-12
     )
 
 

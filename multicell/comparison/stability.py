@@ -185,7 +185,10 @@ def default_sweeps(scene: Scene) -> dict[str, list[float]]:
 
 def _holds(scene: Scene, changes: Mapping[str, float]) -> bool:
     """Return whether only neighbours of a packing touch at rest."""
-    changed = scene.with_changes(changes)
+    try:
+        changed = scene.with_changes(changes)
+    except SceneError:
+        return False  # refused at the door: centre upon centre
     radius, cells = 0.9 * changed.cells.division_radius, changed.cells
     modulus = effective_modulus(cells.young, cells.poisson, cells.young, cells.poisson)
     rest = changed.contact.equilibrium_overlap(modulus, 0.5 * radius)
