@@ -15,7 +15,6 @@ from multicell import running
 
 CASES = {
     "mechanics": ("doublet-settle", {"motility.force": "0.01 nN", "motility.persistence": "1 h"}),
-    "explicit": ("settle", {"initial.count": 8, "integrator": "ab2-adaptive"}),
     "sparse": ("settle", {"initial.count": 2, "integrator": "cvode-sparse"}),
     "field": ("spheroid", {"growth": None, "death": None, "initial.count": 4,
                            "nutrients.oxygen.spacing": "20 um"}),
