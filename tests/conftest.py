@@ -16,3 +16,6 @@ def pytest_addoption(parser):
     group.addoption("--kills", type=int, default=4, help="runs that are killed")
     group.addoption("--full-disks", type=int, default=4, help="runs on a disk that gets full")
     group.addoption("--damages", type=int, default=36, help="result folders that are damaged")
+    group.addoption(
+        "--coupling-steps", type=int, default=1000, help="of each run that must not leak"
+    )

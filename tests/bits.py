@@ -1,0 +1,121 @@
+"""Runs of small scenes, each reduced to the digest of all its bits; one JSON object on stdout.
+
+``python tests/bits.py GROUP`` prints ``{"digests": {case: digest}, "shared": {case: n}}`` with
+``n`` the number of evaluations (or whole steps in a compiled loop) that threads shared. Chunks
+are made small, so that a few hundred cells are enough for threads to have something to share.
+"""
+
+import hashlib
+import json
+import os
+import sys
+
+import numpy as np
+
+import multicell as mc
+from multicell.integrators import explicit, loops
+from multicell.integrators.names import METHODS
+from multicell.mechanics import Mechanics
+from multicell.simulation import Simulation
+
+CHUNK, SHARED_CHUNKS = 32, 2
+TISSUE = {"initial.count": 150, "initial.spacing": 0.82, "duration": "2 min"}
+PHASES = {k: {"duration": f"{h} h"} for k, h in (("G1", 12), ("S", 7), ("G2", 4), ("M", 1))}
+"""Phases for smooth division."""
+PHYSICS = {
+    "friction": ("settle", {**TISSUE, "friction": {}}),
+    "friction, explicit": ("settle", {**TISSUE, "friction": {}, "integrator": "rkc2"}),
+    "exact JKR": ("settle", {**TISSUE, "contact.law": "exact-jkr"}),
+    "receptors": ("sorting-cams", {"duration": "15 min", "types.sticky.receptor": 3.0,
+                                   "types.sticky.ligand": 4.0, "initial.count": 150}),
+    "types": ("sorting", {"duration": "15 min", "initial.count": 150}),
+    "slack": ("growth", {"initial.count": 150, "initial.stage": "uniform", "duration": "100 min",
+                         "growth.phases": PHASES, "growth.division": "smooth"}),
+    "plane": ("settle", {**TISSUE, "dimensions": 2}),
+    "fields": ("spheroid", {"initial.count": 150, "initial.stage": "uniform",
+                            "duration": "40 min", "nutrients.oxygen.regime": "transient"}),
+    "death": ("spheroid", {"initial.count": 150, "initial.stage": "uniform", "duration": "2 h",
+                           "nutrients.oxygen.boundary": "0.01 mM", "death.lysis_time": "1 h"}),
+}  # fmt: skip
+METHOD_CASES = {name: ("settle", {**TISSUE, "integrator": name}) for name in METHODS}
+GROUPS = {
+    "methods": METHOD_CASES,
+    "physics": PHYSICS,
+    "few": {key: PHYSICS[key] for key in ("exact JKR", "slack", "fields")}
+    | {key: METHOD_CASES[key] for key in ("cvode", "dopri5")},
+}
+
+
+class Watch:
+    """Counts the evaluations that threads share."""
+
+    def __init__(self):
+        self.shared = 0
+        shared, borrow = Mechanics._shared, explicit._borrow
+
+        def watched(system, pairs):
+            answer = shared(system, pairs)
+            self.shared += answer
+            return answer
+
+        def lent(system, counts):
+            source, pairs = borrow(system, counts)
+            self.shared += isinstance(source, loops.Shared)
+            return source, pairs
+
+        Mechanics._shared, explicit._borrow = watched, lent
+
+
+def simulation(name, changes, threads, **state):
+    """Return a simulation with small chunks."""
+    scene = mc.load_scene(name).with_changes(changes)
+    made = Simulation(scene, threads=threads, **state)
+    made._mechanics.chunk, made._mechanics.shared_chunks = CHUNK, SHARED_CHUNKS
+    return made
+
+
+def arrays(frame):
+    """Give every array of a frame with its name, and the numbers of its progress."""
+    yield from frame.cells.columns()
+    yield from sorted(frame.concentrations.items())
+    for name, field in sorted(frame.fields.items()):
+        yield name, field.values
+        yield name, field.origin
+    yield "contacts", frame.contacts
+    progress = frame.progress
+    yield "counts", np.array([progress.next_id, progress.divisions, progress.removals])
+    yield "released", np.array([progress.released])
+    yield "ledger", np.array([v for e in progress.ledger.values() for v in e.values()], dtype=float)
+
+
+def digest(frame):
+    """Return the digest of all bits of a frame."""
+    found = hashlib.sha256()
+    for name, values in arrays(frame):
+        values = np.ascontiguousarray(values)
+        found.update(f"{name} {values.dtype} {values.shape}".encode())
+        found.update(values.tobytes())
+    return found.hexdigest()
+
+
+def last(name, changes, threads):
+    """Return the digest of the end of a run."""
+    run = simulation(name, changes, threads)
+    while not run.finished:
+        run.step()
+    return digest(run.frame())
+
+
+def main():
+    watch = Watch()
+    threads = int(os.environ["NUMBA_NUM_THREADS"])
+    digests, shared = {}, {}
+    for key, case in GROUPS[sys.argv[1]].items():
+        before = watch.shared
+        digests[key] = last(*case, threads)
+        shared[key] = watch.shared - before
+    print(json.dumps({"digests": digests, "shared": shared}))
+
+
+if __name__ == "__main__":
+    main()
