@@ -161,8 +161,8 @@ def resume(
 ) -> None:
     """Go on with the run in FOLDER, from its last frame or from another one.
 
-    Without changes the run becomes what it would have been, bit for bit. --set may change what
-    can change while a run goes on: duration, stop_cells, output and the medium.
+    Without changes the run becomes what it would have been, bit for bit on the same machine. --set
+    may change what can change while a run goes on: duration, stop_cells, output and the medium.
     """
     with errors(as_json):
         parsed = parse_changes(changes)

@@ -157,8 +157,9 @@ class Recorder:
         """Add a row to the history, and a frame if one is due."""
         begin = clock.perf_counter()
         row = simulation.history_row()
-        self._rows.append(row)
-        if self._store is not None:
+        if self._store is None:
+            self._rows.append(row)
+        else:
             self._store.append_history(row)
         if simulation.time >= self._next_frame * (1.0 - 1e-12) or simulation.finished:
             self._frame(simulation)
