@@ -214,3 +214,29 @@ def test_a_field_that_nothing_feeds_is_empty_at_once(geometry, medium_diffusion,
         assert not frame.fields["oxygen"].values.any()
     assert result.summary()["ledger"]["oxygen"]["remainder"] == 0.0
     assert result.summary()["ledger"]["oxygen"]["relative_remainder"] == 0.0
+
+
+def test_a_field_that_fades_costs_no_steps_once_it_is_gone(monkeypatch):
+    """The medium loses it all: from a millionth of what it was on, steps need not follow it."""
+    from multicell.nutrient import transient
+
+    taken = []
+    step = transient._step
+    monkeypatch.setattr(transient, "_step", lambda *args: taken.append(args[3]) or step(*args))
+    entries = {
+        "duration": "1 h",
+        "coupling_step": "30 min",
+        "nutrients": {
+            "drug": {
+                "boundary": 0.067, "media": [["1 min", 0.0]], "regime": "transient",
+                "uptake": 0.0, "diffusion": 667.0, "spacing": 8.0, "margin": 48.0,
+            }
+        },
+    }  # fmt: skip
+    simulation = ran(mc.Scene.from_dict(entries))
+    assert simulation.fields["drug"].values.max() < 1e-6 * 0.067
+    assert simulation.fields["drug"].values.min() >= 0.0
+    assert simulation.ledger["drug"].relative_remainder < 1e-8
+    # as short as at the beginning they were tens of thousands
+    assert len(taken) < 3_000
+    assert max(taken) > 100.0

@@ -11,6 +11,7 @@ import multicell as mc
 from multicell.cells import State
 from multicell.cli import main
 from multicell.exporting import TABLES
+from multicell.frame import Frame
 
 
 @pytest.fixture(scope="module")
@@ -136,7 +137,7 @@ def test_contacts_of_cells_that_are_gone_are_left_out(tmp_path):
     last = run.frames[-1]
     gone = [int(last.contacts[0, 0]), int(last.cells.id.max())]
     kept = last.cells.take(~np.isin(last.cells.id, gone))
-    frame = mc.frame.Frame(last.time, last.step, kept, contacts=last.contacts)
+    frame = Frame(last.time, last.step, kept, contacts=last.contacts)
     result = mc.Result(None, [frame], run.history, run.summary(), scene, run.lineage)
     mc.export(result, tmp_path, tables=["contacts"])
     read = {(int(r["first_id"]), int(r["second_id"])) for r in rows(tmp_path / "contacts.csv")}

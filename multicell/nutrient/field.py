@@ -23,6 +23,11 @@ if TYPE_CHECKING:
     from multicell.parts import Domain
 
 
+_GONE = 1e-6
+"""Part of the medium's highest concentration below which a field that fades is not followed any
+more with an error relative to itself: steps would stay as short as ever down to nothing."""
+
+
 class NutrientParameters(Protocol):
     """What a field is made from; see :class:`multicell.nutrient.plan.FieldParameters`."""
 
@@ -81,6 +86,10 @@ class NutrientParameters(Protocol):
     @property
     def time_tolerance(self) -> float:
         """Error of a transient step over the concentration."""
+
+    @property
+    def highest(self) -> float:
+        """The highest concentration that medium and sides ever have, mM."""
 
     def medium(self, time: float) -> float:
         """Return the concentration of the medium at a time in s, mM."""
@@ -269,9 +278,10 @@ class NutrientField:
                 )  # fmt: skip
                 return values, report, medium
 
+            scale = max(p.medium(start), _GONE * p.highest)
             c = march(
                 step, layout.volumes, c, start, stop,
-                tolerance=p.time_tolerance, scale=p.medium(start), done=done,
+                tolerance=p.time_tolerance, scale=scale, done=done,
             )  # fmt: skip
         self._take(layout, operator, conditions, c, kept)
         return self._summed(done, production, end - begin, relaid)

@@ -379,6 +379,11 @@ class FieldParameters:
         """Where a transient field starts from: ``"medium"`` or ``"steady"``."""
         return self.nutrient.initial
 
+    @property
+    def highest(self) -> float:
+        """The highest concentration that medium and sides ever have, mM."""
+        return self.nutrient.highest
+
     def medium(self, time: float) -> float:
         """Return the concentration of the medium at a time in s, mM."""
         return self.nutrient.medium(time)

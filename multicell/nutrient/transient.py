@@ -112,7 +112,7 @@ def march(
     c : mM
         At the beginning; not changed.
     tolerance
-        Largest error of a step over ``scale`` or the largest concentration.
+        Largest error of a step over ``scale`` or the largest concentration, whichever is more.
     scale : mM
     done
         Counts and amounts, which are added to.
