@@ -459,6 +459,11 @@ def plausible(draw, extreme=0.004, small=True):
             field["margin"] = min(base(field.get("margin", 50.0)), 60.0)
             field["spacing"] = max(base(field.get("spacing", 8.0)), 4.0)
             field["time_tolerance"] = max(field.get("time_tolerance", 1e-2), 1e-3)
+        if "atol" in options and drawer.chance(0.9):
+            radius = base(scene.get("cells", {}).get("division_radius", 5.0))
+            options["atol"] = min(base(options["atol"]), 0.1 * radius)
+        if "domain" in scene and drawer.chance(0.9):
+            scene["initial"]["jitter"] = min(scene["initial"].get("jitter", 0.0), 0.3)
         matrix = options.get("method") in ("cvode-sparse", *SCIPY_IMPLICIT)
         if "friction" in scene and matrix and drawer.chance(0.9):
             options["method"] = "cvode"

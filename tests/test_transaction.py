@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import multicell as mc
-from multicell import simulation as module
+import multicell.simulation as module
 from multicell.errors import NutrientFailed, StepFailed
 from multicell.nutrient.field import NutrientField
 

@@ -125,7 +125,7 @@ def test_a_run_keeps_the_layer_and_its_summary_tells_it():
     summary = simulation.summary()
     assert summary["fields"]["oxygen"]["layer"] == pytest.approx(30.0)
     assert "notes" not in summary
-    assert summary["units"]["fields.layer"] == "um"
+    assert summary["units"]["fields.oxygen.layer"] == "um"
 
 
 def test_a_cell_that_strays_is_still_on_the_shells_and_is_told_of():
