@@ -24,12 +24,11 @@ import numpy as np
 from which_integrator_tables import Entry, write_page
 
 import multicell as mc
-from multicell.comparison import Method
-from multicell.comparison.methods import SMALLEST_TOLERANCE
+from multicell.comparison.ladders import SMALLEST_TOLERANCE, Method
 from multicell.comparison.reference import source_hash
 from multicell.comparison.result import WorkPrecision
-from multicell.integrators import METHODS
 from multicell.integrators.base import Outcome
+from multicell.integrators.registry import METHODS
 
 HERE = Path(__file__).parent
 QUICK = 0.1

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
 
-from multicell.comparison.result import CLOCKS, WorkPrecision
-from multicell.integrators import METHODS
+from multicell.comparison.measure import CLOCKS
+from multicell.comparison.result import WorkPrecision
+from multicell.integrators.registry import METHODS
 
 Goal = tuple[float, str]
 """An error, and the norm in which it is to be reached."""

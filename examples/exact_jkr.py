@@ -22,8 +22,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from multicell.contact import JKR, ExactJKR, effective_modulus, effective_radius
-from multicell.drawing import BLUE, INK, QUIET, RED, styled
+from multicell.contact.exact_jkr import ExactJKR
+from multicell.contact.jkr import JKR
+from multicell.contact.law import effective_modulus, effective_radius
+from multicell.report.plots.style import BLUE, INK, QUIET, RED, styled
 
 FloatArray = NDArray[np.float64]
 GREEN = "#2a9d6a"

@@ -19,8 +19,10 @@ from typing import Any, final
 import numpy as np
 from matplotlib.figure import Figure
 
-from multicell.contact import JKR, Hertz, effective_modulus, effective_radius
-from multicell.drawing import BLUE, INK, QUIET, RED, styled
+from multicell.contact.hertz import Hertz
+from multicell.contact.jkr import JKR
+from multicell.contact.law import effective_modulus, effective_radius
+from multicell.report.plots.style import BLUE, INK, QUIET, RED, styled
 
 LENGTH_OF_FORCE = 0.62
 """Length of the arrow for 1 nN, um."""

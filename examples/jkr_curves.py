@@ -19,7 +19,8 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.contact import JKR, effective_modulus, effective_radius
+from multicell.contact.jkr import JKR
+from multicell.contact.law import effective_modulus, effective_radius
 
 RADIUS = 10.0
 """Radius of both cells, um."""

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import multicell as mc
-from multicell.scene import Scene
+from multicell.scene.scene import Scene
 
 
 def setup(**changes: Any) -> Scene:

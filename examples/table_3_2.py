@@ -19,7 +19,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import final
 
-from multicell.contact import JKR, ExactJKR, effective_modulus, effective_radius
+from multicell.contact.exact_jkr import ExactJKR
+from multicell.contact.jkr import JKR
+from multicell.contact.law import effective_modulus, effective_radius
 
 KINDS = {"thesis": (1.0, 0.5), "Drasdo-Hoehme": (0.45, 0.4), "S180": (3.5, 0.5)}
 """Young's modulus (kPa) and Poisson ratio by kind of cell."""

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import multicell as mc
-from multicell.scene import Scene
+from multicell.scene.scene import Scene
 
 RADIUS, YOUNG, POISSON, SURFACE_ENERGY, VISCOSITY = 10.0, 1.0, 0.5, 0.1, 5.0
 START = 12.0

@@ -15,14 +15,15 @@ from multicell.errors import MulticellError, OutputError, SceneError, StepFailed
 if TYPE_CHECKING:
     from multicell.cells import Cells, State
     from multicell.comparison.result import WorkPrecision
-    from multicell.comparison.stability import StabilityMap, stability
-    from multicell.comparison.workprecision import compare
-    from multicell.contact import JKR, Hertz
-    from multicell.exporting import export
-    from multicell.result import Result, load_result
-    from multicell.resuming import resume
-    from multicell.running import run
-    from multicell.scene import Scene, load_scene, scene_names
+    from multicell.comparison.stability.result import StabilityMap
+    from multicell.comparison.stability.search import stability
+    from multicell.comparison.work_precision import compare
+    from multicell.contact.hertz import Hertz
+    from multicell.contact.jkr import JKR
+    from multicell.report.export import export
+    from multicell.report.result import Result, load_result
+    from multicell.runner import resume, run
+    from multicell.scene.scene import Scene, load_scene, scene_names
     from multicell.simulation import Simulation
 
 __version__ = "0.1.0"
@@ -53,22 +54,22 @@ __all__ = [
 
 _LAZY = {
     "Cells": "multicell.cells",
-    "Hertz": "multicell.contact",
-    "JKR": "multicell.contact",
-    "Result": "multicell.result",
-    "Scene": "multicell.scene",
+    "Hertz": "multicell.contact.hertz",
+    "JKR": "multicell.contact.jkr",
+    "Result": "multicell.report.result",
+    "Scene": "multicell.scene.scene",
     "Simulation": "multicell.simulation",
     "State": "multicell.cells",
-    "load_result": "multicell.result",
-    "load_scene": "multicell.scene",
+    "load_result": "multicell.report.result",
+    "load_scene": "multicell.scene.scene",
     "WorkPrecision": "multicell.comparison.result",
-    "StabilityMap": "multicell.comparison.stability",
-    "compare": "multicell.comparison.workprecision",
-    "export": "multicell.exporting",
-    "resume": "multicell.resuming",
-    "run": "multicell.running",
-    "scene_names": "multicell.scene",
-    "stability": "multicell.comparison.stability",
+    "StabilityMap": "multicell.comparison.stability.result",
+    "compare": "multicell.comparison.work_precision",
+    "export": "multicell.report.export",
+    "resume": "multicell.runner",
+    "run": "multicell.runner",
+    "scene_names": "multicell.scene.scene",
+    "stability": "multicell.comparison.stability.search",
 }
 
 

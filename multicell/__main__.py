@@ -8,7 +8,7 @@ import sys
 def run() -> None:
     """Run the command; Ctrl-C is answered while its modules are still being loaded, too."""
     try:
-        from multicell.cli import main
+        from multicell.cli.main import main
 
         main(prog_name="multicell")
     except KeyboardInterrupt:

@@ -17,38 +17,35 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from multicell import celltypes, integrators, neighbours, observables, streams
-from multicell.biology import (
-    Cycling,
-    advance,
-    deciding,
-    divide,
-    growth_factor,
-    initial_cells,
-    leave_rest,
-    parting,
-    push,
-    remove_lysed,
-    restricted,
-    unfavourable,
-    update_states,
-    volumes_after,
-)
+from multicell import random
+from multicell.biology import adhesion
+from multicell.biology.active_forces import push
+from multicell.biology.cycle import Cycling, advance, leave_rest, parting
+from multicell.biology.death import remove_lysed
+from multicell.biology.division import divide
+from multicell.biology.growth import growth_factor, volumes_after
+from multicell.biology.initial import initial_cells
+from multicell.biology.states import deciding, restricted, unfavourable, update_states
 from multicell.cells import DEAD, SPHERE, Cells, FloatArray, IntArray
-from multicell.domain import strayed, walls
 from multicell.errors import NutrientFailed, SceneError, StepFailed
-from multicell.folder import versions
-from multicell.frame import Field, Frame, Progress
-from multicell.ledger import Ledger
-from multicell.lineage import Lineage
-from multicell.mechanics import Mechanics, Motion
-from multicell.quantities import units_of
-from multicell.sizes import check_memory
+from multicell.integrators import registry
+from multicell.mechanics import neighbours
+from multicell.mechanics.system import Mechanics, Motion
+from multicell.nutrient.balance import Ledger
+from multicell.results import observables
+from multicell.results.folder import versions
+from multicell.results.frame import Field, Frame, Progress
+from multicell.results.lineage import Lineage
+from multicell.results.quantities import units_of
+from multicell.scene import pairs
+from multicell.scene.domain import strayed, walls
+from multicell.scene.ranges import check_memory
 from multicell.threads import thread_count
 
 if TYPE_CHECKING:
-    from multicell.nutrient.feeding import Feeding
-    from multicell.scene import Scene
+    from multicell.nutrient.fields import Feeding
+    from multicell.scene.scene import Scene
+
 
 PHASES = ("nutrient", "biology", "mechanics", "events", "record")
 """Phases of the loop whose wall time is measured."""
@@ -125,7 +122,7 @@ class Simulation:
         # identities of the pairs in contact, (m, 2): what exact JKR remembers, and others count
         self.contacts = np.empty((0, 2), dtype=np.int64)
         self.separation: dict[str, float] | None = None
-        self._integrator = integrators.make(scene.integrator)
+        self._integrator = registry.make(scene.integrator)
         self._feeding = _feeding(scene)
         self.lineage = Lineage() if lineage is None else lineage
         if frame is None:
@@ -384,7 +381,7 @@ class Simulation:
 
     def _fitness(self, packing: float | None) -> dict[str, Any]:
         """Return how well grids and geometries fit the tissue, and remarks on what does not."""
-        from multicell.packing import packing_notes
+        from multicell.scene.packing import packing_notes
 
         known: dict[str, Any] = {}
         notes = packing_notes(self.scene, packing)
@@ -523,7 +520,7 @@ class Simulation:
             cells.state, cells.phase = cycling.state, cycling.phase
             cells.progress, cells.phase_length = cycling.progress, cycling.phase_length
         if self.scene.adhesion is not None:
-            end = celltypes.bond_levels(self.scene, self.cells, self.concentrations, self.time + dt)
+            end = adhesion.bond_levels(self.scene, self.cells, self.concentrations, self.time + dt)
             cells.receptor, cells.ligand = end[:, 0].copy(), end[:, 1].copy()
         self.cells = cells
         self.step_index += 1
@@ -551,12 +548,12 @@ class Simulation:
     def _set_bonds(self, concentrations: Mapping[str, FloatArray]) -> None:
         """Set receptors and ligands of all cells at the start."""
         if self.scene.adhesion is not None:
-            levels = celltypes.bond_levels(self.scene, self.cells, concentrations, self.time)
+            levels = adhesion.bond_levels(self.scene, self.cells, concentrations, self.time)
             self.cells.receptor, self.cells.ligand = levels[:, 0].copy(), levels[:, 1].copy()
 
     def _bonds(self, begin: float, end: float) -> FloatArray | None:
         """Return receptors and ligands at ``begin`` with their rates."""
-        return celltypes.bonds(self.scene, self.cells, self.concentrations, begin, end)
+        return adhesion.bonds(self.scene, self.cells, self.concentrations, begin, end)
 
     def _sort(self) -> None:
         """Sort the cells in space when many are new: neighbours then share memory."""
@@ -589,7 +586,7 @@ def _mechanics(scene: Scene, threads: int) -> Mechanics:
         threads,
         bond_strength=0.0 if scene.adhesion is None else scene.adhesion.strength,
         friction=(0.0, 0.0) if rubbing is None else (rubbing.normal, rubbing.tangential),
-        surface_energies=celltypes.surface_energies(scene),
+        surface_energies=pairs.surface_energies(scene),
         walls=walls(scene),
     )
 
@@ -617,7 +614,7 @@ def _counts_contacts(scene: Scene) -> bool:
 
 def _departure(cells: Cells) -> float:
     """Return the departure of the tissue from a ball; only scenes with shells load it."""
-    from multicell.nutrient.roundness import departure
+    from multicell.nutrient.cartesian import departure
 
     return departure(cells.position, cells.radius)
 
@@ -626,7 +623,7 @@ def _feeding(scene: Scene) -> Feeding | None:
     """Return the scene's fields; a scene without nutrients does not load them."""
     if not scene.nutrients:
         return None
-    from multicell.nutrient.feeding import Feeding
+    from multicell.nutrient.fields import Feeding
 
     return Feeding(scene)
 
@@ -643,8 +640,8 @@ def _separated(scene: Scene, cells: Cells) -> Cells:
     moved = np.unique(pairs[:, 1])
     if len(moved):
         cells = cells.take(np.arange(len(cells)))
-        axis = streams.directions(
-            scene.seed, streams.Purpose.SEPARATION, 0, cells.id[moved], scene.dimensions
+        axis = random.directions(
+            scene.seed, random.Purpose.SEPARATION, 0, cells.id[moved], scene.dimensions
         )
         cells.position[moved] += 1e-6 * cells.radius[moved, None] * axis
     return cells

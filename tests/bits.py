@@ -13,9 +13,10 @@ import sys
 import numpy as np
 
 import multicell as mc
-from multicell.integrators import explicit, loops
-from multicell.integrators.names import METHODS
-from multicell.mechanics import Mechanics
+from multicell.integrators import runge_kutta as explicit
+from multicell.integrators import stepping as loops
+from multicell.integrators.registry import METHODS
+from multicell.mechanics.system import Mechanics
 from multicell.simulation import Simulation
 
 CHUNK, SHARED_CHUNKS = 32, 2

@@ -17,8 +17,8 @@ import h5py
 import numpy as np
 
 import multicell as mc
-from multicell.frames import Contents
-from multicell.journal import _HEAD, Reader
+from multicell.results.journal import _HEAD, Reader
+from multicell.results.reader import Contents
 
 MEMORY = 3 << 30  # bytes of address space beyond what the process has
 RECORD_FILES = ("frames.h5", "frames.journal")

@@ -53,7 +53,7 @@ class Forks:
 def serve():
     """Answer tasks until there are no more."""
     import multicell as mc
-    from multicell import cli, exporting, report  # noqa: F401 - loaded once, for all children
+    from multicell.report import export as exporting  # noqa: F401 - loaded once, for all children
 
     mc.run(mc.load_scene("spheroid").with_changes(WARM), threads=1)
     for line in sys.stdin:
@@ -89,7 +89,7 @@ def _work(task):
     if "function" in task:
         module, _, name = task["function"].partition(":")
         return getattr(__import__(module), name)(**task["with"]) or 0
-    from multicell.cli import main
+    from multicell.cli.main import main
 
     try:
         main(task["arguments"])

@@ -43,7 +43,7 @@ class Fault(Exception):  # noqa: N818 - what was found, not a failure of the har
 
 def load_case(entries):
     """Load a scene from a dict and as TOML; return ``"loaded"`` or ``"refused"``."""
-    from multicell.scene import Scene
+    from multicell.scene.scene import Scene
 
     tracemalloc.start()
     try:
@@ -84,7 +84,7 @@ def _load_text(entries, made):
     """Write the entries as TOML, where TOML can; load_scene must say the same as from_dict."""
     import tomli_w
 
-    from multicell.scene import load_scene
+    from multicell.scene.scene import load_scene
 
     try:
         content = tomli_w.dumps(entries)
@@ -106,7 +106,7 @@ def _round_trips(scene):
     """Check that a scene comes back from its dict, its TOML text and no changes as it was."""
     import tomllib
 
-    from multicell.scene import Scene, load_scene
+    from multicell.scene.scene import Scene, load_scene
 
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "scene.toml"
@@ -121,7 +121,7 @@ def _round_trips(scene):
 
 def place_exists(path, entries):
     """Return whether a dotted path leads to a place in entries, or to one that may be there."""
-    from multicell.scene import Scene
+    from multicell.scene.scene import Scene
 
     if not path:
         return not isinstance(entries, dict) or not all(isinstance(key, str) for key in entries)
@@ -129,7 +129,7 @@ def place_exists(path, entries):
 
 
 def _leads(path, node, part):
-    from multicell.parameters import specs
+    from multicell.schema import specs
 
     known = {} if part is None else specs(part)
     here = list(node) if isinstance(node, dict) else []
@@ -158,7 +158,7 @@ def _leads(path, node, part):
 
 def explained(scene):
     """Return what ``explain`` says, which must be plain and finite, or end by name."""
-    from multicell.explain import explain
+    from multicell.report.explain.scene import explain
 
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
@@ -177,8 +177,8 @@ def explained(scene):
 def run_case(entries):
     """Run a scene to its end; return ``"ran"``, ``"refused"`` or the name of its failure."""
     from multicell.errors import SceneError, StepFailed
-    from multicell.running import run
-    from multicell.scene import Scene
+    from multicell.runner import run
+    from multicell.scene.scene import Scene
 
     try:
         scene = Scene.from_dict(entries)
@@ -318,7 +318,7 @@ def judged(kind, entries):
 
 def _work(pipe):
     """Draw and judge cases as the parent asks for: (kind, seed, number)."""
-    from multicell.scene import load_scene
+    from multicell.scene.scene import load_scene
 
     explained(load_scene("spheroid"))  # what is imported once is no case's
     while (task := pipe.recv()) is not None:

@@ -14,10 +14,10 @@ import math
 from hypothesis import strategies as st
 
 from multicell.cells import Phase
-from multicell.nutrient.parts import FACES
-from multicell.parameters import specs
-from multicell.parts import PHASES
-from multicell.scene import Scene
+from multicell.scene.nutrient import FACES
+from multicell.scene.parts import PHASES
+from multicell.scene.scene import Scene
+from multicell.schema import specs
 from multicell.units import RANGES
 
 SCIPY_IMPLICIT = ("scipy-lsoda", "scipy-radau", "scipy-bdf")

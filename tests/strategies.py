@@ -3,8 +3,9 @@
 import numpy as np
 from hypothesis import strategies as st
 
-from multicell.contact import JKR, Hertz
-from multicell.mechanics import Mechanics, Motion
+from multicell.contact.hertz import Hertz
+from multicell.contact.jkr import JKR
+from multicell.mechanics.system import Mechanics, Motion
 
 SEED_SET = {"young": 1.0, "poisson": 0.5, "surface_energy": 0.1}
 """Parameters of the thesis: nN/µm², dimensionless, nN/µm."""

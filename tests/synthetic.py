@@ -3,9 +3,9 @@
 import numpy as np
 
 from multicell.cells import Cells, State
-from multicell.frame import Field, Frame
-from multicell.observables import centre, distances, history_row
-from multicell.scene import Scene
+from multicell.results.frame import Field, Frame
+from multicell.results.observables import centre, distances, history_row
+from multicell.scene.scene import Scene
 
 NECROSIS, QUIESCENCE, BOUNDARY = 0.005, 0.02, 0.07  # mM
 

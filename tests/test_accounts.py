@@ -5,10 +5,10 @@ import pytest
 
 import multicell as mc
 from multicell.errors import SceneError
-from multicell.ledger import Ledger
-from multicell.nutrient.parts import Nutrient
-from multicell.nutrient.plan import level_fixed
-from multicell.scene import Scene
+from multicell.nutrient.balance import Ledger
+from multicell.scene.nutrient import Nutrient
+from multicell.scene.scales import level_fixed
+from multicell.scene.scene import Scene
 
 CLOSED = {"*": {"type": "derivative", "derivative": 0.0}}
 

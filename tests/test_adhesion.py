@@ -6,11 +6,13 @@ from scipy.optimize import brentq
 
 import multicell as mc
 from multicell import Simulation
-from multicell.contact import JKR, ExactJKR, effective_modulus, effective_radius
-from multicell.friction import FrictionMatrix, FrictionNotSolvedError
+from multicell.contact.exact_jkr import ExactJKR
+from multicell.contact.jkr import JKR
+from multicell.contact.law import effective_modulus, effective_radius
 from multicell.integrators.cvode import Cvode
-from multicell.integrators.explicit import Euler
-from multicell.mechanics import Mechanics, Motion, StateRejected
+from multicell.integrators.runge_kutta import Euler
+from multicell.mechanics.friction import FrictionMatrix, FrictionNotSolvedError
+from multicell.mechanics.system import Mechanics, Motion, StateRejected
 
 
 def run(scene, **options):

@@ -7,9 +7,9 @@ import pytest
 from scipy import stats
 
 import multicell as mc
-from multicell.biology import initial_cells
+from multicell.biology.initial import initial_cells
 from multicell.cells import State
-from multicell.scene import Scene, load_scene
+from multicell.scene.scene import Scene, load_scene
 from multicell.simulation import Simulation
 
 HOUR = 3600.0

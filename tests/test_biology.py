@@ -12,12 +12,14 @@ from hypothesis import strategies as st
 from scipy import optimize, stats
 from scipy.spatial import cKDTree
 
-from multicell import biology
-from multicell.biology.initial import packed_ball, scattered
-from multicell.biology.phases import deciding
+from multicell.biology.death import remove_lysed
+from multicell.biology.division import divide
+from multicell.biology.growth import birth_volume, growth_factor, volumes_after
+from multicell.biology.initial import initial_cells, packed_ball, scattered
+from multicell.biology.states import deciding, update_states
 from multicell.cells import SPHERE, Cells, State
-from multicell.scene import Scene
-from multicell.streams import Purpose
+from multicell.random import Purpose
+from multicell.scene.scene import Scene
 
 HOUR = 3600.0
 CYCLE = 15 * HOUR
@@ -99,12 +101,12 @@ def test_inner_sites_have_twelve_neighbours_in_two_layers_abab() -> None:
 
 
 def test_initial_cells_start_at_birth_or_spread_over_the_cycle() -> None:
-    birth = biology.initial_cells(make_scene())
+    birth = initial_cells(make_scene())
     np.testing.assert_allclose(birth.radius, 5.0 * 2 ** (-1 / 3), rtol=1e-15)
     assert (birth.age == 0).all()
     scene = make_scene(initial=initial(count=5000, stage="uniform"))
-    cells = biology.initial_cells(scene)
-    progress = cells.volume / biology.birth_volume(scene) - 1.0
+    cells = initial_cells(scene)
+    progress = cells.volume / birth_volume(scene) - 1.0
     assert stats.kstest(progress, "uniform").pvalue > 1e-3
     np.testing.assert_allclose(cells.age, progress * cells.cycle_time, rtol=1e-10, atol=1e-6)
     assert cells.id.tolist() == list(range(5000))
@@ -115,16 +117,16 @@ def test_initial_cells_start_at_birth_or_spread_over_the_cycle() -> None:
 
 
 def test_initial_spacing_and_jitter_are_relative_to_the_diameter() -> None:
-    exact = biology.initial_cells(make_scene(initial=initial(count=3000, spacing=0.8)))
+    exact = initial_cells(make_scene(initial=initial(count=3000, spacing=0.8)))
     nearest = cKDTree(exact.position).query(exact.position, k=2)[0][:, 1]
     np.testing.assert_allclose(nearest, 0.8 * 2 * exact.radius, rtol=1e-12)
-    moved = biology.initial_cells(make_scene(initial=initial(count=3000, spacing=0.8, jitter=0.05)))
+    moved = initial_cells(make_scene(initial=initial(count=3000, spacing=0.8, jitter=0.05)))
     shift = (moved.position - exact.position) / (2 * exact.radius[:, None])
     assert stats.kstest(shift.ravel(), stats.norm(scale=0.05).cdf).pvalue > 1e-3
 
 
 def test_moduli_and_cycle_times_are_truncated_normal_and_independent() -> None:
-    cells = biology.initial_cells(make_scene(initial=initial(count=20_000)))
+    cells = initial_cells(make_scene(initial=initial(count=20_000)))
     law = stats.truncnorm(-3, 3)
     z_young, z_cycle = (cells.young - 1.0) / 0.1, (cells.cycle_time / CYCLE - 1.0) / 0.1
     assert stats.kstest(z_young, law.cdf).pvalue > 1e-3
@@ -142,16 +144,16 @@ def test_largest_variation_stays_positive_and_keeps_the_mean() -> None:
 
 def test_without_growth_cycles_are_infinite_and_ages_finite() -> None:
     scene = make_scene(growth=None, initial=initial(stage="uniform"))
-    cells = biology.initial_cells(scene)
+    cells = initial_cells(scene)
     assert np.isinf(cells.cycle_time).all()
     assert (cells.age == 0).all()
     ripe = replace(cells, radius=np.full(200, 6.0))
-    assert biology.divide(scene, ripe, 1, 200) == (ripe, 200)
+    assert divide(scene, ripe, 1, 200) == (ripe, 200)
 
 
 def test_seed_decides_everything() -> None:
-    first, again = (biology.initial_cells(make_scene(seed=3)) for _ in range(2))
-    other = biology.initial_cells(make_scene(seed=4))
+    first, again = (initial_cells(make_scene(seed=3)) for _ in range(2))
+    other = initial_cells(make_scene(seed=4))
     for name, column in first.columns():
         np.testing.assert_array_equal(column, getattr(again, name))
     assert not np.isin(first.young, other.young).any()
@@ -165,7 +167,7 @@ def test_growth_factor_values_by_hand() -> None:
     c = {"oxygen": np.array([0.01, 0.03, 0.0, 0.01, 0.01, 0.01])}
     p = np.array([0.0, 0.0, 0.0, 0.05, 0.2, -0.05])
     expected = [0.5, 0.75, 0.0, 0.25, 0.0, 0.5]
-    np.testing.assert_allclose(biology.growth_factor(scene, c, p), expected, rtol=1e-15)
+    np.testing.assert_allclose(growth_factor(scene, c, p), expected, rtol=1e-15)
 
 
 def test_growth_factor_multiplies_nutrients_and_absent_parts_do_nothing() -> None:
@@ -173,13 +175,13 @@ def test_growth_factor_multiplies_nutrients_and_absent_parts_do_nothing() -> Non
     scene = make_scene(growth=growth(), nutrients=nutrients)
     c = {"oxygen": np.array([0.03]), "glucose": np.array([3.0])}
     high = np.array([5.0])
-    assert biology.growth_factor(scene, c, high)[0] == pytest.approx(0.75**2)
-    assert biology.growth_factor(make_scene(nutrients={}, growth=growth()), {}, high)[0] == 1.0
-    assert biology.growth_factor(make_scene(nutrients={}, growth=None), {}, high)[0] == 0.0
+    assert growth_factor(scene, c, high)[0] == pytest.approx(0.75**2)
+    assert growth_factor(make_scene(nutrients={}, growth=growth()), {}, high)[0] == 1.0
+    assert growth_factor(make_scene(nutrients={}, growth=None), {}, high)[0] == 0.0
     with pytest.raises(KeyError, match="glucose"):
-        biology.growth_factor(scene, {"oxygen": np.array([0.03])}, high)
+        growth_factor(scene, {"oxygen": np.array([0.03])}, high)
     acid = make_scene(growth=growth(), nutrients={"lactate": {"growth_inhibition": 2.0}})
-    assert biology.growth_factor(acid, {"lactate": np.array([6.0])}, high)[0] == 0.25
+    assert growth_factor(acid, {"lactate": np.array([6.0])}, high)[0] == 0.25
 
 
 def test_volumes_after_follow_the_state() -> None:
@@ -188,7 +190,7 @@ def test_volumes_after_follow_the_state() -> None:
     cells.state[::6] = State.APOPTOTIC
     factor = np.linspace(0.0, 1.0, 60)
     dt = 600.0
-    gain = (biology.volumes_after(scene, cells, factor, dt) - cells.volume) / cells.volume
+    gain = (volumes_after(scene, cells, factor, dt) - cells.volume) / cells.volume
     for state in State:
         mine = cells.state == state
         expected = {
@@ -200,7 +202,7 @@ def test_volumes_after_follow_the_state() -> None:
         }[state]  # fmt: skip
         assert mine.any()
         np.testing.assert_allclose(gain[mine], expected[mine], rtol=1e-11, atol=1e-14)
-    still = biology.volumes_after(make_scene(growth=None, death=None), cells, factor, dt)
+    still = volumes_after(make_scene(growth=None, death=None), cells, factor, dt)
     np.testing.assert_array_equal(still, cells.volume)
 
 
@@ -208,12 +210,10 @@ def test_two_half_steps_equal_one_step() -> None:
     scene = make_scene()
     cells = some_cells(60)
     factor = np.full(60, 0.7)
-    half = biology.volumes_after(scene, cells, factor, 300.0)
+    half = volumes_after(scene, cells, factor, 300.0)
     middle = replace(cells, radius=np.cbrt(half / SPHERE))
-    twice = biology.volumes_after(scene, middle, factor, 300.0)
-    np.testing.assert_allclose(
-        twice, biology.volumes_after(scene, cells, factor, 600.0), rtol=1e-13
-    )
+    twice = volumes_after(scene, middle, factor, 300.0)
+    np.testing.assert_allclose(twice, volumes_after(scene, cells, factor, 600.0), rtol=1e-13)
 
 
 # --- phases --------------------------------------------------------------------------------------
@@ -236,7 +236,7 @@ def test_two_half_steps_equal_one_step() -> None:
 def test_state_changes(before: State, oxygen: float, pressure: float, after: State) -> None:
     cells = some_cells(1)
     cells = replace(cells, state=np.array([before]), pressure=np.array([pressure]), age=np.zeros(1))
-    got = biology.update_states(make_scene(), cells, {"oxygen": np.array([oxygen])})
+    got = update_states(make_scene(), cells, {"oxygen": np.array([oxygen])})
     assert got.dtype == np.int8
     assert got.tolist() == [after]
     assert cells.state.tolist() == [before]
@@ -244,12 +244,12 @@ def test_state_changes(before: State, oxygen: float, pressure: float, after: Sta
 
 def test_states_without_the_parts_that_change_them() -> None:
     cells = some_cells(50)
-    none = biology.update_states(make_scene(nutrients={}, growth=growth()), cells, {})
+    none = update_states(make_scene(nutrients={}, growth=growth()), cells, {})
     np.testing.assert_array_equal(none, cells.state)
     none[:] = 0
     assert cells.state.any()
     newborn = replace(cells, age=np.zeros(50))
-    pressed = biology.update_states(make_scene(nutrients={}), newborn, {})
+    pressed = update_states(make_scene(nutrients={}), newborn, {})
     living = cells.state != State.NECROTIC
     np.testing.assert_array_equal(pressed[living], cells.pressure[living] >= 0.1)
 
@@ -271,11 +271,11 @@ def test_a_cell_that_is_not_due_keeps_its_state_but_dies_at_once() -> None:
     cells = replace(some_cells(500), age=np.full(500, 1e5), pressure=np.zeros(500))
     due = deciding(cells, 600.0, 7200.0)
     living = cells.state != State.NECROTIC
-    starved = biology.update_states(make_scene(), cells, {"oxygen": np.full(500, 0.01)})
+    starved = update_states(make_scene(), cells, {"oxygen": np.full(500, 0.01)})
     np.testing.assert_array_equal(starved[~due], cells.state[~due])
     assert (starved[due & living] == State.QUIESCENT).all()
     assert 20 < due.sum() < 60
-    dead = biology.update_states(make_scene(), cells, {"oxygen": np.full(500, 0.001)})
+    dead = update_states(make_scene(), cells, {"oxygen": np.full(500, 0.001)})
     assert (dead == State.NECROTIC).all()
 
 
@@ -291,7 +291,7 @@ def test_uptake_feedback_settles_instead_of_switching_all_cells(dt: float) -> No
         parts.append(resting)
         oxygen = np.full(600, 0.019 + 0.002 * resting)
         cells = replace(cells, age=np.full(600, step * dt))
-        cells.state = biology.update_states(scene, cells, {"oxygen": oxygen})
+        cells.state = update_states(scene, cells, {"oxygen": oxygen})
     late = np.array(parts[len(parts) // 2 :])
     assert np.abs(late - 0.5).max() < 1.5 * dt / scene.cells.reaction_time
 
@@ -302,7 +302,7 @@ def test_uptake_feedback_settles_instead_of_switching_all_cells(dt: float) -> No
 def test_division_conserves_volume_and_centre_of_mass_of_every_mother() -> None:
     scene = make_scene()
     before = some_cells(400)
-    after, next_id = biology.divide(scene, before, 12, 5000)
+    after, next_id = divide(scene, before, 12, 5000)
     born = after.take(after.id >= 5000)
     ripe = (before.state == State.PROLIFERATING) & (before.radius >= 5.0)
     assert next_id == 5000 + 2 * ripe.sum() == 5000 + len(born)
@@ -329,7 +329,7 @@ def test_only_ripe_proliferating_cells_divide_and_the_rest_are_untouched() -> No
     scene = make_scene()
     before = some_cells(400)
     untouched = {name: column.copy() for name, column in before.columns()}
-    after, _ = biology.divide(scene, before, 12, 5000)
+    after, _ = divide(scene, before, 12, 5000)
     kept = before.take((before.state != State.PROLIFERATING) | (before.radius < 5.0))
     for name, column in kept.columns():
         np.testing.assert_array_equal(getattr(after, name)[: len(kept)], column)
@@ -343,7 +343,7 @@ def test_a_cell_at_the_division_volume_up_to_rounding_divides() -> None:
         state=np.zeros(2, dtype=np.int8),
         radius=np.array([np.nextafter(5.0, 0.0), 5.0 * (1.0 - 1e-9)]),
     )
-    after, next_id = biology.divide(make_scene(), cells, 1, 100)
+    after, next_id = divide(make_scene(), cells, 1, 100)
     assert next_id == 102
     assert after.id.tolist() == [cells.id[1], 100, 101]
 
@@ -352,8 +352,8 @@ def test_division_does_not_depend_on_the_order_of_the_arrays() -> None:
     scene = make_scene()
     cells = some_cells(400)
     shuffled = cells.take(np.random.default_rng(5).permutation(400))
-    one, next_one = biology.divide(scene, cells, 3, 9000)
-    two, next_two = biology.divide(scene, shuffled, 3, 9000)
+    one, next_one = divide(scene, cells, 3, 9000)
+    two, next_two = divide(scene, shuffled, 3, 9000)
     assert next_one == next_two
     for name, column in by_id(one).items():
         np.testing.assert_array_equal(column, by_id(two)[name])
@@ -366,7 +366,7 @@ def test_division_axes_are_isotropic_and_change_with_the_step() -> None:
     )
     axes = []
     for step in (1, 2):
-        born, _ = biology.divide(scene, mothers, step, 20_000)
+        born, _ = divide(scene, mothers, step, 20_000)
         difference = born.position[0::2] - born.position[1::2]
         axes.append(difference / np.linalg.norm(difference, axis=1)[:, None])
     for column in axes[0].T:
@@ -379,25 +379,25 @@ def grown(scene: Scene, cells: Cells, dt: float, steps: int) -> list[int]:
     next_id = int(cells.id.max()) + 1
     counts = []
     for step in range(1, steps + 1):
-        factor = biology.growth_factor(scene, {}, cells.pressure)
-        volume = biology.volumes_after(scene, cells, factor, dt)
+        factor = growth_factor(scene, {}, cells.pressure)
+        volume = volumes_after(scene, cells, factor, dt)
         cells = replace(cells, radius=np.cbrt(volume / SPHERE), age=cells.age + dt)
-        cells, next_id = biology.divide(scene, cells, step, next_id)
+        cells, next_id = divide(scene, cells, step, next_id)
         counts.append(len(cells))
     return counts
 
 
 def test_cells_without_variation_double_exactly_at_each_cycle_time() -> None:
     scene = make_scene(nutrients={}, growth=growth(cycle_variation=0.0), initial=initial(count=1))
-    counts = grown(scene, biology.initial_cells(scene), 600.0, 5 * 90)
+    counts = grown(scene, initial_cells(scene), 600.0, 5 * 90)
     assert counts == [2 ** (step // 90) for step in range(1, 451)]
 
 
 def stable_population(scene: Scene, count: int) -> Cells:
     """Return cells whose volumes have the stable density 2^(1 - p) ln 2 of a growing population."""
-    cells = biology.initial_cells(scene.with_changes({"initial.count": count}))
+    cells = initial_cells(scene.with_changes({"initial.count": count}))
     progress = 1.0 - np.log2(2.0 - (np.arange(count) + 0.5) / count)
-    volume = biology.birth_volume(scene) * (1.0 + progress)
+    volume = birth_volume(scene) * (1.0 + progress)
     return replace(cells, radius=np.cbrt(volume / SPHERE))
 
 
@@ -439,10 +439,10 @@ def test_lysed_cells_are_removed_below_the_fraction_of_the_birth_volume() -> Non
         radius=np.array([limit * 0.999, limit * 1.001, limit * 0.5, 5.0]),
         state=np.array([State.NECROTIC, State.NECROTIC, State.QUIESCENT, State.NECROTIC]),
     )
-    left, removed = biology.remove_lysed(scene, cells)
+    left, removed = remove_lysed(scene, cells)
     assert removed == 1
     assert left.id.tolist() == cells.id[1:].tolist()
-    assert biology.remove_lysed(make_scene(death=None), cells) == (cells, 0)
+    assert remove_lysed(make_scene(death=None), cells) == (cells, 0)
 
 
 def test_a_dead_cell_lasts_the_time_of_its_exponential() -> None:
@@ -450,8 +450,8 @@ def test_a_dead_cell_lasts_the_time_of_its_exponential() -> None:
     cells = replace(some_cells(1), radius=np.array([5.0]), state=np.array([State.NECROTIC]))
     steps = 0
     while len(cells):
-        volume = biology.volumes_after(scene, cells, np.zeros(1), 600.0)
-        cells, _ = biology.remove_lysed(scene, replace(cells, radius=np.cbrt(volume / SPHERE)))
+        volume = volumes_after(scene, cells, np.zeros(1), 600.0)
+        cells, _ = remove_lysed(scene, replace(cells, radius=np.cbrt(volume / SPHERE)))
         steps += 1
     # from the division volume to a tenth of the birth volume: a factor of 20
     assert steps == int(np.ceil(48 * HOUR * np.log(20) / 600.0))

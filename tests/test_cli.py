@@ -13,11 +13,14 @@ from click.testing import CliRunner
 from rich.console import Console
 from synthetic import BARE, SCENE
 
-from multicell import __version__, progress
+from multicell import __version__
 from multicell.cells import SPHERE
-from multicell.cli import main, parse_changes
-from multicell.explain import daughters_stiffness, drag, explain
-from multicell.scene import load_scene, scene_names
+from multicell.cli import progress
+from multicell.cli.main import main
+from multicell.cli.options import parse_changes
+from multicell.report.explain.scene import explain
+from multicell.scene.pairs import daughters_stiffness, drag
+from multicell.scene.scene import load_scene, scene_names
 
 
 def call(*arguments):
@@ -42,7 +45,7 @@ def test_help_lists_the_commands_and_every_command_has_help():
 
 def test_help_loads_nothing_heavy():
     code = (
-        "import sys; from multicell.cli import main; main(['explain', 'settle', '--json'], "
+        "import sys; from multicell.cli.main import main; main(['explain', 'settle', '--json'], "
         "standalone_mode=False); "
         "heavy = {'numba', 'matplotlib', 'h5py', 'pde', 'sksundae', 'rich'} & set(sys.modules); "
         "print(sorted(heavy), file=sys.stderr)"

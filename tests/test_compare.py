@@ -12,16 +12,16 @@ from synthetic import cells_at
 import multicell.comparison.measure as measure
 import multicell.comparison.reference as references
 from multicell import OutputError, SceneError, Simulation, StepFailed
-from multicell.comparison import Method, compare, run_compare
-from multicell.comparison.methods import named, settings, stiffness, weighted_cost
+from multicell.comparison.ladders import Method, named, settings, stiffness, weighted_cost
 from multicell.comparison.norms import NORMS, errors, observe, pair_distances
-from multicell.comparison.problem import Trajectory, _events, record, replay
 from multicell.comparison.reference import reference
-from multicell.integrators import METHODS
+from multicell.comparison.replay import Trajectory, _events, record, replay
+from multicell.comparison.work_precision import compare, run_compare
 from multicell.integrators.base import Outcome
-from multicell.integrators.explicit import Euler
-from multicell.mechanics import Work
-from multicell.scene import Scene, load_scene
+from multicell.integrators.registry import METHODS
+from multicell.integrators.runge_kutta import Euler
+from multicell.mechanics.system import Work
+from multicell.scene.scene import Scene, load_scene
 
 PAIR = Scene.from_dict(
     {
@@ -252,7 +252,7 @@ def test_a_planted_failure_stays_in_the_table_as_nan_with_its_words(failing):
 
 
 def test_failures_are_drawn_as_crosses_in_the_colour_of_their_method(failing):
-    from multicell.comparison.chart import look
+    from multicell.comparison.charts import look
 
     figure = failing.figure()
     strip = next(axes for axes in figure.axes if axes.get_label() == "failures")

@@ -7,7 +7,8 @@ from scipy.optimize import brentq, minimize_scalar
 from strategies import energies, moduli, poissons, radii
 
 from multicell import JKR, Hertz
-from multicell.contact import compliance, contact_radius, effective_modulus, effective_radius
+from multicell.contact.exact_jkr import contact_radius
+from multicell.contact.law import compliance, effective_modulus, effective_radius
 
 # (ν, E / kPa, σ / (nN/µm)) -> equilibrium distance / µm, deepest attraction / nN, for r = 10 µm.
 # The values belong to figure 3.4 of the thesis; ν = 0.75 is there although no isotropic

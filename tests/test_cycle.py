@@ -5,12 +5,14 @@ import pytest
 from scipy import stats
 
 import multicell as mc
-from multicell import biology
-from multicell.biology.cycle import advance, drawn_lengths, newborn, phase_counts, quantile
+from multicell.biology.cycle import advance, drawn_lengths, newborn, parting, phase_counts, quantile
+from multicell.biology.division import divide
+from multicell.biology.growth import birth_volume, growth_factor, volumes_after
+from multicell.biology.initial import initial_cells
 from multicell.cells import Phase, State
 from multicell.errors import SceneError
-from multicell.parts import PhaseLength
-from multicell.scene import Scene
+from multicell.scene.parts import PhaseLength
+from multicell.scene.scene import Scene
 
 HOUR = 3600.0
 FIXED = {
@@ -36,7 +38,7 @@ def scene(**changes):
 
 def cells_of(described, count, stage="birth"):
     described = described.with_changes({"initial.count": count, "initial.stage": stage})
-    return biology.initial_cells(described)
+    return initial_cells(described)
 
 
 def lived(described, cells, hours, dt):
@@ -49,7 +51,7 @@ def lived(described, cells, hours, dt):
         cells.radius = np.cbrt(now.volume / (4 / 3 * np.pi))
         cells.state, cells.phase = now.state, now.phase
         cells.progress, cells.phase_length = now.progress, now.phase_length
-        cells, next_id = biology.divide(described, cells, step, next_id)
+        cells, next_id = divide(described, cells, step, next_id)
         counts.append(len(cells))
     return cells, np.array(counts)
 
@@ -65,7 +67,7 @@ def test_a_fixed_cycle_doubles_volume_and_number_whatever_the_step(dt):
     # 28 h are one cycle and 13 h: the daughters have grown through G1 and S, and 2 h of G2
     assert (cells.phase == Phase.G2).all()
     np.testing.assert_allclose(cells.progress, 2 * HOUR, rtol=1e-9)
-    birth = biology.birth_volume(described)
+    birth = birth_volume(described)
     np.testing.assert_allclose(cells.volume, birth * (1 + 13 / 14), rtol=1e-9)
 
 
@@ -175,12 +177,12 @@ def test_daughters_inherit_what_is_heritable_and_draw_the_rest():
     mothers = cells_of(described, 50)
     mothers.phase[:] = Phase.M
     mothers.progress = mothers.phase_length + 60.0
-    daughters, _ = biology.divide(described, mothers, 1, 100)
+    daughters, _ = divide(described, mothers, 1, 100)
     np.testing.assert_array_equal(daughters.young, np.repeat(mothers.young, 2))
     np.testing.assert_allclose(daughters.progress, 60.0)
     assert (daughters.phase == Phase.G1).all()
     other = described.with_changes({"cells.heritable": []})
-    drawn, _ = biology.divide(other, mothers, 1, 100)
+    drawn, _ = divide(other, mothers, 1, 100)
     assert (drawn.young != daughters.young).all()
 
 
@@ -282,8 +284,8 @@ def test_volume_grown_and_released_close_the_account(death):
         cells = simulation.cells
         living = cells.take(cells.state == State.PROLIFERATING)
         before = dict(zip(living.id.tolist(), living.volume.tolist(), strict=True))
-        factor = biology.growth_factor(described, simulation.concentrations, cells.pressure)
-        after = biology.volumes_after(described, cells, factor, described.coupling_step)
+        factor = growth_factor(described, simulation.concentrations, cells.pressure)
+        after = volumes_after(described, cells, factor, described.coupling_step)
         gain = dict(zip(cells.id.tolist(), after.tolist(), strict=True))
         grown += sum(gain[k] - volume for k, volume in before.items())
         simulation.step()
@@ -398,7 +400,7 @@ def test_smooth_division_conserves_and_parts_over_m():
     pair = simulation.cells
     assert (pair.phase == Phase.M).all()
     np.testing.assert_allclose(pair.position.mean(axis=0), mother.position[0], atol=1e-9)
-    pairs, slack = biology.parting(described, pair, 300.0)
+    pairs, slack = parting(described, pair, 300.0)
     assert pairs.tolist() == [[0, 1]]
     gap = np.linalg.norm(pair.position[0] - pair.position[1])
     modulus = 1.0 / (1.5 * (1 - 0.25))

@@ -10,7 +10,7 @@ import bits
 import numpy as np
 import pytest
 
-from multicell.integrators.names import METHODS
+from multicell.integrators.registry import METHODS
 
 SCRIPT = Path(bits.__file__)
 

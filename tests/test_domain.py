@@ -10,14 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import multicell as mc
-from multicell.contact import compliance
-from multicell.domain import filling, strayed
+from multicell.contact.law import compliance
 from multicell.errors import SceneError, StepFailed
-from multicell.explain import explain
-from multicell.nutrient.plan import scales
-from multicell.nutrient.roundness import departure
-from multicell.parts import Domain
-from multicell.scene import Scene
+from multicell.nutrient.cartesian import departure
+from multicell.report.explain.scene import explain
+from multicell.scene.domain import filling, strayed
+from multicell.scene.parts import Domain
+from multicell.scene.scales import scales
+from multicell.scene.scene import Scene
 
 BOX = {"x": [-45.0, 65.0], "y": ["-40 um", "30 um"], "z": [-30, 30]}
 FLAT = {"x": [-45.0, 65.0], "y": [-40.0, 30.0]}
@@ -104,7 +104,7 @@ def test_a_centre_on_any_side_is_on_the_grid():
         position = np.array([[corners[i, 0], corners[j, 1], corners[k, 2]]
                              for i in (0, 1) for j in (0, 1) for k in (0, 1)])  # fmt: skip
         assert strayed(domain, position) is None
-        from multicell.nutrient.layout import BoxLayout
+        from multicell.nutrient.grid import BoxLayout
 
         layout = BoxLayout.within(domain, 1.7 * edge, None)
         assert layout.box.spacing <= 1.7 * edge * (1 + 1e-12)
@@ -392,7 +392,7 @@ def test_scenes_without_a_domain_do_not_load_walls():
     code = (
         "import sys, multicell as mc; "
         "mc.run(mc.load_scene('growth').with_changes({'duration': '20 min'})); "
-        "print('multicell.walls' in sys.modules)"
+        "print('multicell.mechanics.walls' in sys.modules)"
     )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert out.stdout.strip() == "False"

@@ -12,8 +12,9 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from multicell import cli_common, door
-from multicell.cli import main
+from multicell.cli import options as cli_common
+from multicell.cli import process as door
+from multicell.cli.main import main
 
 SETTLE = ("settle", "--set", "initial.count=4", "--set", "duration=2 min", "--no-report")
 FULL = Path("/dev/full")
@@ -72,7 +73,7 @@ KEYS = [
 @pytest.mark.parametrize("key", KEYS)
 def test_any_value_of_any_kind_is_taken_or_refused_with_its_key(key):
     from multicell.errors import SceneError
-    from multicell.scene import load_scene
+    from multicell.scene.scene import load_scene
 
     refused = []
     for value in VALUES:
@@ -374,7 +375,7 @@ def test_ctrl_c_while_modules_are_loaded():
         "import sys\n"
         "class Press:\n"
         "    def find_spec(self, name, path=None, target=None):\n"
-        "        if name == 'multicell.cli':\n"
+        "        if name == 'multicell.cli.main':\n"
         "            raise KeyboardInterrupt\n"
         "sys.meta_path.insert(0, Press())\n"
         "from multicell.__main__ import run\n"
@@ -389,7 +390,7 @@ def test_an_unexpected_error_is_one_line_that_says_what_to_do(error, monkeypatch
     def broken(*arguments):
         raise error
 
-    monkeypatch.setattr("multicell.explain.explain", broken)
+    monkeypatch.setattr("multicell.report.explain.scene.explain", broken)
     monkeypatch.delenv(door.DEBUG, raising=False)
     answer = call("explain", "settle", "--json")
     assert answer.exit_code == 1

@@ -8,10 +8,13 @@ from numpy.polynomial import Polynomial
 from scipy.integrate import solve_ivp
 from strategies import cluster, mechanics
 
-from multicell import JKR, Hertz, kernels, neighbours
-from multicell.integrators import explicit, loops, make
-from multicell.integrators.chebyshev import coefficients, spectral_radius, stable_length
-from multicell.integrators.explicit import (
+from multicell import JKR, Hertz
+from multicell.contact.exact_jkr import ExactJKR
+from multicell.integrators import runge_kutta as explicit
+from multicell.integrators import stepping as loops
+from multicell.integrators.registry import make
+from multicell.integrators.rkc import coefficients, spectral_radius, stable_length
+from multicell.integrators.runge_kutta import (
     AdamsBashforth2,
     AdaptiveAdams,
     AdaptiveEuler,
@@ -21,9 +24,10 @@ from multicell.integrators.explicit import (
     Rkc2,
     RungeKutta4,
 )
-from multicell.laws import ExactJKR
-from multicell.mechanics import Mechanics, Motion
-from multicell.scene import IntegratorOptions
+from multicell.mechanics import forces as kernels
+from multicell.mechanics import neighbours
+from multicell.mechanics.system import Mechanics, Motion
+from multicell.scene.parts import IntegratorOptions
 
 LAWS = [Hertz(), JKR(surface_energy=0.1)]
 FIXED = {

@@ -9,9 +9,9 @@ from scipy.spatial.distance import pdist, squareform
 
 import multicell as mc
 from multicell.cells import State
-from multicell.cli import main
-from multicell.exporting import TABLES
-from multicell.frame import Frame
+from multicell.cli.main import main
+from multicell.report.export import TABLES
+from multicell.results.frame import Frame
 
 
 @pytest.fixture(scope="module")

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 import multicell as mc
-from multicell.explain import explain
+from multicell.nutrient.cartesian import Box
 from multicell.nutrient.faces import by_condition, by_parabola, ghost_terms
 from multicell.nutrient.field import NutrientField
-from multicell.nutrient.grid import Box
-from multicell.nutrient.layout import BoxLayout, ShellLayout
-from multicell.nutrient.parts import Nutrient
-from multicell.nutrient.plan import FieldParameters
+from multicell.nutrient.grid import BoxLayout, ShellLayout
+from multicell.nutrient.parameters import FieldParameters
+from multicell.report.explain.scene import explain
+from multicell.scene.nutrient import Nutrient
 
 BOXES = {
     "cubes": Box((-13.0, 4.0, -31.0), (5, 3, 7), 2.5),

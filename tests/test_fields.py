@@ -7,13 +7,15 @@ import pytest
 
 import multicell as mc
 from multicell.errors import SceneError
-from multicell.nutrient.accuracy import discretisation_error
-from multicell.nutrient.feeding import dependence
+from multicell.nutrient.cartesian import departure, round_enough
+from multicell.nutrient.discretisation import discretisation_error
 from multicell.nutrient.field import NutrientField
-from multicell.nutrient.layout import BoxLayout, ShellLayout, restored
-from multicell.nutrient.plan import FieldParameters, regime, scales, solving_order, spacing
-from multicell.nutrient.roundness import departure, round_enough
-from multicell.scene import Scene
+from multicell.nutrient.fields import dependence
+from multicell.nutrient.grid import BoxLayout, ShellLayout, restored
+from multicell.nutrient.parameters import FieldParameters
+from multicell.scene.checks import solving_order
+from multicell.scene.scales import regime, scales, spacing
+from multicell.scene.scene import Scene
 from multicell.simulation import Simulation
 
 THREE = {

@@ -11,8 +11,8 @@ from scipy.spatial import cKDTree
 from strategies import cluster, mechanics, seeds
 
 from multicell import JKR
-from multicell.contact import effective_modulus, effective_radius
-from multicell.friction import Friction, FrictionNotSolvedError
+from multicell.contact.law import effective_modulus, effective_radius
+from multicell.mechanics.friction import Friction, FrictionNotSolvedError
 
 coefficients = st.tuples(st.sampled_from([0.0, 0.1, 3.0]), st.sampled_from([0.0, 0.1, 1.0]))
 PAIRS = [(0.1, 0.1), (0.4, 0.05), (0.0, 0.2), (0.3, 0.0), (0.0, 0.0)]

@@ -10,21 +10,22 @@ from strategies import cluster, mechanics
 
 from multicell import JKR, Hertz
 from multicell.errors import SceneError
-from multicell.explain import explain
-from multicell.integrators import METHODS, make
-from multicell.integrators.auto import Auto, choose, decay_rate, explained
+from multicell.integrators.auto import Auto, choose, decay_rate
 from multicell.integrators.backward_euler import BackwardEuler
 from multicell.integrators.cvode import Cvode
 from multicell.integrators.cvode_sparse import CvodeSparse
-from multicell.integrators.preconditioners import PRECONDITIONERS, preconditioner
+from multicell.integrators.registry import METHODS, make
 from multicell.integrators.restarts import Run, StepImpossible
-from multicell.integrators.scipy_methods import Scipy
-from multicell.mechanics import Linearisation
-from multicell.neighbours import spatial_order
-from multicell.parts import IntegratorOptions
-from multicell.scene import load_scene
+from multicell.integrators.scipy import Scipy
+from multicell.mechanics.jacobian import Pattern, limit, sparse_jacobian
+from multicell.mechanics.neighbours import spatial_order
+from multicell.mechanics.preconditioners import PRECONDITIONERS, preconditioner
+from multicell.mechanics.system import Linearisation
+from multicell.report.explain.integrator import explained
+from multicell.report.explain.scene import explain
+from multicell.scene.parts import IntegratorOptions
+from multicell.scene.scene import load_scene
 from multicell.simulation import Simulation
-from multicell.sparse import Pattern, limit, sparse_jacobian
 
 IMPLICIT = {
     "cvode": Cvode,
@@ -250,7 +251,7 @@ sys.path.insert(0, {folder!r})
 import numpy as np
 from strategies import cluster, mechanics
 from multicell.integrators.cvode_sparse import CvodeSparse
-from multicell.mechanics import Mechanics
+from multicell.mechanics.system import Mechanics
 
 class Stopped(Exception):
     pass

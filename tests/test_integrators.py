@@ -8,7 +8,7 @@ from strategies import cluster, mechanics
 from multicell import JKR, Hertz
 from multicell.integrators.base import furthest
 from multicell.integrators.cvode import Cvode
-from multicell.integrators.explicit import Euler
+from multicell.integrators.runge_kutta import Euler
 
 TIGHT = Cvode(rtol=1e-10, atol=1e-12)
 

@@ -7,17 +7,12 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 from strategies import cluster, seeds
 
-from multicell.contact import (
-    JKR,
-    Cubic,
-    ExactJKR,
-    GeneralisedLinear,
-    Hertz,
-    Linear,
-    effective_modulus,
-    effective_radius,
-)
-from multicell.mechanics import Mechanics, Motion
+from multicell.contact.exact_jkr import ExactJKR
+from multicell.contact.hertz import Hertz
+from multicell.contact.jkr import JKR
+from multicell.contact.law import effective_modulus, effective_radius
+from multicell.contact.springs import Cubic, GeneralisedLinear, Linear
+from multicell.mechanics.system import Mechanics, Motion
 
 LAWS = {
     "hertz": Hertz(),

@@ -13,7 +13,7 @@ import pytest
 from forks import Forks
 
 import multicell as mc
-from multicell.frames import Contents
+from multicell.results.reader import Contents
 
 # cells grow, divide, starve, die and are removed; many frames, with a field each
 CHANGES = {

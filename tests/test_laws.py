@@ -11,18 +11,12 @@ from scipy.integrate import quad
 from scipy.optimize import brentq, minimize_scalar
 from strategies import energies, moduli, poissons, radii
 
-from multicell.contact import (
-    JKR,
-    Cubic,
-    ExactJKR,
-    GeneralisedLinear,
-    Hertz,
-    Linear,
-    effective_modulus,
-    effective_radius,
-)
+from multicell.contact.exact_jkr import ExactJKR, beyond_turning, exact_force, exact_units
+from multicell.contact.hertz import Hertz
+from multicell.contact.jkr import JKR
+from multicell.contact.law import effective_modulus, effective_radius
+from multicell.contact.springs import Cubic, GeneralisedLinear, Linear
 from multicell.errors import SceneError
-from multicell.laws import beyond_turning, exact_force, exact_units
 
 sticky = st.floats(1e-3, 0.5)
 CLOSE = pytest.approx
@@ -73,7 +67,7 @@ def test_the_jitted_force_is_the_vectorised_one(monkeypatch):
     overlap = np.linspace(-3.0 * unit, top, 4001)
     expected = ExactJKR().force(overlap, modulus, radius, touching=True)
     # numba compiles what a global name stands for
-    monkeypatch.setattr("multicell.laws.beyond_turning", njit(beyond_turning))
+    monkeypatch.setattr("multicell.contact.exact_jkr.beyond_turning", njit(beyond_turning))
     jitted = njit(exact_force)
     got = np.array([jitted(h, -3.0 * unit, unit, scale) for h in overlap])
     np.testing.assert_allclose(got, expected, rtol=1e-13, atol=1e-13 * scale)

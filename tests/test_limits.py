@@ -5,14 +5,15 @@ import pytest
 from strategies import mechanics
 
 import multicell as mc
-from multicell import kernels, sparse
-from multicell.contact import LAWS
+from multicell.contact.registry import LAWS
 from multicell.errors import SceneError
-from multicell.integrators import limits, make
-from multicell.integrators.names import METHODS
+from multicell.integrators import limits
+from multicell.integrators.registry import METHODS, make
 from multicell.integrators.restarts import Run
-from multicell.mechanics import StateRejected
-from multicell.parts import IntegratorOptions
+from multicell.mechanics import forces as kernels
+from multicell.mechanics import jacobian as sparse
+from multicell.mechanics.system import StateRejected
+from multicell.scene.parts import IntegratorOptions
 
 LONE = {
     "nobody": np.empty((0, 3)),

@@ -7,10 +7,10 @@ import pytest
 from test_implicit import reference, smooth_scene
 
 import multicell as mc
-from multicell.integrators import make
 from multicell.integrators.cvode import Cvode
+from multicell.integrators.registry import make
 from multicell.integrators.restarts import Run
-from multicell.parts import IntegratorOptions
+from multicell.scene.parts import IntegratorOptions
 
 ESTIMATING = ["cvode", "cvode-adams", "cvode-sparse", "ab2-adaptive", "dopri5", "rkc2", "auto"]
 

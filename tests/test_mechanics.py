@@ -7,9 +7,10 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 from strategies import cluster, laws, mechanics, radii, seeds
 
-from multicell import JKR, Hertz, neighbours
-from multicell.contact import effective_modulus, effective_radius
-from multicell.mechanics import StateRejected
+from multicell import JKR, Hertz
+from multicell.contact.law import effective_modulus, effective_radius
+from multicell.mechanics import neighbours
+from multicell.mechanics.system import StateRejected
 
 
 def velocity(system, position, time=0.0):

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 from strategies import cluster, seeds
 
-from multicell import neighbours
+from multicell.mechanics import neighbours
 
 
 def oracle(position, cutoff):

@@ -9,7 +9,7 @@ from scipy.integrate import solve_bvp
 
 from multicell.nutrient import stencil
 from multicell.nutrient.diffusion import Diffusion, eigenvalues
-from multicell.nutrient.shells import Shells
+from multicell.nutrient.spherical import Shells
 from multicell.nutrient.steady import solve_steady
 from multicell.nutrient.transient import Amounts, March, march
 

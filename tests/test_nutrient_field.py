@@ -7,10 +7,11 @@ from hypothesis import strategies as st
 from pde import ScalarField
 
 from multicell.errors import MulticellError, NutrientFailed
+from multicell.nutrient.cartesian import Box, extent, lay, moved
 from multicell.nutrient.field import NutrientField
-from multicell.nutrient.grid import MAX_NODES, Box, extent, lay, moved
-from multicell.nutrient.parts import Nutrient
-from multicell.nutrient.plan import FieldParameters
+from multicell.nutrient.parameters import FieldParameters
+from multicell.scene.nutrient import Nutrient
+from multicell.scene.scales import MAX_NODES
 
 OXYGEN = {
     "diffusion": 2000.0,

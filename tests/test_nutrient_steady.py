@@ -9,9 +9,9 @@ from scipy.sparse.linalg import spsolve
 
 from multicell.errors import NutrientFailed
 from multicell.nutrient import stencil
+from multicell.nutrient.cartesian import scatter
 from multicell.nutrient.diffusion import Diffusion, sine_eigenvalues
 from multicell.nutrient.steady import solve_steady
-from multicell.nutrient.transfer import scatter
 
 D = 2000.0
 RADIUS = 100.0

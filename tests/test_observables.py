@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from synthetic import ball, cells_at, spheroid
 
-from multicell import observables
 from multicell.cells import Cells, State
-from multicell.frame import Field, Frame
+from multicell.results import observables
+from multicell.results.frame import Field, Frame
 
 
 def _uniform_ball(radius, count=200_000, seed=3):

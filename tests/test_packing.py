@@ -9,13 +9,15 @@ import pytest
 from scipy import integrate, special
 
 import multicell as mc
-from multicell import packing
-from multicell.contact import JKR
-from multicell.explain import explain
-from multicell.pairs import Pair, birth_radius, pairs
-from multicell.report import measures
+from multicell.contact.jkr import JKR
+from multicell.contact.pair import Pair
+from multicell.contact.springs import Linear
+from multicell.report.explain.scene import explain
+from multicell.report.page import measures
+from multicell.scene import packing
+from multicell.scene.pairs import pairs
+from multicell.scene.sizes import birth_radius
 from multicell.simulation import Simulation
-from multicell.springs import Linear
 
 LAWS = ("hertz", "jkr", "exact-jkr", "linear", "cubic", "generalised-linear")
 

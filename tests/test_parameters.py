@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from multicell.errors import SceneError
-from multicell.parameters import (
+from multicell.schema import (
     Bounds,
     Tables,
     build,

@@ -9,10 +9,11 @@ import pytest
 from synthetic import cells_at
 
 import multicell as mc
-from multicell import contact_plots, observables
 from multicell.cells import Cells, State
-from multicell.frame import Frame
-from multicell.report import measures
+from multicell.report.page import measures
+from multicell.report.plots import contacts as contact_plots
+from multicell.results import observables
+from multicell.results.frame import Frame
 from multicell.simulation import Simulation
 
 BOTH = pytest.mark.parametrize("dimensions", [2, 3])

@@ -12,16 +12,16 @@ from matplotlib.collections import EllipseCollection
 from matplotlib.image import imread
 from synthetic import BARE, SCENE, ball, cells_at, growing_frames, history_of, spheroid
 
-from multicell import drawing
 from multicell.cells import Cells, State
-from multicell.drawing import save, time_unit
 from multicell.errors import OutputError
-from multicell.frame import Field, Frame
-from multicell.observables import state_summary
-from multicell.plots import Plots
-from multicell.report import clock
-from multicell.result import Result, history_arrays
-from multicell.section import slice_at
+from multicell.report.page import clock
+from multicell.report.plots import style as drawing
+from multicell.report.plots.run import Plots
+from multicell.report.plots.section import slice_at
+from multicell.report.plots.style import save, time_unit
+from multicell.report.result import Result, history_arrays
+from multicell.results.frame import Field, Frame
+from multicell.results.observables import state_summary
 
 
 @pytest.fixture(scope="module")

@@ -10,13 +10,15 @@ from synthetic import BARE, ball, cells_at
 from test_plots import read, rendered, texts
 
 import multicell as mc
-from multicell import contact_plots, drawing, folder
 from multicell.cells import State
-from multicell.frame import Frame
-from multicell.observables import diameter, heterotypic_fraction
-from multicell.pairs import pair_of, pairs
-from multicell.plots import Plots
-from multicell.scene import Scene
+from multicell.report.plots import contacts as contact_plots
+from multicell.report.plots import style as drawing
+from multicell.report.plots.run import Plots
+from multicell.results import folder
+from multicell.results.frame import Frame
+from multicell.results.observables import diameter, heterotypic_fraction
+from multicell.scene.pairs import pair_of, pairs
+from multicell.scene.scene import Scene
 
 TWO_TYPES = BARE.with_changes({"types": {"inner": {}, "outer": {}}})
 STICKY = {

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from synthetic import SCENE, cells_at, growing_frames, history_of
 
-from multicell import observables
-from multicell.plots import Plots, growth
-from multicell.result import Result, history_arrays
-from multicell.scene import Scene
+from multicell.report.plots.run import Plots, growth
+from multicell.report.result import Result, history_arrays
+from multicell.results import observables
+from multicell.scene.scene import Scene
 from multicell.simulation import Simulation
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import multicell as mc
-from multicell.quantities import UNITS, unit_of, units_of
+from multicell.results.quantities import UNITS, unit_of, units_of
 from multicell.units import to_base
 
 PHASES = {"G1": {"duration": "3 h"}, "S": {"duration": "3 h"}, "G2": {"duration": "2 h"},

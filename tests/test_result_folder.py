@@ -13,12 +13,12 @@ from click.testing import CliRunner
 from synthetic import SCENE, growing_frames, history_of, spheroid
 
 import multicell as mc
-from multicell import folder as folder_module
-from multicell.cli import main
+from multicell.cli.main import main
 from multicell.errors import OutputError
-from multicell.folder import LOCK, write_text
-from multicell.frames import Contents
-from multicell.store import Store, open_frames, open_history
+from multicell.results import folder as folder_module
+from multicell.results.folder import LOCK, write_text
+from multicell.results.reader import Contents, open_frames, open_history
+from multicell.results.writer import Store
 
 QUICK = {"duration": "4 min", "output.every": "1 min", "initial.count": 12}
 ARGUMENTS = ["--set", "duration=4 min", "--set", "initial.count=12", "--no-report", "--quiet"]

@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 import multicell as mc
-from multicell.cli import main
+from multicell.cli.main import main
 from multicell.errors import OutputError, SceneError
 
 SPHEROID = {

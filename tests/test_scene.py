@@ -13,12 +13,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from multicell.contact import JKR, Hertz
+from multicell.contact.hertz import Hertz
+from multicell.contact.jkr import JKR
 from multicell.errors import SceneError
-from multicell.integrators.names import METHODS
-from multicell.nutrient.parts import Nutrient
-from multicell.parts import Growth
-from multicell.scene import Scene, load_scene, scene_names
+from multicell.integrators.registry import METHODS
+from multicell.scene.nutrient import Nutrient
+from multicell.scene.parts import Growth
+from multicell.scene.scene import Scene, load_scene, scene_names
 
 
 def refusal(entries):
@@ -82,7 +83,7 @@ def test_reading_a_scene_loads_nothing_heavy():
         "tomli_w",
     ]
     code = (
-        "import sys; import multicell.scene as s; pint = 'pint' in sys.modules; "
+        "import sys; import multicell.scene.scene as s; pint = 'pint' in sys.modules; "
         f"s.load_scene('spheroid'); print(pint, [m for m in {heavy} if m in sys.modules])"
     )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -16,10 +16,10 @@ from hypothesis import strategies as st
 from scene_harness import Fault, campaign, explained, load_case, place_exists, run_case
 
 from multicell.errors import SceneError
-from multicell.running import Recorder
-from multicell.scene import Scene, load_scene
+from multicell.runner import Recorder
+from multicell.scene.ranges import check_memory
+from multicell.scene.scene import Scene, load_scene
 from multicell.simulation import Simulation
-from multicell.sizes import check_memory
 from multicell.units import RANGES, shown, to_base
 
 # --- the search --------------------------------------------------------------------------------
@@ -168,12 +168,12 @@ def test_ranges_say_zero_only_where_zero_is_allowed():
 
 
 def test_cells_that_do_not_fit_into_memory_are_refused_before_they_are_made(monkeypatch):
-    monkeypatch.setattr("multicell.sizes.physical_memory", lambda: 2**30)
+    monkeypatch.setattr("multicell.scene.ranges.physical_memory", lambda: 2**30)
     scene = Scene(duration=1.0, initial={"count": 10**8})
     with pytest.raises(SceneError, match=r"initial.count: is 100,000,000: .* need about 100 GB"):
         Simulation(scene)
     check_memory(Scene(duration=1.0, initial={"count": 10**5}))
-    monkeypatch.setattr("multicell.sizes.physical_memory", lambda: None)
+    monkeypatch.setattr("multicell.scene.ranges.physical_memory", lambda: None)
     check_memory(scene)
 
 

@@ -11,8 +11,8 @@ import pytest
 
 import multicell as mc
 from multicell import Simulation, State
-from multicell.biology import initial_cells
-from multicell.mechanics import Mechanics
+from multicell.biology.initial import initial_cells
+from multicell.mechanics.system import Mechanics
 
 SMALL = {
     "duration": "30 h",
@@ -61,7 +61,7 @@ def test_small_spheroid_has_all_three_states(grown):
 def test_same_seed_same_bits_for_any_number_of_threads(grown, monkeypatch):
     """Small chunks make even this population one that threads share."""
     small_chunks = functools.partial(Mechanics, chunk=16, shared_chunks=2)
-    monkeypatch.setattr("multicell.simulation.Mechanics", small_chunks)
+    monkeypatch.setattr("multicell.mechanics.system.Mechanics", small_chunks)
     one, two = run(small(), threads=1), run(small(), threads=2)
     for name, column in state_of(one).items():
         assert np.array_equal(column, state_of(two)[name]), name

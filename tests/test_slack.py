@@ -10,21 +10,16 @@ from scipy.integrate import solve_ivp
 from strategies import cluster, seeds
 
 from multicell import JKR, Hertz, load_scene
-from multicell.comparison import archive
-from multicell.comparison.problem import Problem, Step, Trajectory, replay
-from multicell.contact import (
-    Cubic,
-    ExactJKR,
-    GeneralisedLinear,
-    Linear,
-    effective_modulus,
-    effective_radius,
-)
-from multicell.integrators import METHODS, make
+from multicell.comparison import cache as archive
+from multicell.comparison.replay import Problem, Step, Trajectory, replay
+from multicell.contact.exact_jkr import ExactJKR
+from multicell.contact.law import effective_modulus, effective_radius
+from multicell.contact.springs import Cubic, GeneralisedLinear, Linear
 from multicell.integrators.cvode import Cvode
-from multicell.integrators.explicit import Dopri5
-from multicell.mechanics import Mechanics, Motion
-from multicell.sparse import sparse_jacobian
+from multicell.integrators.registry import METHODS, make
+from multicell.integrators.runge_kutta import Dopri5
+from multicell.mechanics.jacobian import sparse_jacobian
+from multicell.mechanics.system import Mechanics, Motion
 
 LAWS = {
     "hertz": Hertz(),

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from multicell import OutputError, SceneError
-from multicell.comparison.methods import Method
-from multicell.comparison.stability import (
+from multicell.comparison.ladders import Method
+from multicell.comparison.stability.charts import COLOURS
+from multicell.comparison.stability.result import FILES, StabilityMap
+from multicell.comparison.stability.search import (
     OVERLAP,
     RATIO,
     _bisect,
@@ -19,10 +21,8 @@ from multicell.comparison.stability import (
     run_stability,
     stability,
 )
-from multicell.comparison.stability_chart import COLOURS
-from multicell.comparison.stability_result import FILES, StabilityMap
-from multicell.comparison.stability_state import NOTICED, PUSH, divided, largest_decay, settled
-from multicell.comparison.stability_trial import (
+from multicell.comparison.stability.state import NOTICED, PUSH, divided, largest_decay, settled
+from multicell.comparison.stability.trial import (
     BLOW_UP,
     KINDS,
     OSCILLATION,
@@ -37,8 +37,8 @@ from multicell.comparison.stability_trial import (
     watch,
 )
 from multicell.integrators.base import Outcome
-from multicell.integrators.explicit import Rkc2
-from multicell.scene import Scene, load_scene
+from multicell.integrators.runge_kutta import Rkc2
+from multicell.scene.scene import Scene, load_scene
 
 CLUSTER = Scene.from_dict(
     {
@@ -97,7 +97,7 @@ def test_lanczos_meets_the_dense_eigenvalues(cluster, friction, monkeypatch):
         system = replace(system, friction=(0.05, 0.05))
         cluster.ready(system, 0.0, 1.0)
     dense, mode = largest_decay(system, cluster.start)
-    monkeypatch.setattr("multicell.comparison.stability_state._DENSE", 10)
+    monkeypatch.setattr("multicell.comparison.stability.state._DENSE", 10)
     sparse, other = largest_decay(system, cluster.start)
     # with friction a product itself is a linear system, solved to 1e-4
     assert sparse == pytest.approx(dense, rel=1e-3 if friction else 1e-6)
@@ -492,7 +492,7 @@ def test_a_point_that_cannot_be_settled_is_left_out_with_words():
 
 def test_a_fixed_step_is_watched_step_by_step_also_for_a_method_that_looks_back(small):
     """Seen one by one, the states of AB2 are those of one integration in a single go."""
-    from multicell.comparison.methods import named
+    from multicell.comparison.ladders import named
 
     method = named("ab2", SMALL, small.radius)
     step = 0.4 * small.stiff_limit

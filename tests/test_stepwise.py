@@ -13,15 +13,17 @@ from click.testing import CliRunner
 import multicell.comparison.measure as measure
 import multicell.comparison.stepwise as stepwise
 from multicell import SceneError, Simulation, StepFailed
-from multicell.cli import main
-from multicell.comparison import Method, WorkPrecision, compare
+from multicell.cli.main import main
+from multicell.comparison.ladders import Method
 from multicell.comparison.norms import NORMS
-from multicell.comparison.problem import Trajectory, replay
 from multicell.comparison.reference import default_pairs, key, paired, reference
+from multicell.comparison.replay import Trajectory, replay
+from multicell.comparison.result import WorkPrecision
 from multicell.comparison.stepwise import SAMPLES, sample, sample_size
+from multicell.comparison.work_precision import compare
 from multicell.integrators.base import Outcome
-from multicell.integrators.explicit import Euler
-from multicell.scene import Scene, load_scene
+from multicell.integrators.runge_kutta import Euler
+from multicell.scene.scene import Scene, load_scene
 
 PAIR = Scene.from_dict(
     {

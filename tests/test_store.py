@@ -16,17 +16,18 @@ from synthetic import BARE, SCENE, cells_at, growing_frames, history_of, spheroi
 import multicell
 from multicell.cells import Cells
 from multicell.errors import OutputError
-from multicell.folder import FILES, prepare_folder, to_json, write_summary
-from multicell.frame import Field, Frame
-from multicell.result import Result, history_arrays, load_result
-from multicell.scene import load_scene
-from multicell.store import Store, open_frames, open_history
+from multicell.report.result import Result, history_arrays, load_result
+from multicell.results.folder import FILES, prepare_folder, to_json, write_summary
+from multicell.results.frame import Field, Frame
+from multicell.results.reader import open_frames, open_history
+from multicell.results.writer import Store
+from multicell.scene.scene import load_scene
 
 # writes frames 0, 1, 2, ... of growing size for ever, and says which are done
 WRITER = """
 import sys
 from synthetic import SCENE, growing_frames, history_of
-from multicell.store import Store
+from multicell.results.writer import Store
 
 frames = growing_frames(count=6, last=900)
 rows = history_of(frames)

@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from multicell import streams
+from multicell import random as streams
 from multicell.errors import SceneError
-from multicell.streams import Purpose
+from multicell.random import Purpose
 
 IDS = np.arange(20_000)
 WORD = st.integers(0, 2**64 - 1)

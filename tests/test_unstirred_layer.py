@@ -6,10 +6,10 @@ import pytest
 import multicell as mc
 from multicell.errors import SceneError
 from multicell.nutrient.field import NutrientField
-from multicell.nutrient.layout import ShellLayout, tissue_radius
-from multicell.nutrient.parts import Nutrient
-from multicell.nutrient.plan import FieldParameters
-from multicell.observables import uniform_radius
+from multicell.nutrient.grid import ShellLayout, tissue_radius
+from multicell.nutrient.parameters import FieldParameters
+from multicell.results.observables import uniform_radius
+from multicell.scene.nutrient import Nutrient
 
 R, D = 150.0, 2000.0
 

@@ -5,15 +5,18 @@ import pytest
 from scipy.integrate import solve_ivp
 from strategies import cluster
 
-from multicell import integrators, kernels
-from multicell.contact import JKR, Hertz, compliance
+from multicell.contact.hertz import Hertz
+from multicell.contact.jkr import JKR
+from multicell.contact.law import compliance
+from multicell.integrators import registry as integrators
 from multicell.integrators.auto import decay_rate
-from multicell.integrators.names import METHODS
-from multicell.integrators.preconditioners import preconditioner
-from multicell.mechanics import Mechanics, Motion
-from multicell.parts import IntegratorOptions
-from multicell.sparse import limit, sparse_jacobian
-from multicell.walls import Walls
+from multicell.integrators.registry import METHODS
+from multicell.mechanics import forces as kernels
+from multicell.mechanics.jacobian import limit, sparse_jacobian
+from multicell.mechanics.preconditioners import preconditioner
+from multicell.mechanics.system import Mechanics, Motion
+from multicell.mechanics.walls import Walls
+from multicell.scene.parts import IntegratorOptions
 
 HALF = 18.0
 WALL = {"young": 2.0, "poisson": 0.3}
@@ -110,7 +113,7 @@ def test_jacobian_is_the_derivative_of_the_velocity():
 
 def test_with_friction_between_cells_walls_are_a_part_of_the_force(monkeypatch):
     """Γ v = F with the walls in F; J leaves the derivative of Γ out, so that Γ J is dF/dx."""
-    monkeypatch.setattr("multicell.rubbing._INNER", 1e-12)
+    monkeypatch.setattr("multicell.mechanics.friction._INNER", 1e-12)
     system, position = pressed(friction=(0.1, 0.05))
     radius, young = system.motion.radius, system.motion.young
     out = np.empty_like(position)

@@ -24,16 +24,16 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell import streams
+from multicell import random
 from multicell.biology.growth import birth_volume
 from multicell.cells import HALF, Cells, FloatArray, IntArray, Phase, State
-from multicell.contact import effective_modulus, effective_radius
-from multicell.parts import PHASES
-from multicell.streams import Purpose
+from multicell.contact.law import effective_modulus, effective_radius
+from multicell.random import Purpose
+from multicell.scene.parts import PHASES
 
 if TYPE_CHECKING:
-    from multicell.parts import PhaseLength
-    from multicell.scene import Scene
+    from multicell.scene.parts import PhaseLength
+    from multicell.scene.scene import Scene
 
 
 @final
@@ -54,7 +54,7 @@ def drawn_lengths(scene: Scene, ids: NDArray[np.int64], kind: NDArray[np.int16])
     They depend on seed and identity only.
     """
     assert scene.growth is not None
-    u = streams.uniform(scene.seed, Purpose.PHASES, 0, ids, len(PHASES))
+    u = random.uniform(scene.seed, Purpose.PHASES, 0, ids, len(PHASES))
     columns = [quantile(scene.growth.phases[name], u[:, k]) for k, name in enumerate(PHASES)]
     return np.stack(columns, axis=1) * scale(scene, kind)[:, None]
 

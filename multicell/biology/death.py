@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell import streams
+from multicell import random
 from multicell.biology.growth import birth_volume
 from multicell.cells import DEAD, Cells
-from multicell.streams import Purpose
+from multicell.random import Purpose
 
 if TYPE_CHECKING:
-    from multicell.scene import Scene
+    from multicell.scene.scene import Scene
 
 
 def apoptotic(scene: Scene, cells: Cells, time: float) -> NDArray[np.bool_]:
@@ -38,7 +38,7 @@ def apoptotic(scene: Scene, cells: Cells, time: float) -> NDArray[np.bool_]:
     rate = 0.0 if scene.death is None else scene.death.apoptosis_rate
     if rate == 0.0:
         return np.zeros(len(cells), dtype=bool)
-    u = streams.uniform(scene.seed, Purpose.APOPTOSIS, 0, cells.id)[:, 0]
+    u = random.uniform(scene.seed, Purpose.APOPTOSIS, 0, cells.id)[:, 0]
     # who was there at the start is older than the run, who was born in it is younger
     lived = np.minimum(cells.age, time)
     return np.asarray(lived * rate > -np.log1p(-u))
@@ -69,7 +69,7 @@ def necrotic(
     if rate is None:
         return beyond
     dies = beyond.copy()
-    u = streams.uniform(scene.seed, Purpose.NECROSIS, step, cells.id[beyond])[:, 0]
+    u = random.uniform(scene.seed, Purpose.NECROSIS, step, cells.id[beyond])[:, 0]
     dies[beyond] = u < -np.expm1(-rate * dt)
     return dies
 

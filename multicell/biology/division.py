@@ -7,15 +7,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell import streams
+from multicell import random
 from multicell.biology.cycle import newborn, order
 from multicell.biology.growth import division_volume
 from multicell.biology.initial import draw_cycle_times, draw_moduli
 from multicell.cells import HALF, Cells, State
-from multicell.streams import Purpose
+from multicell.random import Purpose
 
 if TYPE_CHECKING:
-    from multicell.scene import Scene
+    from multicell.scene.scene import Scene
+
 
 # A cell that reaches the division volume up to rounding has reached it: else cells in step with
 # the coupling times would divide in this step or the next at the whim of the last bit.
@@ -67,7 +68,7 @@ def divide(scene: Scene, cells: Cells, step: int, next_id: int) -> tuple[Cells, 
 
 def _daughters(scene: Scene, mothers: Cells, step: int, ids: NDArray[np.int64]) -> Cells:
     """Return two daughters for each of the ``mothers``, side by side, named ``ids``."""
-    axis = streams.directions(scene.seed, Purpose.AXIS, step, mothers.id, scene.dimensions)
+    axis = random.directions(scene.seed, Purpose.AXIS, step, mothers.id, scene.dimensions)
     offset = (mothers.radius * (1.0 - HALF))[:, None] * axis
     daughters = mothers.take(np.repeat(np.arange(len(mothers)), 2))
     daughters.position[0::2] += offset

@@ -10,8 +10,8 @@ import numpy as np
 from multicell.cells import SPHERE, Cells, FloatArray, State
 
 if TYPE_CHECKING:
-    from multicell.parts import Death
-    from multicell.scene import Scene
+    from multicell.scene.parts import Death
+    from multicell.scene.scene import Scene
 
 
 def division_volume(scene: Scene) -> float:

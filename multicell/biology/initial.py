@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell import streams
+from multicell import random
 from multicell.biology.cycle import placed, scale
 from multicell.biology.growth import birth_volume
 from multicell.cells import SPHERE, Cells, FloatArray, State
-from multicell.streams import Purpose
+from multicell.random import Purpose
 
 if TYPE_CHECKING:
-    from multicell.scene import Scene
+    from multicell.scene.scene import Scene
 
 
 def packed_ball(count: int) -> FloatArray:
@@ -71,7 +71,7 @@ def draw_kinds(scene: Scene, ids: NDArray[np.int64]) -> NDArray[np.int16]:
     share = np.cumsum([kind.fraction for kind in scene.types.values()])
     ends = np.round(share / share[-1] * len(ids))
     place = np.empty(len(ids))
-    place[np.argsort(streams.uniform(scene.seed, Purpose.KIND, 0, ids)[:, 0])] = np.arange(len(ids))
+    place[np.argsort(random.uniform(scene.seed, Purpose.KIND, 0, ids)[:, 0])] = np.arange(len(ids))
     return np.searchsorted(ends, place, side="right").astype(np.int16)
 
 
@@ -112,7 +112,7 @@ def scattered(
     """
     if variation == 0.0:
         return np.full(len(ids), mean)
-    z = streams.truncated_normal(seed, purpose, step, ids, min(3.0, 0.9 / variation))
+    z = random.truncated_normal(seed, purpose, step, ids, min(3.0, 0.9 / variation))
     return np.asarray(mean * (1.0 + variation * z))
 
 
@@ -167,7 +167,7 @@ def _stages(scene: Scene, ids: NDArray[np.int64]) -> FloatArray:
     """
     if scene.initial.stage == "birth":
         return np.zeros(len(ids))
-    u = streams.uniform(scene.seed, Purpose.STAGE, 0, ids)[:, 0]
+    u = random.uniform(scene.seed, Purpose.STAGE, 0, ids)[:, 0]
     return u if scene.initial.stage == "uniform" else -np.log2(1.0 - 0.5 * u)
 
 
@@ -177,7 +177,7 @@ def _positions(scene: Scene, ids: NDArray[np.int64], diameter: float) -> FloatAr
     packed = packed_disc if flat else packed_ball
     position = packed(len(ids)) * (scene.initial.spacing * diameter)
     if scene.initial.jitter > 0.0:
-        z = streams.normal(scene.seed, Purpose.PLACEMENT, 0, ids, 3)
+        z = random.normal(scene.seed, Purpose.PLACEMENT, 0, ids, 3)
         z[:, 2] *= not flat
         position = position + scene.initial.jitter * diameter * z
     return position

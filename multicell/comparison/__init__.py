@@ -1,4 +1,4 @@
-"""Comparison of integration methods: work against precision, and limits of stability."""
+"""Methods of integration against each other: work, precision, stability."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from multicell.comparison.methods import Method
+    from multicell.comparison.ladders import Method
     from multicell.comparison.result import WorkPrecision
-    from multicell.comparison.stability import StabilityMap, run_stability, stability
-    from multicell.comparison.workprecision import compare, run_compare
+    from multicell.comparison.stability.result import StabilityMap
+    from multicell.comparison.stability.search import run_stability
+    from multicell.comparison.work_precision import compare, run_compare
 
 __all__ = [
     "Method",
@@ -18,16 +19,15 @@ __all__ = [
     "compare",
     "run_compare",
     "run_stability",
-    "stability",
 ]
 
 _LAZY = {
-    "Method": "multicell.comparison.methods",
+    "Method": "multicell.comparison.ladders",
     "WorkPrecision": "multicell.comparison.result",
-    "compare": "multicell.comparison.workprecision",
-    "run_compare": "multicell.comparison.workprecision",
-    "run_stability": "multicell.comparison.stability",
-    "StabilityMap": "multicell.comparison.stability",
+    "compare": "multicell.comparison.work_precision",
+    "run_compare": "multicell.comparison.work_precision",
+    "run_stability": "multicell.comparison.stability.search",
+    "StabilityMap": "multicell.comparison.stability.result",
 }
 
 

@@ -6,14 +6,14 @@ import math
 import time as clock
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, final
+from typing import Any, Final, final
 
-from multicell.comparison.methods import Method, weighted_cost
+from multicell.comparison.ladders import Method, weighted_cost
 from multicell.comparison.norms import errors, no_errors, observe
-from multicell.comparison.problem import Problem, Trajectory, replay
 from multicell.comparison.reference import Reference
+from multicell.comparison.replay import Problem, Trajectory, replay
 from multicell.integrators.base import Integrator
-from multicell.mechanics import Work
+from multicell.mechanics.system import Work
 
 Row = dict[str, Any]
 DONE, FAILED, SKIPPED = "done", "failed", "skipped"
@@ -187,3 +187,7 @@ def _row(
         "cost": math.nan if found is None else weighted_cost(found.work),
         **counts,
     }
+
+
+CLOCKS: Final = {"wall": "wall time", "cpu": "processor time"}
+"""Column of the table that may judge -> what it is."""

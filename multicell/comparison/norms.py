@@ -14,7 +14,7 @@ from typing import Final, final
 import numpy as np
 
 from multicell.cells import FloatArray
-from multicell.comparison.problem import Problem, Trajectory
+from multicell.comparison.replay import Problem, Trajectory
 
 NORMS: Final = {
     "position": "positions, largest over the common times / mean radius",

@@ -20,15 +20,15 @@ from typing import Any, Final, final
 import numpy as np
 
 from multicell.cells import Cells
-from multicell.comparison import archive
-from multicell.comparison.methods import Method, named
+from multicell.comparison import cache as reference_cache
+from multicell.comparison.ladders import Method, named
 from multicell.comparison.norms import Observed, errors, observe
-from multicell.comparison.problem import Problem, Trajectory, record, replay
+from multicell.comparison.replay import Problem, Trajectory, record, replay
 from multicell.comparison.stepwise import sample
 from multicell.errors import StepFailed
-from multicell.folder import package_version, versions
-from multicell.integrators import METHODS
-from multicell.scene import Scene
+from multicell.integrators.registry import METHODS
+from multicell.results.folder import package_version, versions
+from multicell.scene.scene import Scene
 from multicell.simulation import Simulation
 
 Pair = tuple[tuple[Method, float], tuple[Method, float]]
@@ -129,7 +129,7 @@ def reference(
     sampled: tuple[Problem, float] | None = None
     for k, chosen in enumerate(pairs):
         path = _path(cache, scene, cells, chosen, stepwise)
-        held = None if path is None else archive.load(path, unsolved)
+        held = None if path is None else reference_cache.load(path, unsolved)
         if held is not None:
             problem, trajectory, facts = held
             tell("reference: from the cache")
@@ -292,7 +292,7 @@ def _keep(solved: Reference, path: Path | None, tell: Callable[[str], None]) -> 
     if path is None:
         return
     facts = {"uncertainty": solved.uncertainty, "wall": solved.wall, "words": solved.words}
-    if not archive.save(path, solved.problem, solved.trajectory, facts):
+    if not reference_cache.save(path, solved.problem, solved.trajectory, facts):
         tell("reference: this scene has no plain form for the cache")
 
 

@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 
 from multicell.comparison.measure import DONE, FAILED, Row
 from multicell.comparison.norms import NORMS, described
-from multicell.folder import to_json, words, write_text
-from multicell.scene import Scene
+from multicell.results.folder import to_json, words, write_text
+from multicell.scene.scene import Scene
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
 
 FILES: Final = (
     "workprecision.csv",
@@ -29,9 +30,6 @@ FILES: Final = (
     "report.html",
 )
 """What a comparison writes into its folder."""
-
-CLOCKS: Final = {"wall": "wall time", "cpu": "processor time"}
-"""Column of the table that may judge -> what it is."""
 
 
 @final
@@ -50,7 +48,7 @@ class WorkPrecision:
         solves), ``spent`` (s, the one solve that the errors are of, also of a failure),
         ``error_...`` in every norm of :data:`multicell.comparison.norms.NORMS`, ``cost``
         (evaluations, with linearisations and Jacobian products by their weights), the counts of
-        :class:`multicell.mechanics.Work`, and ``mode`` (``"whole run"``, or how many of the
+        :class:`multicell.mechanics.system.Work`, and ``mode`` (``"whole run"``, or how many of the
         coupling steps were compared one by one). What a failed or skipped solve lacks is NaN.
     uncertainty : norm -> float
         Of the reference: an error is known no better than this.
@@ -168,14 +166,14 @@ class WorkPrecision:
 
     def figure(self, norm: str = "position") -> Figure:
         """Draw error over time and over evaluations; failures as crosses on top."""
-        from multicell.comparison.chart import workprecision
+        from multicell.comparison.charts import workprecision
 
         self._check(norm)
         return workprecision(self, norm)
 
     def norms_figure(self) -> Figure:
         """Draw error over time in every norm."""
-        from multicell.comparison.chart import norms
+        from multicell.comparison.charts import norms
 
         return norms(self)
 
@@ -208,8 +206,8 @@ class WorkPrecision:
         OutputError
             If the folder cannot be written to.
         """
-        from multicell.comparison.page import page
-        from multicell.drawing import save
+        from multicell.comparison.files import page
+        from multicell.report.plots.style import save
 
         folder = Path(folder)
         with words("use the output folder", folder):

@@ -19,11 +19,11 @@ from typing import Final, final
 import numpy as np
 
 from multicell.cells import Cells, FloatArray
-from multicell.comparison.problem import Problem, Step
+from multicell.comparison.replay import Problem, Step
 from multicell.errors import SceneError, StepFailed
 from multicell.integrators.base import Integrator, Outcome
-from multicell.mechanics import Mechanics, Motion
-from multicell.scene import Scene
+from multicell.mechanics.system import Mechanics, Motion
+from multicell.scene.scene import Scene
 from multicell.simulation import Simulation
 
 SAMPLES: Final = 24
@@ -106,7 +106,7 @@ def sample(
         Number of steps, one from the middle of each of so many equal parts of the run; all
         steps if there are fewer.
     cells, threads, progress
-        See :func:`multicell.comparison.problem.record`.
+        See :func:`multicell.comparison.replay.record`.
 
     Raises
     ------

@@ -32,16 +32,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, final
+from typing import final
 
 import numpy as np
 
-from multicell.integrators.base import FloatArray, Integrator, Outcome
+from multicell.cells import FloatArray
+from multicell.integrators.base import Integrator, Outcome
 from multicell.integrators.limits import beyond
-from multicell.mechanics import Mechanics, StateRejected
-
-if TYPE_CHECKING:
-    from multicell.scene import Scene
+from multicell.mechanics.system import Mechanics, StateRejected
 
 _ITERATIONS = 6
 _PATIENCE = 150
@@ -130,7 +128,7 @@ class Auto:
 
     def _mild(self, system: Mechanics, position: FloatArray) -> tuple[Outcome, float]:
         """Try the method for mild problems; return how many evaluations it expected."""
-        from multicell.integrators.explicit import AdaptiveAdams
+        from multicell.integrators.runge_kutta import AdaptiveAdams
 
         before = system.work.steps
         first = AdaptiveAdams(
@@ -147,41 +145,14 @@ class Auto:
             from multicell.integrators.cvode import Cvode
 
             return Cvode(*options)
-        from multicell.integrators import explicit
+        from multicell.integrators import runge_kutta
 
         kind = {
-            "ab2-adaptive": explicit.AdaptiveAdams,
-            "dopri5": explicit.Dopri5,
-            "rkc2": explicit.Rkc2,
+            "ab2-adaptive": runge_kutta.AdaptiveAdams,
+            "dopri5": runge_kutta.Dopri5,
+            "rkc2": runge_kutta.Rkc2,
         }[name]
         return kind(*options)  # type: ignore[no-any-return]
-
-
-def explained(scene: Scene) -> str:
-    """Return, for a person, what is chosen for the first coupling step of a scene, and why.
-
-    The cells are put in place and what they feel is computed; the coupling step is tried as far
-    as the choice needs it.
-    """
-    from multicell.simulation import Simulation
-
-    options = scene.integrator
-    auto = Auto(options.rtol, options.atol, options.max_steps, options.max_displacement)
-    start = Simulation(scene, threads=1)
-    system, position = start.prepared(), start.cells.position
-    outcome, expected = auto._mild(system, position)
-    evaluations = system.work.evaluations
-    found = choose(system, position, options.rtol, options.atol, expected)
-    where = f"in the first coupling step, with {len(position):,} cell(s),"
-    if outcome.done:
-        stiffness = found.rate * (system.motion.end - system.motion.begin)
-        return (
-            f"{where} ab2-adaptive, since it needs {evaluations} evaluations, below the "
-            f"{_PATIENCE} up to which nothing else is tried; stiffness λΔt is {stiffness:.3g} "
-            f"(λ = {found.rate:.3g}/s)"
-        )
-    why = f"would take about {expected:.0f} evaluations" if expected else "cannot go on"
-    return f"{where} {found.method}, since at first ab2-adaptive {why}; {found.reason}"
 
 
 def _count(system: Mechanics, name: str, before: int) -> None:
@@ -252,6 +223,6 @@ def decay_rate(system: Mechanics, position: FloatArray) -> float:
 
 
 def _through_python(system: Mechanics) -> bool:
-    from multicell.integrators.explicit import needs_python
+    from multicell.integrators.runge_kutta import needs_python
 
     return needs_python(system)

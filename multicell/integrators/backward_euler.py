@@ -14,11 +14,12 @@ from typing import Any, final
 
 import numpy as np
 
-from multicell.integrators.base import FloatArray, Outcome, furthest
+from multicell.cells import FloatArray
+from multicell.integrators.base import Outcome, furthest
 from multicell.integrators.limits import beyond
-from multicell.integrators.preconditioners import Preconditioner, preconditioner
-from multicell.mechanics import Mechanics, StateRejected
-from multicell.sparse import limit
+from multicell.mechanics.jacobian import limit
+from multicell.mechanics.preconditioners import Preconditioner, preconditioner
+from multicell.mechanics.system import Mechanics, StateRejected
 
 _HALVINGS = 8
 _MOST_ITERATIONS = 200

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol, final
+from typing import TYPE_CHECKING, Protocol, final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from multicell.mechanics import Mechanics
+from multicell.mechanics.system import Mechanics
 
-FloatArray = NDArray[np.float64]
+if TYPE_CHECKING:
+    from multicell.cells import FloatArray
 
 
 @final

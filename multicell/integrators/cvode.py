@@ -14,11 +14,12 @@ import numpy as np
 from numba import njit
 from sksundae.cvode import CVODE, CVODEJacTimes, CVODEPrecond
 
-from multicell.integrators.base import FloatArray, Outcome
-from multicell.integrators.preconditioners import preconditioner
+from multicell.cells import FloatArray
+from multicell.integrators.base import Outcome
 from multicell.integrators.restarts import Predictor, Restart, Run, StepImpossible
-from multicell.mechanics import Mechanics, StateRejected
-from multicell.sparse import limit
+from multicell.mechanics.jacobian import limit
+from multicell.mechanics.preconditioners import preconditioner
+from multicell.mechanics.system import Mechanics, StateRejected
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 _jit = cast(Callable[[_F], _F], njit(cache=True))

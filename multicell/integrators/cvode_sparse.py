@@ -15,12 +15,13 @@ from typing import final
 import numpy as np
 from sksundae.cvode import CVODE
 
-from multicell import neighbours
+from multicell.cells import FloatArray
 from multicell.errors import SceneError
-from multicell.integrators.base import FloatArray, Outcome
+from multicell.integrators.base import Outcome
 from multicell.integrators.restarts import Predictor, Restart, Run, StepImpossible
-from multicell.mechanics import Mechanics
-from multicell.sparse import Pattern, limit
+from multicell.mechanics import neighbours
+from multicell.mechanics.jacobian import Pattern, limit
+from multicell.mechanics.system import Mechanics
 
 
 @final

@@ -15,9 +15,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from multicell.contact import effective_modulus
-from multicell.integrators.base import FloatArray, Outcome
-from multicell.mechanics import Mechanics
+from multicell.cells import FloatArray
+from multicell.contact.law import effective_modulus
+from multicell.integrators.base import Outcome
+from multicell.mechanics.system import Mechanics
 
 LARGEST_STIFFNESS = 1e-3 / float(np.finfo(float).eps)
 """Largest λΔt, 4.5·10¹², that is tried; tissue in water has 10⁷."""

@@ -13,10 +13,11 @@ from typing import Protocol, final
 
 import numpy as np
 
-from multicell.integrators.base import FloatArray, Outcome
+from multicell.cells import FloatArray
+from multicell.integrators.base import Outcome
 from multicell.integrators.limits import beyond
-from multicell.integrators.loops import furthest_moved, largest_length
-from multicell.mechanics import Mechanics, StateRejected
+from multicell.integrators.stepping import furthest_moved, largest_length
+from multicell.mechanics.system import Mechanics, StateRejected
 
 _MOST_REFUSALS = 30
 _STEPS_BEFORE_LIFT = 8

@@ -14,6 +14,7 @@ from multicell.nutrient import stencil
 if TYPE_CHECKING:
     from pde.grids.cartesian import CartesianGrid
 
+
 _NOTHING: FloatArray = np.empty((0, 0, 0))
 
 # What diagonalises the second difference on n cell-centred nodes, by what stands at its two ends

@@ -10,17 +10,16 @@ from typing import TYPE_CHECKING, Any, Protocol, final
 import numpy as np
 
 from multicell.cells import FloatArray
-from multicell.nutrient import layout as layouts
-from multicell.nutrient.grid import Box
-from multicell.nutrient.layout import BoxLayout, Layout, Operator, ShellLayout
-from multicell.nutrient.roundness import round_enough
+from multicell.nutrient import grid as layouts
+from multicell.nutrient.cartesian import Box, round_enough
+from multicell.nutrient.grid import BoxLayout, Layout, Operator, ShellLayout
 from multicell.nutrient.steady import SolveReport
 from multicell.nutrient.transient import Amounts, March, TransientReport, march
 
 if TYPE_CHECKING:
-    from multicell.frame import Field
-    from multicell.nutrient.parts import Side
-    from multicell.parts import Domain
+    from multicell.results.frame import Field
+    from multicell.scene.nutrient import Side
+    from multicell.scene.parts import Domain
 
 
 _GONE = 1e-6
@@ -29,7 +28,7 @@ more with an error relative to itself: steps would stay as short as ever down to
 
 
 class NutrientParameters(Protocol):
-    """What a field is made from; see :class:`multicell.nutrient.plan.FieldParameters`."""
+    """What a field is made from; see :class:`multicell.nutrient.parameters.FieldParameters`."""
 
     @property
     def diffusion(self) -> float:

@@ -1,226 +1,523 @@
-"""Where the nutrient grid lies: round the cells at every moment."""
+"""Where a field lives: a box of cubes, a plane of squares, or a ball of shells.
+
+Each layout spreads amounts of the cells over its nodes, interpolates at the cells, takes over the
+values of the layout before it, and makes the operator that solves on it.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, Any, Protocol, final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from multicell.cells import FloatArray
-from multicell.domain import filling
+from multicell.cells import SPHERE, FloatArray
 from multicell.errors import NutrientFailed
-from multicell.nutrient.plan import MAX_NODES
-from multicell.nutrient.transfer import gather
+from multicell.nutrient import cartesian, faces
+from multicell.nutrient.cartesian import Box, extent, fill, lay, lay_flat, moved, overlaps
+from multicell.nutrient.diffusion import Diffusion
+from multicell.nutrient.spherical import Shells
+from multicell.nutrient.steady import SolveReport, solve_steady
 
 if TYPE_CHECKING:
-    from pde.grids.cartesian import CartesianGrid
+    from multicell.results.frame import Field
+    from multicell.scene.nutrient import Side
+    from multicell.scene.parts import Domain
 
-_FARTHEST = 1e9  # spacings from the origin; beyond, rounding would eat into the grid's spacing
 
-_NEARLY = 0.75  # an axis longer than this part of the longest gets as many nodes
+_TISSUE = 0.5
+"""Part of a node's volume that is cells from which on it is tissue."""
+
+
+_CUBE = 1.14445
+"""Harmonic radius of a cube seen from its middle, over half its edge.
+
+The harmonic function with the values 1/|x| on the faces is 1 / 1.14445 there (half edge 1; by its
+series of sines).
+"""
+
+
+class Operator(Protocol):
+    """Solves for a field on the nodes of a layout."""
+
+    def set_boundary(self, boundary: Mapping[str, Any]) -> None:
+        """Take other conditions, in py-pde's terms."""
+
+    def solve(
+        self,
+        sink: FloatArray,
+        half_saturation: float,
+        start: FloatArray,
+        *,
+        linear: float = 0.0,
+        supply: FloatArray | None = None,
+    ) -> tuple[FloatArray, SolveReport]:
+        """Solve; see :func:`multicell.nutrient.steady.solve_steady`."""
+
+
+class Layout(Protocol):
+    """Nodes in space."""
+
+    @property
+    def spacing(self) -> float:
+        """Distance of neighbouring nodes, µm."""
+
+    @property
+    def volumes(self) -> FloatArray | float:
+        """Volumes of the nodes, µm³; one number where they are equal."""
+
+    def scatter(self, position: FloatArray, amount: FloatArray) -> FloatArray:
+        """Spread amounts of the cells, (n,), over the nodes as densities."""
+
+    def gather(self, position: FloatArray, values: FloatArray) -> FloatArray:
+        """Interpolate at positions (n, 3) in µm, with the weights of :meth:`scatter`."""
+
+    def read(
+        self, position: FloatArray, values: FloatArray, conditions: Mapping[str, Any]
+    ) -> FloatArray:
+        """Do the same, but between the last nodes and the faces by the conditions there."""
+
+    def gradient(self, position: FloatArray, values: FloatArray) -> FloatArray:
+        """Return the gradient at positions (n, 3) in µm: differences over one spacing."""
+
+    def filled(self, value: float) -> FloatArray:
+        """Return an array of the nodes."""
+
+    def guess(self, values: FloatArray, old: Layout, fill: float) -> FloatArray:
+        """Return the values of another layout, interpolated smoothly, and ``fill`` outside it."""
+
+    def carried(self, values: FloatArray, old: Layout, fill: float) -> FloatArray:
+        """Return the values of another layout, each as often as it overlaps: amounts stay."""
+
+    def conditions(self, sides: Mapping[str, Side]) -> dict[str, Any]:
+        """Return the conditions on the faces in py-pde's terms."""
+
+    def operator(
+        self, diffusion: float, conditions: Mapping[str, Any], varied: FloatArray | None
+    ) -> Operator:
+        """Return the operator on these nodes."""
+
+    def field(self, name: str, values: FloatArray) -> Field:
+        """Return a field for frames."""
+
+
+def _condition(side: Side) -> dict[str, Any]:
+    """Return a condition in py-pde's terms."""
+    if side.type == "derivative":
+        return {"derivative": float(side.derivative or 0.0)}
+    value = float(side.value or 0.0)
+    if side.type == "mixed":
+        rate = float(side.rate or 0.0)
+        return {"type": "mixed", "value": rate, "const": rate * value}
+    return {"value": value}
+
+
+@final
+class BoxOperator:
+    """:class:`Diffusion` with the solver for boxes."""
+
+    def __init__(self, diffusion: Diffusion) -> None:
+        self._diffusion = diffusion
+
+    def set_boundary(self, boundary: Mapping[str, Any]) -> None:
+        """Take other conditions, in py-pde's terms."""
+        self._diffusion.set_boundary(boundary)
+
+    def solve(
+        self,
+        sink: FloatArray,
+        half_saturation: float,
+        start: FloatArray,
+        *,
+        linear: float = 0.0,
+        supply: FloatArray | None = None,
+    ) -> tuple[FloatArray, SolveReport]:
+        """Solve; see :func:`multicell.nutrient.steady.solve_steady`."""
+        return solve_steady(
+            self._diffusion, sink, half_saturation, start, linear=linear, supply=supply
+        )
 
 
 @final
 @dataclass(frozen=True)
-class Box:
-    """A cell-centred grid of cubes, or of squares in the plane z = 0.
+class BoxLayout:
+    """A box of cubes, or a plane of squares, round the cells."""
 
-    Attributes
-    ----------
-    origin : (3,) float, µm
-        Lower corner.
-    shape : (3,) int
-    spacing : float, µm
-    height : float or None, µm
-        In two dimensions, of the layer; ``shape`` then ends with 1.
-    """
+    box: Box
 
-    origin: tuple[float, float, float]
-    shape: tuple[int, int, int]
-    spacing: float
-    height: float | None = None
+    @classmethod
+    def round(
+        cls, position: FloatArray, margin: float, spacing: float, height: float | None
+    ) -> BoxLayout:
+        """Lay it ``margin`` beyond the outermost cells; flat where ``height`` is given."""
+        low, high = extent(position, margin)
+        if height is None:
+            return cls(lay(low, high, spacing))
+        return cls(lay_flat(low, high, spacing, height))
 
-    @property
-    def upper(self) -> tuple[float, float, float]:
-        """Upper corner, µm."""
-        x, y, z = (o + n * self.spacing for o, n in zip(self.origin, self.shape, strict=True))
-        return (x, y, z)
+    @classmethod
+    def within(cls, domain: Domain, spacing: float, height: float | None) -> BoxLayout:
+        """Lay it on a box that stands still, the faces on its sides."""
+        low, high = (np.array(corner) for corner in domain.corners())
+        return cls(fill(low, high, spacing, height))
 
     @property
-    def nodes(self) -> int:
-        """Number of nodes."""
-        return self.shape[0] * self.shape[1] * self.shape[2]
+    def spacing(self) -> float:
+        """Distance of neighbouring nodes, µm."""
+        return self.box.spacing
 
     @property
-    def volume(self) -> float:
-        """Volume of a node, µm³."""
-        return self.spacing**2 * (self.height or self.spacing)
+    def volumes(self) -> float:
+        """Volume of each node, µm³."""
+        return self.box.volume
 
-    def to_pde(self) -> CartesianGrid:
-        """Return py-pde's grid of this box, with two axes where it is flat."""
-        from pde.grids.cartesian import CartesianGrid
+    def _points(self, position: FloatArray) -> FloatArray:
+        return position if self.box.height is None else position * np.array([1.0, 1.0, 0.0])
 
-        axes = 3 if self.height is None else 2
-        bounds = list(zip(self.origin, self.upper, strict=True))
-        return CartesianGrid(bounds[:axes], self.shape[:axes])
-
-
-def extent(position: FloatArray, margin: float) -> tuple[FloatArray, FloatArray]:
-    """Return the corners (3,), (3,) in µm of the box that holds all cells and the margin.
-
-    Raises
-    ------
-    NutrientFailed
-        If a position is not finite.
-    """
-    if len(position) == 0:
-        position = np.zeros((1, 3))
-    low, high = position.min(axis=0) - margin, position.max(axis=0) + margin
-    if not (np.isfinite(low).all() and np.isfinite(high).all()):
-        raise NutrientFailed(
-            "a cell's position is not a finite number, so no nutrient grid can be laid",
-            "Look at the mechanics of the step before: a smaller coupling_step may help",
+    def scatter(self, position: FloatArray, amount: FloatArray) -> FloatArray:
+        """Spread amounts of the cells, (n,), over the nodes as densities."""
+        box = self.box
+        density = cartesian.scatter(
+            self._points(position), amount, box.origin, box.spacing, box.shape
         )
-    return low, high
+        return density if box.height is None else density * (box.spacing / box.height)
+
+    def gather(self, position: FloatArray, values: FloatArray) -> FloatArray:
+        """Interpolate at positions (n, 3) in µm."""
+        return cartesian.gather(self._points(position), values, self.box.origin, self.box.spacing)
+
+    def read(
+        self, position: FloatArray, values: FloatArray, conditions: Mapping[str, Any]
+    ) -> FloatArray:
+        """Do the same, but between the last nodes and the faces by the conditions there."""
+        found = self.gather(position, values)
+        near = self._nearer_than(0.5, position)
+        if near.any():
+            padded = faces.by_condition(values, conditions, self.spacing, "xyz"[: self._axes])
+            found[near] = self._gather_padded(position[near], padded)
+        return found
+
+    def gradient(self, position: FloatArray, values: FloatArray) -> FloatArray:
+        """Return the gradient at positions (n, 3) in µm: differences over one spacing.
+
+        Exact for parabolas, up to the faces: there the values are extrapolated.
+        """
+        near = self._nearer_than(1.0, position)
+        result = np.zeros(position.shape)
+        result[~near] = self._differences(position[~near], values, self.gather)
+        if near.any():
+            self.gather(position[near], values)  # refuses what lies outside
+            padded = faces.by_parabola(values, self._axes)
+            result[near] = self._differences(position[near], padded, self._gather_padded)
+        return result
+
+    @property
+    def _axes(self) -> int:
+        return 3 if self.box.height is None else 2
+
+    def _nearer_than(self, share: float, position: FloatArray) -> NDArray[np.bool_]:
+        """Return which positions are nearer to a face than a share of the spacing."""
+        box, axes = self.box, self._axes
+        u = (position[:, :axes] - np.array(box.origin[:axes])) / box.spacing
+        inside = (u >= share) & (u <= np.array(box.shape[:axes]) - share)
+        return np.asarray(~inside.all(axis=1))
+
+    def _gather_padded(self, position: FloatArray, padded: FloatArray) -> FloatArray:
+        """Interpolate between values with a node more at both ends of each axis."""
+        box = self.box
+        moved = [o - box.spacing * (axis < self._axes) for axis, o in enumerate(box.origin)]
+        origin = (moved[0], moved[1], moved[2])
+        return cartesian.gather(self._points(position), padded, origin, box.spacing)
+
+    def _differences(
+        self,
+        position: FloatArray,
+        values: FloatArray,
+        gather: Callable[[FloatArray, FloatArray], FloatArray],
+    ) -> FloatArray:
+        h = self.spacing
+        result = np.zeros(position.shape)
+        for axis in range(self._axes):
+            step = np.zeros(3)
+            step[axis] = 0.5 * h
+            ahead, behind = (gather(position + s * step, values) for s in (1, -1))
+            result[:, axis] = (ahead - behind) / h
+        return result
+
+    def filled(self, value: float) -> FloatArray:
+        """Return an array of the nodes."""
+        return np.full(self.box.shape, value)
+
+    def guess(self, values: FloatArray, old: Layout, fill: float) -> FloatArray:
+        """Return the values of another layout, interpolated smoothly, and ``fill`` outside it."""
+        if isinstance(old, BoxLayout):
+            return moved(values, old.box, self.box, fill)
+        return self._from_shells(values, old, fill)
+
+    def carried(self, values: FloatArray, old: Layout, fill: float) -> FloatArray:
+        """Return the values of another layout, each as often as it overlaps: amounts stay."""
+        if not isinstance(old, BoxLayout):
+            return self._from_shells(values, old, fill)
+        x, y, z = overlaps(old.box, self.box)
+        inside = np.einsum("il,jm,kn,lmn->ijk", x, y, z, values, optimize=True)
+        covered = [w.sum(axis=1) for w in (x, y, z)]
+        share = covered[0][:, None, None] * covered[1][None, :, None] * covered[2]
+        return np.asarray(inside + fill * (1.0 - share))
+
+    def _from_shells(self, values: FloatArray, old: Layout, fill: float) -> FloatArray:
+        box = self.box
+        nodes = [o + (np.arange(n) + 0.5) * box.spacing
+                 for o, n in zip(box.origin, box.shape, strict=True)]  # fmt: skip
+        points = np.stack(np.meshgrid(*nodes, indexing="ij"), axis=-1).reshape(-1, 3)
+        assert isinstance(old, ShellLayout)
+        inside = np.linalg.norm(points - old.centre, axis=1) <= old.radius
+        out = np.full(len(points), fill)
+        out[inside] = old.gather(points[inside], values)
+        return out.reshape(box.shape)
+
+    def conditions(self, sides: Mapping[str, Side]) -> dict[str, Any]:
+        """Return the conditions on the faces in py-pde's terms."""
+        axes = "xyz" if self.box.height is None else "xy"
+        return {axis + end: _condition(sides[axis + end]) for axis in axes for end in "-+"}
+
+    def operator(
+        self, diffusion: float, conditions: Mapping[str, Any], varied: FloatArray | None
+    ) -> Operator:
+        """Return the operator on these nodes."""
+        box = self.box
+        return BoxOperator(
+            Diffusion(box.to_pde(), diffusion, conditions, height=box.height, varied=varied)
+        )
+
+    def field(self, name: str, values: FloatArray) -> Field:
+        """Return a field for frames."""
+        from multicell.results.frame import Field
+
+        box = self.box
+        return Field(
+            name=name,
+            unit="mM",
+            origin=np.array(box.origin),
+            spacing=box.spacing,
+            values=values,
+            height=box.height or 0.0,
+        )
 
 
-def lay(low: FloatArray, high: FloatArray, spacing: float) -> Box:
-    """Lay a box round the corners ``low`` and ``high`` (µm).
+def tissue_radius(position: FloatArray, radius: FloatArray) -> float:
+    """Return the radius in µm of the uniform ball with the same radius of gyration.
 
-    The faces across the longest axis lie exactly there, and so do those across axes nearly as
-    long: the layer of medium between cells and faces is as thick as the margin at every moment.
-    (A box that grew in steps would make supply, and with it the states of the cells, jump.) So
-    it is the spacing that gives way: it is at most ``spacing``, and the number of nodes along
-    an axis has only small factors, where the sine transform is fast.
-
-    Raises
-    ------
-    NutrientFailed
-        If more than :data:`MAX_NODES` nodes would be needed; nothing is allocated before.
-    """
-    size = high - low
-    _refuse_too_large(size / spacing, size, spacing)
-    _refuse_too_far(low, high, spacing)
-    longest = float(size.max())
-    most = _fast(longest / spacing)
-    step = longest / most
-    x, y, z = (most if s > _NEARLY * longest else _fast(s / step) for s in size)
-    shape = (x, y, z)
-    _refuse_too_large(np.array(shape, dtype=float), size, spacing)
-    a, b, c = (float(m - 0.5 * n * step) for m, n in zip(0.5 * (low + high), shape, strict=True))
-    return Box(origin=(a, b, c), shape=shape, spacing=step)
-
-
-def lay_flat(low: FloatArray, high: FloatArray, spacing: float, height: float) -> Box:
-    """Lay a grid of squares in the plane z = 0; see :func:`lay`."""
-    low, high = low.copy(), high.copy()
-    # as long as the longest axis: it then decides nothing
-    middle, half = 0.5 * (low[:2] + high[:2]), 0.5 * float((high - low)[:2].max())
-    low[2], high[2] = -half, half
-    _refuse_too_large((high - low)[:2] / spacing, (high - low)[:2], spacing)
-    _refuse_too_far(low, high, spacing)
-    longest = 2.0 * half
-    most = _fast(longest / spacing)
-    step = longest / most
-    x, y = (most if s > _NEARLY * longest else _fast(s / step) for s in (high - low)[:2])
-    a, b = (float(m - 0.5 * n * step) for m, n in zip(middle, (x, y), strict=True))
-    return Box((a, b, -0.5 * step), (x, y, 1), step, height)
-
-
-def fill(low: FloatArray, high: FloatArray, spacing: float, height: float | None) -> Box:
-    """Fill a box that stands still with cubes, or in two dimensions with squares.
+    Weighted by volume and with the cells' own extent: half the diameter of the summary. It is
+    exact for one cell and for a ball, and one cell that strays hardly changes it.
 
     Parameters
     ----------
-    low, high : (3,), µm
-        Its corners; where ``height`` is given the third axis is not looked at.
-    spacing : float, µm
-        Largest edge of a cube; see :func:`multicell.domain.filling`.
-    height : float, µm, optional
-        Of the layer in two dimensions.
-
-    Raises
-    ------
-    NutrientFailed
-        If no cubes fill it.
+    position : (n, 3), µm
+        n is at least 1.
+    radius : (n,), µm
     """
-    axes = 3 if height is None else 2
-    lengths = (high - low)[:axes]
-    counts = filling([float(length) for length in lengths], spacing)
-    if counts is None:
-        raise NutrientFailed(
-            f"no cubes of about {spacing:g} um fill the domain",
-            "Take lengths that are multiples of one spacing",
+    weight = radius**3
+    away = position - np.average(position, axis=0, weights=weight)
+    square = np.square(away).sum(axis=1) + 0.6 * radius**2
+    return float(np.sqrt(np.average(square, weights=weight) / 0.6))
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class ShellLayout:
+    """A ball of shells round the cells' centre of mass."""
+
+    centre: FloatArray
+    spacing: float
+    count: int
+
+    @classmethod
+    def round(
+        cls,
+        position: FloatArray,
+        radius: FloatArray,
+        margin: float,
+        spacing: float,
+        layer: float | None = None,
+    ) -> ShellLayout:
+        """Lay it ``margin`` or more beyond the outermost cell; ``spacing`` gives way.
+
+        Its surface is that of the ball which lets as much through to its middle as the cube
+        that would be laid round the same cells: how a tissue is fed does not depend on the
+        geometry of the grid. With a ``layer`` the surface lies so far beyond the tissue's,
+        that of the ball with the same radius of gyration, or where the outermost centre is if
+        that is farther.
+        """
+        if len(position) == 0:
+            beyond = margin if layer is None else layer
+            count = max(2, int(np.ceil(beyond / spacing)))
+            return cls(np.zeros(3), beyond / count, count)
+        if not np.isfinite(position).all():
+            extent(position, margin)  # raises with words
+        centre = np.average(position, axis=0, weights=radius**3)
+        outermost = float(np.sqrt(np.square(position - centre).sum(axis=1).max()))
+        if layer is None:
+            low, high = extent(position, margin)
+            outer = max(outermost + margin, _CUBE * 0.5 * float((high - low).mean()))
+        else:
+            outer = max(tissue_radius(position, radius) + layer, outermost)
+        count = int(np.ceil(outer / spacing * (1.0 - 1e-12)))
+        if count > 1_000_000:
+            raise NutrientFailed(
+                f"cells spread over {outer:.3g} um, too far for shells of {spacing:g} um",
+                "Find out why cells are so far apart",
+            )
+        count = max(2, count)
+        return cls(centre, outer / count, count)
+
+    @property
+    def radius(self) -> float:
+        """Radius of the ball, µm."""
+        return self.spacing * self.count
+
+    @property
+    def volumes(self) -> FloatArray:
+        """Volumes of the shells, µm³."""
+        return SPHERE * np.diff(np.linspace(0.0, self.radius, self.count + 1) ** 3)
+
+    def _weights(self, position: FloatArray) -> tuple[Any, Any, FloatArray]:
+        """Return for each cell the inner and the outer shell and the weight of the outer one."""
+        distance = self._distance(position)
+        if not (distance <= self.radius * (1.0 + 1e-12)).all():
+            raise ValueError("a position lies outside the nutrient grid")
+        u = distance / self.spacing - 0.5
+        lower = np.floor(u).astype(np.int64)
+        weight = u - lower
+        return np.maximum(lower, 0), np.minimum(lower + 1, self.count - 1), weight
+
+    def scatter(self, position: FloatArray, amount: FloatArray) -> FloatArray:
+        """Spread amounts of the cells, (n,), over the shells as densities."""
+        inner, outer, weight = self._weights(position)
+        total = np.bincount(inner, amount * (1.0 - weight), self.count)
+        total += np.bincount(outer, amount * weight, self.count)
+        return np.asarray(total / self.volumes)
+
+    def gather(self, position: FloatArray, values: FloatArray) -> FloatArray:
+        """Interpolate at positions (n, 3) in µm."""
+        inner, outer, weight = self._weights(position)
+        return np.asarray((1.0 - weight) * values[inner] + weight * values[outer])
+
+    def read(
+        self, position: FloatArray, values: FloatArray, conditions: Mapping[str, Any]
+    ) -> FloatArray:
+        """Do the same, but between the last node and the surface by the condition there."""
+        found = self.gather(position, values)
+        weight = self._distance(position) / self.spacing - (self.count - 0.5)
+        near = weight > 0.0
+        const, factor = faces.ghost_terms(conditions, self.spacing)
+        ghost, w = const + factor * values[-1], weight[near]
+        found[near] = (1.0 - w) * values[-1] + w * ghost
+        return found
+
+    def gradient(self, position: FloatArray, values: FloatArray) -> FloatArray:
+        """Return the gradient at positions (n, 3) in µm: differences over one spacing.
+
+        Along the radius, exact for parabolas of it, up to the surface: there the values are
+        extrapolated. At the centre it is zero.
+        """
+        self._weights(position)  # refuses what lies outside
+        h, distance = self.spacing, self._distance(position)
+        mirrored = np.concatenate([values[:1], values])
+        nodes = (np.arange(self.count + 2) - 0.5) * h
+        known = np.append(mirrored, faces.beyond(mirrored[::-1]))
+        ahead = np.interp(distance + 0.5 * h, nodes, known)
+        behind = np.interp(np.abs(distance - 0.5 * h), nodes, known)
+        outward = (position - self.centre) / np.where(distance > 0.0, distance, 1.0)[:, None]
+        return np.asarray(((ahead - behind) / h)[:, None] * outward)
+
+    def _distance(self, position: FloatArray) -> FloatArray:
+        return np.asarray(np.sqrt(np.square(position - self.centre).sum(axis=1)))
+
+    def filled(self, value: float) -> FloatArray:
+        """Return an array of the nodes."""
+        return np.full(self.count, value)
+
+    def guess(self, values: FloatArray, old: Layout, fill: float) -> FloatArray:
+        """Return the values of another layout, interpolated smoothly, and ``fill`` outside it."""
+        middles = (np.arange(self.count) + 0.5) * self.spacing
+        if isinstance(old, ShellLayout):
+            before = (np.arange(old.count) + 0.5) * old.spacing
+            return np.asarray(np.interp(middles, before, values, right=fill))
+        return self.carried(values, old, fill)
+
+    def carried(self, values: FloatArray, old: Layout, fill: float) -> FloatArray:
+        """Return the values of another layout, each as often as it overlaps: amounts stay.
+
+        A shift of the centre is left out: shells are taken as concentric.
+        """
+        faces = np.linspace(0.0, self.radius, self.count + 1)
+        if isinstance(old, ShellLayout):
+            before = np.linspace(0.0, old.radius, old.count + 1)
+            content = np.concatenate([[0.0], np.cumsum(values * old.volumes)])
+            # the content of a ball of radius r, exactly: linear in r³ within a shell
+            inside = np.interp(faces**3, before**3, content)
+            beyond = SPHERE * np.maximum(faces**3 - old.radius**3, 0.0) * fill
+            return np.asarray(np.diff(inside + beyond) / self.volumes)
+        assert isinstance(old, BoxLayout)
+        box = old.box
+        nodes = [o + (np.arange(n) + 0.5) * box.spacing
+                 for o, n in zip(box.origin, box.shape, strict=True)]  # fmt: skip
+        points = np.stack(np.meshgrid(*nodes, indexing="ij"), axis=-1).reshape(-1, 3)
+        distance = np.linalg.norm(points - self.centre, axis=1)
+        number, _ = np.histogram(distance, faces)
+        total, _ = np.histogram(distance, faces, weights=values.ravel())
+        filled = number > 0
+        middles = 0.5 * (faces[1:] + faces[:-1])
+        means = total[filled] / number[filled]
+        return np.interp(middles, middles[filled], means) if filled.any() else self.filled(fill)
+
+    def conditions(self, sides: Mapping[str, Side]) -> dict[str, Any]:
+        """Return the condition on the surface in py-pde's terms."""
+        return _condition(sides["r+"])
+
+    def operator(
+        self, diffusion: float, conditions: Mapping[str, Any], varied: FloatArray | None
+    ) -> Operator:
+        """Return the operator on these shells."""
+        return Shells(self.radius, self.count, diffusion, conditions, varied=varied)
+
+    def field(self, name: str, values: FloatArray) -> Field:
+        """Return a field for frames."""
+        from multicell.results.frame import Field
+
+        return Field(
+            name=name,
+            unit="mM",
+            origin=self.centre,
+            spacing=self.spacing,
+            values=values.reshape(-1, 1, 1),
+            kind="radial",
         )
-    _refuse_too_large(np.array(counts, dtype=float), lengths, spacing)
-    step = float((lengths / counts).max())
-    while not (lengths / step <= counts).all():  # rounding must leave no point outside
-        step = float(np.nextafter(step, np.inf))
-    a, b = float(low[0]), float(low[1])
-    if height is None:
-        return Box((a, b, float(low[2])), (counts[0], counts[1], counts[2]), step)
-    return Box((a, b, -0.5 * step), (counts[0], counts[1], 1), step, height)
 
 
-def overlaps(old: Box, new: Box) -> list[FloatArray]:
-    """Return for each axis the part of every new interval that lies in every old one, (n, m)."""
-    found = []
-    for axis in range(3):
-        a, b = (
-            box.origin[axis] + np.arange(box.shape[axis] + 1) * box.spacing for box in (new, old)
-        )
-        low = np.maximum(a[:-1, None], b[None, :-1])
-        high = np.minimum(a[1:, None], b[None, 1:])
-        found.append(np.maximum(high - low, 0.0) / new.spacing)
-    if new.height is not None:
-        found[2] = np.ones((1, 1))
-    return found
+def relative_diffusion(
+    layout: Layout, position: FloatArray, radius: FloatArray, medium: float, tissue: float
+) -> FloatArray:
+    """Return the coefficient of diffusion at the nodes over that of tissue.
+
+    A node is tissue where cells fill half of it or more; up to there the coefficient goes over
+    linearly from that of the medium. (Packed tissue fills 0.6 to 0.9, counted as free spheres.)
+    """
+    filling = layout.scatter(position, SPHERE * radius**3)
+    share = np.minimum(filling / _TISSUE, 1.0)
+    return np.asarray((medium + (tissue - medium) * share) / tissue)
 
 
-def moved(values: FloatArray, old: Box, new: Box, fill: float) -> FloatArray:
-    """Return node values on ``new``, interpolated from ``old`` and ``fill`` outside it."""
-    nodes = [
-        o + (np.arange(n) + 0.5) * new.spacing for o, n in zip(new.origin, new.shape, strict=True)
-    ]
-    inside = [
-        (axis >= low) & (axis <= high)
-        for axis, low, high in zip(nodes, old.origin, old.upper, strict=True)
-    ]
-    out = np.full(new.shape, fill)
-    kept = [axis[mask] for axis, mask in zip(nodes, inside, strict=True)]
-    points = np.stack(np.meshgrid(*kept, indexing="ij"), axis=-1)
-    block = gather(points.reshape(-1, 3), values, old.origin, old.spacing)
-    out[np.ix_(*inside)] = block.reshape(points.shape[:-1])
-    return out
-
-
-def _fast(needed: float) -> int:
-    """Return a number of nodes, not below ``needed``, that suits the sine transform."""
-    from scipy.fft import next_fast_len
-
-    # rounding must not add a node to a length that is a whole number of spacings
-    return int(next_fast_len(max(2, int(np.ceil(needed * (1.0 - 1e-12)))), real=False))
-
-
-def _refuse_too_large(nodes: FloatArray, size: FloatArray, spacing: float) -> None:
-    with np.errstate(over="ignore"):
-        total = float(np.prod(nodes))
-    if total <= MAX_NODES:
-        return
-    lengths = " x ".join(f"{length:.4g}" for length in size)
-    raise NutrientFailed(
-        f"cells and margin spread over {lengths} um, so the nutrient grid would need "
-        f"{total:.3g} nodes at a spacing of {spacing:g} um, more than the {MAX_NODES} allowed",
-        "Use a larger spacing of the nutrient, or find out why cells are so far apart",
-    )
-
-
-def _refuse_too_far(low: FloatArray, high: FloatArray, spacing: float) -> None:
-    farthest = float(np.maximum(np.abs(low), np.abs(high)).max())
-    if farthest > _FARTHEST * spacing:
-        raise NutrientFailed(
-            f"a cell is {farthest:.3g} um away from the origin, where a grid with a spacing of "
-            f"{spacing:g} um is lost in rounding",
-            "Start the cells near the origin, or find out why they are so far away",
-        )
+def restored(field: Field) -> tuple[Layout, FloatArray]:
+    """Return the layout and the values of a field from a frame, bit for bit."""
+    values = np.array(field.values, dtype=float)
+    if field.kind == "radial":
+        count = values.size
+        return ShellLayout(np.array(field.origin), float(field.spacing), count), values.ravel()
+    a, b, c = (float(x) for x in field.origin)
+    nx, ny, nz = values.shape
+    return BoxLayout(
+        Box((a, b, c), (nx, ny, nz), float(field.spacing), field.height or None)
+    ), values

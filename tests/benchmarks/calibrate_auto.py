@@ -26,7 +26,7 @@ import tune_cvode
 
 from multicell.integrators.auto import Auto, choose
 from multicell.integrators.cvode import Cvode
-from multicell.integrators.explicit import AdaptiveAdams
+from multicell.integrators.runge_kutta import AdaptiveAdams
 
 CANDIDATES = ("ab2-adaptive", "dopri5", "rkc2", "cvode")
 MOST_EVALUATIONS = 20_000

@@ -25,10 +25,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from multicell.biology.initial import packed_ball
-from multicell.contact import Cubic
-from multicell.integrators import make
-from multicell.mechanics import Mechanics, Motion
-from multicell.parts import IntegratorOptions
+from multicell.contact.springs import Cubic
+from multicell.integrators.registry import make
+from multicell.mechanics.system import Mechanics, Motion
+from multicell.scene.parts import IntegratorOptions
 
 KEPT = "cvode-adams, J kept"
 """Linearises only when SUNDIALS asks for it, which is every fifty steps."""

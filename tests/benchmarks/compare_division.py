@@ -63,10 +63,10 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from strategies import cluster
 
 from multicell import JKR, load_scene
-from multicell.comparison.problem import record, replay
-from multicell.contact import effective_modulus, effective_radius
+from multicell.comparison.replay import record, replay
+from multicell.contact.law import effective_modulus, effective_radius
 from multicell.integrators.cvode import Cvode
-from multicell.mechanics import Mechanics, Motion
+from multicell.mechanics.system import Mechanics, Motion
 
 HALF = 0.5 ** (1.0 / 3.0)
 MODULUS = effective_modulus(1.0, 0.5, 1.0, 0.5)

@@ -39,8 +39,9 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from strategies import cluster, mechanics
 
-from multicell import kernels, neighbours
-from multicell.friction import Friction
+from multicell.mechanics import forces as kernels
+from multicell.mechanics import neighbours
+from multicell.mechanics.friction import Friction
 
 
 @njit

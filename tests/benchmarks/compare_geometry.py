@@ -15,7 +15,7 @@ import argparse
 import numpy as np
 
 import multicell as mc
-from multicell.nutrient.roundness import departure
+from multicell.nutrient.cartesian import departure
 
 
 def grown(geometry: str, seed: int, cells: int) -> mc.Result:

@@ -13,8 +13,8 @@ Command: python tests/benchmarks/compare_uptake.py
 import numpy as np
 from scipy.linalg import solve_banded
 
-from multicell.nutrient.layout import ShellLayout
-from multicell.nutrient.shells import Shells
+from multicell.nutrient.grid import ShellLayout
+from multicell.nutrient.spherical import Shells
 
 CELLS, RADIUS, MARGIN = 3000, 150.0, 50.0
 DIFFUSION, HALF, OUTSIDE = 2000.0, 0.005, 0.05

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from strategies import cluster, mechanics
 
-from multicell import neighbours
-from multicell.integrators.explicit import (
+from multicell.integrators.runge_kutta import (
     AdamsBashforth2,
     AdaptiveEuler,
     Dopri5,
@@ -21,6 +20,7 @@ from multicell.integrators.explicit import (
     Rkc2,
     RungeKutta4,
 )
+from multicell.mechanics import neighbours
 
 pytestmark = pytest.mark.benchmark
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from strategies import cluster, mechanics
 
-from multicell import neighbours
-from multicell.friction import Friction
+from multicell.mechanics import neighbours
+from multicell.mechanics.friction import Friction
 
 pytestmark = pytest.mark.benchmark
 

@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 from strategies import cluster
 
-from multicell import neighbours
-from multicell.contact import JKR, Cubic, ExactJKR, GeneralisedLinear, Hertz, Linear
-from multicell.mechanics import Mechanics, Motion
+from multicell.contact.exact_jkr import ExactJKR
+from multicell.contact.hertz import Hertz
+from multicell.contact.jkr import JKR
+from multicell.contact.springs import Cubic, GeneralisedLinear, Linear
+from multicell.mechanics import neighbours
+from multicell.mechanics.system import Mechanics, Motion
 
 pytestmark = pytest.mark.benchmark
 

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from strategies import cluster
 
-from multicell import JKR, neighbours
-from multicell.mechanics import Mechanics, Motion
+from multicell import JKR
+from multicell.mechanics import neighbours
+from multicell.mechanics.system import Mechanics, Motion
 
 CELLS = 100_000
 

@@ -6,10 +6,10 @@ Aims: a warm-started solve within 8 ms on 32³ nodes, 80 ms on 64³ and 1.2 s on
 import numpy as np
 import pytest
 
+from multicell.nutrient.cartesian import gather, scatter
 from multicell.nutrient.field import NutrientField
-from multicell.nutrient.parts import Nutrient
-from multicell.nutrient.plan import FieldParameters
-from multicell.nutrient.transfer import gather, scatter
+from multicell.nutrient.parameters import FieldParameters
+from multicell.scene.nutrient import Nutrient
 
 pytestmark = pytest.mark.benchmark
 

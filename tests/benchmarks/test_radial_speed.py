@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from multicell.nutrient.field import NutrientField
-from multicell.nutrient.parts import Nutrient
-from multicell.nutrient.plan import FieldParameters
+from multicell.nutrient.parameters import FieldParameters
+from multicell.scene.nutrient import Nutrient
 
 pytestmark = pytest.mark.benchmark
 

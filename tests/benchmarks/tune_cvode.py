@@ -46,11 +46,11 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from strategies import cluster
 
-from multicell import JKR, neighbours
-from multicell.integrators import preconditioners
+from multicell import JKR
 from multicell.integrators.base import Outcome
 from multicell.integrators.cvode import Cvode
-from multicell.mechanics import Mechanics, Motion
+from multicell.mechanics import neighbours, preconditioners
+from multicell.mechanics.system import Mechanics, Motion
 
 EXPENSIVE = ["multigrid", "exact"]
 """Preconditioners that take seconds; left out unless asked for. The first needs pyamg."""
@@ -170,7 +170,7 @@ class Exact:
         from scipy.sparse import identity
         from scipy.sparse.linalg import splu
 
-        from multicell.sparse import sparse_jacobian
+        from multicell.mechanics.jacobian import sparse_jacobian
 
         system.work.preconditioner_setups += 1
         jacobian = sparse_jacobian(system)
@@ -186,7 +186,7 @@ def stable_matrix(system, gamma):
     """Return Γ - γK with the stable part of each pair, and the diagonal of Γ."""
     from scipy.sparse import diags
 
-    from multicell.sparse import sparse_jacobian
+    from multicell.mechanics.jacobian import sparse_jacobian
 
     linear = system.linearisation
     along, across = linear.along.copy(), linear.across.copy()

@@ -1,0 +1,59 @@
+"""Cell types of a scene: whether they fit together, and what they give each cell."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from multicell.cells import Cells, Phase
+
+if TYPE_CHECKING:
+    from multicell.cells import FloatArray
+    from multicell.scene.scene import Scene
+
+
+def bonds(
+    scene: Scene,
+    cells: Cells,
+    concentrations: Mapping[str, FloatArray],
+    begin: float,
+    end: float,
+) -> FloatArray | None:
+    """Return receptors and ligands at ``begin`` and their rates up to ``end``, (n, 4), or None.
+
+    At ``begin`` they are those of the cells. At ``end`` they are the type's course at that time,
+    times the factor of the cell's phase and those of the concentrations that it finds at
+    ``begin``. Between the two times they run linearly, so that a course with a kink between two
+    coupling times is cut there.
+    """
+    if scene.adhesion is None:
+        return None
+    now = np.stack([cells.receptor, cells.ligand], axis=1)
+    then = bond_levels(scene, cells, concentrations, end)
+    rate = (then - now) / (end - begin) if end > begin else np.zeros_like(now)
+    return np.ascontiguousarray(np.hstack([now, rate]))
+
+
+def bond_levels(
+    scene: Scene, cells: Cells, concentrations: Mapping[str, FloatArray], time: float
+) -> FloatArray:
+    """Return the receptors and ligands that cells have at a time in these conditions, (n, 2).
+
+    Concentrations that are not known yet have no effect.
+    """
+    levels = np.array([part.bonds(time) for part in scene.types.values()])[cells.kind]
+    for number, part in enumerate(scene.types.values()):
+        if not part.responds:
+            continue
+        own = np.flatnonzero(cells.kind == number)
+        by = ((part.receptor_by_phase, part.receptor_by), (part.ligand_by_phase, part.ligand_by))
+        for column, (by_phase, by_field) in enumerate(by):
+            factor = np.array([(by_phase or {}).get(phase.name, 1.0) for phase in Phase])
+            levels[own, column] *= factor[cells.phase[own]]
+            for name, curve in (by_field or {}).items():
+                if name in concentrations:
+                    x, y = np.array(curve).T
+                    levels[own, column] *= np.interp(concentrations[name][own], x, y)
+    return np.asarray(levels)

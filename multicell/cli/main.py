@@ -1,0 +1,336 @@
+"""The command ``multicell``: parse, call, print.
+
+Exit codes: 0 done, 1 a run that failed, 2 bad input, 130 interrupted by Ctrl-C. Errors are one
+sentence on stderr. With ``--json`` stdout holds exactly one JSON document.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from multicell import __version__
+from multicell.cli.compare import compare, stability
+from multicell.cli.options import as_json_option, changes_option, console, errors, parse_changes
+from multicell.cli.process import Commands, complain, print_json
+from multicell.errors import OutputError, StepFailed
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from multicell.report.result import Result
+    from multicell.scene.scene import Scene
+
+
+@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, message="multicell %(version)s")
+def main() -> None:
+    """Simulate multicellular tissue cell by cell.
+
+    SCENE is the name of a built-in scene ("multicell scenes" lists them) or the path of a TOML
+    file.
+    """
+
+
+@main.command()
+@as_json_option
+def scenes(as_json: bool) -> None:
+    """List the built-in scenes."""
+    with errors(as_json):
+        from multicell.scene.scene import load_scene, scene_names
+
+        rows = [_scene_row(name, load_scene(name)) for name in scene_names()]
+        if as_json:
+            print_json(rows)
+            return
+        from rich.table import Table
+
+        table = Table(box=None, pad_edge=False, header_style="bold")
+        for column in ("scene", "duration", "parts", "title"):
+            table.add_column(column, no_wrap=column in ("scene", "duration"))
+        for row in rows:
+            time = _time(row["duration"])
+            table.add_row(*map(_plain, (row["name"], time, ", ".join(row["parts"]), row["title"])))
+        console().print(table)
+
+
+@main.command()
+@click.argument("scene")
+@changes_option
+@as_json_option
+def explain(scene: str, changes: Sequence[str], as_json: bool) -> None:
+    """Tell what a SCENE uses and why, without running it."""
+    with errors(as_json):
+        from multicell.report.explain.scene import explain as explained
+
+        facts = explained(_scene(scene, changes))
+        if as_json:
+            print_json({"scene": scene, **facts})
+        else:
+            _print_facts(console(), scene, facts)
+
+
+@main.command()
+@click.argument("scene")
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    required=True,
+    help="Folder for the results; it must be empty or new.",
+)
+@changes_option
+@click.option("--overwrite", is_flag=True, help="Replace the results of an earlier run.")
+@click.option("--integrator", metavar="NAME", help="Method, for example cvode or euler.")
+@click.option("--threads", type=click.IntRange(min=1), help="Number of threads.")
+@click.option("--no-report", is_flag=True, help="Write no report and no pictures.")
+@click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+@as_json_option
+def run(
+    scene: str,
+    output: Path,
+    changes: Sequence[str],
+    overwrite: bool,
+    integrator: str | None,
+    threads: int | None,
+    no_report: bool,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Run a SCENE and write frames, summary, pictures and a report to a folder."""
+    with errors(as_json):
+        described = _scene(scene, changes)
+        if integrator is not None:
+            described = described.with_changes({"integrator": integrator})
+        # loaded after the scene was accepted: bad input is answered at once
+        from multicell.cli.progress import reporter
+        from multicell.runner import run as simulate
+
+        try:
+            with reporter(described, show=not quiet) as progress:
+                result = simulate(
+                    described,
+                    output=output,
+                    overwrite=overwrite,
+                    threads=threads,
+                    progress=progress,
+                    report=not no_report,
+                )
+        except (KeyboardInterrupt, StepFailed) as error:
+            _finish_early(error, output, no_report, as_json)
+            raise
+        _show(result, output, quiet, as_json)
+
+
+@main.command()
+@click.argument("folder", type=click.Path(path_type=Path))
+@click.option("--frame", type=int, default=-1, show_default=True, help="Frame to go on from.")
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    help="Folder for the whole run; by default it goes on in FOLDER.",
+)
+@changes_option
+@click.option("--overwrite", is_flag=True, help="Replace the results of an earlier run.")
+@click.option("--threads", type=click.IntRange(min=1), help="Number of threads.")
+@click.option("--no-report", is_flag=True, help="Write no report and no pictures.")
+@click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+@as_json_option
+def resume(
+    folder: Path,
+    frame: int,
+    output: Path | None,
+    changes: Sequence[str],
+    overwrite: bool,
+    threads: int | None,
+    no_report: bool,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Go on with the run in FOLDER, from its last frame or from another one.
+
+    Without changes the run becomes what it would have been, bit for bit on the same machine. --set
+    may change what can change while a run goes on: duration, stop_cells, output and the medium.
+    """
+    with errors(as_json):
+        parsed = parse_changes(changes)
+        from multicell.cli.progress import reporter
+        from multicell.runner import resume as go_on
+        from multicell.scene.scene import load_scene
+
+        written = output or folder
+        scene = load_scene(folder / "scene.toml").with_changes(parsed)
+        try:
+            with reporter(scene, show=not quiet) as progress:
+                result = go_on(
+                    folder,
+                    frame,
+                    output=output,
+                    changes=parsed,
+                    overwrite=overwrite,
+                    threads=threads,
+                    progress=progress,
+                    report=not no_report,
+                )
+        except (KeyboardInterrupt, StepFailed) as error:
+            _finish_early(error, written, no_report, as_json)
+            raise
+        _show(result, written, quiet, as_json)
+
+
+@main.command()
+@click.argument("folder", type=click.Path(path_type=Path))
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    required=True,
+    help="Folder for the tables.",
+)
+@click.option(
+    "--tables",
+    metavar="NAMES",
+    help="Which tables, separated by commas: lineage, history, cells, contacts; by default all.",
+)
+@click.option("--frame", type=int, help="Cells and contacts of this frame only; -1 is the last.")
+@click.option("--overwrite", is_flag=True, help="Replace files of the same names.")
+@as_json_option
+def export(
+    folder: Path,
+    output: Path,
+    tables: str | None,
+    frame: int | None,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Write the results in FOLDER as CSV tables, with units in their headers."""
+    with errors(as_json):
+        from multicell.report.export import export as write
+
+        chosen = None if tables is None else [name.strip() for name in tables.split(",")]
+        paths = write(folder, output, tables=chosen, frame=frame, overwrite=overwrite)
+        if as_json:
+            print_json({"files": [str(path) for path in paths]})
+            return
+        for path in paths:
+            click.echo(path, file=sys.stdout)
+
+
+main.add_command(compare)
+main.add_command(stability)
+
+
+def _show(result: Result, output: Path, quiet: bool, as_json: bool) -> None:
+    """Print what a run came to."""
+    if as_json:
+        print_json(result.summary())
+    elif not quiet:
+        _print_summary(console(), result.summary(), output)
+
+
+def _scene(source: str, changes: Sequence[str]) -> Scene:
+    """Return the scene that the arguments describe."""
+    parsed = parse_changes(changes)
+    from multicell.scene.scene import load_scene
+
+    return load_scene(source).with_changes(parsed)
+
+
+def _finish_early(error: BaseException, output: Path, no_report: bool, as_json: bool) -> None:
+    """Report on what a run that was interrupted or failed has done so far."""
+    from multicell.report.result import load_result
+
+    try:
+        result = load_result(output)
+        if not no_report:
+            result.report()
+    except OutputError as trouble:
+        # the first error is the one that counts: it follows
+        complain(f"Nothing could be reported: {trouble}")
+        return
+    count = len(result.frames)
+    last = result.frames[-1].time if count else 0.0
+    complain(f"{count} frame(s) up to {_time(last)} are kept in '{output}'.")
+    if as_json and isinstance(error, KeyboardInterrupt):
+        print_json({**result.summary(), "interrupted": True})
+
+
+def _scene_row(name: str, scene: Scene) -> dict[str, Any]:
+    parts = ["growth"] if scene.growth else []
+    parts += ["death"] if scene.death else []
+    parts += list(scene.nutrients)
+    return {
+        "name": name,
+        "title": scene.title,
+        "duration": scene.duration,
+        "initial_cells": scene.initial.count,
+        "parts": parts or ["mechanics only"],
+    }
+
+
+def _time(seconds: float) -> str:
+    for unit, size in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= size:
+            return f"{seconds / size:.3g} {unit}"
+    return f"{seconds:.3g} s"
+
+
+def _plain(text: object) -> Any:
+    """Return text in which square brackets are no markup."""
+    from rich.text import Text
+
+    return Text(str(text))
+
+
+def _print_facts(console: Console, scene: str, facts: dict[str, Any]) -> None:
+    """Print the parts, the numbers and the notes of ``explain``."""
+    from rich.table import Table
+
+    console.print(_plain(f"{scene}: {facts['title']}" if facts["title"] else scene), style="bold")
+    parts = Table(box=None, pad_edge=False, header_style="bold")
+    for column in ("", "part", "what it means"):
+        parts.add_column(column)
+    for part in facts["parts"]:
+        mark = _plain("used" if part["used"] else "absent")
+        mark.stylize("green" if part["used"] else "dim")
+        parts.add_row(mark, _plain(part["part"]), _plain(part["what"]))
+    numbers = Table(box=None, pad_edge=False, header_style="bold")
+    for column in ("derived number", "value", "unit", "meaning"):
+        numbers.add_column(column, justify="right" if column == "value" else "left")
+    for entry in facts["numbers"]:
+        value = entry["value"]
+        shown = f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.4g}"
+        numbers.add_row(*map(_plain, (entry["name"], shown, entry["unit"], entry["meaning"])))
+    console.print()
+    console.print(parts)
+    console.print()
+    console.print(numbers)
+    for note in facts["notes"]:
+        console.print(_plain(f"\nNote: {note}"), style="yellow")
+
+
+def _print_summary(console: Console, summary: dict[str, Any], output: Path) -> None:
+    """Print the key figures of a run as a short table."""
+    from rich.table import Table
+
+    from multicell.report.page import measures
+
+    table = Table(box=None, pad_edge=False, show_header=False)
+    table.add_column(style="bold")
+    table.add_column(justify="right")
+    for name, value in measures(summary):
+        table.add_row(_plain(name), _plain(value))
+    states = ", ".join(f"{n:,} {name}" for name, n in summary.get("states", {}).items() if n)
+    table.add_row(_plain("states"), _plain(states))
+    work = summary.get("integrator", {})
+    if "evaluations" in work:
+        table.add_row(_plain("force evaluations"), _plain(f"{work['evaluations']:,}"))
+    console.print(table)
+    for note in summary.get("notes", ()):
+        console.print(_plain(f"Note: {note}"), style="yellow")
+    console.print(_plain(f"Results are in '{output}'."))

@@ -1,0 +1,113 @@
+"""What all commands share: options, errors and exit codes, printing."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from multicell.cli.process import INTERRUPTED, complain, print_json, quietly
+from multicell.errors import MulticellError, SceneError
+from multicell.units import shown
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+_DEEPEST = 20
+"""Tables and lists of a scene stand at most five deep."""
+
+as_json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
+changes_option = click.option(
+    "--set",
+    "changes",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="Change one value of the scene, for example --set duration='8 d' or "
+    "--set nutrients.oxygen.boundary='0.07 mM'. An empty value removes an optional part "
+    "(--set growth=). May be given several times.",
+)
+
+
+def parse_changes(items: Sequence[str]) -> dict[str, Any]:
+    """Return the values of ``KEY=VALUE`` items.
+
+    A value that is valid TOML (number, true, quoted text, table) is taken as such, any other
+    text as a string; an empty one becomes None.
+
+    Raises
+    ------
+    click.BadParameter
+        If an item has no ``=`` or no key.
+    SceneError
+        For a value that cannot be read, with its key.
+    """
+    changes: dict[str, Any] = {}
+    for item in items:
+        key, equals, text = item.partition("=")
+        key = key.strip()
+        if not equals or not key:
+            raise click.BadParameter(f"'{item}' is not KEY=VALUE", param_hint="'--set'")
+        # the last one of a key counts, at its place among the others
+        changes.pop(key, None)
+        changes[key] = _value(key, text.strip())
+    return changes
+
+
+def _value(key: str, text: str) -> Any:
+    """Return a TOML value, or the text itself where it is none."""
+    if not text:
+        return None
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        raise SceneError(key, "is not UTF-8 text") from None
+    try:
+        parsed = tomllib.loads(f"value = {text}")
+    except tomllib.TOMLDecodeError:
+        return text
+    except RecursionError:
+        raise SceneError(key, "is nested too deeply") from None
+    except ValueError:  # integers of thousands of digits
+        raise SceneError(key, f"is a number of too many digits: {shown(text)}") from None
+    value = parsed["value"]
+    if _depth(value) > _DEEPEST:
+        raise SceneError(key, f"is nested more than {_DEEPEST} deep")
+    known = isinstance(value, bool | int | float | str | list | dict)
+    # a line break would smuggle in a second key; a date is no value of a scene
+    return value if known and set(parsed) == {"value"} else text
+
+
+def _depth(value: Any) -> int:
+    """Return how many tables and lists stand in each other, without recursion."""
+    depth, level = 0, [value]
+    while level := [x for x in level if isinstance(x, list | dict)]:
+        depth += 1
+        level = [y for x in level for y in (x.values() if isinstance(x, dict) else x)]
+    return depth
+
+
+@contextmanager
+def errors(as_json: bool) -> Iterator[None]:
+    """End with one sentence and the exit code of the error, without traceback."""
+    try:
+        yield
+    except MulticellError as error:
+        complain(f"Error: {error}")
+        if as_json:
+            with quietly():
+                print_json({"error": str(error), "kind": type(error).__name__})
+        raise click.exceptions.Exit(error.exit_code) from None
+    except KeyboardInterrupt:
+        complain("Interrupted.")
+        raise click.exceptions.Exit(INTERRUPTED) from None
+
+
+def console() -> Console:
+    """Return the console on stdout; plain text where it is no terminal."""
+    from rich.console import Console
+
+    return Console(highlight=False)

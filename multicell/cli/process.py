@@ -1,0 +1,263 @@
+"""Everything between a command and the process that runs it: streams, exit codes, last words.
+
+A command ends with one of the exit codes of :mod:`multicell.cli.main` and at most one line about
+what went wrong, whatever the streams are: of a narrow encoding, full, closed, or a pipe that nobody
+reads any more. Only ``MULTICELL_DEBUG=1`` shows tracebacks.
+"""
+
+from __future__ import annotations
+
+import codecs
+import errno
+import io
+import json
+import os
+import sys
+import unicodedata
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, NoReturn, final
+
+import click
+
+from multicell.errors import MulticellError
+
+
+def print_json(document: Any) -> None:
+    """Print one JSON document."""
+    from multicell.results.folder import to_json
+
+    text = to_json(document)
+    try:
+        text.encode(getattr(sys.stdout, "encoding", None) or "utf-8")
+    except UnicodeEncodeError:
+        # spelt out it would be other text; escaped it is the same
+        text = json.dumps(json.loads(text), indent=2)
+    # click's own choice of a stream would be UTF-8 where this one is ASCII
+    click.echo(text, file=sys.stdout)
+
+
+INTERRUPTED = 130
+"""Exit code after Ctrl-C."""
+PIPE_CLOSED = 1
+"""Exit code where the reader of our output has gone: click's and rich's, without words."""
+DEBUG = "MULTICELL_DEBUG"
+"""Environment variable that shows the traceback of an unexpected error."""
+
+_SPELT = {"µ": "u", "μ": "u", "·": "|", "²": "^2", "³": "^3", "→": "->", "−": "-", "–": "-",
+          "—": "-", "…": "...", "×": "x", "≤": "<=", "≥": ">=", "≈": "~", "∞": "inf",
+          "λ": "lambda", "Δ": "delta ", "γ": "gamma", "ε": "eps", "π": "pi", "σ": "sigma",
+          "η": "eta", "°": " deg", "√": "sqrt ", "’": "'", "‘": "'", "“": '"', "”": '"',
+          "━": "-", "╸": "-", "╺": "-"}  # fmt: skip
+
+
+def _degraded(error: UnicodeError) -> tuple[str, int]:
+    """Spell out what an encoding does not have; the handler of codecs with our name."""
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    return "".join(map(spelt, error.object[error.start : error.end])), error.end
+
+
+def spelt(character: str) -> str:
+    """Return ASCII in place of a character: a name, its letter without accents, or ``?``."""
+    if character in _SPELT:
+        return _SPELT[character]
+    plain = unicodedata.normalize("NFKD", character).encode("ascii", "ignore").decode()
+    return plain or "?"
+
+
+codecs.register_error("multicell.spelt", _degraded)
+
+
+@final
+class Commands(click.Group):
+    """The group of all commands, which ends the process in words."""
+
+    def main(
+        self,
+        args: Sequence[str] | None = None,
+        prog_name: str | None = None,
+        complete_var: str | None = None,
+        standalone_mode: bool = True,
+        **extra: Any,
+    ) -> Any:
+        """Run a command; by default end the process with its exit code."""
+        if not standalone_mode:
+            return super().main(args, prog_name, complete_var, False, **extra)
+        given = list(sys.argv[1:] if args is None else args)
+
+        def command() -> Any:
+            return super(Commands, self).main(given, prog_name, complete_var, False, **extra)
+
+        leave(exit_code(command, "--json" in given))
+
+
+def exit_code(command: Callable[[], Any], as_json: bool) -> int:
+    """Run a command; put what went wrong into one line; return the exit code."""
+    _open_standard_streams()
+    with _spelling():
+        try:
+            code = command()
+            if sys.stdout is not None:
+                sys.stdout.flush()
+            return code if isinstance(code, int) else 0
+        except (KeyboardInterrupt, click.Abort):
+            complain("Interrupted.")
+            return INTERRUPTED
+        except click.exceptions.Exit as leaving:
+            return leaving.exit_code
+        except Exception as error:
+            return _explained(error, as_json)
+
+
+def _explained(error: Exception, as_json: bool) -> int:
+    """Print one line (usage errors: click's) about an error; return its exit code."""
+    if isinstance(error, BrokenPipeError):
+        return PIPE_CLOSED
+    if isinstance(error, click.ClickException):
+        with quietly():
+            error.show(file=sys.stderr)
+        message, code = error.format_message(), error.exit_code
+    else:
+        message, code = in_words(error)
+        complain(f"Error: {message}")
+        if os.environ.get(DEBUG):
+            import traceback
+
+            complain("".join(traceback.format_exception(error)).rstrip())
+    if as_json and not _unwritable(error):
+        with quietly():
+            print_json({"error": message, "kind": type(error).__name__})
+    return code
+
+
+def in_words(error: Exception) -> tuple[str, int]:
+    """Return one line about an error, and its exit code."""
+    if isinstance(error, MulticellError):
+        return str(error), error.exit_code
+    if isinstance(error, OSError):
+        reason = error.strerror or str(error) or type(error).__name__
+        if error.filename is None:
+            return f"the output cannot be written: {reason}", 1
+        return f"'{error.filename}' cannot be used: {reason}", 1
+    if isinstance(error, MemoryError):
+        return "there is not enough memory for this", 1
+    said = " ".join(str(error).split())
+    return (
+        f"unexpected {type(error).__name__}{f': {said}' if said else ''}. This is a bug of "
+        f"multicell; {DEBUG}=1 shows where it happened, which a report of it should contain",
+        1,
+    )
+
+
+def complain(text: str) -> None:
+    """Print a line on stderr, where that can be written to."""
+    with quietly():
+        click.echo(text, file=sys.stderr, err=True)
+
+
+def leave(code: int) -> NoReturn:
+    """End the process; what a broken stream still holds must not speak last."""
+    for stream, number in ((sys.stdout, 1), (sys.stderr, 2)):
+        try:
+            if stream is not None:
+                stream.flush()
+        except (OSError, ValueError):
+            _silence(stream, number)
+            code = code or 1
+    sys.exit(code)
+
+
+@final
+class Faltering(io.TextIOBase):
+    """A stream that goes quiet, and says nothing more, when it cannot be written to.
+
+    Progress must not end a run because the terminal has gone or a log's disk is full.
+    """
+
+    def __init__(self, stream: Any) -> None:
+        self.stream, self.lost = stream, stream is None
+
+    @property
+    def encoding(self) -> str:  # type: ignore[override]
+        """That of the stream."""
+        return getattr(self.stream, "encoding", None) or "utf-8"
+
+    def isatty(self) -> bool:
+        """Return whether it is a terminal."""
+        return not self.lost and bool(self.stream.isatty())
+
+    def fileno(self) -> int:
+        """Return the number of the stream, for its width."""
+        if self.lost:
+            raise OSError(errno.EBADF, "the stream is closed")
+        return int(self.stream.fileno())
+
+    def write(self, text: str) -> int:
+        """Write, or not."""
+        self._try(lambda: self.stream.write(text))
+        return len(text)
+
+    def flush(self) -> None:
+        """Flush, or not."""
+        self._try(lambda: self.stream.flush())
+
+    def _try(self, action: Callable[[], object]) -> None:
+        if self.lost:
+            return
+        try:
+            action()
+        except (OSError, ValueError):
+            self.lost = True
+
+
+def _unwritable(error: Exception) -> bool:
+    return isinstance(error, OSError) and error.filename is None
+
+
+@contextmanager
+def quietly() -> Iterator[None]:
+    """Go on where a stream cannot be written to: the exit code says what there is to say."""
+    try:
+        yield
+    except (OSError, ValueError):
+        return
+
+
+@contextmanager
+def _spelling() -> Iterator[None]:
+    """Let the standard streams spell out what their encoding lacks."""
+    changed = []
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper) and stream.errors in ("strict", "backslashreplace"):
+            changed.append((stream, stream.errors))
+            stream.reconfigure(errors="multicell.spelt")
+    try:
+        yield
+    finally:
+        for stream, errors in changed:
+            with quietly():
+                stream.reconfigure(errors=errors)
+
+
+def _open_standard_streams() -> None:
+    """Open the null device where a standard stream is closed.
+
+    The next file that is opened would get its number, and with it what C libraries print.
+    """
+    for number in (0, 1, 2):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)
+
+
+def _silence(stream: Any, number: int) -> None:
+    """Send what is left in a broken stream nowhere."""
+    try:
+        if stream.fileno() == number:
+            null = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(null, number)
+            os.close(null)
+    except (OSError, ValueError, AttributeError):
+        return

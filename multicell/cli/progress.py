@@ -1,0 +1,86 @@
+"""How a run tells that it goes on: a bar in a terminal, a line now and then elsewhere.
+
+All of it goes to stderr; stdout belongs to results.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import IO, TYPE_CHECKING, Any, cast
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from multicell.scene.scene import Scene
+
+
+Progress = Callable[[Any], None]
+"""Called after every coupling step with the simulation."""
+
+
+@contextmanager
+def reporter(scene: Scene, *, show: bool = True) -> Iterator[Progress | None]:
+    """Yield what a run calls after each coupling step, or None if nothing shall be shown."""
+    if not show:
+        yield None
+        return
+    from rich.console import Console
+
+    from multicell.cli.process import Faltering
+
+    console = Console(file=cast(IO[str], Faltering(sys.stderr)), highlight=False)
+    with _bar(scene, console) if console.is_terminal else _lines(scene, console) as progress:
+        yield progress
+
+
+def status(simulation: Any, wall: float) -> str:
+    """Return time, cells, step and speed in words, ``wall`` s after the start."""
+    speed = simulation.time / 3600.0 / wall if wall > 0.0 else 0.0
+    n = len(simulation.cells)
+    days = simulation.scene.duration >= 3.0 * 86400.0
+    unit, size = ("d", 86400.0) if days else ("h", 3600.0)
+    return (
+        f"{simulation.time / size:.2f} of {simulation.scene.duration / size:.2f} {unit} · "
+        f"{n:,} cell{'' if n == 1 else 's'} · step {simulation.step_index:,} · "
+        f"{speed:.3g} h simulated per s"
+    )
+
+
+@contextmanager
+def _bar(scene: Scene, console: Console) -> Iterator[Progress]:
+    """Draw a bar in simulated time."""
+    from rich import progress as rich_progress
+
+    columns = (
+        rich_progress.BarColumn(bar_width=24),
+        rich_progress.TaskProgressColumn(),
+        rich_progress.TextColumn("{task.fields[status]}", markup=False),
+    )
+    start = time.perf_counter()
+    with rich_progress.Progress(*columns, console=console, refresh_per_second=5) as bar:
+        task = bar.add_task("", total=scene.duration, status="starting")
+
+        def advance(simulation: Any) -> None:
+            text = status(simulation, time.perf_counter() - start)
+            bar.update(task, completed=simulation.time, status=text)
+
+        yield advance
+
+
+@contextmanager
+def _lines(scene: Scene, console: Console) -> Iterator[Progress]:
+    """Print a line at every tenth of the simulated time, for logs."""
+    start, printed = time.perf_counter(), 0
+
+    def advance(simulation: Any) -> None:
+        nonlocal printed
+        tenth = int(10.0 * simulation.time / scene.duration * (1.0 + 1e-12))
+        if tenth > printed:
+            printed = tenth
+            text = status(simulation, time.perf_counter() - start)
+            console.print(f"{10 * tenth:3d} %  {text}", markup=False, soft_wrap=True)
+
+    yield advance

@@ -1,0 +1,175 @@
+"""Methods with the one number that is turned in a comparison: a tolerance or a step."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Literal, final
+
+import numpy as np
+
+from multicell.comparison.replay import Problem, Trajectory
+from multicell.errors import SceneError
+from multicell.integrators import registry
+from multicell.integrators.base import Integrator
+from multicell.integrators.registry import METHODS
+from multicell.mechanics.system import Work
+from multicell.scene.parts import IntegratorOptions
+from multicell.scene.scene import Scene
+from multicell.schema import near_miss
+
+Control = Literal["tolerance", "step"]
+Ladder = Mapping[str, Sequence[float]]
+
+SMALLEST_TOLERANCE: Final = 1e-13
+"""Below, a tolerance is lost in the rounding of coordinates that are some radii large."""
+
+TOLERANCES: Final = tuple(10.0 ** (-0.5 * k) for k in range(2, 15))
+"""Default ladder of tolerances, 1e-1 to 1e-7 in half decades."""
+
+# a step far beyond the limit of stability to one far below it, in units of that limit
+_COARSEST, _HALVINGS = 4.0, 11
+_MANY_STEPS = 1_000_000
+_SOLVED = 1e-6
+
+
+@final
+@dataclass(frozen=True)
+class Method:
+    """A method of integration with its setting.
+
+    Attributes
+    ----------
+    name : str
+        Name in tables and charts.
+    control : "tolerance" or "step"
+        What its setting means: a tolerance in mean radii, or a step in s.
+    make : callable
+        Setting -> integrator.
+    """
+
+    name: str
+    control: Control
+    make: Callable[[float], Integrator]
+
+
+def named(name: str, scene: Scene, radius: float) -> Method:
+    """Return a method of :data:`multicell.integrators.registry.METHODS`.
+
+    With a tolerance t the absolute tolerance is t ``radius``. The relative one is t / 100, so
+    that it matters little how far from the origin of coordinates a cell lies. What kind of
+    setting a method has is seen from whether the integrator changes with the step.
+
+    Parameters
+    ----------
+    name
+        Name of the method.
+    scene
+        Its ``integrator.max_displacement`` holds for all methods.
+    radius
+        Mean radius of the cells, µm.
+
+    Raises
+    ------
+    SceneError
+        If there is no such method.
+    """
+    if name not in METHODS:
+        raise SceneError("methods", f"no method is called {name!r}", near_miss(name, METHODS))
+    limits: dict[str, Any] = {
+        "max_displacement": scene.integrator.max_displacement,
+        "max_steps": _MANY_STEPS,
+    }
+
+    def by_tolerance(tolerance: float) -> Integrator:
+        rtol = max(0.01 * tolerance, SMALLEST_TOLERANCE)
+        options = IntegratorOptions(method=name, rtol=rtol, atol=tolerance * radius, **limits)
+        return registry.make(options)
+
+    def by_step(step: float) -> Integrator:
+        # an implicit one solves its equations far more exactly than its step is exact
+        options = IntegratorOptions(method=name, step=step, atol=_SOLVED * radius, **limits)
+        return registry.make(options)
+
+    # integrators are frozen dataclasses: equal settings make equal objects
+    if by_step(1.0) != by_step(2.0):
+        return Method(name, "step", by_step)
+    return Method(name, "tolerance", by_tolerance)
+
+
+def settings(
+    method: Method, ladder: Ladder | None, problem: Problem, stiffness: float
+) -> list[float]:
+    """Return the settings of a method from coarse to fine.
+
+    Parameters
+    ----------
+    method
+        The method.
+    ladder
+        Settings by name of the method, or by ``"tolerance"`` and ``"step"`` for all methods of
+        a kind; None, or what it lacks, means the default.
+    problem
+        Its coupling steps bound the steps.
+    stiffness
+        Largest decay rate, 1/s (:func:`stiffness`): default steps start at eight over it, four
+        times what Euler's method can take; those of implicit methods at the coupling step.
+
+    Raises
+    ------
+    SceneError
+        For a setting that makes no sense.
+    """
+    given = None if ladder is None else ladder.get(method.name, ladder.get(method.control))
+    if given is None:
+        if method.control == "tolerance":
+            return list(TOLERANCES)
+        implicit = METHODS.get(method.name, "").startswith("implicit")
+        return _steps(problem, 0.0 if implicit else stiffness)
+    path = f"ladder.{method.name if method.name in (ladder or {}) else method.control}"
+    if len(given) == 0:
+        raise SceneError(path, "is empty, must hold at least one value")
+    lowest = SMALLEST_TOLERANCE if method.control == "tolerance" else 0.0
+    for value in given:
+        if not (math.isfinite(value) and value > 0.0 and value >= lowest):
+            allowed = f"at least {lowest:g}" if lowest else "above 0 s"
+            hint = "Double precision carries no more." if lowest and value > 0.0 else ""
+            raise SceneError(path, f"is {value!r}, must be {allowed}", hint)
+    return sorted(map(float, given), reverse=True)
+
+
+def stiffness(problem: Problem, trajectory: Trajectory, samples: int = 40) -> float:
+    """Return the largest bound on decay rates along a trajectory, 1/s.
+
+    Taken at the beginnings of up to ``samples`` coupling steps, those after events first: a
+    fresh division is stiffest.
+    """
+    system = problem.system()
+    shocked = [k for k, step in enumerate(problem.steps) if k == 0 or step.before is not None]
+    spread = np.linspace(0, len(problem.steps) - 1, samples).round().astype(int)
+    chosen = [*shocked[:: -(-len(shocked) // samples)], *spread.tolist()]
+    largest = 0.0
+    for k in sorted(set(chosen)):
+        motion = problem.steps[k].motion
+        reached = problem.start if k == 0 else trajectory.positions[k - 1]
+        system.begin(motion)
+        bound = system.stiffness_bound(motion.begin, problem.beginning(k, reached))
+        largest = max(largest, bound)
+    return largest
+
+
+def _steps(problem: Problem, stiffness: float) -> list[float]:
+    """Return steps that halve, each a whole part of the longest coupling step."""
+    length = max(step.motion.end - step.motion.begin for step in problem.steps)
+    count = max(1, math.ceil(length * stiffness / (2.0 * _COARSEST)))
+    return [length / (count * 2**k) for k in range(_HALVINGS)]
+
+
+def weighted_cost(work: Work) -> float:
+    """Return the cost of some work in evaluations of the right-hand side.
+
+    Measured on JKR cells, 1,000 and 10,000 of them, in one thread: a linearisation takes as
+    long as two evaluations, a Jacobian-vector product as 0.65.
+    """
+    return work.evaluations + 2.0 * work.linearisations + 0.65 * work.jacobian_products

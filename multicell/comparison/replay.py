@@ -1,0 +1,331 @@
+"""What is compared: the same cells, events and radii for every method.
+
+A scene is simulated once, by the reference method. Of each coupling step the motion (radii and
+their rates, moduli) and what the events did to the cells are recorded. A method then *replays*
+the record: it integrates over the same coupling steps and undergoes the same events at the same
+times, so that nothing but the mechanics differs, and nutrient and biology are solved once.
+
+A problem may also be *step-wise* (:mod:`multicell.comparison.stepwise`): then every coupling step
+starts from a recorded state, and not from where the method has led.
+"""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import final
+
+import numpy as np
+
+from multicell.cells import Cells, FloatArray, IntArray
+from multicell.errors import StepFailed
+from multicell.integrators.base import Integrator, Outcome
+from multicell.mechanics.system import Mechanics, Motion, Work
+from multicell.scene.scene import Scene
+from multicell.simulation import Simulation
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Events:
+    """What happened to the cells between two coupling steps.
+
+    Attributes
+    ----------
+    source : (n,) int64
+        For each cell after the events the index of the cell before them that it was, or that
+        was its mother.
+    offset : (n, 3) float64, µm
+        Displacement from that cell: zero, or a daughter's place beside her mother's centre.
+    """
+
+    source: IntArray
+    offset: FloatArray
+
+    def apply(self, position: FloatArray) -> FloatArray:
+        """Return the positions after the events, (n, 3) µm."""
+        return np.asarray(position[self.source] + self.offset)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One coupling step: its motion, and the events before it (None if there were none)."""
+
+    motion: Motion
+    before: Events | None = None
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Coupling steps and events that every method goes through.
+
+    Attributes
+    ----------
+    scene : Scene
+        The scene that was recorded.
+    template : Mechanics
+        Mechanics with the scene's law and drag; each replay works on a copy.
+    start : (n, 3) float64, µm
+        Positions at the beginning.
+    radius : (n,) float64, µm
+        Radii at the beginning.
+    steps : sequence of Step
+    starts : sequence of (n, 3) float64, µm, or None
+        Where each step starts from in a step-wise comparison; None where a step starts from
+        the end of the one before.
+    total : int
+        Number of coupling steps of the run that ``steps`` is a sample of, or of all.
+    """
+
+    scene: Scene
+    template: Mechanics
+    start: FloatArray
+    radius: FloatArray
+    steps: Sequence[Step] = ()
+    starts: Sequence[FloatArray] | None = None
+    total: int = 0
+
+    @property
+    def times(self) -> FloatArray:
+        """Common times, the ends of the coupling steps: (m,), s."""
+        return np.array([step.motion.end for step in self.steps])
+
+    @property
+    def counts(self) -> IntArray:
+        """Number of cells in each coupling step: (m,)."""
+        return np.array([len(step.motion.radius) for step in self.steps])
+
+    @property
+    def mean_radius(self) -> float:
+        """Mean radius of the cells at the beginning, µm: the unit of length of errors."""
+        return float(self.radius.mean())
+
+    @property
+    def stepwise(self) -> bool:
+        """Whether every step starts from a recorded state."""
+        return self.starts is not None
+
+    @property
+    def mode(self) -> str:
+        """What is compared, in words: the whole run, or a number of its steps."""
+        if self.stepwise:
+            return f"step-wise, {len(self.steps)} of {self.total} coupling steps"
+        return "whole run"
+
+    def beginning(self, k: int, reached: FloatArray) -> FloatArray:
+        """Return the positions from which step ``k`` starts, (n, 3) µm.
+
+        Parameters
+        ----------
+        k
+            Index of the step.
+        reached
+            Where the step before it ended; of no account in a step-wise problem.
+        """
+        if self.starts is not None:
+            return self.starts[k]
+        events = self.steps[k].before
+        return reached if events is None else events.apply(reached)
+
+    def system(self) -> Mechanics:
+        """Return mechanics of its own, with all counts at zero."""
+        return replace(self.template, work=Work())
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Where a method led.
+
+    Attributes
+    ----------
+    positions : list of (n, 3) float64, µm
+        Positions at the end of each coupling step, before the events there.
+    work : Work
+        What it cost in counts.
+    wall : float, s
+        What it cost in time.
+    cpu : float, s
+        What it cost in time of the processors, summed over the threads; other load on the
+        machine adds little to it.
+    problem : str
+        Why it ended early, in words; empty if it reached the end.
+    """
+
+    positions: list[FloatArray]
+    work: Work = field(default_factory=Work)
+    wall: float = 0.0
+    cpu: float = 0.0
+    problem: str = ""
+
+    @property
+    def done(self) -> bool:
+        """Whether the end was reached."""
+        return not self.problem
+
+
+def replay(problem: Problem, integrator: Integrator, limit: float = np.inf) -> Trajectory:
+    """Carry the cells of a problem through all its coupling steps and events.
+
+    Parameters
+    ----------
+    problem
+        What to go through.
+    integrator
+        The method.
+    limit
+        Wall time in s after which the replay ends, at the next coupling step or at the next
+        evaluation that a method asks for from Python (those compiled as a whole ask for none).
+
+    Returns
+    -------
+    Trajectory
+        Of a failure the words are kept, whatever it was: in a chart of many methods the fault
+        of one must not lose the others.
+    """
+    system = problem.system()
+    position = problem.start
+    ends: list[FloatArray] = []
+    begin, begin_cpu = clock.perf_counter(), clock.process_time()
+    if limit < np.inf:
+        _watch(system, begin + limit, f"not done after {limit:g} s of wall time")
+    words = ""
+    for k, step in enumerate(problem.steps):
+        position = problem.beginning(k, position)
+        system.begin(step.motion)
+        words, position = _one_step(system, integrator, position)
+        if (
+            not words
+            and clock.perf_counter() - begin > limit
+            and len(ends) + 1 < len(problem.steps)
+        ):
+            words = f"not done after {limit:g} s of wall time (t = {step.motion.end:.6g} s)"
+        if words:
+            break
+        ends.append(position)
+    wall, cpu = clock.perf_counter() - begin, clock.process_time() - begin_cpu
+    return Trajectory(ends, system.work, wall, cpu, words)
+
+
+@final
+class _OutOfTime(Exception):  # noqa: N818 - it names what happened
+    """A solve has taken longer than it may."""
+
+
+def _watch(system: Mechanics, deadline: float, words: str) -> None:
+    """Let the next evaluation of this one system end the solve once a time has passed."""
+    inner = system.velocity
+
+    def velocity(time: float, position: FloatArray, out: FloatArray) -> None:
+        if clock.perf_counter() > deadline:
+            raise _OutOfTime(words)
+        inner(time, position, out)
+
+    system.velocity = velocity  # type: ignore[method-assign]
+
+
+def _one_step(
+    system: Mechanics, integrator: Integrator, position: FloatArray
+) -> tuple[str, FloatArray]:
+    """Return the words of a failure, or none, and where the step ended."""
+    begin = system.motion.begin
+    try:
+        # what overflows on the way ends in a position that is not finite
+        with np.errstate(all="ignore"):
+            outcome = integrator.integrate(system, position)
+    except _OutOfTime as error:
+        return f"{error} (in the step from t = {begin:.6g} s)", position
+    except Exception as error:  # see replay(): it becomes a row with these words
+        return f"{error} ({type(error).__name__}, in the step from t = {begin:.6g} s)", position
+    if not outcome.done:
+        return f"{outcome.problem} (t = {outcome.time:.6g} s)", position
+    if not np.isfinite(outcome.position).all():
+        return f"a position is not a number (in the step from t = {begin:.6g} s)", position
+    return "", outcome.position
+
+
+@final
+class _Recorder:
+    """An integrator that notes what passes through another one."""
+
+    def __init__(self, inner: Integrator) -> None:
+        self.inner = inner
+        self.system: Mechanics | None = None
+        self.start: FloatArray | None = None
+        self.motions: list[Motion] = []
+        self.ends: list[FloatArray] = []
+
+    def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
+        """Integrate by the inner method."""
+        if self.start is None:
+            self.system, self.start = system, np.array(position)
+        outcome = self.inner.integrate(system, position)
+        self.motions.append(system.motion)
+        self.ends.append(outcome.position)
+        return outcome
+
+
+def record(
+    scene: Scene,
+    integrator: Integrator,
+    *,
+    cells: Cells | None = None,
+    threads: int | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> tuple[Problem, Trajectory]:
+    """Simulate a scene and return what happened.
+
+    Parameters
+    ----------
+    scene
+        What to simulate; its own integrator is not used.
+    integrator
+        The method that moves the cells.
+    cells
+        Cells to start from instead of the scene's initial ones.
+    threads
+        See :class:`multicell.simulation.Simulation`.
+    progress
+        Called after each coupling step with the part of the duration that is done.
+
+    Raises
+    ------
+    StepFailed
+        If a step cannot be solved, or if there is nothing that moves.
+    """
+    begin, begin_cpu = clock.perf_counter(), clock.process_time()
+    simulation = Simulation(scene, threads=threads, cells=cells)
+    recorder = _Recorder(integrator)
+    simulation._integrator = recorder
+    events: list[Events | None] = [None]
+    while not simulation.finished and len(simulation.cells):
+        before = simulation.cells
+        simulation.step()
+        events.append(_events(before, recorder.ends[-1], simulation.cells))
+        if progress is not None:
+            progress(simulation.time / scene.duration)
+    if recorder.system is None or recorder.start is None:
+        raise StepFailed(0.0, "the scene has no cells to move", "Start from at least one cell")
+    steps = [Step(*pair) for pair in zip(recorder.motions, events, strict=False)]
+    problem = Problem(
+        scene, recorder.system, recorder.start, recorder.motions[0].radius, steps, total=len(steps)
+    )
+    wall, cpu = clock.perf_counter() - begin, clock.process_time() - begin_cpu
+    return problem, Trajectory(recorder.ends, replace(recorder.system.work), wall, cpu)
+
+
+def _events(before: Cells, position: FloatArray, after: Cells) -> Events | None:
+    """Return how the cells ``after`` follow from those ``before``, which ended at ``position``."""
+    if np.array_equal(before.id, after.id):
+        return None
+    order = np.argsort(before.id)
+    known = before.id[order]
+    survives = np.isin(after.id, known)
+    origin = np.where(survives, after.id, after.parent)
+    source = order[np.searchsorted(known, origin)]
+    offset = after.position - position[source]
+    offset[survives] = 0.0
+    return Events(source, offset)

@@ -1,0 +1,1 @@
+"""The largest stable step of each method, and how it fails beyond."""

@@ -1,0 +1,167 @@
+"""The result of a study of stability: a table of trials, the limits, pictures and files."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, final
+
+from multicell.comparison.measure import Row
+from multicell.comparison.stability.trial import KINDS, STABLE
+from multicell.results.folder import words, write_text
+from multicell.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+FILES: Final = ("stability.csv", "limits.csv", "stability.png", "sweeps.png", "report.html")
+"""What a study of stability writes into its folder."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class StabilityMap:
+    """How each method went at each setting that was tried.
+
+    Attributes
+    ----------
+    scene : Scene
+    table : list of dict
+        One row for each trial: ``sweep`` (empty for the scene itself) and ``value``, ``cells``,
+        ``rate`` (λ_max, 1/s), ``method``, ``control`` (``"tolerance"`` in mean radii or ``"step"``
+        in s), ``setting``, ``theory`` (largest stable step, s; infinite for implicit methods, NaN
+        where there is none), ``of_theory``, ``of_euler`` (mean step over 2/λ_max), ``kind`` (a key
+        of :data:`multicell.comparison.stability.trial.KINDS`), ``also`` (other kinds), ``words``,
+        ``climb`` (largest rise of the energy over what is noticed), ``deviation`` (largest error
+        of a pair distance at the end, mean radii), ``steps``, ``wall`` (s).
+    facts : dict
+        ``precision`` of the bisection, ``wall`` (s), ``skipped`` (points of a sweep that could
+        not be settled, with words), ``versions``.
+    """
+
+    scene: Scene
+    table: list[Row]
+    facts: dict[str, Any]
+
+    @property
+    def methods(self) -> list[str]:
+        """Names of the methods in the order of the table."""
+        return list(dict.fromkeys(row["method"] for row in self.table))
+
+    @property
+    def kinds(self) -> list[str]:
+        """The kinds that were seen, in the order of :data:`KINDS`."""
+        seen = {row["kind"] for row in self.table}
+        return [kind for kind in KINDS if kind in seen]
+
+    def sweeps(self) -> dict[str, list[float]]:
+        """Return the values of each sweep."""
+        found: dict[str, dict[float, None]] = {}
+        for row in self.table:
+            if row["sweep"]:
+                found.setdefault(row["sweep"], {})[row["value"]] = None
+        return {sweep: list(values) for sweep, values in found.items()}
+
+    def rows(self, method: str, sweep: str = "", value: float = math.nan) -> list[Row]:
+        """Return the trials of a method at one state, from small to large settings."""
+        return [
+            row
+            for row in self.table
+            if (row["method"], row["sweep"]) == (method, sweep)
+            and (not sweep or row["value"] == value)
+        ]
+
+    def limits(self, sweep: str = "") -> list[Row]:
+        """Return the limit of each method, at the scene itself or along a sweep.
+
+        Returns
+        -------
+        list of dict
+            ``sweep``, ``value``, ``rate``, ``method``, ``control``, ``limit`` (largest setting that
+            is stable with all smaller ones that were tried; NaN if none is), ``beyond`` (smallest
+            that is not; infinite if all are stable), ``theory``, ``of_theory``, ``of_euler`` (mean
+            step at the limit over 2/λ_max), ``kind`` (of the failure at ``beyond``, or
+            ``"stable"``), ``kinds`` (of all failures, from small to large settings).
+        """
+        values = self.sweeps()[sweep] if sweep else [math.nan]
+        found = (self.rows(method, sweep, value) for value in values for method in self.methods)
+        return [_limit(rows) for rows in found if rows]
+
+    def limit(self, method: str) -> Row:
+        """Return the limit of one method at the scene itself."""
+        return _limit(self.rows(method))
+
+    def figure(self) -> Figure:
+        """Draw how each method goes over its step or tolerance."""
+        from multicell.comparison.stability.charts import stability_map
+
+        return stability_map(self)
+
+    def sweeps_figure(self) -> Figure:
+        """Draw the largest stable steps along the sweeps, beside the theory."""
+        from multicell.comparison.stability.charts import sweeps
+
+        return sweeps(self)
+
+    def to_csv(self) -> str:
+        """Return the table as CSV; NaN is written as ``nan``."""
+        return _csv(self.table)
+
+    def all_limits(self) -> list[Row]:
+        """Return the limits at the scene itself and along all sweeps."""
+        return [row for sweep in ("", *self.sweeps()) for row in self.limits(sweep)]
+
+    def save(self, folder: str | Path) -> Path:
+        """Write CSV, pictures and ``report.html`` (:data:`FILES`) and return the page.
+
+        Raises
+        ------
+        OutputError
+            If the folder cannot be written to.
+        """
+        from multicell.comparison.stability.files import page
+        from multicell.report.plots.style import save
+
+        folder = Path(folder)
+        with words("use the output folder", folder):
+            folder.mkdir(parents=True, exist_ok=True)
+        write_text(folder / "stability.csv", self.to_csv())
+        write_text(folder / "limits.csv", _csv(self.all_limits()))
+        pictures = [folder / "stability.png"]
+        save(self.figure(), pictures[0])
+        if self.sweeps():
+            pictures.append(folder / "sweeps.png")
+            save(self.sweeps_figure(), pictures[1])
+        path = folder / "report.html"
+        write_text(path, page(self, pictures))
+        return path
+
+
+def _limit(rows: Sequence[Row]) -> Row:
+    """Return what the trials of one method at one state say of its limit."""
+    first = next((k for k, row in enumerate(rows) if row["kind"] != STABLE), len(rows))
+    failed = first < len(rows)
+    last = rows[first - 1] if first else None
+    return {
+        **{name: rows[0][name] for name in ("sweep", "value", "rate", "method", "control")},
+        "limit": last["setting"] if last else math.nan,
+        "beyond": rows[first]["setting"] if failed else math.inf,
+        "theory": rows[0]["theory"],
+        "of_theory": last["of_theory"] if last else math.nan,
+        "of_euler": last["of_euler"] if last else math.nan,
+        "kind": rows[first]["kind"] if failed else STABLE,
+        "kinds": "; ".join(dict.fromkeys(r["kind"] for r in rows if r["kind"] != STABLE)),
+    }
+
+
+def _csv(rows: Sequence[Row]) -> str:
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()

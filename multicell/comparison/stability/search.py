@@ -1,0 +1,376 @@
+"""Where integration methods lose stability, and how: the limit of each by bisection."""
+
+from __future__ import annotations
+
+import math
+import time as clock
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from multicell.comparison.ladders import Method, named
+from multicell.comparison.measure import Row
+from multicell.comparison.stability.result import FILES, StabilityMap
+from multicell.comparison.stability.state import State, divided, settled
+from multicell.comparison.stability.trial import STABLE, judge, watch
+from multicell.contact.law import effective_modulus
+from multicell.errors import OutputError, SceneError, StepFailed
+from multicell.integrators.registry import METHODS
+from multicell.results.folder import prepare_folder, versions, words
+from multicell.scene.scene import Scene, load_scene
+from multicell.schema import near_miss
+
+OVERLAP: Final = "overlap at division"
+RATIO: Final = "ratio of moduli"
+"""Sweeps that are no parameters of a scene, see :func:`default_sweeps`."""
+
+LOOSEST: Final = 0.1
+"""Loosest tolerance that is tried, in mean radii; one that loose asks for hardly anything."""
+
+_TIGHTEST = 1e-8
+_STAGES = "rkc2-"  # with a number of stages: RKC2 with a fixed step
+_EXTRA = ("rkc2-5", "rkc2-10")
+_REAL_AXIS = {"euler": 2.0, "heun": 2.0, "rk4": 2.785, "ab2": 1.0}
+_IMPLICIT = {"backward-euler", "cvode", "cvode-sparse", "cvode-adams", "scipy-radau", "scipy-bdf"}
+_FIRST, _MOST_STEP = 0.45, 1000.0  # first and longest step that are tried, over Euler's limit
+_BEYOND = (0.25, 0.5, 0.8, 1.25, 1.6, 2.5, 4.0, 8.0, 20.0)
+_TOLERANCES = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.03, LOOSEST)
+_FACTORS = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
+_POINTS = 5
+_DEEPEST = 0.35  # overlap at rest over the sum of radii, beyond which second neighbours touch
+
+Trial = Callable[[float], bool]
+
+
+def stability(
+    scene: Scene | str | Path,
+    methods: Sequence[str | Method] | None = None,
+    sweeps: Mapping[str, Sequence[float]] | None = None,
+    output: str | Path | None = None,
+    progress: Callable[[str], None] | None = None,
+    *,
+    sweep_methods: Sequence[str] | None = None,
+    precision: float = 0.03,
+    patience: float = 20.0,
+    threads: int | None = None,
+    overwrite: bool = False,
+) -> StabilityMap:
+    """Find the largest step, or the loosest tolerance, at which each method stays stable.
+
+    The first cells of the scene settle; then they are pushed a little along the mode that decays
+    fastest, and each method must let them come to rest again: a fixed step for 200 steps, a
+    method under error control for 2000 / λ_max. The limit is found by bisection and set beside
+    the theory; how a method fails beyond is named (:data:`stability_trial.KINDS`).
+
+    Parameters
+    ----------
+    scene
+        The scene, the name of a built-in one, or a TOML file.
+    methods
+        Names (:data:`multicell.integrators.registry.METHODS`, or ``"rkc2-8"`` for RKC2 of eight
+        stages with a fixed step) or :class:`Method` objects; by default all that can hold the
+        scene.
+    sweeps
+        Dotted key -> values that it takes one after the other, the other parameters being those
+        of the scene; ``"overlap at division"`` (overlap of the daughters over the sum of their
+        radii, just after the innermost cell has divided) and ``"ratio of moduli"`` (factor on the
+        moduli of two neighbours) count as keys. Empty for none; by default
+        :func:`default_sweeps`.
+    output
+        Folder for the files of :meth:`StabilityMap.save`.
+    progress
+        Called with a line of words for everything that is begun.
+    sweep_methods
+        Names of the methods that take part in the sweeps, by default those with a fixed step,
+        ``rkc2`` and ``cvode``, and all that are given as objects.
+    precision
+        Relative distance at which bisection ends.
+    patience
+        Wall time in s after which a trial counts as a stall.
+    threads
+        Number of threads, by default all.
+    overwrite
+        Whether the folder may hold something: files of an earlier map are replaced.
+
+    Raises
+    ------
+    SceneError, OutputError
+        For input that cannot be used, before anything is computed.
+    StepFailed
+        If the scene's cells cannot be settled. A point of a sweep whose cells cannot is left
+        out, with words in ``facts["skipped"]``.
+    """
+    described = scene if isinstance(scene, Scene) else load_scene(scene)
+    tell = progress or (lambda _: None)
+    chosen = _chosen(methods, described)
+    taking_part = _taking_part(sweep_methods, chosen)
+    asked = default_sweeps(described) if sweeps is None else sweeps
+    points = list(_points(described, asked, threads))
+    if output is not None:
+        _prepare(output, overwrite)
+    begin = clock.perf_counter()
+    table: list[Row] = []
+    skipped: dict[str, str] = {}
+    for sweep, value, make in points:
+        tell(f"{sweep} = {value:.4g}: settling" if sweep else "settling")
+        try:
+            state = make()
+        except (StepFailed, SceneError) as error:
+            if not sweep:
+                raise
+            skipped[f"{sweep} = {value:.4g}"] = str(error)
+            continue
+        for method in taking_part if sweep else chosen:
+            tell(f"{sweep} = {value:.4g}: {method.name}" if sweep else method.name)
+            table += _measured(state, method, sweep, value, precision, patience)
+    facts = {
+        "precision": precision,
+        "wall": clock.perf_counter() - begin,
+        "skipped": skipped,
+        "versions": versions(),
+    }
+    result = StabilityMap(described, table, facts)
+    if output is not None:
+        result.save(output)
+    return result
+
+
+def run_stability(
+    scene: str | Path,
+    output: str | Path,
+    methods: Sequence[str | Method] | None = None,
+    *,
+    changes: Mapping[str, Any] | None = None,
+    **options: Any,
+) -> StabilityMap:
+    """Measure stability on a scene and write the results: what ``multicell stability`` does.
+
+    Parameters
+    ----------
+    scene
+        Name of a built-in scene or path of a TOML file.
+    output
+        Folder for the results.
+    methods
+        As for :func:`stability`.
+    changes
+        Dotted keys with new values, as in :meth:`Scene.with_changes`.
+    **options
+        The others of :func:`stability`.
+    """
+    described = load_scene(scene).with_changes(changes or {})
+    return stability(described, methods, output=output, **options)
+
+
+def default_sweeps(scene: Scene) -> dict[str, list[float]]:
+    """Return the sweeps that suit a scene: moduli, adhesion, viscosity, division, ratio.
+
+    Moduli rise, and adhesion falls, from the values at which cells would collapse onto each
+    other.
+    """
+    young, energy = scene.cells.young, getattr(scene.contact, "surface_energy", 0.0)
+    hold = [f for f in _FACTORS if _holds(scene, {"cells.young": f * young})]
+    sweeps = {"cells.young": [f * young for f in hold[:_POINTS]]}
+    if energy > 0.0:
+        adhesion = [energy / f for f in _FACTORS]
+        kept = [v for v in adhesion if _holds(scene, {"contact.surface_energy": v})]
+        sweeps["contact.surface_energy"] = kept[:_POINTS]
+    sweeps["drag.viscosity"] = [f * scene.drag.viscosity for f in (0.001, 0.01, 0.1, 1.0, 10.0)]
+    # 0.74: daughters that touch their mother's surface from inside
+    sweeps[OVERLAP] = [0.2, 0.4, 0.6, 0.74, 0.9]
+    sweeps[RATIO] = [1.0, 3.0, 10.0, 100.0, 1000.0]
+    return {name: values for name, values in sweeps.items() if values}
+
+
+def _holds(scene: Scene, changes: Mapping[str, float]) -> bool:
+    """Return whether only neighbours of a packing touch at rest."""
+    try:
+        changed = scene.with_changes(changes)
+    except SceneError:
+        return False  # refused at the door: centre upon centre
+    radius, cells = 0.9 * changed.cells.division_radius, changed.cells
+    modulus = effective_modulus(cells.young, cells.poisson, cells.young, cells.poisson)
+    rest = changed.contact.equilibrium_overlap(modulus, 0.5 * radius)
+    return float(rest) <= _DEEPEST * 2.0 * radius
+
+
+def limit_in_theory(method: Method, rate: float) -> float:
+    """Return the largest stable step in s on the negative real axis.
+
+    Infinite for implicit methods; NaN where nothing is known, and for explicit methods under
+    error control, which shorten their steps.
+    """
+    if method.name in _IMPLICIT:
+        return math.inf
+    stages = _stages(method.name)
+    if stages:
+        from multicell.integrators.rkc import stable_length
+
+        return float(stable_length(stages)) / rate
+    return _REAL_AXIS.get(method.name, math.nan) / rate
+
+
+def _measured(
+    state: State, method: Method, sweep: str, value: float, precision: float, patience: float
+) -> list[Row]:
+    """Return the rows of one method at one state: those of the search, and those around it."""
+    rows: dict[float, Row] = {}
+    theory = limit_in_theory(method, state.rate)
+
+    def stable(setting: float) -> bool:
+        if setting not in rows:
+            rows[setting] = _row(state, method, setting, theory, patience)
+        return bool(rows[setting]["kind"] == STABLE)
+
+    if method.control == "tolerance":
+        _search_up(stable, precision)
+        more: Sequence[float] = _TOLERANCES
+    else:
+        # the search starts well below Euler's limit and knows nothing of the theory
+        ceiling = _MOST_STEP * state.stiff_limit
+        limit = _search_around(stable, _FIRST * state.stiff_limit, ceiling, precision)
+        more = [f * limit for f in _BEYOND if f * limit <= ceiling]
+    if not sweep:
+        for setting in more:
+            # next to a setting of the search there is nothing new
+            if not any(abs(math.log(setting / tried)) < 0.1 for tried in rows):
+                stable(setting)
+    place = {"sweep": sweep, "value": value, "cells": len(state.start), "rate": state.rate}
+    return [{**place, **rows[setting]} for setting in sorted(rows)]
+
+
+def _search_around(stable: Trial, guess: float, ceiling: float, precision: float) -> float:
+    """Bracket the largest stable step and bisect; return it, or the ceiling."""
+    low = high = guess
+    factor = 1.5
+    if stable(guess):
+        while stable(high):
+            if high >= ceiling:
+                return high
+            low, high, factor = high, min(high * factor, ceiling), min(2.0 * factor, 8.0)
+    else:
+        floor = 1e-5 * guess
+        while not stable(low):
+            if low <= floor:
+                return low
+            high, low, factor = low, low / factor, min(1.5 * factor, 8.0)
+    return _bisect(stable, low, high, precision)
+
+
+def _search_up(stable: Trial, precision: float) -> None:
+    """Try tolerances from tight to loose, then bisect below the first one that is not stable.
+
+    What is stable does not always hang together here: all of them are tried.
+    """
+    ladder = (_TIGHTEST, *_TOLERANCES) if not stable(_TOLERANCES[0]) else _TOLERANCES
+    failed = next((k for k, good in enumerate(map(stable, ladder)) if not good), len(ladder))
+    if 0 < failed < len(ladder):
+        _bisect(stable, ladder[failed - 1], ladder[failed], precision)
+
+
+def _bisect(stable: Trial, low: float, high: float, precision: float) -> float:
+    """Halve, geometrically, what lies between a stable and an unstable setting."""
+    while high > (1.0 + precision) * low:
+        middle = math.sqrt(low * high)
+        low, high = (middle, high) if stable(middle) else (low, middle)
+    return low
+
+
+def _row(state: State, method: Method, setting: float, theory: float, patience: float) -> Row:
+    """Try one setting."""
+    trace = watch(state, method, setting, patience)
+    verdict = judge(state, trace)
+    fixed = method.control == "step"
+    mean = setting if fixed else float(trace.times[-1]) / max(trace.steps, 1)
+    return {
+        "method": method.name,
+        "control": method.control,
+        "setting": setting,
+        "theory": theory,
+        "of_theory": setting / theory if fixed else math.nan,
+        "of_euler": mean / state.stiff_limit,
+        "kind": verdict.kind,
+        "also": "; ".join(verdict.also),
+        "words": verdict.words,
+        "climb": verdict.climb,
+        "deviation": verdict.deviation,
+        "steps": len(trace.times) - 1 if fixed else trace.steps,
+        "wall": trace.wall,
+    }
+
+
+def _points(
+    scene: Scene, sweeps: Mapping[str, Sequence[float]], threads: int | None
+) -> Iterator[tuple[str, float, Callable[[], State]]]:
+    """Yield name, value and maker of the state of each point, the scene itself first."""
+    yield "", math.nan, lambda: settled(scene, threads)
+    for sweep, values in sweeps.items():
+        for value in map(float, values):
+            if not (math.isfinite(value) and value >= 0.0):
+                raise SceneError(f"sweeps.{sweep}", f"is {value!r}, must be a number from 0 on")
+            if sweep == OVERLAP:
+                if value >= 1.0:
+                    raise SceneError(f"sweeps.{sweep}", f"is {value:g}, must be below 1")
+                yield sweep, value, lambda v=value: divided(scene, v, threads)  # type: ignore[misc]
+            elif sweep == RATIO:
+                yield sweep, value, lambda v=value: settled(scene, threads, v)  # type: ignore[misc]
+            else:
+                changed = scene.with_changes({sweep: value})
+                yield sweep, value, lambda c=changed: settled(c, threads)  # type: ignore[misc]
+
+
+def _chosen(methods: Sequence[str | Method] | None, scene: Scene) -> list[Method]:
+    """Return methods for names; by default all that can hold the scene."""
+    if methods is None:
+        count = scene.initial.count
+        most = {"scipy-lsoda": 1000, "scipy-radau": 3000, "scipy-bdf": 6000}
+        methods = [*(m for m in METHODS if count <= most.get(m, count)), *_EXTRA]
+    if len(methods) == 0:
+        raise ValueError("methods is empty: there is nothing to try")
+    radius = 0.9 * scene.cells.division_radius
+    return [m if isinstance(m, Method) else _named(m, scene, radius) for m in methods]
+
+
+def _named(name: str, scene: Scene, radius: float) -> Method:
+    """Return the method of a name, also RKC2 with a fixed number of stages."""
+    stages = _stages(name)
+    if not stages:
+        return named(name, scene, radius)
+    from multicell.integrators.runge_kutta import Rkc2
+
+    far = scene.integrator.max_displacement
+    return Method(
+        name, "step", lambda step: Rkc2(max_displacement=far, step=step, stages=stages)
+    )  # fmt: skip
+
+
+def _stages(name: str) -> int:
+    """Return the number of stages in a name such as ``"rkc2-5"``, or 0."""
+    number = name.removeprefix(_STAGES) if name.startswith(_STAGES) else ""
+    return int(number) if number.isdecimal() and 2 <= int(number) <= 200 else 0
+
+
+def _taking_part(names: Sequence[str] | None, chosen: Sequence[Method]) -> list[Method]:
+    """Return the methods that take part in the sweeps."""
+    if names is None:
+        few = {"rkc2", "cvode"}
+        return [m for m in chosen if m.control == "step" or m.name in few or m.name not in METHODS]
+    known = {method.name: method for method in chosen}
+    for name in names:
+        if name not in known:
+            raise SceneError("sweep_methods", f"{name!r} is not tried", near_miss(name, known))
+    return [known[name] for name in names]
+
+
+def _prepare(output: str | Path, overwrite: bool) -> None:
+    """Make sure that the results can be written, before they are computed."""
+    if not overwrite:
+        prepare_folder(output)
+        return
+    folder = Path(output)
+    if folder.exists() and not folder.is_dir():
+        raise OutputError(f"output '{folder}' is a file, not a folder")
+    with words("use the output folder", folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        for name in FILES:
+            (folder / name).unlink(missing_ok=True)

@@ -1,0 +1,347 @@
+"""Where stability is measured: a state of the cells, its largest decay rate, its true course.
+
+Radii are constant and nothing but contacts acts, so that the energy can only fall: a method
+under which it rises is wrong.
+"""
+
+from __future__ import annotations
+
+import bisect
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Final, final
+
+import numpy as np
+
+from multicell.cells import HALF, FloatArray, IntArray
+from multicell.errors import SceneError, StepFailed
+from multicell.integrators.cvode import Cvode
+from multicell.mechanics.system import Mechanics, Motion, Work
+from multicell.scene.scene import Scene
+from multicell.simulation import Simulation
+
+PUSH: Final = 0.005
+"""Displacement along the stiffest mode from which a settled cluster starts, over the overlap of
+the contact that this mode strains most."""
+
+NOTICED: Final = 0.035
+"""Motion that counts as instability, over the same overlap."""
+
+UNNOTICED: Final = 0.02
+"""Displacement of cells that have divided that must not matter, in radii."""
+
+_TWINS = 3
+
+Product = Callable[[FloatArray], FloatArray]
+
+_DENSE = 150  # cells up to which all eigenvalues are computed
+_AT_REST = 1e-10  # speed of a cluster at rest, in radii times the largest decay rate
+_DOUBLINGS = 16
+_RTOL, _ATOL = 1e-11, 1e-9  # of the reference; the second in mean radii
+_MANY = 50_000  # steps of the reference
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class State:
+    """Cells at the start of a trial.
+
+    Attributes
+    ----------
+    scene : Scene
+    template : Mechanics
+        Each trial works on a copy.
+    motion : Motion
+        Radii, which are constant, and moduli; its times mean nothing.
+    start : (n, 3) float64, µm
+        Positions at time 0.
+    rate : float, 1/s
+        Largest decay rate λ_max of the Jacobian at the state (before the push, if there is one).
+    noticed : float, µm
+        Motion of a cell that counts as instability.
+    share : float
+        Rise of the energy that is noticed, over the energy that the reference releases.
+    twins : tuple of State
+        States that differ a little. Where cells are pressed apart they may end in one pocket
+        or another: what differs among the true courses of twins is no failure of a method.
+    known : list of (time, positions)
+        What has been computed of the true course, by CVODE at a tight tolerance.
+    """
+
+    scene: Scene
+    template: Mechanics
+    motion: Motion
+    start: FloatArray
+    rate: float
+    noticed: float
+    share: float
+    twins: tuple[State, ...] = ()
+    known: list[tuple[float, FloatArray]] = field(default_factory=list)
+
+    @property
+    def radius(self) -> float:
+        """Mean radius, µm: the unit of length of all displacements."""
+        return float(self.motion.radius.mean())
+
+    @property
+    def stiff_limit(self) -> float:
+        """Euler's limit 2/λ_max, s."""
+        return 2.0 / self.rate
+
+    @property
+    def energy_unit(self) -> float:
+        """Σ E r³, fJ: the energy of cells that are squeezed out of shape."""
+        return float((self.motion.young * self.motion.radius**3).sum())
+
+    def system(self, begin: float, end: float, touching: IntArray | None = None) -> Mechanics:
+        """Return mechanics of its own, ready for the time between two moments."""
+        system = replace(self.template, work=Work())
+        self.ready(system, begin, end, touching)
+        return system
+
+    def ready(
+        self, system: Mechanics, begin: float, end: float, touching: IntArray | None = None
+    ) -> None:
+        """Make mechanics ready for the time between two moments.
+
+        ``touching`` are the pairs in contact at the first, where the law asks for them.
+        """
+        motion = replace(self.motion, begin=begin, end=end)
+        if motion.touching is not None and touching is not None:
+            motion = replace(motion, touching=touching)
+        system.begin(motion)
+
+    def at(self, time: float) -> FloatArray:
+        """Return the true positions at a time, (n, 3) µm.
+
+        Raises
+        ------
+        StepFailed
+            If the reference cannot be computed.
+        """
+        if not self.known:
+            self.known.append((0.0, self.start))
+        place = bisect.bisect_right(self.known, time, key=lambda entry: entry[0]) - 1
+        before, position = self.known[place]
+        if time > before:
+            system = self.system(before, time)
+            if self.motion.touching is not None:
+                self.ready(system, before, time, system.contacts(before, position))
+            position = _carried(system, position)
+            self.known.insert(place + 1, (time, position))
+        return position
+
+
+def settled(scene: Scene, threads: int | None = None, ratio: float = 1.0) -> State:
+    """Return a scene's first cells at rest, pushed a little along the mode that decays fastest.
+
+    Parameters
+    ----------
+    scene
+        External forces and motility are left out, growth stands still.
+    threads
+        See :class:`multicell.simulation.Simulation`.
+    ratio
+        Factor on the moduli of the innermost cell and its nearest neighbour. A contact is as
+        soft as its softer partner: it takes two stiff cells to make the motion stiff.
+
+    Raises
+    ------
+    SceneError
+        If the scene starts with less than two cells, or none of them touch.
+    StepFailed
+        If the reference method cannot settle them.
+    """
+    template, motion, position = _first_cells(scene, threads)
+    if ratio != 1.0:
+        young = motion.young.copy()
+        young[_innermost(position)[:2]] *= ratio
+        motion = replace(motion, young=young)
+    share = (NOTICED / PUSH) ** 2
+    blank = State(scene, template, motion, position, math.nan, math.nan, share)
+    rest = _at_rest(blank)
+    rate, mode = largest_decay(blank.system(0.0, 1.0), rest, scene.dimensions == 2)
+    overlap = _strained(blank, rest, mode)
+    mode *= PUSH * overlap / np.sqrt(np.square(mode).sum(axis=1)).max()
+    return replace(blank, start=rest + mode, rate=rate, noticed=NOTICED * overlap, known=[])
+
+
+def divided(scene: Scene, overlap: float, threads: int | None = None) -> State:
+    """Return the settled first cells of a scene just after the innermost one has divided.
+
+    Parameters
+    ----------
+    scene, threads
+        As for :func:`settled`.
+    overlap
+        Overlap of the two daughters over the sum of their radii.
+    """
+    template, motion, position = _first_cells(scene, threads)
+    rest = _at_rest(State(scene, template, motion, position, math.nan, math.nan, math.nan))
+    inner = int(_innermost(rest)[0])
+    source = np.append(np.arange(len(rest)), inner)
+    radius = motion.radius[source]
+    radius[[inner, -1]] *= HALF
+    start = rest[source]
+    # an axis that no row of a packing lies on
+    axis = np.array([0.8, 0.6, 0.0]) if scene.dimensions == 2 else np.array([0.48, 0.64, 0.6])
+    start[inner] += (1.0 - overlap) * radius[inner] * axis
+    start[-1] -= (1.0 - overlap) * radius[inner] * axis
+    motion = _taken(motion, source, radius)
+    state = State(scene, template, motion, start, math.nan, math.nan, UNNOTICED)
+    rate, _ = largest_decay(state.system(0.0, 1.0), start, scene.dimensions == 2)
+    state = replace(state, rate=rate, noticed=UNNOTICED * state.radius, known=[])
+    return replace(state, twins=_twins(state), known=[])
+
+
+def _twins(state: State) -> tuple[State, ...]:
+    """Return states whose cells are displaced at random by what must not matter."""
+    random = np.random.default_rng(0)
+    free = np.array([1.0, 1.0, float(state.scene.dimensions == 3)])
+    shifts = [random.normal(size=state.start.shape) * free for _ in range(_TWINS)]
+    size = state.noticed / math.sqrt(3.0)
+    return tuple(replace(state, start=state.start + size * shift, known=[]) for shift in shifts)
+
+
+def _strained(state: State, position: FloatArray, mode: FloatArray) -> float:
+    """Return the overlap in µm of the pair in contact that a mode strains most."""
+    pairs = state.system(0.0, 1.0).contacts(0.0, position)
+    line = position[pairs[:, 1]] - position[pairs[:, 0]]
+    distance = np.linalg.norm(line, axis=1)
+    strain = np.einsum("ij,ij->i", mode[pairs[:, 1]] - mode[pairs[:, 0]], line) / distance
+    most = int(np.abs(strain).argmax())
+    overlap = state.motion.radius[pairs[most]].sum() - distance[most]
+    return float(max(overlap, 1e-4 * state.radius))
+
+
+def largest_decay(
+    system: Mechanics, position: FloatArray, flat: bool = False
+) -> tuple[float, FloatArray]:
+    """Return the largest decay rate of the linearised motion, 1/s, and its mode, (n, 3).
+
+    Without friction between cells Γ^½ J Γ^-½ is symmetric, with the drag coefficients Γ. Below
+    150 cells all its eigenvalues are computed, above the extreme one by Lanczos' method from
+    products J v. With friction products are known to 1e-4, and so is the rate.
+
+    Parameters
+    ----------
+    system
+        Mechanics that have been made ready for a step.
+    position
+        Positions, (n, 3) µm, at the step's beginning.
+    flat
+        Whether motion out of the plane z = 0 is left out.
+
+    Raises
+    ------
+    SceneError
+        If nothing decays: no cells touch.
+    """
+    system.linearise(system.motion.begin, position)
+    weight = np.repeat(np.sqrt(system.motion.radius), 3)
+    free = np.tile([True, True, not flat], len(position))
+
+    def product(vector: FloatArray) -> FloatArray:
+        image = np.empty_like(position)
+        moved = np.where(free, np.ravel(vector) / weight, 0.0)
+        system.jacobian_product(moved.reshape(-1, 3), image)
+        return np.asarray(np.where(free, -weight * image.ravel(), 0.0))
+
+    symmetric = max(system.friction) == 0.0
+    value, mode = (_by_all if len(position) < _DENSE else _by_lanczos)(
+        product, len(weight), symmetric
+    )
+    if not value > 0.0:
+        raise SceneError("", "no cells touch: there is no motion whose stability can be lost")
+    return value, np.where(free, mode / weight, 0.0).reshape(-1, 3)
+
+
+def _by_all(product: Product, size: int, symmetric: bool) -> tuple[float, FloatArray]:
+    matrix = np.stack([product(column) for column in np.eye(size)], axis=1)
+    if symmetric:
+        values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
+        return float(values[-1]), vectors[:, -1]
+    general, modes = np.linalg.eig(matrix)
+    last = int(general.real.argmax())
+    return float(general[last].real), np.asarray(modes[:, last].real)
+
+
+def _by_lanczos(product: Product, size: int, symmetric: bool) -> tuple[float, FloatArray]:
+    from scipy.sparse.linalg import LinearOperator, eigs, eigsh
+
+    operator = LinearOperator((size, size), matvec=product, dtype=float)
+    # a fixed start: the same state gives the same rate
+    start = np.random.default_rng(0).normal(size=size)
+    if symmetric:
+        values, vectors = eigsh(operator, k=1, which="LA", v0=start, tol=1e-8)
+    else:
+        values, vectors = eigs(operator, k=1, which="LR", v0=start, tol=1e-4)
+    return float(values[0].real), np.asarray(vectors[:, 0].real)
+
+
+def _first_cells(scene: Scene, threads: int | None) -> tuple[Mechanics, Motion, FloatArray]:
+    """Return mechanics, motion and positions of the cells that a scene starts with."""
+    if scene.initial.count < 2:
+        raise SceneError(
+            "initial.count",
+            f"is {scene.initial.count}: the stability of motion needs two cells at least",
+            "For example --set initial.count=60 --set initial.spacing=0.85",
+        )
+    simulation = Simulation(scene, threads=threads)
+    cells = simulation.cells
+    motion = replace(simulation._motion(0.0, 0.0, cells.radius), push=None)
+    return simulation._mechanics, motion, cells.position
+
+
+def _innermost(position: FloatArray) -> IntArray:
+    """Return the cells by distance from the one that is nearest to the centroid."""
+    middle = np.square(position - position.mean(axis=0)).sum(axis=1).argmin()
+    return np.argsort(np.square(position - position[middle]).sum(axis=1), kind="stable")
+
+
+def _at_rest(state: State) -> FloatArray:
+    """Return where the cells of a state come to rest, or where they are after a long time."""
+    position = state.start
+    length = 10.0 / _bound(state, position)
+    velocity = np.empty_like(position)
+    time = 0.0
+    for _ in range(_DOUBLINGS):
+        position = _carried(state.system(time, time + length), position)
+        time += length
+        system = state.system(time, time + 1.0)
+        system.velocity(time, position, velocity)
+        if np.abs(velocity).max() <= _AT_REST * state.radius * _bound(state, position):
+            break
+        length *= 2.0
+    return position
+
+
+def _bound(state: State, position: FloatArray) -> float:
+    bound = state.system(0.0, 1.0).stiffness_bound(0.0, position)
+    if not bound > 0.0:
+        hint = "A smaller initial.spacing lets them touch."
+        raise SceneError("", "no cells touch: there is no motion whose stability can be lost", hint)
+    return bound
+
+
+def _carried(system: Mechanics, position: FloatArray) -> FloatArray:
+    """Return the positions at the end of a step by the reference method."""
+    atol = _ATOL * float(system.motion.radius.mean())
+    outcome = Cvode(_RTOL, atol, _MANY).integrate(system, position)
+    if not outcome.done:
+        raise StepFailed(outcome.time, f"the reference: {outcome.problem}", outcome.hint)
+    return outcome.position
+
+
+def _taken(motion: Motion, source: IntArray, radius: FloatArray) -> Motion:
+    """Return the motion of cells that descend from those at ``source``."""
+    return replace(
+        motion,
+        radius=radius,
+        radius_rate=np.zeros(len(radius)),
+        young=motion.young[source],
+        poisson=motion.poisson[source],
+        bonds=None if motion.bonds is None else motion.bonds[source],
+        kind=None if motion.kind is None else motion.kind[source],
+    )

@@ -1,0 +1,202 @@
+"""Work–precision: error against cost of each method over a ladder of settings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from multicell.cells import Cells
+from multicell.comparison.ladders import Ladder, Method, named, settings, stiffness
+from multicell.comparison.measure import CLOCKS, Effort, Row, Timed, climb, time_again
+from multicell.comparison.reference import Reference, blank, paired, reference
+from multicell.comparison.result import FILES, WorkPrecision
+from multicell.comparison.stepwise import sample_size
+from multicell.errors import OutputError, SceneError
+from multicell.integrators.registry import METHODS
+from multicell.results.folder import prepare_folder, versions, words
+from multicell.scene.scene import Scene, load_scene
+from multicell.schema import near_miss
+
+
+def compare(
+    scene: Scene | str | Path,
+    methods: Sequence[str | Method] | None = None,
+    ladder: Ladder | None = None,
+    output: str | Path | None = None,
+    *,
+    stepwise: bool | int = False,
+    clock: str = "wall",
+    cells: Cells | None = None,
+    references: Sequence[tuple[str, float] | tuple[Method, float]] | None = None,
+    cache: str | Path | bool = True,
+    repeats: int = 3,
+    patience: float = 10.0,
+    budget: float | None = None,
+    threads: int | None = None,
+    overwrite: bool = False,
+    progress: Callable[[str], None] | None = None,
+) -> WorkPrecision:
+    """Measure error and cost of integration methods on one scene.
+
+    The scene is recorded once by the reference method; every method replays the same events at
+    the same times (:mod:`multicell.comparison.replay`). The errors of a point come from one solve;
+    its time is the minimum of several solves after that one.
+
+    In a growing or driven population trajectories of any two methods part after a while. There
+    compare step-wise: each of a sample of the run's coupling steps starts from the same recorded
+    state for every method (:mod:`multicell.comparison.stepwise`).
+
+    Parameters
+    ----------
+    scene
+        The scene, the name of a built-in one, or a TOML file.
+    methods
+        Names (:data:`multicell.integrators.registry.METHODS`) or :class:`Method` objects; by
+        default all that there are.
+    ladder
+        Settings of the methods, see :func:`multicell.comparison.ladders.settings`.
+    output
+        Folder for the files of :meth:`WorkPrecision.save`.
+    stepwise
+        True to compare 24 of the run's coupling steps, or their number, each from its own
+        recorded state; cost is the sum over them. False to compare the whole run.
+    clock
+        Which time judges: ``"wall"``, or ``"cpu"`` for that of the processors, which other load
+        on the machine disturbs less. Both are measured.
+    cells
+        Cells to start from instead of the scene's initial ones.
+    references
+        Two methods with their settings (see :func:`multicell.comparison.reference.reference`).
+    cache
+        Folder of cached references; True for the user's own, False for none.
+    repeats
+        Number of timed solves of each point, of which the fastest counts. The first follows
+        the solve that gives the error; the others go round all methods in turns.
+    patience
+        Wall time in s that one solve may take; a finer setting that is foreseen to take longer
+        is skipped, one that does take longer fails at its next coupling step. The repeats of a
+        point may take a fifth of it together.
+    budget
+        Wall time in s for all methods, divided among those that are left; finer settings than
+        it allows are skipped. By default 60 s, or ten times what the reference took if that
+        is longer.
+    threads
+        Number of threads, by default all.
+    overwrite
+        Whether the folder may hold something: files of an earlier comparison are replaced.
+    progress
+        Called with a line of words for everything that is begun.
+
+    Returns
+    -------
+    WorkPrecision
+
+    Raises
+    ------
+    SceneError, OutputError
+        For input that cannot be used, before anything is computed.
+    StepFailed
+        If the reference cannot be computed. Methods that fail are rows of the table.
+    """
+    described = scene if isinstance(scene, Scene) else load_scene(scene)
+    count = sample_size(stepwise)
+    if clock not in CLOCKS:
+        raise SceneError("clock", f"is {clock!r}, must be {' or '.join(map(repr, CLOCKS))}")
+    tell = progress or (lambda _: None)
+    radius = blank(described, cells, threads).mean_radius
+    asked = METHODS if methods is None else methods
+    if len(asked) == 0:
+        raise ValueError("methods is empty: there is nothing to compare")
+    chosen = [m if isinstance(m, Method) else named(m, described, radius) for m in asked]
+    pair = None if references is None else paired(references, described, radius)
+    _check_ladder(chosen, ladder)
+    if output is not None:
+        _prepare(output, overwrite)
+    exact = reference(
+        described, pair=pair, stepwise=count, cells=cells, cache=cache, threads=threads,
+        progress=tell,
+    )  # fmt: skip
+    decay = stiffness(exact.problem, exact.trajectory)
+    left = max(60.0, 10.0 * exact.wall) if budget is None else budget
+    table: list[Row] = []
+    again: list[Timed] = []
+    for k, method in enumerate(chosen):
+        rungs = settings(method, ladder, exact.problem, decay)
+        effort = Effort(repeats, patience, left / (len(chosen) - k), len(rungs))
+        rows, timed, spent = climb(method, rungs, exact, effort, tell)
+        table += rows
+        again += timed
+        left -= spent
+    tell("timing again, all methods in turns")
+    time_again(again, exact.problem, repeats)
+    result = WorkPrecision(described, table, exact.uncertainty, _facts(exact, decay), clock)
+    if output is not None:
+        result.save(output)
+    return result
+
+
+def run_compare(
+    scene: str | Path,
+    output: str | Path,
+    *,
+    changes: Mapping[str, Any] | None = None,
+    **options: Any,
+) -> WorkPrecision:
+    """Compare methods on a scene and write the results: what ``multicell compare`` does.
+
+    Parameters
+    ----------
+    scene
+        Name of a built-in scene or path of a TOML file.
+    output
+        Folder for the results.
+    changes
+        Dotted keys with new values, as in :meth:`Scene.with_changes`.
+    **options
+        The others of :func:`compare`.
+    """
+    return compare(load_scene(scene).with_changes(changes or {}), output=output, **options)
+
+
+def _facts(exact: Reference, decay: float) -> dict[str, Any]:
+    """Return what a reader of the chart must know of the problem."""
+    problem = exact.problem
+    return {
+        "cells": [len(problem.start), int(problem.counts[-1])],
+        "mode": problem.mode,
+        "stepwise": problem.stepwise,
+        "coupling_steps": len(problem.steps),
+        "coupling_steps_in_all": problem.total,
+        "steps_with_events": sum(step.before is not None for step in problem.steps),
+        "time": float(problem.times[-1]),
+        "mean_radius": problem.mean_radius,
+        "largest_decay_rate": decay,
+        "threads": int(getattr(problem.template, "threads", 1)),
+        "reference": exact.words,
+        "reference_wall": exact.wall,
+        "reference_cached": exact.cached,
+        "versions": versions(),
+    }
+
+
+def _check_ladder(methods: Sequence[Method], ladder: Ladder | None) -> None:
+    """Refuse a ladder with a name that nothing listens to."""
+    known = {"tolerance", "step", *(method.name for method in methods)}
+    for name in ladder or {}:
+        if name not in known:
+            raise SceneError(f"ladder.{name}", "is no method here", near_miss(name, known))
+
+
+def _prepare(output: str | Path, overwrite: bool) -> None:
+    """Make sure that the results can be written, before they are computed."""
+    if not overwrite:
+        prepare_folder(output)
+        return
+    folder = Path(output)
+    if folder.exists() and not folder.is_dir():
+        raise OutputError(f"output '{folder}' is a file, not a folder")
+    with words("use the output folder", folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        for name in FILES:
+            (folder / name).unlink(missing_ok=True)

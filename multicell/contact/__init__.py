@@ -1,0 +1,1 @@
+"""Laws of the force between two touching cells, one file a law."""

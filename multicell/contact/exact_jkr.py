@@ -1,0 +1,264 @@
+"""Exact JKR, with its hysteresis, beside the approximate law of the thesis.
+
+The conventions are those of :mod:`multicell.contact.law`: overlap h = r_i + r_j - distance, force
+positive where it pushes apart, and one way to call all laws.
+
+Exact JKR in one curve. Johnson, Kendall and Roberts (Proc. R. Soc. A 324, 1971, 301) give force
+and overlap over the contact radius a_c, with E* = ¾ E_ij and the work of adhesion w::
+
+    F = 4 E* a_c³ / (3 r) - √(8π w E* a_c³),    h = a_c² / r - √(2π w a_c / E*)
+
+With the overlap in units of k = (π² w² r / (64 E*²))^{1/3}, the force in units of P = π w r / 6
+and a_c = √(k r) u² all pairs share one curve without parameters::
+
+    h / k = u⁴ - 4 u,    F / P = u⁶ - 6 u³
+
+u = 1 is the turning point (h = -3 k, F = -5 P): there the contact breaks when the distance is
+prescribed. u³ = 3 is the deepest attraction (F = -9 P, pull-off under a load), u³ = 4 first
+contact (h = 0, F = -8 P) and u³ = 6 rest (F = 0, h = 2 · 6^{1/3} k). u >= 1 is the branch that
+is stable at prescribed distance. :func:`beyond_turning` solves the quartic on it.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, ClassVar, final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from multicell.schema import parameters, quantity
+
+if TYPE_CHECKING:
+    from multicell.cells import FloatArray
+
+
+_LEAST_ENERGY = 1e-60
+"""Stands for a surface energy of zero, nN/µm: the curve has no scale without adhesion."""
+_RESOLVED = 1e-8
+"""Smallest u - 1 that a slope is taken at: an overlap rounded to 16 digits tells no more."""
+
+
+def contact_radius(overlap: ArrayLike, radius: ArrayLike) -> FloatArray:
+    """Return the contact radius √(r_ij h) in µm that Hertz and approximate JKR assume."""
+    return np.asarray(np.sqrt(np.maximum(overlap, 0.0) * np.asarray(radius, dtype=float)))
+
+
+def beyond_turning(excess: Any) -> Any:
+    """Return v = u - 1 >= 0 on the stable branch of exact JKR, to rounding.
+
+    It solves u⁴ - 4 u = excess - 3, which is v² (v² + 4 v + 6) = excess and so has no double
+    root to lose digits at. A rational start (within 1.7 % everywhere) and two Halley steps, each
+    of which cubes the error: no branch and no count that depends on the data. Bare floats and
+    arrays alike; :mod:`multicell.mechanics.forces` holds a jitted copy.
+
+    Parameters
+    ----------
+    excess
+        Overlap beyond the turning point in units of k, h / k + 3 >= 0.
+    """
+    q = np.sqrt(excess)
+    p = np.sqrt(q)
+    v = q * (p + 1.101) / (q + 2.101 * p + 2.696888)
+    for _ in range(2):
+        g = v * v * (6.0 + v * (4.0 + v)) - excess
+        slope = v * (12.0 + v * (12.0 + 4.0 * v))
+        bend = 12.0 + v * (24.0 + 12.0 * v)
+        # the tiny number lets v = 0 stay where it is
+        v = v - 2.0 * g * slope / (2.0 * slope * slope - g * bend + 1e-300)
+    return v
+
+
+def exact_force(overlap: Any, threshold: Any, unit: Any, scale: Any) -> Any:
+    """Return the force of exact JKR in nN, without a branch that depends on the data.
+
+    Parameters
+    ----------
+    overlap
+        h in µm.
+    threshold
+        Overlap from which there is contact, µm: -3 ``unit`` for a pair that touches, else 0.
+    unit, scale
+        k in µm and P in nN, see :func:`exact_units`.
+    """
+    u = 1.0 + beyond_turning(np.maximum(overlap / unit + 3.0, 0.0))
+    cube = u * u * u
+    return scale * cube * (cube - 6.0) * (overlap >= threshold)
+
+
+def exact_units(
+    modulus: ArrayLike, radius: ArrayLike, surface_energy: ArrayLike
+) -> tuple[FloatArray, FloatArray]:
+    """Return the units of overlap k in µm and of force P in nN for exact JKR.
+
+    A surface energy of zero is replaced by one that is too small to be felt, so that the law
+    ends in Hertz's without a case of its own.
+    """
+    work = np.maximum(surface_energy, _LEAST_ENERGY)
+    radius = np.asarray(radius, dtype=float)
+    ratio = np.pi * work / (6.0 * np.asarray(modulus, dtype=float))  # = π w / (8 E*)
+    return np.cbrt(ratio * ratio * radius), np.asarray(np.pi * work * radius / 6.0)
+
+
+@final
+@parameters
+class ExactJKR:
+    """Johnson–Kendall–Roberts contact with the contact radius as unknown, and hysteresis.
+
+    A contact forms where the spheres meet (h >= 0) and breaks at the turning point
+    (h < -3 k, see the module's docstring), so a pair needs a memory: ``touching`` says whether it
+    was in contact before. Held fixed during a step it only chooses the overlap at which the
+    force sets in, -3 k or 0; :meth:`in_contact` gives its next value. In between the force
+    follows the stable branch. It jumps to -(4/3) π w r at first contact and from -(5/6) π w r
+    to zero at breaking. The work of adhesion w is the ``surface_energy``, so that the pull-off
+    force -(3/2) π w r is that of :class:`~multicell.contact.jkr.JKR` with the same number.
+    """
+
+    code: ClassVar[int] = 2
+    surface_energy: float = quantity(
+        "nN/um", default=0.1, at_least=0.0, doc="Work of adhesion w of a contact"
+    )
+
+    @property
+    def adhesion(self) -> float:
+        """√(6πw) in (nN/µm)^½."""
+        return float(np.sqrt(6.0 * np.pi * self.surface_energy))
+
+    def in_contact(
+        self, overlap: ArrayLike, modulus: ArrayLike, radius: ArrayLike, touching: ArrayLike
+    ) -> NDArray[np.bool_]:
+        """Return whether pairs are in contact now, given whether they were before."""
+        breaking = np.where(touching, self.breaking_overlap(modulus, radius), 0.0)
+        return np.asarray(np.asarray(overlap) >= breaking)
+
+    def force(
+        self,
+        overlap: ArrayLike,
+        modulus: ArrayLike,
+        radius: ArrayLike,
+        *,
+        rest: ArrayLike | None = None,
+        touching: ArrayLike = False,
+    ) -> FloatArray:
+        """Return the force in nN at an overlap (µm), E_ij (kPa) and r_ij (µm)."""
+        unit, scale = self._units(modulus, radius)
+        threshold = np.where(touching, -3.0 * unit, 0.0)
+        return np.asarray(exact_force(np.asarray(overlap, dtype=float), threshold, unit, scale))
+
+    def stiffness(
+        self,
+        overlap: ArrayLike,
+        modulus: ArrayLike,
+        radius: ArrayLike,
+        *,
+        rest: ArrayLike | None = None,
+        touching: ArrayLike = False,
+    ) -> FloatArray:
+        """Return dF/dh = (3/2) (P / k) u² (u³ - 3) / (u³ - 1) in nN/µm, zero out of contact.
+
+        It tends to -∞ towards the turning point and is cut off where rounding of the overlap
+        hides how near that is, at about -1e8 P / k.
+        """
+        v, contact = self._branch(overlap, modulus, radius, touching)
+        unit, scale = self._units(modulus, radius)
+        v = np.maximum(v, _RESOLVED)
+        rise = v * (3.0 + v * (3.0 + v))  # u³ - 1
+        return np.where(contact, 1.5 * scale / unit * (1.0 + v) ** 2 * (rise - 2.0) / rise, 0.0)
+
+    def energy(
+        self,
+        overlap: ArrayLike,
+        modulus: ArrayLike,
+        radius: ArrayLike,
+        *,
+        rest: ArrayLike | None = None,
+        touching: ArrayLike = False,
+    ) -> FloatArray:
+        """Return the energy P k u⁴ ((2/5) u⁶ - 4 u³ + 6) in fJ, zero out of contact.
+
+        It is the elastic energy less the surface energy w π a_c², so it is zero for spheres apart
+        and its slope dU/dh is the force along the whole branch. It is not continuous in time:
+        a contact that forms loses :meth:`forming_loss`, one that breaks :meth:`breaking_loss`.
+        """
+        v, contact = self._branch(overlap, modulus, radius, touching)
+        unit, scale = self._units(modulus, radius)
+        u = 1.0 + v
+        cube = u * u * u
+        return np.where(contact, unit * scale * u * cube * (cube * (0.4 * cube - 4.0) + 6.0), 0.0)
+
+    def contact_radius(
+        self,
+        overlap: ArrayLike,
+        modulus: ArrayLike,
+        radius: ArrayLike,
+        *,
+        rest: ArrayLike | None = None,
+        touching: ArrayLike = False,
+    ) -> FloatArray:
+        """Return the contact radius a_c = √(k r_ij) u² in µm, zero out of contact."""
+        v, contact = self._branch(overlap, modulus, radius, touching)
+        unit, _ = self._units(modulus, radius)
+        return np.where(contact, np.sqrt(unit * np.asarray(radius)) * (1.0 + v) ** 2, 0.0)
+
+    def curve(
+        self, contact: ArrayLike, modulus: ArrayLike, radius: ArrayLike
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return overlap (µm) and force (nN) at a contact radius (µm), on either branch.
+
+        These are the equations of Johnson et al. as they stand in the module's docstring.
+        """
+        star, radius = 0.75 * np.asarray(modulus, dtype=float), np.asarray(radius, dtype=float)
+        a, w = np.asarray(contact, dtype=float), self.surface_energy
+        overlap = a * a / radius - np.sqrt(2.0 * np.pi * w * a / star)
+        force = 4.0 * star * a**3 / (3.0 * radius) - np.sqrt(8.0 * np.pi * w * star * a**3)
+        return np.asarray(overlap), np.asarray(force)
+
+    def equilibrium_overlap(self, modulus: ArrayLike, radius: ArrayLike) -> FloatArray:
+        """Return the overlap without force, 2 · 6^{1/3} k in µm: a third of eq. 3.6's h₀."""
+        return np.asarray(self._units(modulus, radius)[0] * (2.0 * 6.0 ** (1.0 / 3.0)))
+
+    def breaking_overlap(self, modulus: ArrayLike, radius: ArrayLike) -> FloatArray:
+        """Return the overlap -3 k in µm below which a contact breaks (prescribed distance)."""
+        return np.asarray(-3.0 * self._units(modulus, radius)[0])
+
+    def pull_off_overlap(self, modulus: ArrayLike, radius: ArrayLike) -> FloatArray:
+        """Return the overlap -3^{1/3} k in µm of the deepest attraction."""
+        return np.asarray(self._units(modulus, radius)[0] * -(3.0 ** (1.0 / 3.0)))
+
+    def pull_off_force(self, radius: ArrayLike) -> FloatArray:
+        """Return the deepest attraction -(3/2) π w r_ij in nN: a larger load separates a pair."""
+        return np.asarray(-1.5 * np.pi * self.surface_energy * np.asarray(radius, dtype=float))
+
+    def first_contact_force(self, radius: ArrayLike) -> FloatArray:
+        """Return -(4/3) π w r_ij in nN, to which the force jumps when a contact forms."""
+        return np.asarray(self.pull_off_force(radius) * (8.0 / 9.0))
+
+    def breaking_force(self, radius: ArrayLike) -> FloatArray:
+        """Return -(5/6) π w r_ij in nN, from which the force jumps to zero at fixed grips."""
+        return np.asarray(self.pull_off_force(radius) * (5.0 / 9.0))
+
+    def forming_loss(self, modulus: ArrayLike, radius: ArrayLike) -> FloatArray:
+        """Return the energy (18/5) 4^{4/3} P k in fJ that is lost when a contact forms."""
+        unit, scale = self._units(modulus, radius)
+        return np.asarray(unit * scale * (3.6 * 4.0 ** (4.0 / 3.0)))
+
+    def breaking_loss(self, modulus: ArrayLike, radius: ArrayLike) -> FloatArray:
+        """Return the energy (12/5) P k in fJ that is lost when a contact breaks."""
+        unit, scale = self._units(modulus, radius)
+        return np.asarray(unit * scale * 2.4)
+
+    def reach(
+        self, modulus: ArrayLike, radius: ArrayLike, *, rest: ArrayLike | None = None
+    ) -> FloatArray:
+        """Return 3 k in µm: so far apart a contact may still hold."""
+        return np.asarray(-self.breaking_overlap(modulus, radius))
+
+    def _units(self, modulus: ArrayLike, radius: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        return exact_units(modulus, radius, self.surface_energy)
+
+    def _branch(
+        self, overlap: ArrayLike, modulus: ArrayLike, radius: ArrayLike, touching: ArrayLike
+    ) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Return u - 1 on the stable branch, and whether the pair is in contact."""
+        unit, _ = self._units(modulus, radius)
+        excess = np.maximum(np.asarray(overlap, dtype=float) / unit + 3.0, 0.0)
+        return beyond_turning(excess), self.in_contact(overlap, modulus, radius, touching)

@@ -1,0 +1,437 @@
+"""Loops of the explicit methods, compiled, with the neighbour list updated inside.
+
+Every loop is an ordinary function of a *source* of velocities. Compiled, the source is a
+:class:`Serial` or :class:`Shared` set of arrays, and :func:`evaluate` calls the kernels without
+returning to Python. Uncompiled (``loop.py_func``), the source is :class:`Called`, for systems that
+need Python (see :func:`multicell.integrators.runge_kutta.needs_python`): the same loop, one
+call of ``Mechanics.velocity`` per stage. Functions that evaluate are
+:func:`numba.extending.register_jitable`; the arithmetic on arrays is compiled in both cases.
+
+A loop works on its own copy of the positions, which is always the last accepted state, and
+returns a :class:`Report`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NamedTuple, final
+
+import numpy as np
+from numba import njit
+from numba.extending import overload, register_jitable
+from numpy.typing import NDArray
+
+from multicell.mechanics import forces, neighbours
+from multicell.mechanics.system import Mechanics, StateRejected
+
+if TYPE_CHECKING:
+    from multicell.cells import FloatArray
+
+
+DONE, REJECTED, NOT_FINITE, MOVED, STALLED, OUT_OF_STEPS, TOO_LONG = range(7)
+"""How a loop, or one evaluation, ended."""
+EVALUATIONS, LIST_BUILDS, STEPS, REJECTIONS = range(4)
+"""Places in the array of counts."""
+
+_SHORTEST = 1e-13
+"""Steps below this fraction of the interval are lost in rounding."""
+
+
+_BLOCK = 1024
+"""Numbers of an array that are worked on at a time."""
+
+
+class Serial(NamedTuple):
+    """What the kernels need besides the pairs; ``cells.reference`` is written here."""
+
+    cells: forces.CellData
+    slack: forces.SlackData
+    law: forces.LawData
+    reach: FloatArray
+    skin: float
+    rows: FloatArray
+    counts: NDArray[np.int64]
+
+
+class Shared(NamedTuple):
+    """The same for many cells: chunks are shared among threads."""
+
+    cells: forces.CellData
+    slack: forces.SlackData
+    law: forces.LawData
+    reach: FloatArray
+    skin: float
+    rows: FloatArray
+    counts: NDArray[np.int64]
+
+
+class Control(NamedTuple):
+    """Settings of error control.
+
+    ``strictness`` is the weighted error that a step may have, ``order`` the exponent of the
+    step in the estimated error, ``most_steps`` the largest number of accepted steps.
+    """
+
+    rtol: float
+    atol: float
+    strictness: float
+    order: float
+    most_steps: int
+    max_displacement: float
+
+
+class Report(NamedTuple):
+    """How a loop ended: time since the beginning and last step tried, s; the worst cell.
+
+    ``error`` is the largest estimated error of a cell in an accepted step, µm, or NaN.
+    """
+
+    status: int
+    elapsed: float
+    step: float
+    cell: int
+    moved: float
+    error: float
+
+
+def _index(dispatcher: Any) -> Any:
+    """Return the part of numba that holds the stamp of a function's file, if it is there."""
+    index = getattr(getattr(dispatcher, "_cache", None), "_cache_file", None)
+    return index if hasattr(index, "_source_stamp") else None
+
+
+def compiled(function: Callable[..., Any]) -> Any:
+    """Compile lazily, with a disk cache that notices changes in the kernels as well.
+
+    Numba compares the date of the function's own file only, but code of the other files
+    is compiled into it.
+    """
+    dispatcher = njit(cache=True)(function)
+    inside = [_index(other) for other in (forces.forces, neighbours.rebuild, copy, dispatcher)]
+    if all(inside):
+        inside[-1]._source_stamp = tuple(index._source_stamp for index in inside)
+    return dispatcher
+
+
+@final
+class Called:
+    """A source of velocities in Python: one call of :meth:`Mechanics.velocity` per stage."""
+
+    def __init__(self, system: Mechanics) -> None:
+        self.system = system
+        self.problem = ""
+
+    def velocity(self, elapsed: float, position: FloatArray, out: FloatArray) -> int:
+        """Write the velocities at a state; return how it went."""
+        try:
+            self.system.velocity(self.system.motion.begin + elapsed, position, out)
+        except StateRejected as error:
+            self.problem = str(error)
+            return REJECTED if np.isfinite(position).all() else NOT_FINITE
+        return DONE
+
+
+def evaluate(source, pairs, elapsed, position, out):
+    """Write the velocities at a state; return how it went, and the list of pairs.
+
+    The list is handed from call to call, since compiled code cannot change what it was given.
+    """
+    return source.velocity(elapsed, position, out), pairs
+
+
+@overload(evaluate)
+def _compiled_evaluate(source, pairs, elapsed, position, out):
+    kind = getattr(source, "instance_class", None)
+    return {Serial: _evaluate_serial, Shared: _evaluate_shared}.get(kind)
+
+
+def _evaluate_serial(source, pairs, elapsed, position, out):
+    source.counts[EVALUATIONS] += 1
+    while forces.forces(
+        source.cells, pairs, source.slack, source.law, position, elapsed, True, source.rows, out
+    ):
+        if not _is_finite(position):
+            return NOT_FINITE, pairs
+        source.counts[LIST_BUILDS] += 1
+        crowded, first, second, start, inner_end, outer_end = neighbours.rebuild(
+            position, source.reach, source.skin, source.cells.chunk
+        )
+        if crowded:
+            return REJECTED, pairs
+        copy(position, source.cells.reference)
+        pairs = forces.PairData(
+            first, second, start, inner_end, outer_end, pairs.sticky, pairs.unit, pairs.onset
+        )
+    return DONE, pairs
+
+
+def _evaluate_shared(source, pairs, elapsed, position, out):
+    source.counts[EVALUATIONS] += 1
+    while forces.forces_parallel(
+        source.cells, pairs, source.slack, source.law, position, elapsed, True, source.rows, out
+    ):
+        if not _is_finite(position):
+            return NOT_FINITE, pairs
+        source.counts[LIST_BUILDS] += 1
+        crowded, first, second, start, inner_end, outer_end = neighbours.rebuild_parallel(
+            position, source.reach, source.skin, source.cells.chunk
+        )
+        if crowded:
+            return REJECTED, pairs
+        copy(position, source.cells.reference)
+        pairs = forces.PairData(
+            first, second, start, inner_end, outer_end, pairs.sticky, pairs.unit, pairs.onset
+        )
+    return DONE, pairs
+
+
+@njit(cache=True)
+def _is_finite(position):
+    finite = True
+    for value in position.reshape(-1):
+        finite &= math.isfinite(value)
+    return finite
+
+
+@njit(cache=True)
+def copy(source, out):
+    """Copy an array: loops like this one compile four times faster than ``out[:] = source``."""
+    x, y = source.reshape(-1), out.reshape(-1)
+    for k in range(y.size):
+        y[k] = x[k]
+
+
+@njit(cache=True)
+def displace(position, step, direction, out):
+    """Write position + step x direction; ``out`` may be either of them."""
+    x, v, y = position.reshape(-1), direction.reshape(-1), out.reshape(-1)
+    for k in range(y.size):
+        y[k] = x[k] + step * v[k]
+
+
+@njit(cache=True)
+def combine(position, step, weights, slopes, count, out):
+    """Write position + step Σ_j weights_j slopes_j over the first ``count`` slopes.
+
+    In blocks that stay in the nearest cache, while each slope streams through once.
+    """
+    x, y = position.reshape(-1), out.reshape(-1)
+    for begin in range(0, y.size, _BLOCK):
+        end = min(begin + _BLOCK, y.size)
+        for k in range(begin, end):
+            y[k] = x[k]
+        for j in range(count):
+            w = step * weights[j]
+            if w != 0.0:
+                slope = slopes[j].reshape(-1)
+                for k in range(begin, end):
+                    y[k] += w * slope[k]
+
+
+@njit(cache=True)
+def error_of(step, weights, slopes, out):
+    """Write step Σ_j weights_j slopes_j."""
+    y = out.reshape(-1)
+    for k in range(y.size):
+        y[k] = 0.0
+    combine(out, step, weights, slopes, weights.size, out)
+
+
+@njit(cache=True, error_model="numpy")
+def furthest_moved(before, after, radius):
+    """Return the cell that moved furthest, in its radius, and how far; not a number is ∞."""
+    cell, most = 0, -1.0
+    for i in range(before.shape[0]):
+        x, y, z = after[i, 0] - before[i, 0], after[i, 1] - before[i, 1], after[i, 2] - before[i, 2]
+        moved = math.sqrt(x * x + y * y + z * z) / radius[i]
+        if not math.isfinite(moved):
+            return i, math.inf
+        if moved > most:
+            cell, most = i, moved
+    return cell, most
+
+
+@njit(cache=True)
+def largest_length(values):
+    """Return the length of the longest row."""
+    square = 0.0
+    for i in range(values.shape[0]):
+        x, y, z = values[i, 0], values[i, 1], values[i, 2]
+        square = max(square, x * x + y * y + z * z)
+    return math.sqrt(square)
+
+
+@njit(cache=True, error_model="numpy")
+def weighted_rms(values, before, after, rtol, atol):
+    """Return the root mean square of values_k / (atol + rtol |x_k|), larger |x| of the two."""
+    e, x, y = values.reshape(-1), before.reshape(-1), after.reshape(-1)
+    total = 0.0
+    for k in range(e.size):
+        part = e[k] / (atol + rtol * max(abs(x[k]), abs(y[k])))
+        total += part * part
+    return math.sqrt(total / e.size)
+
+
+@register_jitable
+def starting_step(source, pairs, control, position, slope, trial, other, length, radius):
+    """Return a first step (Hairer, Nørsett & Wanner I, II.4) and leave nothing behind.
+
+    The trial step of that recipe moves no cell further than a tenth of what is allowed.
+    """
+    size = weighted_rms(position, position, position, control.rtol, control.atol)
+    speed = weighted_rms(slope, position, position, control.rtol, control.atol)
+    step = length
+    if speed > 0.0:
+        step = min(step, 0.01 * size / speed)
+    displace(position, 1.0, slope, trial)
+    _, moved = furthest_moved(position, trial, radius)
+    if moved * step > 0.1 * control.max_displacement:
+        step = 0.1 * control.max_displacement / moved
+    step = max(step, 1e-6 * length)
+    displace(position, step, slope, trial)
+    status, pairs = evaluate(source, pairs, step, trial, other)
+    if status != DONE:
+        return 1e-6 * length, pairs
+    displace(other, -1.0, slope, other)
+    bend = weighted_rms(other, position, position, control.rtol, control.atol) / step
+    largest = max(speed, bend) / control.strictness
+    if largest > 0.0:
+        return min(100.0 * step, (0.01 / largest) ** (1.0 / control.order), length), pairs
+    return length, pairs
+
+
+@njit(cache=True)
+def next_step(step, error, previous, order, again):
+    """Return the next step by PI control (Gustafsson), smaller if the last is done again."""
+    if not math.isfinite(error):
+        return 0.2 * step
+    error = max(error, 1e-10)
+    if again:
+        return step * max(0.2, 0.9 * error ** (-1.0 / order))
+    factor = 0.9 * error ** (-0.7 / order) * previous ** (0.4 / order)
+    return step * min(5.0, max(0.2, factor))
+
+
+@njit(cache=True)
+def shorter(step, moved, allowed):
+    """Return the step to try after one that moved a cell too far, or had no velocity."""
+    if not moved > allowed:
+        return 0.25 * step
+    return step * max(0.1, min(0.7, 0.8 * allowed / moved))
+
+
+@njit(cache=True)
+def fitted(step, left):
+    """Return a step that does not leave a tiny rest of the interval."""
+    if step >= left * (1.0 - 1e-12):
+        return left
+    return min(step, 0.5 * left)
+
+
+@register_jitable
+def _stages(source, pairs, tableau, slopes, position, elapsed, step, trial):
+    """Evaluate all stages but the first; ``trial`` is left at the last one."""
+    for i in range(1, tableau.c.size):
+        combine(position, step, tableau.a[i], slopes, i, trial)
+        status, pairs = evaluate(source, pairs, elapsed + tableau.c[i] * step, trial, slopes[i])
+        if status != DONE:
+            return status, pairs
+    return DONE, pairs
+
+
+@compiled
+def fixed_runge_kutta(source, pairs, tableau, position, length, steps, allowed, radius, counts):
+    """Take equal steps of a Runge-Kutta method."""
+    slopes = np.empty((tableau.c.size, position.shape[0], 3))
+    trial = np.empty_like(position)
+    step = length / steps
+    for k in range(steps):
+        elapsed = k * step
+        status, pairs = evaluate(source, pairs, elapsed, position, slopes[0])
+        if status == DONE:
+            status, pairs = _stages(source, pairs, tableau, slopes, position, elapsed, step, trial)
+        if status != DONE:
+            return Report(status, elapsed, step, -1, math.inf, math.nan), pairs
+        combine(position, step, tableau.b, slopes, tableau.c.size, trial)
+        cell, moved = furthest_moved(position, trial, radius)
+        if moved > allowed:
+            return Report(MOVED, elapsed, step, cell, moved, math.nan), pairs
+        copy(trial, position)
+        counts[STEPS] += 1
+    return Report(DONE, length, step, -1, 0.0, math.nan), pairs
+
+
+@compiled
+def adams_bashforth(source, pairs, position, length, steps, allowed, radius, counts):
+    """Take equal steps of the two-step Adams-Bashforth method, the first one by Heun's."""
+    slopes = np.empty((2, position.shape[0], 3))
+    trial = np.empty_like(position)
+    step = length / steps
+    weights = np.full(2, 0.5)
+    for k in range(steps):
+        elapsed = k * step
+        # the newest slope goes where the oldest was
+        new = k % 2
+        status, pairs = evaluate(source, pairs, elapsed, position, slopes[new])
+        if k == 0 and status == DONE:
+            displace(position, step, slopes[0], trial)
+            status, pairs = evaluate(source, pairs, step, trial, slopes[1])
+        elif k > 0:
+            weights[new], weights[1 - new] = 1.5, -0.5
+        if status != DONE:
+            return Report(status, elapsed, step, -1, math.inf, math.nan), pairs
+        combine(position, step, weights, slopes, 2, trial)
+        cell, moved = furthest_moved(position, trial, radius)
+        if moved > allowed:
+            return Report(MOVED, elapsed, step, cell, moved, math.nan), pairs
+        copy(trial, position)
+        counts[STEPS] += 1
+    return Report(DONE, length, step, -1, 0.0, math.nan), pairs
+
+
+@compiled
+def adaptive_runge_kutta(source, pairs, tableau, control, position, length, radius, counts):
+    """Take steps of an embedded pair under error control."""
+    last = tableau.c.size - 1
+    slopes = np.empty((tableau.c.size, position.shape[0], 3))
+    trial, error = np.empty_like(position), np.empty_like(position)
+    elapsed, previous, accepted, cell, moved, worst = 0.0, 1.0, 0, -1, 0.0, 0.0
+    status, pairs = evaluate(source, pairs, 0.0, position, slopes[0])
+    if status != DONE:
+        return Report(status, 0.0, 0.0, -1, math.inf, math.nan), pairs
+    step, pairs = starting_step(
+        source, pairs, control, position, slopes[0], trial, error, length, radius
+    )
+    held = False
+    while elapsed < length:
+        step = fitted(step, length - elapsed)
+        if accepted == control.most_steps or step < _SHORTEST * length:
+            status = OUT_OF_STEPS if accepted == control.most_steps else STALLED
+            return Report(status, elapsed, step, cell, moved, math.nan), pairs
+        status, pairs = _stages(source, pairs, tableau, slopes, position, elapsed, step, trial)
+        # the result, where the last stage was
+        cell, moved = furthest_moved(position, trial, radius)
+        if status != DONE or moved > control.max_displacement:
+            counts[REJECTIONS] += 1
+            step, held = shorter(step, moved, control.max_displacement), True
+            continue
+        error_of(step, tableau.error, slopes, error)
+        size = weighted_rms(error, position, trial, control.rtol, control.atol)
+        size /= control.strictness
+        if not size <= 1.0:
+            counts[REJECTIONS] += 1
+            step, held = next_step(step, size, previous, control.order, True), True
+            continue
+        whole = step == length - elapsed
+        elapsed = length if whole else elapsed + step
+        copy(trial, position)
+        copy(slopes[last], slopes[0])
+        worst = max(worst, largest_length(error))
+        counts[STEPS] += 1
+        accepted += 1
+        wanted = next_step(step, size, previous, control.order, False)
+        # no growth right after a refusal
+        step, held = (min(step, wanted) if held else wanted), False
+        previous = max(size, 1e-4)
+    return Report(DONE, length, step, -1, 0.0, worst), pairs

@@ -1,0 +1,1 @@
+"""Forces, Jacobian and observables of a population of overdamped cells."""

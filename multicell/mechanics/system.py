@@ -1,0 +1,555 @@
+"""Overdamped mechanics of a population: forces, Jacobian, energy, pressure.
+
+The equation of motion is 6πη r_i(t) dx_i/dt = Σ_j F_ij (Stokes drag, contact forces of
+:mod:`multicell.contact.law`). Over a coupling step a radius runs linearly in time between its
+values at the two ends, so that volumes are exact at both ends.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multicell.cells import SPHERE
+from multicell.contact.exact_jkr import exact_units
+from multicell.contact.law import PairLaw, compliance, effective_radius
+from multicell.mechanics import forces, neighbours
+from multicell.mechanics.division_offset import Slack
+
+if TYPE_CHECKING:
+    from multicell.cells import FloatArray
+    from multicell.mechanics.friction import Rubbing
+    from multicell.mechanics.walls import Walls
+
+
+_NOTHING = np.empty((0, 0))
+_NO_VALUES = np.empty(0)
+
+
+class StateRejected(Exception):  # noqa: N818 - what happened to a trial state, not a fault
+    """A trial state that has no meaning: not finite, or with too many cells in one place."""
+
+
+@final
+@dataclass
+class Work:
+    """Counts of what an integration has cost."""
+
+    evaluations: int = 0
+    linearisations: int = 0
+    jacobian_products: int = 0
+    preconditioner_setups: int = 0
+    preconditioner_solves: int = 0
+    list_builds: int = 0
+    steps: int = 0
+    rejections: int = 0
+    newton_iterations: int = 0
+    linear_iterations: int = 0
+    factorisations: int = 0
+    steps_ab2_adaptive: int = 0
+    steps_dopri5: int = 0
+    steps_rkc2: int = 0
+    steps_cvode: int = 0
+    friction_iterations: int = 0
+
+    def add(self, other: Work) -> None:
+        """Add the counts of ``other`` to these."""
+        for name, count in vars(other).items():
+            setattr(self, name, getattr(self, name) + count)
+
+
+@final
+@dataclass
+class Motion:
+    """What is known of the cells during one coupling step, from ``begin`` to ``end``.
+
+    Attributes
+    ----------
+    radius, radius_rate : (n,)
+        Radius at ``begin``, µm, and its constant rate, µm/s.
+    young, poisson : (n,)
+        Elastic constants, kPa and dimensionless.
+    begin, end : float
+        Time, s.
+    bonds : (n, 4), optional
+        Receptors and ligands at ``begin`` and their constant rates, 1/s.
+    push : (n, 6), optional
+        External force on each cell at ``begin``, nN, and its constant rate, nN/s.
+    kind : (n,) int, optional
+        Type of each cell, an index into the matrix of surface energies.
+    touching : (m, 2) int, optional
+        Pairs in contact at ``begin``, smaller index first; only exact JKR asks.
+    slack_pairs : (m, 2) int, optional
+        Pairs that feel only the overlap beyond their slack, smaller index first, none twice.
+    slack : (m, 2), optional
+        Their slack at ``begin``, µm, and its constant rate, µm/s; it ends where it reaches zero.
+    """
+
+    radius: FloatArray
+    radius_rate: FloatArray
+    young: FloatArray
+    poisson: FloatArray
+    begin: float
+    end: float
+    bonds: FloatArray | None = None
+    push: FloatArray | None = None
+    kind: NDArray[Any] | None = None
+    touching: NDArray[Any] | None = None
+    slack_pairs: NDArray[Any] | None = None
+    slack: FloatArray | None = None
+
+
+@final
+@dataclass
+class Linearisation:
+    """Direction, dF/dh + F/d and F/d of every pair at one state.
+
+    ``walls`` is the stiffness of each cell's walls along each axis, (n, 3) nN/µm, or empty.
+    """
+
+    pairs: neighbours.PairList
+    normal: FloatArray
+    along: FloatArray
+    across: FloatArray
+    data: forces.PairData | None = None
+    walls: FloatArray = field(default_factory=lambda: _NOTHING)
+
+    @classmethod
+    def room(cls, pairs: neighbours.PairList) -> Linearisation:
+        """Return arrays of the size that a list needs, not filled yet."""
+        size = len(pairs.first)
+        return cls(pairs, np.empty((size, 3)), np.empty(size), np.empty(size))
+
+
+@final
+@dataclass
+class Mechanics:
+    """Right-hand side, Jacobian and observables of overdamped cells.
+
+    Owns the neighbour list and all work arrays, which can be rebuilt from the state.
+
+    Parameters
+    ----------
+    law
+        Pair law.
+    viscosity
+        Viscosity η of the medium, kPa·s.
+    threads
+        With more than one, chunks of cells are shared among threads; same bits.
+    skin
+        Margin of the neighbour list as a fraction of the mean radius.
+    chunk
+        Cells that one thread works on at a time; it decides the order of the sums.
+    shared_chunks
+        Number of chunks from which on threads are used: below, waking them costs more
+        than they save.
+    bond_strength
+        f_ad of differential adhesion (eq. 3.7), nN/µm²; felt by cells with receptors.
+    friction : (float, float)
+        Friction of touching cells per contact area, along the line of centres and across it,
+        nN s/µm³; see :mod:`multicell.mechanics.friction`.
+    surface_energies : (k, k), optional
+        Symmetric matrix over the cell types, nN/µm, in place of the law's surface energy.
+    walls : optional
+        Elastic walls that the cells press against.
+    """
+
+    law: PairLaw
+    viscosity: float
+    threads: int = 1
+    skin: float = 0.15
+    chunk: int = neighbours.CHUNK
+    shared_chunks: int = 8
+    bond_strength: float = 0.0
+    friction: tuple[float, float] = (0.0, 0.0)
+    surface_energies: FloatArray | None = None
+    walls: Walls | None = None
+    work: Work = field(default_factory=Work)
+
+    def __post_init__(self) -> None:
+        self.drag = 6.0 * math.pi * self.viscosity
+        self._law = forces.LawData(
+            self.law.code,
+            self.law.adhesion,
+            self._constant("smoothing"),
+            self._constant("stiffness_at_rest"),
+            self._constant("cutoff"),
+            self._constant("decay"),
+            float(self.bond_strength),
+            self.drag,
+        )
+        self._pairs: neighbours.PairList | None = None
+        self._linear: Linearisation | None = None
+        self._rubbing: Rubbing | None = None
+
+    def _constant(self, name: str) -> float:
+        """Return a parameter of the law, zero where the law has none of that name."""
+        return float(getattr(self.law, name, 0.0))
+
+    def begin(self, motion: Motion) -> None:
+        """Take the radii and moduli for a coupling step; the old list is dropped.
+
+        Raises
+        ------
+        ValueError
+            If the motion's pairs with slack or their slack have no meaning.
+        """
+        self.motion = motion
+        n = len(motion.radius)
+        width = 5 if motion.bonds is None else 7
+        self._rows = np.zeros((n, width))
+        self._rows[:, 4] = compliance(motion.young, motion.poisson)
+        self._end_radius = motion.radius + motion.radius_rate * (motion.end - motion.begin)
+        largest = np.maximum(motion.radius, self._end_radius)
+        self._skin = self.skin * float(largest.mean()) if n else 0.0
+        self._list_radius = self._reaching(largest)
+        self._pairs = self._linear = None
+        self._slack = Slack.of(
+            n, motion.slack_pairs, motion.slack, self._law_of_pairs, self.law.adhesion
+        )
+        self._blocks = np.empty((n, 6))
+        self._inverse = np.empty((n, 6))
+        if max(self.friction) > 0.0:
+            self._rubbing = _rubbing(self.friction, n, self.drag, self.chunk)
+
+    def __len__(self) -> int:
+        """Return the number of cells."""
+        return len(self.motion.radius)
+
+    def velocity(self, time: float, position: FloatArray, out: FloatArray) -> None:
+        """Write dx/dt, (n, 3) µm/s, at ``position``, (n, 3) µm, and ``time``, s.
+
+        Raises
+        ------
+        StateRejected
+            If the positions are not finite, too many cells overlap, or friction cannot be
+            solved for.
+        """
+        self.work.evaluations += 1
+        rubbing = self._rubbing
+        if rubbing is None:
+            self._forces(time, position, True, out)
+            return
+        pairs = self._forces(time, position, False, rubbing.force)
+        try:
+            iterations = rubbing.velocity(
+                self._rows, pairs, self._shared(pairs), self._slack_listed(time), out
+            )
+        except rubbing.failure as error:
+            raise StateRejected(str(error)) from error
+        self.work.friction_iterations += iterations
+
+    def linearise(self, time: float, position: FloatArray) -> None:
+        """Prepare :meth:`jacobian_product` at a state."""
+        self._linearise(time, position)
+
+    def _linearise(self, time: float, position: FloatArray) -> Linearisation:
+        self.work.linearisations += 1
+        pairs = self._settle(time, position)
+        if self._linear is None or self._linear.pairs is not pairs:
+            self._linear = Linearisation.room(pairs)
+        linear = self._linear
+        run = forces.linearise_parallel if self._shared(pairs) else forces.linearise
+        run(
+            self._rows, self._pair_data, self._law, time - self.motion.begin,
+            linear.normal, linear.along, linear.across,
+        )  # fmt: skip
+        linear.data = self._pair_data
+        if self.walls is not None:
+            linear.walls = self.walls.stiffness(self._rows)
+        if self._slack:
+            forces.relinearise(
+                self._rows, self._pair_data, self._slack.data, self._law,
+                time - self.motion.begin, *self._slack.places(self._pair_data),
+                linear.along, linear.across,
+            )  # fmt: skip
+        if self._rubbing is not None:
+            self._rubbing.linearise(
+                self._rows, pairs, self._shared(pairs), self._slack_listed(time)
+            )
+        return linear
+
+    @property
+    def linearisation(self) -> Linearisation:
+        """The pairs' stiffness at the last state given to :meth:`linearise`."""
+        return self._linearised()
+
+    @property
+    def rows(self) -> FloatArray:
+        """The cells at the last state seen, as :mod:`multicell.mechanics.forces` takes them."""
+        return self._rows
+
+    def jacobian_product(self, vector: FloatArray, out: FloatArray) -> None:
+        """Write J v, (n, 3) µm/s, for ``vector`` (n, 3) µm at the last linearisation.
+
+        Raises
+        ------
+        StateRejected
+            If friction cannot be solved for.
+        """
+        self.work.jacobian_products += 1
+        linear = self._linearised()
+        run = forces.products_parallel if self._shared(linear.pairs) else forces.products
+        drag = self.drag if self._rubbing is None else 0.0
+        run(
+            self.chunk, self._rows, linear.data, linear.normal, linear.along, linear.across,
+            drag, _frozen(vector), out,
+        )  # fmt: skip
+        if self.walls is not None:
+            self.walls.subtract_products(self._rows, linear.walls, drag, _frozen(vector), out)
+        rubbing = self._rubbing
+        if rubbing is not None:
+            try:
+                self.work.friction_iterations += rubbing.divide(out)
+            except rubbing.failure as error:
+                raise StateRejected(str(error)) from error
+
+    def setup_preconditioner(self, gamma: float) -> None:
+        """Invert the 3 x 3 diagonal blocks of I - γJ, stable part, at the linearisation."""
+        self.work.preconditioner_setups += 1
+        self._fill_blocks(self._linearised())
+        forces.invert_blocks(self._rows, self._blocks, gamma, self.drag, self._inverse)
+
+    def precondition(self, vector: FloatArray, out: FloatArray) -> None:
+        """Write the solution of the block-diagonal system for ``vector``, (n, 3)."""
+        self.work.preconditioner_solves += 1
+        forces.apply_blocks(self._inverse, _frozen(vector), out)
+
+    def force(self, time: float, position: FloatArray) -> FloatArray:
+        """Return the force of contacts, of walls and from outside on each cell, (n, 3) nN."""
+        out = np.empty_like(position)
+        self._forces(time, position, False, out)
+        return out
+
+    def contacts(self, time: float, position: FloatArray) -> NDArray[np.int64]:
+        """Return the pairs in contact, (m, 2), smaller index first, in lexicographic order.
+
+        Contact means an overlap above zero; under exact JKR a pair that was in contact at the
+        step's beginning stays so until it breaks. Of a pair with slack the overlap beyond it
+        counts.
+        """
+        pairs = self._settle(time, position)
+        marked = np.empty(len(pairs.first), dtype=np.bool_)
+        elapsed = time - self.motion.begin
+        forces.contacts(self._rows, self._pair_data, self._law, elapsed, marked)
+        if self._slack:
+            forces.part_contacts(
+                self._rows, self._pair_data, self._slack.data, self._law, elapsed,
+                *self._slack.places(self._pair_data), marked,
+            )  # fmt: skip
+        found = np.stack([pairs.first[marked], pairs.second[marked]], axis=1).astype(np.int64)
+        found.sort(axis=1)
+        return found[np.lexsort((found[:, 1], found[:, 0]))]
+
+    def energy(self, time: float, position: FloatArray) -> float:
+        """Return the contact energy Σ U(h) over all pairs, and over all walls, fJ."""
+        self._settle(time, position)
+        elapsed = time - self.motion.begin
+        total = float(forces.energy(self._rows, self._pair_data, self._law, elapsed))
+        if self._slack:
+            total += forces.slack_energy(self._rows, self._slack.data, self._law, elapsed)
+        if self.walls is not None:
+            total += self.walls.energy(self._rows)
+        return total
+
+    def pressure(self, time: float, position: FloatArray) -> FloatArray:
+        """Return the virial pressure of each cell, (n,) kPa, tension negative.
+
+        p_i = 1/(3 V_i) ½ Σ_j F_ij d_ij with the volume V_i of the free sphere: a third of
+        the trace of the contact stress of one cell. It is zero on average in a cluster at
+        rest, where adhesion and repulsion balance. A wall at the distance d adds F d to the
+        sum, as a neighbour at 2 d would.
+        """
+        self._settle(time, position)
+        virials = np.empty(len(self))
+        elapsed = time - self.motion.begin
+        forces.half_virials(self._rows, self._pair_data, self._law, elapsed, virials)
+        if self._slack:
+            forces.add_slack_virials(self._rows, self._slack.data, self._law, elapsed, virials)
+        if self.walls is not None:
+            self.walls.add_virials(self._rows, virials)
+        return np.asarray(virials / (3.0 * SPHERE * self._rows[:, 3] ** 3))
+
+    def stiffness_bound(self, time: float, position: FloatArray) -> float:
+        """Return an upper bound on the decay rates of the linearised motion, 1/s.
+
+        With the stable part D_i of the stiffness of a cell's contacts, no eigenvalue of -J is
+        above 2 max_i λ_max(D_i) / Γ_i, since (u - v)² <= 2 u² + 2 v² for each pair.
+        Explicit Euler is stable for steps below 2 over the largest decay rate.
+        """
+        if len(self) == 0:
+            return 0.0
+        self._fill_blocks(self._linearise(time, position))
+        xx, yy, zz, xy, xz, yz = self._blocks.T
+        full = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=1).reshape(-1, 3, 3)
+        largest = np.linalg.eigvalsh(full)[:, -1]
+        return float((2.0 * largest / (self.drag * self._rows[:, 3])).max())
+
+    def _fill_blocks(self, linear: Linearisation) -> None:
+        forces.diagonal_blocks(
+            linear.data, linear.normal, linear.along, linear.across, self._blocks
+        )
+        if self.walls is not None:
+            self._blocks[:, :3] += linear.walls
+
+    def _forces(
+        self, time: float, position: FloatArray, stokes: bool, out: FloatArray
+    ) -> neighbours.PairList:
+        """Write forces or velocities; return the list that holds at this state."""
+        position = _frozen(position)
+        pairs = self._pairs if self._pairs is not None else self._rebuild(position)
+        run = forces.forces_parallel if self._shared(pairs) else forces.forces
+        while run(
+            self._cells, self._pair_data, self._slack.data, self._law, position,
+            time - self.motion.begin, stokes, self._rows, out,
+        ):  # fmt: skip
+            pairs = self._rebuild(position)
+        if self.walls is not None:
+            self.walls.add_forces(self._rows, self.drag if stokes else 0.0, out)
+        return pairs
+
+    def _settle(self, time: float, position: FloatArray) -> neighbours.PairList:
+        """Bring rows and list to a state; return the list."""
+        position = _frozen(position)
+        pairs = self._pairs if self._pairs is not None else self._rebuild(position)
+        while forces.pack(self._cells, position, time - self.motion.begin, self._rows):
+            pairs = self._rebuild(position)
+        return pairs
+
+    def _rebuild(self, position: FloatArray) -> neighbours.PairList:
+        """Build the neighbour list at a state, and what the law keeps for each pair."""
+        if not np.isfinite(position).all():
+            raise StateRejected("a position is not a number")
+        self.work.list_builds += 1
+        reference = np.array(position)
+        try:
+            pairs = neighbours.build(
+                reference, self._list_radius, self._skin, self._list_threads(), self.chunk
+            )
+        except neighbours.TooManyPairsError as error:
+            raise StateRejected(f"cells lie on top of each other ({error})") from error
+        motion = self.motion
+        self._cells = forces.CellData(
+            self.chunk,
+            (0.5 * self._skin) ** 2,
+            reference,
+            motion.radius,
+            motion.radius_rate,
+            _NOTHING if motion.bonds is None else motion.bonds,
+            _NOTHING if motion.push is None else motion.push,
+        )
+        sticky, unit, onset = self._law_of_list(pairs)
+        self._pair_data = forces.PairData(
+            pairs.first, pairs.second, pairs.start, pairs.inner_end, pairs.outer_end,
+            sticky, unit, onset,
+        )  # fmt: skip
+        self._pairs = pairs
+        return pairs
+
+    def _reaching(self, radius: FloatArray) -> FloatArray:
+        """Return the radii that the list is built with: half of all distances that matter."""
+        if len(radius) == 0:
+            return radius
+        if hasattr(self.law, "cutoff"):
+            return np.asarray(self.law.cutoff * radius)
+        softest = 0.5 / float(self._rows[:, 4].max())
+        largest = float(radius.max())
+        law = self.law
+        if self.surface_energies is not None and hasattr(law, "surface_energy"):
+            law = replace(law, surface_energy=float(self.surface_energies.max()))  # type: ignore[type-var]
+        reach = law.reach(softest, 0.5 * largest, rest=2.0 * largest)
+        return np.asarray(radius + 0.5 * float(reach))
+
+    def _law_of_list(self, pairs: neighbours.PairList) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return what the law keeps for each place of a list, empty where all are alike."""
+        if not self._between_types and self.law.code != forces.EXACT_JKR:
+            return _NO_VALUES, _NOTHING, _NO_VALUES
+        return self._law_of_pairs(*_listed(pairs))
+
+    def _law_of_pairs(
+        self, first: NDArray[np.int64], second: NDArray[np.int64]
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return √(6πσ) of pairs, exact JKR's unit of overlap with its rate, and its onset."""
+        sticky = self._sticky(first, second)
+        return sticky, *self._exact(first, second, sticky)
+
+    @property
+    def _between_types(self) -> bool:
+        return self.surface_energies is not None and self.motion.kind is not None
+
+    def _slack_listed(self, time: float) -> FloatArray:
+        """Return the slack of each place of the list, µm, or nothing where there is none."""
+        return self._slack.listed(self._pair_data, time - self.motion.begin)
+
+    def _sticky(self, first: NDArray[np.int64], second: NDArray[np.int64]) -> FloatArray:
+        """Return √(6πσ_ij) for each pair, or nothing where all pairs are alike."""
+        if self.surface_energies is None or self.motion.kind is None:
+            return _NO_VALUES
+        table = np.sqrt(6.0 * np.pi * self.surface_energies)
+        kind = self.motion.kind
+        return np.ascontiguousarray(table[kind[first], kind[second]])
+
+    def _exact(
+        self, first: NDArray[np.int64], second: NDArray[np.int64], sticky: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return exact JKR's unit of overlap with its rate, and the onset of each pair."""
+        if self.law.code != forces.EXACT_JKR:
+            return _NOTHING, _NO_VALUES
+        soft = self._rows[:, 4]
+        modulus = 1.0 / (soft[first] + soft[second])
+        adhesion = sticky if sticky.size else np.full(len(first), self.law.adhesion)
+        energy = adhesion**2 / (6.0 * np.pi)
+        ends = [
+            exact_units(modulus, effective_radius(radius[first], radius[second]), energy)[0]
+            for radius in (self.motion.radius, self._end_radius)
+        ]
+        length = self.motion.end - self.motion.begin
+        rate = (ends[1] - ends[0]) / length if length > 0.0 else np.zeros(len(first))
+        onset = np.zeros(len(first))
+        touching = self.motion.touching
+        if touching is not None and len(touching):
+            low, high = np.minimum(first, second), np.maximum(first, second)
+            n = np.int64(len(self))
+            known = np.sort(touching[:, 0] * n + touching[:, 1])
+            key = low * n + high
+            place = np.minimum(np.searchsorted(known, key), len(known) - 1)
+            onset[known[place] == key] = -3.0
+        return np.stack([ends[0], rate]), onset
+
+    def _linearised(self) -> Linearisation:
+        if self._linear is None:
+            raise RuntimeError("linearise() must come first")
+        return self._linear
+
+    def _list_threads(self) -> int:
+        return self.threads if len(self) >= self.shared_chunks * self.chunk else 1
+
+    def _shared(self, pairs: neighbours.PairList) -> bool:
+        return self.threads > 1 and len(pairs.start) >= self.shared_chunks
+
+
+def _rubbing(coefficients: tuple[float, float], n: int, drag: float, chunk: int) -> Rubbing:
+    """Return the friction of a coupling step; scenes without it do not load its kernels."""
+    from multicell.mechanics.friction import Rubbing
+
+    return Rubbing(coefficients, n, drag, chunk)
+
+
+def _listed(pairs: neighbours.PairList) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the cells of all places of a list; spare room stands for cell 0 twice."""
+    used = np.zeros(len(pairs.first), dtype=np.bool_)
+    for start, end in zip(pairs.start, pairs.outer_end, strict=True):
+        used[start:end] = True
+    first = np.where(used, pairs.first, 0).astype(np.int64)
+    return first, np.where(used, pairs.second, 0).astype(np.int64)
+
+
+def _frozen(array: FloatArray) -> FloatArray:
+    """Return a read-only view: solvers hand out read-only memory, and one type compiles once."""
+    view = array.view()
+    view.flags.writeable = False
+    return view

@@ -1,0 +1,139 @@
+"""Elastic walls of a fixed domain: what a flat side does to a cell that presses against it.
+
+A side is an elastic half space, a cell a sphere: with the distance d of the cell's centre from
+the side the indentation is h = r_i - d, and the force on the cell, towards the inside,
+
+    F = E_iw √r_i h^{3/2} for h > 0,     1/E_iw = ¾ [(1 - ν_i²)/E_i + (1 - ν_w²)/E_w]
+
+(Hertz 1882; eqs 3.2 to 3.4 with 1/r_w = 0). It does not stick and does not rub. Its energy is
+U = (2/5) E_iw √r_i h^{5/2}. The force acts along the axis only and depends on that coordinate
+alone, so that its derivative is one number for each axis of each cell.
+
+A side at infinity is no side. The loops are over the cells and not over pairs, and run on one
+thread: the same bits for any number of threads.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+from numba import njit
+
+if TYPE_CHECKING:
+    from multicell.cells import FloatArray
+
+
+@njit(cache=True, error_model="numpy")
+def _add_forces(rows, low, high, soft, drag, out):
+    """Add the forces of the sides, nN, or with ``drag`` what they add to velocities, µm/s."""
+    for i in range(rows.shape[0]):
+        radius = rows[i, 3]
+        strength = math.sqrt(radius) / (rows[i, 4] + soft)
+        if drag > 0.0:
+            strength /= drag * radius
+        for a in range(3):
+            h = radius - (rows[i, a] - low[a])
+            if h > 0.0:
+                out[i, a] += strength * h * math.sqrt(h)
+            h = radius - (high[a] - rows[i, a])
+            if h > 0.0:
+                out[i, a] -= strength * h * math.sqrt(h)
+
+
+@njit(cache=True, error_model="numpy")
+def _stiffness(rows, low, high, soft, out):
+    """Write minus the derivative of each component of the force by its coordinate, nN/µm."""
+    for i in range(rows.shape[0]):
+        radius = rows[i, 3]
+        strength = 1.5 * math.sqrt(radius) / (rows[i, 4] + soft)
+        for a in range(3):
+            near = max(radius - (rows[i, a] - low[a]), 0.0)
+            far = max(radius - (high[a] - rows[i, a]), 0.0)
+            out[i, a] = strength * (math.sqrt(near) + math.sqrt(far))
+
+
+@njit(cache=True, error_model="numpy")
+def _energies_and_virials(rows, low, high, soft, virials):
+    """Return the energy of all indentations, fJ; add F d of each cell to ``virials``, nN µm."""
+    total = 0.0
+    for i in range(rows.shape[0]):
+        radius = rows[i, 3]
+        strength = math.sqrt(radius) / (rows[i, 4] + soft)
+        for a in range(3):
+            for distance in (rows[i, a] - low[a], high[a] - rows[i, a]):
+                h = radius - distance
+                if h > 0.0:
+                    force = strength * h * math.sqrt(h)
+                    total += 0.4 * force * h
+                    virials[i] += force * distance
+    return total
+
+
+@njit(cache=True)
+def _subtract_products(rows, stiffness, drag, vector, out):
+    """Subtract stiffness times ``vector``; over ``drag`` times the radius where there is drag."""
+    for i in range(rows.shape[0]):
+        scale = 1.0 / (drag * rows[i, 3]) if drag > 0.0 else 1.0
+        for a in range(3):
+            out[i, a] -= scale * stiffness[i, a] * vector[i, a]
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Walls:
+    """The sides of a box, as flat elastic half spaces.
+
+    Cells come as ``rows`` (n, 5 or more): centre, radius and compliance; see
+    :mod:`multicell.mechanics.forces`.
+
+    Parameters
+    ----------
+    low, high : (3,), µm
+        Where the sides are; -inf and inf where there is none.
+    soft : float, 1/kPa
+        Compliance ¾ (1 - ν²)/E of the walls; see :func:`multicell.contact.law.compliance`.
+    """
+
+    low: FloatArray
+    high: FloatArray
+    soft: float
+
+    def add_forces(self, rows: FloatArray, drag: float, out: FloatArray) -> None:
+        """Add the forces to ``out``, (n, 3) nN, or with a ``drag`` 6πη the velocities, µm/s."""
+        _add_forces(rows, self.low, self.high, self.soft, drag, out)
+
+    def stiffness(self, rows: FloatArray) -> FloatArray:
+        """Return -dF/dx of each cell along each axis, (n, 3) nN/µm, nowhere negative."""
+        out = np.empty((len(rows), 3))
+        _stiffness(rows, self.low, self.high, self.soft, out)
+        return out
+
+    def energy(self, rows: FloatArray) -> float:
+        """Return the energy Σ (2/5) E_iw √r_i h^{5/2}, fJ."""
+        return float(
+            _energies_and_virials(rows, self.low, self.high, self.soft, np.zeros(len(rows)))
+        )
+
+    def add_virials(self, rows: FloatArray, virials: FloatArray) -> None:
+        """Add F d, d the distance of the centre from the side, to ``virials``, (n,) nN µm.
+
+        A neighbour brings ½ F d_ij, and a side is like a neighbour in the mirror, at 2 d.
+        """
+        _energies_and_virials(rows, self.low, self.high, self.soft, virials)
+
+    def subtract_products(
+        self,
+        rows: FloatArray,
+        stiffness: FloatArray,
+        drag: float,
+        vector: FloatArray,
+        out: FloatArray,
+    ) -> None:
+        """Take K v with :meth:`stiffness` from forces, or over drag times radius from velocities.
+
+        ``vector`` and ``out`` are (n, 3); without drag, ``drag`` is zero.
+        """
+        _subtract_products(rows, stiffness, drag, vector, out)

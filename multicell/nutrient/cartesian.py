@@ -1,0 +1,404 @@
+"""Where the nutrient grid lies: round the cells at every moment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+from numba import njit
+
+from multicell.cells import FloatArray
+from multicell.errors import NutrientFailed
+from multicell.scene.domain import filling
+from multicell.scene.scales import MAX_NODES
+
+if TYPE_CHECKING:
+    from pde.grids.cartesian import CartesianGrid
+
+
+_FARTHEST = 1e9  # spacings from the origin; beyond, rounding would eat into the grid's spacing
+
+_NEARLY = 0.75  # an axis longer than this part of the longest gets as many nodes
+
+
+@final
+@dataclass(frozen=True)
+class Box:
+    """A cell-centred grid of cubes, or of squares in the plane z = 0.
+
+    Attributes
+    ----------
+    origin : (3,) float, µm
+        Lower corner.
+    shape : (3,) int
+    spacing : float, µm
+    height : float or None, µm
+        In two dimensions, of the layer; ``shape`` then ends with 1.
+    """
+
+    origin: tuple[float, float, float]
+    shape: tuple[int, int, int]
+    spacing: float
+    height: float | None = None
+
+    @property
+    def upper(self) -> tuple[float, float, float]:
+        """Upper corner, µm."""
+        x, y, z = (o + n * self.spacing for o, n in zip(self.origin, self.shape, strict=True))
+        return (x, y, z)
+
+    @property
+    def nodes(self) -> int:
+        """Number of nodes."""
+        return self.shape[0] * self.shape[1] * self.shape[2]
+
+    @property
+    def volume(self) -> float:
+        """Volume of a node, µm³."""
+        return self.spacing**2 * (self.height or self.spacing)
+
+    def to_pde(self) -> CartesianGrid:
+        """Return py-pde's grid of this box, with two axes where it is flat."""
+        from pde.grids.cartesian import CartesianGrid
+
+        axes = 3 if self.height is None else 2
+        bounds = list(zip(self.origin, self.upper, strict=True))
+        return CartesianGrid(bounds[:axes], self.shape[:axes])
+
+
+def extent(position: FloatArray, margin: float) -> tuple[FloatArray, FloatArray]:
+    """Return the corners (3,), (3,) in µm of the box that holds all cells and the margin.
+
+    Raises
+    ------
+    NutrientFailed
+        If a position is not finite.
+    """
+    if len(position) == 0:
+        position = np.zeros((1, 3))
+    low, high = position.min(axis=0) - margin, position.max(axis=0) + margin
+    if not (np.isfinite(low).all() and np.isfinite(high).all()):
+        raise NutrientFailed(
+            "a cell's position is not a finite number, so no nutrient grid can be laid",
+            "Look at the mechanics of the step before: a smaller coupling_step may help",
+        )
+    return low, high
+
+
+def lay(low: FloatArray, high: FloatArray, spacing: float) -> Box:
+    """Lay a box round the corners ``low`` and ``high`` (µm).
+
+    The faces across the longest axis lie exactly there, and so do those across axes nearly as
+    long: the layer of medium between cells and faces is as thick as the margin at every moment.
+    (A box that grew in steps would make supply, and with it the states of the cells, jump.) So
+    it is the spacing that gives way: it is at most ``spacing``, and the number of nodes along
+    an axis has only small factors, where the sine transform is fast.
+
+    Raises
+    ------
+    NutrientFailed
+        If more than :data:`MAX_NODES` nodes would be needed; nothing is allocated before.
+    """
+    size = high - low
+    _refuse_too_large(size / spacing, size, spacing)
+    _refuse_too_far(low, high, spacing)
+    longest = float(size.max())
+    most = _fast(longest / spacing)
+    step = longest / most
+    x, y, z = (most if s > _NEARLY * longest else _fast(s / step) for s in size)
+    shape = (x, y, z)
+    _refuse_too_large(np.array(shape, dtype=float), size, spacing)
+    a, b, c = (float(m - 0.5 * n * step) for m, n in zip(0.5 * (low + high), shape, strict=True))
+    return Box(origin=(a, b, c), shape=shape, spacing=step)
+
+
+def lay_flat(low: FloatArray, high: FloatArray, spacing: float, height: float) -> Box:
+    """Lay a grid of squares in the plane z = 0; see :func:`lay`."""
+    low, high = low.copy(), high.copy()
+    # as long as the longest axis: it then decides nothing
+    middle, half = 0.5 * (low[:2] + high[:2]), 0.5 * float((high - low)[:2].max())
+    low[2], high[2] = -half, half
+    _refuse_too_large((high - low)[:2] / spacing, (high - low)[:2], spacing)
+    _refuse_too_far(low, high, spacing)
+    longest = 2.0 * half
+    most = _fast(longest / spacing)
+    step = longest / most
+    x, y = (most if s > _NEARLY * longest else _fast(s / step) for s in (high - low)[:2])
+    a, b = (float(m - 0.5 * n * step) for m, n in zip(middle, (x, y), strict=True))
+    return Box((a, b, -0.5 * step), (x, y, 1), step, height)
+
+
+def fill(low: FloatArray, high: FloatArray, spacing: float, height: float | None) -> Box:
+    """Fill a box that stands still with cubes, or in two dimensions with squares.
+
+    Parameters
+    ----------
+    low, high : (3,), µm
+        Its corners; where ``height`` is given the third axis is not looked at.
+    spacing : float, µm
+        Largest edge of a cube; see :func:`multicell.scene.domain.filling`.
+    height : float, µm, optional
+        Of the layer in two dimensions.
+
+    Raises
+    ------
+    NutrientFailed
+        If no cubes fill it.
+    """
+    axes = 3 if height is None else 2
+    lengths = (high - low)[:axes]
+    counts = filling([float(length) for length in lengths], spacing)
+    if counts is None:
+        raise NutrientFailed(
+            f"no cubes of about {spacing:g} um fill the domain",
+            "Take lengths that are multiples of one spacing",
+        )
+    _refuse_too_large(np.array(counts, dtype=float), lengths, spacing)
+    step = float((lengths / counts).max())
+    while not (lengths / step <= counts).all():  # rounding must leave no point outside
+        step = float(np.nextafter(step, np.inf))
+    a, b = float(low[0]), float(low[1])
+    if height is None:
+        return Box((a, b, float(low[2])), (counts[0], counts[1], counts[2]), step)
+    return Box((a, b, -0.5 * step), (counts[0], counts[1], 1), step, height)
+
+
+def overlaps(old: Box, new: Box) -> list[FloatArray]:
+    """Return for each axis the part of every new interval that lies in every old one, (n, m)."""
+    found = []
+    for axis in range(3):
+        a, b = (
+            box.origin[axis] + np.arange(box.shape[axis] + 1) * box.spacing for box in (new, old)
+        )
+        low = np.maximum(a[:-1, None], b[None, :-1])
+        high = np.minimum(a[1:, None], b[None, 1:])
+        found.append(np.maximum(high - low, 0.0) / new.spacing)
+    if new.height is not None:
+        found[2] = np.ones((1, 1))
+    return found
+
+
+def moved(values: FloatArray, old: Box, new: Box, fill: float) -> FloatArray:
+    """Return node values on ``new``, interpolated from ``old`` and ``fill`` outside it."""
+    nodes = [
+        o + (np.arange(n) + 0.5) * new.spacing for o, n in zip(new.origin, new.shape, strict=True)
+    ]
+    inside = [
+        (axis >= low) & (axis <= high)
+        for axis, low, high in zip(nodes, old.origin, old.upper, strict=True)
+    ]
+    out = np.full(new.shape, fill)
+    kept = [axis[mask] for axis, mask in zip(nodes, inside, strict=True)]
+    points = np.stack(np.meshgrid(*kept, indexing="ij"), axis=-1)
+    block = gather(points.reshape(-1, 3), values, old.origin, old.spacing)
+    out[np.ix_(*inside)] = block.reshape(points.shape[:-1])
+    return out
+
+
+def _fast(needed: float) -> int:
+    """Return a number of nodes, not below ``needed``, that suits the sine transform."""
+    from scipy.fft import next_fast_len
+
+    # rounding must not add a node to a length that is a whole number of spacings
+    return int(next_fast_len(max(2, int(np.ceil(needed * (1.0 - 1e-12)))), real=False))
+
+
+def _refuse_too_large(nodes: FloatArray, size: FloatArray, spacing: float) -> None:
+    with np.errstate(over="ignore"):
+        total = float(np.prod(nodes))
+    if total <= MAX_NODES:
+        return
+    lengths = " x ".join(f"{length:.4g}" for length in size)
+    raise NutrientFailed(
+        f"cells and margin spread over {lengths} um, so the nutrient grid would need "
+        f"{total:.3g} nodes at a spacing of {spacing:g} um, more than the {MAX_NODES} allowed",
+        "Use a larger spacing of the nutrient, or find out why cells are so far apart",
+    )
+
+
+def _refuse_too_far(low: FloatArray, high: FloatArray, spacing: float) -> None:
+    farthest = float(np.maximum(np.abs(low), np.abs(high)).max())
+    if farthest > _FARTHEST * spacing:
+        raise NutrientFailed(
+            f"a cell is {farthest:.3g} um away from the origin, where a grid with a spacing of "
+            f"{spacing:g} um is lost in rounding",
+            "Start the cells near the origin, or find out why they are so far away",
+        )
+
+
+_FEW = 20
+"""Cells up to which a cluster is never taken as round: its field costs nothing anyway."""
+
+_BACK = 0.7
+"""Part of the limit below which a field in a box goes back to shells."""
+
+
+def departure(position: FloatArray, radius: FloatArray) -> float:
+    """Return the departure of a population from a ball: 0 for a ball, towards 1 for a thread.
+
+    The tensor of gyration of the cells, weighted by volume and with the cells' own extent, has
+    the principal radii a >= b >= c, those of the ellipsoid with the same tensor. The departure
+    is (a - c) / a.
+
+    Parameters
+    ----------
+    position : (n, 3), µm
+    radius : (n,), µm
+    """
+    if len(position) == 0:
+        return 0.0
+    weight = radius**3
+    away = position - np.average(position, axis=0, weights=weight)
+    tensor = (away * weight[:, None]).T @ away / weight.sum()
+    own = 0.2 * float(np.average(radius**2, weights=weight))
+    squares = np.linalg.eigvalsh(tensor) + own
+    return float(1.0 - np.sqrt(squares[0] / squares[-1]))
+
+
+def round_enough(
+    position: FloatArray, radius: FloatArray, limit: float, *, now_radial: bool
+) -> bool:
+    """Return whether shells do for a population.
+
+    It depends on the state and on the present geometry only: what is radial stays so up to the
+    limit, and what is not goes back well below it, so that it does not change all the time.
+    """
+    if len(position) <= _FEW:
+        return False
+    return departure(position, radius) <= (limit if now_radial else _BACK * limit)
+
+
+Triple = tuple[float, float, float]
+
+
+@njit(cache=True)
+def _axis_weight(x: float, low: float, spacing: float, n: int) -> tuple[int, int, float]:
+    """Return the lower node, the upper node and the weight of the upper one; -1 if outside."""
+    u = (x - low) / spacing
+    if not (u >= 0.0 and u <= n):  # also true for NaN
+        return -1, -1, 0.0
+    u -= 0.5
+    lower = int(np.floor(u))
+    weight = u - lower
+    return max(lower, 0), min(lower + 1, n - 1), weight
+
+
+@njit(cache=True)
+def _scatter(position, amount, origin, spacing, out):
+    nx, ny, nz = out.shape
+    for c in range(position.shape[0]):
+        i0, i1, wx = _axis_weight(position[c, 0], origin[0], spacing, nx)
+        j0, j1, wy = _axis_weight(position[c, 1], origin[1], spacing, ny)
+        k0, k1, wz = _axis_weight(position[c, 2], origin[2], spacing, nz)
+        if i0 < 0 or j0 < 0 or k0 < 0:
+            return c
+        a = amount[c]
+        out[i0, j0, k0] += a * (1.0 - wx) * (1.0 - wy) * (1.0 - wz)
+        out[i0, j0, k1] += a * (1.0 - wx) * (1.0 - wy) * wz
+        out[i0, j1, k0] += a * (1.0 - wx) * wy * (1.0 - wz)
+        out[i0, j1, k1] += a * (1.0 - wx) * wy * wz
+        out[i1, j0, k0] += a * wx * (1.0 - wy) * (1.0 - wz)
+        out[i1, j0, k1] += a * wx * (1.0 - wy) * wz
+        out[i1, j1, k0] += a * wx * wy * (1.0 - wz)
+        out[i1, j1, k1] += a * wx * wy * wz
+    return -1
+
+
+@njit(cache=True)
+def _gather(position, values, origin, spacing, out):
+    nx, ny, nz = values.shape
+    for c in range(position.shape[0]):
+        i0, i1, wx = _axis_weight(position[c, 0], origin[0], spacing, nx)
+        j0, j1, wy = _axis_weight(position[c, 1], origin[1], spacing, ny)
+        k0, k1, wz = _axis_weight(position[c, 2], origin[2], spacing, nz)
+        if i0 < 0 or j0 < 0 or k0 < 0:
+            return c
+        low = (1.0 - wy) * ((1.0 - wz) * values[i0, j0, k0] + wz * values[i0, j0, k1]) + wy * (
+            (1.0 - wz) * values[i0, j1, k0] + wz * values[i0, j1, k1]
+        )
+        high = (1.0 - wy) * ((1.0 - wz) * values[i1, j0, k0] + wz * values[i1, j0, k1]) + wy * (
+            (1.0 - wz) * values[i1, j1, k0] + wz * values[i1, j1, k1]
+        )
+        out[c] = (1.0 - wx) * low + wx * high
+    return -1
+
+
+def _points(position: FloatArray) -> FloatArray:
+    points = np.ascontiguousarray(position, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise ValueError(f"position has shape {points.shape}, expected (n, 3)")
+    return points
+
+
+def _refuse_outside(index: int, position: FloatArray) -> None:
+    if index >= 0:
+        raise ValueError(f"position {position[index]} (row {index}) lies outside the nutrient grid")
+
+
+def scatter(
+    position: FloatArray,
+    amount: FloatArray,
+    origin: Triple,
+    spacing: float,
+    shape: tuple[int, int, int],
+) -> FloatArray:
+    """Spread an amount of each cell over the nodes as a density.
+
+    Parameters
+    ----------
+    position : (n, 3), µm
+    amount : (n,)
+        For example a largest uptake in amol/s.
+    origin : µm
+        Lower corner of the grid's box.
+    spacing : float, µm
+    shape : (nx, ny, nz)
+
+    Returns
+    -------
+    (nx, ny, nz)
+        Amount per µm³; its sum times ``spacing**3`` is the sum of ``amount``.
+
+    Raises
+    ------
+    ValueError
+        For arrays of other shapes, and for a position outside the box or not finite.
+    """
+    points = _points(position)
+    amounts = np.ascontiguousarray(amount, dtype=np.float64)
+    if amounts.shape != points.shape[:1]:
+        raise ValueError(f"amount has shape {amounts.shape}, expected ({len(points)},)")
+    out = np.zeros(shape)
+    _refuse_outside(_scatter(points, amounts, origin, spacing, out), points)
+    out /= spacing**3
+    return out
+
+
+def gather(position: FloatArray, values: FloatArray, origin: Triple, spacing: float) -> FloatArray:
+    """Interpolate node values at the cells.
+
+    Parameters
+    ----------
+    position : (n, 3), µm
+    values : (nx, ny, nz)
+    origin : µm
+        Lower corner of the grid's box.
+    spacing : float, µm
+
+    Returns
+    -------
+    (n,)
+        In the unit of ``values``; never outside the range of the eight nodes around a point.
+
+    Raises
+    ------
+    ValueError
+        For arrays of other shapes, and for a position outside the box or not finite.
+    """
+    points = _points(position)
+    if values.ndim != 3:
+        raise ValueError(f"values has shape {values.shape}, expected (nx, ny, nz)")
+    out = np.empty(len(points))
+    _refuse_outside(_gather(points, values, origin, spacing, out), points)
+    return out

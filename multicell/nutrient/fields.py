@@ -1,0 +1,255 @@
+"""All fields of a scene with the cells that live on them: uptake, secretion, accounts.
+
+The fields are solved one after another, each after those that it depends on, so that together
+they are the exact solution of the coupled problem. What depends on another field is evaluated at
+the cells: each field may have a grid and a geometry of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, final
+
+import numpy as np
+
+from multicell.cells import Cells, FloatArray, State
+from multicell.errors import NutrientFailed
+from multicell.nutrient.balance import Ledger
+from multicell.nutrient.cartesian import departure
+from multicell.nutrient.field import FieldReport, NutrientField
+from multicell.nutrient.grid import ShellLayout, tissue_radius
+from multicell.nutrient.parameters import FieldParameters
+from multicell.scene.checks import solving_order
+
+if TYPE_CHECKING:
+    from multicell.results.frame import Field, Frame
+    from multicell.scene.nutrient import Nutrient
+    from multicell.scene.scene import Scene
+
+
+@final
+class Feeding:
+    """Owner of the fields of a simulation.
+
+    Parameters
+    ----------
+    scene
+        With at least one nutrient.
+
+    Attributes
+    ----------
+    fields : name -> NutrientField
+    ledger : name -> Ledger
+    concentrations : name -> (n,) float64, mM
+        At the cells of the last call.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self._nutrients = scene.nutrients
+        scales = [part.uptake_scale for part in scene.types.values()]
+        self._scales = np.array(scales) if any(s != 1.0 for s in scales) else None
+        self._order = solving_order(scene.nutrients)
+        parameters = {name: FieldParameters.of(scene, name) for name in self._order}
+        self._parameters = parameters
+        self._steady = [name for name in self._order if parameters[name].regime == "steady"]
+        self.fields = {name: NutrientField(name, parameters[name]) for name in scene.nutrients}
+        self.ledger = {name: Ledger() for name in scene.nutrients}
+        self.concentrations: dict[str, FloatArray] = {}
+        self.reports: dict[str, FieldReport] = {}
+        self._uptake: dict[str, FloatArray] = {}
+
+    def begin(self, cells: Cells, time: float) -> None:
+        """Solve for the fields at the start of a run.
+
+        Raises
+        ------
+        NutrientFailed
+        """
+        for name in self._order:
+            capacity, production = self._demand(name, cells)
+            field = self.fields[name]
+            if name in self._steady or self._nutrients[name].initial == "steady":
+                self.reports[name] = field.solve(
+                    cells.position, capacity, production=production, radius=cells.radius, time=time
+                )
+            else:
+                field.fill(cells.position, radius=cells.radius, time=time)
+            self.ledger[name].add(0.0, 0.0, content=field.stored())
+            self._sample(name, cells, capacity)
+
+    def advance(self, cells: Cells, begin: float, end: float) -> None:
+        """Bring the fields from ``begin`` to ``end`` (s), with the cells as they are at the end.
+
+        What a steady field exchanged in this time is what its solution of ``begin`` said.
+
+        Raises
+        ------
+        NutrientFailed
+        """
+        for name in self._order:
+            capacity, production = self._demand(name, cells)
+            field, ledger = self.fields[name], self.ledger[name]
+            with_cells = {"production": production, "radius": cells.radius}
+            if name in self._steady:
+                old = self.reports[name]
+                ledger.add(
+                    old.inflow, old.uptake, end - begin,
+                    secreted=old.produced, decayed=old.decayed, outflow=old.outflow,
+                    washed=old.washed,
+                )  # fmt: skip
+                self.reports[name] = field.solve(cells.position, capacity, time=end, **with_cells)
+                ledger.add(0.0, 0.0, content=field.stored())
+            else:
+                before = field.stored()
+                march = field.advance(cells.position, capacity, begin=begin, end=end, **with_cells)
+                ledger.add(
+                    march.inflow,
+                    march.uptake,
+                    secreted=march.produced,
+                    decayed=march.decayed,
+                    relaid=march.relaid,
+                    washed=march.washed,
+                    stored=(now := field.stored()) - before,
+                    content=now,
+                )
+            self._sample(name, cells, capacity)
+
+    def kept(self) -> dict[str, Any]:
+        """Return what :meth:`take_back` needs to undo an :meth:`advance`."""
+        return {
+            "fields": {name: field.kept() for name, field in self.fields.items()},
+            "ledger": {name: replace(account) for name, account in self.ledger.items()},
+            "concentrations": dict(self.concentrations),
+            "reports": dict(self.reports),
+            "uptake": dict(self._uptake),
+        }
+
+    def take_back(self, kept: Mapping[str, Any]) -> None:
+        """Make fields, concentrations and accounts what they were."""
+        for name, field in self.fields.items():
+            field.take_back(kept["fields"][name])
+        self.ledger, self.concentrations = kept["ledger"], kept["concentrations"]
+        self.reports, self._uptake = kept["reports"], kept["uptake"]
+
+    def gradients(self, position: FloatArray, names: Iterable[str]) -> dict[str, FloatArray]:
+        """Return the gradients of fields at positions, name -> (n, 3) mM/µm."""
+        return {name: self.fields[name].gradient(position) for name in names}
+
+    def restore(self, frame: Frame) -> None:
+        """Take fields, concentrations and accounts from a frame."""
+        assert frame.progress is not None
+        for name, field in self.fields.items():
+            field.restore(frame.fields[name], frame.time)
+            self.concentrations[name] = np.array(frame.concentrations[name])
+            self.ledger[name] = Ledger(**frame.progress.ledger[name])
+        self.reports = {
+            name: FieldReport(**report)  # type: ignore[arg-type]
+            for name, report in frame.progress.rates.items()
+        }
+
+    def snapshot(self) -> dict[str, Field]:
+        """Return the fields as they were last solved."""
+        return {name: field.field() for name, field in self.fields.items()}
+
+    def fitness(self, cells: Cells, time: float) -> tuple[dict[str, dict[str, Any]], list[str]]:
+        """Return for each field what it lives on, and how well that fits the cells as they are.
+
+        Returns
+        -------
+        fields : name -> dict
+            ``geometry`` (cubes, squares or shells), ``spacing`` (µm), ``discretisation_error``
+            at the cells (mM) where it is known, and for shells ``departure_from_a_ball``.
+        notes
+            Remarks on fields that do not fit.
+        """
+        from multicell.nutrient.discretisation import discretisation_error
+
+        fields: dict[str, dict[str, Any]] = {}
+        notes: list[str] = []
+        for name in self._order:
+            field, parameters = self.fields[name], self._parameters[name]
+            shells = isinstance(field.layout, ShellLayout)
+            kind = "shells" if shells else "squares" if parameters.dimensions == 2 else "cubes"
+            fields[name] = {"geometry": kind, "spacing": field.layout.spacing}
+            if parameters.layer is not None and isinstance(field.layout, ShellLayout):
+                self._rate_layer(name, field.layout, parameters.layer, cells, fields, notes)
+            capacity, production = self._demand(name, cells)
+            try:
+                error = discretisation_error(field, parameters, cells, capacity, production, time)
+            except NutrientFailed as trouble:
+                notes.append(f"The error that the grid of {name} makes is not known: {trouble}")
+                error = None
+            if error is not None:
+                fields[name]["discretisation_error"] = error
+            if not shells:
+                continue
+            departed = departure(cells.position, cells.radius)
+            fields[name]["departure_from_a_ball"] = departed
+            if departed > parameters.roundness_limit:
+                notes.append(
+                    f"{name} lives on spherical shells, but the tissue departs from a ball by "
+                    f"{departed:.2g}, more than roundness_limit = {parameters.roundness_limit:g}: "
+                    "geometry = 'auto' would go over to a grid of cubes."
+                )
+        return fields, notes
+
+    @staticmethod
+    def _rate_layer(
+        name: str, shells: ShellLayout, wanted: float, cells: Cells,
+        fields: dict[str, dict[str, Any]], notes: list[str],
+    ) -> None:  # fmt: skip
+        """Say how thick the layer round the tissue is, and whether a stray cell made it thicker."""
+        if len(cells) == 0:
+            return
+        found = shells.radius - tissue_radius(cells.position, cells.radius)
+        fields[name]["layer"] = found
+        if found > wanted * (1.0 + 1e-9):
+            notes.append(
+                f"A cell lies farther from the tissue than the layer of {name} is thick: shells "
+                f"reach to it, and the layer is {found:.3g} um instead of {wanted:.3g} um."
+            )
+
+    def _sample(self, name: str, cells: Cells, capacity: FloatArray) -> None:
+        """Keep what the cells find and take up of a field."""
+        field = self.fields[name]
+        self.concentrations[name] = field.sample(cells.position)
+        if any(name in (n.secretion_from or ()) for n in self._nutrients.values()):
+            self._uptake[name] = field.uptake(cells.position, capacity)
+
+    def _demand(self, name: str, cells: Cells) -> tuple[FloatArray, FloatArray | None]:
+        """Return each cell's largest uptake and its secretion, (n,) amol/s."""
+        nutrient = self._nutrients[name]
+        active = activity(nutrient)[cells.state]
+        if self._scales is not None:
+            active = active * self._scales[cells.kind]
+        capacity = nutrient.uptake * active * dependence(nutrient, self.concentrations, len(cells))
+        if nutrient.secretion == 0.0 and not nutrient.secretion_from:
+            return capacity, None
+        production = nutrient.secretion * active
+        for other, share in (nutrient.secretion_from or {}).items():
+            production = production + share * self._uptake[other]
+        return capacity, production
+
+
+def activity(nutrient: Nutrient) -> FloatArray:
+    """Return uptake and secretion of a cell in each state over those of a proliferating one."""
+    active = np.zeros(len(State))
+    active[State.PROLIFERATING] = 1.0
+    active[State.QUIESCENT] = nutrient.quiescent_uptake
+    return active
+
+
+def dependence(
+    nutrient: Nutrient, concentrations: Mapping[str, FloatArray], count: int
+) -> FloatArray:
+    """Return the factor on each cell's uptake that other fields set, (n,).
+
+    It is the product of 1 + effect · half / (half + g) over the fields that the uptake depends
+    on, g the local concentration; see :class:`multicell.scene.nutrient.Dependence`.
+    """
+    factor = np.ones(count)
+    for other, law in nutrient.uptake_on.items():
+        g = concentrations[other]
+        factor *= 1.0 + law.effect * law.half / (law.half + g)
+    return factor

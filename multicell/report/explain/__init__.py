@@ -1,0 +1,1 @@
+"""What a scene uses and why, before anything is run."""

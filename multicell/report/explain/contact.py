@@ -1,0 +1,275 @@
+"""What a scene's cells do to each other, for :mod:`multicell.report.explain.scene`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from multicell.contact.exact_jkr import ExactJKR
+from multicell.contact.hertz import Hertz
+from multicell.contact.jkr import JKR
+from multicell.contact.pair import Pair
+from multicell.contact.springs import Spring
+from multicell.report.explain.items import Number, Part, hours
+from multicell.scene.packing import collapse_notes, strongest_attraction
+from multicell.scene.pairs import daughters_stiffness, drag, pairs
+from multicell.scene.sizes import birth_radius, typical_radius
+
+if TYPE_CHECKING:
+    from multicell.scene.scene import Scene
+
+
+def contact_parts(scene: Scene) -> list[Part]:
+    """Return contact law, types, adhesion, friction, motility and pull, used or absent."""
+    rubbing, active, load = scene.friction, scene.motility, scene.pull
+    friction = (
+        "touching cells rub: Gamma(x) v = F is solved in every right-hand side"
+        if rubbing
+        else "absent: only the medium resists"
+    )
+    motility = (
+        f"each living cell pushes itself with {active.force:g} nN, in a new direction every "
+        f"{hours(active.persistence)}"
+        if active
+        else "absent: no active motion"
+    )
+    pull = (
+        f"outwards with {load.force:g} nN and {load.rate:g} nN/s more; the run ends when the last "
+        "contact breaks"
+        if load
+        else "absent: no external force"
+    )
+    return [
+        Part("contact", True, _law(scene)),
+        Part("types", bool(scene.types), _types(scene)),
+        Part("adhesion", scene.adhesion is not None, _adhesion(scene)),
+        Part("drag", True, f"Stokes drag in a medium of {scene.drag.viscosity:g} kPa s"),
+        Part("friction", rubbing is not None, friction),
+        Part("motility", active is not None, motility),
+        Part("pull", load is not None, pull),
+    ]
+
+
+def contact_numbers(scene: Scene) -> list[Number]:
+    """Return what two cells of typical size do, for every two types."""
+    radius = typical_radius(scene)
+    limit = drag(scene, birth_radius(scene)) / daughters_stiffness(scene)
+    fixed = birth_radius(scene) == radius
+    meaning = "as at birth: no cell grows" if fixed else "half-way between birth and division"
+    numbers = [
+        Number("birth radius", birth_radius(scene), "um", "of half the division volume"),
+        Number("typical radius", radius, "um", meaning),
+        Number("drag", drag(scene, radius), "nN s/um", "6 pi eta r of a typical cell"),
+    ]
+    for label, pair in pairs(scene, radius):
+        numbers += _pair_numbers(scene, label, pair)
+    numbers.append(
+        Number(
+            "explicit step limit",
+            limit,
+            "s",
+            "for two fresh daughters alone; several times less in tissue",
+        )
+    )
+    return [*numbers, *_packing(scene), *_motility(scene), *_pull(scene)]
+
+
+def contact_notes(scene: Scene) -> Iterator[str]:
+    """Yield remarks on contact and motion that are allowed but may not be meant."""
+    yield from collapse_notes(scene)
+    own = list(pairs(scene, typical_radius(scene)))
+    if isinstance(scene.contact, JKR) and all(_surface_energy(pair) == 0.0 for _, pair in own):
+        yield "A surface energy of zero makes JKR the same as Hertz."
+    elif isinstance(scene.contact, JKR):
+        rest = min(_unsmoothed(pair) for _, pair in own if _surface_energy(pair) > 0.0)
+        if scene.contact.smoothing > rest:
+            yield (
+                f"The smoothing of {scene.contact.smoothing:g} um is longer than the equilibrium "
+                f"overlap of {rest:.3g} um: cells then rest elsewhere than eq. 3.6 says."
+            )
+    if scene.friction and not scene.friction.normal + scene.friction.tangential > 0.0:
+        yield "Both coefficients of [friction] are zero: it costs time and has no effect."
+    active = scene.motility
+    if active is not None:
+        weakest = min(pair.deepest()[0] for _, pair in own)
+        if 0.0 < weakest < active.force:
+            yield (
+                f"Motility of {active.force:g} nN is stronger than the weakest contact "
+                f"({weakest:.3g} nN): cells leave the tissue."
+            )
+        if active.persistence < scene.coupling_step:
+            yield (
+                "The directions of motility change at the ends of coupling steps only: take a "
+                "coupling_step below motility.persistence."
+            )
+    yield from _pull_notes(scene)
+
+
+def _pull_notes(scene: Scene) -> Iterator[str]:
+    """Yield a remark on a pull that cannot separate even one contact."""
+    if scene.pull is None:
+        return
+    most = scene.pull.force + scene.pull.rate * scene.duration
+    load = min(load for _, load in _loads(scene))
+    if load == 0.0:
+        yield "Nothing sticks: the pull meets no resistance but drag."
+    elif most < load:
+        yield f"The pull ends at {most:.3g} nN: too little for one contact, {load:.3g} nN."
+
+
+def _law(scene: Scene) -> str:
+    """Return the contact law in words."""
+    law = scene.contact
+    given = any(kind.surface_energy is not None for kind in scene.types.values())
+    if isinstance(law, Spring):
+        return (
+            f"{type(law).__name__}: a spring of {law.stiffness_at_rest:g} nN/um whatever Young's "
+            f"modulus, up to {law.cutoff:g} times the sum of the radii"
+        )
+    if isinstance(law, Hertz):
+        return "Hertz: elastic, nothing sticks"
+    assert isinstance(law, JKR | ExactJKR)
+    energy = "by type" if given else f"{law.surface_energy:g} nN/um"
+    if isinstance(law, ExactJKR):
+        return (
+            f"exact JKR: elastic and sticky, surface energy {energy}; contacts form at h = 0 and "
+            "break at its turning point: one flag per pair remembers"
+        )
+    smooth = f", smoothed below {law.smoothing:g} um" if law.smoothing > 0.0 else ""
+    return f"JKR: elastic and sticky, surface energy {energy}{smooth}"
+
+
+def _types(scene: Scene) -> str:
+    """Return the types with their shares in words."""
+    if not scene.types:
+        return "absent: all cells are alike"
+    total = sum(kind.fraction for kind in scene.types.values())
+    shares = [f"{100.0 * kind.fraction / total:.3g} % {n}" for n, kind in scene.types.items()]
+    return ", ".join(shares)
+
+
+def _adhesion(scene: Scene) -> str:
+    if scene.adhesion is None:
+        return "absent: no receptors"
+    courses = [points for kind in scene.types.values() for points in (kind.receptor, kind.ligand)]
+    changing = any(len({value for _, value in points}) > 1 for points in courses)
+    course = "change in the course of the run" if changing else "are constant"
+    return f"bonds of {scene.adhesion.strength:g} kPa of contact area; receptors, ligands {course}"
+
+
+def _pair_numbers(scene: Scene, label: str, pair: Pair) -> list[Number]:
+    """Return what one kind of pair does."""
+    whom = f"of two typical {label} cells" if label else "of two typical cells"
+    if pair.bonds > 0.0:
+        whom += ", bonds as at the start"
+    rest = pair.equilibrium_overlap()
+    # spheres that do not stick are not stiff at first contact: take a tenth of the radius
+    overlap = rest if pair.stiffness(rest) > 0.0 else 0.05 * pair.rest
+    touching = overlap if overlap > 0.0 else 0.05 * pair.rest
+    where = "at rest" if overlap == rest else "at an overlap of a tenth of the radius"
+    friction = drag(scene, 0.5 * pair.rest)
+    area = math.pi * pair.radius * touching
+    normal = 0.0 if scene.friction is None else scene.friction.normal * area
+    settle = (friction + 2.0 * normal) / (2.0 * pair.stiffness(overlap))
+    named = f", {label}" if label else ""
+    numbers = [
+        Number(f"equilibrium distance{named}", pair.distance(), "um", whom),
+        Number(f"relaxation time{named}", settle, "s", f"{whom} {where}"),
+    ]
+    if (load := pair.deepest()[0]) > 0.0:
+        numbers.append(Number(f"pull-off force{named}", load, "nN", whom))
+    if isinstance(pair.law, ExactJKR):
+        breaking = pair.rest - float(pair.law.breaking_overlap(pair.modulus, pair.radius))
+        numbers.append(Number(f"breaking distance{named}", breaking, "um", f"{whom}, held there"))
+    return [*numbers, *_smoothing(named, pair), *_rubbing(scene, named, area, friction)]
+
+
+def _smoothing(named: str, pair: Pair) -> list[Number]:
+    """Return the model error of smoothing (see the model page)."""
+    length = getattr(pair.law, "smoothing", 0.0)
+    if length == 0.0 or _surface_energy(pair) == 0.0:
+        return []
+    ratio = length / _unsmoothed(pair)
+    numbers = [Number(f"smoothing / equilibrium overlap{named}", ratio, "", "h_s / h0")]
+    if ratio <= 1.0:
+        lost = 100.0 * 25.0 / 144.0 * ratio**1.75
+        numbers.append(Number(f"binding energy lost{named}", lost, "%", "by the smoothing"))
+    return numbers
+
+
+def _rubbing(scene: Scene, named: str, area: float, stokes: float) -> list[Number]:
+    """Return friction of one contact against Stokes drag."""
+    if scene.friction is None:
+        return []
+    both = (("normal", scene.friction.normal), ("tangential", scene.friction.tangential))
+    return [
+        Number(
+            f"{way} friction / drag{named}",
+            coefficient * area / stokes,
+            "",
+            f"of one contact of {area:.3g} um^2, {coefficient * area:.3g} nN s/um",
+        )
+        for way, coefficient in both
+    ]
+
+
+def _packing(scene: Scene) -> list[Number]:
+    """Return how strongly cells attract each other against collapse; nothing where none does."""
+    numbers = []
+    for label, (ratio, _, _) in strongest_attraction(scene).items():
+        if 0.0 < ratio < math.inf:
+            named = f", {label}" if label else ""
+            meaning = "of newborn cells, integrated over space: tissue collapses above 1"
+            numbers.append(Number(f"attraction / repulsion{named}", ratio, "", meaning))
+    return numbers
+
+
+def _motility(scene: Scene) -> list[Number]:
+    """Return how far motility carries a cell on its own.
+
+    Steps of v τ in independent directions give a mean square displacement v² τ t, which is
+    2 d D t in d dimensions.
+    """
+    if scene.motility is None:
+        return []
+    speed = scene.motility.force / drag(scene, typical_radius(scene))
+    run = speed * scene.motility.persistence
+    spread = speed * run / (2.0 * scene.dimensions)
+    return [
+        Number("speed of motility", speed, "um/s", "of a cell without neighbours"),
+        Number("run length of motility", run, "um", "of such a cell in one direction"),
+        Number("diffusion by motility", spread, "um^2/s", "of such a cell over many runs"),
+    ]
+
+
+def _loads(scene: Scene) -> list[tuple[str, float]]:
+    """Return the load that separates two cells as they are at the start, for every two types."""
+    newborn = scene.initial.stage == "birth"
+    radius = birth_radius(scene) if newborn else typical_radius(scene)
+    return [(label, pair.deepest()[0]) for label, pair in pairs(scene, radius)]
+
+
+def _pull(scene: Scene) -> list[Number]:
+    """Return the load that separates two cells, and when the pull reaches it."""
+    if scene.pull is None:
+        return []
+    numbers = []
+    for label, load in _loads(scene):
+        named = f", {label}" if label else ""
+        numbers.append(Number(f"critical load{named}", load, "nN", "that separates two cells"))
+        if scene.pull.rate > 0.0 and load > scene.pull.force:
+            when = (load - scene.pull.force) / scene.pull.rate
+            meaning = f"the pull reaches it after {hours(when)}"
+            numbers.append(Number(f"time to the critical load{named}", when, "s", meaning))
+    return numbers
+
+
+def _surface_energy(pair: Pair) -> float:
+    return float(getattr(pair.law, "surface_energy", 0.0))
+
+
+def _unsmoothed(pair: Pair) -> float:
+    """Return h₀ of eq. 3.6 in µm."""
+    law = JKR(surface_energy=_surface_energy(pair))
+    return float(law.equilibrium_overlap(pair.modulus, pair.radius))

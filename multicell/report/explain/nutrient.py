@@ -1,0 +1,165 @@
+"""What the nutrient fields of a scene amount to: scales, regime, geometry, and why."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final
+
+from multicell.report.explain.items import Number, Part, hours
+from multicell.scene import checks, scales
+from multicell.scene import domain as box
+
+if TYPE_CHECKING:
+    from multicell.scene.nutrient import Nutrient
+    from multicell.scene.scene import Scene
+
+
+_GRID_ARRAYS: Final = 12  # arrays of the size of the grid that a solve holds at once
+
+
+def nutrient_parts(scene: Scene) -> list[Part]:
+    """Return what each field is solved as, and why, in the order in which they are solved."""
+    if not scene.nutrients:
+        return [Part("nutrients", False, "absent: no field is solved, no cell starves")]
+    return [
+        Part(f"nutrients.{name}", True, _what(scene, name))
+        for name in checks.solving_order(scene.nutrients)
+    ]
+
+
+def _what(scene: Scene, name: str) -> str:
+    """Return one sentence on regime, geometry, medium and dependences of a field."""
+    nutrient = scene.nutrients[name]
+    parts = [
+        f"{scales.regime(scene, name)} ({_regime_reason(scene, name)})",
+        _geometry(scene, nutrient, scales.spacing(scene, name)),
+        _medium(nutrient),
+    ]
+    for other, law in nutrient.uptake_on.items():
+        trend = "rises" if law.effect > 0.0 else "falls"
+        parts.append(f"uptake {trend} where {other} is short of {law.half:g} mM")
+    for other, share in (nutrient.secretion_from or {}).items():
+        parts.append(f"{share:g} secreted for each {other} taken up")
+    return "; ".join(parts)
+
+
+def _regime_reason(scene: Scene, name: str) -> str:
+    """Return why a field is steady or transient."""
+    nutrient = scene.nutrients[name]
+    if nutrient.regime != "auto":
+        return "as the scene says"
+    if not scales.level_fixed(nutrient, scene.dimensions):
+        return "nothing fixes its level"
+    settles = hours(scales.scales(scene, name).time)
+    within = scales.regime(scene, name) == "steady"
+    word = "within" if within else "later than"
+    return f"diffusion settles in {settles}, {word} a coupling step"
+
+
+def _geometry(scene: Scene, nutrient: Nutrient, spacing: float) -> str:
+    """Return the words for a field's grid."""
+    if scene.domain is not None:
+        return _standing(scene, spacing)
+    if scene.dimensions == 2:
+        return f"squares of {spacing:g} um that follow the cells, since the scene is flat"
+    if nutrient.geometry == "radial":
+        layer = nutrient.layer
+        words = f"spherical shells of {spacing:g} um that follow the cells, as the scene says"
+        return words if layer is None else f"{words}, in a layer of {layer:g} um round the tissue"
+    if nutrient.geometry == "auto":
+        limit = nutrient.roundness_limit
+        return (
+            f"spherical shells of {spacing:g} um that follow the cells while the tissue is round "
+            f"within {limit:g}, else a grid of cubes"
+        )
+    return f"a grid of cubes of {spacing:g} um that follows the cells"
+
+
+def _standing(scene: Scene, spacing: float) -> str:
+    """Return the words for the grid of a field on a fixed domain."""
+    assert scene.domain is not None
+    lengths = box.sides(scene.domain)
+    counts = box.filling(lengths, spacing) or ()
+    step = lengths[0] / counts[0] if counts else spacing
+    kind = "squares" if scene.dimensions == 2 else "cubes"
+    return f"{' x '.join(map(str, counts))} {kind} of {step:g} um that stand still on the domain"
+
+
+def _medium(nutrient: Nutrient) -> str:
+    """Return the words for the medium's level."""
+    if nutrient.media is None:
+        return f"{nutrient.boundary:g} mM in the medium"
+    values = [nutrient.boundary, *(value for _, value in nutrient.media)]
+    return f"medium of {min(values):g} to {max(values):g} mM, changed {len(nutrient.media)} time(s)"
+
+
+def nutrient_numbers(scene: Scene) -> list[Number]:
+    """Return the scales of every field."""
+    return [n for name in scene.nutrients for n in _numbers(scene, name)]
+
+
+def _numbers(scene: Scene, name: str) -> list[Number]:
+    """Return the sizes and times at which a field matters.
+
+    With the uptake q of full strength everywhere (zeroth order), a ball of radius R and surface
+    concentration c has c - q R² / (6 D) at its centre, and a thick layer is fed to the depth
+    √(2 D c / q).
+    """
+    nutrient, found = scene.nutrients[name], scales.scales(scene, name)
+    numbers = [
+        Number(
+            f"{name}: diffusion time", found.time, "s",
+            f"to settle over {found.length:.3g} um; a coupling step is {scene.coupling_step:g} s",
+        )
+    ]  # fmt: skip
+    if not (math.isfinite(found.depth) and found.depth > 0.0):
+        return numbers
+    critical = math.sqrt(3.0) * found.depth
+    reach = min(critical, scales.tissue_radius(scene)) + nutrient.margin
+    across = math.ceil(2.0 * reach / scales.spacing(scene, name))
+    points = across**2 if scene.dimensions == 2 else across**3
+    if scene.domain is not None:
+        counts = box.filling(box.sides(scene.domain), scales.spacing(scene, name))
+        points = math.prod(counts or ())
+    numbers += [
+        Number(f"{name}: largest uptake", found.demand, "mM/s", "of tissue without gaps"),
+        Number(f"{name}: diffusion length", found.depth, "um", "the depth to which tissue is fed"),
+        Number(f"{name}: starving radius", critical, "um", "of a ball starved at its centre"),
+        Number(
+            f"{name}: Damköhler number", found.damkohler, "",
+            "uptake over diffusion at the largest size; above 6 a ball starves inside",
+        ),
+    ]  # fmt: skip
+    if nutrient.geometry == "box" or scene.dimensions == 2:
+        memory = 8e-6 * _GRID_ARRAYS * points
+        meaning = f"about, at that size: {points:,} points"
+        numbers.append(Number(f"{name}: grid memory", memory, "MB", meaning))
+    return numbers
+
+
+def nutrient_notes(scene: Scene) -> list[str]:
+    """Return remarks on settings of fields that are allowed but may not be meant."""
+    notes = []
+    for name, nutrient in scene.nutrients.items():
+        if nutrient.quiescence is not None and nutrient.highest < nutrient.quiescence:
+            notes.append(f"The medium has too little {name} for growth: all cells are quiescent.")
+        effects = ("growth_half_saturation", "growth_inhibition", "quiescence", "necrosis",
+                   "necrosis_above")  # fmt: skip
+        read = [*scene.chemotaxis]
+        for other in scene.nutrients.values():
+            read += [*other.uptake_on, *(other.secretion_from or ())]
+        for kind in scene.types.values():
+            read += [*(kind.receptor_by or ()), *(kind.ligand_by or ())]
+        if name not in read and all(getattr(nutrient, effect) is None for effect in effects):
+            notes.append(f"{name} has no effect on the cells: give thresholds such as quiescence.")
+        late = [t for t, _ in nutrient.media or () if t >= scene.duration]
+        if late:
+            notes.append(
+                f"Changes of the medium of {name} from {hours(late[0])} on come after the end."
+            )
+        if nutrient.regime == "steady" and scales.scales(scene, name).time > scene.coupling_step:
+            notes.append(
+                f"{name} settles in {hours(scales.scales(scene, name).time)}, later than a "
+                "coupling step, but is solved as steady: regime = 'auto' would make it transient."
+            )
+    return notes

@@ -1,0 +1,200 @@
+"""What a scene uses and why, with the numbers that follow from it before anything is run."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from multicell.cells import Cells
+from multicell.errors import MulticellError
+from multicell.integrators.registry import METHODS
+from multicell.report.explain.contact import contact_notes, contact_numbers, contact_parts
+from multicell.report.explain.items import Number, Part, hours
+from multicell.report.explain.nutrient import nutrient_notes, nutrient_numbers, nutrient_parts
+from multicell.scene.domain import sides
+from multicell.scene.pairs import daughters_stiffness, drag
+from multicell.scene.parts import PHASES
+from multicell.scene.sizes import birth_radius
+
+if TYPE_CHECKING:
+    from multicell.scene.scene import Scene
+
+
+_NEIGHBOURS: Final = 12  # of a cell in dense packing
+_MOST_TRIED: Final = 50_000  # cells up to which a coupling step is tried to tell what is chosen
+
+
+def explain(scene: Scene) -> dict[str, Any]:
+    """Return what a scene uses and the numbers that follow from it.
+
+    Returns
+    -------
+    dict
+        ``title``; ``parts``: list of ``part``, ``used``, ``what``; ``numbers``: list of
+        ``name``, ``value``, ``unit``, ``meaning``; ``notes``: list of remarks on settings that
+        do not fit together. Only plain values, so that it can be written as JSON.
+    """
+    numbers = [*_run(scene), *contact_numbers(scene), *_growth(scene), *_memory(scene)]
+    numbers += nutrient_numbers(scene)
+    return {
+        "title": scene.title,
+        "parts": [asdict(part) for part in _parts(scene)],
+        "numbers": [asdict(number) for number in numbers],
+        "notes": _notes(scene),
+    }
+
+
+def _parts(scene: Scene) -> list[Part]:
+    """Return every part a scene can have, with the consequence of its presence or absence."""
+    start = scene.initial
+    shape = start.arrangement if scene.dimensions == 3 else "plane, where they stay"
+    return [
+        Part("initial", True, f"{start.count:,} cell(s) in a {shape}"),
+        *contact_parts(scene),
+        Part("growth", scene.growth is not None, _growth_words(scene)),
+        Part("death", scene.death is not None, _death_words(scene)),
+        *_taxis(scene),
+        Part("domain", scene.domain is not None, _domain_words(scene)),
+        *nutrient_parts(scene),
+        Part("integrator", True, _integrator_words(scene)),
+        Part("output", True, f"a frame every {hours(scene.output.every)}"),
+    ]
+
+
+def _growth_words(scene: Scene) -> str:
+    growth = scene.growth
+    if growth is None:
+        return "absent: the number of cells stays, no growth and no division is computed"
+    words = f"cells double their volume in {hours(growth.mean_cycle)} and divide"
+    if growth.phases:
+        lengths = ", ".join(f"{name} {hours(growth.phases[name].duration)}" for name in PHASES)
+        rest = "at the end of G1 only" if growth.restriction else "in any phase"
+        parting = ", daughters part during M" if growth.division == "smooth" else ""
+        words += f"; phases {lengths}, rest {rest}{parting}"
+    return words
+
+
+def _death_words(scene: Scene) -> str:
+    death = scene.death
+    if death is None:
+        return "absent: necrotic cells keep their place and volume"
+    words = ""
+    if death.necrosis_rate is not None:
+        words = f"starved cells die after {hours(1.0 / death.necrosis_rate)} on average; "
+    words += "necrotic cells "
+    if death.swelling > 1.0:
+        words += f"swell to {death.swelling:g} times their volume in {hours(death.swelling_time)}, "
+    words += f"lose their volume in about {hours(death.lysis_time)}"
+    if death.apoptosis_rate > 0.0:
+        life = hours(1.0 / death.apoptosis_rate)
+        words += f"; cells live {life} on average until they die by themselves"
+    return words
+
+
+def _taxis(scene: Scene) -> list[Part]:
+    """Return the forces along gradients and landscapes, with the drift of a free cell."""
+    resistance = drag(scene, birth_radius(scene))
+    parts = []
+    for name, law in scene.chemotaxis.items():
+        speed = 3600.0 * abs(law.force) / resistance
+        way = "up" if law.force >= 0.0 else "down"
+        what = f"a free cell drifts {way} a steep gradient at {speed:.3g} um/h"
+        parts.append(Part(f"chemotaxis.{name}", True, what))
+    if scene.haptotaxis is not None:
+        speed = 3600.0 * scene.haptotaxis.force / resistance
+        what = f"{scene.haptotaxis.landscape}: a free cell drifts at up to {speed:.3g} um/h"
+        parts.append(Part("haptotaxis", True, what))
+    return parts
+
+
+def _domain_words(scene: Scene) -> str:
+    domain = scene.domain
+    names = ", ".join(scene.nutrients)
+    if domain is None:
+        return f"absent: no walls; fields that follow the cells: {names or 'none'}"
+    lengths = " x ".join(f"{length:g}" for length in sides(domain))
+    words = f"a box of {lengths} um; fields that stand still on it: {names or 'none'}"
+    if domain.wall == "refuse":
+        return f"{words}; no walls: a cell whose centre leaves it ends the run"
+    young = scene.cells.young if domain.young is None else domain.young
+    return f"{words}; its sides are elastic walls of {young:g} kPa"
+
+
+def _integrator_words(scene: Scene) -> str:
+    method = scene.integrator.method
+    if method != "auto":
+        return f"{method}: {METHODS[method]}"
+    if scene.initial.count > _MOST_TRIED:
+        return f"{method}: {METHODS[method]}; not tried here with so many cells"
+    from multicell.report.explain.integrator import explained
+
+    try:
+        choice = explained(scene)
+    except MulticellError as error:
+        choice = f"the first coupling step cannot be taken: {error}"
+    return f"{method}: {METHODS[method]}; {choice}"
+
+
+def _run(scene: Scene) -> list[Number]:
+    """Return the numbers of coupling steps and frames."""
+    steps = math.ceil(scene.duration / scene.coupling_step * (1.0 - 1e-12))
+    # frames are saved between coupling steps, so that there are no more than those and one
+    frames = math.floor(scene.duration / scene.output.every * (1.0 + 1e-12)) + 1
+    frames = min(frames, steps + 1)
+    return [
+        Number("duration", scene.duration, "s", f"simulated time: {hours(scene.duration)}"),
+        Number("coupling steps", steps, "", f"of {scene.coupling_step:g} s each"),
+        Number("frames", frames, "", "saved in a full run, the first and the last included"),
+    ]
+
+
+def _growth(scene: Scene) -> list[Number]:
+    """Return cycle time and the largest possible number of cells."""
+    if scene.growth is None:
+        return []
+    cycle = scene.growth.mean_cycle
+    generations = scene.duration / cycle
+    numbers = [
+        Number("cycle time", cycle, "s", f"{hours(cycle)} where nothing limits growth"),
+        Number("generations", generations, "", "in the whole run where nothing limits growth"),
+    ]
+    if generations < 60.0:
+        most = scene.initial.count * 2.0**generations
+        numbers.append(Number("cells at most", most, "", "if nothing limited growth"))
+    return numbers
+
+
+def _memory(scene: Scene) -> list[Number]:
+    """Return memory and file size for every 1000 cells."""
+    columns = [(np.dtype(s["dtype"]).itemsize, s["width"] or 1) for s in Cells.schema().values()]
+    state = sum(size * width for size, width in columns) + 8 * len(scene.nutrients)
+    # state, a sorted copy, five vectors of the integrator's order, and half a list of pairs
+    running = 2 * state + 5 * 3 * 8 * 5 + 8 * _NEIGHBOURS
+    return [
+        Number("memory", running / 1000.0, "MB", "about, for every 1000 cells, without fields"),
+        Number("file size", state / 1000.0, "MB", "for every 1000 cells of a frame, plus fields"),
+    ]
+
+
+def _notes(scene: Scene) -> list[str]:
+    """Return remarks on settings that are allowed but may not be meant."""
+    notes = []
+    if scene.death is not None and not scene.nutrients:
+        notes.append("Without a nutrient no cell becomes necrotic: [death] has no effect.")
+    notes += contact_notes(scene)
+    if scene.growth is not None and scene.coupling_step > 0.05 * scene.growth.mean_cycle:
+        notes.append(
+            "The coupling step is above a twentieth of the cycle time: divisions come late. "
+            "Take a smaller coupling_step."
+        )
+    limit = drag(scene, birth_radius(scene)) / daughters_stiffness(scene)
+    if scene.integrator.method == "euler" and scene.integrator.step > limit / 3.0:
+        notes.append(
+            f"Euler's step of {scene.integrator.step:g} s is near or above its limit of stability "
+            f"(about {limit / 3.0:.2g} s in tissue). Take a smaller integrator.step or cvode."
+        )
+    notes += nutrient_notes(scene)
+    return notes

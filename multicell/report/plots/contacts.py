@@ -1,0 +1,280 @@
+"""Pictures of contact: how cell types mix, and how cells are pulled apart."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator
+from numpy.typing import NDArray
+
+from multicell.cells import FloatArray
+from multicell.contact.pair import Pair
+from multicell.report.plots.style import (
+    BLUE,
+    INK,
+    QUIET,
+    RED,
+    TimeUnit,
+    blank,
+    styled,
+    time_unit,
+    type_colours,
+    type_label,
+)
+from multicell.results.frame import Frame
+from multicell.results.observables import centre, distances, sizes
+from multicell.scene.pairs import pair_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from multicell.cells import Cells
+    from multicell.scene.scene import Scene
+
+
+History = Mapping[str, NDArray[np.float64]]
+
+
+def random_mixing(cells: Cells) -> float:
+    """Return the heterotypic part of all contacts if types were dealt to the cells at random.
+
+    With n_k of N cells of type k it is 1 - Σ n_k (n_k - 1) / (N (N - 1)); NaN below two cells.
+    """
+    count = len(cells)
+    if count < 2:
+        return float("nan")
+    numbers = np.bincount(cells.kind).astype(float)
+    return float(1.0 - (numbers * (numbers - 1.0)).sum() / (count * (count - 1.0)))
+
+
+def mean_distances(cells: Cells, types: int, dimensions: int) -> FloatArray:
+    """Return the mean distance of each type's cells from the centre: (types,), µm.
+
+    NaN for a type without cells.
+    """
+    if len(cells) == 0:
+        return np.full(types, np.nan)
+    distance = distances(cells, centre(cells, dimensions))
+    number = np.bincount(cells.kind, minlength=types)
+    total = np.bincount(cells.kind, weights=distance, minlength=types)
+    mean = np.full(types, np.nan)
+    np.divide(total, number, out=mean, where=number > 0)
+    return mean
+
+
+@styled
+def contacts(frames: Sequence[Frame], history: History, scene: Scene, title: str) -> Figure:
+    """Draw heterotypic contacts, all contacts, and the distance of each type from the centre.
+
+    Parameters
+    ----------
+    frames
+        Saved frames, for random mixing and for distances.
+    history : column name -> (m,)
+        With ``heterotypic_fraction`` and ``contacts``.
+    scene
+        With more than one cell type.
+    title
+        Heading.
+
+    Raises
+    ------
+    ValueError
+        If the history does not tell contacts of types apart, or is empty.
+    """
+    if len(history.get("heterotypic_fraction", ())) == 0:
+        raise ValueError("the history has no contacts of different types: nothing to draw")
+    unit = time_unit(float(history["time"][-1]))
+    mixed = history["heterotypic_fraction"]
+    change = f"heterotypic contacts {_percent(mixed[0])} at first, {_percent(mixed[-1])} at last"
+    figure = blank(title, f"After {unit.text(float(history['time'][-1]))}: {change}")
+    grid = figure.add_gridspec(
+        2, 2, left=0.09, right=0.97, top=0.82, bottom=0.11, wspace=0.26, hspace=0.34
+    )
+    upper = figure.add_subplot(grid[0, 0])
+    _draw_fraction(upper, frames, history, unit)
+    lower = figure.add_subplot(grid[1, 0])
+    _draw_contacts(lower, history, unit)
+    right = figure.add_subplot(grid[:, 1])
+    _draw_distances(right, frames, scene, unit)
+    end = float(history["time"][-1]) / unit.seconds
+    for axes in (upper, lower, right):
+        axes.set_xlim((0.0, end) if end > 0.0 else (-0.5, 0.5))
+    for axes in (lower, right):
+        axes.set_xlabel(f"time ({unit.name})")
+    return figure
+
+
+def _percent(part: float) -> str:
+    return f"{100.0 * part:.1f} %" if np.isfinite(part) else "none"
+
+
+def _style(values: NDArray[np.float64]) -> str:
+    """Return a line, or a point where one moment makes no line."""
+    return "-" if len(values) > 1 else "o"
+
+
+def _draw_fraction(axes: Axes, frames: Sequence[Frame], history: History, unit: TimeUnit) -> None:
+    """Draw the heterotypic part of the contacts beside that of random mixing."""
+    fraction = 100.0 * history["heterotypic_fraction"]
+    time = history["time"] / unit.seconds
+    axes.set_title("Contacts between unlike cells")
+    axes.plot(time, fraction, _style(time), color=BLUE, lw=2, label="as simulated")
+    when = np.array([frame.time for frame in frames]) / unit.seconds
+    mixed = np.array([100.0 * random_mixing(frame.cells) for frame in frames])
+    style = "--" if len(when) > 1 else "x"
+    axes.plot(when, mixed, style, color=INK, lw=1.6, label="random mixing of these numbers")
+    shown = np.concatenate([fraction, mixed])
+    shown = shown[np.isfinite(shown)]
+    low, high = (float(shown.min()), float(shown.max())) if len(shown) else (0.0, 100.0)
+    room = max(high - low, 4.0)
+    axes.set_ylim(max(low - 0.1 * room, 0.0), high + 0.5 * room)
+    axes.set_ylabel("of all contacts (%)")
+    axes.legend(loc="upper right", fontsize=11)
+
+
+def _draw_contacts(axes: Axes, history: History, unit: TimeUnit) -> None:
+    """Draw the number of pairs in contact."""
+    time, number = history["time"] / unit.seconds, history["contacts"]
+    axes.set_title("Contacts")
+    axes.plot(time, number, _style(time), color=INK, lw=2)
+    axes.set_ylim(0.0, 1.12 * max(float(number.max()), 1.0))
+    axes.yaxis.set_major_locator(MaxNLocator(integer=True, nbins=5))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
+    axes.set_ylabel("number of pairs")
+
+
+def _draw_distances(axes: Axes, frames: Sequence[Frame], scene: Scene, unit: TimeUnit) -> None:
+    """Draw the mean distance of each type from the centre."""
+    names = list(scene.types)
+    time = np.array([frame.time for frame in frames]) / unit.seconds
+    mean = np.array([mean_distances(f.cells, len(names), scene.dimensions) for f in frames])
+    axes.set_title("Distance from the centre")
+    handles = []
+    for k, colour in enumerate(type_colours(names).values()):
+        marker = "osD^vPX"[k % 7]
+        if len(frames):
+            handles += axes.plot(time, mean[:, k], f"{marker}-", color=colour, lw=2, clip_on=False)
+    axes.set_ylabel("mean over the cells of a type (µm)")
+    low, high = (np.nanmin(mean), np.nanmax(mean)) if np.isfinite(mean).any() else (0.0, 1.0)
+    room = max(high - low, 0.1 * high, 1e-6)
+    axes.set_ylim(max(low - 0.3 * room, 0.0), high + 0.4 * room)
+    axes.legend(handles, [type_label(name) for name in names], loc="upper left")
+
+
+def distance_of_two(diameter: FloatArray, cells: Cells, dimensions: int) -> FloatArray:
+    """Return the distance of two cells of constant radii from their common diameter, µm.
+
+    It inverts :func:`multicell.results.observables.uniform_radius`: with the parts p of the volume
+    (in a plane of the area) and q = d / (d + 2), q R² = p₁ p₂ x² + q (p₁ r₁² + p₂ r₂²).
+    """
+    size = sizes(cells, dimensions)
+    part = size / size.sum()
+    own = float(part @ cells.radius**2)
+    share = dimensions / (dimensions + 2)
+    square = share * (0.25 * np.square(diameter) - own) / float(np.prod(part))
+    return np.sqrt(np.maximum(square, 0.0))
+
+
+def separation_theory(frames: Sequence[Frame], scene: Scene, time: float) -> float | None:
+    """Return the load in nN that separates two cells of a scene, receptors as at a time in s.
+
+    None where there are more than two cells, or nothing sticks.
+    """
+    if len(frames) == 0 or len(frames[0].cells) != 2:
+        return None
+    load = _pair(frames[0].cells, scene, time).deepest()[0]
+    return load if load > 0.0 else None
+
+
+def _pair(cells: Cells, scene: Scene, time: float) -> Pair:
+    """Return the pair of the first two cells."""
+    i, j = (int(kind) for kind in cells.kind[:2])
+    one, other = (float(radius) for radius in cells.radius[:2])
+    young = (float(cells.young[0]), float(cells.young[1]))
+    return pair_of(scene, i, j, one, other, time, young)
+
+
+@styled
+def pull(frames: Sequence[Frame], history: History, scene: Scene, title: str) -> Figure:
+    """Draw the pull over the distance of two cells, or over the diameter of more.
+
+    Parameters
+    ----------
+    frames
+        Saved frames.
+    history : column name -> (m,)
+        With ``pull``, ``diameter`` and ``contacts``.
+    scene
+        With ``pull``.
+    title
+        Heading.
+
+    Raises
+    ------
+    ValueError
+        If nothing pulls, or the history or the frames are empty.
+    """
+    if len(history.get("pull", ())) == 0 or len(frames) == 0:
+        raise ValueError("the run has no pull: nothing to draw")
+    force, time = history["pull"], history["time"]
+    last = _last_held(history["contacts"])
+    broken = 0 <= last < len(force) - 1
+    told = f"the last contact broke at {force[last + 1]:.4g} nN" if broken else "not pulled apart"
+    figure = blank(title, f"After {time_unit(float(time[-1])).text(float(time[-1]))}: {told}")
+    axes = figure.add_axes((0.09, 0.12, 0.87, 0.63))
+    axes.set_ylabel("force (nN)")
+    two = len(frames[0].cells) == 2 and scene.growth is None
+    x = history["diameter"]
+    if two:
+        x = distance_of_two(x, frames[0].cells, scene.dimensions)
+    axes.set_xlabel("distance of the two centres (µm)" if two else "diameter of all cells (µm)")
+    kept = slice(0, max(last, 0) + 1)
+    axes.plot(x[kept], force[kept], _style(x[kept]), color=BLUE, lw=2.4, label="pull", zorder=3)
+    if two:
+        _draw_law(axes, _pair(frames[0].cells, scene, float(time[max(last, 0)])), x[kept])
+    elif len(frames[0].cells) > 1 and len(scene.types) < 2:
+        load, _ = _pair(frames[0].cells, scene, float(time[max(last, 0)])).deepest()
+        _draw_load(axes, load, "theory for one contact")
+    if not two and x[kept].max() > 5.0 * x[kept].min() > 0.0:
+        axes.set_xscale("log")
+        for axis in (axes.xaxis.set_major_formatter, axes.xaxis.set_minor_formatter):
+            axis(FuncFormatter(lambda value, _: f"{value:,.0f}"))
+        axes.xaxis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
+    top = float(force[min(last + 1, len(force) - 1)])
+    if broken:
+        label = f"last contact broken at {top:.4g} nN"
+        axes.plot(x[last], top, "o", color=RED, ms=10, label=label, zorder=4)
+    axes.set_ylim(0.0, 1.1 * max(top, axes.dataLim.y1, 1e-3))
+    figure.legend(loc="upper left", bbox_to_anchor=(0.08, 0.88), ncols=2)
+    return figure
+
+
+def _last_held(contacts: FloatArray) -> int:
+    """Return the last row before all contacts are gone, -1 if there never was one."""
+    held = np.flatnonzero(contacts > 0)
+    return int(held[-1]) if len(held) else -1
+
+
+def _draw_law(axes: Axes, pair: Pair, x: FloatArray) -> None:
+    """Draw the attraction of the contact law and its largest value."""
+    load, _ = pair.deepest()
+    nearest = min(float(x.min()), pair.distance())
+    furthest = max(pair.rest + 1.05 * pair.reach(), float(x.max()))
+    d = np.linspace(nearest, furthest, 600)
+    attraction = -pair.force(pair.rest - d)
+    shown = attraction > 0.0
+    axes.plot(d[shown], attraction[shown], color=QUIET, lw=1.2, label="attraction of the law")
+    simple = getattr(pair.law, "surface_energy", 0.0) > 0.0 and pair.bonds == 0.0
+    _draw_load(axes, load, "theory: (3/2) π σ r_ij" if simple else "theory: largest attraction")
+    margin = 0.03 * (furthest - nearest)
+    axes.set_xlim(nearest - margin, furthest + margin)
+
+
+def _draw_load(axes: Axes, load: float, label: str) -> None:
+    """Mark the load that separates a contact, where there is one."""
+    if load > 0.0:
+        axes.axhline(load, color=INK, lw=1.6, ls="--", label=f"{label} = {load:.4g} nN")

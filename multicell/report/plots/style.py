@@ -1,0 +1,143 @@
+"""What the pictures have in common: style, colours, headings, units of time."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Iterable
+from functools import wraps
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import matplotlib as mpl
+from matplotlib.figure import Figure
+
+from multicell.results.folder import write_bytes
+from multicell.results.frame import Frame
+
+if TYPE_CHECKING:
+    from multicell.scene.nutrient import Nutrient
+
+
+COLOURS: Final = {
+    "proliferating": "#2a9d6a",
+    "quiescent": "#f2b63c",
+    "necrotic": "#4b3a5e",
+    "apoptotic": "#200008",
+}
+INK, QUIET, BLUE, RED = "#22303c", "#6b7a86", "#2f6fb0", "#b5432f"
+# blue and orange first: they differ in lightness and for any colour vision (Okabe & Ito)
+_TYPES: Final = ("#0072b2", "#e69f00", "#7fd0a8", "#cc79a7", "#56b4e9", "#a04000", "#b8b000")
+DPI: Final = 160
+HEADING: Final[dict[str, Any]] = {"weight": "bold", "fontsize": 13, "parse_math": False}
+SIZE: Final = (10.0, 6.25)  # inches: 1600 x 1000 pixels
+_STYLE: Final[dict[Any, Any]] = {
+    "font.size": 12,
+    "axes.titlesize": 13,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.titlepad": 9,
+    "axes.labelsize": 12,
+    "axes.edgecolor": "#9aa7b1",
+    "axes.labelcolor": INK,
+    "axes.titlecolor": INK,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#e4e9ed",
+    "text.color": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "legend.frameon": False,
+    "figure.facecolor": "white",
+    "text.parse_math": False,  # a dollar sign or an underscore in a name is no formula
+}
+
+
+class TimeUnit(NamedTuple):
+    """A unit of time that suits a run."""
+
+    name: str
+    seconds: float
+
+    def text(self, time: float) -> str:
+        """Return a time in this unit, for example ``"8.5 d"``."""
+        return f"{time / self.seconds:.3g} {self.name}"
+
+
+def time_unit(longest: float) -> TimeUnit:
+    """Return the unit in which times up to ``longest`` s are easy to read."""
+    for name, seconds in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
+        if longest >= 3.0 * seconds:
+            return TimeUnit(name, seconds)
+    return TimeUnit("s", 1.0)
+
+
+def moment(frame: Frame) -> str:
+    """Return the number of cells and the time of a frame in words."""
+    return f"{cell_count(len(frame.cells))} after {time_unit(frame.time).text(frame.time)}"
+
+
+def cell_count(n: float) -> str:
+    """Return for example ``"1,204 cells"``."""
+    return f"{n:,.0f} cell{'' if n == 1 else 's'}"
+
+
+def styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
+    """Run a drawing function under this module's style."""
+
+    @wraps(draw)
+    def drawn(*args: Any, **kwargs: Any) -> Figure:
+        with mpl.rc_context(_STYLE):
+            return draw(*args, **kwargs)
+
+    return drawn
+
+
+def blank(title: str, subtitle: str) -> Figure:
+    """Return an empty figure with its heading."""
+    figure = Figure(figsize=SIZE, dpi=DPI)
+    # a dollar sign in a title is not a formula
+    shown = title if len(title) <= 70 else title[:69] + "…"
+    figure.text(0.04, 0.95, shown, fontsize=16, weight="bold", va="center", parse_math=False)
+    figure.text(0.04, 0.905, subtitle, fontsize=12, color=QUIET, va="center", parse_math=False)
+    return figure
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure as PNG.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written.
+    """
+    # drawn in memory: a picture is either complete or not there
+    picture = io.BytesIO()
+    figure.savefig(picture, format="png", dpi=DPI, metadata={"Software": "multicell"})
+    write_bytes(path, picture.getvalue())
+
+
+def type_colours(names: Iterable[str]) -> dict[str, str]:
+    """Return a colour for each cell type; more than seven take theirs from a scale."""
+    from matplotlib.colors import to_hex
+
+    names = list(names)
+    if len(names) <= len(_TYPES):
+        return dict(zip(names, _TYPES, strict=False))
+    scale = mpl.colormaps["cividis"]
+    # the darkest end is left to necrotic cells
+    places = (0.15 + 0.85 * k / (len(names) - 1) for k in range(len(names)))
+    return {name: to_hex(scale(place)) for name, place in zip(names, places, strict=True)}
+
+
+def type_label(name: str) -> str:
+    """Return a type's name as a legend shows it: short, and never taken for a hidden label."""
+    short = name if len(name) <= 22 else name[:21] + "…"
+    return f"\u200b{short}" if short.startswith("_") else short
+
+
+def thresholds(nutrient: Nutrient) -> list[tuple[str, float, str]]:
+    """Return the meaning, the value (mM) and the line style of a nutrient's thresholds."""
+    known = [("rest", nutrient.quiescence, "-"), ("die", nutrient.necrosis, "--")]
+    return [(meaning, value, style) for meaning, value, style in known if value is not None]

@@ -1,0 +1,215 @@
+"""What a run hands back, and what its folder can be opened as later."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multicell.errors import OutputError
+from multicell.results.frame import Frame
+
+if TYPE_CHECKING:
+    from multicell.report.plots.run import Plots
+    from multicell.results.reader import Contents
+    from multicell.scene.scene import Scene
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Result:
+    """Frames, history and summary of a run.
+
+    Attributes
+    ----------
+    folder
+        Where the run was written, or None if it is only in memory.
+    frames
+        The saved frames; read from disk one at a time when there is a folder.
+    history : column name -> (m,) float64
+        One entry per coupling step; columns and units as in
+        :func:`multicell.results.observables.history_row`.
+    summary_dict
+        The summary, as in ``summary.json``.
+    scene
+        The scene that was run.
+    lineage : column -> (k,) array
+        One row for every cell that ever was; see :meth:`multicell.results.lineage.Lineage.table`.
+    """
+
+    folder: Path | None
+    frames: Sequence[Frame]
+    history: Mapping[str, NDArray[np.float64]]
+    summary_dict: Mapping[str, Any]
+    scene: Scene
+    lineage: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+
+    def summary(self) -> dict[str, Any]:
+        """Return a copy of the summary."""
+        return copy.deepcopy(dict(self.summary_dict))
+
+    @property
+    def plot(self) -> Plots:
+        """Pictures of the run, such as ``plot.growth()`` or ``plot.section()``."""
+        from multicell.report.plots.run import Plots  # matplotlib is loaded for pictures only
+
+        return Plots(self.frames, self.history, self.scene)
+
+    def report(self, folder: str | Path | None = None) -> Path:
+        """Write ``report.html`` and its pictures, and return the path of the report.
+
+        Parameters
+        ----------
+        folder
+            Where to write, by default the folder of the run.
+
+        Raises
+        ------
+        OutputError
+            If the run has no folder and none is given, or it cannot be written to.
+        """
+        from multicell.report.page import write_report
+
+        return write_report(self, folder)
+
+
+def history_arrays(rows: Iterable[Mapping[str, float]]) -> dict[str, NDArray[np.float64]]:
+    """Return rows of a history as one array per column.
+
+    Raises
+    ------
+    ValueError
+        If a row lacks a column of the first one, or has more.
+    """
+    rows = list(rows)
+    if any(set(row) != set(rows[0]) for row in rows):
+        raise ValueError("rows of a history must have the same columns")
+    return {name: np.array([row[name] for row in rows], float) for name in rows[0]} if rows else {}
+
+
+def load_result(folder: str | Path, *, damaged: bool = False) -> Result:
+    """Open the folder of a finished, interrupted or killed run.
+
+    A killed run leaves no ``summary.json``: its summary is then taken from the last frame and
+    marked ``"interrupted": true``.
+
+    Parameters
+    ----------
+    folder
+        Of the run.
+    damaged
+        Open also a folder whose journal is damaged, with the frames before the damage.
+
+    Raises
+    ------
+    OutputError
+        If the folder holds no results, or results that cannot be read or are not what was
+        written. A frame is checked when it is read, and raises this error then.
+    SceneError
+        If its ``scene.toml`` cannot be read.
+    """
+    from multicell.results.reader import Contents, Frames
+
+    contents = Contents(folder)
+    if not damaged:
+        contents.whole()
+    frames = Frames(contents)
+    summary = read_summary(contents.folder / "summary.json")
+    scene = recorded_scene(contents)
+    return Result(
+        folder=contents.folder,
+        frames=frames,
+        history=contents.history(),
+        summary_dict=_partial_summary(frames, scene) if summary is None else summary,
+        scene=scene,
+        lineage=contents.lineage(len(frames) - 1).table() if len(frames) else {},
+    )
+
+
+def recorded_scene(contents: Contents) -> Scene:
+    """Return the scene of a result folder.
+
+    Raises
+    ------
+    OutputError
+        If ``scene.toml`` is not the scene that was run: its numbers would be given to frames
+        that were computed with others.
+    SceneError
+        If it cannot be read.
+    """
+    import tomllib
+
+    from multicell.scene.scene import Scene, load_scene
+
+    path = contents.folder / "scene.toml"
+    try:
+        run = Scene.from_dict(tomllib.loads(contents.scene))
+    except ValueError as error:
+        raise OutputError(f"the scene in '{contents.folder}' is damaged: {error}") from error
+    if path.exists() and not path.is_file():
+        raise OutputError(f"'{path}' is no file")  # to read a pipe would wait for ever
+    texts = (path, path.with_name("scene.toml.next"))
+    # remarks may change; numbers may not
+    if not any(_same_text(text, contents.scene) for text in texts) and load_scene(path) != run:
+        raise OutputError(
+            f"'{path}' is not the scene that was run, so the frames beside it do not belong to it. "
+            "To go on with changes use 'multicell resume --set'"
+        )
+    if sorted(run.nutrients) != sorted(contents.nutrients):
+        raise OutputError(
+            f"the frames in '{contents.folder}' have fields of {sorted(contents.nutrients)}, the "
+            f"scene has {sorted(run.nutrients)}"
+        )
+    return run
+
+
+def _same_text(path: Path, text: str) -> bool:
+    """Return whether a file holds just this text."""
+    data = text.encode()
+    try:
+        return path.is_file() and path.stat().st_size == len(data) and path.read_bytes() == data
+    except OSError:
+        return False  # whoever needs the file will say what is wrong with it
+
+
+_LARGEST_SUMMARY = 1 << 26
+
+
+def read_summary(path: Path) -> dict[str, Any] | None:
+    """Read a summary, or return None where there is none.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be read, or is no table as a run writes it.
+    """
+    from multicell.results.folder import words
+    from multicell.results.records import parse_table
+
+    with words("read", path):
+        if not path.is_file():
+            return None
+        if path.stat().st_size > _LARGEST_SUMMARY:
+            raise OutputError(f"cannot read '{path}': it is larger than any summary")
+        text = path.read_bytes()
+    try:
+        return parse_table(text)
+    except OutputError as error:
+        raise OutputError(f"cannot read '{path}': {error}") from error
+
+
+def _partial_summary(frames: Sequence[Frame], scene: Scene) -> dict[str, Any]:
+    """Return what the last frame of a killed run tells."""
+    from multicell.results.observables import state_summary
+    from multicell.results.quantities import units_of
+
+    summary: dict[str, Any] = {}
+    if len(frames):
+        last = frames[-1]
+        summary |= state_summary(last.time, last.cells, scene.dimensions) | {"steps": last.step}
+    return {"interrupted": True, **summary, "units": units_of(summary)}

@@ -1,0 +1,564 @@
+"""The file ``frames.h5``: written once, as a whole, and checked before anything of it is believed.
+
+HDF5 never meets a disk that can refuse it: it writes through a :class:`_Sink` that notes a refusal
+and goes on as if nothing had happened, and the file is thrown away afterwards. All of the file's
+own structure and all data carry checksums of HDF5, and each frame one of ours over all that it
+holds. Nothing that leads out of the file (links, external storage, virtual data sets) is followed.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any, Final, NamedTuple, final
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from multicell.cells import Cells
+from multicell.errors import OutputError
+from multicell.results.folder import package_version, replacing
+from multicell.results.journal import digest
+from multicell.results.lineage import COLUMNS
+from multicell.results.quantities import known_unit
+from multicell.results.records import UNIT, Arrays
+
+NAME: Final = "frames.h5"
+
+FORMAT: Final = 3
+"""Number of the layout that :mod:`multicell.results.writer` describes."""
+
+_LIBVER: Final = ("v110", "v110")  # the first in which all of a file's structure has checksums
+_CHUNK: Final = 4096  # rows in a chunk of the long arrays: 32 kB
+_SHORT: Final = 256  # rows in a chunk of the arrays with one entry per frame or step
+_BATCH: Final = 1 << 23  # bytes that are collected before they are written
+
+
+class _Kind(NamedTuple):
+    """What a data set holds: one row for each frame, or ``pool`` rows in all."""
+
+    dtype: Any
+    width: int | None
+    pool: str
+    unit: str = ""
+
+
+def _layout(nutrients: Iterable[str]) -> dict[str, _Kind]:
+    """Return all data sets but those of the history.
+
+    The pools ``frames`` and ``ends`` have one row for each frame and one more; any other is the
+    path of the data set of offsets whose last entry is its length.
+    """
+    sets = {
+        "frames/offset": _Kind("<i8", None, "ends"),
+        "frames/time": _Kind("<f8", None, "frames", "s"),
+        "frames/step": _Kind("<i8", None, "frames"),
+        "frames/digest": _Kind("<u4", None, "frames"),
+        "contacts/offset": _Kind("<i8", None, "ends"),
+        "contacts/pair": _Kind("<i8", 2, "contacts/offset"),
+        "progress/offset": _Kind("<i8", None, "ends"),
+        "progress/text": _Kind("|u1", None, "progress/offset"),
+    }
+    for name, spec in Cells.schema().items():
+        dtype = np.dtype(spec["dtype"]).str
+        sets[f"cells/{name}"] = _Kind(dtype, spec["width"], "frames/offset", spec["unit"])
+    for log, columns in COLUMNS.items():
+        place = f"lineage/{log}/offset"
+        sets[place] = _Kind("<i8", None, "ends")
+        for name, kind in columns.items():
+            unit = "s" if name == "time" else ""
+            sets[f"lineage/{log}/{name}"] = _Kind(np.dtype(kind).str, None, place, unit)
+    for name in nutrients:
+        sets[f"cells/concentration_{name}"] = _Kind("<f8", None, "frames/offset", UNIT)
+        group = f"fields/{name}"
+        sets[f"{group}/offset"] = _Kind("<i8", None, "ends")
+        sets[f"{group}/values"] = _Kind("<f8", None, f"{group}/offset", UNIT)
+        sets[f"{group}/shape"] = _Kind("<i8", 3, "frames")
+        sets[f"{group}/origin"] = _Kind("<f8", 3, "frames", "um")
+        sets[f"{group}/spacing"] = _Kind("<f8", None, "frames", "um")
+        sets[f"{group}/height"] = _Kind("<f8", None, "frames", "um")
+        sets[f"{group}/radial"] = _Kind("|i1", None, "frames")
+    return sets
+
+
+@final
+@dataclass(frozen=True)
+class Whole:
+    """All that goes into a file.
+
+    Attributes
+    ----------
+    scene
+        Text of ``scene.toml``.
+    nutrients
+    frames
+        Arrays, checksum and new rows of the lineage of each frame, one after another.
+    history : column -> (m,) float64
+    identity, absorbed
+        Of the file, and of the journal that is part of it now: 32 letters each.
+    """
+
+    scene: str
+    nutrients: Sequence[str]
+    frames: Iterable[tuple[Arrays, int, Arrays]]
+    history: Mapping[str, NDArray[np.float64]]
+    identity: str
+    absorbed: str
+
+
+def write(path: Path, whole: Whole) -> None:
+    """Write a file in the place of ``path``; until it is complete the old one stays.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be written, for example because the disk is full.
+    """
+    with replacing(path, "w+b") as file:
+        sink = _Sink(file)
+        try:
+            with h5py.File(sink, "w", libver=_LIBVER) as target:
+                _fill(target, whole, sink)
+        except OutputError:
+            raise
+        except Exception:
+            sink.check()  # what HDF5 says after a refused write means nothing
+            raise
+        sink.check()
+
+
+def _fill(target: Any, whole: Whole, sink: _Sink) -> None:
+    """Write everything to an open file."""
+    sets = _layout(whole.nutrients)
+    target.attrs.update(format=FORMAT, multicell=package_version())
+    target.attrs["identity"] = np.bytes_(whole.identity)
+    target.attrs["absorbed"] = np.bytes_(whole.absorbed)
+    target.create_group("fields")
+    for path, kind in sets.items():
+        _create(target, path, kind)
+    scene = np.frombuffer(whole.scene.encode(), "|u1")
+    _create(target, "scene", _Kind("|u1", None, ""))
+    _append(target["scene"], [scene])
+    log = _Log(target, sets, sink)
+    for frame in whole.frames:
+        log.add(*frame)
+    log.flush()
+    _finish(target, log.count, sets, whole.history)
+
+
+def _create(target: Any, path: str, kind: _Kind) -> None:
+    """Create an empty data set."""
+    tail = () if kind.width is None else (kind.width,)
+    column = target.create_dataset(
+        path,
+        (0, *tail),
+        kind.dtype,
+        maxshape=(None, *tail),
+        chunks=(_rows(path), *tail),
+        fletcher32=True,
+    )
+    column.attrs["unit"] = kind.unit
+
+
+def _rows(path: str) -> int:
+    """Return the number of rows in a chunk."""
+    return _CHUNK if path.startswith(("cells/", "fields/")) else _SHORT
+
+
+def _append(column: Any, pieces: Sequence[NDArray[Any]]) -> None:
+    """Add rows at the end of a data set."""
+    rows = pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
+    start = column.shape[0]
+    column.resize(start + len(rows), axis=0)
+    if len(rows):
+        column[start:] = rows
+
+
+@final
+class _Log:
+    """Rows on their way into a file: HDF5 is quick with few large writes, slow with many."""
+
+    def __init__(self, target: Any, sets: Mapping[str, _Kind], sink: _Sink) -> None:
+        self._target = target
+        self._sets = sets
+        self._sink = sink
+        self._pieces: dict[str, list[NDArray[Any]]] = {path: [] for path in sets}
+        self._ends = {path: 0 for path, kind in sets.items() if kind.pool == "ends"}
+        self._lengths: dict[str, int] = {}
+        self._size = 0
+        self.count = 0
+        for path, kind in sets.items():
+            if kind.pool == "ends":
+                self._pieces[path].append(np.zeros(1, "<i8"))
+
+    def add(self, arrays: Arrays, check: int, log: Arrays) -> None:
+        """Add a frame."""
+        single: dict[str, Any] = {
+            "frames/time": arrays["time"],
+            "frames/step": arrays["step"],
+            "frames/digest": check,
+        }
+        rows = {**arrays, **{f"lineage/{path}": a for path, a in log.items()}}
+        for path in (path for path in self._sets if path.endswith("/values")):
+            group = path.removesuffix("/values")
+            values = arrays.get(path, np.empty((0, 0, 0)))
+            rows[path], single[f"{group}/shape"] = values.reshape(-1), values.shape
+            for name, absent in _NO_FIELD.items():
+                single[f"{group}/{name}"] = arrays.get(f"{group}/{name}", absent)
+        for path, kind in self._sets.items():
+            if kind.pool == "frames":
+                self._put(path, np.asarray(single[path], kind.dtype)[None])
+            elif kind.pool != "ends":
+                self._put(path, rows[path])
+                self._lengths[kind.pool] = len(rows[path])
+        for pool, length in self._lengths.items():
+            self._ends[pool] += length
+            self._put(pool, np.array([self._ends[pool]], "<i8"))
+        self.count += 1
+        if self._size > _BATCH:
+            self.flush()
+
+    def _put(self, path: str, rows: NDArray[Any]) -> None:
+        self._pieces[path].append(rows)
+        self._size += rows.nbytes
+
+    def flush(self) -> None:
+        """Hand what was collected to HDF5."""
+        for path, pieces in self._pieces.items():
+            if pieces:
+                _append(self._target[path], pieces)
+                pieces.clear()
+        self._size = 0
+        self._sink.check()
+
+
+_NO_FIELD: Final[Mapping[str, Any]] = {
+    "origin": np.full(3, np.nan),
+    "spacing": np.nan,
+    "height": np.nan,
+    "radial": 0,
+}
+
+
+def _finish(
+    target: Any, count: int, sets: Mapping[str, _Kind], history: Mapping[str, NDArray[np.float64]]
+) -> None:
+    """Write the history, and the checksums of all that belongs to no single frame."""
+    group = target.create_group("history")
+    for name, column in history.items():
+        _create(target, f"history/{name}", _Kind("<f8", None, "", known_unit(name)))
+        _append(group[name], [np.asarray(column, "<f8")])
+    group.attrs["digest"] = np.uint32(digest(dict(sorted(history.items()))))
+    target.attrs["frames"] = np.int64(count)
+    target.attrs["digest"] = np.uint32(digest(_shared(target, sets)))
+
+
+def _shared(file: Any, sets: Mapping[str, _Kind]) -> Arrays:
+    """Read what belongs to no single frame: scene, offsets, times and the lineage."""
+    paths = [
+        path
+        for path, kind in sets.items()
+        if path.startswith(("frames/", "lineage/")) or kind.pool == "ends"
+    ]
+    return {"scene": file["scene"][()], **{path: file[path][()] for path in paths}}
+
+
+@final
+class _Sink:
+    """A file for HDF5 whose writes never fail: the first refusal is kept for :meth:`check`.
+
+    HDF5 cannot close a file that it cannot write: it keeps it open, complains at the end of the
+    process, and may crash there. So it is told that all went well.
+    """
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file = file
+        self._place = self._end = 0
+        self._trouble: BaseException | None = None
+
+    def check(self) -> None:
+        """Raise what a write was refused with."""
+        if self._trouble is not None:
+            raise self._trouble
+
+    def seek(self, place: int, whence: int = os.SEEK_SET) -> int:
+        """Go to a place."""
+        base = {os.SEEK_SET: 0, os.SEEK_CUR: self._place, os.SEEK_END: self._end}[whence]
+        self._place = base + place
+        return self._place
+
+    def tell(self) -> int:
+        """Return the place."""
+        return self._place
+
+    def write(self, data: Any) -> int:
+        """Write, or note why that is refused."""
+        length = memoryview(data).nbytes
+
+        def put() -> None:
+            self._file.seek(self._place)
+            self._file.write(data)
+
+        self._try(put)
+        self._place += length
+        self._end = max(self._end, self._place)
+        return length
+
+    def readinto(self, target: Any) -> int:
+        """Read back what was written; after a refusal there may be nothing."""
+        view = memoryview(target).cast("B")
+
+        def get() -> None:
+            self._file.seek(self._place)
+            self._file.readinto(view)  # type: ignore[attr-defined]
+
+        self._try(get)
+        self._place += len(view)
+        return len(view)
+
+    def read(self, size: int) -> bytes:
+        """Read back what was written; it is what tells h5py that this is a file."""
+        data = bytearray(size)
+        self.readinto(data)
+        return bytes(data)
+
+    def truncate(self, size: int | None = None) -> int:
+        """Set the length."""
+        self._end = self._place if size is None else size
+        self._try(lambda: self._file.truncate(self._end))
+        return self._end
+
+    def flush(self) -> None:
+        """Hand everything to the system."""
+        self._try(self._file.flush)
+
+    def _try(self, action: Callable[[], Any]) -> None:
+        if self._trouble is None:
+            try:
+                action()
+            except BaseException as error:  # raised again by check()
+                self._trouble = error
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """Open a file for reading and turn all that HDF5 has to say into words.
+
+    Not in HDF5's mode for files that are being written: in that a damaged one is read again and
+    again for ever.
+    """
+    try:
+        with h5py.File(path, "r", libver=_LIBVER, locking="best-effort") as file:
+            yield file
+    except OutputError:
+        raise
+    except Exception as error:  # h5py raises almost any kind where a file is damaged
+        raise OutputError(f"cannot read '{path}': it is damaged ({_short(error)})") from error
+
+
+def _short(error: BaseException) -> str:
+    """Return the first line of what a library says."""
+    lines = str(error).strip("'\" ").splitlines()
+    return lines[0][:200] if lines else type(error).__name__
+
+
+@final
+class File:
+    """A result file that has been checked; frames are read, and checked, one at a time.
+
+    Attributes
+    ----------
+    scene : str
+    nutrients : tuple of str
+    identity, absorbed : str
+    times : (k,) float64, s
+    steps : (k,) int64
+    digests : (k,) uint32
+    ends : log -> (k + 1,) int64
+        How many rows each log of the lineage has before each frame.
+    logs : log/column -> array
+        The lineage up to the last frame.
+    columns : tuple of str
+        Of the history.
+    rows : int
+        Of the history.
+
+    Raises
+    ------
+    OutputError
+        If it is no result file of this format, or damaged.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        with _opened(path) as file:
+            self._read_format(file)
+            for group in ("fields", "history", "cells", "frames", "lineage"):
+                self._group(file, group)
+            self.nutrients = tuple(sorted(file["fields"]))
+            self.columns = tuple(file["history"])
+            self._sets = _layout(self.nutrients)
+            self._check_sets(file)
+            shared = _shared(file, self._sets)
+            if digest(shared) != int(file.attrs["digest"]):
+                raise self._damaged("its scene, index or lineage is not what was written")
+            self.identity, self.absorbed = (
+                self._name(file, "identity"),
+                self._name(file, "absorbed"),
+            )
+        self._ends = {path: a for path, a in shared.items() if path.endswith("/offset")}
+        self.times, self.steps = shared["frames/time"], shared["frames/step"]
+        self.digests = shared["frames/digest"]
+        self.scene = shared["scene"].tobytes().decode("utf-8", "replace")
+        self.ends = {log: shared[f"lineage/{log}/offset"] for log in COLUMNS}
+        self.logs = {
+            f"{log}/{name}": shared[f"lineage/{log}/{name}"]
+            for log, columns in COLUMNS.items()
+            for name in columns
+        }
+
+    def _damaged(self, what: str) -> OutputError:
+        return OutputError(f"'{self.path}' is damaged: {what}. Nothing in it can be read")
+
+    def _read_format(self, file: Any) -> None:
+        written = file.attrs.get("format", 0)
+        if np.shape(written) != () or not np.issubdtype(np.asarray(written).dtype, np.integer):
+            raise self._damaged("its format is no number")
+        if int(written) != FORMAT:
+            raise OutputError(
+                f"'{self.path}' has result format {int(written)}; this multicell reads format "
+                f"{FORMAT}"
+            )
+        frames = file.attrs["frames"]
+        if np.shape(frames) != () or int(frames) < 0:
+            raise self._damaged("it does not say how many frames it has")
+        self.count = int(frames)
+
+    def _name(self, file: Any, key: str) -> str:
+        value = file.attrs[key]
+        return bytes(value).decode("ascii", "replace") if isinstance(value, bytes) else ""
+
+    def _group(self, file: Any, path: str) -> None:
+        """Refuse anything but a group of the file itself."""
+        self._direct(file, path)
+        if not isinstance(file[path], h5py.Group):
+            raise self._damaged(f"{path} is no group")
+
+    def _direct(self, file: Any, path: str) -> None:
+        """Refuse a path that is missing, or that leads over a link to somewhere else."""
+        parts = path.split("/")
+        for depth in range(1, len(parts) + 1):
+            inner = "/".join(parts[:depth])
+            link = file.get(inner, getlink=True)
+            if link is None:
+                raise self._damaged(f"it has no {path}")
+            if not isinstance(link, h5py.HardLink):
+                raise self._damaged(f"{inner} is a link, and links are not followed")
+
+    def _check_sets(self, file: Any) -> None:
+        """Check place, type, shape and storage of every data set before anything is read."""
+        self._check_set(file, "scene", _Kind("|u1", None, ""), None)
+        for path, kind in self._sets.items():
+            if kind.pool in ("frames", "ends"):
+                self._check_set(file, path, kind, self.count + (kind.pool == "ends"))
+        lengths = {}
+        for path, kind in self._sets.items():
+            if kind.pool == "ends":
+                ends = file[path][()]
+                if ends[0] != 0 or (np.diff(ends) < 0).any():
+                    raise self._damaged(f"{path} does not rise from 0")
+                lengths[path] = int(ends[-1])
+        for path, kind in self._sets.items():
+            if kind.pool in lengths:
+                self._check_set(file, path, kind, lengths[kind.pool])
+        self.rows = 0
+        for k, name in enumerate(self.columns):
+            path = f"history/{name}"
+            self._check_set(file, path, _Kind("<f8", None, ""), self.rows if k else None)
+            self.rows = int(file[path].shape[0])
+
+    def _check_set(self, file: Any, path: str, kind: _Kind, rows: int | None) -> None:
+        self._direct(file, path)
+        column = file[path]
+        tail = () if kind.width is None else (kind.width,)
+        if not isinstance(column, h5py.Dataset):
+            raise self._damaged(f"{path} is no data set")
+        settings = column.id.get_create_plist()
+        if column.is_virtual or settings.get_external_count():
+            raise self._damaged(f"{path} keeps its data elsewhere, and that is not followed")
+        if column.dtype.str != kind.dtype or column.ndim != 1 + len(tail):
+            raise self._damaged(f"{path} has type {column.dtype} and shape {column.shape}")
+        if column.shape[1:] != tail or (rows is not None and column.shape[0] != rows):
+            raise self._damaged(f"{path} has shape {column.shape}, not {(rows, *tail)}")
+        # an array may claim any size: it is as large as the pieces of it that are there
+        chunk = _rows(path)
+        if column.chunks != (chunk, *tail) or column.id.get_num_chunks() != -(
+            -column.shape[0] // chunk
+        ):
+            raise self._damaged(f"{path} is not complete")
+
+    def history(self) -> dict[str, NDArray[np.float64]]:
+        """Return the history by column, (m,) each.
+
+        Raises
+        ------
+        OutputError
+            If it is not what was written.
+        """
+        with self._again() as file:
+            columns = {name: file["history"][name][()] for name in self.columns}
+            if digest(columns) != int(file["history"].attrs["digest"]):
+                raise OutputError(f"the history in '{self.path}' is not what was written")
+        return columns
+
+    def frame(self, place: int) -> Arrays:
+        """Return the arrays of a frame.
+
+        Raises
+        ------
+        OutputError
+            If they are not what was written.
+        """
+        with self._again() as file:
+            arrays = self._arrays(file, place)
+        if digest(arrays) != int(self.digests[place]):
+            raise OutputError(f"it is not what was written to '{self.path}'")
+        return arrays
+
+    def log(self, place: int) -> Arrays:
+        """Return the rows of the lineage that are new with a frame."""
+        rows = {log: slice(*map(int, ends[place : place + 2])) for log, ends in self.ends.items()}
+        return {path: column[rows[path.split("/")[0]]] for path, column in self.logs.items()}
+
+    @contextmanager
+    def _again(self) -> Iterator[Any]:
+        """Open the file once more, and make sure that it still is the same one."""
+        with _opened(self.path) as file:
+            if self._name(file, "identity") != self.identity:
+                raise OutputError(f"'{self.path}' has been replaced since it was opened")
+            yield file
+
+    def _arrays(self, file: Any, place: int) -> Arrays:
+        """Read the arrays of a frame, in the order in which they were written."""
+
+        def rows(path: str) -> Any:
+            first, last = self._ends[self._sets[path].pool][place : place + 2]
+            return file[path][int(first) : int(last)]
+
+        arrays = {"time": np.array(self.times[place]), "step": np.array(self.steps[place])}
+        names = [*Cells.schema(), *(f"concentration_{name}" for name in self.nutrients)]
+        arrays |= {f"cells/{name}": rows(f"cells/{name}") for name in names}
+        for name in self.nutrients:
+            group = f"fields/{name}"
+            values = rows(f"{group}/values")
+            if len(values):
+                arrays[f"{group}/values"] = values.reshape(file[f"{group}/shape"][place])
+                for key in _NO_FIELD:
+                    arrays[f"{group}/{key}"] = np.array(file[f"{group}/{key}"][place])
+        arrays["contacts/pair"] = rows("contacts/pair")
+        arrays["progress/text"] = rows("progress/text")
+        return arrays

@@ -1,0 +1,281 @@
+"""The journal of a run that goes on: records that are appended to one file, one after another.
+
+HDF5 leaves an unreadable file behind when the disk is full or the process is killed in the middle
+of a write. So while a run goes on its results go here, by plain writes to the end of the file, and
+only what is complete counts. The file is a sequence of records
+
+    tag (4 bytes), length of facts, length of body, checksums of facts, of body, and of these 24
+    bytes with the same checksum of the record before
+    facts: JSON, with the kind of the record, and names, types and shapes of the arrays
+    body: the arrays one after another, little-endian, in C order
+
+So no record can be missing, or be in the place of another. A record that the file ends in the
+middle of is one that was being written: it does not count, and the next one is written over it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+import time as clock
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multicell.errors import OutputError
+from multicell.results.folder import new_file, words
+
+Arrays = Mapping[str, NDArray[Any]]
+
+NAME: Final = "frames.journal"
+
+_TAG: Final = b"mcj3"
+_HEAD: Final = struct.Struct("<4sIQIII")  # 28 bytes
+_LARGEST_FACTS: Final = 1 << 24
+_SYNC_EVERY: Final = 1.0  # s
+_TYPES: Final = ("<f8", "<i8", "<i2", "|i1", "|u1")
+
+
+def described(arrays: Arrays) -> list[list[Any]]:
+    """Return name, type and shape of each array."""
+    return [[name, a.dtype.str, list(a.shape)] for name, a in arrays.items()]
+
+
+def flat(array: NDArray[Any]) -> NDArray[np.uint8]:
+    """Return the bytes of an array in C order, without a copy where they lie so already."""
+    return np.ascontiguousarray(array).reshape(-1).view(np.uint8)
+
+
+def digest(arrays: Arrays) -> int:
+    """Return a checksum of names, types, shapes and values of arrays."""
+    value = zlib.crc32(json.dumps(described(arrays)).encode())
+    for array in arrays.values():
+        value = zlib.crc32(flat(array).data, value)
+    return value
+
+
+@final
+@dataclass(frozen=True)
+class Record:
+    """A complete record: what it says of itself, and where its arrays are."""
+
+    facts: Mapping[str, Any]
+    begin: int
+    length: int
+    digest: int
+
+    @property
+    def kind(self) -> str:
+        """What it is a record of."""
+        return str(self.facts["kind"])
+
+
+@final
+class Journal:
+    """The writer of a journal and the owner of its open file.
+
+    All methods raise :class:`~multicell.errors.OutputError` when the system refuses to write.
+    What was appended before is then still there, and nothing of what was refused.
+    """
+
+    def __init__(self, path: Path, descriptor: int, end: int = 0, chain: int = 0) -> None:
+        self._path = path
+        self._descriptor = descriptor
+        self._end = end
+        self._chain = chain
+        self._torn = False  # whether there may be a part of a record behind the end
+        self._synced = clock.monotonic()
+
+    @classmethod
+    def create(cls, folder: Path, facts: Mapping[str, Any]) -> Journal:
+        """Begin a journal; it is in its place only when its first record is on disk."""
+        path = folder / NAME
+        part = path.with_name(f"{NAME}.part")
+        with words("write", path):
+            journal = cls(path, new_file(part))
+            try:
+                journal.append([(facts, {})])
+                journal.sync()
+                part.replace(path)
+            except BaseException:
+                journal.close()
+                part.unlink(missing_ok=True)
+                raise
+        return journal
+
+    @classmethod
+    def reopen(cls, reader: Reader) -> Journal:
+        """Go on with a journal behind its complete records."""
+        path, end = reader.path, reader.end
+        with words("write", path):
+            flags = os.O_RDWR | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
+            descriptor = os.open(path, flags)
+            journal = cls(path, descriptor, end, reader.chain)
+            try:
+                os.ftruncate(descriptor, end)
+            except BaseException:
+                journal.close()
+                raise
+        return journal
+
+    def append(self, records: Sequence[tuple[Mapping[str, Any], Arrays]]) -> None:
+        """Write records; a call that does not come to its end leaves none of them."""
+        chain, parts = self._chain, []
+        for facts, arrays in records:
+            chain, pieces = _parts(facts, arrays, chain)
+            parts += pieces
+        data = b"".join(parts)
+        with words("write", self._path):
+            if self._torn:
+                os.ftruncate(self._descriptor, self._end)
+            self._torn = True
+            try:
+                place = self._write(data)
+                if clock.monotonic() - self._synced > _SYNC_EVERY:
+                    self._sync()
+            except OSError as error:
+                self._take_back(error)
+                raise
+            self._end, self._chain, self._torn = place, chain, False
+
+    def _write(self, data: bytes) -> int:
+        """Write behind the last complete record; return where it ends."""
+        view, place = memoryview(data), self._end
+        os.lseek(self._descriptor, place, os.SEEK_SET)
+        while view:
+            done = os.write(self._descriptor, view)
+            view, place = view[done:], place + done
+        return place
+
+    def _take_back(self, error: OSError) -> None:
+        """Give back the room that a refused record has taken."""
+        try:
+            os.ftruncate(self._descriptor, self._end)
+        except OSError as second:
+            # an incomplete record at the end does no harm: readers do not count it
+            error.add_note(f"and it could not be taken back: {second}")
+
+    def _sync(self) -> None:
+        os.fsync(self._descriptor)
+        self._synced = clock.monotonic()
+
+    def sync(self) -> None:
+        """Wait until everything is on the disk itself: then it survives a loss of power."""
+        with words("write", self._path):
+            self._sync()
+
+    def close(self) -> None:
+        """Close the file; closing twice does no harm."""
+        if self._descriptor >= 0:
+            descriptor, self._descriptor = self._descriptor, -1
+            with words("write", self._path):
+                os.close(descriptor)
+
+
+def _parts(facts: Mapping[str, Any], arrays: Arrays, chain: int) -> tuple[int, list[Any]]:
+    """Return the checksum of a record's head, and the pieces of the record."""
+    text = json.dumps({**facts, "arrays": described(arrays)} if arrays else facts).encode()
+    pieces = [flat(array) for array in arrays.values()]
+    length = sum(len(piece) for piece in pieces)
+    head = _HEAD.pack(_TAG, len(text), length, zlib.crc32(text), digest(arrays), 0)[:-4]
+    chain = zlib.crc32(head, chain)
+    return chain, [head, chain.to_bytes(4, "little"), text, *pieces]
+
+
+@final
+class Reader:
+    """The complete records of a journal, as they were when it was opened.
+
+    Attributes
+    ----------
+    records : list of Record
+    end, chain : int
+        Where the last complete record ends, and the checksum of its head.
+    damage : str or None
+        What ends the records before the end of the file, in words.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be read or does not begin as a journal does.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.records: list[Record] = []
+        self.end = self.chain = 0
+        self.damage: str | None = None
+        with words("read", path), path.open("rb") as file:
+            size = os.fstat(file.fileno()).st_size
+            while self.end < size and self.damage is None:
+                file.seek(self.end)
+                if not self._next(file, size):
+                    break
+        if not self.records or self.records[0].kind != "open":
+            raise OutputError(f"'{path}' is damaged at its beginning: nothing in it can be read")
+
+    def _next(self, file: Any, size: int) -> bool:
+        """Read the head of the record at the end; return whether there is a complete one."""
+        head = file.read(_HEAD.size)
+        if len(head) < _HEAD.size:
+            return False
+        tag, letters, length, of_facts, of_body, of_head = _HEAD.unpack(head)
+        if tag != _TAG or zlib.crc32(head[:-4], self.chain) != of_head or letters > _LARGEST_FACTS:
+            # after a loss of power the end may be there without what was written to it
+            if any(head) or any(file.read(1 << 16)):
+                self.damage = f"the record at byte {self.end} is damaged"
+            return False
+        begin = self.end + _HEAD.size + letters
+        if begin + length > size:
+            return False
+        text = file.read(letters)
+        facts = _facts(text, length) if zlib.crc32(text) == of_facts else None
+        if facts is None:
+            self.damage = f"the record at byte {self.end} is damaged"
+            return False
+        self.records.append(Record(facts, begin, length, of_body))
+        self.end, self.chain = begin + length, of_head
+        return True
+
+    def arrays(self, record: Record) -> dict[str, NDArray[Any]]:
+        """Return the arrays of a record.
+
+        Raises
+        ------
+        OutputError
+            If they are not what was written.
+        """
+        with words("read", self.path), self.path.open("rb") as file:
+            file.seek(record.begin)
+            body = file.read(record.length)
+        arrays, start = {}, 0
+        if len(body) == record.length:
+            for name, kind, shape in record.facts.get("arrays", ()):
+                count = int(np.prod(shape, dtype=np.int64))
+                values = np.frombuffer(body, kind, count, start).reshape(shape)
+                arrays[name], start = values.copy(), start + values.nbytes
+        if len(body) != record.length or digest(arrays) != record.digest:
+            raise OutputError(f"the record at byte {record.begin} of '{self.path}' is damaged")
+        return arrays
+
+
+def _facts(text: bytes, length: int) -> dict[str, Any] | None:
+    """Return the facts of a record, or None if they do not fit the length of its body."""
+    try:
+        facts = json.loads(text)
+        arrays = facts.get("arrays", ())
+        sizes = [
+            int(np.prod(shape, dtype=object)) * np.dtype(kind).itemsize
+            for _, kind, shape in arrays
+            if kind in _TYPES and all(type(n) is int and n >= 0 for n in shape)
+        ]
+        whole = len(sizes) == len(arrays) and sum(sizes) == length
+    except (ValueError, TypeError, AttributeError, RecursionError):
+        return None
+    return facts if whole and isinstance(facts.get("kind"), str) else None

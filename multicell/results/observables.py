@@ -1,0 +1,339 @@
+"""Numbers that describe a population: size, necrotic core, viable rim, radial profiles.
+
+All functions take a state and return plain numbers or arrays; none of them changes a state. Where
+lengths are measured they need the dimensions of the scene: a ball and a disc have formulas of
+their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multicell.cells import DEAD, Cells, FloatArray, IntArray, State
+from multicell.results.frame import Field, Frame
+
+Mask = NDArray[np.bool_]
+
+
+def sizes(cells: Cells, dimensions: int) -> FloatArray:
+    """Return what each cell fills of its space, (n,): volume in µm³, in a plane its area in µm²."""
+    return cells.volume if dimensions == 3 else np.asarray(np.pi * cells.radius**2)
+
+
+def centre(cells: Cells, dimensions: int) -> FloatArray:
+    """Return the centroid of all cells, weighted by :func:`sizes`: (3,), µm.
+
+    Raises
+    ------
+    ValueError
+        If there are no cells.
+    """
+    if len(cells) == 0:
+        raise ValueError("a population of no cells has no centre")
+    return np.average(cells.position, axis=0, weights=sizes(cells, dimensions))
+
+
+def distances(cells: Cells, origin: FloatArray) -> FloatArray:
+    """Return the distance of every cell's centre from ``origin``: (n,), µm."""
+    return np.asarray(np.linalg.norm(cells.position - origin, axis=1))
+
+
+def uniform_radius(
+    cells: Cells, origin: FloatArray, dimensions: int, mask: Mask | None = None
+) -> float:
+    """Return the radius of the uniform ball (or disc) with the cells' radius of gyration.
+
+    In d dimensions the mean square distance from the centre of a uniform ball of radius R is
+    q R² with q = d / (d + 2): 3/5 in space, 1/2 in a plane. So
+    R² = Σ s_i (|x_i - origin|² + q r_i²) / (q Σ s_i), with the volumes s_i of the cells in space
+    and their areas in a plane. The second term is the cell's own extent, which makes the formula
+    exact for a single cell too. Cells that stick out count little and gaps between cells do not
+    count at all.
+
+    Parameters
+    ----------
+    cells
+        The population.
+    origin : (3,) µm
+        Point from which distances are taken.
+    dimensions
+        Of the scene: 3, or 2 where all cells lie in a plane.
+    mask : (n,) bool
+        Cells to take; all of them when absent.
+
+    Returns
+    -------
+    float
+        Radius in µm; 0 if no cell is taken.
+    """
+    chosen = cells if mask is None else cells.take(mask)
+    if len(chosen) == 0:
+        return 0.0
+    share = dimensions / (dimensions + 2)
+    square = distances(chosen, origin) ** 2 + share * chosen.radius**2
+    mean = np.average(square, weights=sizes(chosen, dimensions))
+    return float(np.sqrt((dimensions + 2) / dimensions * mean))
+
+
+def diameter(cells: Cells, dimensions: int) -> float:
+    """Return the diameter of the population in µm (:func:`uniform_radius`), 0 without cells."""
+    if len(cells) == 0:
+        return 0.0
+    return 2.0 * uniform_radius(cells, centre(cells, dimensions), dimensions)
+
+
+def necrotic_radius(cells: Cells, dimensions: int) -> float:
+    """Return the radius of the necrotic core in µm, 0 if no cell is necrotic.
+
+    The formula of :func:`uniform_radius` over necrotic cells about the centre of all cells; a
+    core that is hollow, because its oldest cells were removed, is measured somewhat too large.
+    """
+    dead = cells.state == State.NECROTIC
+    if not dead.any():
+        return 0.0
+    return uniform_radius(cells, centre(cells, dimensions), dimensions, dead)
+
+
+def viable_rim(cells: Cells, dimensions: int) -> float:
+    """Return the thickness of the layer outside the necrotic core in µm, NaN without a core.
+
+    Necrotic cells that lie further out than the others on average are no core either: there is
+    no layer outside them.
+    """
+    core = necrotic_radius(cells, dimensions)
+    rim = 0.5 * diameter(cells, dimensions) - core
+    # rounding must not take the rim of a population that is all core
+    lost = rim < -1e-12 * core
+    return float("nan") if core == 0.0 or lost else max(rim, 0.0)
+
+
+def hypoxic_radius(
+    cells: Cells, concentration: FloatArray, threshold: float, dimensions: int
+) -> float:
+    """Return the radius within which cells lack a nutrient, in µm; 0 if none does.
+
+    The formula of :func:`uniform_radius` over the cells below the threshold, dead ones too.
+
+    Parameters
+    ----------
+    cells
+        The population.
+    concentration : (n,) mM
+        At the cells.
+    threshold : mM
+        Below it cells rest.
+    dimensions
+        Of the scene.
+    """
+    lacking = concentration < threshold
+    if not lacking.any():
+        return 0.0
+    return uniform_radius(cells, centre(cells, dimensions), dimensions, lacking)
+
+
+def packing_ratio(cells: Cells, dimensions: int) -> float:
+    """Return the sum of the cells' volumes over the volume of the ball round them, NaN if none.
+
+    In a plane it is areas over the area of the disc. The ball is that of :func:`diameter`. Spheres
+    that do not overlap stay at or below 1, since no body has a smaller radius of gyration than the
+    ball of its volume; :func:`multicell.scene.packing.densest` says how much overlap is too much.
+    """
+    if len(cells) == 0:
+        return float("nan")
+    radius = 0.5 * diameter(cells, dimensions)
+    return float(((cells.radius / radius) ** dimensions).sum())
+
+
+def pressure_summary(cells: Cells, critical: float) -> dict[str, float | int]:
+    """Return how much pressure holds back the growth of the living cells.
+
+    Parameters
+    ----------
+    cells
+        The population.
+    critical
+        Pressure p_crit at which growth stops, kPa.
+
+    Returns
+    -------
+    dict
+        ``pressure_factor``: mean of min(1, max(0, 1 - p/p_crit)), the factor of pressure on the
+        rate of growth, over all living cells, NaN if none lives. ``held_by_pressure``: number of
+        living cells in which it is 1/2 or less.
+    """
+    living = cells.pressure[~np.isin(cells.state, DEAD)]
+    factor = np.clip(1.0 - living / critical, 0.0, 1.0)
+    mean = float(factor.mean()) if len(factor) else float("nan")
+    return {"pressure_factor": mean, "held_by_pressure": int((factor <= 0.5).sum())}
+
+
+def state_counts(cells: Cells) -> dict[str, int]:
+    """Return the number of cells in each state, by the state's name in lower case."""
+    counts = np.bincount(cells.state, minlength=len(State))
+    return {state.name.lower(): int(counts[state]) for state in State}
+
+
+def heterotypic_fraction(cells: Cells, contacts: IntArray) -> float:
+    """Return the part of all contacts that join cells of different types, NaN without contacts.
+
+    Parameters
+    ----------
+    cells
+        All cells.
+    contacts : (m, 2)
+        Identities of the cells of each pair in contact.
+    """
+    order = np.argsort(cells.id)
+    place = np.searchsorted(cells.id[order], contacts)
+    present = np.isin(contacts, cells.id).all(axis=1)
+    kind = cells.kind[order[np.minimum(place[present], max(len(cells) - 1, 0))]]
+    return float((kind[:, 0] != kind[:, 1]).mean()) if len(kind) else float("nan")
+
+
+def largest_pressure(cells: Cells) -> float:
+    """Return the largest pressure of any cell in kPa, 0 without cells."""
+    return float(cells.pressure.max()) if len(cells) else 0.0
+
+
+def state_summary(time: float, cells: Cells, dimensions: int) -> dict[str, Any]:
+    """Return the part of a summary that follows from the cells alone.
+
+    A number that does not exist is None: ``viable_rim`` without a core, ``packing_ratio`` without
+    cells. The units are those of :func:`multicell.results.quantities.unit_of`.
+    """
+    return {
+        "time": float(time),
+        "cells": len(cells),
+        "diameter": diameter(cells, dimensions),
+        "necrotic_radius": necrotic_radius(cells, dimensions),
+        "viable_rim": known(viable_rim(cells, dimensions)),
+        "packing_ratio": known(packing_ratio(cells, dimensions)),
+        "largest_pressure": largest_pressure(cells),
+        "states": state_counts(cells),
+    }
+
+
+def known(value: float) -> float | None:
+    """Return a number, or None in place of NaN."""
+    return None if np.isnan(value) else value
+
+
+def history_row(
+    time: float, step: int, cells: Cells, dimensions: int, **extra: float
+) -> dict[str, float]:
+    """Return one row of a run's history.
+
+    Parameters
+    ----------
+    time, step
+        Simulated time in s and number of coupling steps done.
+    cells
+        All cells.
+    dimensions
+        Of the scene.
+    **extra
+        More columns; a history keeps the columns of its first row.
+
+    Returns
+    -------
+    dict
+        ``time`` (s), ``step``, ``cells``, ``proliferating``, ``quiescent``, ``necrotic``,
+        ``apoptotic``, ``diameter``, ``necrotic_radius``, ``viable_rim`` (µm), ``packing_ratio``,
+        ``largest_pressure`` (kPa) and the extra columns, all as floats; NaN where a number does
+        not exist.
+    """
+    summary = state_summary(time, cells, dimensions)
+    states = summary.pop("states")
+    row = {"time": summary.pop("time"), "step": step, **summary, **states, **extra}
+    return {n: float("nan") if value is None else float(value) for n, value in row.items()}
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class RadialProfile:
+    """Averages over spherical shells, in a plane over rings, about the centre of a population.
+
+    Attributes
+    ----------
+    edges : (b + 1,) float64, µm
+        Boundaries of the shells.
+    counts : (b,) int64
+        Cells whose centre lies in the shell.
+    fractions : state name -> (b,) float64
+        Part of these cells that are in the state; NaN in a shell without cells.
+    concentrations : nutrient name -> (b,) float64, mM
+        Mean concentration at these cells; NaN in a shell without cells.
+    pressure : (b,) float64, kPa
+        Mean pressure of these cells; NaN in a shell without cells.
+    """
+
+    edges: FloatArray
+    counts: IntArray
+    fractions: Mapping[str, FloatArray]
+    concentrations: Mapping[str, FloatArray]
+    pressure: FloatArray
+
+    @property
+    def middles(self) -> FloatArray:
+        """Radius half-way through each shell: (b,), µm."""
+        return np.asarray(0.5 * (self.edges[1:] + self.edges[:-1]))
+
+
+def radial_profile(frame: Frame, dimensions: int, bins: int = 20) -> RadialProfile:
+    """Return averages over ``bins`` shells (or rings) of equal thickness that hold all cells.
+
+    Raises
+    ------
+    ValueError
+        If the frame has no cells or ``bins`` is below 1.
+    """
+    if bins < 1:
+        raise ValueError(f"a profile needs at least 1 bin, got {bins}")
+    cells = frame.cells
+    radius = distances(cells, centre(cells, dimensions))
+    edges = np.linspace(0.0, max(float(radius.max()), float(cells.radius.max())), bins + 1)
+    return RadialProfile(
+        edges=edges,
+        counts=np.histogram(radius, edges)[0],
+        fractions={s.name.lower(): _means(radius, edges, cells.state == s) for s in State},
+        concentrations={n: _means(radius, edges, c) for n, c in frame.concentrations.items()},
+        pressure=_means(radius, edges, cells.pressure),
+    )
+
+
+def field_profile(field: Field, origin: FloatArray, edges: FloatArray) -> FloatArray:
+    """Return the mean of a field over shells about ``origin``: (b,), in the field's unit.
+
+    Parameters
+    ----------
+    field
+        The field.
+    origin : (3,) µm
+        Common centre of the shells.
+    edges : (b + 1,) µm
+        Boundaries of the shells, increasing.
+
+    Returns
+    -------
+    (b,) float64
+        Means over the grid points; NaN in a shell that holds none.
+    """
+    if field.kind == "radial":
+        return _means(field.axis(0) - field.origin[0], edges, field.values.ravel())
+    axes = np.meshgrid(*(field.axis(k) - origin[k] for k in range(3)), indexing="ij", sparse=True)
+    radius = np.sqrt(sum(axis**2 for axis in axes)).ravel()
+    return _means(radius, edges, field.values.ravel())
+
+
+def _means(radius: FloatArray, edges: FloatArray, values: NDArray[Any]) -> FloatArray:
+    """Average ``values`` by shell; NaN where a shell is empty."""
+    count = np.histogram(radius, edges)[0]
+    total = np.histogram(radius, edges, weights=values.astype(float))[0]
+    means = np.full(len(count), np.nan)
+    np.divide(total, count, out=means, where=count > 0)
+    return means

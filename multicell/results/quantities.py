@@ -1,0 +1,152 @@
+"""The unit of every number that a run hands out: in its history, its summary and its tables.
+
+Each name is declared here, also where it is a count or a ratio (with the unit ``""``): a name that
+is not is a mistake, which :func:`unit_of` refuses. A star stands for a name that the scene gives,
+such as that of a field.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from functools import cache
+from typing import Any, Final
+
+_STATES: Final = ("proliferating", "quiescent", "necrotic", "apoptotic")
+_AMOUNTS: Final = (
+    "inflow", "outflow", "uptake", "secreted", "decayed", "relaid", "stored", "remainder",
+    "content", "washed",
+)  # fmt: skip
+_COUNTS: Final = (
+    "evaluations", "linearisations", "jacobian_products", "preconditioner_setups",
+    "preconditioner_solves", "list_builds", "steps", "rejections", "newton_iterations",
+    "linear_iterations", "factorisations", "friction_iterations", "steps_*",
+)  # fmt: skip
+
+UNITS: Final[Mapping[str, str]] = {
+    # history and summary
+    "time": "s",
+    "step": "",
+    "cells": "",
+    "diameter": "um",
+    "necrotic_radius": "um",
+    "viable_rim": "um",
+    "packing_ratio": "",
+    "largest_pressure": "kPa",
+    "pressure_factor": "",
+    "held_by_pressure": "",
+    "contacts": "",
+    "heterotypic_fraction": "",
+    "departure_from_a_ball": "",
+    "pull": "nN",
+    "hypoxic_radius_*": "um",
+    **dict.fromkeys(_STATES, ""),
+    # summary
+    **{f"states.{name}": "" for name in _STATES},
+    "hypoxic_radius.*": "um",
+    "seed": "",
+    "steps": "",
+    "divisions": "",
+    "removals": "",
+    "volume_released": "um^3",
+    "threads": "",
+    **{f"integrator.{name}": "" for name in _COUNTS},
+    "integrator.largest_local_error": "um",
+    **{f"ledger.*.{name}": "amol" for name in _AMOUNTS},
+    "ledger.*.relative_remainder": "",
+    "ledger.relative_remainder": "",
+    "fields.*.spacing": "um",
+    "fields.*.layer": "um",
+    "fields.*.discretisation_error": "mM",
+    "fields.*.departure_from_a_ball": "",
+    "separation.time": "s",
+    "separation.force": "nN",
+    "wall.*": "s",
+    # tables
+    "cells.frame": "",
+    "cells.time": "s",
+    "cells.concentration_*": "mM",
+    "contacts.frame": "",
+    "contacts.time": "s",
+    "contacts.first_id": "",
+    "contacts.second_id": "",
+    "contacts.distance": "um",
+    "contacts.overlap": "um",
+    "lineage.id": "",
+    "lineage.parent": "",
+    "lineage.kind": "",
+    "lineage.birth_time": "s",
+    "lineage.death_time": "s",
+    "lineage.end_time": "s",
+    "lineage.end": "",
+}
+"""Unit by name; the columns of ``cells`` that are not here are those of :class:`Cells`."""
+
+
+@cache
+def _patterns() -> list[tuple[re.Pattern[str], str]]:
+    """Return what matches names with a star, with their units."""
+    return [
+        (re.compile(r"[^.]+".join(map(re.escape, name.split("*")))), unit)
+        for name, unit in UNITS.items()
+        if "*" in name
+    ]
+
+
+def unit_of(name: str) -> str:
+    """Return the unit of a number by its name, ``""`` for a count, a ratio or a text.
+
+    Parameters
+    ----------
+    name
+        Of a column of the history (``"hypoxic_radius_oxygen"``), of an entry of the summary with
+        dots (``"ledger.oxygen.inflow"``), or of a column of a table with the table's name
+        (``"cells.radius"``).
+
+    Raises
+    ------
+    KeyError
+        If the name is not declared.
+    """
+    if name in UNITS:
+        return UNITS[name]
+    table, _, column = name.partition(".")
+    if table == "cells":
+        from multicell.cells import Cells
+
+        schema = Cells.schema()
+        if column in schema:
+            return str(schema[column]["unit"])
+    for pattern, unit in _patterns():
+        if pattern.fullmatch(name):
+            return unit
+    raise KeyError(f"no unit is declared for {name!r}: see multicell.results.quantities.UNITS")
+
+
+def known_unit(name: str) -> str:
+    """Return the unit of a number, ``""`` also for a name of another version that this one lacks.
+
+    For those who read what a run has left: a run itself asks :func:`unit_of`.
+    """
+    try:
+        return unit_of(name)
+    except KeyError:
+        return ""
+
+
+def units_of(summary: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
+    """Return the units of all entries of a summary that have one, by their dotted names.
+
+    Raises
+    ------
+    KeyError
+        If the name of a number is not declared.
+    """
+    units: dict[str, str] = {}
+    for name, value in summary.items():
+        path = f"{prefix}{name}"
+        if isinstance(value, Mapping):
+            units |= units_of(value, f"{path}.")
+        elif value is None or (isinstance(value, int | float) and not isinstance(value, bool)):
+            units[path] = unit_of(path)
+    return {path: unit for path, unit in units.items() if unit}

@@ -1,0 +1,242 @@
+"""Frames and logs as named arrays, in which form they are written, checked and read."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, fields
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multicell.cells import Cells, Phase, State
+from multicell.errors import OutputError
+from multicell.results.frame import Field, Frame, Progress
+from multicell.results.lineage import COLUMNS, Lineage
+
+Arrays = dict[str, NDArray[Any]]
+
+UNIT: Final = "mM"
+"""Unit of all fields and concentrations."""
+
+_DEEPEST: Final = 32
+
+
+def arrays_of(frame: Frame, nutrients: Iterable[str]) -> Arrays:
+    """Return a frame as arrays, always in the same order.
+
+    Raises
+    ------
+    ValueError
+        If the frame's nutrients are not those of the scene, or the number of concentrations is
+        not the number of cells.
+    """
+    names = sorted(nutrients)
+    if sorted(frame.concentrations) != names:
+        raise ValueError(
+            f"frame has concentrations of {sorted(frame.concentrations)}, the scene has {names}"
+        )
+    for name, values in frame.concentrations.items():
+        if len(values) != len(frame.cells):
+            raise ValueError(f"{len(values)} values of {name} for {len(frame.cells)} cells")
+    text = b"" if frame.progress is None else json.dumps(asdict(frame.progress)).encode()
+    arrays = {"time": np.array(frame.time, "<f8"), "step": np.array(frame.step, "<i8")}
+    arrays |= {f"cells/{name}": column for name, column in frame.cells.columns()}
+    for name in names:
+        arrays[f"cells/concentration_{name}"] = np.asarray(frame.concentrations[name], "<f8")
+    for name in names:
+        field = frame.fields.get(name)
+        if field is not None and np.size(field.values):
+            arrays |= {f"fields/{name}/{key}": a for key, a in _of_field(field).items()}
+    arrays["contacts/pair"] = np.asarray(frame.contacts, "<i8").reshape(-1, 2)
+    arrays["progress/text"] = np.frombuffer(text, "|u1")
+    return arrays
+
+
+def _of_field(field: Field) -> Arrays:
+    """Return a field as arrays."""
+    if field.unit != UNIT:
+        raise ValueError(f"field {field.name} is in {field.unit!r}, must be in {UNIT}")
+    return {
+        "values": np.asarray(field.values, "<f8"),
+        "origin": np.asarray(field.origin, "<f8"),
+        "spacing": np.array(field.spacing, "<f8"),
+        "height": np.array(field.height, "<f8"),
+        "radial": np.array(field.kind == "radial", "|i1"),
+    }
+
+
+def frame_of(arrays: Mapping[str, NDArray[Any]], nutrients: Iterable[str]) -> Frame:
+    """Return the frame that arrays describe.
+
+    Raises
+    ------
+    OutputError
+        If they do not describe one.
+    """
+    names = sorted(nutrients)
+    try:
+        found = {
+            name: Field(
+                name,
+                UNIT,
+                arrays[f"fields/{name}/origin"],
+                float(arrays[f"fields/{name}/spacing"]),
+                arrays[f"fields/{name}/values"],
+                "radial" if arrays[f"fields/{name}/radial"] else "box",
+                float(arrays[f"fields/{name}/height"]),
+            )
+            for name in names
+            if f"fields/{name}/values" in arrays
+        }
+        frame = Frame(
+            time=float(arrays["time"]),
+            step=int(arrays["step"]),
+            cells=Cells(**{name: arrays[f"cells/{name}"] for name in Cells.schema()}),
+            concentrations={name: arrays[f"cells/concentration_{name}"] for name in names},
+            fields=found,
+            contacts=arrays["contacts/pair"].reshape(-1, 2),
+            progress=progress_of(arrays["progress/text"].tobytes(), names),
+        )
+    except KeyError as error:
+        raise OutputError(f"it has no {error.args[0]}") from None
+    except (ValueError, TypeError) as error:
+        raise OutputError(str(error)) from None
+    _check(frame)
+    return frame
+
+
+def _check(frame: Frame) -> None:
+    """Refuse cells that no run can have written."""
+    cells = frame.cells
+    if not np.isfinite(frame.time) or frame.step < 0:
+        raise OutputError(f"its time is {frame.time:g} s, its step {frame.step}")
+    ranges = {"state": max(State), "phase": max(Phase), "kind": np.iinfo(np.int16).max}
+    for name, most in ranges.items():
+        values = getattr(cells, name)
+        if len(values) and not (values.min() >= 0 and values.max() <= most):
+            raise OutputError(f"cells.{name} holds values out of range")
+    if len(np.unique(cells.id)) != len(cells):
+        raise OutputError("cells.id holds an identity twice")
+    for name, values in frame.concentrations.items():
+        if values.shape != (len(cells),):
+            raise OutputError(f"it has {len(values)} concentrations of {name}")
+
+
+def can_go_on(frame: Frame) -> str:
+    """Return what keeps a run from going on from a frame, or nothing."""
+    cells = frame.cells
+    for name in ("position", "radius", "young", "poisson"):
+        if not np.isfinite(getattr(cells, name)).all():
+            return f"cells.{name} holds values that are no numbers"
+    if not (cells.radius > 0.0).all():
+        return "cells.radius holds values that are not above 0"
+    missing = sorted(set(frame.concentrations) - set(frame.fields))
+    return f"it has no field of {missing[0]}" if missing else ""
+
+
+def progress_of(text: bytes, nutrients: Iterable[str]) -> Progress | None:
+    """Return what a run needs to go on, or None if nothing was noted.
+
+    Raises
+    ------
+    OutputError
+        If the text is no such record.
+    """
+    if not text:
+        return None
+    entries = parse_table(text)
+    expected = {spec.name for spec in fields(Progress)}
+    if set(entries) != expected:
+        raise OutputError(f"its progress has other entries: {sorted(set(entries) ^ expected)}")
+    known = set(nutrients)
+    checks: dict[str, Callable[[Any], bool]] = {
+        **dict.fromkeys(("next_id", "divisions", "removals", "unsorted"), _is_count),
+        "released": _is_number,
+        "separation": lambda value: value is None or _are_numbers(value),
+        "work": lambda value: isinstance(value, dict) and all(map(_is_count, value.values())),
+        "ledger": lambda value: _of_nutrients(value, known),
+        "rates": lambda value: _of_nutrients(value, known),
+    }
+    for name, fits in checks.items():
+        if not fits(entries[name]):
+            raise OutputError(f"its progress has no usable {name}")
+    return Progress(**entries)
+
+
+def _is_count(value: Any) -> bool:
+    return type(value) is int and 0 <= value < 1 << 63
+
+
+def _is_number(value: Any) -> bool:
+    return type(value) is float or (type(value) is int and abs(value) < 1 << 63)
+
+
+def _are_numbers(value: Any) -> bool:
+    return isinstance(value, dict) and all(map(_is_number, value.values()))
+
+
+def _of_nutrients(value: Any, known: set[str]) -> bool:
+    inside = isinstance(value, dict) and set(value) <= known
+    return inside and all(map(_are_numbers, value.values()))
+
+
+def parse_table(text: bytes | str) -> dict[str, Any]:
+    """Return a JSON table.
+
+    Raises
+    ------
+    OutputError
+        If the text is none, or holds what no table of ours does: numbers of thousands of digits,
+        hundreds of levels.
+    """
+    try:
+        value = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        reason = "it is nested too deeply" if isinstance(error, RecursionError) else str(error)
+        raise OutputError(f"it is not JSON as multicell writes it: {reason}") from None
+    if not isinstance(value, dict):
+        raise OutputError("it does not hold a table")
+    level: list[Any] = [value]
+    for _ in range(_DEEPEST):
+        below = [x for v in level for x in (v.values() if isinstance(v, dict) else v)]
+        if any(type(x) is int and abs(x) >= 1 << 64 for x in below):
+            raise OutputError("it holds a number that no run can have written")
+        level = [x for x in below if isinstance(x, dict | list)]
+        if not level:
+            return value
+    raise OutputError("it is nested too deeply")
+
+
+def log_arrays(lineage: Lineage | None, begin: Mapping[str, int]) -> Arrays:
+    """Return the rows of a lineage's logs from some on, as arrays."""
+    logs = Lineage() if lineage is None else lineage
+    return {
+        f"{log}/{name}": column
+        for log in COLUMNS
+        for name, column in logs.rows(log, begin[log] if lineage is not None else 0).items()
+    }
+
+
+def lineage_of(arrays: Mapping[str, NDArray[Any]]) -> Lineage:
+    """Return the lineage whose logs are these arrays.
+
+    Raises
+    ------
+    OutputError
+        If they contradict each other.
+    """
+    logs = {
+        log: {name: arrays[f"{log}/{name}"] for name in columns} for log, columns in COLUMNS.items()
+    }
+    ids = logs["births"]["id"]
+    if len(np.unique(ids)) != len(ids):
+        raise OutputError("the lineage has a cell that was born twice")
+    for log in ("deaths", "ends"):
+        if not np.isin(logs[log]["id"], ids).all():
+            raise OutputError(f"the lineage's {log} name cells that were never born")
+    cause = logs["ends"]["cause"]
+    if not np.isin(cause, [-2, *map(int, State)]).all():
+        raise OutputError("the lineage has an end of unknown cause")
+    return Lineage.of(logs)

@@ -1,0 +1,316 @@
+"""Result files: a journal while a run goes on, ``frames.h5`` when it has ended.
+
+While a run goes on each frame is appended to ``frames.journal`` (:mod:`multicell.results.journal`),
+with what the history and the lineage have gained. A run that is killed at any moment, or meets a
+full disk, leaves all frames that it had finished, and the history up to about a second before; what
+the last second brought may be lost when the power fails. At its end, also an early one, all becomes
+one file ``frames.h5`` in HDF5, written beside its place and moved there. If there is no room for it
+the journal stays, and is read, resumed and exported all the same. A run that is resumed leaves
+``frames.h5`` as it is and begins a journal that says from which frame on it counts.
+
+Layout of ``frames.h5`` for k frames and m history rows::
+
+    /cells/<column>                  all frames one after another, with a ``unit``
+    /cells/concentration_<nutrient>  likewise, mM
+    /frames/offset (k + 1)           frame j owns the rows offset[j] ... offset[j + 1] - 1
+    /frames/time, /frames/step (k)
+    /frames/digest (k)               CRC-32 of all that a frame holds
+    /fields/<nutrient>/values        grids one after another in C order, with their offset
+    /fields/<nutrient>/offset (k + 1), shape (k, 3), origin (k, 3), spacing, height, radial (k)
+    /contacts/pair (., 2)            identities of pairs in contact, where the law remembers them
+    /contacts/offset (k + 1)
+    /progress/text, /progress/offset (k + 1)   JSON: what else a run needs to be resumed
+    /lineage/<log>/<column>          logs of births, deaths and ends up to the last frame
+    /lineage/<log>/offset (k + 1)
+    /history/<column> (m)
+    /scene                           bytes of ``scene.toml``
+
+It is an ordinary file without links to others: h5py, pandas and xarray open it, and a copy of it is
+complete. The attributes ``identity`` and ``absorbed`` tell it and its journals apart, ``digest``
+(of the file and of the history) are the checksums of what belongs to no single frame.
+"""
+
+from __future__ import annotations
+
+import time as clock
+import uuid
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Self, final
+
+import numpy as np
+
+from multicell.errors import OutputError
+from multicell.results import hdf5
+from multicell.results.folder import (
+    FILES,
+    PASSING,
+    locked,
+    make_folder,
+    remove,
+    sync_folder,
+    versions,
+    words,
+    write_text,
+)
+from multicell.results.frame import Frame
+from multicell.results.journal import NAME as JOURNAL
+from multicell.results.journal import Journal
+from multicell.results.lineage import COLUMNS, Lineage
+from multicell.results.reader import Contents
+from multicell.results.records import Arrays, arrays_of, log_arrays
+
+if TYPE_CHECKING:
+    from multicell.scene.scene import Scene
+
+
+_HISTORY_EVERY: Final = 1.0  # s of the wall clock
+
+
+@final
+class Store:
+    """The writer of a result folder; it is the only owner of the open journal.
+
+    Use :meth:`create` or :meth:`go_on`; as a context manager it settles and closes itself. All
+    methods raise :class:`~multicell.errors.OutputError` when the system refuses to write (disk
+    full); what was written before stays. A call that does not come to its end (Ctrl-C) leaves no
+    trace.
+    """
+
+    def __init__(
+        self, folder: Path, journal: Journal, nutrients: tuple[str, ...], held: ExitStack
+    ) -> None:
+        self.folder = folder
+        self._journal = journal
+        self._nutrients = nutrients
+        self._held = held
+        self._columns: tuple[str, ...] = ()
+        self._pending: list[list[float]] = []
+        self._written = clock.monotonic()
+        # what is complete: the only truth about what comes next
+        self._frames = self._rows = 0
+        self._logged = dict.fromkeys(COLUMNS, 0)
+
+    @classmethod
+    def create(cls, folder: str | Path, scene: Scene, overwrite: bool = False) -> Self:
+        """Prepare the folder, write ``scene.toml`` and begin an empty journal.
+
+        Parameters
+        ----------
+        folder
+            Output folder; from now on no other run may write to it.
+        scene
+            The scene of the run; it says which nutrients the frames have.
+        overwrite
+            Remove the files of an earlier run first.
+
+        Raises
+        ------
+        OutputError
+            If the folder cannot be used (:func:`multicell.results.folder.prepare_folder`).
+        """
+        folder = make_folder(folder, overwrite=overwrite)
+        with ExitStack() as stack:
+            stack.enter_context(locked(folder))
+            make_folder(folder, overwrite=overwrite)  # another run may have come first
+            remove(folder, (*PASSING, *FILES))
+            text = scene.to_toml(versions())
+            write_text(folder / "scene.toml", text)
+            names = tuple(scene.nutrients)
+            journal = Journal.create(folder, _opening(text, names, "", 0, 0))
+            stack.callback(journal.close)
+            return cls(folder, journal, names, stack.pop_all())
+
+    @classmethod
+    def go_on(cls, contents: Contents, place: int, rows: int, scene: Scene) -> Self:
+        """Go on in a folder after one of its frames; its lock is the caller's affair.
+
+        What came after the frame, and files that describe the end of the earlier run, do not
+        count any more once this returns; until then nothing is lost.
+
+        Parameters
+        ----------
+        contents
+            Of the folder.
+        place
+            Number of the frame.
+        rows
+            How many rows of the history came up to it.
+        scene
+            The scene to go on with.
+        """
+        folder, names = contents.folder, contents.nutrients
+        lineage = contents.lineage(place)
+        text = scene.to_toml(versions())
+        # beside its place, until the journal says that this is the scene from now on
+        part = folder / "scene.toml.next"
+        write_text(part, text)
+        with ExitStack() as stack:
+            if contents.journal is None:
+                base = "" if contents.file is None else contents.file.identity
+                facts = _opening(text, names, base, place + 1, rows)
+                journal = Journal.create(folder, facts)
+                stack.callback(journal.close)
+            else:
+                journal = Journal.reopen(contents.journal)
+                stack.callback(journal.close)
+                facts = {"kind": "back", "scene": text, "frames": place + 1, "rows": rows}
+                journal.append([(facts, {})])
+                journal.sync()
+            with words("write", folder / "scene.toml"):
+                part.replace(folder / "scene.toml")
+            remove(folder, [name for name in FILES if name not in ("scene.toml", hdf5.NAME)])
+            store = cls(folder, journal, names, stack.pop_all())
+        store._frames, store._rows = place + 1, rows
+        store._columns, store._logged = contents.columns, lineage.counts()
+        return store
+
+    def copy(self, contents: Contents, place: int, rows: int) -> None:
+        """Begin with what another folder holds up to a frame."""
+        history = contents.history(rows)
+        self._columns = tuple(history)
+        self._pending = [
+            list(row) for row in zip(*(c.tolist() for c in history.values()), strict=True)
+        ]
+        for k in range(place + 1):
+            self._add(contents.arrays(k), contents.log(k))
+
+    def append(self, frame: Frame, lineage: Lineage | None = None) -> None:
+        """Write a frame to disk.
+
+        Parameters
+        ----------
+        frame
+        lineage
+            Of the run up to the frame; what is not on disk yet is written.
+
+        Raises
+        ------
+        ValueError
+            If the frame's nutrients are not those of the scene, or the number of
+            concentrations is not the number of cells.
+        """
+        self._add(arrays_of(frame, self._nutrients), log_arrays(lineage, self._logged))
+
+    def _add(self, arrays: Arrays, log: Arrays) -> None:
+        """Write a frame with the new rows of the logs, and the history up to it."""
+        facts = {
+            "kind": "frame",
+            "number": self._frames,
+            "time": float(arrays["time"]),
+            "step": int(arrays["step"]),
+        }
+        logs = {"kind": "lineage", "number": self._frames}
+        self._journal.append([*self._history_records(), (logs, log), (facts, arrays)])
+        self._history_is_written()
+        self._frames += 1
+        for name in COLUMNS:
+            self._logged[name] += len(log[f"{name}/id"])
+
+    def append_history(self, row: Mapping[str, float]) -> None:
+        """Add one row to the history; the first row says which columns there are.
+
+        It is on disk with the next frame, or after a second.
+
+        Raises
+        ------
+        ValueError
+            If a later row has other columns.
+        """
+        if not self._columns:
+            self._columns = tuple(sorted(row))  # as they come back from HDF5
+        if set(row) != set(self._columns):
+            changed = sorted(set(row) ^ set(self._columns))
+            raise ValueError(f"history columns differ from those of the first row: {changed}")
+        self._pending.append([float(row[name]) for name in self._columns])
+        # to write costs more than a small coupling step: a killed run loses one second
+        if clock.monotonic() - self._written > _HISTORY_EVERY:
+            self.flush()
+
+    def _history_records(self) -> list[tuple[Mapping[str, Any], Arrays]]:
+        """Return what is to be written of the history."""
+        if not self._pending:
+            return []
+        facts = {"kind": "rows", "start": self._rows, "columns": list(self._columns)}
+        return [(facts, {"rows": np.array(self._pending, "<f8")})]
+
+    def _history_is_written(self) -> None:
+        self._rows += len(self._pending)
+        self._pending.clear()
+        self._written = clock.monotonic()
+
+    def flush(self) -> None:
+        """Write what there is of the history."""
+        if self._pending:
+            self._journal.append(self._history_records())
+            self._history_is_written()
+
+    def settle(self) -> None:
+        """Make one file ``frames.h5`` of all that there is.
+
+        Raises
+        ------
+        OutputError
+            If that cannot be written. Everything then stays readable in the journal.
+        """
+        self.flush()
+        self._journal.sync()
+        contents = Contents(self.folder)
+        try:
+            hdf5.write(self.folder / hdf5.NAME, _whole(contents))
+        except OutputError as error:
+            raise OutputError(
+                f"{error}. All {len(contents.places)} frames of the run are kept in {JOURNAL} and "
+                "can be read; 'multicell resume' makes one file of them when there is room"
+            ) from error
+        self._journal.close()
+        with words("remove", self.folder / JOURNAL):
+            (self.folder / JOURNAL).unlink()
+        sync_folder(self.folder)
+
+    def close(self) -> None:
+        """Close the journal and let others write to the folder; closing twice does no harm."""
+        self._held.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        try:
+            if kind is None:
+                self.settle()
+        finally:
+            self.close()
+
+
+def _opening(
+    scene: str, nutrients: tuple[str, ...], base: str, frames: int, rows: int
+) -> dict[str, Any]:
+    """Return the first record of a journal: what it goes on from."""
+    return {
+        "kind": "open",
+        "identity": uuid.uuid4().hex,
+        "base": base,
+        "frames": frames,
+        "rows": rows,
+        "scene": scene,
+        "nutrients": list(nutrients),
+    }
+
+
+def _whole(contents: Contents) -> hdf5.Whole:
+    """Return all that a folder holds as one file is to hold it."""
+
+    def frames() -> Iterator[tuple[Arrays, int, Arrays]]:
+        for k, place in enumerate(contents.places):
+            yield contents.arrays(k), place.digest, contents.log(k)
+
+    return hdf5.Whole(
+        contents.scene,
+        contents.nutrients,
+        frames(),
+        contents.history(),
+        uuid.uuid4().hex,
+        contents.identity,
+    )

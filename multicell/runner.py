@@ -1,0 +1,420 @@
+"""From a scene to a result: the loop with its record on disk."""
+
+from __future__ import annotations
+
+import math
+import signal
+import threading
+import time as clock
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Any, final
+
+import numpy as np
+
+from multicell.errors import OutputError, SceneError
+from multicell.report.result import Result, history_arrays, read_summary, recorded_scene
+from multicell.results.folder import locked, write_summary
+from multicell.results.frame import Frame
+from multicell.results.quantities import units_of
+from multicell.results.records import can_go_on
+from multicell.simulation import Simulation
+from multicell.threads import thread_count
+
+if TYPE_CHECKING:
+    from multicell.results.lineage import Lineage
+    from multicell.results.reader import Contents
+    from multicell.results.writer import Store
+    from multicell.scene.scene import Scene
+
+
+def run(
+    scene: Scene,
+    *,
+    output: str | Path | None = None,
+    integrator: str | None = None,
+    overwrite: bool = False,
+    threads: int | None = None,
+    progress: Callable[[Simulation], None] | None = None,
+    report: bool = True,
+) -> Result:
+    """Run a scene from its start to its end.
+
+    Parameters
+    ----------
+    scene
+        What to run.
+    output
+        Folder for scene, frames, summary and report; None keeps all in memory.
+    integrator
+        Name of an integration method, instead of the scene's.
+    overwrite
+        Whether an earlier run in the folder may be replaced.
+    threads
+        Number of threads for large populations, by default all; it does not change results.
+    progress
+        Called after every coupling step.
+    report
+        Whether to write pictures and ``report.html``; only with a folder.
+
+    Returns
+    -------
+    Result
+
+    Raises
+    ------
+    SceneError, OutputError
+        For input that cannot be used, before the first step.
+    OutputError
+        With exit code 1 if results cannot be written later on, for example because the disk is
+        full. What was saved before can be read, and resumed when there is room.
+    StepFailed
+        If a step cannot be solved. Like after Ctrl-C, the folder then holds all frames so far,
+        the history and a summary with ``"interrupted": true``.
+    """
+    if integrator is not None:
+        scene = scene.with_changes({"integrator": integrator})
+    begin = clock.perf_counter()
+    threads = thread_count(threads)  # before the folder is made
+    recorder = Recorder(scene, _open_store(scene, output, overwrite))
+    with ExitStack() as stack:
+        stack.enter_context(under_way())
+        interrupt = stack.enter_context(between_steps())
+        stack.callback(recorder.close)
+        simulation = Simulation(scene, threads=threads)
+        recorder.startup = clock.perf_counter() - begin
+        recorder.record(simulation)
+        go_on(simulation, recorder, interrupt, progress)
+    return finished(recorder, report)
+
+
+def go_on(
+    simulation: Simulation,
+    recorder: Recorder,
+    interrupt: Callable[[], None],
+    progress: Callable[[Simulation], None] | None,
+) -> None:
+    """Advance to the scene's end and record each step; ``interrupt`` may end it between two."""
+    try:
+        while not simulation.finished:
+            simulation.step()
+            recorder.record(simulation)
+            if progress is not None:
+                progress(simulation)
+            interrupt()
+    except OutputError as error:
+        # what cannot be written now cannot be finished either
+        raise OutputError(
+            f"{error}. The run stopped at {simulation.time:g} s; what was saved before can be "
+            "read, and 'multicell resume' goes on from it when there is room"
+        ) from error
+    except BaseException as error:
+        try:
+            recorder.finish(simulation, interrupted=True)
+        except OutputError as trouble:
+            error.add_note(str(trouble))  # the first error is the one that counts
+        raise
+    recorder.finish(simulation, interrupted=False)
+
+
+@contextmanager
+def under_way() -> Iterator[None]:
+    """Count what cannot be written from now on as a failure of the run, not as bad input."""
+    try:
+        yield
+    except OutputError as error:
+        error.exit_code = 1
+        raise
+
+
+def finished(recorder: Recorder, report: bool) -> Result:
+    """Return the result of a run that has ended, with its report if there is a folder."""
+    with under_way():
+        result = recorder.result()
+        if report and result.folder is not None:
+            try:
+                result.report()
+            except OutputError as error:
+                raise OutputError(
+                    f"{error}. The run is complete; only its report is missing: "
+                    f"multicell.load_result({str(result.folder)!r}).report() writes it"
+                ) from error
+    return result
+
+
+@final
+class Recorder:
+    """Frames and history of a run, on disk or in memory."""
+
+    def __init__(self, scene: Scene, store: Store | None) -> None:
+        self._scene = scene
+        self._store = store
+        self._lineage: Lineage | None = None
+        self._frames: list[Frame] = []
+        self._rows: list[dict[str, float]] = []
+        self._next_frame = 0.0
+        self._last_frame = -1
+        self._summary: dict[str, object] = {}
+        self.startup = 0.0
+
+    def record(self, simulation: Simulation) -> None:
+        """Add a row to the history, and a frame if one is due."""
+        begin = clock.perf_counter()
+        row = simulation.history_row()
+        if self._store is None:
+            self._rows.append(row)
+        else:
+            self._store.append_history(row)
+        if simulation.time >= self._next_frame * (1.0 - 1e-12) or simulation.finished:
+            self._frame(simulation)
+        simulation.wall["record"] += clock.perf_counter() - begin
+
+    def skip(self, frame: Frame) -> None:
+        """Go on after a frame that is recorded already."""
+        self._last_frame = frame.step
+        self._count_frames(frame.time)
+
+    def finish(self, simulation: Simulation, *, interrupted: bool) -> None:
+        """Write the last state and the summary."""
+        if simulation.step_index > self._last_frame:
+            self._frame(simulation)
+        self._summary = simulation.summary()
+        wall = self._summary["wall"]
+        assert isinstance(wall, dict)
+        wall["startup"] = self.startup
+        self._summary["units"] = units_of(self._summary)
+        if interrupted:
+            self._summary["interrupted"] = True
+        if self._store is not None:
+            self._store.settle()
+            write_summary(self._store.folder, self._summary)
+
+    def close(self) -> None:
+        """Close the files."""
+        if self._store is not None:
+            self._store.close()
+
+    def result(self) -> Result:
+        """Return the result of a run that has ended."""
+        if self._store is None:
+            history = history_arrays(self._rows)
+            lineage = {} if self._lineage is None else self._lineage.table()
+            return Result(None, self._frames, history, self._summary, self._scene, lineage)
+        from multicell.report.result import load_result
+
+        return load_result(self._store.folder)
+
+    def _frame(self, simulation: Simulation) -> None:
+        self._count_frames(simulation.time)
+        self._last_frame = simulation.step_index
+        self._lineage = simulation.lineage
+        frame = simulation.frame()
+        if self._store is None:
+            self._frames.append(frame)
+        else:
+            self._store.append(frame, simulation.lineage)
+
+    def _count_frames(self, time: float) -> None:
+        """Find when the next frame after a time is due."""
+        every, now = self._scene.output.every, time * (1.0 + 1e-12)
+        due = (math.floor(now / every) + 1) * every
+        # where the frames are closer than the rounding of the time, the next step has one
+        self._next_frame = max(due, math.nextafter(now, math.inf))
+
+
+def _open_store(scene: Scene, output: str | Path | None, overwrite: bool) -> Store | None:
+    if output is None:
+        return None
+    from multicell.results.writer import Store
+
+    return Store.create(output, scene, overwrite)
+
+
+@contextmanager
+def between_steps() -> Iterator[Callable[[], None]]:
+    """Hold Ctrl-C back until the function that is yielded is called.
+
+    An exception that Python raises inside a solver's callback can be lost on its way through
+    compiled code. So the first Ctrl-C is only noted, and raised as ``KeyboardInterrupt`` by
+    the yielded function; a second one is raised at once. Outside the main thread, or where
+    the program has a handler of its own, nothing changes.
+    """
+    noted = False
+
+    def note(number: int, frame: FrameType | None) -> None:
+        nonlocal noted
+        if noted:
+            signal.default_int_handler(number, frame)
+        noted = True
+
+    def check() -> None:
+        if noted:
+            raise KeyboardInterrupt
+
+    ours = (
+        threading.current_thread() is threading.main_thread()
+        and signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    )
+    if not ours:
+        yield check
+        return
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield check
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+_MAY_CHANGE = ("duration", "stop_cells", "title", "output", "integrator")
+_OF_A_NUTRIENT = ("boundary", "media", "media_change", "sides", "perfusion")
+
+
+def resume(
+    folder: str | Path,
+    frame: int = -1,
+    *,
+    output: str | Path | None = None,
+    changes: Mapping[str, Any] | None = None,
+    overwrite: bool = False,
+    threads: int | None = None,
+    progress: Callable[[Simulation], None] | None = None,
+    report: bool = True,
+) -> Result:
+    """Go on with a run from a frame; without changes it becomes what it would have been.
+
+    A run that has come to its end but could not write all of its results (disk full) is finished
+    now.
+
+    Parameters
+    ----------
+    folder
+        Of the run, finished or not.
+    frame
+        Number of the frame; negative ones count from the last.
+    output
+        Folder for the run with what came before the frame; by default that of the run, in which
+        what came after the frame is replaced. Until the part before is copied nothing is lost.
+    changes
+        Dotted keys with new values, as in :meth:`Scene.with_changes`: of what may change while
+        a run goes on, such as ``duration``, ``stop_cells``, ``output.every`` or the medium.
+    overwrite
+        Whether an earlier run in ``output`` may be replaced.
+    threads, progress, report
+        As for :func:`multicell.run`.
+
+    Returns
+    -------
+    Result
+
+    Raises
+    ------
+    OutputError
+        For a folder without results that can be resumed, a frame that is not there, and a run
+        that has come to its end.
+    SceneError
+        For changes that cannot be made.
+    StepFailed
+        As for :func:`multicell.run`.
+    """
+    from multicell.results.reader import Contents  # HDF5 is loaded where there is a folder only
+    from multicell.results.writer import Store
+
+    begin = clock.perf_counter()
+    folder = Path(folder)
+    here = output is None or Path(output).resolve() == folder.resolve()
+    with ExitStack() as stack:
+        contents = Contents(folder)
+        if here:
+            stack.enter_context(locked(folder))
+            contents = Contents(folder)  # another run may have come first
+        place = _place(contents, frame)
+        _check_damage(contents, frame, here)
+        scene = _changed(recorded_scene(contents), changes or {})
+        threads = thread_count(threads)
+        simulation = _simulation(scene, contents, place, threads)
+        rows = _rows(contents, simulation.step_index)
+        interrupt = stack.enter_context(between_steps())
+        if here:
+            for k in range(place):  # what is damaged is better known before the run than after it
+                contents.frame(k)
+            store = Store.go_on(contents, place, rows, scene)
+        else:
+            store = Store.create(Path(output or folder), scene, overwrite)
+        recorder = Recorder(scene, store)
+        stack.callback(recorder.close)
+        stack.enter_context(under_way())
+        if not here:
+            store.copy(contents, place, rows)
+        recorder.skip(contents.frame(place))
+        recorder.startup = clock.perf_counter() - begin
+        go_on(simulation, recorder, interrupt, progress)
+    return finished(recorder, report)
+
+
+def _place(contents: Contents, frame: int) -> int:
+    """Return the number of a frame from the first."""
+    count = len(contents.places)
+    place = frame + count if frame < 0 else frame
+    if not 0 <= place < count:
+        have = f"it has the frames 0 to {count - 1}" if count else "it has no frames"
+        raise OutputError(f"the run in '{contents.folder}' has no frame {frame}: {have}")
+    return place
+
+
+def _check_damage(contents: Contents, frame: int, here: bool) -> None:
+    """Let a run with a damaged journal go on from a frame that was named, and elsewhere."""
+    if contents.damage is not None and (frame < 0 or here):
+        contents.whole()
+
+
+def _simulation(scene: Scene, contents: Contents, place: int, threads: int) -> Simulation:
+    """Return the simulation at a frame, or say why it cannot go on."""
+    folder, start = contents.folder, contents.frame(place)
+    if start.progress is None:
+        raise OutputError(
+            f"the frame at {start.time:g} s in '{folder}' does not hold what a run needs to go on"
+        )
+    problem = can_go_on(start)
+    if problem:
+        raise OutputError(f"no run can go on from the frame at {start.time:g} s: {problem}")
+    lineage = contents.lineage(place)
+    simulation = Simulation(scene, threads=threads, frame=start, lineage=lineage)
+    if simulation.finished and _complete(contents):
+        raise OutputError(
+            f"the run in '{folder}' ends with the frame at {start.time:g} s. "
+            "To prolong it, change duration or stop_cells"
+        )
+    return simulation
+
+
+def _rows(contents: Contents, step: int) -> int:
+    """Return how many rows of the history there are up to a step."""
+    steps = contents.history().get("step", np.empty(0))
+    rows = int((steps <= step).sum())
+    if rows != step + 1:
+        raise OutputError(
+            f"the history in '{contents.folder}' has {rows} rows up to step {step}, must have "
+            f"{step + 1}: no run can go on from there"
+        )
+    return rows
+
+
+def _complete(contents: Contents) -> bool:
+    """Return whether a run has written all that it writes at its end."""
+    summary = read_summary(contents.folder / "summary.json")
+    return contents.journal is None and summary is not None and not summary.get("interrupted")
+
+
+def _changed(scene: Scene, changes: Mapping[str, Any]) -> Scene:
+    """Return the scene with changes that may be made while a run goes on."""
+    for key in changes:
+        parts = key.split(".")
+        free = parts[0] in _MAY_CHANGE
+        if parts[0] == "nutrients" and len(parts) > 2:
+            free = parts[2] in _OF_A_NUTRIENT
+        if not free:
+            allowed = ", ".join([*_MAY_CHANGE, *(f"nutrients.<name>.{k}" for k in _OF_A_NUTRIENT)])
+            raise SceneError(key, "cannot change while a run goes on", f"Allowed: {allowed}")
+    return scene.with_changes(changes)

@@ -1,0 +1,219 @@
+"""Whether the parts of a scene fit together."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from multicell.cells import Phase
+from multicell.errors import SceneError
+from multicell.scene import domain as box
+from multicell.scene.scales import MAX_NODES, level_fixed, spacing
+from multicell.schema import near_miss
+
+if TYPE_CHECKING:
+    from multicell.scene.nutrient import Nutrient
+    from multicell.scene.parts import CellType
+    from multicell.scene.scene import Scene
+
+
+def check_types(scene: Scene) -> None:
+    """Raise ``SceneError`` for types that do not fit together or to the rest of the scene."""
+    types = scene.types
+    if types and not sum(kind.fraction for kind in types.values()) > 0.0:
+        raise SceneError("types", "have fractions that add up to 0, must have some cells")
+    for name, kind in types.items():
+        if kind.surface_energy is not None:
+            _check_energies(scene, f"types.{name}.surface_energy", kind)
+        _check_responses(scene, f"types.{name}", kind)
+        if kind.sticks and scene.adhesion is None:
+            path = f"types.{name}.{'receptor' if any(v for _, v in kind.receptor) else 'ligand'}"
+            hint = "An [adhesion] table says how strongly receptors bind."
+            raise SceneError(path, "has no effect: the scene has no adhesion", hint)
+    if scene.adhesion is not None and not any(kind.sticks for kind in types.values()):
+        hint = "Give types.<name>.receptor and types.<name>.ligand."
+        raise SceneError("adhesion", "has no effect: no type carries receptors or ligands", hint)
+
+
+def _check_energies(scene: Scene, path: str, kind: CellType) -> None:
+    """Check one row of the matrix of surface energies: names, completeness, symmetry."""
+    assert kind.surface_energy is not None
+    own = path.split(".")[1]
+    if not hasattr(scene.contact, "surface_energy"):
+        raise SceneError(path, "needs a contact law with a surface energy", "Such as law = 'jkr'.")
+    for other in kind.surface_energy:
+        if other not in scene.types:
+            raise SceneError(
+                f"{path}.{other}", "is not a type of this scene", near_miss(other, scene.types)
+            )
+    for other, partner in scene.types.items():
+        back = (partner.surface_energy or {}).get(own)
+        there = kind.surface_energy.get(other)
+        if there is None or back is None:
+            missing = f"{path}.{other}" if there is None else f"types.{other}.surface_energy.{own}"
+            raise SceneError(missing, "is missing", "Every pair of types needs a surface energy.")
+        if there != back:
+            problem = (
+                f"is {there:g} nN/um, but types.{other}.surface_energy.{own} is {back:g} nN/um: "
+                "surface energies must be symmetric"
+            )
+            raise SceneError(f"{path}.{other}", problem)
+
+
+def _check_responses(scene: Scene, path: str, kind: CellType) -> None:
+    """Check that a programme of adhesion refers to phases and fields that there are."""
+    for key in ("receptor_by_phase", "ligand_by_phase"):
+        for phase in getattr(kind, key) or ():
+            if phase not in Phase.__members__:
+                hint = near_miss(phase, Phase.__members__)
+                raise SceneError(f"{path}.{key}.{phase}", "is not a phase of the cycle", hint)
+            if scene.growth is None or not scene.growth.phases:
+                hint = "growth.phases gives them."
+                raise SceneError(f"{path}.{key}", "has no effect: the scene has no phases", hint)
+    for key in ("receptor_by", "ligand_by"):
+        for name in getattr(kind, key) or ():
+            if name not in scene.nutrients:
+                hint = near_miss(name, scene.nutrients)
+                raise SceneError(f"{path}.{key}.{name}", "is not a field of this scene", hint)
+
+
+_FINEST = 0.001
+"""Least spacing of a grid over the radius of a dividing cell: below, cells are points to it."""
+
+
+def check_nutrients(scene: Scene) -> None:
+    """Raise ``SceneError`` for fields that do not fit together or to the rest of the scene."""
+    for name, nutrient in scene.nutrients.items():
+        path = f"nutrients.{name}"
+        _check_names(scene, path, nutrient)
+        _check_spacing(scene, path, nutrient)
+        _check_sides(scene, path, nutrient)
+        _check_medium(path, nutrient)
+        _check_layer(path, nutrient)
+        if scene.domain is not None:
+            _check_in_domain(scene, name)
+    solving_order(scene.nutrients)
+
+
+def _check_names(scene: Scene, path: str, nutrient: Nutrient) -> None:
+    """Check that fields which a field refers to exist."""
+    for key in ("uptake_on", "secretion_from"):
+        for other in getattr(nutrient, key) or ():
+            if other not in scene.nutrients:
+                hint = near_miss(other, scene.nutrients)
+                raise SceneError(f"{path}.{key}.{other}", "is not a field of this scene", hint)
+    if nutrient.uptake_on and nutrient.uptake == 0.0:
+        hint = "Give an uptake, or remove uptake_on."
+        raise SceneError(f"{path}.uptake_on", "has no effect: uptake is zero", hint)
+    for other in nutrient.secretion_from or ():
+        if scene.nutrients[other].uptake == 0.0:
+            hint = "What is secreted from a field's uptake needs that uptake."
+            raise SceneError(f"{path}.secretion_from.{other}", "is a field with no uptake", hint)
+
+
+def _check_spacing(scene: Scene, path: str, nutrient: Nutrient) -> None:
+    widest = 4.0 * scene.cells.division_radius
+    if nutrient.spacing is not None and nutrient.spacing > widest:
+        problem = (
+            f"is {nutrient.spacing:g} um, must be at most {widest:g} um "
+            "(two diameters of a dividing cell): grid too coarse for its cells"
+        )
+        raise SceneError(f"{path}.spacing", problem, "Take about one diameter.")
+    finest = _FINEST * scene.cells.division_radius
+    if nutrient.spacing is not None and nutrient.spacing < finest:
+        problem = f"is {nutrient.spacing:g} um, must be at least {finest:g} um: finer than any cell"
+        raise SceneError(f"{path}.spacing", problem, "Take about one diameter.")
+
+
+def _check_sides(scene: Scene, path: str, nutrient: Nutrient) -> None:
+    """Check that the sides exist in the scene's dimensions and that something fixes the level."""
+    flat = scene.dimensions == 2
+    if flat and nutrient.geometry == "radial":
+        hint = "In two dimensions fields live on a grid of squares."
+        raise SceneError(f"{path}.geometry", "is 'radial' in a scene of 2 dimensions", hint)
+    for face in nutrient.sides:
+        if flat and (face.startswith("z") or face == "r+"):
+            problem = "does not exist in a scene of 2 dimensions"
+            raise SceneError(f"{path}.sides.{face}", problem, "Use 'x-' to 'y+' or '*'.")
+    if not level_fixed(nutrient, scene.dimensions):
+        if nutrient.regime == "steady":
+            hint = "Give one side a value, or a perfusion, or let the field be 'transient'."
+            raise SceneError(f"{path}.sides", "fix no level: no steady state is defined", hint)
+        if nutrient.initial == "steady":
+            problem = "is 'steady', but the sides fix no level: there is no steady state"
+            hint = "Start from 'medium', or give one side a value, or a perfusion."
+            raise SceneError(f"{path}.initial", problem, hint)
+    shaped = {face for face in nutrient.sides if face not in ("*", "r+")}
+    if nutrient.geometry == "auto" and shaped:
+        hint = "Take geometry = 'box', or only '*'."
+        face = min(shaped)
+        raise SceneError(f"{path}.sides.{face}", "is not the same all round", hint)
+
+
+def _check_medium(path: str, nutrient: Nutrient) -> None:
+    if nutrient.media is not None and nutrient.media[0][0] < 0.0:
+        raise SceneError(f"{path}.media", f"begins at {nutrient.media[0][0]:g} s, before the run")
+
+
+def _check_layer(path: str, nutrient: Nutrient) -> None:
+    """Check that a layer lies round shells: only there it is as thick everywhere."""
+    if nutrient.layer is not None and nutrient.geometry != "radial":
+        problem = f"has no meaning with geometry = '{nutrient.geometry}'"
+        hint = (
+            "The layer of a ball needs geometry = 'radial'; a grid of cubes has its faces at "
+            "'margin' from the outermost centres, farther at the corners."
+        )
+        raise SceneError(f"{path}.layer", problem, hint)
+
+
+def _check_in_domain(scene: Scene, name: str) -> None:
+    """Check that a field can live on the box that the scene fixes."""
+    path, nutrient, domain = f"nutrients.{name}", scene.nutrients[name], scene.domain
+    assert domain is not None
+    if nutrient.geometry != "box":
+        problem = f"is '{nutrient.geometry}' in a scene with a domain, which is a box"
+        raise SceneError(f"{path}.geometry", problem, "Take geometry = 'box', or leave domain out.")
+    wanted, lengths = spacing(scene, name), box.sides(domain)
+    if math.prod(max(length / wanted, 2.0) for length in lengths) > MAX_NODES:
+        problem = f"is {wanted:g} um: the domain would need more than {MAX_NODES} nodes"
+        raise SceneError(f"{path}.spacing", problem, "Take a larger spacing or a smaller domain.")
+    found = box.filling(lengths, wanted)
+    if found is None:
+        whole = [abs(length / wanted - round(length / wanted)) for length in lengths]
+        axis = "xyz"[whole.index(max(whole))]
+        given = " x ".join(f"{length:g}" for length in lengths)
+        problem = (
+            f"makes a box of {given} um, which no cubes of {0.25 * wanted:.3g} to {wanted:.3g} um "
+            f"fill (the spacing of {name})"
+        )
+        fit = max(round(lengths["xyz".index(axis)] / wanted), 2) * wanted
+        hint = f"Take lengths that are multiples of one spacing, here for example {fit:.6g} um."
+        raise SceneError(f"domain.{axis}", problem, hint)
+    if math.prod(found) > MAX_NODES:
+        problem = f"makes a grid of {math.prod(found)} nodes, more than the {MAX_NODES} allowed"
+        hint = "Take lengths that are multiples of one larger spacing."
+        raise SceneError("domain", problem, hint)
+
+
+def solving_order(nutrients: Mapping[str, Nutrient]) -> list[str]:
+    """Return the names of the fields so that each comes after those that it depends on.
+
+    Raises
+    ------
+    SceneError
+        For fields that depend on each other in a circle.
+    """
+    from graphlib import CycleError, TopologicalSorter
+
+    needs = {
+        name: [*nutrient.uptake_on, *(nutrient.secretion_from or ())]
+        for name, nutrient in nutrients.items()
+    }
+    try:
+        return list(TopologicalSorter(needs).static_order())
+    except CycleError as error:
+        circle = list(reversed(error.args[1]))
+        problem = f"depends on itself: {' needs '.join(circle)}"
+        hint = "Fields are solved one after another; leave out the weakest dependence."
+        raise SceneError(f"nutrients.{circle[0]}", problem, hint) from None

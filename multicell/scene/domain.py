@@ -1,0 +1,106 @@
+"""The fixed box of a scene: whether it fits, how cubes fill it, and who is outside.
+
+Light: nothing here loads a grid or a kernel, so that a scene can be read and explained at once.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from multicell.contact.law import compliance
+from multicell.errors import SceneError
+
+if TYPE_CHECKING:
+    from multicell.cells import FloatArray
+    from multicell.mechanics.walls import Walls
+    from multicell.scene.parts import Domain
+    from multicell.scene.scene import Scene
+
+
+_FINER = 4.0
+"""How much finer than asked for a grid may be so that cubes fill the box."""
+
+_WHOLE = 1e-10
+"""Part of a side by which a number of whole cubes may miss it: rounding of its ends."""
+
+
+def check_domain(scene: Scene) -> None:
+    """Raise ``SceneError`` for a box that does not fit to the scene's dimensions and cells."""
+    if scene.domain is None:
+        return
+    axes = "xyz"[: scene.dimensions]
+    if scene.dimensions == 2 and scene.domain.z is not None:
+        hint = "The cells lie in the plane z = 0; leave z out."
+        raise SceneError("domain.z", "does not exist in a scene of 2 dimensions", hint)
+    widest = 2.0 * scene.cells.division_radius
+    for axis in axes:
+        ends = getattr(scene.domain, axis)
+        if ends is None:
+            hint = f"For example {axis} = ['-100 um', '100 um']."
+            raise SceneError(f"domain.{axis}", "is missing: a domain has all sides", hint)
+        if ends[1] - ends[0] < widest:
+            problem = f"is {ends[1] - ends[0]:g} um long, must be at least {widest:g} um"
+            raise SceneError(f"domain.{axis}", problem, "A cell that divides must fit in.")
+
+
+def sides(domain: Domain) -> list[float]:
+    """Return the lengths of the box along its axes, µm: two in two dimensions."""
+    ends = (domain.x, domain.y, domain.z)
+    return [high - low for low, high in (end for end in ends if end is not None)]
+
+
+def filling(lengths: Sequence[float], spacing: float) -> tuple[int, ...] | None:
+    """Return how many cubes of one size fill a box along each axis, at least two.
+
+    Of all sizes up to ``spacing``, and not below a quarter of it, the largest is taken that fits
+    into every length a whole number of times; None if there is none.
+
+    Parameters
+    ----------
+    lengths : µm
+    spacing : float, µm
+    """
+    shortest = min(lengths)
+    widest = min(spacing, 0.5 * shortest)
+    least = math.ceil(shortest / widest * (1.0 - 1e-12))
+    most = math.floor(_FINER * shortest / widest * (1.0 + 1e-12))
+    number = np.arange(least, most + 1, dtype=float)
+    counts = np.rint(np.asarray(lengths)[:, None] * number / shortest)
+    missed = np.abs(counts * (shortest / number) / np.asarray(lengths)[:, None] - 1.0)
+    fits = np.flatnonzero((missed <= _WHOLE).all(axis=0))
+    return tuple(int(n) for n in counts[:, fits[0]]) if len(fits) else None
+
+
+def walls(scene: Scene) -> Walls | None:
+    """Return the elastic walls of a scene; where there are none, nothing is loaded."""
+    domain = scene.domain
+    if domain is None or domain.wall != "elastic":
+        return None
+    from multicell.mechanics.walls import Walls
+
+    low, high = domain.corners()
+    young = scene.cells.young if domain.young is None else domain.young
+    poisson = scene.cells.poisson if domain.poisson is None else domain.poisson
+    return Walls(np.array(low), np.array(high), float(compliance(young, poisson)))
+
+
+def strayed(domain: Domain, position: FloatArray) -> tuple[int, str] | None:
+    """Return the first cell whose centre is not in the box, and beyond which side it is.
+
+    Parameters
+    ----------
+    domain
+        A centre on a side is inside.
+    position : (n, 3), µm
+    """
+    low, high = (np.array(corner) for corner in domain.corners())
+    below, above = ~(position >= low), ~(position <= high)
+    outside = below | above
+    if not outside.any():
+        return None
+    cell, axis = (int(k[0]) for k in np.nonzero(outside))
+    return cell, "xyz"[axis] + ("-" if below[cell, axis] else "+")

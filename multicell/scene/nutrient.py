@@ -1,0 +1,288 @@
+"""What a scene says of a dissolved substance: transport, boundary, kinetics, effects."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import final
+
+import numpy as np
+
+from multicell.errors import SceneError
+from multicell.schema import (
+    Tables,
+    choice,
+    number,
+    parameters,
+    quantities,
+    quantity,
+    schedule,
+    tables,
+)
+
+MOST = 1e5
+"""Largest concentration, mM: more than pure water, 55,500 mM."""
+
+_DENSE = "Nothing dissolves to more: pure water is 55,500 mM."
+_FLUX = "A cell that takes up its own volume of pure water in a second has 3e7 amol/s."
+
+FACES = ("*", "r+", "x", "y", "z", "x-", "x+", "y-", "y+", "z-", "z+")
+"""Names of the sides of a field's grid, as py-pde has them; ``*`` stands for all others."""
+
+
+@final
+@parameters
+class Side:
+    """The condition on one side of a field's grid, in py-pde's vocabulary.
+
+    ``value``: c = value on the side. ``derivative``: dc/dn = derivative along the outward normal.
+    ``mixed``: dc/dn = rate (value - c), a layer of resistance 1/(rate D) to the medium. Where
+    ``value`` is absent it is the medium's at the moment.
+    """
+
+    type: str = choice(["value", "derivative", "mixed"], default="value", doc="of the condition")
+    value: float | None = quantity(
+        "mM",
+        default=None,
+        at_least=0,
+        at_most=MOST,
+        doc="concentration; absent: that of the medium",
+        hint=_DENSE,
+    )
+    derivative: float | None = quantity(
+        "mM/um",
+        default=None,
+        at_least=0,
+        at_most=MOST,
+        doc="slope along the outward normal: positive supplies, zero is a wall",
+        hint="A drain that takes more than there is would make concentrations negative; "
+        "a side brings at most a pure substance within a micrometre.",
+    )
+    rate: float | None = quantity(
+        "1/um",
+        default=None,
+        above=0,
+        at_most=1e6,
+        doc="permeability of the side over the diffusion coefficient",
+        hint="A rate far above one over the spacing is a side with the value itself.",
+    )
+
+    def check(self) -> None:
+        """Raise ``SceneError`` for a number that the type needs or has no use for."""
+        needs = {"value": (), "derivative": ("derivative",), "mixed": ("rate",)}[self.type]
+        for name in ("derivative", "rate"):
+            given = getattr(self, name) is not None
+            if given and name not in needs:
+                raise SceneError(name, f"has no meaning on a side of type '{self.type}'")
+            if not given and name in needs:
+                raise SceneError(name, f"is missing on a side of type '{self.type}'")
+        if self.type == "derivative" and self.value is not None:
+            raise SceneError("value", "has no meaning on a side of type 'derivative'")
+
+
+@final
+@parameters
+class Dependence:
+    """How the uptake of one field depends on another one's local concentration g.
+
+    The largest uptake is multiplied by 1 + effect · half / (half + g): with a positive effect it
+    rises where g falls, with effect = -1 it is g / (half + g) and ends where there is no g.
+    """
+
+    effect: float = number(
+        at_least=-1, at_most=1e6, doc="relative change of the uptake where g is zero"
+    )
+    half: float = quantity("mM", above=0, at_most=MOST, doc="concentration g of half the effect")
+
+
+@final
+@parameters
+class Nutrient:
+    """A dissolved substance: diffusion, boundary, Michaelis-Menten uptake, effect on the cells."""
+
+    diffusion: float = quantity(
+        "um^2/s",
+        default=2000.0,
+        at_least=1e-6,
+        at_most=1e8,
+        doc="diffusion coefficient",
+        hint="Oxygen has 2000 um^2/s in tissue, a virus a few, a gas 2e7.",
+    )
+    diffusion_medium: float | None = quantity(
+        "um^2/s",
+        default=None,
+        at_least=1e-6,
+        at_most=1e8,
+        doc="outside tissue; absent: the same everywhere",
+    )
+    boundary: float = quantity(
+        "mM",
+        default=0.07,
+        at_least=0,
+        at_most=MOST,
+        doc="concentration in the medium",
+        hint=_DENSE,
+    )
+    media: tuple[tuple[float, float], ...] | None = schedule(
+        "mM",
+        at_least=0,
+        at_most=MOST,
+        doc="[time, concentration] of the medium from these times on",
+    )
+    media_change: str = choice(
+        ["steps", "linear"], default="steps", doc="at the times of media, or all the way between"
+    )
+    sides: Mapping[str, Side] = tables(
+        Side, names=FACES, default_factory=Tables, doc="absent: the medium's value on all sides"
+    )
+    perfusion: float = quantity(
+        "1/s",
+        default=0.0,
+        at_least=0,
+        at_most=1e6,
+        doc="exchange with the medium everywhere, a flow through",
+    )
+    decay: float = quantity("1/s", default=0.0, at_least=0, at_most=1e6, doc="first-order decay")
+    uptake: float = quantity(
+        "amol/s",
+        default=20.0,
+        at_least=0,
+        at_most=1e9,
+        doc="largest uptake of a cell",
+        hint=_FLUX,
+    )
+    half_saturation: float = quantity(
+        "mM",
+        default=0.005,
+        at_least=1e-12,
+        at_most=MOST,
+        doc="concentration of half the largest uptake",
+        hint="1e-12 mM is one molecule in the volume of a tissue of 0.1 mm.",
+    )
+    quiescent_uptake: float = number(
+        default=0.5, at_least=0, at_most=1, doc="uptake of a quiescent / of a proliferating cell"
+    )
+    uptake_on: Mapping[str, Dependence] = tables(
+        Dependence, default_factory=Tables, doc="how uptake depends on other fields, by name"
+    )
+    secretion: float = quantity(
+        "amol/s",
+        default=0.0,
+        at_least=0,
+        at_most=1e9,
+        doc="of a proliferating cell; a quiescent one as uptake",
+        hint=_FLUX,
+    )
+    secretion_from: Mapping[str, float] | None = quantities(
+        "",
+        at_least=0,
+        at_most=1e6,
+        doc="amount secreted for each amount taken up of other fields, by name",
+    )
+    growth_half_saturation: float | None = quantity(
+        "mM",
+        default=None,
+        above=0,
+        at_most=MOST,
+        doc="of half the largest growth (Monod); absent: no effect",
+    )
+    growth_inhibition: float | None = quantity(
+        "mM", default=None, above=0, at_most=MOST, doc="that halves growth; absent: no effect"
+    )
+    quiescence: float | None = quantity(
+        "mM", default=None, at_least=0, at_most=MOST, doc="below: quiescent; absent: never"
+    )
+    necrosis: float | None = quantity(
+        "mM", default=None, at_least=0, at_most=MOST, doc="below: necrotic; absent: never"
+    )
+    necrosis_above: float | None = quantity(
+        "mM", default=None, above=0, at_most=MOST, doc="above: necrotic; absent: never"
+    )
+    regime: str = choice(
+        ["auto", "steady", "transient"],
+        default="auto",
+        doc="auto: steady where diffusion settles within a coupling step",
+    )
+    time_tolerance: float = number(
+        default=1e-3, at_least=1e-9, at_most=0.1, doc="error of a transient step / concentration"
+    )
+    initial: str = choice(
+        ["medium", "steady"], default="medium", doc="where a transient field starts from"
+    )
+    geometry: str = choice(
+        ["box", "radial", "auto"],
+        default="box",
+        doc="a grid of cubes, of spherical shells, or shells as long as the tissue is round",
+    )
+    roundness_limit: float = number(
+        default=0.1, above=0, below=1, doc="departure from a ball up to which shells are enough"
+    )
+    spacing: float | None = quantity(
+        "um", default=None, above=0, doc="of the grid; absent: by the diffusion length"
+    )
+    margin: float = quantity(
+        "um",
+        default=50.0,
+        above=0,
+        at_most=1e6,
+        doc="of the grid around the cells; no meaning in a domain, or where layer is given",
+    )
+    layer: float | None = quantity(
+        "um",
+        default=None,
+        above=0,
+        at_most=1e6,
+        doc="of medium that is not stirred, round a ball of tissue (geometry = 'radial'); "
+        "absent: by margin",
+    )
+    height: float | None = quantity(
+        "um",
+        default=None,
+        at_least=1e-3,
+        at_most=1e6,
+        doc="of the layer in 2D; absent: the largest cell's diameter",
+    )
+
+    def check(self) -> None:
+        """Raise ``SceneError`` for thresholds or sides that do not fit together."""
+        if self.necrosis is not None and self.quiescence is not None:
+            self._check_order(self.necrosis, self.quiescence)
+        if self.geometry == "radial":
+            for face in self.sides:
+                if face not in ("*", "r+"):
+                    hint = "Shells have one side, 'r+'."
+                    raise SceneError(f"sides.{face}", "does not exist on a radial grid", hint)
+        elif "r+" in self.sides and self.geometry == "box":
+            raise SceneError("sides.r+", "does not exist on a grid of cubes", "Use 'x-' or '*'.")
+
+    def _check_order(self, necrosis: float, quiescence: float) -> None:
+        if not necrosis < quiescence:
+            problem = (
+                f"is {necrosis:g} mM, must be below quiescence ({quiescence:g} mM): "
+                "thresholds in the wrong order"
+            )
+            raise SceneError("necrosis", problem, "Starving cells first rest, then die.")
+
+    def medium(self, time: float) -> float:
+        """Return the concentration of the medium at a time in s, mM."""
+        if self.media is None:
+            return self.boundary
+        times = np.array([t for t, _ in self.media])
+        values = np.array([value for _, value in self.media])
+        if self.media_change == "linear":
+            start = times[0] <= 0.0
+            grid = times if start else np.append(0.0, times)
+            return float(
+                np.interp(time, grid, values if start else np.append(self.boundary, values))
+            )
+        passed = int(np.searchsorted(times, time, side="right"))
+        return float(values[passed - 1]) if passed else self.boundary
+
+    def switches(self, begin: float, end: float) -> list[float]:
+        """Return the times of the schedule strictly between two times, s."""
+        return [t for t, _ in self.media or () if begin < t < end]
+
+    @property
+    def highest(self) -> float:
+        """The highest concentration that medium and sides ever have, mM."""
+        sides = [side.value or 0.0 for side in self.sides.values()]
+        return max([self.boundary, *sides, *(value for _, value in self.media or ())])

@@ -1,0 +1,207 @@
+"""When cells attract each other so far that tissue collapses, and how densely it is packed.
+
+Contacts act as far as cells overlap, or as far as an attractive law reaches. In the closest packing
+nearest neighbours are at d and the second ones at √2 d (in a plane √3 d): once the rest distance of
+a pair is below 2r/√2, second neighbours overlap and attract too, press the nearest ones together
+and so bring the next ones into reach. At this bound the cells' volumes are π/(3√2) · √2³ = 2π/3
+times the space that they fill (in a plane π/(2√3) · √3² = √3π/2).
+
+Whether a law stands it is a matter of energy. Cells that fill space at random with the number
+density ρ have ½ ρ ∫U dV each, with the pair energy U: if the integral is negative, the denser the
+better, without end. Partial integration makes it (S/d) ∫F x^d dx in d dimensions, S the surface of
+the unit ball: the attractive part of ∫F x^d dx must not exceed the repulsive one. For the
+approximate JKR law that is h₀/2r <= 0.2906, nearly the 1 - 1/√2 = 0.2929 of second neighbours.
+
+References
+----------
+D. Ruelle, *Statistical Mechanics: Rigorous Results* (1969), section 3.2 (stability of potentials);
+M. R. D'Orsogna et al., Phys. Rev. Lett. 96 (2006) 104302 for the collapse of those that are not.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from itertools import combinations_with_replacement
+from typing import TYPE_CHECKING, NamedTuple, final
+
+import numpy as np
+
+from multicell.contact.jkr import JKR
+from multicell.contact.pair import Pair
+from multicell.contact.springs import Spring
+from multicell.scene.pairs import pairs
+from multicell.scene.sizes import birth_radius
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from multicell.cells import FloatArray
+    from multicell.scene.scene import Scene
+
+
+_NODES = 200
+_TOUCHING = 4  # cells that are all nearest neighbours of each other: none is further away
+
+
+def densest(dimensions: int) -> float:
+    """Return the packing ratio at which second neighbours touch in the closest packing.
+
+    2π/3 = 2.09 in space, √3π/2 = 2.72 in a plane.
+    """
+    return 2.0 * math.pi / 3.0 if dimensions == 3 else 0.5 * math.sqrt(3.0) * math.pi
+
+
+@cache
+def _nodes() -> tuple[FloatArray, FloatArray]:
+    """Return nodes and weights of Gauss–Legendre integration over 0 ... 1."""
+    node, weight = np.polynomial.legendre.leggauss(_NODES)
+    return 0.5 * (node + 1.0), 0.5 * weight
+
+
+def moments(pair: Pair, dimensions: int) -> tuple[float, float]:
+    """Return the repulsive and the attractive part of ∫F x^d dx, x the distance of the centres.
+
+    Where the second is larger, the pair energy integrated over space is negative. Both are
+    positive, in nN µm^(d+1); without repulsion at any distance the first is zero.
+
+    Parameters
+    ----------
+    pair
+        Two cells; a contact that forms and breaks at different distances (exact JKR) counts from
+        where it forms.
+    dimensions
+        3, or 2 in a plane.
+    """
+    rest = max(pair.distance(), 0.0)
+    end = pair.rest if hasattr(pair.law, "in_contact") else pair.rest + pair.reach()
+    attraction = max(-_moment(pair, rest, end, dimensions), 0.0)
+    return max(_moment(pair, 0.0, rest, dimensions), 0.0), attraction
+
+
+def _moment(pair: Pair, begin: float, end: float, power: int) -> float:
+    """Return the integral of F x^power over distances x from ``begin`` to ``end`` (µm)."""
+    node, weight = _nodes()
+    distance = begin + (end - begin) * node
+    return float((end - begin) * (weight * pair.force(pair.rest - distance)) @ distance**power)
+
+
+@final
+class Attraction(NamedTuple):
+    """Attraction over repulsion of two cells, their pair, and whether they are of one type."""
+
+    ratio: float
+    pair: Pair
+    like: bool
+
+
+def strongest_attraction(scene: Scene) -> dict[str, Attraction]:
+    """Return the attraction over the repulsion of each two types, by the name of their pair.
+
+    Above 1 tissue collapses. For cells of one type it is the ratio of :func:`moments`. Cells i
+    and j of two types, mixed as they like best, gain energy by packing densely where
+    W_ij < -√(W_ii W_jj), with W = repulsion - attraction: what the like ones repel each other
+    counts as repulsion. Newborn cells are taken, since small cells overlap most for their size, and
+    receptors as they are when they bind most.
+    """
+    found: dict[str, Attraction] = {}
+    for time in _times(scene):
+        own = list(pairs(scene, birth_radius(scene), time))
+        parts = [moments(pair, scene.dimensions) for _, pair in own]
+        kinds = list(combinations_with_replacement(range(max(len(scene.types), 1)), 2))
+        net = {
+            i: max(repulsion - attraction, 0.0)
+            for (i, j), (repulsion, attraction) in zip(kinds, parts, strict=True)
+            if i == j
+        }
+        for (i, j), (label, pair), (repulsion, attraction) in zip(kinds, own, parts, strict=True):
+            against = repulsion + (math.sqrt(net[i] * net[j]) if i != j else 0.0)
+            ratio = attraction / against if against > 0.0 else math.inf
+            if label not in found or ratio > found[label].ratio:
+                found[label] = Attraction(ratio, pair, i == j)
+    return found
+
+
+def _times(scene: Scene) -> list[float]:
+    """Return the times at which receptors and ligands may be most numerous, s."""
+    if scene.adhesion is None:
+        return [0.0]
+    courses = [points for kind in scene.types.values() for points in (kind.receptor, kind.ligand)]
+    knots = {min(max(time, 0.0), scene.duration) for points in courses for time, _ in points}
+    return sorted(knots | {0.0, scene.duration})
+
+
+def collapse_notes(scene: Scene) -> Iterator[str]:
+    """Yield a remark on each two types whose cells attract each other too much."""
+    if scene.growth is None and scene.initial.count <= _TOUCHING:
+        return
+    for label, (ratio, pair, like) in strongest_attraction(scene).items():
+        if not ratio > 1.0:
+            continue
+        near = pair.distance() / pair.rest
+        rest = f"rest at {near:.3g} diameters" if near > 0.0 else "do not rest before they coincide"
+        yield (
+            f"Tissue of {label or 'these'} cells collapses: newborn ones {rest}, and their "
+            f"attraction is {ratio:.3g} times their repulsion (integrated over space, at most 1 "
+            f"is sound). {_bounds(pair, scene.dimensions) if like else ''}{remedy(scene)}"
+        )
+
+
+def _bounds(pair: Pair, dimensions: int) -> str:
+    """Return the surface energy and the modulus that would do for the approximate law, in words."""
+    if not isinstance(pair.law, JKR) or pair.bonds > 0.0 or pair.law.smoothing > 0.0:
+        return ""
+    # the overlap at rest goes with (σ/E)^(2/3)
+    overlap = float(pair.law.equilibrium_overlap(pair.modulus, pair.radius)) / pair.rest
+    excess = (overlap / largest_overlap(dimensions)) ** 1.5
+    return (
+        f"The bounds are a surface energy of {pair.law.surface_energy / excess:.3g} nN/um, or "
+        f"{excess:.4g} times the stiffness. "
+    )
+
+
+def largest_overlap(dimensions: int) -> float:
+    """Return h₀/2r of the approximate JKR law at which attraction equals repulsion.
+
+    With U = (2/5) a h^(5/2) - (4/7) a h₀^(3/4) h^(7/4) and D = 2r,
+    ∫ h^p (D - h)^(d-1) dh = D^(p+d) B(p + 1, d), so that
+    (h₀/D)^(3/4) = (7/10) B(7/2, d) / B(11/4, d): h₀/D = 0.2906 in space, 0.3534 in a plane.
+    """
+    d = dimensions
+    ratio = 0.7 * math.exp(
+        math.lgamma(3.5) - math.lgamma(3.5 + d) - math.lgamma(2.75) + math.lgamma(2.75 + d)
+    )
+    return float(ratio ** (4.0 / 3.0))
+
+
+def remedy(scene: Scene) -> str:
+    """Return what helps against a collapse, as it fits the contact law."""
+    law = scene.contact
+    if isinstance(law, Spring):
+        return "Take a smaller contact.cutoff."
+    ways = ["stiffer cells"]
+    if scene.adhesion is not None:
+        ways.append("weaker adhesion")
+    if hasattr(law, "surface_energy"):
+        ways.append("a smaller surface energy")
+    if isinstance(law, JKR):
+        ways.append("contact.law = 'exact-jkr', whose overlap at rest is a third")
+    return f"Take {' or '.join([', '.join(ways[:-1]), ways[-1]] if ways[1:] else ways)}."
+
+
+def packing_notes(scene: Scene, ratio: float | None) -> list[str]:
+    """Return remarks on a run that ended with a packing ratio: what it shows, what is to come."""
+    limit = densest(scene.dimensions)
+    expected = list(collapse_notes(scene))
+    if ratio is None or not ratio > limit:
+        return expected
+    what, where = ("volumes", "ball") if scene.dimensions == 3 else ("areas", "disc")
+    found = (
+        f"The cells' {what} add up to {ratio:.3g} times the {where} round them (packing_ratio): "
+        f"above {limit:.3g} second neighbours overlap even in the closest packing. "
+    )
+    if expected:
+        return [f"{found}The tissue has collapsed.", *expected]
+    return [
+        f"{found}The cells are strongly compressed: by attraction, by their start or by growth."
+    ]

@@ -1,0 +1,102 @@
+"""What two cells of a scene do to each other, before anything is run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import combinations_with_replacement
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from multicell.contact.law import effective_modulus, effective_radius
+from multicell.contact.pair import Pair
+from multicell.scene.sizes import birth_radius
+
+if TYPE_CHECKING:
+    from multicell.cells import FloatArray
+    from multicell.scene.scene import Scene
+
+
+def surface_energies(scene: Scene) -> FloatArray | None:
+    """Return the matrix of surface energies, nN/µm, in the order of the types, or None."""
+    rows = [kind.surface_energy for kind in scene.types.values()]
+    if not any(rows):
+        return None
+    names = list(scene.types)
+    return np.array([[(row or {})[name] for name in names] for row in rows])
+
+
+def drag(scene: Scene, radius: float) -> float:
+    """Return the Stokes drag 6πηr of a cell in nN·s/µm."""
+    return 6.0 * math.pi * scene.drag.viscosity * radius
+
+
+def daughters_stiffness(scene: Scene) -> float:
+    """Return dF/dh in nN/µm of two daughters that have just separated.
+
+    They stand at ±r(1 - 2^(-1/3)) about the centre of their mother of radius r.
+    """
+    mother, daughter = scene.cells.division_radius, birth_radius(scene)
+    overlap = 2.0 * daughter - 2.0 * (mother - daughter)
+    return max(pair.stiffness(overlap) for _, pair in pairs(scene, daughter))
+
+
+def pairs(scene: Scene, radius: float, time: float = 0.0) -> Iterator[tuple[str, Pair]]:
+    """Yield the name and the pair of equal cells for every two types of a scene.
+
+    The name is empty where all cells are alike, else for example ``"cohesive-loose"``.
+    """
+    names = list(scene.types)
+    for i, j in combinations_with_replacement(range(max(len(names), 1)), 2):
+        label = f"{names[i]}-{names[j]}" if names else ""
+        yield label, pair_of(scene, i, j, radius, radius, time)
+
+
+def pair_of(
+    scene: Scene,
+    i: int,
+    j: int,
+    radius_i: float,
+    radius_j: float,
+    time: float = 0.0,
+    young: tuple[float, float] | None = None,
+) -> Pair:
+    """Return a pair.
+
+    Parameters
+    ----------
+    scene
+        What there is.
+    i, j
+        Index of the cells' types; without effect where the scene has no types.
+    radius_i, radius_j
+        Radii of the cells, µm.
+    time
+        Time in s at which receptors and ligands are taken.
+    young
+        Young's moduli in kPa, by default the means of the types.
+    """
+    law: Any = scene.contact
+    kinds = list(scene.types.values())
+    energies = surface_energies(scene)
+    if energies is not None:
+        law = replace(law, surface_energy=float(energies[i, j]))
+    if young is None:
+        means = [
+            kinds[k].young or scene.cells.young if kinds else scene.cells.young for k in (i, j)
+        ]
+        young = (means[0], means[1])
+    bonds = 0.0
+    if scene.adhesion is not None:
+        (receptor_i, ligand_i), (receptor_j, ligand_j) = (kinds[k].bonds(time) for k in (i, j))
+        bonds = 0.5 * (receptor_i * ligand_j + ligand_i * receptor_j) * scene.adhesion.strength
+    poisson = scene.cells.poisson
+    return Pair(
+        law,
+        float(effective_modulus(young[0], poisson, young[1], poisson)),
+        float(effective_radius(radius_i, radius_j)),
+        radius_i + radius_j,
+        bonds,
+    )

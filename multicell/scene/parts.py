@@ -1,0 +1,430 @@
+"""The parts of a scene: frozen dataclasses whose declarations are the keys of the TOML file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import final
+
+import numpy as np
+
+from multicell.errors import SceneError
+from multicell.integrators.registry import METHODS
+from multicell.schema import (
+    Tables,
+    choice,
+    count,
+    course,
+    flag,
+    interval,
+    names,
+    number,
+    parameters,
+    quantities,
+    quantity,
+    responses,
+    tables,
+)
+
+
+@final
+@parameters
+class Initial:
+    """The cells at the start."""
+
+    count: int = count(
+        default=1, at_least=1, at_most=10**8, doc="number of cells", hint="A million is a lot."
+    )
+    arrangement: str = choice(
+        ["ball"], default="ball", doc="hexagonal close packing that is cut to a ball"
+    )
+    spacing: float = number(default=1.0, above=0, doc="centre distance / mean diameter")
+    jitter: float = number(
+        default=0.0, at_least=0, doc="standard deviation of a random shift / mean diameter"
+    )
+    stage: str = choice(
+        ["birth", "uniform", "asynchronous"],
+        default="birth",
+        doc="of the cycle: all at birth, spread uniformly, or as in a growing population",
+    )
+
+
+@final
+@parameters
+class CellParameters:
+    """Size and elasticity of the cells."""
+
+    division_radius: float = quantity("um", default=5.0, above=0, doc="at which a cell divides")
+    young: float = quantity("kPa", default=1.0, above=0, doc="mean Young's modulus")
+    young_variation: float = number(
+        default=0.1, at_least=0, at_most=0.5, doc="coefficient of variation of Young's modulus"
+    )
+    poisson: float = number(
+        default=0.5,
+        above=-1,
+        below=1,
+        doc="Poisson ratio, at most 0.5 for a solid",
+        hint="No isotropic solid has a Poisson ratio above 0.5.",
+    )
+    allow_unphysical_poisson: bool = flag(
+        default=False, doc="permit a Poisson ratio above 0.5, as figure 3.4 of the thesis has it"
+    )
+    reaction_time: float = quantity(
+        "s",
+        default=7200.0,
+        above=0,
+        doc="between two decisions of a cell to rest or to proliferate (assumed, not measured)",
+    )
+    heritable: tuple[str, ...] = names(
+        ["young", "cycle_time"], doc="traits that daughters take from their mother"
+    )
+
+    def check(self) -> None:
+        """Raise ``SceneError`` for a Poisson ratio that no solid has, unless it is permitted."""
+        if self.poisson > 0.5 and not self.allow_unphysical_poisson:
+            problem = f"is {self.poisson:g}, must be above -1 and at most 0.5"
+            hint = (
+                "No isotropic solid has a Poisson ratio outside this range; "
+                "cells.allow_unphysical_poisson = true permits it all the same."
+            )
+            raise SceneError("poisson", problem, hint)
+
+
+@final
+@parameters
+class Drag:
+    """Stokes drag 6πηr of the medium on every cell."""
+
+    viscosity: float = quantity(
+        "kPa s",
+        default=5.0,
+        above=0,
+        doc="viscosity η of the medium",
+        hint="Motion is overdamped: without drag no velocity is defined.",
+    )
+
+
+PHASES = ("G1", "S", "G2", "M")
+"""Names of the phases of the cell cycle, in their order."""
+
+
+@final
+@parameters
+class PhaseLength:
+    """How long a phase of the cycle lasts where nothing limits it, and whether cells grow in it.
+
+    ``shifted-gamma`` is a gamma distribution that begins at ``shift`` times the mean.
+    """
+
+    duration: float = quantity("s", above=0, doc="mean duration, for example '7 h'")
+    distribution: str = choice(
+        ["fixed", "normal", "gamma", "shifted-gamma"], default="fixed", doc="of the duration"
+    )
+    variation: float = number(
+        default=0.2, above=0, at_most=1, doc="coefficient of variation, unless fixed"
+    )
+    shift: float = number(
+        default=0.5, at_least=0, below=1, doc="of a shifted gamma distribution / mean"
+    )
+    grows: bool = flag(default=True, doc="whether the volume grows in this phase")
+
+    def check(self) -> None:
+        """Raise ``SceneError`` for a normal distribution that would often be negative."""
+        if self.distribution == "normal" and self.variation > 0.5:
+            hint = "Take 'gamma' for so wide a distribution."
+            raise SceneError("variation", f"is {self.variation:g}, must be at most 0.5", hint)
+
+
+@final
+@parameters
+class Growth:
+    """Growth and division: the volume doubles, linearly in time, in one cycle.
+
+    Without ``phases`` a cell divides at the division volume. With them it passes G1, S, G2 and M
+    and divides at the end of M; the volume doubles in the phases in which it grows, and there
+    the cycle goes on only as fast as growth does.
+    """
+
+    cycle_time: float = quantity(
+        "s", default=54000.0, above=0, doc="mean shortest cycle time; not used with phases"
+    )
+    phases: Mapping[str, PhaseLength] = tables(
+        PhaseLength, names=PHASES, default_factory=Tables, doc="absent: volume triggers division"
+    )
+    division: str = choice(
+        ["instant", "smooth"],
+        default="instant",
+        doc="with phases: at the end of M, or daughters that part all through M",
+    )
+    restriction: bool = flag(
+        default=True, doc="with phases: cells rest only at the end of G1 (in G0), not anywhere"
+    )
+    cycle_variation: float = number(
+        default=0.1, at_least=0, at_most=0.5, doc="coefficient of variation of the cycle time"
+    )
+    critical_pressure: float | None = quantity(
+        "kPa", default=None, above=0, doc="at which growth stops; absent: pressure has no effect"
+    )
+
+    def check(self) -> None:
+        """Raise ``SceneError`` for phases that make no cycle."""
+        if not self.phases:
+            if self.division == "smooth":
+                hint = "Daughters part during M: give the phases of the cycle."
+                raise SceneError("division", "is 'smooth', but there are no phases", hint)
+            return
+        for name in PHASES:
+            if name not in self.phases:
+                problem = "is missing: a cycle has all of G1, S, G2 and M"
+                raise SceneError(f"phases.{name}", problem, "Give it a duration.")
+        if not any(phase.grows for phase in self.phases.values()):
+            hint = "Let grows = true in one phase at least."
+            raise SceneError("phases", "have no phase in which cells grow", hint)
+
+    @property
+    def mean_cycle(self) -> float:
+        """Mean time of a cycle that nothing limits, s."""
+        if not self.phases:
+            return self.cycle_time
+        return sum(phase.duration for phase in self.phases.values())
+
+
+@final
+@parameters
+class Death:
+    """How cells die and go: the dead lose their volume exponentially, then they are removed.
+
+    Necrotic cells may swell first: exponentially to ``swelling`` times their volume within
+    ``swelling_time``, at the end of which they burst.
+    """
+
+    necrosis_rate: float | None = quantity(
+        "1/s",
+        default=None,
+        above=0,
+        doc="at which cells die beyond a threshold of necrosis; absent: they die at once",
+    )
+    swelling: float = number(
+        default=1.0, at_least=1, at_most=8, doc="volume of a necrotic cell that bursts / at death"
+    )
+    swelling_time: float = quantity(
+        "s", default=21600.0, above=0, doc="from death to bursting, where cells swell"
+    )
+    lysis_time: float = quantity(
+        "s", default=172800.0, above=0, doc="mean time in which necrotic cells lose their volume"
+    )
+    apoptosis_rate: float = quantity(
+        "1/s", default=0.0, at_least=0, doc="at which living cells die by themselves"
+    )
+    apoptosis_time: float = quantity(
+        "s", default=28800.0, above=0, doc="mean time in which apoptotic cells lose their volume"
+    )
+    removal_fraction: float = number(
+        default=0.1, above=0, below=1, doc="of the birth volume, below which a cell is removed"
+    )
+
+
+@final
+@parameters
+class IntegratorOptions:
+    """How the equations of motion are integrated."""
+
+    method: str = choice(METHODS, default="cvode", doc="name of the method")
+    rtol: float = number(default=1e-6, at_least=1e-14, at_most=0.1, doc="relative tolerance")
+    atol: float = quantity("um", default=0.01, above=0, at_least=1e-15, doc="absolute tolerance")
+    max_steps: int = count(default=10000, at_least=1, doc="most steps in one coupling step")
+    step: float = quantity("s", default=10.0, above=0, doc="step of the methods with a fixed step")
+    max_displacement: float = number(
+        default=0.5, above=0, at_most=1, doc="largest move in one step / radius of the cell"
+    )
+
+
+@final
+@parameters
+class OutputOptions:
+    """What is recorded."""
+
+    every: float = quantity("s", default=21600.0, above=0, doc="simulated time between frames")
+
+
+@final
+@parameters
+class CellType:
+    """Cells that differ from others in stiffness or adhesion.
+
+    ``receptor`` and ``ligand`` are numbers, or lists of ``[time, value]`` between which they
+    change linearly; before the first and after the last time they are constant.
+    """
+
+    fraction: float = number(default=1.0, at_least=0, doc="share of the cells at the start")
+    young: float | None = quantity(
+        "kPa", default=None, above=0, doc="mean Young's modulus; absent: that of cells.young"
+    )
+    surface_energy: Mapping[str, float] | None = quantities(
+        "nN/um", at_least=0, doc="of contacts with each type, by name; absent: the law's"
+    )
+    receptor: tuple[tuple[float, float], ...] = course(
+        default=0.0, at_least=0, doc="receptor concentration on the surface over time"
+    )
+    ligand: tuple[tuple[float, float], ...] = course(
+        default=0.0, at_least=0, doc="ligand concentration on the surface over time"
+    )
+    receptor_by_phase: Mapping[str, float] | None = quantities(
+        "", at_least=0, doc="factors on receptor by phase of the cycle; absent phases: 1"
+    )
+    ligand_by_phase: Mapping[str, float] | None = quantities(
+        "", at_least=0, doc="factors on ligand by phase of the cycle"
+    )
+    receptor_by: Mapping[str, tuple[tuple[float, float], ...]] | None = responses(
+        "mM", at_least=0, doc="factors on receptor as curves over the concentration of fields"
+    )
+    ligand_by: Mapping[str, tuple[tuple[float, float], ...]] | None = responses(
+        "mM", at_least=0, doc="factors on ligand as curves over the concentration of fields"
+    )
+    cycle_scale: float = number(
+        default=1.0, above=0, doc="duration of the cycle or its phases / that of the scene"
+    )
+    uptake_scale: float = number(
+        default=1.0, at_least=0, doc="uptake and secretion / those of the scene's fields"
+    )
+    motility_scale: float = number(
+        default=1.0, at_least=0, doc="active forces / those of the scene"
+    )
+
+    @property
+    def responds(self) -> bool:
+        """Whether receptors or ligands depend on phase or concentration."""
+        return any((self.receptor_by_phase, self.ligand_by_phase, self.receptor_by, self.ligand_by))
+
+    @property
+    def sticks(self) -> bool:
+        """Whether the type ever carries receptors or ligands."""
+        return any(value > 0 for _, value in (*self.receptor, *self.ligand))
+
+    def bonds(self, time: float) -> tuple[float, float]:
+        """Return receptor and ligand concentration at a time in s."""
+        receptor, ligand = (
+            float(np.interp(time, [t for t, _ in points], [value for _, value in points]))
+            for points in (self.receptor, self.ligand)
+        )
+        return receptor, ligand
+
+
+@final
+@parameters
+class Adhesion:
+    """Differential adhesion by receptors and ligands (eq. 3.7), added to the contact law."""
+
+    strength: float = quantity("kPa", default=0.1, at_least=0, doc="f_ad, force per contact area")
+
+
+@final
+@parameters
+class Friction:
+    """Friction of touching cells, proportional to their contact area."""
+
+    normal: float = quantity(
+        "kPa s/um", default=0.1, at_least=0, doc="against motion along the line of centres"
+    )
+    tangential: float = quantity(
+        "kPa s/um", default=0.1, at_least=0, doc="against motion across the line of centres"
+    )
+
+
+@final
+@parameters
+class Pull:
+    """An external force that pulls every cell away from the centre of all cells.
+
+    The run ends when the last contact has broken.
+    """
+
+    force: float = quantity("nN", default=0.0, at_least=0, doc="at the start")
+    rate: float = quantity("nN/s", default=0.0, at_least=0, doc="at which the force rises")
+
+
+@final
+@parameters
+class Chemotaxis:
+    """A force along the gradient of a field: force · ∇c / (|∇c| + half), of every living cell."""
+
+    force: float = quantity("nN", default=0.1, doc="in a steep gradient; negative: down it")
+    half: float = quantity("mM/um", default=1e-4, above=0, doc="gradient of half the force")
+
+
+@final
+@parameters
+class Haptotaxis:
+    """A force towards more adhesive ground, on a fixed landscape; no feedback from the cells.
+
+    ``gradient``: the same force everywhere, along the axis. ``stripes``: adhesive stripes across
+    the axis, ``length`` apart, one through the origin. ``spot``: a Gaussian spot at the origin with
+    the standard deviation ``length``.
+    """
+
+    landscape: str = choice(["gradient", "stripes", "spot"], default="gradient", doc="of adhesion")
+    force: float = quantity("nN", default=0.1, at_least=0, doc="the largest that occurs")
+    axis: str = choice(["x", "y", "z"], default="x", doc="of gradient or stripes")
+    length: float = quantity("um", default=50.0, above=0, doc="of the landscape")
+
+
+@final
+@parameters
+class Motility:
+    """Persistent random motion: a constant force whose direction is drawn anew at intervals."""
+
+    force: float = quantity("nN", default=0.1, at_least=0, doc="of every living cell")
+    persistence: float = quantity(
+        "s", default=600.0, above=0, doc="polarisation time, between two changes of direction"
+    )
+
+
+@final
+@parameters
+class Domain:
+    """A box that stands still: the fields live on it, and its sides are walls for the cells.
+
+    Absent, a field's grid is laid round the cells anew in every step.
+    """
+
+    x: tuple[float, float] | None = interval(
+        "um", at_least=-1e6, at_most=1e6, doc="from side x- to side x+"
+    )
+    y: tuple[float, float] | None = interval(
+        "um", at_least=-1e6, at_most=1e6, doc="from side y- to side y+"
+    )
+    z: tuple[float, float] | None = interval(
+        "um", at_least=-1e6, at_most=1e6, doc="from side z- to side z+; not in two dimensions"
+    )
+    wall: str = choice(
+        ["elastic", "refuse"],
+        default="elastic",
+        doc="elastic: cells press against the sides; refuse: nothing holds a cell, and the run "
+        "ends when the centre of one is outside",
+    )
+    young: float | None = quantity(
+        "kPa",
+        default=None,
+        above=0,
+        at_most=1e9,
+        doc="Young's modulus of elastic walls; absent: that of the cells",
+    )
+    poisson: float | None = number(
+        default=None,
+        above=-1,
+        at_most=0.5,
+        doc="Poisson ratio of elastic walls; absent: that of the cells",
+        hint="No isotropic solid has a Poisson ratio above 0.5.",
+    )
+
+    def check(self) -> None:
+        """Raise ``SceneError`` for a stiffness of walls that there are not."""
+        for name in ("young", "poisson"):
+            if self.wall == "refuse" and getattr(self, name) is not None:
+                hint = "Only elastic walls have a stiffness."
+                raise SceneError(name, "has no meaning where wall = 'refuse'", hint)
+
+    def corners(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+        """Return the lower and the upper corner, µm, infinite along an axis that is absent."""
+        free = (-np.inf, np.inf)
+        (a, b), (c, d), (e, f) = (side or free for side in (self.x, self.y, self.z))
+        return (a, c, e), (b, d, f)

@@ -1,0 +1,199 @@
+"""Whether the numbers of a scene have sizes that anything can be computed with.
+
+Each number has a range of its own (:data:`multicell.units.RANGES`); what must fit together is
+checked here too. Bounds are orders of magnitude beyond any use: they keep out what would hang,
+overflow or end in nonsense, not what is merely unusual.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import is_dataclass, replace
+from typing import TYPE_CHECKING, Any, Final
+
+from multicell.contact.law import effective_modulus, effective_radius
+from multicell.errors import SceneError
+from multicell.integrators.registry import FIXED_STEP
+from multicell.schema import Parameter, specs
+from multicell.units import RANGES
+
+if TYPE_CHECKING:
+    from multicell.scene.scene import Scene
+
+
+MOST_STEPS: Final = 1e9
+"""Most coupling steps of a run: at a microsecond each a quarter of an hour, at a millisecond weeks;
+the index of a step is a key of the random numbers, and the time a product with it."""
+
+MOST_FIXED_STEPS: Final = 1e7
+"""Most steps of a fixed length in one coupling step, between which nothing can interrupt a run."""
+
+MOST_CONTRAST: Final = 1e5
+"""Largest ratio of diffusion outside tissue and inside; known ones are below ten. Balances are
+differences of flows, which lose one digit for every factor of ten."""
+
+BYTES_PER_CELL: Final = 1000
+"""What a running simulation holds for each cell at least: state, lists, solver vectors."""
+
+
+def check_sizes(scene: Scene) -> None:
+    """Raise ``SceneError`` for numbers that nothing can be computed with."""
+    for path, value, unit, spec in _numbers(scene, ""):
+        _check_size(path, value, unit, spec)
+    _check_steps(scene)
+    _check_overlap(scene)
+    _check_diffusion(scene)
+
+
+def _numbers(part: Any, path: str) -> Iterator[tuple[str, float, str, Parameter]]:
+    """Yield path, value, unit and declaration of every number in a part and below."""
+    for name, spec in specs(part).items():
+        value, where = getattr(part, name), f"{path}{name}"
+        if is_dataclass(value):
+            yield from _numbers(value, f"{where}.")
+        elif isinstance(value, Mapping):
+            for key, entry in value.items():
+                if is_dataclass(entry):
+                    yield from _numbers(entry, f"{where}.{key}.")
+                else:
+                    yield from _points(entry, f"{where}.{key}", spec)
+        elif spec.kind in ("quantity", "number", "course", "schedule") and value is not None:
+            yield from _points(value, where, spec)
+
+
+def _points(value: Any, path: str, spec: Parameter) -> Iterator[tuple[str, float, str, Parameter]]:
+    """Yield the numbers of one value: itself, or the two of each point of a course or curve."""
+    if not isinstance(value, tuple):
+        yield path, value, spec.unit, spec
+        return
+    first, second = (spec.unit, "") if spec.kind == "responses" else ("s", spec.unit)
+    for x, y in value:
+        yield path, x, first, Parameter(spec.convert)
+        yield path, y, second, spec
+
+
+def _check_size(path: str, value: float, unit: str, spec: Parameter) -> None:
+    """Raise ``SceneError`` for a number that is too large or, if not zero, too small."""
+    smallest, largest = RANGES.get(unit, RANGES[""])
+    ends = spec.bounds
+    if ends is not None and ends.at_least:
+        smallest = min(smallest, abs(ends.at_least))
+    if value == 0.0 or smallest <= abs(value) <= largest:
+        return
+    tail = f" {unit}" if unit else ""
+    zero = "0 or " if ends is None or ends.contain(0.0) else ""
+    problem = f"is {value:g}{tail}, must be {zero}from {smallest:g} to {largest:g}{tail} in size"
+    raise SceneError(path, problem, "Anything beyond is far from cells, media and their world.")
+
+
+def _check_steps(scene: Scene) -> None:
+    """Raise ``SceneError`` for steps so short or so long that no run could use them."""
+    step = scene.coupling_step
+    if scene.duration / step > MOST_STEPS:
+        problem = f"is {step:g} s, must be at least {scene.duration / MOST_STEPS:g} s"
+        hint = f"The run would take more than {MOST_STEPS:g} coupling steps."
+        raise SceneError("coupling_step", problem, hint)
+    fixed = scene.integrator
+    if fixed.method in FIXED_STEP and min(step, scene.duration) / fixed.step > MOST_FIXED_STEPS:
+        problem = f"is {fixed.step:g} s, must be at least {step / MOST_FIXED_STEPS:g} s"
+        hint = f"A coupling step would take more than {MOST_FIXED_STEPS:g} steps."
+        raise SceneError("integrator.step", problem, hint)
+    if scene.growth is None:
+        return
+    # a cell divides once in a coupling step at most: a shorter cycle would only make it larger
+    quickest = min((kind.cycle_scale for kind in scene.types.values()), default=1.0)
+    cycle = quickest * scene.growth.mean_cycle
+    if min(step, scene.duration) > cycle:
+        problem = f"is {step:g} s, must be at most a cycle of the cells, {cycle:g} s"
+        hint = "Cells divide between coupling steps; take about a twentieth of the cycle."
+        raise SceneError("coupling_step", problem, hint)
+
+
+def _check_overlap(scene: Scene) -> None:
+    """Raise ``SceneError`` for cells so sticky that they would be drawn into one another.
+
+    Two cells must repel each other before their centres meet, at birth and before division, under
+    the largest surface energy and the most bonds that occur, with the smallest mean modulus.
+    """
+    law: Any = scene.contact
+    energies = [e for k in scene.types.values() for e in (k.surface_energy or {}).values()]
+    young = min((k.young or scene.cells.young for k in scene.types.values()), default=0.0)
+    young, poisson = young or scene.cells.young, scene.cells.poisson
+    if energies and hasattr(law, "surface_energy"):
+        law = replace(law, surface_energy=max(energies))
+    modulus, bonds = effective_modulus(young, poisson, young, poisson), _most_bonds(scene)
+    for radius in (0.5 ** (1.0 / 3.0) * scene.cells.division_radius, scene.cells.division_radius):
+        pair, deep = effective_radius(radius, radius), 1.99 * radius
+        force = float(law.force(deep, modulus, pair, rest=2.0 * radius, touching=True))
+        if force > math.pi * float(pair) * bonds * deep:
+            continue
+        path = "adhesion.strength" if force > 0.0 else "contact.surface_energy"
+        problem = f"draws cells of radius {radius:.3g} um into one another, centre upon centre"
+        raise SceneError(path, problem, "Let cells stick less, or take a larger cells.young.")
+
+
+def _most_bonds(scene: Scene) -> float:
+    """Return the largest adhesive force per contact area that receptors may ever cause, kPa."""
+    if scene.adhesion is None:
+        return 0.0
+    most = [
+        (
+            _most(kind.receptor, kind.receptor_by_phase, kind.receptor_by),
+            _most(kind.ligand, kind.ligand_by_phase, kind.ligand_by),
+        )
+        for kind in scene.types.values()
+    ]
+    pairs = ((a, b) for a in most for b in most)
+    both = (0.5 * (a[0] * b[1] + a[1] * b[0]) for a, b in pairs)
+    return scene.adhesion.strength * max(both, default=0.0)
+
+
+def _most(
+    course: tuple[tuple[float, float], ...],
+    by_phase: Mapping[str, float] | None,
+    by_field: Mapping[str, tuple[tuple[float, float], ...]] | None,
+) -> float:
+    """Return the largest concentration of receptors or ligands that a type may ever have."""
+    most = max(value for _, value in course)
+    if by_phase:
+        most *= max(1.0, *by_phase.values())
+    for curve in (by_field or {}).values():
+        most *= max(1.0, *(factor for _, factor in curve))
+    return most
+
+
+def _check_diffusion(scene: Scene) -> None:
+    """Raise ``SceneError`` for tissue and medium so unlike that a solver loses one of them."""
+    for name, field in scene.nutrients.items():
+        ratio = (field.diffusion_medium or field.diffusion) / field.diffusion
+        if not 1.0 / MOST_CONTRAST <= ratio <= MOST_CONTRAST:
+            problem = (
+                f"is {field.diffusion_medium:g} um^2/s, {ratio:.3g} times that of tissue; must be "
+                f"within a factor of {MOST_CONTRAST:g}"
+            )
+            hint = "Give such a layer a side of type 'mixed', or of type 'derivative'."
+            raise SceneError(f"nutrients.{name}.diffusion_medium", problem, hint)
+
+
+def check_memory(scene: Scene) -> None:
+    """Raise ``SceneError`` if this machine could not even hold the cells of the start.
+
+    Nothing is allocated for them before.
+    """
+    needed, present = BYTES_PER_CELL * scene.initial.count, physical_memory()
+    if present is not None and needed > present:
+        problem = (
+            f"is {scene.initial.count:,}: so many cells need about {needed / 1e9:.3g} GB, this "
+            f"machine has {present / 1e9:.3g} GB"
+        )
+        raise SceneError("initial.count", problem, "Start with fewer cells.")
+
+
+def physical_memory() -> int | None:
+    """Return the memory of this machine in bytes, or None where it does not tell."""
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, OSError, ValueError):
+        return None

@@ -1,0 +1,156 @@
+"""Scales of a scene's fields: regime, spacing, lengths and times, before anything is run."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, final
+
+from multicell.cells import SPHERE
+from multicell.scene import domain as box
+
+if TYPE_CHECKING:
+    from multicell.scene.nutrient import Nutrient, Side
+    from multicell.scene.scene import Scene
+
+
+_SETTLED = 1.0
+"""Largest diffusion time over coupling step at which ``auto`` takes a field as settled."""
+
+_POINTS = 5.0
+"""Spacings in the diffusion length where the grid is chosen for the user."""
+
+MAX_NODES = 256**3
+"""Largest grid that is ever laid: an array of it takes 128 MiB, a solve about fifteen of them."""
+
+
+def level_fixed(nutrient: Nutrient, dimensions: int = 3) -> bool:
+    """Return whether sides, perfusion or decay fix the level of a steady field.
+
+    A field that may go over from shells to a box needs it on both.
+    """
+    if nutrient.perfusion > 0.0 or nutrient.decay > 0.0:
+        return True
+    shells = nutrient.geometry != "box" and dimensions == 3
+    cubes = nutrient.geometry != "radial"
+    fixed = [
+        any(_side(nutrient, face).type != "derivative" for face in faces)
+        for faces, used in ((("r+",), shells), (_faces(dimensions), cubes))
+        if used
+    ]
+    return all(fixed)
+
+
+def _faces(dimensions: int) -> tuple[str, ...]:
+    return ("x-", "x+", "y-", "y+", "z-", "z+")[: 2 * dimensions]
+
+
+def _side(nutrient: Nutrient, face: str) -> Side:
+    """Return the condition on a face: its own, its axis', that of all, or the medium's value."""
+    from multicell.scene.nutrient import Side
+
+    for key in (face, face[0], "*"):
+        if key in nutrient.sides:
+            return nutrient.sides[key]
+    return Side()
+
+
+@final
+@dataclass(frozen=True)
+class Scales:
+    """The scales of a field, before anything is run.
+
+    Attributes
+    ----------
+    demand : float, mM/s
+        Largest uptake per volume of tissue of typical cells without gaps.
+    depth : float, µm
+        √(2 D c / q): how deep a thick tissue at the medium's concentration is fed (zeroth
+        order); infinite without uptake.
+    length : float, µm
+        Over which the field varies: ``depth`` or the tissue's radius, whichever is smaller,
+        with the margin or the layer; in a fixed domain that of its slowest mode.
+    time : float, s
+        Diffusion time, length² / D.
+    damkohler : float
+        Uptake over diffusion, q R² / (D c), R the radius that the tissue may reach; above 6 a
+        ball's centre starves.
+    """
+
+    demand: float
+    depth: float
+    length: float
+    time: float
+    damkohler: float
+
+
+def scales(scene: Scene, name: str) -> Scales:
+    """Return the scales of a field of a scene."""
+    nutrient = scene.nutrients[name]
+    demand = nutrient.uptake / (SPHERE * _typical_radius(scene) ** 3)
+    supply = nutrient.diffusion * nutrient.highest
+    depth = math.sqrt(2.0 * supply / demand) if demand > 0.0 else math.inf
+    radius = tissue_radius(scene)
+    length = min(depth, radius) + (nutrient.margin if nutrient.layer is None else nutrient.layer)
+    if scene.domain is not None:
+        length = _slowest(nutrient, box.sides(scene.domain))
+    damkohler = demand * radius**2 / supply if supply > 0.0 else math.inf
+    return Scales(demand, depth, length, length**2 / nutrient.diffusion, damkohler)
+
+
+def _slowest(nutrient: Nutrient, lengths: list[float]) -> float:
+    """Return the length 1/|k| of the slowest mode of diffusion in a box, µm.
+
+    Along an axis of length L it has k = π/L between two values, π/2L between a value and a wall,
+    and 0 between walls. A mixed condition is a value behind a layer as thick as 1/rate.
+    """
+    square = 0.0
+    for axis, length in zip("xyz", lengths, strict=False):
+        ends = [_side(nutrient, axis + end) for end in "-+"]
+        fixed = [side for side in ends if side.type != "derivative"]
+        across = length + sum(1.0 / side.rate for side in fixed if side.rate is not None)
+        square += (0.5 * math.pi * len(fixed) / across) ** 2
+    return 1.0 / math.sqrt(square) if square > 0.0 else max(lengths) / math.pi
+
+
+def tissue_radius(scene: Scene) -> float:
+    """Return the radius in µm of a ball of as many cells as there may be in the end."""
+    cells = float(scene.initial.count)
+    if scene.growth is not None:
+        doublings = min(scene.duration / scene.growth.mean_cycle, 60.0)
+        cells = min(cells * 2.0**doublings, float(scene.stop_cells or 1e6))
+    return float(_typical_radius(scene) * cells ** (1.0 / 3.0))
+
+
+def _typical_radius(scene: Scene) -> float:
+    """Return the radius of a typical cell of the scene, µm."""
+    from multicell.scene.sizes import typical_radius
+
+    return float(typical_radius(scene))
+
+
+def regime(scene: Scene, name: str) -> str:
+    """Return ``"steady"`` or ``"transient"``, whichever a field is solved as.
+
+    ``auto`` takes the steady state where diffusion settles within a coupling step, and where
+    there is a steady state at all.
+    """
+    nutrient = scene.nutrients[name]
+    if nutrient.regime != "auto":
+        return nutrient.regime
+    settles = scales(scene, name).time <= _SETTLED * scene.coupling_step
+    fixed = level_fixed(nutrient, scene.dimensions)
+    return "steady" if settles and fixed else "transient"
+
+
+def spacing(scene: Scene, name: str) -> float:
+    """Return the largest spacing of a field's grid, µm.
+
+    Where the scene does not say: a fifth of the depth to which tissue is fed, but neither above
+    the diameter of a dividing cell nor below half of it, since cells are the sources.
+    """
+    nutrient = scene.nutrients[name]
+    if nutrient.spacing is not None:
+        return nutrient.spacing
+    diameter = 2.0 * scene.cells.division_radius
+    return max(min(scales(scene, name).depth / _POINTS, diameter), 0.5 * diameter)

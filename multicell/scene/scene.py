@@ -1,0 +1,315 @@
+"""What there is: the typed description of a scene, read from TOML or a dict.
+
+Every part is a frozen dataclass whose attributes are the keys of the TOML file. Quantities are
+numbers in base units (µm, s, nN, amol; kPa, mM) or strings with units; inside they are floats.
+``growth``, ``death`` and ``nutrients`` are optional: an absent part costs nothing.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import stat
+from collections.abc import Mapping
+from copy import deepcopy
+from pathlib import Path
+from typing import Any, final
+
+from multicell.contact.law import PairLaw
+from multicell.contact.registry import LAWS
+from multicell.errors import SceneError
+from multicell.scene.checks import check_nutrients, check_types
+from multicell.scene.domain import check_domain
+from multicell.scene.nutrient import Nutrient
+from multicell.scene.parts import (
+    Adhesion,
+    CellParameters,
+    CellType,
+    Chemotaxis,
+    Death,
+    Domain,
+    Drag,
+    Friction,
+    Growth,
+    Haptotaxis,
+    Initial,
+    IntegratorOptions,
+    Motility,
+    OutputOptions,
+    Pull,
+)
+from multicell.scene.ranges import check_sizes
+from multicell.schema import (
+    Parameter,
+    Tables,
+    build,
+    count,
+    near_miss,
+    parameters,
+    plain,
+    quantity,
+    specs,
+    table,
+    tables,
+    text,
+    variant,
+)
+from multicell.units import BASE_UNITS, shown
+
+_LARGEST_FILE = 10_000_000
+"""Bytes of a scene file; those with thousands of media changes have less than one million."""
+
+
+@final
+@parameters
+class Scene:
+    """All that a simulation starts from; a part given as a dict is converted.
+
+    Attributes
+    ----------
+    title : str
+    duration, coupling_step : float, s
+    seed : int
+        The same seed gives the same run.
+    stop_cells : int or None
+        The run ends after the coupling step in which this many cells exist.
+    initial, cells, contact, drag, integrator, output
+        The parts that each scene has.
+    growth, death, adhesion, friction, motility, pull, domain
+        None where the scene has no such part.
+    types : mapping of name to CellType, read-only
+        Empty where all cells are alike.
+    nutrients : mapping of name to Nutrient, read-only
+
+    Raises
+    ------
+    SceneError
+        For any value that cannot be accepted, with its dotted path.
+    """
+
+    title: str = text(default="", doc="one line about the scene")
+    duration: float = quantity("s", above=0, doc="Simulated time, for example duration = '11 d'.")
+    seed: int = count(default=0, at_least=0, at_most=2**63 - 1, doc="of the random numbers")
+    coupling_step: float = quantity("s", default=600.0, above=0, doc="between exchanges of parts")
+    dimensions: int = count(default=3, at_least=2, at_most=3, doc="2: all cells in one plane")
+    stop_cells: int | None = count(default=None, at_least=1, doc="the run ends at so many cells")
+    initial: Initial = table(Initial, default_factory=Initial, doc="the cells at the start")
+    cells: CellParameters = table(CellParameters, default_factory=CellParameters, doc="the cells")
+    contact: PairLaw = variant(
+        LAWS, key="law", usual="jkr", default_factory=LAWS["jkr"], doc="the law of touching cells"
+    )
+    drag: Drag = table(Drag, default_factory=Drag, doc="friction with the medium")
+    growth: Growth | None = table(Growth, default=None, doc="absent: no growth, no division")
+    death: Death | None = table(Death, default=None, doc="absent: necrotic cells stay")
+    types: Mapping[str, CellType] = tables(
+        CellType, default_factory=Tables, doc="absent: all cells are alike"
+    )
+    adhesion: Adhesion | None = table(Adhesion, default=None, doc="absent: no receptors")
+    friction: Friction | None = table(Friction, default=None, doc="absent: only Stokes drag")
+    motility: Motility | None = table(Motility, default=None, doc="absent: no active motion")
+    chemotaxis: Mapping[str, Chemotaxis] = tables(
+        Chemotaxis, default_factory=Tables, doc="by field; absent: no force along gradients"
+    )
+    haptotaxis: Haptotaxis | None = table(Haptotaxis, default=None, doc="absent: even ground")
+    pull: Pull | None = table(Pull, default=None, doc="absent: no external force")
+    domain: Domain | None = table(Domain, default=None, doc="absent: fields follow the cells")
+    nutrients: Mapping[str, Nutrient] = tables(
+        Nutrient, default_factory=Tables, doc="absent: no cell ever starves"
+    )
+    integrator: IntegratorOptions = table(
+        IntegratorOptions, default_factory=IntegratorOptions, shorthand="method", doc="the method"
+    )
+    output: OutputOptions = table(OutputOptions, default_factory=OutputOptions, doc="the record")
+
+    def check(self) -> None:
+        """Raise ``SceneError`` for parts that do not fit together."""
+        check_sizes(self)
+        check_types(self)
+        smallest = 0.5 ** (1.0 / 3.0) * self.cells.division_radius
+        smoothing = getattr(self.contact, "smoothing", 0.0)
+        if smoothing > smallest:
+            problem = f"is {smoothing:g} um, must be at most the birth radius {smallest:g} um"
+            raise SceneError("contact.smoothing", problem, "0 turns it off.")
+        check_domain(self)
+        check_nutrients(self)
+        for name in self.chemotaxis:
+            if name not in self.nutrients:
+                hint = near_miss(name, self.nutrients)
+                raise SceneError(f"chemotaxis.{name}", "is not a field of this scene", hint)
+        if self.dimensions == 2 and self.haptotaxis is not None and self.haptotaxis.axis == "z":
+            raise SceneError("haptotaxis.axis", "is 'z' in a scene of 2 dimensions")
+
+    @classmethod
+    def from_dict(cls, entries: Mapping[str, Any]) -> Scene:
+        """Return the scene that a dict with the keys of the TOML file describes.
+
+        Raises
+        ------
+        SceneError
+            For an unknown or missing key and for any value that is refused.
+        """
+        return build(cls, entries)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the scene as nested dicts of base-unit numbers; what is absent has no key."""
+        return plain(self)
+
+    def with_changes(self, changes: Mapping[str, Any]) -> Scene:
+        """Return a scene with other values.
+
+        Parameters
+        ----------
+        changes
+            Dotted key -> value, as in ``{"nutrients.oxygen.boundary": "0.07 mM"}``, applied in
+            order. An optional table is made when a key in it is set. A dict replaces a whole
+            table, None removes an optional part. ``"integrator": "euler"`` changes the method
+            and keeps the rest. A new ``contact.law`` drops the parameters that it does not have.
+
+        Raises
+        ------
+        SceneError
+            For a key that does not exist and for any value that is refused.
+        """
+        entries = self.to_dict()
+        for key, value in changes.items():
+            _change(entries, key, value)
+        return build(type(self), entries)
+
+    def to_toml(self, extra: Mapping[str, Any] | None = None) -> str:
+        """Return the scene as a TOML file that :func:`load_scene` reads back exactly.
+
+        Parameters
+        ----------
+        extra
+            Facts for the header, such as the versions of packages; one comment line each.
+        """
+        import tomli_w
+
+        facts = {"units": BASE_UNITS, "seed": self.seed, **(extra or {})}
+        header = [f"# {name}: {value}" for name, value in facts.items()]
+        lines = [" ".join(line.split()) for line in ["# A scene of multicell", *header]]
+        safe = [line.encode("ascii", "backslashreplace").decode() for line in lines]
+        return "\n".join([*safe, _with_units(tomli_w.dumps(self.to_dict()))])
+
+
+def scene_names() -> list[str]:
+    """Return the names of the built-in scenes."""
+    from importlib.resources import files
+
+    found = (entry.name for entry in files("multicell.scenes").iterdir())
+    return sorted(name.removesuffix(".toml") for name in found if name.endswith(".toml"))
+
+
+def load_scene(source: str | Path) -> Scene:
+    """Return a built-in scene or one that is read from a TOML file.
+
+    Parameters
+    ----------
+    source
+        Name of a built-in scene (see :func:`scene_names`) or path of a file. A built-in name
+        wins; ``Path(...)`` or a suffix always means a file.
+
+    Raises
+    ------
+    SceneError
+        For an unknown name, a file that is missing or cannot be read, broken TOML (with its
+        line) and for any value that is refused.
+    """
+    import tomllib
+
+    content = _read(source)
+    try:
+        entries = tomllib.loads(content)
+    except RecursionError:
+        raise SceneError("", f"{str(source)!r} is nested too deeply") from None
+    except ValueError as error:  # tomllib's own error, and integers of thousands of digits
+        raise SceneError("", f"{str(source)!r} is not valid TOML: {error}") from None
+    return Scene.from_dict(entries)
+
+
+def _read(source: str | Path) -> str:
+    """Return the text of a built-in scene or of a file."""
+    from importlib.resources import files
+
+    if isinstance(source, str) and source in (names := scene_names()):
+        return (files("multicell.scenes") / f"{source}.toml").read_text(encoding="utf-8")
+    path = Path(os.path.expanduser(source))
+    bare = isinstance(source, str) and not path.suffix and path.name == source
+    try:
+        return _file_text(path, source)
+    except FileNotFoundError:
+        if bare:
+            hint = near_miss(str(source), names)
+            raise SceneError("", f"there is no scene named {source!r}", hint) from None
+        hint = f"The built-in scenes are {', '.join(scene_names())}."
+        raise SceneError("", f"the scene file {str(source)!r} does not exist", hint) from None
+    except UnicodeDecodeError as error:
+        problem = f"the scene file {str(source)!r} is not UTF-8 text (byte {error.start})"
+        raise SceneError("", problem) from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise SceneError("", f"the scene file {str(source)!r} cannot be read: {reason}") from None
+
+
+def _file_text(path: Path, source: str | Path) -> str:
+    """Return the text of a regular file of a scene's size; a pipe or device may never end."""
+    mode = path.stat().st_mode
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        problem = f"the scene {str(source)!r} is a device, pipe or socket, not a file"
+        raise SceneError("", problem, "Write the scene to a file first.")
+    with path.open("rb") as file:
+        content = file.read(_LARGEST_FILE + 1)
+    if len(content) > _LARGEST_FILE:
+        problem = f"the scene file {str(source)!r} is larger than {_LARGEST_FILE // 10**6} MB"
+        raise SceneError("", problem, "No scene needs so much text.")
+    return content.decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")
+
+
+def _change(entries: dict[str, Any], key: str, value: Any) -> None:
+    """Set (or with None remove) one dotted key in a scene's dict."""
+    if not isinstance(key, str) or not all(key.split(".")):
+        raise SceneError("", f"{shown(key)} is not a dotted key such as 'drag.viscosity'")
+    spec = specs(Scene).get(key)
+    if spec is not None and spec.shorthand and isinstance(value, str):
+        key = f"{key}.{spec.shorthand}"
+    *parents, last = key.split(".")
+    node = entries
+    for depth, name in enumerate(parents, start=1):
+        if value is None and name not in node:
+            problem = f"cannot be removed: the scene has no '{'.'.join(parents[:depth])}'"
+            raise SceneError(key, problem)
+        node = node.setdefault(name, {})
+        if not isinstance(node, dict):
+            problem = f"is not a key: '{'.'.join(parents[:depth])}' is a value, not a table"
+            raise SceneError(key, problem)
+    if value is None and last in node:
+        del node[last]
+    else:
+        try:
+            node[last] = deepcopy(value)  # a later key may write into it
+        except RecursionError:
+            raise SceneError(key, "is nested too deeply") from None
+    if key == "contact.law" and isinstance(value, str) and value in LAWS:
+        allowed = {"law", *specs(LAWS[value])}
+        entries["contact"] = {k: v for k, v in node.items() if k in allowed}
+
+
+def _with_units(toml: str) -> str:
+    """Return TOML text with the unit of each quantity as a comment behind it."""
+    lines = []
+    known: dict[str, Parameter] = specs(Scene)
+    for line in toml.splitlines():
+        if line.startswith("["):
+            known = _specs_of_table(line.strip("[]").split(".")[0])
+        match = re.match(r"(\w+) = ", line)
+        unit = known[match[1]].unit if match and match[1] in known else ""
+        lines.append(f"{line}  # {unit}" if unit else line)
+    return "\n".join(lines) + "\n"
+
+
+def _specs_of_table(name: str) -> dict[str, Parameter]:
+    """Return the declarations of a scene's table; of the contact those of all laws."""
+    if name == "contact":
+        return {key: spec for law in LAWS.values() for key, spec in specs(law).items()}
+    part = specs(Scene)[name].table
+    return specs(part) if part is not None else {}

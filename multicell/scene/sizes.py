@@ -1,0 +1,26 @@
+"""Sizes of cells that follow from a scene."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from multicell.scene.scene import Scene
+
+
+def birth_radius(scene: Scene) -> float:
+    """Return the radius of a cell of half the division volume, µm."""
+    return float(scene.cells.division_radius / np.cbrt(2.0))
+
+
+def typical_radius(scene: Scene) -> float:
+    """Return the radius half-way (geometrically) between birth and division, µm.
+
+    Where all cells are as at birth and none grows, it is the birth radius.
+    """
+    if scene.growth is None and scene.initial.stage == "birth":
+        return birth_radius(scene)
+    return math.sqrt(birth_radius(scene) * scene.cells.division_radius)
