@@ -11,7 +11,7 @@ settings.load_profile("multicell")
 def pytest_addoption(parser):
     group = parser.getgroup("multicell", "how long the harnesses search")
     group.addoption("--scenes", type=int, default=300, help="scenes drawn and loaded")
-    group.addoption("--runs", type=int, default=24, help="small scenes drawn and run")
+    group.addoption("--runs", type=int, default=40, help="small scenes drawn and run")
     group.addoption("--first-seed", type=int, default=0, help="of the scenes; others each time")
     group.addoption("--kills", type=int, default=4, help="runs that are killed")
     group.addoption("--full-disks", type=int, default=4, help="runs on a disk that gets full")

@@ -199,6 +199,9 @@ def test_a_full_disk_ends_a_run_with_one_error_and_loses_nothing(
             raise
         finally:
             unmount()
+    print(
+        f"\n{stopped} runs found their disk full, on {pytestconfig.getoption('full_disks')} disks"
+    )
     assert stopped or not pytestconfig.getoption("full_disks")
 
 
