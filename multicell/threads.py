@@ -1,6 +1,10 @@
-"""How many threads the kernels may use."""
+"""How many threads the kernels may use, and how they share their loops."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from types import FunctionType
+from typing import Any
 
 from multicell.errors import SceneError
 
@@ -30,3 +34,26 @@ def thread_count(wanted: int | None) -> int:
     if wanted > 1:
         numba.set_num_threads(wanted)
     return wanted
+
+
+def two_drivers(body: Callable[..., Any]) -> tuple[Any, Any]:
+    """Return a loop over chunks compiled twice: for one thread, and for all of them.
+
+    Written once with ``numba.prange``, which is ``range`` in the first. The second stands under a
+    name of its own, ``…_parallel``, so that each has its own file in numba's disk cache. Chunks
+    that write to their own cells only give the same bits in both. Neither is compiled before it
+    is called.
+
+    Parameters
+    ----------
+    body
+        A module-level function that numba can compile.
+    """
+    from numba import njit
+
+    name = f"{body.__name__}_parallel"
+    twin = FunctionType(body.__code__, body.__globals__, name, body.__defaults__, body.__closure__)
+    twin.__qualname__, twin.__module__ = name, body.__module__
+    serial = njit(cache=True, error_model="numpy")
+    shared = njit(cache=True, error_model="numpy", parallel=True)
+    return serial(body), shared(twin)

@@ -35,7 +35,7 @@ from numba import njit
 from sksundae.cvode import CVODE, CVODEJacTimes, CVODEPrecond
 from sksundae.ida import IDA, IDAJacTimes, IDAPrecond
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
+sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
 
 from strategies import cluster, mechanics
 

@@ -1,7 +1,7 @@
 """Result folders that are cut, flipped, edited and forged: read right, or refused with words.
 
-``pytest tests/test_result_damage.py --damages 500`` damages as many as asked. Each case runs in a
-process of its own: HDF5 is not Python, and can crash or hang.
+``pytest tests/results/test_result_damage.py --damages 500`` damages as many as asked. Each case
+runs in a process of its own: HDF5 is not Python, and can crash or hang.
 """
 
 import os

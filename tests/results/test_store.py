@@ -11,6 +11,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+import synthetic
 from synthetic import BARE, SCENE, cells_at, growing_frames, history_of, spheroid
 
 import multicell
@@ -136,7 +137,7 @@ def test_file_can_be_read_while_it_is_written(tmp_path):
 def test_killed_writer_leaves_all_finished_frames(tmp_path, wait):
     folder = tmp_path / "out"
     package = Path(multicell.__file__).parents[1]
-    path = os.pathsep.join([str(package), str(Path(__file__).parent)])
+    path = os.pathsep.join([str(package), str(Path(synthetic.__file__).parent)])
     command = [sys.executable, "-c", WRITER, str(folder)]
     environment = {**os.environ, "PYTHONPATH": path}
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as writer:

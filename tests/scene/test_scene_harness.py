@@ -1,7 +1,8 @@
 """Scenes drawn from the declarations: each loads or is refused by name, runs or fails by name.
 
-``pytest tests/test_scene_harness.py -s --scenes 20000 --runs 1000 --first-seed 1`` searches longer,
-in a process for each core, and prints what became of them. Every fault found got a test here.
+``pytest tests/scene/test_scene_harness.py -s --scenes 20000 --runs 1000 --first-seed 1`` searches
+longer, in a process for each core, and prints what became of them. Every fault found got a
+test here.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """Runs that are killed, and runs whose disk gets full: nothing that was saved is ever lost.
 
-``pytest tests/test_kill_and_full_disk.py --kills 100 --full-disks 40`` does as many as asked.
+``pytest tests/results/test_kill_and_full_disk.py --kills 100 --full-disks 40`` does as
+many as asked.
 """
 
 import os

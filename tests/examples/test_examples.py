@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-EXAMPLES = Path(__file__).parent.parent / "examples"
+EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
 def load(name: str) -> ModuleType:

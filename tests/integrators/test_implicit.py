@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import strategies
 from strategies import cluster, mechanics
 
 from multicell import JKR, Hertz
@@ -278,7 +279,7 @@ assert CvodeSparse().integrate(mechanics(radius, young), position).done
 
 @pytest.mark.parametrize("where", ["velocity", "linearise"])
 def test_a_direct_solver_stopped_before_its_first_factorisation_does_not_crash(where):
-    program = STOPPED.format(folder=str(Path(__file__).parent), where=where)
+    program = STOPPED.format(folder=str(Path(strategies.__file__).parent), where=where)
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert (done.returncode, done.stdout.count("stopped")) == (0, 20), done.stderr[-2000:]
 
