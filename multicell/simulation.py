@@ -422,8 +422,8 @@ class Simulation:
             push=push(scene, cells, begin, self._gradients()),
             kind=cells.kind if scene.types else None,
             touching=self._touching() if _remembers(scene) else None,
-            slack_pairs=None if apart is None else apart[0],
-            slack=None if apart is None else apart[1],
+            offset_pairs=None if apart is None else apart[0],
+            offset=None if apart is None else apart[1],
         )  # fmt: skip
 
     def _gradients(self) -> dict[str, FloatArray]:

@@ -21,11 +21,14 @@ is stable at prescribed distance. :func:`beyond_turning` solves the quartic on i
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any, ClassVar, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from multicell.contact.constants import TINY, constants_of
+from multicell.contact.law import PairLaw
 from multicell.schema import parameters, quantity
 
 if TYPE_CHECKING:
@@ -38,51 +41,60 @@ _RESOLVED = 1e-8
 """Smallest u - 1 that a slope is taken at: an overlap rounded to 16 digits tells no more."""
 
 
-def contact_radius(overlap: ArrayLike, radius: ArrayLike) -> FloatArray:
-    """Return the contact radius √(r_ij h) in µm that Hertz and approximate JKR assume."""
-    return np.asarray(np.sqrt(np.maximum(overlap, 0.0) * np.asarray(radius, dtype=float)))
-
-
-def beyond_turning(excess: Any) -> Any:
+def beyond_turning(excess: float) -> float:
     """Return v = u - 1 >= 0 on the stable branch of exact JKR, to rounding.
 
     It solves u⁴ - 4 u = excess - 3, which is v² (v² + 4 v + 6) = excess and so has no double
     root to lose digits at. A rational start (within 1.7 % everywhere) and two Halley steps, each
-    of which cubes the error: no branch and no count that depends on the data. Bare floats and
-    arrays alike; :mod:`multicell.mechanics.forces` holds a jitted copy.
+    of which cubes the error: no branch and no count that depends on the data.
 
     Parameters
     ----------
     excess
         Overlap beyond the turning point in units of k, h / k + 3 >= 0.
     """
-    q = np.sqrt(excess)
-    p = np.sqrt(q)
-    v = q * (p + 1.101) / (q + 2.101 * p + 2.696888)
+    q = math.sqrt(excess)
+    r = math.sqrt(q)
+    v = q * (r + 1.101) / (q + 2.101 * r + 2.696888)
     for _ in range(2):
         g = v * v * (6.0 + v * (4.0 + v)) - excess
         slope = v * (12.0 + v * (12.0 + 4.0 * v))
         bend = 12.0 + v * (24.0 + 12.0 * v)
         # the tiny number lets v = 0 stay where it is
-        v = v - 2.0 * g * slope / (2.0 * slope * slope - g * bend + 1e-300)
+        v -= 2.0 * g * slope / (2.0 * slope * slope - g * bend + TINY)
     return v
 
 
-def exact_force(overlap: Any, threshold: Any, unit: Any, scale: Any) -> Any:
-    """Return the force of exact JKR in nN, without a branch that depends on the data.
+def exact_jkr(
+    overlap: float,
+    modulus: float,
+    radius: float,
+    p: Any,
+    adhesion: float,
+    unit: float,
+    onset: float,
+) -> tuple[float, float, float]:
+    """Return force, stiffness and energy on the stable branch, without a branch on the data.
 
-    Parameters
-    ----------
-    overlap
-        h in µm.
-    threshold
-        Overlap from which there is contact, µm: -3 ``unit`` for a pair that touches, else 0.
-    unit, scale
-        k in µm and P in nN, see :func:`exact_units`.
+    The unit of force P = π w r / 6 stands in the adhesion √(6πw). The stiffness tends to -∞
+    towards the turning point and is cut off where rounding of the overlap hides how near that is.
     """
-    u = 1.0 + beyond_turning(np.maximum(overlap / unit + 3.0, 0.0))
+    x = overlap / unit
+    v = beyond_turning(max(x + 3.0, 0.0))
+    u = 1.0 + v
     cube = u * u * u
-    return scale * cube * (cube - 6.0) * (overlap >= threshold)
+    scale = adhesion * adhesion * radius / 36.0
+    w = max(v, _RESOLVED)
+    rise = w * (3.0 + w * (3.0 + w))  # u³ - 1
+    force = scale * cube * (cube - 6.0)
+    stiffness = 1.5 * scale / unit * (1.0 + w) * (1.0 + w) * (rise - 2.0) / rise
+    energy = unit * scale * u * cube * (cube * (0.4 * cube - 4.0) + 6.0)
+    touches = x >= onset
+    return force if touches else 0.0, stiffness if touches else 0.0, energy if touches else 0.0
+
+
+_Constants = constants_of(exact_jkr)
+_beyond_turning = np.frompyfunc(beyond_turning, 1, 1)
 
 
 def exact_units(
@@ -101,7 +113,7 @@ def exact_units(
 
 @final
 @parameters
-class ExactJKR:
+class ExactJKR(PairLaw):
     """Johnson–Kendall–Roberts contact with the contact radius as unknown, and hysteresis.
 
     A contact forms where the spheres meet (h >= 0) and breaks at the turning point
@@ -113,15 +125,25 @@ class ExactJKR:
     force -(3/2) π w r is that of :class:`~multicell.contact.jkr.JKR` with the same number.
     """
 
-    code: ClassVar[int] = 2
+    remembers: ClassVar[bool] = True
     surface_energy: float = quantity(
         "nN/um", default=0.1, at_least=0.0, doc="Work of adhesion w of a contact"
     )
 
-    @property
-    def adhesion(self) -> float:
-        """√(6πw) in (nN/µm)^½."""
-        return float(np.sqrt(6.0 * np.pi * self.surface_energy))
+    def adhesion_of(self, surface_energy: ArrayLike) -> FloatArray:
+        """Return √(6πw) in (nN/µm)^½; see :func:`exact_units` for a surface energy of zero."""
+        return super().adhesion_of(np.maximum(surface_energy, _LEAST_ENERGY))
+
+    def constants(self) -> Any:
+        """Return nothing: adhesion and unit of overlap are the pair's own."""
+        return _Constants()
+
+    def pair_memory(
+        self, adhesion: ArrayLike, modulus: ArrayLike, radius: ArrayLike, touching: ArrayLike
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return k in µm, and the overlap in it from which there is contact: -3 or 0."""
+        energy = np.square(adhesion) / (6.0 * np.pi)
+        return exact_units(modulus, radius, energy)[0], np.where(touching, -3.0, 0.0)
 
     def in_contact(
         self, overlap: ArrayLike, modulus: ArrayLike, radius: ArrayLike, touching: ArrayLike
@@ -129,61 +151,6 @@ class ExactJKR:
         """Return whether pairs are in contact now, given whether they were before."""
         breaking = np.where(touching, self.breaking_overlap(modulus, radius), 0.0)
         return np.asarray(np.asarray(overlap) >= breaking)
-
-    def force(
-        self,
-        overlap: ArrayLike,
-        modulus: ArrayLike,
-        radius: ArrayLike,
-        *,
-        rest: ArrayLike | None = None,
-        touching: ArrayLike = False,
-    ) -> FloatArray:
-        """Return the force in nN at an overlap (µm), E_ij (kPa) and r_ij (µm)."""
-        unit, scale = self._units(modulus, radius)
-        threshold = np.where(touching, -3.0 * unit, 0.0)
-        return np.asarray(exact_force(np.asarray(overlap, dtype=float), threshold, unit, scale))
-
-    def stiffness(
-        self,
-        overlap: ArrayLike,
-        modulus: ArrayLike,
-        radius: ArrayLike,
-        *,
-        rest: ArrayLike | None = None,
-        touching: ArrayLike = False,
-    ) -> FloatArray:
-        """Return dF/dh = (3/2) (P / k) u² (u³ - 3) / (u³ - 1) in nN/µm, zero out of contact.
-
-        It tends to -∞ towards the turning point and is cut off where rounding of the overlap
-        hides how near that is, at about -1e8 P / k.
-        """
-        v, contact = self._branch(overlap, modulus, radius, touching)
-        unit, scale = self._units(modulus, radius)
-        v = np.maximum(v, _RESOLVED)
-        rise = v * (3.0 + v * (3.0 + v))  # u³ - 1
-        return np.where(contact, 1.5 * scale / unit * (1.0 + v) ** 2 * (rise - 2.0) / rise, 0.0)
-
-    def energy(
-        self,
-        overlap: ArrayLike,
-        modulus: ArrayLike,
-        radius: ArrayLike,
-        *,
-        rest: ArrayLike | None = None,
-        touching: ArrayLike = False,
-    ) -> FloatArray:
-        """Return the energy P k u⁴ ((2/5) u⁶ - 4 u³ + 6) in fJ, zero out of contact.
-
-        It is the elastic energy less the surface energy w π a_c², so it is zero for spheres apart
-        and its slope dU/dh is the force along the whole branch. It is not continuous in time:
-        a contact that forms loses :meth:`forming_loss`, one that breaks :meth:`breaking_loss`.
-        """
-        v, contact = self._branch(overlap, modulus, radius, touching)
-        unit, scale = self._units(modulus, radius)
-        u = 1.0 + v
-        cube = u * u * u
-        return np.where(contact, unit * scale * u * cube * (cube * (0.4 * cube - 4.0) + 6.0), 0.0)
 
     def contact_radius(
         self,
@@ -261,4 +228,5 @@ class ExactJKR:
         """Return u - 1 on the stable branch, and whether the pair is in contact."""
         unit, _ = self._units(modulus, radius)
         excess = np.maximum(np.asarray(overlap, dtype=float) / unit + 3.0, 0.0)
-        return beyond_turning(excess), self.in_contact(overlap, modulus, radius, touching)
+        v = np.asarray(_beyond_turning(excess), dtype=float)
+        return v, self.in_contact(overlap, modulus, radius, touching)

@@ -2,21 +2,65 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar, final
+import math
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from multicell.contact.exact_jkr import contact_radius
+from multicell.contact.constants import TINY, constants_of
+from multicell.contact.law import PairLaw
 from multicell.schema import parameters, quantity
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
 
 
+def jkr(
+    overlap: float, modulus: float, radius: float, p: Any, adhesion: float
+) -> tuple[float, float, float]:
+    """Return force, stiffness and energy.
+
+    With the contact radius q = √(r_ij h) the force is E_ij h q - √(6πσ) q √(E_ij q): two square
+    roots and no power. Each power rule brings its exponent over h.
+    """
+    h = max(overlap, 0.0)
+    q = math.sqrt(radius * h)
+    elastic = modulus * h * q
+    sticky = adhesion * q * math.sqrt(modulus * q)
+    stiffness = (1.5 * elastic - 0.75 * sticky) / (h + TINY)
+    return elastic - sticky, stiffness, 0.4 * elastic * h - (4.0 / 7.0) * sticky * h
+
+
+def linear_onset(
+    overlap: float, modulus: float, radius: float, p: Any, adhesion: float
+) -> tuple[float, float, float]:
+    """Return force, stiffness and energy with adhesion that sets in linearly below h_s.
+
+    There h^{3/4} is replaced by h_s^{3/4} (5 s - s²) / 4 with s = h / h_s.
+    """
+    h, hs = max(overlap, 0.0), p.smoothing
+    elastic = modulus * h * math.sqrt(radius * h)
+    s = min(h * (1.0 / hs), 1.0)
+    beyond = max(h, hs)
+    q = math.sqrt(radius * beyond)
+    full = adhesion * q * math.sqrt(modulus * q)
+    slope = 0.75 * full / beyond if s == 1.0 else full * (5.0 - 2.0 * s) * 0.25 / hs
+    stiffness = 1.5 * elastic / (h + TINY) - slope if h > 0.0 else 0.0
+    onset = math.sqrt(radius * hs)
+    bound = adhesion * onset * math.sqrt(modulus * onset) * hs
+    below = bound * s * s * (5.0 / 8.0 - s / 12.0)
+    sticky = (4.0 / 7.0) * full * h - bound * (5.0 / 168.0) if s == 1.0 else below
+    return elastic - full * (s * (5.0 - s) * 0.25), stiffness, 0.4 * elastic * h - sticky
+
+
+_Constants = constants_of(jkr)
+_SmoothConstants = constants_of(linear_onset, "smoothing")
+
+
 @final
 @parameters
-class JKR:
+class JKR(PairLaw):
     """Approximate Johnson–Kendall–Roberts contact (eq. 3.6).
 
     F = E_ij √r_ij h^{3/2} - √(6πσ E_ij r_ij^{3/2} h^{3/2}). The stiffness tends to -∞ as
@@ -29,7 +73,6 @@ class JKR:
     attraction while h_s <= h₀ / 2^{4/3}. With 0 the law is eq. 3.6, bit for bit.
     """
 
-    code: ClassVar[int] = 1
     surface_energy: float = quantity(
         "nN/um", default=0.1, at_least=0.0, doc="Surface energy σ of a contact"
     )
@@ -40,52 +83,9 @@ class JKR:
         doc="Overlap below which adhesion sets in linearly; 0 is eq. 3.6",
     )
 
-    @property
-    def adhesion(self) -> float:
-        """√(6πσ) in (nN/µm)^½."""
-        return float(np.sqrt(6.0 * np.pi * self.surface_energy))
-
-    def force(
-        self,
-        overlap: ArrayLike,
-        modulus: ArrayLike,
-        radius: ArrayLike,
-        *,
-        rest: ArrayLike | None = None,
-        touching: ArrayLike = False,
-    ) -> FloatArray:
-        """Return the force in nN at an overlap (µm), E_ij (kPa) and r_ij (µm)."""
-        return _jkr_force(overlap, modulus, radius, self.adhesion, self.smoothing)
-
-    def stiffness(
-        self,
-        overlap: ArrayLike,
-        modulus: ArrayLike,
-        radius: ArrayLike,
-        *,
-        rest: ArrayLike | None = None,
-        touching: ArrayLike = False,
-    ) -> FloatArray:
-        """Return dF/dh in nN/µm, zero for h <= 0.
-
-        Without smoothing it is unbounded below as h → 0⁺.
-        """
-        return _jkr_stiffness(overlap, modulus, radius, self.adhesion, self.smoothing)
-
-    def energy(
-        self,
-        overlap: ArrayLike,
-        modulus: ArrayLike,
-        radius: ArrayLike,
-        *,
-        rest: ArrayLike | None = None,
-        touching: ArrayLike = False,
-    ) -> FloatArray:
-        """Return U = (2/5) a h^{5/2} - (4/7) b h^{7/4} in fJ, zero out of contact.
-
-        Above a smoothing h_s the energy is higher by b h_s^{7/4} 5 / 168.
-        """
-        return _jkr_energy(overlap, modulus, radius, self.adhesion, self.smoothing)
+    def constants(self) -> Any:
+        """Return nothing, or the smoothing length (µm): the adhesion is the pair's own."""
+        return _SmoothConstants(self.smoothing) if self.smoothing > 0.0 else _Constants()
 
     def equilibrium_overlap(self, modulus: ArrayLike, radius: ArrayLike) -> FloatArray:
         """Return the overlap in µm where the force is zero.
@@ -100,65 +100,3 @@ class JKR:
         k = (self.smoothing / np.where(rest > 0.0, rest, np.inf)) ** 0.75
         inside = self.smoothing * (2.5 / (k + np.sqrt(k * k + 1.25))) ** 2
         return np.where((rest > 0.0) & (rest < self.smoothing), inside, rest)
-
-    def contact_radius(
-        self,
-        overlap: ArrayLike,
-        modulus: ArrayLike,
-        radius: ArrayLike,
-        *,
-        rest: ArrayLike | None = None,
-        touching: ArrayLike = False,
-    ) -> FloatArray:
-        """Return the contact radius √(r_ij h) in µm of the Hertz picture."""
-        return contact_radius(overlap, radius)
-
-    def reach(
-        self, modulus: ArrayLike, radius: ArrayLike, *, rest: ArrayLike | None = None
-    ) -> FloatArray:
-        """Return zero: nothing acts out of contact (µm)."""
-        return np.zeros(np.broadcast_shapes(np.shape(modulus), np.shape(radius)))
-
-
-def _constants(
-    overlap: ArrayLike, modulus: ArrayLike, radius: ArrayLike, adhesion: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return h clamped to contact, a = E_ij √r_ij and b = √(6πσ E_ij r_ij^{3/2})."""
-    modulus, radius = np.asarray(modulus, dtype=float), np.asarray(radius, dtype=float)
-    elastic = modulus * np.sqrt(radius)
-    return np.maximum(overlap, 0.0), elastic, adhesion * np.sqrt(elastic * radius)
-
-
-def _jkr_force(
-    overlap: ArrayLike, modulus: ArrayLike, radius: ArrayLike, adhesion: float, smoothing: float
-) -> FloatArray:
-    h, a, b = _constants(overlap, modulus, radius, adhesion)
-    onset = h**0.75
-    if smoothing > 0.0:
-        s = h / smoothing
-        onset = np.where(s < 1.0, smoothing**0.75 * s * (1.25 - 0.25 * s), onset)
-    return np.asarray(a * h**1.5 - b * onset)
-
-
-def _jkr_stiffness(
-    overlap: ArrayLike, modulus: ArrayLike, radius: ArrayLike, adhesion: float, smoothing: float
-) -> FloatArray:
-    h, a, b = _constants(overlap, modulus, radius, adhesion)
-    touching = np.where(h > 0.0, h, 1.0)
-    slope = 0.75 * b * touching**-0.25
-    if smoothing > 0.0:
-        s = h / smoothing
-        slope = np.where(s < 1.0, b * smoothing**-0.25 * (1.25 - 0.5 * s), slope)
-    return np.where(h > 0.0, 1.5 * a * np.sqrt(touching) - slope, 0.0)
-
-
-def _jkr_energy(
-    overlap: ArrayLike, modulus: ArrayLike, radius: ArrayLike, adhesion: float, smoothing: float
-) -> FloatArray:
-    h, a, b = _constants(overlap, modulus, radius, adhesion)
-    sticky = (4.0 / 7.0) * b * h**1.75
-    if smoothing > 0.0:
-        s, scale = h / smoothing, b * smoothing**1.75
-        inside = scale * s * s * (5.0 / 8.0 - s / 12.0)
-        sticky = np.where(s < 1.0, inside, sticky - scale * (5.0 / 168.0))
-    return np.asarray(0.4 * a * h**2.5 - sticky)

@@ -1,26 +1,25 @@
-"""Pair laws of two elastic, sticky spheres, as frozen dataclasses with vectorised functions.
+"""What every pair law of two elastic, sticky spheres offers.
 
 Conventions (equation numbers of the thesis that the model page cites): the overlap is
 ``h = r_i + r_j - distance`` (3.1) and a positive force pushes the cells apart. Hertz and
 approximate JKR are zero for ``h <= 0``; :class:`~multicell.contact.exact_jkr.ExactJKR` and the
-springs of :mod:`multicell.contact.springs` may act beyond. All functions broadcast over NumPy
-arrays.
+springs of :mod:`multicell.contact.springs` may act beyond.
 
-Every law is called in the same way, ``law.force(overlap, modulus, radius)``, with two further
-keywords that only some laws look at: ``rest``, the sum r_i + r_j of the radii, which the spring
-laws of :mod:`multicell.contact.springs` need, and ``touching``, whether the pair was in contact
-before, which :class:`~multicell.contact.exact_jkr.ExactJKR` needs.
-
-The jitted twins of these laws stand in :mod:`multicell.mechanics.forces`; they are chosen by the
-integer ``code`` of a law and are tested against the functions here.
+A law is written once, as a scalar function of bare floats that returns force, stiffness and
+energy; its file holds that function, the declared parameters and the closed forms that are known.
+The kernels compile the function (:mod:`multicell.mechanics.pairs`), the methods here call it as
+it is for arrays of any shape. See :mod:`multicell.contact.constants` for its arguments.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar, Protocol
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
+
+from multicell.contact.constants import function_of
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
@@ -44,64 +43,22 @@ def effective_radius(radius_i: ArrayLike, radius_j: ArrayLike) -> FloatArray:
     return np.asarray(ri * rj / (ri + rj))
 
 
-class PairLaw(Protocol):
-    """What every pair law offers, for pairs of unlike radius, E and ν.
+class PairLaw(ABC):
+    """A pair law with its parameters; laws are frozen dataclasses.
 
     Shapes broadcast. Overlaps and lengths are in µm, ``modulus`` is E_ij in kPa (eq. 3.3),
-    ``radius`` r_ij in µm (eq. 3.4). ``rest`` is r_i + r_j in µm and ``touching`` says whether the
-    pair was in contact before; a law that needs neither accepts and ignores both.
+    ``radius`` r_ij in µm (eq. 3.4). ``rest`` is r_i + r_j in µm, which only some laws need, and
+    ``touching`` says whether the pair was in contact before, which only laws with a memory ask.
     """
 
-    code: ClassVar[int]
+    remembers: ClassVar[bool] = False
+    """Whether it matters if a pair was in contact before."""
 
-    @property
-    def adhesion(self) -> float:
-        """√(6πσ), the adhesion constant that the kernels take."""
+    @abstractmethod
+    def constants(self) -> Any:
+        """Return the constants of the law's function, made by ``constants_of``."""
 
-    def force(
-        self,
-        overlap: ArrayLike,
-        modulus: ArrayLike,
-        radius: ArrayLike,
-        *,
-        rest: ArrayLike | None = None,
-        touching: ArrayLike = False,
-    ) -> FloatArray:
-        """Return the pair force in nN, positive where it pushes apart."""
-
-    def stiffness(
-        self,
-        overlap: ArrayLike,
-        modulus: ArrayLike,
-        radius: ArrayLike,
-        *,
-        rest: ArrayLike | None = None,
-        touching: ArrayLike = False,
-    ) -> FloatArray:
-        """Return dF/dh in nN/µm."""
-
-    def energy(
-        self,
-        overlap: ArrayLike,
-        modulus: ArrayLike,
-        radius: ArrayLike,
-        *,
-        rest: ArrayLike | None = None,
-        touching: ArrayLike = False,
-    ) -> FloatArray:
-        """Return the pair energy in fJ: its slope dU/dh is the force."""
-
-    def contact_radius(
-        self,
-        overlap: ArrayLike,
-        modulus: ArrayLike,
-        radius: ArrayLike,
-        *,
-        rest: ArrayLike | None = None,
-        touching: ArrayLike = False,
-    ) -> FloatArray:
-        """Return the radius of the contact disc in µm, zero out of contact."""
-
+    @abstractmethod
     def equilibrium_overlap(self, modulus: ArrayLike, radius: ArrayLike) -> FloatArray:
         """Return the overlap without force in µm."""
 
@@ -113,3 +70,115 @@ class PairLaw(Protocol):
         It never falls with ``radius`` and ``rest`` and never rises with ``modulus``, so that the
         extremes of a population bound it for all pairs.
         """
+        return np.zeros(np.broadcast_shapes(np.shape(modulus), np.shape(radius)))
+
+    def contact_radius(
+        self,
+        overlap: ArrayLike,
+        modulus: ArrayLike,
+        radius: ArrayLike,
+        *,
+        rest: ArrayLike | None = None,
+        touching: ArrayLike = False,
+    ) -> FloatArray:
+        """Return the radius of the contact disc in µm: √(r_ij h) in the Hertz picture."""
+        return np.asarray(np.sqrt(np.maximum(overlap, 0.0) * np.asarray(radius, dtype=float)))
+
+    def pair_memory(
+        self, adhesion: ArrayLike, modulus: ArrayLike, radius: ArrayLike, touching: ArrayLike
+    ) -> tuple[Any, Any]:
+        """Return the law's unit of overlap in µm, and the overlap in it from which a pair acts.
+
+        Only a law that ``remembers`` is asked. ``adhesion`` is √(6πσ_ij) of the pairs.
+        """
+        raise NotImplementedError(f"{type(self).__name__} does not remember contacts")
+
+    @property
+    def adhesion(self) -> float:
+        """√(6πσ) of the law's surface energy in (nN/µm)^½, zero for a law that has none."""
+        return float(self.adhesion_of(getattr(self, "surface_energy", 0.0)))
+
+    def adhesion_of(self, surface_energy: ArrayLike) -> FloatArray:
+        """Return √(6πσ) in (nN/µm)^½ of surface energies in nN/µm."""
+        return np.asarray(np.sqrt(6.0 * np.pi * np.asarray(surface_energy, dtype=float)))
+
+    def force(
+        self,
+        overlap: ArrayLike,
+        modulus: ArrayLike,
+        radius: ArrayLike,
+        *,
+        rest: ArrayLike | None = None,
+        touching: ArrayLike = False,
+    ) -> FloatArray:
+        """Return the pair force in nN, positive where it pushes apart."""
+        return self.evaluate(overlap, modulus, radius, rest=rest, touching=touching)[0]
+
+    def stiffness(
+        self,
+        overlap: ArrayLike,
+        modulus: ArrayLike,
+        radius: ArrayLike,
+        *,
+        rest: ArrayLike | None = None,
+        touching: ArrayLike = False,
+    ) -> FloatArray:
+        """Return dF/dh in nN/µm."""
+        return self.evaluate(overlap, modulus, radius, rest=rest, touching=touching)[1]
+
+    def energy(
+        self,
+        overlap: ArrayLike,
+        modulus: ArrayLike,
+        radius: ArrayLike,
+        *,
+        rest: ArrayLike | None = None,
+        touching: ArrayLike = False,
+    ) -> FloatArray:
+        """Return the pair energy in fJ: its slope dU/dh is the force."""
+        return self.evaluate(overlap, modulus, radius, rest=rest, touching=touching)[2]
+
+    def evaluate(
+        self,
+        overlap: ArrayLike,
+        modulus: ArrayLike,
+        radius: ArrayLike,
+        *,
+        rest: ArrayLike | None = None,
+        touching: ArrayLike = False,
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return force (nN), stiffness (nN/µm) and energy (fJ) at once.
+
+        The law's function is called as it is, once for each element.
+
+        Raises
+        ------
+        TypeError
+            For a law that needs ``rest`` where it is not given.
+        """
+        constants = self.constants()
+        function = function_of(constants)
+        if rest is None and self.needs_rest:
+            raise TypeError(f"{type(self).__name__} needs rest=..., the sum r_i + r_j in µm")
+        further: dict[str, Any] = {"rest": np.nan if rest is None else rest}
+        further["adhesion"] = self.adhesion
+        if self.remembers:
+            memory = self.pair_memory(self.adhesion, modulus, radius, touching)
+            further |= zip(("unit", "onset"), memory, strict=True)
+
+        def one(overlap: float, modulus: float, radius: float, *own: float) -> Any:
+            return function.whole(overlap, modulus, radius, constants, *own)
+
+        arrays = [overlap, modulus, radius, *(further[name] for name in function.further)]
+        columns = [np.asarray(column, dtype=float) for column in arrays]
+        force, stiffness, energy = np.frompyfunc(one, len(columns), 3)(*columns)
+        return _floats(force), _floats(stiffness), _floats(energy)
+
+    @property
+    def needs_rest(self) -> bool:
+        """Whether the law asks for the sum of the radii."""
+        return "rest" in function_of(self.constants()).further
+
+
+def _floats(values: Any) -> FloatArray:
+    return np.asarray(values, dtype=float)

@@ -39,12 +39,14 @@ class Pair:
 
     def force(self, overlap: ArrayLike) -> FloatArray:
         """Return the force in nN of a pair in contact at overlaps in µm."""
-        force = self.law.force(overlap, self.modulus, self.radius, rest=self.rest, touching=True)
+        force, _, _ = self.law.evaluate(
+            overlap, self.modulus, self.radius, rest=self.rest, touching=True
+        )
         return np.asarray(force - math.pi * self.radius * self.bonds * np.maximum(overlap, 0.0))
 
     def stiffness(self, overlap: float) -> float:
         """Return dF/dh in nN/µm of a pair in contact."""
-        slope = self.law.stiffness(
+        _, slope, _ = self.law.evaluate(
             overlap, self.modulus, self.radius, rest=self.rest, touching=True
         )
         return float(slope) - math.pi * self.radius * self.bonds * (overlap > 0.0)

@@ -1,8 +1,9 @@
-"""The contact laws by their names in a scene."""
+"""The contact laws by their names in a scene: ours, and those that were made in this process."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, final
 
 from multicell.contact.exact_jkr import ExactJKR
 from multicell.contact.hertz import Hertz
@@ -13,12 +14,55 @@ if TYPE_CHECKING:
     from multicell.contact.law import PairLaw
 
 
-LAWS: dict[str, type[PairLaw]] = {
-    "hertz": Hertz,
-    "jkr": JKR,
-    "exact-jkr": ExactJKR,
-    "linear": Linear,
-    "cubic": Cubic,
-    "generalised-linear": GeneralisedLinear,
-}
-"""Pair laws by the name that a scene gives."""
+@final
+class Laws(Mapping[str, "type[PairLaw]"]):
+    """Pair laws by the name that a scene gives.
+
+    A law of the user's own is named ``file.py:name@fingerprint``. Without the fingerprint the name
+    means the one that was made last; with it no other law is taken for it, so that a scene on disk
+    means the same law for ever.
+    """
+
+    def __init__(self, laws: Mapping[str, type[PairLaw]]) -> None:
+        self._laws = dict(laws)
+        self._latest: dict[str, str] = {}
+
+    def add(self, source: str, fingerprint: str, law: type[PairLaw]) -> None:
+        """Enter a law of the user's own."""
+        name = f"{source}@{fingerprint}"
+        self._laws[name] = law
+        self._latest[source] = name
+
+    def __getitem__(self, name: str) -> type[PairLaw]:
+        return self._laws[self._latest.get(name, name)]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._laws or name in self._latest
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._laws)
+
+    def __len__(self) -> int:
+        return len(self._laws)
+
+    def hint(self, name: str) -> str:
+        """Return what helps where a scene names a law of the user's own that is not there."""
+        source = name.partition("@")[0]
+        if source in self._latest:
+            return f"'{source}' has changed since: as it is now it is '{self._latest[source]}'."
+        if ":" not in source:
+            return ""
+        return f"No scene runs a file by itself: name it with --law {source}, or import it first."
+
+
+LAWS = Laws(
+    {
+        "hertz": Hertz,
+        "jkr": JKR,
+        "exact-jkr": ExactJKR,
+        "linear": Linear,
+        "cubic": Cubic,
+        "generalised-linear": GeneralisedLinear,
+    }
+)
+"""All pair laws; those of the user's own are entered by :func:`multicell.pair_law`."""

@@ -23,88 +23,79 @@ length cubed, which is ``stiffness`` / H² here (its 50 is a stiffness of 12.5 a
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, ClassVar, final
+import math
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from multicell.contact.exact_jkr import contact_radius
+from multicell.contact.constants import TINY, constants_of
+from multicell.contact.law import PairLaw
 from multicell.schema import number, parameters, quantity
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
 
 
-class Spring(ABC):
-    """What the spring laws share: they are zero beyond their cutoff and in equilibrium at rest."""
+def linear(
+    overlap: float, modulus: float, radius: float, p: Any, rest: float
+) -> tuple[float, float, float]:
+    """Return force, stiffness and energy of ``Linear``."""
+    end = (p.cutoff - 1.0) * rest
+    if overlap <= -end:
+        return 0.0, 0.0, 0.0
+    mu = p.stiffness
+    return mu * overlap, mu, 0.5 * mu * (overlap * overlap - end * end)
 
-    code: ClassVar[int]
+
+def cubic(
+    overlap: float, modulus: float, radius: float, p: Any, rest: float
+) -> tuple[float, float, float]:
+    """Return force, stiffness and energy of ``Cubic``."""
+    mu, end = p.stiffness, (p.cutoff - 1.0) * rest
+    # zero beyond the cutoff, where the square would rise again
+    h = max(overlap, -end)
+    x = h / end
+    energy = mu * (h * h * (0.5 + x * (2.0 / 3.0 + 0.25 * x)) - end * end / 12.0)
+    slope = mu * (1.0 + x) * (1.0 + 3.0 * x)
+    return mu * h * (1.0 + x) * (1.0 + x), slope, energy if overlap > -end else 0.0
+
+
+def generalised_linear(
+    overlap: float, modulus: float, radius: float, p: Any, rest: float
+) -> tuple[float, float, float]:
+    """Return force, stiffness and energy of ``GeneralisedLinear``."""
+    end = (p.cutoff - 1.0) * rest
+    if overlap <= -end:
+        return 0.0, 0.0, 0.0
+    mu, scale = p.stiffness, p.stiffness * (rest / p.decay) * (rest / p.decay)
+    far = -p.decay * end / rest
+    energy = -scale * ((far - 1.0) * math.exp(far) + 1.0)
+    if overlap < 0.0:
+        x = p.decay * overlap / rest
+        fading = math.exp(x)
+        energy += scale * ((x - 1.0) * fading + 1.0)
+        return mu * overlap * fading, mu * (1.0 + x) * fading, energy
+    # x log x tends to 0 as the centres meet
+    gap = max(1.0 - overlap / rest, TINY)
+    rise = math.log(gap)
+    energy += mu * rest * rest * (gap * rise + 1.0 - gap)
+    return -mu * rest * rise, mu / gap, energy
+
+
+_LinearConstants = constants_of(linear, "stiffness", "cutoff")
+_CubicConstants = constants_of(cubic, "stiffness", "cutoff")
+_GeneralisedConstants = constants_of(generalised_linear, "stiffness", "cutoff", "decay")
+
+
+class Spring(PairLaw):
+    """What the spring laws share: they are zero beyond their cutoff and in equilibrium at rest.
+
+    ``force``, ``stiffness`` and ``energy`` need the keyword ``rest`` (µm).
+    """
+
     stiffness_at_rest: float
     cutoff: float
-
-    @property
-    def adhesion(self) -> float:
-        """Zero: no surface energy."""
-        return 0.0
-
-    def force(
-        self,
-        overlap: ArrayLike,
-        modulus: ArrayLike,
-        radius: ArrayLike,
-        *,
-        rest: ArrayLike | None = None,
-        touching: ArrayLike = False,
-    ) -> FloatArray:
-        """Return the force in nN at an overlap (µm) and the rest distance ``rest`` (µm).
-
-        Raises
-        ------
-        TypeError
-            Without ``rest``.
-        """
-        h, s, range_ = self._geometry(overlap, modulus, radius, rest)
-        return np.where(h > -range_, self._force(np.maximum(h, -range_), s, range_), 0.0)
-
-    def stiffness(
-        self,
-        overlap: ArrayLike,
-        modulus: ArrayLike,
-        radius: ArrayLike,
-        *,
-        rest: ArrayLike | None = None,
-        touching: ArrayLike = False,
-    ) -> FloatArray:
-        """Return dF/dh in nN/µm, zero beyond the cutoff; see :meth:`force`."""
-        h, s, range_ = self._geometry(overlap, modulus, radius, rest)
-        return np.where(h > -range_, self._slope(np.maximum(h, -range_), s, range_), 0.0)
-
-    def energy(
-        self,
-        overlap: ArrayLike,
-        modulus: ArrayLike,
-        radius: ArrayLike,
-        *,
-        rest: ArrayLike | None = None,
-        touching: ArrayLike = False,
-    ) -> FloatArray:
-        """Return ∫F dh from the cutoff in fJ: zero there and beyond; see :meth:`force`."""
-        h, s, range_ = self._geometry(overlap, modulus, radius, rest)
-        inside = np.maximum(h, -range_)
-        return np.asarray(self._integral(inside, s, range_) - self._integral(-range_, s, range_))
-
-    def contact_radius(
-        self,
-        overlap: ArrayLike,
-        modulus: ArrayLike,
-        radius: ArrayLike,
-        *,
-        rest: ArrayLike | None = None,
-        touching: ArrayLike = False,
-    ) -> FloatArray:
-        """Return √(r_ij h) in µm, the Hertz picture: a spring itself has no contact."""
-        return contact_radius(overlap, radius)
 
     def equilibrium_overlap(self, modulus: ArrayLike, radius: ArrayLike) -> FloatArray:
         """Return zero: the pair rests at s (µm)."""
@@ -113,33 +104,17 @@ class Spring(ABC):
     def reach(
         self, modulus: ArrayLike, radius: ArrayLike, *, rest: ArrayLike | None = None
     ) -> FloatArray:
-        """Return H = (cutoff - 1) s in µm."""
-        _, _, range_ = self._geometry(0.0, modulus, radius, rest)
-        return range_
+        """Return H = (cutoff - 1) s in µm.
 
-    def _geometry(
-        self,
-        overlap: ArrayLike,
-        modulus: ArrayLike,
-        radius: ArrayLike,
-        rest: ArrayLike | None,
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return h, s and H in one shape."""
+        Raises
+        ------
+        TypeError
+            Without ``rest``.
+        """
         if rest is None:
             raise TypeError(f"{type(self).__name__} needs rest=..., the sum r_i + r_j in µm")
-        h, s, _, _ = np.broadcast_arrays(overlap, rest, modulus, radius)
-        h, s = h.astype(float), s.astype(float)
-        return h, s, (self.cutoff - 1.0) * s
-
-    @abstractmethod
-    def _force(self, h: FloatArray, s: FloatArray, range_: FloatArray) -> FloatArray: ...
-
-    @abstractmethod
-    def _slope(self, h: FloatArray, s: FloatArray, range_: FloatArray) -> FloatArray: ...
-
-    @abstractmethod
-    def _integral(self, h: FloatArray, s: FloatArray, range_: FloatArray) -> FloatArray:
-        """Return the integral of the force from 0 to h."""
+        length, _, _ = np.broadcast_arrays(np.asarray(rest, dtype=float), modulus, radius)
+        return np.asarray((self.cutoff - 1.0) * length)
 
 
 @final
@@ -151,7 +126,6 @@ class Linear(Spring):
     μ H, as it does in CBMOS, and so it is not for integrators that need a continuous force.
     """
 
-    code: ClassVar[int] = 3
     stiffness_at_rest: float = quantity(
         "nN/um", default=1.0, above=0.0, doc="Spring stiffness μ at rest"
     )
@@ -162,14 +136,9 @@ class Linear(Spring):
         doc="Largest distance at which the law acts / rest distance",
     )
 
-    def _force(self, h: FloatArray, s: FloatArray, range_: FloatArray) -> FloatArray:
-        return self.stiffness_at_rest * h
-
-    def _slope(self, h: FloatArray, s: FloatArray, range_: FloatArray) -> FloatArray:
-        return np.full(h.shape, self.stiffness_at_rest)
-
-    def _integral(self, h: FloatArray, s: FloatArray, range_: FloatArray) -> FloatArray:
-        return 0.5 * self.stiffness_at_rest * h * h
+    def constants(self) -> Any:
+        """Return the constants of :func:`linear`."""
+        return _LinearConstants(self.stiffness_at_rest, self.cutoff)
 
 
 @final
@@ -177,7 +146,6 @@ class Linear(Spring):
 class Cubic(Spring):
     """The cubic law of CBMOS, F = μ h (1 + h / H)²: force and slope end in zero at the cutoff."""
 
-    code: ClassVar[int] = 4
     stiffness_at_rest: float = quantity(
         "nN/um", default=1.0, above=0.0, doc="Spring stiffness μ at rest"
     )
@@ -188,16 +156,9 @@ class Cubic(Spring):
         doc="Largest distance at which the law acts / rest distance",
     )
 
-    def _force(self, h: FloatArray, s: FloatArray, range_: FloatArray) -> FloatArray:
-        return self.stiffness_at_rest * h * np.square(1.0 + h / range_)
-
-    def _slope(self, h: FloatArray, s: FloatArray, range_: FloatArray) -> FloatArray:
-        x = h / range_
-        return self.stiffness_at_rest * (1.0 + x) * (1.0 + 3.0 * x)
-
-    def _integral(self, h: FloatArray, s: FloatArray, range_: FloatArray) -> FloatArray:
-        x = h / range_
-        return self.stiffness_at_rest * h * h * (0.5 + x * (2.0 / 3.0 + 0.25 * x))
+    def constants(self) -> Any:
+        """Return the constants of :func:`cubic`."""
+        return _CubicConstants(self.stiffness_at_rest, self.cutoff)
 
 
 @final
@@ -209,7 +170,6 @@ class GeneralisedLinear(Spring):
     is infinite where they coincide. At the cutoff it jumps by μ H e^{-α H / s}.
     """
 
-    code: ClassVar[int] = 5
     stiffness_at_rest: float = quantity(
         "nN/um", default=1.0, above=0.0, doc="Spring stiffness μ at rest"
     )
@@ -223,26 +183,6 @@ class GeneralisedLinear(Spring):
         default=5.0, above=0.0, at_most=1e3, doc="α: how fast the attraction fades"
     )
 
-    def _force(self, h: FloatArray, s: FloatArray, range_: FloatArray) -> FloatArray:
-        with np.errstate(divide="ignore"):
-            repulsion = -s * np.log1p(-np.maximum(h, 0.0) / s)
-        attraction = np.minimum(h, 0.0)
-        return self.stiffness_at_rest * (repulsion + attraction * self._fading(attraction, s))
-
-    def _slope(self, h: FloatArray, s: FloatArray, range_: FloatArray) -> FloatArray:
-        with np.errstate(divide="ignore"):
-            repulsion = 1.0 / (1.0 - np.maximum(h, 0.0) / s)
-        apart = np.minimum(h, 0.0)
-        attraction = (1.0 + self.decay * apart / s) * self._fading(apart, s)
-        return self.stiffness_at_rest * np.where(h < 0.0, attraction, repulsion)
-
-    def _integral(self, h: FloatArray, s: FloatArray, range_: FloatArray) -> FloatArray:
-        gap = 1.0 - np.maximum(h, 0.0) / s
-        # x log x → 0 as the centres meet
-        repulsion = s * s * (gap * np.log(np.where(gap > 0.0, gap, 1.0)) + 1.0 - gap)
-        x = self.decay * np.minimum(h, 0.0) / s
-        attraction = np.square(s / self.decay) * ((x - 1.0) * np.exp(x) + 1.0)
-        return self.stiffness_at_rest * (repulsion + attraction)
-
-    def _fading(self, h: FloatArray, s: FloatArray) -> FloatArray:
-        return np.exp(self.decay * h / s)
+    def constants(self) -> Any:
+        """Return the constants of :func:`generalised_linear`."""
+        return _GeneralisedConstants(self.stiffness_at_rest, self.cutoff, self.decay)

@@ -40,8 +40,8 @@ def stiffness_scale(system: Mechanics) -> float:
     at = int(stiffest.argmax())
     young, poisson = motion.young[at], motion.poisson[at]
     modulus = effective_modulus(young, poisson, young, poisson)
-    pair = system.law.stiffness(0.25 * radius, modulus, 0.5 * radius, rest=2.0 * radius)
-    return _CONTACTS * abs(float(pair)) / (system.drag * radius)
+    _, slope, _ = system.law.evaluate(0.25 * radius, modulus, 0.5 * radius, rest=2.0 * radius)
+    return _CONTACTS * abs(float(slope)) / (system.drag * radius)
 
 
 def beyond(system: Mechanics, position: FloatArray, atol: float = 0.0) -> Outcome | None:

@@ -302,9 +302,8 @@ def needs_python(system: Mechanics) -> bool:
     that scenes without them do not load. The loops are the same then, uncompiled around
     compiled arithmetic.
     """
-    between_types = system.surface_energies is not None and system.motion.kind is not None
     rubbed = max(system.friction) > 0.0 or system.walls is not None
-    return between_types or system.law.code == forces.EXACT_JKR or rubbed
+    return system.has_pair_values or rubbed
 
 
 def _runge_kutta(
@@ -438,11 +437,10 @@ def _worst(state: FloatArray) -> int | None:
 def _borrow(system: Mechanics, counts: Any) -> tuple[Any, forces.PairData]:
     """Return what the kernels need, with a list of its own or one that is built at first use."""
     motion = system.motion
-    nothing, none = np.empty((0, 0)), np.empty(0)
     chunks = -(-len(system) // system.chunk)
     if system._pairs is None:
         index, ends = np.empty(0, dtype=np.int32), np.zeros(chunks, dtype=np.int64)
-        pairs = forces.PairData(index, index, ends, ends, ends, none, nothing, none)
+        pairs = forces.PairData(index, index, ends, ends, ends, None, None, None)
         # no cell is close to a place that is not a number: the first evaluation builds
         reference = np.full((len(system), 3), np.nan)
     else:
@@ -453,13 +451,13 @@ def _borrow(system: Mechanics, counts: Any) -> tuple[Any, forces.PairData]:
         reference,
         motion.radius,
         motion.radius_rate,
-        nothing if motion.bonds is None else motion.bonds,
-        nothing if motion.push is None else motion.push,
+        motion.bonds,
+        motion.push,
     )
     shared = system.threads > 1 and chunks >= system.shared_chunks
     kind = stepping.Shared if shared else stepping.Serial
     source = kind(
-        cells, system._slack.data, system._law, system._list_radius, system._skin, system._rows,
+        cells, system._offsets.data, system._law, system._list_radius, system._skin, system._rows,
         counts,
     )  # fmt: skip
     return source, pairs

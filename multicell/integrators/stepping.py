@@ -46,8 +46,8 @@ class Serial(NamedTuple):
     """What the kernels need besides the pairs; ``cells.reference`` is written here."""
 
     cells: forces.CellData
-    slack: forces.SlackData
-    law: forces.LawData
+    offsets: forces.OffsetData | None
+    law: Any
     reach: FloatArray
     skin: float
     rows: FloatArray
@@ -58,8 +58,8 @@ class Shared(NamedTuple):
     """The same for many cells: chunks are shared among threads."""
 
     cells: forces.CellData
-    slack: forces.SlackData
-    law: forces.LawData
+    offsets: forces.OffsetData | None
+    law: Any
     reach: FloatArray
     skin: float
     rows: FloatArray
@@ -149,7 +149,7 @@ def _compiled_evaluate(source, pairs, elapsed, position, out):
 def _evaluate_serial(source, pairs, elapsed, position, out):
     source.counts[EVALUATIONS] += 1
     while forces.forces(
-        source.cells, pairs, source.slack, source.law, position, elapsed, True, source.rows, out
+        source.cells, pairs, source.offsets, source.law, position, elapsed, True, source.rows, out
     ):
         if not _is_finite(position):
             return NOT_FINITE, pairs
@@ -169,7 +169,7 @@ def _evaluate_serial(source, pairs, elapsed, position, out):
 def _evaluate_shared(source, pairs, elapsed, position, out):
     source.counts[EVALUATIONS] += 1
     while forces.forces_parallel(
-        source.cells, pairs, source.slack, source.law, position, elapsed, True, source.rows, out
+        source.cells, pairs, source.offsets, source.law, position, elapsed, True, source.rows, out
     ):
         if not _is_finite(position):
             return NOT_FINITE, pairs

@@ -1,11 +1,11 @@
-"""Pairs that feel only the overlap beyond a slack, so that sisters part smoothly.
+"""Pairs that feel only the overlap beyond an offset, so that sisters part smoothly.
 
-Right after a division two daughters overlap deeply. In the law of a pair with slack s(t) the
+Right after a division two daughters overlap deeply. In the law of a pair with the offset s(t) the
 overlap h = r_i + r_j - d is replaced by h - s(t): with s = h - h₀ (h₀ the law's overlap at rest)
 the pair is at rest where it is, and as s runs to zero the rest distance r_i + r_j - h₀ - s grows
 to that of any other pair. At a given time the force is minus the gradient of the energy
-Σ U(h - s), as without slack; while s falls, the energy may rise by Σ F (-ds/dt): the work that the
-division does.
+Σ U(h - s), as without an offset; while s falls, the energy may rise by Σ F (-ds/dt): the work that
+the division does.
 """
 
 from __future__ import annotations
@@ -19,26 +19,23 @@ from numpy.typing import NDArray
 from multicell.cells import FloatArray, IntArray
 from multicell.mechanics import forces
 
-LawOfPairs = Callable[[IntArray, IntArray], tuple[FloatArray, FloatArray, FloatArray]]
+PairValues = tuple[FloatArray | None, FloatArray | None, FloatArray | None]
+"""What a law keeps for each of some pairs; see :class:`~multicell.mechanics.forces.PairData`."""
 
 _NO_INDEX = np.empty(0, dtype=np.int64)
-_NO_VALUES = np.empty(0)
-_NONE = forces.SlackData(
-    _NO_INDEX, _NO_INDEX, _NO_VALUES, _NO_VALUES, _NO_VALUES, np.empty((0, 0)), _NO_VALUES
-)
 
 
 @final
-class Slack:
-    """What :class:`~multicell.mechanics.system.Mechanics` keeps for the pairs with slack in a step.
+class Offsets:
+    """What :class:`~multicell.mechanics.system.Mechanics` keeps of pairs with an offset in a step.
 
     Attributes
     ----------
     data
-        The pairs as the kernels take them.
+        The pairs as the kernels take them, or None where no pair has an offset.
     """
 
-    def __init__(self, data: forces.SlackData) -> None:
+    def __init__(self, data: forces.OffsetData | None) -> None:
         self.data = data
         self._pairs: forces.PairData | None = None
         self._places: tuple[IntArray, IntArray] = (_NO_INDEX, _NO_INDEX)
@@ -48,95 +45,79 @@ class Slack:
         cls,
         n: int,
         pairs: NDArray[Any] | None,
-        slack: FloatArray | None,
-        law: LawOfPairs,
-        adhesion: float,
-    ) -> Slack:
-        """Return the pairs with slack of a coupling step among ``n`` cells.
+        offset: FloatArray | None,
+        values: Callable[[IntArray, IntArray], PairValues],
+    ) -> Offsets:
+        """Return the pairs with an offset of a coupling step among ``n`` cells.
 
         Parameters
         ----------
         n
             Number of cells.
-        pairs, slack
+        pairs, offset
             See :class:`~multicell.mechanics.system.Motion`.
-        law
-            Returns for the two cells of each pair what the law keeps for it; see
-            :class:`~multicell.mechanics.forces.PairData`.
-        adhesion
-            √(6πσ) where the law keeps none for each pair.
+        values
+            Returns for the two cells of each pair what the law keeps for it.
 
         Raises
         ------
         ValueError
             If only one of the two is given, if a pair is no pair of cells, stands twice or has
-            its larger index first, or if a slack is not finite or negative at the beginning.
+            its larger index first, or if an offset is not finite or negative at the beginning.
         """
-        if pairs is None and slack is None:
-            return cls(_NONE)
-        if pairs is None or slack is None:
-            raise ValueError("slack_pairs and slack go together, only one is given")
-        check(n, pairs, slack)
+        if pairs is None and offset is None:
+            return cls(None)
+        if pairs is None or offset is None:
+            raise ValueError("offset_pairs and offset go together, only one is given")
+        check(n, pairs, offset)
         if len(pairs) == 0:
-            return cls(_NONE)
+            return cls(None)
         own = np.concatenate([pairs[:, 0], pairs[:, 1]]).astype(np.int64)
         other = np.concatenate([pairs[:, 1], pairs[:, 0]]).astype(np.int64)
         order = np.lexsort((other, own))
         own, other = own[order], other[order]
-        value, rate = np.concatenate([slack, slack])[order].T
-        sticky, unit, onset = law(own, other)
-        m = len(own)
-        data = forces.SlackData(
-            np.searchsorted(own, np.arange(n + 1)),
-            other,
-            np.array(value, dtype=float),
-            np.array(rate, dtype=float),
-            sticky if sticky.size else np.full(m, adhesion),
-            unit if unit.size else np.zeros((2, m)),
-            onset if onset.size else np.zeros(m),
-        )
-        return cls(data)
-
-    def __bool__(self) -> bool:
-        """Return whether any pair has slack."""
-        return bool(self.data.other.size)
+        value, rate = np.concatenate([offset, offset])[order].astype(float).T.copy()
+        begin = np.searchsorted(own, np.arange(n + 1))
+        return cls(forces.OffsetData(begin, other, value, rate, *values(own, other)))
 
     def places(self, pairs: forces.PairData) -> tuple[IntArray, IntArray]:
-        """Return the places of the pairs with slack in a neighbour list, and their entries."""
+        """Return the places of the pairs with an offset in a neighbour list, and their entries."""
         if self._pairs is not pairs:
-            self._places = forces.slack_places(pairs, self.data)
+            self._places = forces.offset_places(pairs, self.data)
             self._pairs = pairs
         return self._places
 
-    def listed(self, pairs: forces.PairData, elapsed: float) -> FloatArray:
-        """Return the slack of each place of a neighbour list, µm; empty without any slack."""
-        if not self:
-            return _NO_VALUES
+    def listed(self, pairs: forces.PairData, elapsed: float) -> FloatArray | None:
+        """Return the offset of each place of a neighbour list, µm; None without any."""
+        if self.data is None:
+            return None
         places, entries = self.places(pairs)
         amounts = np.zeros(len(pairs.first))
-        amounts[places] = forces.slack_of_places(self.data, entries, elapsed)
+        amounts[places] = np.maximum(
+            self.data.value[entries] + self.data.rate[entries] * elapsed, 0.0
+        )
         return amounts
 
 
-def check(n: int, pairs: NDArray[Any], slack: FloatArray) -> None:
-    """Raise ValueError if pairs with slack have no meaning; see :meth:`Slack.of`."""
-    if pairs.ndim != 2 or pairs.shape[1] != 2 or slack.shape != pairs.shape:
+def check(n: int, pairs: NDArray[Any], offset: FloatArray) -> None:
+    """Raise ValueError if pairs with an offset have no meaning; see :meth:`Offsets.of`."""
+    if pairs.ndim != 2 or pairs.shape[1] != 2 or offset.shape != pairs.shape:
         raise ValueError(
-            f"slack_pairs has shape {pairs.shape} and slack {slack.shape}, must both be (m, 2)"
+            f"offset_pairs has shape {pairs.shape} and offset {offset.shape}, must both be (m, 2)"
         )
     low, high = pairs.T
     wrong = ~((low >= 0) & (low < high) & (high < n))
     if wrong.any():
         raise ValueError(
-            f"{pairs[wrong][0].tolist()} in slack_pairs: must be two of {n} cells, "
+            f"{pairs[wrong][0].tolist()} in offset_pairs: must be two of {n} cells, "
             "smaller index first"
         )
     if len(np.unique(pairs, axis=0)) < len(pairs):
-        raise ValueError("a pair stands twice in slack_pairs")
-    wrong = ~(np.isfinite(slack).all(axis=1) & (slack[:, 0] >= 0.0))
+        raise ValueError("a pair stands twice in offset_pairs")
+    wrong = ~(np.isfinite(offset).all(axis=1) & (offset[:, 0] >= 0.0))
     if wrong.any():
         k = int(wrong.argmax())
         raise ValueError(
-            f"slack of {pairs[k].tolist()} is {slack[k, 0]:g} µm with rate {slack[k, 1]:g} µm/s: "
-            "must be finite, and not below 0 at the beginning"
+            f"offset of {pairs[k].tolist()} is {offset[k, 0]:g} µm with rate {offset[k, 1]:g} "
+            "µm/s: must be finite, and not below 0 at the beginning"
         )

@@ -29,7 +29,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from multicell.mechanics.forces import NEARLY_SINGULAR, invert_by_pivots
+from multicell.mechanics.blocks import NEARLY_SINGULAR, invert_by_pivots
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray

@@ -14,20 +14,18 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.cells import SPHERE
-from multicell.contact.exact_jkr import exact_units
+from multicell.cells import SPHERE, FloatArray
 from multicell.contact.law import PairLaw, compliance, effective_radius
-from multicell.mechanics import forces, neighbours
-from multicell.mechanics.division_offset import Slack
+from multicell.contact.springs import Spring
+from multicell.mechanics import blocks, forces, neighbours
+from multicell.mechanics.division_offset import Offsets, PairValues
 
 if TYPE_CHECKING:
-    from multicell.cells import FloatArray
     from multicell.mechanics.friction import Rubbing
     from multicell.mechanics.walls import Walls
 
 
 _NOTHING = np.empty((0, 0))
-_NO_VALUES = np.empty(0)
 
 
 class StateRejected(Exception):  # noqa: N818 - what happened to a trial state, not a fault
@@ -83,10 +81,11 @@ class Motion:
         Type of each cell, an index into the matrix of surface energies.
     touching : (m, 2) int, optional
         Pairs in contact at ``begin``, smaller index first; only exact JKR asks.
-    slack_pairs : (m, 2) int, optional
-        Pairs that feel only the overlap beyond their slack, smaller index first, none twice.
-    slack : (m, 2), optional
-        Their slack at ``begin``, µm, and its constant rate, µm/s; it ends where it reaches zero.
+    offset_pairs : (m, 2) int, optional
+        Pairs that feel only the overlap beyond their offset, smaller index first, none twice; see
+        :mod:`multicell.mechanics.division_offset`.
+    offset : (m, 2), optional
+        Their offset at ``begin``, µm, and its constant rate, µm/s; it ends where it reaches zero.
     """
 
     radius: FloatArray
@@ -99,8 +98,8 @@ class Motion:
     push: FloatArray | None = None
     kind: NDArray[Any] | None = None
     touching: NDArray[Any] | None = None
-    slack_pairs: NDArray[Any] | None = None
-    slack: FloatArray | None = None
+    offset_pairs: NDArray[Any] | None = None
+    offset: FloatArray | None = None
 
 
 @final
@@ -172,23 +171,9 @@ class Mechanics:
 
     def __post_init__(self) -> None:
         self.drag = 6.0 * math.pi * self.viscosity
-        self._law = forces.LawData(
-            self.law.code,
-            self.law.adhesion,
-            self._constant("smoothing"),
-            self._constant("stiffness_at_rest"),
-            self._constant("cutoff"),
-            self._constant("decay"),
-            float(self.bond_strength),
-            self.drag,
-        )
         self._pairs: neighbours.PairList | None = None
         self._linear: Linearisation | None = None
         self._rubbing: Rubbing | None = None
-
-    def _constant(self, name: str) -> float:
-        """Return a parameter of the law, zero where the law has none of that name."""
-        return float(getattr(self.law, name, 0.0))
 
     def begin(self, motion: Motion) -> None:
         """Take the radii and moduli for a coupling step; the old list is dropped.
@@ -196,11 +181,17 @@ class Mechanics:
         Raises
         ------
         ValueError
-            If the motion's pairs with slack or their slack have no meaning.
+            If the motion's pairs with an offset or their offsets have no meaning.
         """
         self.motion = motion
         n = len(motion.radius)
-        width = 5 if motion.bonds is None else 7
+        bonded = motion.bonds is not None
+        width = 7 if bonded else 5
+        self._law = self.law.constants()._replace(
+            adhesion_constant=self.law.adhesion,
+            bond_strength=float(self.bond_strength) if bonded else None,
+            medium_drag=self.drag,
+        )
         self._rows = np.zeros((n, width))
         self._rows[:, 4] = compliance(motion.young, motion.poisson)
         self._end_radius = motion.radius + motion.radius_rate * (motion.end - motion.begin)
@@ -208,9 +199,7 @@ class Mechanics:
         self._skin = self.skin * float(largest.mean()) if n else 0.0
         self._list_radius = self._reaching(largest)
         self._pairs = self._linear = None
-        self._slack = Slack.of(
-            n, motion.slack_pairs, motion.slack, self._law_of_pairs, self.law.adhesion
-        )
+        self._offsets = Offsets.of(n, motion.offset_pairs, motion.offset, self._values_of)
         self._blocks = np.empty((n, 6))
         self._inverse = np.empty((n, 6))
         if max(self.friction) > 0.0:
@@ -237,7 +226,7 @@ class Mechanics:
         pairs = self._forces(time, position, False, rubbing.force)
         try:
             iterations = rubbing.velocity(
-                self._rows, pairs, self._shared(pairs), self._slack_listed(time), out
+                self._rows, pairs, self._shared(pairs), self._listed_offsets(time), out
             )
         except rubbing.failure as error:
             raise StateRejected(str(error)) from error
@@ -261,15 +250,15 @@ class Mechanics:
         linear.data = self._pair_data
         if self.walls is not None:
             linear.walls = self.walls.stiffness(self._rows)
-        if self._slack:
+        if self._offsets.data is not None:
             forces.relinearise(
-                self._rows, self._pair_data, self._slack.data, self._law,
-                time - self.motion.begin, *self._slack.places(self._pair_data),
+                self._rows, self._pair_data, self._offsets.data, self._law,
+                time - self.motion.begin, *self._offsets.places(self._pair_data),
                 linear.along, linear.across,
             )  # fmt: skip
         if self._rubbing is not None:
             self._rubbing.linearise(
-                self._rows, pairs, self._shared(pairs), self._slack_listed(time)
+                self._rows, pairs, self._shared(pairs), self._listed_offsets(time)
             )
         return linear
 
@@ -312,12 +301,12 @@ class Mechanics:
         """Invert the 3 x 3 diagonal blocks of I - γJ, stable part, at the linearisation."""
         self.work.preconditioner_setups += 1
         self._fill_blocks(self._linearised())
-        forces.invert_blocks(self._rows, self._blocks, gamma, self.drag, self._inverse)
+        blocks.invert_blocks(self._rows, self._blocks, gamma, self.drag, self._inverse)
 
     def precondition(self, vector: FloatArray, out: FloatArray) -> None:
         """Write the solution of the block-diagonal system for ``vector``, (n, 3)."""
         self.work.preconditioner_solves += 1
-        forces.apply_blocks(self._inverse, _frozen(vector), out)
+        blocks.apply_blocks(self._inverse, _frozen(vector), out)
 
     def force(self, time: float, position: FloatArray) -> FloatArray:
         """Return the force of contacts, of walls and from outside on each cell, (n, 3) nN."""
@@ -329,18 +318,14 @@ class Mechanics:
         """Return the pairs in contact, (m, 2), smaller index first, in lexicographic order.
 
         Contact means an overlap above zero; under exact JKR a pair that was in contact at the
-        step's beginning stays so until it breaks. Of a pair with slack the overlap beyond it
+        step's beginning stays so until it breaks. Of a pair with an offset the overlap beyond it
         counts.
         """
         pairs = self._settle(time, position)
         marked = np.empty(len(pairs.first), dtype=np.bool_)
         elapsed = time - self.motion.begin
-        forces.contacts(self._rows, self._pair_data, self._law, elapsed, marked)
-        if self._slack:
-            forces.part_contacts(
-                self._rows, self._pair_data, self._slack.data, self._law, elapsed,
-                *self._slack.places(self._pair_data), marked,
-            )  # fmt: skip
+        offset = self._offsets.listed(self._pair_data, elapsed)
+        forces.overlaps(self._rows, self._pair_data, elapsed, offset, marked)
         found = np.stack([pairs.first[marked], pairs.second[marked]], axis=1).astype(np.int64)
         found.sort(axis=1)
         return found[np.lexsort((found[:, 1], found[:, 0]))]
@@ -350,8 +335,7 @@ class Mechanics:
         self._settle(time, position)
         elapsed = time - self.motion.begin
         total = float(forces.energy(self._rows, self._pair_data, self._law, elapsed))
-        if self._slack:
-            total += forces.slack_energy(self._rows, self._slack.data, self._law, elapsed)
+        total += self._add_offset_virials(elapsed, np.empty(len(self)))
         if self.walls is not None:
             total += self.walls.energy(self._rows)
         return total
@@ -368,8 +352,7 @@ class Mechanics:
         virials = np.empty(len(self))
         elapsed = time - self.motion.begin
         forces.half_virials(self._rows, self._pair_data, self._law, elapsed, virials)
-        if self._slack:
-            forces.add_slack_virials(self._rows, self._slack.data, self._law, elapsed, virials)
+        self._add_offset_virials(elapsed, virials)
         if self.walls is not None:
             self.walls.add_virials(self._rows, virials)
         return np.asarray(virials / (3.0 * SPHERE * self._rows[:, 3] ** 3))
@@ -390,7 +373,7 @@ class Mechanics:
         return float((2.0 * largest / (self.drag * self._rows[:, 3])).max())
 
     def _fill_blocks(self, linear: Linearisation) -> None:
-        forces.diagonal_blocks(
+        blocks.diagonal_blocks(
             linear.data, linear.normal, linear.along, linear.across, self._blocks
         )
         if self.walls is not None:
@@ -404,7 +387,7 @@ class Mechanics:
         pairs = self._pairs if self._pairs is not None else self._rebuild(position)
         run = forces.forces_parallel if self._shared(pairs) else forces.forces
         while run(
-            self._cells, self._pair_data, self._slack.data, self._law, position,
+            self._cells, self._pair_data, self._offsets.data, self._law, position,
             time - self.motion.begin, stokes, self._rows, out,
         ):  # fmt: skip
             pairs = self._rebuild(position)
@@ -439,14 +422,13 @@ class Mechanics:
             reference,
             motion.radius,
             motion.radius_rate,
-            _NOTHING if motion.bonds is None else motion.bonds,
-            _NOTHING if motion.push is None else motion.push,
+            motion.bonds,
+            motion.push,
         )
-        sticky, unit, onset = self._law_of_list(pairs)
+        values = self._values_of(*_listed(pairs)) if self.has_pair_values else (None, None, None)
         self._pair_data = forces.PairData(
-            pairs.first, pairs.second, pairs.start, pairs.inner_end, pairs.outer_end,
-            sticky, unit, onset,
-        )  # fmt: skip
+            pairs.first, pairs.second, pairs.start, pairs.inner_end, pairs.outer_end, *values
+        )
         self._pairs = pairs
         return pairs
 
@@ -454,7 +436,7 @@ class Mechanics:
         """Return the radii that the list is built with: half of all distances that matter."""
         if len(radius) == 0:
             return radius
-        if hasattr(self.law, "cutoff"):
+        if isinstance(self.law, Spring):
             return np.asarray(self.law.cutoff * radius)
         softest = 0.5 / float(self._rows[:, 4].max())
         largest = float(radius.max())
@@ -464,61 +446,48 @@ class Mechanics:
         reach = law.reach(softest, 0.5 * largest, rest=2.0 * largest)
         return np.asarray(radius + 0.5 * float(reach))
 
-    def _law_of_list(self, pairs: neighbours.PairList) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return what the law keeps for each place of a list, empty where all are alike."""
-        if not self._between_types and self.law.code != forces.EXACT_JKR:
-            return _NO_VALUES, _NOTHING, _NO_VALUES
-        return self._law_of_pairs(*_listed(pairs))
-
-    def _law_of_pairs(
-        self, first: NDArray[np.int64], second: NDArray[np.int64]
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return √(6πσ) of pairs, exact JKR's unit of overlap with its rate, and its onset."""
-        sticky = self._sticky(first, second)
-        return sticky, *self._exact(first, second, sticky)
-
     @property
-    def _between_types(self) -> bool:
-        return self.surface_energies is not None and self.motion.kind is not None
+    def has_pair_values(self) -> bool:
+        """Whether the law keeps values for each pair, which are made with each list."""
+        between_types = self.surface_energies is not None and self.motion.kind is not None
+        return between_types or self.law.remembers
 
-    def _slack_listed(self, time: float) -> FloatArray:
-        """Return the slack of each place of the list, µm, or nothing where there is none."""
-        return self._slack.listed(self._pair_data, time - self.motion.begin)
+    def _listed_offsets(self, time: float) -> FloatArray:
+        """Return the offset of each place of the list, µm, or nothing where there is none."""
+        found = self._offsets.listed(self._pair_data, time - self.motion.begin)
+        return np.empty(0) if found is None else found
 
-    def _sticky(self, first: NDArray[np.int64], second: NDArray[np.int64]) -> FloatArray:
-        """Return √(6πσ_ij) for each pair, or nothing where all pairs are alike."""
-        if self.surface_energies is None or self.motion.kind is None:
-            return _NO_VALUES
-        table = np.sqrt(6.0 * np.pi * self.surface_energies)
-        kind = self.motion.kind
-        return np.ascontiguousarray(table[kind[first], kind[second]])
+    def _add_offset_virials(self, elapsed: float, virials: FloatArray) -> float:
+        """Add what offsets change in virials, nN µm; return their part of the energy, fJ."""
+        if self._offsets.data is None:
+            return 0.0
+        data, law = self._offsets.data, self._law
+        return float(forces.add_offset_virials(self._rows, data, law, elapsed, virials))
 
-    def _exact(
-        self, first: NDArray[np.int64], second: NDArray[np.int64], sticky: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return exact JKR's unit of overlap with its rate, and the onset of each pair."""
-        if self.law.code != forces.EXACT_JKR:
-            return _NOTHING, _NO_VALUES
-        soft = self._rows[:, 4]
-        modulus = 1.0 / (soft[first] + soft[second])
-        adhesion = sticky if sticky.size else np.full(len(first), self.law.adhesion)
-        energy = adhesion**2 / (6.0 * np.pi)
-        ends = [
-            exact_units(modulus, effective_radius(radius[first], radius[second]), energy)[0]
+    def _values_of(self, first: NDArray[np.int64], second: NDArray[np.int64]) -> PairValues:
+        """Return √(6πσ) of pairs, the law's unit of overlap with its rate, and its onset.
+
+        Each is None where it is one number for all pairs.
+        """
+        sticky = None
+        energies, kind = self.surface_energies, self.motion.kind
+        if energies is not None and kind is not None:
+            table = self.law.adhesion_of(energies)
+            sticky = np.ascontiguousarray(table[kind[first], kind[second]])
+        if not self.law.remembers:
+            return sticky, None, None
+        adhesion = self.law.adhesion if sticky is None else sticky
+        modulus = 1.0 / (self._rows[first, 4] + self._rows[second, 4])
+        touching = _are_listed(self.motion.touching, first, second, len(self))
+        (begin, onset), (end, _) = (
+            self.law.pair_memory(
+                adhesion, modulus, effective_radius(radius[first], radius[second]), touching
+            )
             for radius in (self.motion.radius, self._end_radius)
-        ]
+        )
         length = self.motion.end - self.motion.begin
-        rate = (ends[1] - ends[0]) / length if length > 0.0 else np.zeros(len(first))
-        onset = np.zeros(len(first))
-        touching = self.motion.touching
-        if touching is not None and len(touching):
-            low, high = np.minimum(first, second), np.maximum(first, second)
-            n = np.int64(len(self))
-            known = np.sort(touching[:, 0] * n + touching[:, 1])
-            key = low * n + high
-            place = np.minimum(np.searchsorted(known, key), len(known) - 1)
-            onset[known[place] == key] = -3.0
-        return np.stack([ends[0], rate]), onset
+        rate = (end - begin) / length if length > 0.0 else np.zeros(len(first))
+        return sticky, np.stack([begin, rate]), onset
 
     def _linearised(self) -> Linearisation:
         if self._linear is None:
@@ -546,6 +515,16 @@ def _listed(pairs: neighbours.PairList) -> tuple[NDArray[np.int64], NDArray[np.i
         used[start:end] = True
     first = np.where(used, pairs.first, 0).astype(np.int64)
     return first, np.where(used, pairs.second, 0).astype(np.int64)
+
+
+def _are_listed(
+    pairs: NDArray[Any] | None, first: NDArray[np.int64], second: NDArray[np.int64], n: int
+) -> NDArray[np.bool_]:
+    """Tell which pairs of the cells ``first`` and ``second`` are among ``pairs``, (m, 2)."""
+    if pairs is None:
+        return np.zeros(len(first), dtype=np.bool_)
+    known = pairs[:, 0] * np.int64(n) + pairs[:, 1]
+    return np.isin(np.minimum(first, second) * np.int64(n) + np.maximum(first, second), known)
 
 
 def _frozen(array: FloatArray) -> FloatArray:

@@ -126,7 +126,7 @@ def _check_overlap(scene: Scene) -> None:
     modulus, bonds = effective_modulus(young, poisson, young, poisson), _most_bonds(scene)
     for radius in (0.5 ** (1.0 / 3.0) * scene.cells.division_radius, scene.cells.division_radius):
         pair, deep = effective_radius(radius, radius), 1.99 * radius
-        force = float(law.force(deep, modulus, pair, rest=2.0 * radius, touching=True))
+        force = float(law.evaluate(deep, modulus, pair, rest=2.0 * radius, touching=True)[0])
         if force > math.pi * float(pair) * bonds * deep:
             continue
         path = "adhesion.strength" if force > 0.0 else "contact.surface_energy"

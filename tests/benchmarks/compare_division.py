@@ -136,14 +136,14 @@ def settled(setting, tight):
     return position, radius, middle
 
 
-def motion(radius, rate, begin, end, slack=None, slack_rate=0.0):
+def motion(radius, rate, begin, end, offset=None, slack_rate=0.0):
     """Return a coupling step; the last two cells have the slack."""
     n = len(radius)
     made = Motion(radius, rate, np.ones(n), np.full(n, 0.5), begin, end)
     if slack is None:
         return made
     pair = np.array([[n - 2, n - 1]])
-    return replace(made, slack_pairs=pair, slack=np.array([[slack, slack_rate]]))
+    return replace(made, offset_pairs=pair, offset=np.array([[slack, slack_rate]]))
 
 
 def moved(position, motion, method, law, viscosity):
@@ -267,7 +267,9 @@ def built_in(atol):
     for k in range(6):
         now = np.array([[slack * (1.0 - k / 6.0), -slack / 3600.0]])
         step = parting[first + k]
-        parting[first + k] = replace(step, motion=replace(step.motion, slack_pairs=pair, slack=now))
+        parting[first + k] = replace(
+            step, motion=replace(step.motion, offset_pairs=pair, offset=now)
+        )
     method, counts, ends = Cvode(rtol=1e-6, atol=atol), [], []
     for steps in (problem.steps, parting):
         early = replay(replace(problem, steps=steps[:first]), method)

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from numba import njit
 from scipy.integrate import quad
 from scipy.optimize import brentq, minimize_scalar
 from strategies import energies, moduli, poissons, radii
 
-from multicell.contact.exact_jkr import ExactJKR, beyond_turning, exact_force, exact_units
+from multicell.contact.exact_jkr import ExactJKR, beyond_turning, exact_units
 from multicell.contact.hertz import Hertz
 from multicell.contact.jkr import JKR
 from multicell.contact.law import effective_modulus, effective_radius
@@ -53,24 +52,8 @@ def test_the_universal_curve_is_solved_to_rounding_over_its_whole_range():
     # h_0 is 6^{4/3} units, so 100 h_0 is an excess of 1093; both ends are passed by far
     excess = np.concatenate([np.logspace(-30, 12, 300), np.linspace(1e-3, 1100.0, 300)])
     exact = np.array([float(decimal_root(e)) for e in excess])
-    np.testing.assert_allclose(beyond_turning(excess), exact, rtol=1e-15)
-    jitted = njit(beyond_turning)
-    np.testing.assert_allclose([jitted(e) for e in excess], exact, rtol=1e-15)
+    np.testing.assert_allclose([beyond_turning(e) for e in excess], exact, rtol=1e-15)
     assert beyond_turning(0.0) == 0.0
-    assert jitted(0.0) == 0.0
-
-
-def test_the_jitted_force_is_the_vectorised_one(monkeypatch):
-    modulus, radius = unlike(4.0, 7.0, 0.8, 2.5, 0.4)
-    unit, scale = map(float, exact_units(modulus, radius, 0.1))
-    top = 100.0 * float(JKR().equilibrium_overlap(modulus, radius))
-    overlap = np.linspace(-3.0 * unit, top, 4001)
-    expected = ExactJKR().force(overlap, modulus, radius, touching=True)
-    # numba compiles what a global name stands for
-    monkeypatch.setattr("multicell.contact.exact_jkr.beyond_turning", njit(beyond_turning))
-    jitted = njit(exact_force)
-    got = np.array([jitted(h, -3.0 * unit, unit, scale) for h in overlap])
-    np.testing.assert_allclose(got, expected, rtol=1e-13, atol=1e-13 * scale)
 
 
 @given(pairs, sticky, st.floats(1.0, 30.0))
@@ -270,14 +253,16 @@ def test_contact_forms_at_zero_and_breaks_at_the_turning_point():
 
 
 @given(pairs, energies, st.floats(0.0, 5.0))
-def test_smoothing_off_is_the_plain_law_bit_for_bit(pair, sigma, h):
+def test_smoothing_off_is_the_plain_law(pair, sigma, h):
     modulus, radius = pair
     law = JKR(surface_energy=sigma, smoothing=0.0)
     a = modulus * np.sqrt(radius)
     b = law.adhesion * np.sqrt(a * radius)
     h = np.float64(h)
-    assert law.force(h, *pair) == np.asarray(a * h**1.5 - b * h**0.75)
-    assert law.energy(h, *pair) == np.asarray(0.4 * a * h**2.5 - (4.0 / 7.0) * b * h**1.75)
+    parts = a * h**1.5, b * h**0.75
+    assert law.force(h, *pair) == pytest.approx(parts[0] - parts[1], abs=1e-14 * sum(parts))
+    parts = 0.4 * a * h**2.5, (4.0 / 7.0) * b * h**1.75
+    assert law.energy(h, *pair) == pytest.approx(parts[0] - parts[1], abs=1e-14 * sum(parts))
     # above its length the smoothed force is the plain one, bit for bit too
     smoothed = JKR(surface_energy=sigma, smoothing=0.3)
     assert smoothed.force(0.3 + h, *pair) == law.force(0.3 + h, *pair)
@@ -393,7 +378,9 @@ def test_springs_rest_at_the_sum_of_the_radii_and_end_at_their_cutoff(law):
 
 def test_centres_that_meet_are_pushed_without_bound_by_the_logarithm_only():
     law = GeneralisedLinear()
-    assert law.force(10.0, 1.0, 2.5, rest=10.0) == np.inf
+    near = law.force(10.0 - 10.0 ** np.arange(-1.0, -7.0, -1.0), 1.0, 2.5, rest=10.0)
+    np.testing.assert_allclose(np.diff(near), 10.0 * np.log(10.0), rtol=1e-8)
+    assert near[-1] < law.force(10.0, 1.0, 2.5, rest=10.0) < np.inf
     assert np.isfinite(law.energy(10.0, 1.0, 2.5, rest=10.0))
     for spring in SPRINGS[:2]:
         assert np.isfinite(spring.force(10.0, 1.0, 2.5, rest=10.0))

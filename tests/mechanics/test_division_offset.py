@@ -1,4 +1,4 @@
-"""Pairs with slack: their law sees the overlap beyond it, and nothing else changes."""
+"""Pairs with offset: their law sees the overlap beyond it, and nothing else changes."""
 
 from dataclasses import fields, replace
 
@@ -34,8 +34,8 @@ SMOOTH = st.sampled_from([law for name, law in LAWS.items() if name != "linear"]
 RATE = -1e-3
 
 
-def population(n, seed, law, *, slack=True, receptors=False, types=False, factor=1.0, **options):
-    """Return positions, mechanics and the pairs with slack: every third pair in contact."""
+def population(n, seed, law, *, offset=True, receptors=False, types=False, factor=1.0, **options):
+    """Return positions, mechanics and the pairs with offset: every third pair in contact."""
     position, radius, young = cluster(n, seed, spacing=0.78)
     kind = np.arange(n) % 2
     if types:
@@ -51,41 +51,41 @@ def population(n, seed, law, *, slack=True, receptors=False, types=False, factor
     pairs = system.contacts(0.0, position)
     motion = replace(motion, touching=pairs)
     chosen = pairs[::3]
-    if slack:
+    if offset:
         amount = factor * np.random.default_rng(seed).uniform(0.2, 3.0, len(chosen))
         values = np.stack([amount, np.full(len(chosen), RATE)], axis=1)
-        motion = replace(motion, slack_pairs=chosen, slack=values)
+        motion = replace(motion, offset_pairs=chosen, offset=values)
     system.begin(motion)
     return position, system
 
 
 def felt(system, time, position):
-    """Return the pairs with slack, the overlap that each should feel, and the unit vectors."""
+    """Return the pairs with offset, the overlap that each should feel, and the unit vectors."""
     motion = system.motion
     radius = motion.radius + motion.radius_rate * time
-    i, j = motion.slack_pairs.T
+    i, j = motion.offset_pairs.T
     vector = position[j] - position[i]
     distance = np.linalg.norm(vector, axis=1)
-    slack = np.maximum(motion.slack[:, 0] + motion.slack[:, 1] * time, 0.0)
+    offset = np.maximum(motion.offset[:, 0] + motion.offset[:, 1] * time, 0.0)
     overlap = radius[i] + radius[j] - distance
     young = effective_modulus(motion.young[i], 0.5, motion.young[j], 0.5)
     reduced = effective_radius(radius[i], radius[j])
-    return overlap, slack, vector / distance[:, None], young, reduced, radius[i] + radius[j]
+    return overlap, offset, vector / distance[:, None], young, reduced, radius[i] + radius[j]
 
 
 @pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
 @pytest.mark.parametrize("time", [0.0, 100.0])
-def test_law_of_a_pair_sees_the_overlap_beyond_its_slack(law, time):
-    """The difference that slack makes to the forces is the vectorised law's, summed.
+def test_law_of_a_pair_sees_the_overlap_beyond_its_offset(law, time):
+    """The difference that offset makes to the forces is the vectorised law's, summed.
 
     At both ends of the step, where exact JKR's units are those of the radii there.
     """
     position, system = population(400, 2, law, chunk=64)
-    _, without = population(400, 2, law, slack=False, chunk=64)
-    i, j = system.motion.slack_pairs.T
-    overlap, slack, normal, young, reduced, rest = felt(system, time, position)
+    _, without = population(400, 2, law, offset=False, chunk=64)
+    i, j = system.motion.offset_pairs.T
+    overlap, offset, normal, young, reduced, rest = felt(system, time, position)
     options = {"rest": rest, "touching": True}
-    change = law.force(overlap - slack, young, reduced, **options)
+    change = law.force(overlap - offset, young, reduced, **options)
     change = change - law.force(overlap, young, reduced, **options)
     expected = without.force(time, position)
     np.subtract.at(expected, i, change[:, None] * normal)
@@ -93,7 +93,7 @@ def test_law_of_a_pair_sees_the_overlap_beyond_its_slack(law, time):
     found = system.force(time, position)
     np.testing.assert_allclose(found, expected, atol=1e-11 * np.abs(expected).max())
     gained = system.energy(time, position) - without.energy(time, position)
-    energy = law.energy(overlap - slack, young, reduced, **options)
+    energy = law.energy(overlap - offset, young, reduced, **options)
     energy = energy - law.energy(overlap, young, reduced, **options)
     assert gained == pytest.approx(energy.sum(), rel=1e-9)
 
@@ -111,14 +111,14 @@ def _smooth_state(n, seed, law, time, **options):
     plain = np.linalg.norm(position[:, None] - position[None], axis=2)
     radius = system.motion.radius * (1 + 0.001 * time)
     gap = np.abs(radius[:, None] + radius[None] - plain)[np.triu_indices(n, 1)]
-    overlap, slack, *_ = felt(system, time, position)
+    overlap, offset, *_ = felt(system, time, position)
     reach = getattr(law, "cutoff", 1.0)
     edge = np.abs(reach * (radius[:, None] + radius[None]) - plain)[np.triu_indices(n, 1)]
     assume(gap.min(initial=1.0) > 0.02 and edge.min(initial=1.0) > 0.02)
-    assume(np.abs(overlap - slack).min(initial=1.0) > 0.02)
-    if law.code == ExactJKR.code:
+    assume(np.abs(overlap - offset).min(initial=1.0) > 0.02)
+    if law.remembers:
         _, _, _, young, reduced, _ = felt(system, time, position)
-        broken = overlap - slack - law.breaking_overlap(young, reduced)
+        broken = overlap - offset - law.breaking_overlap(young, reduced)
         assume(np.abs(broken).min(initial=1.0) > 0.05)
     return position, system
 
@@ -155,12 +155,12 @@ def test_jacobian_product_is_the_directional_derivative(seed, law, n, receptors,
 
 
 @pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
-def test_no_slack_and_a_slack_of_zero_change_no_bit(law):
+def test_no_offset_and_a_offsets_of_zero_change_no_bit(law):
     found = []
-    for options in ({"slack": False}, {"factor": 0.0}):
+    for options in ({"offset": False}, {"factor": 0.0}):
         position, system = population(300, 5, law, chunk=64, friction=(0.1, 0.2), **options)
-        if system.motion.slack is not None:
-            system.begin(replace(system.motion, slack=0.0 * system.motion.slack))
+        if system.motion.offset is not None:
+            system.begin(replace(system.motion, offset=0.0 * system.motion.offset))
         out = np.empty_like(position)
         system.velocity(7.0, position, out)
         system.linearise(7.0, position)
@@ -172,11 +172,11 @@ def test_no_slack_and_a_slack_of_zero_change_no_bit(law):
         np.testing.assert_array_equal(one, other)
 
 
-def test_slack_ends_where_it_reaches_zero():
+def test_offset_ends_where_it_reaches_zero():
     position, system = population(60, 1, JKR())
-    _, without = population(60, 1, JKR(), slack=False)
-    values = np.tile([0.05, RATE], (len(system.motion.slack), 1))
-    system.begin(replace(system.motion, slack=values))
+    _, without = population(60, 1, JKR(), offset=False)
+    values = np.tile([0.05, RATE], (len(system.motion.offset), 1))
+    system.begin(replace(system.motion, offset=values))
     np.testing.assert_array_equal(system.force(80.0, position), without.force(80.0, position))
     assert np.abs(system.force(20.0, position) - without.force(20.0, position)).max() > 0.0
 
@@ -200,17 +200,17 @@ def test_threads_and_chunks():
 @pytest.mark.parametrize("law", [JKR(), ExactJKR()], ids=["jkr", "exact"])
 def test_contacts_and_pressure_are_those_of_the_overlap_felt(law):
     position, system = population(300, 6, law, chunk=64, factor=2.0)
-    _, without = population(300, 6, law, slack=False, chunk=64)
-    overlap, slack, _, young, reduced, rest = felt(system, 0.0, position)
-    onset = law.breaking_overlap(young, reduced) if law.code == ExactJKR.code else 0.0 * slack
-    parted = system.motion.slack_pairs[overlap - slack < onset]
-    assert 0 < len(parted) < len(slack)
+    _, without = population(300, 6, law, offset=False, chunk=64)
+    overlap, offset, _, young, reduced, rest = felt(system, 0.0, position)
+    onset = law.breaking_overlap(young, reduced) if law.remembers else 0.0 * offset
+    parted = system.motion.offset_pairs[overlap - offset < onset]
+    assert 0 < len(parted) < len(offset)
     before = {tuple(pair) for pair in without.contacts(0.0, position)}
     after = {tuple(pair) for pair in system.contacts(0.0, position)}
     assert before - after == {tuple(pair) for pair in parted}
     # both cells of a pair take half of F d: the sum of the virials tells the change of all
     options = {"rest": rest, "touching": True}
-    change = law.force(overlap - slack, young, reduced, **options)
+    change = law.force(overlap - offset, young, reduced, **options)
     change = change - law.force(overlap, young, reduced, **options)
     volume = 4.0 / 3.0 * np.pi * system.motion.radius**3
     gained = system.pressure(0.0, position) - without.pressure(0.0, position)
@@ -219,11 +219,11 @@ def test_contacts_and_pressure_are_those_of_the_overlap_felt(law):
 
 
 def test_friction_rubs_over_the_contact_that_is_felt():
-    """Γ v = F with B = π r h γ of the overlap beyond the slack, against a dense solution."""
+    """Γ v = F with B = π r h γ of the overlap beyond the offset, against a dense solution."""
     position, system = population(40, 8, JKR(), friction=(0.4, 0.1), chunk=16)
     radius = system.motion.radius
     n = len(radius)
-    known = {tuple(pair): s for pair, s in zip(*_slack_of(system), strict=True)}
+    known = {tuple(pair): s for pair, s in zip(*_offsets_of(system), strict=True)}
     gamma = np.diag(np.repeat(system.drag * radius, 3))
     for i in range(n):
         for j in range(i + 1, n):
@@ -243,45 +243,45 @@ def test_friction_rubs_over_the_contact_that_is_felt():
     np.testing.assert_allclose(out, expected, atol=1e-5 * np.abs(expected).max())
 
 
-def _slack_of(system):
-    return system.motion.slack_pairs.tolist(), system.motion.slack[:, 0]
+def _offsets_of(system):
+    return system.motion.offset_pairs.tolist(), system.motion.offset[:, 0]
 
 
 def sisters(law, radius, phase, viscosity=5.0, **options):
-    """Return two fresh daughters of a mother of radius 2^(1/3) ``radius``, at rest by slack."""
+    """Return two fresh daughters of a mother of radius 2^(1/3) ``radius``, at rest by offset."""
     distance = 2.0 * radius * (2.0 ** (1.0 / 3.0) - 1.0)
     modulus, reduced = effective_modulus(1.0, 0.5, 1.0, 0.5), 0.5 * radius
     rest = float(law.equilibrium_overlap(modulus, reduced))
-    slack = 2.0 * radius - distance - rest
+    offset = 2.0 * radius - distance - rest
     system = Mechanics(law, viscosity, **options)
     ones = np.ones(2)
     motion = Motion(
         radius * ones, 0.0 * ones, ones, 0.5 * ones, 0.0, phase,
         touching=np.array([[0, 1]]),
-        slack_pairs=np.array([[0, 1]]), slack=np.array([[slack, -slack / phase]]),
+        offset_pairs=np.array([[0, 1]]), offset=np.array([[offset, -offset / phase]]),
     )  # fmt: skip
     system.begin(motion)
-    return np.array([[0.0, 0, 0], [0.6, 0.8, 0.0] * np.array(distance)]), system, rest, slack
+    return np.array([[0.0, 0, 0], [0.6, 0.8, 0.0] * np.array(distance)]), system, rest, offset
 
 
 @pytest.mark.parametrize("law", [JKR(), ExactJKR(), Hertz()], ids=["jkr", "exact", "hertz"])
-def test_sisters_part_as_the_slack_falls(law):
+def test_sisters_part_as_the_offset_falls(law):
     """Quasi-static: the distance is 2 r - h₀ - s(t), behind by Γ ṡ / (2 k) (derived)."""
     phase = 36_000.0
-    position, system, rest, slack = sisters(law, 4.0, phase)
+    position, system, rest, offset = sisters(law, 4.0, phase)
     assert np.abs(system.force(0.0, position)).max() < 1e-12
     outcome = Cvode(rtol=1e-9, atol=1e-6).integrate(system, position)
     apart = np.linalg.norm(outcome.position[1] - outcome.position[0])
-    if law.code == Hertz.code:
+    if isinstance(law, Hertz):
         # no stiffness at rest: the lag is where Hertz's force drags both cells along
         modulus = float(effective_modulus(1.0, 0.5, 1.0, 0.5))
-        speed = slack / phase / 2.0
+        speed = offset / phase / 2.0
         lag = (system.drag * 4.0 * speed / (modulus * np.sqrt(2.0))) ** (2.0 / 3.0)
     else:
         stiffness = float(
             law.stiffness(rest, effective_modulus(1, 0.5, 1, 0.5), 2.0, touching=True)
         )
-        lag = system.drag * 4.0 * (slack / phase) / (2.0 * stiffness)
+        lag = system.drag * 4.0 * (offset / phase) / (2.0 * stiffness)
     assert apart == pytest.approx(8.0 - rest - lag, abs=0.03 * lag)
     np.testing.assert_allclose(outcome.position.mean(axis=0), position.mean(axis=0), atol=1e-9)
 
@@ -289,11 +289,11 @@ def test_sisters_part_as_the_slack_falls(law):
 def test_distance_of_sisters_against_scipy():
     """One equation is left: d' = 2 F(2 r - d - s(t)) / Γ."""
     phase, law = 600.0, JKR()
-    position, system, _, slack = sisters(law, 4.0, phase)
+    position, system, _, offset = sisters(law, 4.0, phase)
     modulus = effective_modulus(1.0, 0.5, 1.0, 0.5)
 
     def rhs(t, d):
-        overlap = 8.0 - d - slack * (1.0 - t / phase)
+        overlap = 8.0 - d - offset * (1.0 - t / phase)
         return 2.0 * law.force(overlap, modulus, 2.0) / (system.drag * 4.0)
 
     begin = np.linalg.norm(position[1] - position[0])
@@ -304,7 +304,7 @@ def test_distance_of_sisters_against_scipy():
 
 @pytest.mark.parametrize("method", METHODS)
 def test_all_methods_agree(method):
-    """Slack stays while lists are built anew, inside compiled loops too."""
+    """Offset stays while lists are built anew, inside compiled loops too."""
     first = method in ("euler", "euler-adaptive", "backward-euler")
     options = load_scene("growth").with_changes(
         {
@@ -344,11 +344,11 @@ def _problem():
     scene = load_scene("growth")
     position, system, _, _ = sisters(JKR(), 4.0, 600.0)
     first = replace(system.motion, touching=None)
-    second = replace(first, begin=600.0, end=1200.0, slack_pairs=None, slack=None)
+    second = replace(first, begin=600.0, end=1200.0, offset_pairs=None, offset=None)
     return Problem(scene, system, position, first.radius, [Step(first), Step(second)])
 
 
-def test_replay_and_archive_keep_the_slack(tmp_path):
+def test_replay_and_archive_keep_the_offset(tmp_path):
     problem = _problem()
     method = Cvode()
     trajectory = replay(problem, method)
@@ -367,11 +367,11 @@ def test_replay_and_archive_keep_the_slack(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("pairs", "slack", "words"),
+    ("pairs", "offset", "words"),
     [
         ([[0, 1]], None, "go together"),
         ([[0, 1]], [[1.0]], "must both be"),
-        ([[1, 0]], [[1.0, 0.0]], r"\[1, 0\] in slack_pairs"),
+        ([[1, 0]], [[1.0, 0.0]], r"\[1, 0\] in offset_pairs"),
         ([[0, 3]], [[1.0, 0.0]], "two of 3 cells"),
         ([[1, 1]], [[1.0, 0.0]], "smaller index first"),
         ([[0, 1], [0, 1]], [[1.0, 0.0], [1.0, 0.0]], "stands twice"),
@@ -379,19 +379,19 @@ def test_replay_and_archive_keep_the_slack(tmp_path):
         ([[0, 1]], [[1.0, np.nan]], "must be finite"),
     ],
 )
-def test_slack_without_meaning_is_refused(pairs, slack, words):
+def test_offset_without_meaning_is_refused(pairs, offset, words):
     ones = np.ones(3)
     motion = Motion(
         5 * ones, 0 * ones, ones, 0.5 * ones, 0.0, 1.0,
-        slack_pairs=np.array(pairs), slack=None if slack is None else np.array(slack),
+        offset_pairs=np.array(pairs), offset=None if offset is None else np.array(offset),
     )  # fmt: skip
     with pytest.raises(ValueError, match=words):
         Mechanics(JKR(), 5.0).begin(motion)
 
 
-def test_no_pairs_with_slack_are_as_none():
-    position, system = population(20, 1, JKR(), slack=False)
+def test_no_pairs_with_offset_are_as_none():
+    position, system = population(20, 1, JKR(), offset=False)
     expected = system.force(0.0, position)
     empty = np.empty((0, 2))
-    system.begin(replace(system.motion, slack_pairs=empty.astype(np.int64), slack=empty))
+    system.begin(replace(system.motion, offset_pairs=empty.astype(np.int64), offset=empty))
     np.testing.assert_array_equal(system.force(0.0, position), expected)

@@ -1,0 +1,181 @@
+"""Pair laws of the user's own: a Python function with declared parameters becomes a law.
+
+>>> import multicell as mc
+>>> @mc.pair_law(parameters={"stiffness": "nN/um"})
+... def square(overlap, modulus, radius, p):
+...     return p.stiffness * overlap * overlap / radius
+>>> float(square(stiffness=2.0).force(0.5, 1.0, 2.5))
+0.2
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from multicell.contact.constants import constants_of, fingerprint, further_arguments
+from multicell.contact.derived import Scalar, arranged, force_alone, whole_law, without_energy
+from multicell.contact.law import PairLaw
+from multicell.contact.registry import LAWS
+from multicell.schema import number, quantity, specs
+from multicell.schema import parameters as declare
+
+if TYPE_CHECKING:
+    from multicell.cells import FloatArray
+
+
+_POINTS = 401
+_HIDDEN = ("force", "stiffness", "energy")
+
+
+class UserLaw(PairLaw):
+    """A law made by :func:`pair_law`; its parameters are the fields of the dataclass.
+
+    A parameter named ``force``, ``stiffness`` or ``energy`` hides the method of that name;
+    ``evaluate`` gives all three.
+
+    Attributes
+    ----------
+    source
+        ``file.py:name`` of the function.
+    fingerprint
+        Changes with the function and all that it reads.
+    """
+
+    source: ClassVar[str]
+    fingerprint: ClassVar[str]
+    _type_of_constants: ClassVar[Any]
+    _reach: ClassVar[Scalar | None]
+    _asks_rest: ClassVar[bool]
+
+    def constants(self) -> Any:
+        """Return the parameters as the law's function takes them."""
+        return self._type_of_constants(*(float(getattr(self, name)) for name in specs(self)))
+
+    @property
+    def needs_rest(self) -> bool:
+        """Whether the law asks for the sum of the radii."""
+        return self._asks_rest
+
+    def reach(
+        self, modulus: ArrayLike, radius: ArrayLike, *, rest: ArrayLike | None = None
+    ) -> FloatArray:
+        """Return how far beyond first contact the law acts, µm; zero where nothing was given.
+
+        Without ``rest`` (µm) the two cells are alike, r_i + r_j = 4 r_ij.
+        """
+        if self._reach is None:
+            return super().reach(modulus, radius)
+        p, reach = self.constants(), self._reach
+        length = 4.0 * np.asarray(radius, dtype=float) if rest is None else rest
+        found = np.frompyfunc(lambda e, r, s: float(reach(e, r, s, p)), 3, 1)
+        return np.asarray(found(modulus, radius, length), dtype=float)
+
+    def equilibrium_overlap(self, modulus: ArrayLike, radius: ArrayLike) -> FloatArray:
+        """Return the largest overlap without force in µm by bisection, for two cells alike.
+
+        Zero where nothing attracts.
+        """
+        found = np.frompyfunc(self._equilibrium, 2, 1)
+        return np.asarray(found(modulus, radius), dtype=float)
+
+    def _equilibrium(self, modulus: float, radius: float) -> float:
+        rest = 4.0 * radius
+        begin = -float(self.reach(modulus, radius, rest=rest))
+        overlap = np.linspace(begin, rest, _POINTS)[1:-1]
+        attracts = self.evaluate(overlap, modulus, radius, rest=rest)[0] < 0.0
+        if not attracts.any():
+            return 0.0
+        last = int(np.flatnonzero(attracts)[-1])
+        low, high = float(overlap[last]), float([*overlap, rest][last + 1])
+        for _ in range(60):
+            middle = 0.5 * (low + high)
+            force = self.evaluate(middle, modulus, radius, rest=rest)[0]
+            low, high = (middle, high) if force < 0.0 else (low, middle)
+        return 0.5 * (low + high)
+
+
+def pair_law(
+    *,
+    parameters: Mapping[str, Any],
+    stiffness: Scalar | None = None,
+    energy: Scalar | None = None,
+    reach: Scalar | None = None,
+) -> Callable[[Scalar], type[UserLaw]]:
+    """Make a pair law of a function of bare floats that returns the force in nN.
+
+    The function is called as ``force(overlap, modulus, radius, p)``, with ``rest`` or ``adhesion``
+    or both after these if it has arguments of these names; see
+    :mod:`multicell.contact.constants` for their meaning and units. ``p`` has the parameters as
+    attributes, in base units. It is compiled: arithmetic on floats, :mod:`math` and other such
+    functions are what it may use. It is asked only where the law acts: for an overlap above
+    zero, or above minus the reach.
+
+    Parameters
+    ----------
+    parameters
+        Name -> base unit of each parameter, ``""`` for a number without; or a declaration of
+        :mod:`multicell.schema` such as ``quantity("nN/um", default=1.0, above=0.0)``. A parameter
+        ``surface_energy`` in nN/µm may differ between cell types: the function then takes
+        ``adhesion`` = √(6πσ) of the pair.
+    stiffness, energy
+        dF/dh in nN/µm and ∫F dh in fJ, called like the force. What is not given is derived: the
+        stiffness by a central difference, the energy by Gauss–Legendre integration.
+    reach
+        ``reach(modulus, radius, rest, p)``: how far beyond first contact the law acts, µm. It
+        must not fall with ``radius`` and ``rest`` nor rise with ``modulus``.
+
+    Returns
+    -------
+    A class of laws: ``law(stiffness=2.0)`` is what a scene takes as ``contact``.
+
+    Raises
+    ------
+    TypeError
+        For a function without these arguments, or a parameter whose name is taken.
+    SceneError
+        When a law is made with a value that is refused.
+    """
+
+    def make(force: Scalar) -> type[UserLaw]:
+        taken = [n for n in parameters if hasattr(UserLaw, n) and n not in _HIDDEN]
+        if taken:
+            raise TypeError(f"{taken[0]!r} cannot be the name of a parameter of a law")
+        push = arranged(force)
+        slope = None if stiffness is None else arranged(stiffness)
+        work = None if energy is None else arranged(energy)
+        whole = whole_law(push, slope, work, reach)
+        constants = constants_of(
+            whole,
+            *parameters,
+            without_energy=without_energy(push, slope, reach),
+            force_alone=force_alone(push, reach),
+        )
+        attributes = {
+            "__doc__": force.__doc__,
+            "__module__": force.__module__,
+            "__qualname__": force.__qualname__,
+            **{name: _declared(entry) for name, entry in parameters.items()},
+            "__annotations__": dict.fromkeys(parameters, float),
+            "source": f"{os.path.basename(force.__code__.co_filename)}:{force.__name__}",
+            "fingerprint": fingerprint(whole),
+            "_type_of_constants": constants,
+            "_reach": None if reach is None else staticmethod(reach),
+            "_asks_rest": reach is not None or "rest" in further_arguments(force),
+        }
+        law: type[UserLaw] = declare(type(force.__name__, (UserLaw,), attributes))
+        LAWS.add(law.source, law.fingerprint, law)
+        return law
+
+    return make
+
+
+def _declared(entry: Any) -> Any:
+    """Return the declaration of a parameter that is given by its unit."""
+    if not isinstance(entry, str):
+        return entry
+    return quantity(entry) if entry else number()

@@ -1,0 +1,120 @@
+"""The function of a law from the parts that a user gives; the others are derived.
+
+All parts are called as ``part(overlap, modulus, radius, p, rest, adhesion)``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from multicell.contact.constants import further_arguments
+
+Scalar = Callable[..., float]
+
+_STEP = 1e-5
+"""Step of the difference quotient of a force, in radii r_ij: truncation and rounding about even."""
+_PANELS = 8
+_NODES, _WEIGHTS = (tuple(map(float, part)) for part in np.polynomial.legendre.leggauss(8))
+
+
+def arranged(f: Scalar) -> Scalar:
+    """Return a function with all arguments that a law of the user's may have."""
+    further = further_arguments(f)
+    if further == ():
+        return lambda overlap, modulus, radius, p, rest, adhesion: f(overlap, modulus, radius, p)
+    if further == ("rest",):
+        return lambda overlap, modulus, radius, p, rest, adhesion: f(
+            overlap, modulus, radius, p, rest
+        )
+    if further == ("adhesion",):
+        return lambda overlap, modulus, radius, p, rest, adhesion: f(
+            overlap, modulus, radius, p, adhesion
+        )
+    if further == ("rest", "adhesion"):
+        return f
+    raise TypeError(f"{f.__name__} must be without {' and '.join(further[1:])}")
+
+
+def _begin_of(reach: Scalar | None) -> Scalar:
+    """Return the function that tells the overlap from which a law acts."""
+    if reach is None:
+        return lambda modulus, radius, rest, p: 0.0
+    return lambda modulus, radius, rest, p: -reach(modulus, radius, rest, p)
+
+
+def force_alone(force: Scalar, reach: Scalar | None) -> Callable[..., Any]:
+    """Return the function of the law with zeros for stiffness and energy."""
+    begin_of = _begin_of(reach)
+
+    def law(overlap, modulus, radius, p, rest, adhesion):  # type: ignore[no-untyped-def]
+        if overlap <= begin_of(modulus, radius, rest, p):
+            return 0.0, 0.0, 0.0
+        return force(overlap, modulus, radius, p, rest, adhesion), 0.0, 0.0
+
+    return law
+
+
+def without_energy(
+    force: Scalar, stiffness: Scalar | None, reach: Scalar | None
+) -> Callable[..., Any]:
+    """Return the function of the law with a zero for the energy."""
+    begin_of = _begin_of(reach)
+    slope_of = _difference(force, begin_of) if stiffness is None else stiffness
+
+    def law(overlap, modulus, radius, p, rest, adhesion):  # type: ignore[no-untyped-def]
+        if overlap <= begin_of(modulus, radius, rest, p):
+            return 0.0, 0.0, 0.0
+        slope = slope_of(overlap, modulus, radius, p, rest, adhesion)
+        return force(overlap, modulus, radius, p, rest, adhesion), slope, 0.0
+
+    return law
+
+
+def whole_law(
+    force: Scalar, stiffness: Scalar | None, energy: Scalar | None, reach: Scalar | None
+) -> Callable[..., Any]:
+    """Return the function of the law with all three results."""
+    begin_of, beginning = _begin_of(reach), without_energy(force, stiffness, reach)
+    energy_of = _integral(force, begin_of) if energy is None else energy
+
+    def law(overlap, modulus, radius, p, rest, adhesion):  # type: ignore[no-untyped-def]
+        push, slope, _ = beginning(overlap, modulus, radius, p, rest, adhesion)
+        work = 0.0
+        if overlap > begin_of(modulus, radius, rest, p):
+            work = energy_of(overlap, modulus, radius, p, rest, adhesion)
+        return push, slope, work
+
+    return law
+
+
+def _difference(force: Scalar, begin_of: Scalar) -> Scalar:
+    """Return the slope of a force by a central difference that stays where the law acts."""
+
+    def slope(overlap, modulus, radius, p, rest, adhesion):  # type: ignore[no-untyped-def]
+        step = _STEP * radius
+        middle = max(overlap, begin_of(modulus, radius, rest, p) + step)
+        above = force(middle + step, modulus, radius, p, rest, adhesion)
+        below = force(middle - step, modulus, radius, p, rest, adhesion)
+        return (above - below) / (2.0 * step)
+
+    return slope
+
+
+def _integral(force: Scalar, begin_of: Scalar) -> Scalar:
+    """Return the integral of a force from where the law begins to act."""
+
+    def energy(overlap, modulus, radius, p, rest, adhesion):  # type: ignore[no-untyped-def]
+        begin = begin_of(modulus, radius, rest, p)
+        half = 0.5 * (overlap - begin) / _PANELS
+        total = 0.0
+        for panel in range(_PANELS):
+            centre = begin + (2 * panel + 1) * half
+            for k in range(len(_NODES)):
+                at = centre + half * _NODES[k]
+                total += _WEIGHTS[k] * force(at, modulus, radius, p, rest, adhesion)
+        return half * total
+
+    return energy
