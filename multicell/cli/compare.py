@@ -29,7 +29,8 @@ _output = click.option(
 _methods = click.option(
     "--methods",
     metavar="NAMES",
-    help="Methods to compare, separated by commas; by default all.",
+    help="Methods to compare, separated by commas; by default all that can hold the scene. One of "
+    "your own is named as mine.py:Midpoint.",
 )
 _overwrite = click.option("--overwrite", is_flag=True, help="Replace earlier results.")
 _quiet = click.option("--quiet", is_flag=True, help="Print nothing but errors.")

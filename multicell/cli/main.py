@@ -15,7 +15,14 @@ import click
 
 from multicell import __version__
 from multicell.cli.compare import compare, stability
-from multicell.cli.options import as_json_option, changes_option, console, errors, parse_changes
+from multicell.cli.options import (
+    as_json_option,
+    changes_option,
+    console,
+    errors,
+    integrator_option,
+    parse_changes,
+)
 from multicell.cli.process import Commands, complain, print_json
 from multicell.errors import OutputError, StepFailed
 
@@ -85,7 +92,7 @@ def explain(scene: str, changes: Sequence[str], as_json: bool) -> None:
 )
 @changes_option
 @click.option("--overwrite", is_flag=True, help="Replace the results of an earlier run.")
-@click.option("--integrator", metavar="NAME", help="Method, for example cvode or euler.")
+@integrator_option
 @click.option("--threads", type=click.IntRange(min=1), help="Number of threads.")
 @click.option("--no-report", is_flag=True, help="Write no report and no pictures.")
 @click.option("--quiet", is_flag=True, help="Print nothing but errors.")
@@ -104,17 +111,18 @@ def run(
     """Run a SCENE and write frames, summary, pictures and a report to a folder."""
     with errors(as_json):
         described = _scene(scene, changes)
-        if integrator is not None:
-            described = described.with_changes({"integrator": integrator})
         # loaded after the scene was accepted: bad input is answered at once
         from multicell.cli.progress import reporter
+        from multicell.runner import integrated_by
         from multicell.runner import run as simulate
 
+        described, own = integrated_by(described, integrator)
         try:
             with reporter(described, show=not quiet) as progress:
                 result = simulate(
                     described,
                     output=output,
+                    integrator=own,
                     overwrite=overwrite,
                     threads=threads,
                     progress=progress,
@@ -136,6 +144,7 @@ def run(
     help="Folder for the whole run; by default it goes on in FOLDER.",
 )
 @changes_option
+@integrator_option
 @click.option("--overwrite", is_flag=True, help="Replace the results of an earlier run.")
 @click.option("--threads", type=click.IntRange(min=1), help="Number of threads.")
 @click.option("--no-report", is_flag=True, help="Write no report and no pictures.")
@@ -146,6 +155,7 @@ def resume(
     frame: int,
     output: Path | None,
     changes: Sequence[str],
+    integrator: str | None,
     overwrite: bool,
     threads: int | None,
     no_report: bool,
@@ -172,6 +182,7 @@ def resume(
                     frame,
                     output=output,
                     changes=parsed,
+                    integrator=integrator,
                     overwrite=overwrite,
                     threads=threads,
                     progress=progress,

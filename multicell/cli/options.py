@@ -32,6 +32,13 @@ changes_option = click.option(
 )
 
 
+integrator_option = click.option(
+    "--integrator",
+    metavar="NAME",
+    help="Method, for example cvode or euler; or one of your own, as mine.py:Midpoint.",
+)
+
+
 def parse_changes(items: Sequence[str]) -> dict[str, Any]:
     """Return the values of ``KEY=VALUE`` items.
 

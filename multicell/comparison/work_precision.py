@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any
 
 from multicell.cells import Cells
-from multicell.comparison.ladders import Ladder, Method, named, settings, stiffness
+from multicell.comparison.ladders import Ladder, Method, able, listed, looks, settings, stiffness
 from multicell.comparison.measure import CLOCKS, Effort, Row, Timed, climb, time_again
 from multicell.comparison.reference import Reference, blank, paired, reference
 from multicell.comparison.result import FILES, WorkPrecision
 from multicell.comparison.stepwise import sample_size
 from multicell.errors import OutputError, SceneError
-from multicell.integrators.registry import METHODS
+from multicell.integrators.base import Integrator
 from multicell.results.folder import prepare_folder, versions, words
 from multicell.scene.scene import Scene, load_scene
 from multicell.schema import near_miss
@@ -21,7 +21,7 @@ from multicell.schema import near_miss
 
 def compare(
     scene: Scene | str | Path,
-    methods: Sequence[str | Method] | None = None,
+    methods: Sequence[str | Method | type[Integrator] | Integrator] | None = None,
     ladder: Ladder | None = None,
     output: str | Path | None = None,
     *,
@@ -52,8 +52,9 @@ def compare(
     scene
         The scene, the name of a built-in one, or a TOML file.
     methods
-        Names (:data:`multicell.integrators.registry.METHODS`) or :class:`Method` objects; by
-        default all that there are.
+        Names (:data:`multicell.integrators.registry.METHODS`), methods of the user's own (an
+        object, a class or ``"file.py:Name"``) or :class:`Method` objects; by default all that can
+        hold the scene.
     ladder
         Settings of the methods, see :func:`multicell.comparison.ladders.settings`.
     output
@@ -105,10 +106,8 @@ def compare(
         raise SceneError("clock", f"is {clock!r}, must be {' or '.join(map(repr, CLOCKS))}")
     tell = progress or (lambda _: None)
     radius = blank(described, cells, threads).mean_radius
-    asked = METHODS if methods is None else methods
-    if len(asked) == 0:
-        raise ValueError("methods is empty: there is nothing to compare")
-    chosen = [m if isinstance(m, Method) else named(m, described, radius) for m in asked]
+    asked = able(described) if methods is None else methods
+    chosen = listed(asked, described, radius)
     pair = None if references is None else paired(references, described, radius)
     _check_ladder(chosen, ladder)
     if output is not None:
@@ -130,7 +129,8 @@ def compare(
         left -= spent
     tell("timing again, all methods in turns")
     time_again(again, exact.problem, repeats)
-    result = WorkPrecision(described, table, exact.uncertainty, _facts(exact, decay), clock)
+    facts = {**_facts(exact, decay), "looks": looks(chosen)}
+    result = WorkPrecision(described, table, exact.uncertainty, facts, clock)
     if output is not None:
         result.save(output)
     return result

@@ -136,14 +136,14 @@ def settled(setting, tight):
     return position, radius, middle
 
 
-def motion(radius, rate, begin, end, offset=None, slack_rate=0.0):
-    """Return a coupling step; the last two cells have the slack."""
+def motion(radius, rate, begin, end, offset=None, offset_rate=0.0):
+    """Return a coupling step; the last two cells have the offset."""
     n = len(radius)
     made = Motion(radius, rate, np.ones(n), np.full(n, 0.5), begin, end)
-    if slack is None:
+    if offset is None:
         return made
     pair = np.array([[n - 2, n - 1]])
-    return replace(made, offset_pairs=pair, offset=np.array([[slack, slack_rate]]))
+    return replace(made, offset_pairs=pair, offset=np.array([[offset, offset_rate]]))
 
 
 def moved(position, motion, method, law, viscosity):

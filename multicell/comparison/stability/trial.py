@@ -47,7 +47,6 @@ STEPS: Final = 200
 """Steps that a method with a fixed step takes in a trial."""
 
 _WINDOWS, _LENGTH = 8, 2000.0  # of methods under error control; time in 1/λ_max
-_REMEMBERS = {"ab2"}  # methods that look back beyond the step's beginning
 _THROWN = re.compile("would move|not a number|on top of each other|not finite")
 _DISTANCE = 0.05  # pair distances off by more are wrong, in radii
 _FIRM = 0.02  # overlap of a contact that cannot be lost by chance, in radii
@@ -192,7 +191,7 @@ class _Watch:
     def _step(
         self, system: Mechanics, k: int, positions: list[FloatArray], touching: IntArray
     ) -> tuple[str, FloatArray]:
-        remembers = self.method.name in _REMEMBERS
+        remembers = self.method.control == "step" and self.method.info.remembers
         start = 0 if remembers else k
         self.state.ready(system, start * self.length, (k + 1) * self.length, touching)
         return _one_step(system, self.integrator, positions[start])

@@ -10,6 +10,7 @@ import numpy as np
 
 from multicell.cells import Cells
 from multicell.errors import MulticellError
+from multicell.integrators.base import MethodInfo
 from multicell.integrators.registry import METHODS
 from multicell.report.explain.contact import contact_notes, contact_numbers, contact_parts
 from multicell.report.explain.items import Number, Part, hours
@@ -125,17 +126,18 @@ def _domain_words(scene: Scene) -> str:
 
 def _integrator_words(scene: Scene) -> str:
     method = scene.integrator.method
+    words = (METHODS.get(method) or MethodInfo(method)).words
     if method != "auto":
-        return f"{method}: {METHODS[method]}"
+        return f"{method}: {words}"
     if scene.initial.count > _MOST_TRIED:
-        return f"{method}: {METHODS[method]}; not tried here with so many cells"
+        return f"{method}: {words}; not tried here with so many cells"
     from multicell.report.explain.integrator import explained
 
     try:
         choice = explained(scene)
     except MulticellError as error:
         choice = f"the first coupling step cannot be taken: {error}"
-    return f"{method}: {METHODS[method]}; {choice}"
+    return f"{method}: {words}; {choice}"
 
 
 def _run(scene: Scene) -> list[Number]:
@@ -191,10 +193,13 @@ def _notes(scene: Scene) -> list[str]:
             "Take a smaller coupling_step."
         )
     limit = drag(scene, birth_radius(scene)) / daughters_stiffness(scene)
-    if scene.integrator.method == "euler" and scene.integrator.step > limit / 3.0:
+    name, step = scene.integrator.method, scene.integrator.step
+    method = METHODS.get(name) or MethodInfo(name)
+    limit *= method.stable / 6.0
+    if method.control == "step" and step > limit:
         notes.append(
-            f"Euler's step of {scene.integrator.step:g} s is near or above its limit of stability "
-            f"(about {limit / 3.0:.2g} s in tissue). Take a smaller integrator.step or cvode."
+            f"The step of {step:g} s of {method.name} is near or above its limit of stability "
+            f"(about {limit:.2g} s in tissue). Take a smaller integrator.step or cvode."
         )
     notes += nutrient_notes(scene)
     return notes
