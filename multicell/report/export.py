@@ -182,8 +182,11 @@ def _overlapping(cells: Cells) -> NDArray[np.int64]:
 
 def _lineage(run: Result, frames: Iterator[tuple[int, Frame]]) -> Iterator[Table]:
     """Give the table of all cells that ever were, with the names of their types."""
-    table = {**run.lineage, "kind": _kinds(run)[run.lineage["kind"]]}
-    yield {_titled(name, unit_of(f"lineage.{name}")): column for name, column in table.items()}
+    kinds = _kinds(run)
+    yield {
+        _titled(name, unit_of(f"lineage.{name}")): kinds[column] if name == "kind" else column
+        for name, column in run.lineage.items()
+    }
 
 
 def _history(run: Result, frames: Iterator[tuple[int, Frame]]) -> Iterator[Table]:
