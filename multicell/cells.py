@@ -140,6 +140,18 @@ class Cells:
         """Return copies of the cells at ``index`` (integers or a mask), in that order."""
         return Cells(**{name: column[index] for name, column in self.columns()})
 
+    def copy(self) -> Cells:
+        """Return the same cells in arrays of their own."""
+        return self.take(np.arange(len(self)))
+
+    def rows_of(self, ids: IntArray) -> IntArray:
+        """Return the row of the cell of each identity, in the shape of ``ids``; -1 without one."""
+        if len(self) == 0:
+            return np.full(np.shape(ids), -1)
+        order = np.argsort(self.id)
+        place = np.minimum(np.searchsorted(self.id, ids, sorter=order), len(self) - 1)
+        return np.where(self.id[order[place]] == ids, order[place], -1)
+
     def joined(self, other: Cells) -> Cells:
         """Return these cells followed by those of ``other``."""
         return Cells(

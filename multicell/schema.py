@@ -17,7 +17,7 @@ from __future__ import annotations
 import difflib
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from numbers import Integral
 from typing import Any, TypeVar, dataclass_transform, final
 
@@ -57,8 +57,8 @@ class Parameter:
         The names that are allowed; of a variant the names of its parts.
     parts
         The parts of a variant by name.
-    key
-        The key of a variant that says which part it is.
+    key, usual
+        The key of a variant that says which part it is, and what it is without the key.
     examples
         Values that are accepted, where ``kind`` does not say how to make some.
     """
@@ -75,7 +75,16 @@ class Parameter:
     options: tuple[str, ...] = ()
     parts: Mapping[str, type] | None = None
     key: str = ""
+    usual: str = ""
     examples: tuple[Any, ...] = ()
+
+    @property
+    def units(self) -> str:
+        """The unit of a value, or of the two numbers of each point of a curve, for a reader."""
+        first = {"schedule": "s", "course": "s", "responses": self.unit}.get(self.kind)
+        if first is None:
+            return self.unit
+        return f"[{first}, {self.unit if self.kind == 'schedule' else 'number'}]"
 
 
 @final
@@ -99,16 +108,9 @@ class Bounds:
 
     def words(self, unit: str = "") -> str:
         """Return for example ``"above 0 um and at most 5 um"``."""
-        named = {
-            "above": self.above,
-            "at least": self.at_least,
-            "at most": self.at_most,
-            "below": self.below,
-        }
         tail = f" {unit}" if unit else ""
-        return " and ".join(
-            f"{name} {end:g}{tail}" for name, end in named.items() if end is not None
-        )
+        ends = ((name.replace("_", " "), end) for name, end in vars(self).items())
+        return " and ".join(f"{name} {end:g}{tail}" for name, end in ends if end is not None)
 
     def require(self, value: float, given: object, path: str, unit: str, hint: str) -> None:
         """Raise ``SceneError`` if ``value``, which the user wrote as ``given``, lies outside."""
@@ -116,6 +118,21 @@ class Bounds:
             tail = f" {unit}" if unit else ""
             text = given if isinstance(given, str) else f"{shown(given)}{tail}"
             raise SceneError(path, f"is {text}, must be {self.words(unit)}", hint)
+
+
+Read = Callable[[Any, str], float]
+"""Turns what a user wrote and its path into a number in base units, or raises ``SceneError``."""
+
+
+def _reader(unit: str, bounds: Bounds, wanted: str = "a number", hint: str = "") -> Read:
+    """Return what reads a quantity, or a number without dimension where ``unit`` is empty."""
+
+    def read(value: Any, path: str) -> float:
+        result = to_base(value, unit, path) if unit else finite(value, path, wanted)
+        bounds.require(result, value, path, unit, hint)
+        return result
+
+    return read
 
 
 def quantity(
@@ -135,16 +152,10 @@ def quantity(
     value lies outside the bounds.
     """
     bounds = Bounds(above, at_least, at_most, below)
-
-    def convert(value: object, path: str) -> float:
-        number = to_base(value, unit, path)
-        bounds.require(number, value, path, unit, hint)
-        return number
-
-    parameter = Parameter(
-        convert, unit=unit, allowed=bounds.words(unit), doc=doc, kind="quantity", bounds=bounds
-    )
-    return _field(parameter, default)
+    return _declared(
+        "quantity", _reader(unit, bounds, hint=hint), default,
+        unit=unit, allowed=bounds.words(unit), doc=doc, bounds=bounds,
+    )  # fmt: skip
 
 
 def number(
@@ -159,14 +170,8 @@ def number(
 ) -> Any:
     """Declare a number without dimension; strings are refused."""
     bounds = Bounds(above, at_least, at_most, below)
-
-    def convert(value: object, path: str) -> float:
-        result = finite(value, path, "a number without unit and quotes")
-        bounds.require(result, value, path, "", hint)
-        return result
-
-    parameter = Parameter(convert, allowed=bounds.words(), doc=doc, kind="number", bounds=bounds)
-    return _field(parameter, default)
+    read = _reader("", bounds, "a number without unit and quotes", hint)
+    return _declared("number", read, default, allowed=bounds.words(), doc=doc, bounds=bounds)
 
 
 def count(
@@ -186,8 +191,7 @@ def count(
         bounds.require(int(value), value, path, "", hint)
         return int(value)
 
-    parameter = Parameter(convert, allowed=bounds.words(), doc=doc, kind="count", bounds=bounds)
-    return _field(parameter, default)
+    return _declared("count", convert, default, allowed=bounds.words(), doc=doc, bounds=bounds)
 
 
 def choice(
@@ -198,17 +202,14 @@ def choice(
     other: Callable[[str], bool] = lambda _: False,
 ) -> Any:
     """Declare one name out of several; ``other`` tells which other texts are accepted."""
-    names = list(options)
+    known = tuple(options)
 
     def convert(value: object, path: str) -> str:
         if isinstance(value, str) and other(value):
             return value
-        return chosen(value, names, path)
+        return chosen(value, known, path)
 
-    parameter = Parameter(
-        convert, allowed=" or ".join(names), doc=doc, kind="choice", options=tuple(names)
-    )
-    return _field(parameter, default)
+    return _declared("choice", convert, default, allowed=" or ".join(known), doc=doc, options=known)
 
 
 def text(*, default: Any = MISSING, doc: str = "") -> Any:
@@ -219,7 +220,163 @@ def text(*, default: Any = MISSING, doc: str = "") -> Any:
             raise SceneError(path, f"is {shown(value)}, must be one line of text")
         return value
 
-    return _field(Parameter(convert, doc=doc, kind="text"), default)
+    return _declared("text", convert, default, doc=doc)
+
+
+def flag(*, default: Any = MISSING, doc: str = "") -> Any:
+    """Declare a yes or no."""
+
+    def convert(value: object, path: str) -> bool:
+        if not isinstance(value, bool):
+            raise SceneError(path, f"is {shown(value)}, must be true or false")
+        return value
+
+    return _declared("flag", convert, default, allowed="true or false", doc=doc)
+
+
+def names(options: Iterable[str], *, doc: str = "") -> Any:
+    """Declare a list of names out of several, by default none."""
+    known = tuple(options)
+
+    def convert(value: object, path: str) -> tuple[str, ...]:
+        if not isinstance(value, list | tuple):
+            raise SceneError(path, f"is {shown(value)}, must be a list of names")
+        return tuple(chosen(name, known, path) for name in value)
+
+    return _declared(
+        "names", convert, (), plain=list, allowed=", ".join(known), doc=doc, options=known
+    )
+
+
+def interval(
+    unit: str, *, at_least: float | None = None, at_most: float | None = None, doc: str = ""
+) -> Any:
+    """Declare an optional pair of quantities, the lower one first; stored as a tuple."""
+    bounds = Bounds(at_least=at_least, at_most=at_most)
+    read = _reader(unit, bounds)
+
+    def convert(value: object, path: str) -> tuple[float, float]:
+        if not isinstance(value, list | tuple) or len(value) != 2:
+            hint = f"For example ['-100 {unit}', '100 {unit}']."
+            raise SceneError(path, f"is {shown(value)}, must be a list of two quantities", hint)
+        low, high = (read(end, path) for end in value)
+        if not low < high:
+            problem = f"goes from {low:g} to {high:g} {unit}, must have the lower end first"
+            raise SceneError(path, problem)
+        return low, high
+
+    return _declared(
+        "interval", convert, None, plain=list, unit=unit, bounds=bounds, doc=doc,
+        allowed=f"two quantities: {bounds.words(unit)}",
+    )  # fmt: skip
+
+
+Curve = tuple[tuple[float, float], ...]
+"""Points (x, y) of a piecewise linear function, x rising."""
+
+
+def _curve(given: object, path: str, x: Read, y: Read, wanted: str, example: str) -> Curve:
+    """Return the points that a list of two-element lists gives, or raise ``SceneError``."""
+    points = list(given) if isinstance(given, list | tuple) else []
+    if not points or not all(isinstance(p, list | tuple) and len(p) == 2 for p in points):
+        raise SceneError(path, f"is {shown(given)}, must be {wanted}", f"For example {example}.")
+    return tuple((x(a, path), y(b, path)) for a, b in points)
+
+
+def _rises(curve: Curve) -> bool:
+    return all(a < b for (a, _), (b, _) in itertools.pairwise(curve))
+
+
+def _in_time(given: object, path: str, unit: str, y: Read) -> Curve:
+    """Return a curve over time in s, or raise ``SceneError``."""
+    wanted = f"{'' if unit else 'a number or '}a list of [time, value]"
+    example = f"[['10 h', '{f'0.1 {unit}' if unit else '0.1'}']]"
+    result = _curve(given, path, _reader("s", Bounds()), y, wanted, example)
+    if not _rises(result):
+        times = [time for time, _ in result]
+        raise SceneError(path, f"has the times {times} s, must have times that rise")
+    return result
+
+
+def course(*, default: float, at_least: float | None = None, doc: str = "") -> Any:
+    """Declare a number that may change with time: a number, or a list of ``[time, value]``.
+
+    The stored value is a tuple of (time in s, value), with times that rise.
+    """
+    bounds = Bounds(at_least=at_least)
+    read = _reader("", bounds)
+
+    def convert(value: object, path: str) -> Curve:
+        found = _in_time(
+            value if isinstance(value, list | tuple) else [(0.0, value)], path, "", read
+        )
+        # a single value holds always: its time says nothing, and would not be written
+        return found if len(found) > 1 else ((0.0, found[0][1]),)
+
+    def to_plain(value: Curve) -> Any:
+        return value[0][1] if len(value) == 1 else _lists(value)
+
+    return _declared("course", convert, ((0.0, default),), plain=to_plain, doc=doc, bounds=bounds)
+
+
+def schedule(
+    unit: str, *, at_least: float | None = None, at_most: float | None = None, doc: str = ""
+) -> Any:
+    """Declare a list of ``[time, quantity]`` with times that rise, by default None.
+
+    The stored value is a tuple of (time in s, value in ``unit``).
+    """
+    bounds = Bounds(at_least=at_least, at_most=at_most)
+    read = _reader(unit, bounds)
+    return _declared(
+        "schedule", lambda value, path: _in_time(value, path, unit, read), None,
+        plain=_lists, unit=unit, doc=doc, bounds=bounds,
+    )  # fmt: skip
+
+
+def _lists(curve: Curve) -> list[list[float]]:
+    return [list(point) for point in curve]
+
+
+def responses(unit: str, *, at_least: float | None = None, doc: str = "") -> Any:
+    """Declare an optional table of names to curves, lists of ``[quantity, number]``.
+
+    The stored curves are tuples of (quantity in ``unit``, number), with quantities that rise.
+    """
+    bounds = Bounds(at_least=at_least)
+    x, y = _reader(unit, Bounds()), _reader("", bounds)
+    example = f"[['0 {unit}', 0.2], ['0.02 {unit}', 1]]"
+
+    def one(curve: object, path: str) -> Curve:
+        result = _curve(curve, path, x, y, f"a list of [{unit}, factor]", example)
+        if not _rises(result):
+            raise SceneError(path, "must have concentrations that rise")
+        return result
+
+    return _declared(
+        "responses", lambda value, path: _named(value, path, one) or None, None,
+        plain=lambda value: {name: _lists(curve) for name, curve in value.items()},
+        unit=unit, doc=doc, bounds=bounds,
+    )  # fmt: skip
+
+
+def quantities(
+    unit: str, *, at_least: float | None = None, at_most: float | None = None, doc: str = ""
+) -> Any:
+    """Declare an optional table of names to quantities, or to numbers where ``unit`` is empty."""
+    bounds = Bounds(at_least=at_least, at_most=at_most)
+    read = _reader(unit, bounds)
+    return _declared(
+        # an empty table says no more than an absent one, which is how it would be written
+        "quantities", lambda value, path: _named(value, path, read) or None, None,
+        plain=dict, unit=unit, doc=doc, bounds=bounds,
+    )  # fmt: skip
+
+
+def _named(value: object, path: str, one: Callable[[Any, str], V]) -> Tables[V]:
+    """Return a table of names whose entries are each read by ``one``."""
+    entries = _mapping(value, path).items()
+    return Tables({name: one(entry, f"{path}.{name}") for name, entry in entries})
 
 
 def table(
@@ -240,8 +397,10 @@ def table(
             value = {shorthand: value}
         return value if isinstance(value, part) else build(part, value, path)
 
-    parameter = Parameter(convert, plain, doc=doc, shorthand=shorthand, table=part, kind="table")
-    return _field(parameter, default, default_factory)
+    return _declared(
+        "table", convert, default, default_factory,
+        plain=plain, doc=doc, shorthand=shorthand, table=part,
+    )  # fmt: skip
 
 
 def variant(
@@ -260,203 +419,38 @@ def variant(
         name = next(name for name, part in options.items() if type(value) is part)
         return {key: name, **plain(value)}
 
-    allowed = f"{key}: {' or '.join(options)}"
-    parameter = Parameter(
-        convert, to_plain, allowed=allowed, doc=doc, kind="variant", options=tuple(options),
-        parts=options, key=key,
+    return _declared(
+        "variant", convert, MISSING, default_factory, plain=to_plain, doc=doc,
+        allowed=f"{key}: {' or '.join(options)}", options=tuple(options), parts=options, key=key,
+        usual=usual,
     )  # fmt: skip
-    return _field(parameter, MISSING, default_factory)
-
-
-def flag(*, default: Any = MISSING, doc: str = "") -> Any:
-    """Declare a yes or no."""
-
-    def convert(value: object, path: str) -> bool:
-        if not isinstance(value, bool):
-            raise SceneError(path, f"is {shown(value)}, must be true or false")
-        return value
-
-    return _field(Parameter(convert, allowed="true or false", doc=doc, kind="flag"), default)
-
-
-def quantities(
-    unit: str, *, at_least: float | None = None, at_most: float | None = None, doc: str = ""
-) -> Any:
-    """Declare an optional table of names to quantities, or to numbers where ``unit`` is empty."""
-    bounds = Bounds(at_least=at_least, at_most=at_most)
-
-    def convert(value: object, path: str) -> Tables[float] | None:
-        entries = dict(value) if isinstance(value, Tables) else _mapping(value, path)
-        # an empty table says no more than an absent one, which is how it would be written
-        return Tables({name: one(name, e, path) for name, e in entries.items()}) or None
-
-    def one(name: str, entry: object, path: str) -> float:
-        where = f"{path}.{name}"
-        converted = to_base(entry, unit, where) if unit else finite(entry, where, "a number")
-        bounds.require(converted, entry, where, unit, "")
-        return converted
-
-    parameter = Parameter(convert, dict, unit=unit, doc=doc, kind="quantities", bounds=bounds)
-    return _field(parameter, None)
-
-
-def course(*, default: float, at_least: float | None = None, doc: str = "") -> Any:
-    """Declare a number that may change with time: a number, or a list of ``[time, value]``.
-
-    The stored value is a tuple of (time in s, value), with times that rise.
-    """
-    bounds = Bounds(at_least=at_least)
-
-    def convert(value: object, path: str) -> tuple[tuple[float, float], ...]:
-        points = value if isinstance(value, list | tuple) else [(0.0, value)]
-        found = _course(points, path, "", bounds)
-        # a single value holds always: its time says nothing, and would not be written
-        return found if len(found) > 1 else ((0.0, found[0][1]),)
-
-    def to_plain(value: tuple[tuple[float, float], ...]) -> Any:
-        return value[0][1] if len(value) == 1 else [list(point) for point in value]
-
-    parameter = Parameter(convert, to_plain, doc=doc, kind="course", bounds=bounds)
-    return _field(parameter, ((0.0, default),))
-
-
-def schedule(
-    unit: str, *, at_least: float | None = None, at_most: float | None = None, doc: str = ""
-) -> Any:
-    """Declare a list of ``[time, quantity]`` with times that rise, by default None.
-
-    The stored value is a tuple of (time in s, value in ``unit``).
-    """
-    bounds = Bounds(at_least=at_least, at_most=at_most)
-
-    def convert(value: object, path: str) -> tuple[tuple[float, float], ...]:
-        return _course(value, path, unit, bounds)
-
-    def to_plain(value: tuple[tuple[float, float], ...]) -> Any:
-        return [list(point) for point in value]
-
-    parameter = Parameter(convert, to_plain, unit=unit, doc=doc, kind="schedule", bounds=bounds)
-    return _field(parameter, None)
-
-
-def _course(
-    points: object, path: str, unit: str, bounds: Bounds
-) -> tuple[tuple[float, float], ...]:
-    """Return (time in s, value in ``unit``) for each point of a course, or raise ``SceneError``."""
-    listed = list(points) if isinstance(points, list | tuple) else []
-    if not listed or not all(isinstance(p, list | tuple) and len(p) == 2 for p in listed):
-        single = "" if unit else "a number or "
-        problem = f"is {shown(points)}, must be {single}a list of [time, value]"
-        example = f"0.1 {unit}" if unit else "0.1"
-        raise SceneError(path, problem, f"For example [['10 h', '{example}']].")
-
-    def one(value: object) -> float:
-        converted = to_base(value, unit, path) if unit else finite(value, path, "a number")
-        bounds.require(converted, value, path, unit, "")
-        return converted
-
-    result = tuple((to_base(t, "s", path), one(v)) for t, v in listed)
-    times = [time for time, _ in result]
-    if any(b <= a for a, b in itertools.pairwise(times)):
-        raise SceneError(path, f"has the times {times} s, must have times that rise")
-    return result
-
-
-def interval(unit: str, *, at_least: float | None = None, at_most: float | None = None,
-             doc: str = "") -> Any:  # fmt: skip
-    """Declare an optional pair of quantities, the lower one first; stored as a tuple."""
-    bounds = Bounds(at_least=at_least, at_most=at_most)
-
-    def convert(value: object, path: str) -> tuple[float, float]:
-        if not isinstance(value, list | tuple) or len(value) != 2:
-            hint = f"For example ['-100 {unit}', '100 {unit}']."
-            raise SceneError(path, f"is {shown(value)}, must be a list of two quantities", hint)
-        low, high = (to_base(end, unit, path) for end in value)
-        for end, given in zip((low, high), value, strict=True):
-            bounds.require(end, given, path, unit, "")
-        if not low < high:
-            problem = f"goes from {low:g} to {high:g} {unit}, must have the lower end first"
-            raise SceneError(path, problem)
-        return low, high
-
-    allowed = f"two quantities: {bounds.words(unit)}"
-    parameter = Parameter(
-        convert, list, unit=unit, allowed=allowed, doc=doc, kind="interval", bounds=bounds
-    )
-    return _field(parameter, None)
-
-
-def names(options: Iterable[str], *, doc: str = "") -> Any:
-    """Declare a list of names out of several, by default none."""
-    known = list(options)
-
-    def convert(value: object, path: str) -> tuple[str, ...]:
-        if not isinstance(value, list | tuple):
-            raise SceneError(path, f"is {shown(value)}, must be a list of names")
-        return tuple(chosen(name, known, path) for name in value)
-
-    parameter = Parameter(
-        convert, list, allowed=", ".join(known), doc=doc, kind="names", options=tuple(known)
-    )
-    return _field(parameter, ())
-
-
-def responses(unit: str, *, at_least: float | None = None, doc: str = "") -> Any:
-    """Declare an optional table of names to curves, lists of ``[quantity, number]``.
-
-    The stored curves are tuples of (quantity in ``unit``, number), with quantities that rise.
-    """
-    bounds = Bounds(at_least=at_least)
-
-    def convert(value: object, path: str) -> Tables[tuple[tuple[float, float], ...]] | None:
-        entries = dict(value) if isinstance(value, Tables) else _mapping(value, path)
-        curves = {name: one(curve, f"{path}.{name}") for name, curve in entries.items()}
-        return Tables(curves) or None  # as an empty table of quantities
-
-    def one(curve: object, path: str) -> tuple[tuple[float, float], ...]:
-        points = list(curve) if isinstance(curve, list | tuple) else []
-        if not points or not all(isinstance(p, list | tuple) and len(p) == 2 for p in points):
-            hint = f"For example [['0 {unit}', 0.2], ['0.02 {unit}', 1]]."
-            raise SceneError(path, f"is {shown(curve)}, must be a list of [{unit}, factor]", hint)
-        result = tuple((to_base(x, unit, path), finite(y, path, "a number")) for x, y in points)
-        for _, y in result:
-            bounds.require(y, y, path, "", "")
-        if any(b <= a for (a, _), (b, _) in itertools.pairwise(result)):
-            raise SceneError(path, "must have concentrations that rise")
-        return result
-
-    def to_plain(value: Mapping[str, Any]) -> dict[str, Any]:
-        return {name: [list(point) for point in curve] for name, curve in value.items()}
-
-    parameter = Parameter(convert, to_plain, unit=unit, doc=doc, kind="responses", bounds=bounds)
-    return _field(parameter, None)
 
 
 def tables(
     part: type[Any], *, default_factory: Any, names: Iterable[str] | None = None, doc: str = ""
 ) -> Any:
     """Declare a table of named tables, each of them a ``part``; ``names`` are all that may be."""
-    known = None if names is None else list(names)
+    known = tuple(names or ())
 
     def convert(value: object, path: str) -> Tables[Any]:
-        entries = dict(value) if isinstance(value, Tables) else _mapping(value, path)
-        return Tables({name: one(name, entry, path) for name, entry in entries.items()})
+        entries = _mapping(value, path)
+        for name in entries:
+            if known and name not in known:
+                hint = near_miss(name, known)
+                raise SceneError(f"{path}.{name}", "is not a known name here", hint)
+            if not known and not (name.isidentifier() and name.isascii()):
+                problem = f"is named {shown(name)}, must have a name of letters, digits and '_'"
+                raise SceneError(path, problem)
+        return _named(entries, path, one)
 
-    def one(name: str, entry: object, path: str) -> Any:
-        if known is not None and name not in known:
-            raise SceneError(f"{path}.{name}", "is not a known name here", near_miss(name, known))
-        if known is None and not (name.isidentifier() and name.isascii()):
-            problem = f"is named {shown(name)}, must have a name of letters, digits and '_'"
-            raise SceneError(path, problem)
-        return entry if isinstance(entry, part) else build(part, entry, f"{path}.{name}")
+    def one(entry: object, path: str) -> Any:
+        return entry if isinstance(entry, part) else build(part, entry, path)
 
-    def to_plain(value: Tables[Any]) -> dict[str, Any]:
-        return {name: plain(entry) for name, entry in value.items()}
-
-    parameter = Parameter(
-        convert, to_plain, doc=doc, table=part, kind="tables", options=tuple(known or ())
-    )
-    return _field(parameter, MISSING, default_factory)
+    return _declared(
+        "tables", convert, MISSING, default_factory,
+        plain=lambda value: {name: plain(entry) for name, entry in value.items()},
+        doc=doc, table=part, options=known,
+    )  # fmt: skip
 
 
 @final
@@ -486,23 +480,10 @@ class Tables(Mapping[str, V]):
     frozen_default=True,
     kw_only_default=True,
     field_specifiers=(
-        quantity,
-        number,
-        count,
-        choice,
-        text,
-        table,
-        variant,
-        tables,
-        flag,
-        quantities,
-        course,
-        schedule,
-        names,
-        interval,
-        responses,
+        quantity, number, count, choice, text, flag, names, interval, course, schedule, responses,
+        quantities, table, variant, tables,
     ),
-)
+)  # fmt: skip
 def parameters(cls: type[T]) -> type[T]:
     """Make a frozen dataclass, with keyword arguments only, that converts and checks its fields.
 
@@ -559,6 +540,21 @@ def build(part: type[T], value: object, path: str = "", also: tuple[str, ...] = 
         raise SceneError(_join(path, error.path), error.problem, error.hint) from None
 
 
+def leaves(
+    part: Any, path: tuple[str, ...] = ()
+) -> Iterator[tuple[tuple[str, ...], Any, Parameter]]:
+    """Yield path, value and declaration of every value in a part and in those that it holds."""
+    for name, spec in specs(part).items():
+        value, where = getattr(part, name), (*path, name)
+        entries = value.items() if isinstance(value, Tables) else [("", value)]
+        for key, entry in entries:
+            inner = (*where, key) if key else where
+            if is_dataclass(entry):
+                yield from leaves(entry, inner)
+            elif entry is not None:
+                yield inner, entry, spec
+
+
 def plain(part: Any) -> dict[str, Any]:
     """Return a part as a dict of plain values in base units; what is absent has no key."""
     result = {}
@@ -603,8 +599,15 @@ def _convert_fields(self: Any) -> None:
         check()
 
 
-def _field(parameter: Parameter, default: Any, default_factory: Any = MISSING) -> Any:
-    metadata = {"parameter": parameter}
+def _declared(
+    kind: str,
+    convert: Callable[[Any, str], Any],
+    default: Any,
+    default_factory: Any = MISSING,
+    **about: Any,
+) -> Any:
+    """Return a dataclass field with its declaration."""
+    metadata = {"parameter": Parameter(convert, kind=kind, **about)}
     if default_factory is not MISSING:
         return field(default_factory=default_factory, metadata=metadata)
     return field(default=default, metadata=metadata)

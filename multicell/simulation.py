@@ -12,33 +12,28 @@ import math
 import time as clock
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from multicell import random
 from multicell.biology import adhesion
 from multicell.biology.active_forces import push
-from multicell.biology.cycle import Cycling, advance, leave_rest, parting
-from multicell.biology.death import remove_lysed
-from multicell.biology.division import divide
-from multicell.biology.growth import growth_factor, volumes_after
+from multicell.biology.cycle import parting
 from multicell.biology.initial import initial_cells
-from multicell.biology.states import deciding, restricted, unfavourable, update_states
-from multicell.cells import DEAD, SPHERE, Cells, FloatArray, IntArray
-from multicell.errors import NutrientFailed, SceneError, StepFailed
+from multicell.biology.step import aged, bind, decide, divide_and_remove, grow
+from multicell.cells import Cells, FloatArray
+from multicell.errors import NutrientFailed, StepFailed
 from multicell.integrators import registry
 from multicell.mechanics import neighbours
 from multicell.mechanics.system import Mechanics, Motion
 from multicell.nutrient.balance import Ledger
-from multicell.results import observables
-from multicell.results.folder import versions
+from multicell.results import summary
 from multicell.results.frame import Field, Frame, Progress
 from multicell.results.lineage import Lineage
-from multicell.results.quantities import units_of
-from multicell.scene import pairs
-from multicell.scene.domain import strayed, walls
+from multicell.results.observables import contact_rows
+from multicell.scene import start
+from multicell.scene.domain import check_inside, check_start
 from multicell.scene.ranges import check_memory
 from multicell.threads import thread_count
 
@@ -122,7 +117,7 @@ class Simulation:
         self._origin = (0, 0.0)
         self.released = 0.0
         self.local_error: float | None = None
-        self._mechanics = _mechanics(scene, thread_count(threads))
+        self._mechanics = start.mechanics(scene, thread_count(threads))
         # identities of the pairs in contact, (m, 2): what exact JKR remembers, and others count
         self.contacts = np.empty((0, 2), dtype=np.int64)
         self.separation: dict[str, float] | None = None
@@ -130,15 +125,15 @@ class Simulation:
         self._feeding = _feeding(scene)
         self.lineage = Lineage() if lineage is None else lineage
         if frame is None:
-            self._start(_separated(scene, initial_cells(scene) if cells is None else cells))
+            self._start(start.separated(scene, initial_cells(scene) if cells is None else cells))
         else:
             self._restore(frame)
 
     def _start(self, cells: Cells) -> None:
         """Begin with these cells."""
-        _refuse_outside(self.scene, cells)
+        check_start(self.scene, cells)
         self.cells = cells
-        self._set_bonds({})
+        bind(self.scene, cells, cells, {}, self.time)
         self._next_id = int(cells.id.max(initial=-1)) + 1
         self.lineage.born(cells.take(np.argsort(cells.id)), self.time)
         self._unsorted = len(cells)
@@ -151,9 +146,9 @@ class Simulation:
                     self._feeding.begin(self.cells, self.time)
                 except NutrientFailed as failure:
                     raise StepFailed(self.time, failure.problem, failure.hint) from failure
-                self._set_bonds(self.concentrations)
+                bind(self.scene, self.cells, self.cells, self.concentrations, self.time)
         with self._phase("biology"):
-            self._change_states(0.0)
+            self._decide(0.0)
 
     def _restore(self, frame: Frame) -> None:
         """Go on from a frame."""
@@ -164,8 +159,8 @@ class Simulation:
         if frame.time != frame.step * self.scene.coupling_step:
             # a run whose last step was a shorter one has been prolonged: count from here
             self._origin = (frame.step, frame.time)
-        self.cells = frame.cells.take(np.arange(len(frame.cells)))
-        _refuse_outside(self.scene, self.cells)
+        self.cells = frame.cells.copy()
+        check_start(self.scene, self.cells)
         self.contacts = np.array(frame.contacts)
         self.divisions, self.removals = known.divisions, known.removals
         self.released, self.local_error = known.released, known.local_error
@@ -209,6 +204,11 @@ class Simulation:
         return min(time + (self.step_index - step) * self.scene.coupling_step, self.scene.duration)
 
     @property
+    def _next_time(self) -> float:
+        """The end of the next coupling step, s."""
+        return min(self.time + self.scene.coupling_step, self.scene.duration)
+
+    @property
     def steps(self) -> int:
         """Number of coupling steps from the start to the scene's end."""
         step, time = self._origin
@@ -248,21 +248,23 @@ class Simulation:
 
     def _advance(self) -> None:
         """Do one coupling step; an exception leaves parts of it behind."""
-        begin = self.time
-        end = min(begin + self.scene.coupling_step, self.scene.duration)
+        scene, begin, end = self.scene, self.time, self._next_time
         with self._phase("biology"):
-            radius, cycling = self._grown(end - begin)
+            grown = grow(scene, self.cells, self.concentrations, end - begin)
         with self._phase("mechanics"):
-            position, pressure = self._move(begin, end, radius)
+            position, pressure = self._move(begin, end, grown.radius)
         with self._phase("events"):
-            self._take(position, radius, pressure, end - begin, cycling)
+            self.cells, lost = aged(scene, self.cells, grown, self.concentrations, begin, end)
+            self.cells.position, self.cells.pressure = position, pressure
+            self.released += lost
+            self.step_index += 1
             self._divide_and_remove()
             self._sort()
         with self._phase("nutrient"):
             if self._feeding is not None:
                 self._feeding.advance(self.cells, begin, end)
         with self._phase("biology"):
-            self._change_states(end - begin)
+            self._decide(end - begin)
 
     def _kept(self) -> dict[str, Any]:
         """Return what :meth:`_take_back` needs to undo a step.
@@ -289,58 +291,27 @@ class Simulation:
 
     def frame(self) -> Frame:
         """Return the state as a frame that later steps do not change."""
-        return Frame(
-            self.time,
-            self.step_index,
-            self.cells.take(np.arange(len(self.cells))),
-            {name: values.copy() for name, values in self.concentrations.items()},
-            self.fields,
-            self.contacts,
-            self._progress(),
+        return replace(
+            self._view(),
+            cells=self.cells.copy(),
+            concentrations={name: values.copy() for name, values in self.concentrations.items()},
+            fields=self.fields,
         )
 
+    def _view(self) -> Frame:
+        """Return the state, without fields, as a frame that shares its arrays."""
+        return Frame(
+            self.time, self.step_index, self.cells, self.concentrations,
+            contacts=self.contacts, progress=self._progress(),
+        )  # fmt: skip
+
     def history_row(self) -> dict[str, float]:
-        """Return the observables of the state (see :func:`observables.history_row`)."""
+        """Return the observables of the state (:func:`multicell.results.summary.history_row`)."""
         extra: dict[str, float] = {}
-        if _counts_contacts(self.scene):
-            extra["contacts"] = float(len(self.contacts))
-        extra |= self._mixing()
-        extra |= {f"hypoxic_radius_{name}": r for name, r in self._hypoxic().items()}
         round_fields = any(part.geometry != "box" for part in self.scene.nutrients.values())
         if round_fields and self.scene.dimensions == 3:
             extra["departure_from_a_ball"] = _departure(self.cells)
-        if self.scene.pull is not None:
-            extra["pull"] = self.scene.pull.force + self.scene.pull.rate * self.time
-        extra |= self._held_back()
-        dimensions = self.scene.dimensions
-        return observables.history_row(self.time, self.step_index, self.cells, dimensions, **extra)
-
-    def _held_back(self) -> dict[str, float | int]:
-        """Return how much pressure holds growth back, where it does."""
-        growth = self.scene.growth
-        if growth is None or growth.critical_pressure is None:
-            return {}
-        return observables.pressure_summary(self.cells, growth.critical_pressure)
-
-    def _hypoxic(self) -> dict[str, float]:
-        """Return the radius in which cells lack each nutrient that makes them rest, µm."""
-        return {
-            name: observables.hypoxic_radius(
-                self.cells,
-                self.concentrations[name],
-                nutrient.quiescence,
-                self.scene.dimensions,
-            )
-            for name, nutrient in self.scene.nutrients.items()
-            if nutrient.quiescence is not None and name in self.concentrations
-        }
-
-    def _mixing(self) -> dict[str, float]:
-        """Return how the types mix, where there is more than one."""
-        if len(self.scene.types) < 2:
-            return {}
-        fraction = observables.heterotypic_fraction(self.cells, self.contacts)
-        return {"heterotypic_fraction": fraction}
+        return summary.history_row(self.scene, self._view(), **extra)
 
     def energy(self) -> float:
         """Return the contact energy of the cells, fJ."""
@@ -352,47 +323,15 @@ class Simulation:
 
         A number that does not exist (the viable rim without a core) is None.
         """
-        own = observables.state_summary(self.time, self.cells, self.scene.dimensions)
-        ledgers = {name: ledger.summary() for name, ledger in self.ledger.items()}
-        remainders = [entry["relative_remainder"] for entry in ledgers.values()]
-        whole: dict[str, Any] = {"relative_remainder": max(remainders)} if remainders else {}
-        summary = {
-            **own,
-            **{name: observables.known(value) for name, value in self._held_back().items()},
-            **({"hypoxic_radius": hypoxic} if (hypoxic := self._hypoxic()) else {}),
-            "title": self.scene.title,
-            "seed": self.scene.seed,
-            "steps": self.step_index,
-            "divisions": self.divisions,
-            "removals": self.removals,
-            "volume_released": self.released,
-            "integrator": self._work(),
-            "ledger": {**ledgers, **whole},
-            **self._fitness(own["packing_ratio"]),
-            **({"separation": self.separation} if self.separation else {}),
-            **{name: observables.known(value) for name, value in self._mixing().items()},
-            "wall": {**self.wall, "total": sum(self.wall.values())},
-            "threads": self._mechanics.threads,
-            "versions": versions(),
-        }
-        return {**summary, "units": units_of(summary)}
-
-    def _work(self) -> dict[str, Any]:
-        """Return what the integration has cost, and the largest error that it tells of."""
-        work = {"method": self.scene.integrator.method, **asdict(self._mechanics.work)}
-        known = {} if self.local_error is None else {"largest_local_error": self.local_error}
-        return {**work, **known}
-
-    def _fitness(self, packing: float | None) -> dict[str, Any]:
-        """Return how well grids and geometries fit the tissue, and remarks on what does not."""
-        from multicell.scene.packing import packing_notes
-
-        known: dict[str, Any] = {}
-        notes = packing_notes(self.scene, packing)
+        fields: dict[str, dict[str, Any]] = {}
+        remarks: list[str] = []
         if self._feeding is not None:
-            known["fields"], remarks = self._feeding.fitness(self.cells, self.time)
-            notes += remarks
-        return {**known, **({"notes": notes} if notes else {})}
+            fields, remarks = self._feeding.fitness(self.cells, self.time)
+        ledgers = {name: ledger.summary() for name, ledger in self.ledger.items()}
+        threads = self._mechanics.threads
+        return summary.run_summary(
+            self.scene, self._view(), ledgers, fields, remarks, self.wall, threads
+        )
 
     @contextmanager
     def _phase(self, name: str) -> Iterator[None]:
@@ -402,30 +341,19 @@ class Simulation:
         finally:
             self.wall[name] += clock.perf_counter() - begin
 
-    def _grown(self, dt: float) -> tuple[FloatArray, Cycling | None]:
-        """Return the radii after a time, and where the cells then are in their cycle."""
-        scene, cells = self.scene, self.cells
-        factor = growth_factor(scene, self.concentrations, cells.pressure)
-        volume = volumes_after(scene, cells, factor, dt)
-        cycling = None
-        if scene.growth is not None and scene.growth.phases:
-            resting = unfavourable(scene, cells, self.concentrations)
-            cycling = advance(scene, cells, factor, resting, dt)
-            volume += cycling.volume - cells.volume
-        return np.asarray(np.cbrt(volume / SPHERE)), cycling
-
     def _motion(self, begin: float, end: float, radius: FloatArray) -> Motion:
         """Return what mechanics must know of the cells between two times."""
         cells, scene = self.cells, self.scene
         length = end - begin
         rate = (radius - cells.radius) / length if length > 0.0 else np.zeros(len(cells))
         apart = parting(scene, cells, length)
+        touching = contact_rows(cells, self.contacts) if summary.remembers_contacts(scene) else None
         return Motion(
             cells.radius, rate, cells.young, cells.poisson, begin, end,
-            bonds=self._bonds(begin, end),
+            bonds=adhesion.bonds(scene, cells, self.concentrations, begin, end),
             push=push(scene, cells, begin, self._gradients()),
             kind=cells.kind if scene.types else None,
-            touching=self._touching() if _remembers(scene) else None,
+            touching=None if touching is None else np.sort(touching, axis=1),
             offset_pairs=None if apart is None else apart[0],
             offset=None if apart is None else apart[1],
         )  # fmt: skip
@@ -441,9 +369,8 @@ class Simulation:
 
     def prepared(self) -> Mechanics:
         """Return the mechanics made ready for the next coupling step, which is not taken."""
-        begin = self.time
-        end = min(begin + self.scene.coupling_step, self.scene.duration)
-        radius, _ = self._grown(end - begin)
+        begin, end = self.time, self._next_time
+        radius = grow(self.scene, self.cells, self.concentrations, end - begin).radius
         self._mechanics.begin(self._motion(begin, end, radius))
         return self._mechanics
 
@@ -457,107 +384,41 @@ class Simulation:
         if not outcome.done:
             cell = None if outcome.cell is None else int(cells.id[outcome.cell])
             raise StepFailed(outcome.time, outcome.problem, outcome.hint, cell)
-        self._keep_inside(outcome.position, cells, end)
+        check_inside(self.scene, cells.id, outcome.position, end)
         if not math.isnan(outcome.local_error):
             self.local_error = max(outcome.local_error, self.local_error or 0.0)
         pressure = self._mechanics.pressure(end, outcome.position)
-        if _counts_contacts(self.scene):
-            self._note_contacts(self._mechanics.contacts(end, outcome.position), end)
+        self._note_contacts(end, outcome.position)
         return outcome.position, pressure
-
-    def _keep_inside(self, position: FloatArray, cells: Cells, time: float) -> None:
-        """Raise ``StepFailed`` where a centre has left the scene's domain."""
-        domain = self.scene.domain
-        found = None if domain is None else strayed(domain, position)
-        if domain is None or found is None:
-            return
-        cell, side = found
-        where = position[cell, "xyz".index(side[0])]
-        hint = "Give the walls a larger domain.young, let less push the cells, or widen the domain"
-        if domain.wall == "refuse":
-            hint = "Widen the domain, or let its wall be 'elastic'"
-        problem = f"its centre left the domain through the side {side}, to {side[0]} = {where:g} um"
-        raise StepFailed(time, problem, hint, int(cells.id[cell]))
 
     def _find_first_contacts(self) -> None:
         """Find the pairs that overlap at the start, before any of them has touched."""
-        if _counts_contacts(self.scene) and len(self.cells):
+        if len(self.cells):
             self._mechanics.begin(self._motion(self.time, self.time, self.cells.radius))
-            found = self._mechanics.contacts(self.time, self.cells.position)
-            self.contacts = self.cells.id[found]
+            self._note_contacts(self.time, self.cells.position)
 
-    def _note_contacts(self, found: IntArray, time: float) -> None:
+    def _note_contacts(self, time: float, position: FloatArray) -> None:
         """Remember contacts by identity, and the pull at which the last one broke."""
-        before, self.contacts = len(self.contacts), self.cells.id[found]
+        if not summary.counts_contacts(self.scene):
+            return
+        before, found = len(self.contacts), self._mechanics.contacts(time, position)
+        self.contacts = self.cells.id[found]
         if self.scene.pull is not None and before and not len(found):
-            force = self.scene.pull.force + self.scene.pull.rate * time
-            self.separation = {"time": time, "force": force}
-
-    def _touching(self) -> IntArray:
-        """Return the remembered contacts as indices of the present cells; dead ones are gone."""
-        if len(self.cells) == 0:
-            return np.empty((0, 2), dtype=np.int64)
-        order = np.argsort(self.cells.id)
-        ids = self.cells.id[order]
-        place = np.minimum(np.searchsorted(ids, self.contacts), len(ids) - 1)
-        known = (ids[place] == self.contacts).all(axis=1)
-        return np.sort(order[place[known]], axis=1)
-
-    def _take(
-        self,
-        position: FloatArray,
-        radius: FloatArray,
-        pressure: FloatArray,
-        dt: float,
-        cycling: Cycling | None,
-    ) -> None:
-        """Make the end of the motion the state."""
-        cells = self.cells.take(np.arange(len(self.cells)))
-        cells.position, cells.radius, cells.pressure = position, radius, pressure
-        cells.age = cells.age + dt
-        dead = np.isin(cells.state, DEAD)
-        if dead.any():
-            # what the dead took up when they swelled counts against what they lose
-            lost = self.cells.radius[dead] ** 3 - radius[dead] ** 3
-            self.released += SPHERE * float(lost.sum())
-        if cycling is not None:
-            cells.state, cells.phase = cycling.state, cycling.phase
-            cells.progress, cells.phase_length = cycling.progress, cycling.phase_length
-        if self.scene.adhesion is not None:
-            end = adhesion.bond_levels(self.scene, self.cells, self.concentrations, self.time + dt)
-            cells.receptor, cells.ligand = end[:, 0].copy(), end[:, 1].copy()
-        self.cells = cells
-        self.step_index += 1
+            self.separation = {"time": time, "force": self.scene.pull.load(time)}
 
     def _divide_and_remove(self) -> None:
-        first, before = self._next_id, self.cells
-        divided, next_id = divide(self.scene, self.cells, self.step_index, first)
-        if next_id > first:
-            # daughters lie within their mother: only one that is pressed nearly flat, or that no
-            # wall holds, can have one outside
-            self._keep_inside(divided.position, divided, self.time)
-        self.cells, self._next_id = divided, next_id
-        whole = float(self.cells.volume.sum())
-        self.cells, removed = remove_lysed(self.scene, self.cells)
-        if removed:
-            self.released += whole - float(self.cells.volume.sum())
-        self.divisions += (self._next_id - first) // 2
-        self.removals += removed
-        self._unsorted += self._next_id - first + removed
-        if self._next_id > first or removed:
+        """Change the number of cells, and all that is noted of single ones."""
+        before, first = self.cells, self._next_id
+        after = divide_and_remove(self.scene, before, self.step_index, first, self.time)
+        born = after.next_id - first
+        self.cells, self._next_id = after.cells, after.next_id
+        self.divisions += born // 2
+        self.removals += after.removals
+        self.released += after.released
+        self._unsorted += born + after.removals
+        if born or after.removals:
             self.lineage.events(before, self.cells, self.time)
-            there = np.isin(self.contacts, self.cells.id).all(axis=1)
-            self.contacts = self.contacts[there]
-
-    def _set_bonds(self, concentrations: Mapping[str, FloatArray]) -> None:
-        """Set receptors and ligands of all cells at the start."""
-        if self.scene.adhesion is not None:
-            levels = adhesion.bond_levels(self.scene, self.cells, concentrations, self.time)
-            self.cells.receptor, self.cells.ligand = levels[:, 0].copy(), levels[:, 1].copy()
-
-    def _bonds(self, begin: float, end: float) -> FloatArray | None:
-        """Return receptors and ligands at ``begin`` with their rates."""
-        return adhesion.bonds(self.scene, self.cells, self.concentrations, begin, end)
+            self.contacts = self.cells.id[contact_rows(self.cells, self.contacts)]
 
     def _sort(self) -> None:
         """Sort the cells in space when many are new: neighbours then share memory."""
@@ -566,54 +427,12 @@ class Simulation:
             self.cells = self.cells.take(neighbours.spatial_order(self.cells.position, width))
             self._unsorted = 0
 
-    def _change_states(self, dt: float) -> None:
-        before = self.cells.state
-        self.cells.state = update_states(
-            self.scene, self.cells, self.concentrations, self.step_index, dt, self.time
-        )
-        if restricted(self.scene):
-            due = deciding(self.cells, self.scene.coupling_step, self.scene.cells.reaction_time)
-            well = ~unfavourable(self.scene, self.cells, self.concentrations)
-            leave_rest(self.scene, self.cells, due & well)
-        dead = (self.cells.state != before) & np.isin(self.cells.state, DEAD)
+    def _decide(self, dt: float) -> None:
+        """Let cells turn to another state by what they find, and note those that die."""
+        scene, cells = self.scene, self.cells
+        dead = decide(scene, cells, self.concentrations, self.step_index, dt, self.time)
         if dead.any():
-            self.cells.age[dead] = 0.0
-            self.lineage.died(np.sort(self.cells.id[dead]), self.time)
-
-
-def _mechanics(scene: Scene, threads: int) -> Mechanics:
-    """Return the mechanics that a scene asks for."""
-    rubbing = scene.friction
-    return Mechanics(
-        scene.contact,
-        scene.drag.viscosity,
-        threads,
-        bond_strength=0.0 if scene.adhesion is None else scene.adhesion.strength,
-        friction=(0.0, 0.0) if rubbing is None else (rubbing.normal, rubbing.tangential),
-        surface_energies=pairs.surface_energies(scene),
-        walls=walls(scene),
-    )
-
-
-def _refuse_outside(scene: Scene, cells: Cells) -> None:
-    """Raise ``SceneError`` for a cell that starts outside the scene's domain."""
-    found = None if scene.domain is None else strayed(scene.domain, cells.position)
-    if found is not None:
-        cell, side = found
-        place = ", ".join(f"{x:g}" for x in cells.position[cell])
-        problem = f"is too small: cell {cells.id[cell]} starts at ({place}) um, beyond side {side}"
-        hint = "Widen the domain, or start with fewer cells."
-        raise SceneError(f"domain.{side[0]}", problem, hint)
-
-
-def _remembers(scene: Scene) -> bool:
-    """Return whether the contact law needs to know which pairs were in contact."""
-    return hasattr(scene.contact, "in_contact")
-
-
-def _counts_contacts(scene: Scene) -> bool:
-    """Return whether anything asks for the pairs in contact; to find them costs a little."""
-    return _remembers(scene) or len(scene.types) > 1 or scene.pull is not None
+            self.lineage.died(np.sort(cells.id[dead]), self.time)
 
 
 def _departure(cells: Cells) -> float:
@@ -630,22 +449,3 @@ def _feeding(scene: Scene) -> Feeding | None:
     from multicell.nutrient.fields import Feeding
 
     return Feeding(scene)
-
-
-def _separated(scene: Scene, cells: Cells) -> Cells:
-    """Move cells apart whose centres coincide: between them no force has a direction.
-
-    Each but one of them moves by a millionth of its radius along a random direction; the
-    contact forces do the rest.
-    """
-    if len(cells) < 2:
-        return cells
-    pairs = neighbours.neighbour_pairs(cells.position, 1e-9 * float(cells.radius.min()))
-    moved = np.unique(pairs[:, 1])
-    if len(moved):
-        cells = cells.take(np.arange(len(cells)))
-        axis = random.directions(
-            scene.seed, random.Purpose.SEPARATION, 0, cells.id[moved], scene.dimensions
-        )
-        cells.position[moved] += 1e-6 * cells.radius[moved, None] * axis
-    return cells

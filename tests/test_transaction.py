@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 import multicell as mc
-import multicell.simulation as module
+import multicell.biology.step as biology
 from multicell.errors import NutrientFailed, StepFailed
+from multicell.mechanics.system import Mechanics
 from multicell.nutrient.field import NutrientField
 
 SCENE = mc.Scene.from_dict(
@@ -78,15 +79,15 @@ def fails(error, after_calls=0):
 
 
 WHERE = {
-    "growth": (module, "volumes_after"),
-    "motion": (module.Mechanics, "pressure"),
-    "division": (module, "divide"),
-    "removal": (module, "remove_lysed"),
+    "growth": (biology, "volumes_after"),
+    "motion": (Mechanics, "pressure"),
+    "division": (biology, "divide"),
+    "removal": (biology, "remove_lysed"),
     "first field": (NutrientField, "solve"),
     "second field": (NutrientField, "advance"),
     "sampling": (NutrientField, "sample"),
-    "states": (module, "update_states"),
-    "waking": (module, "restricted"),
+    "states": (biology, "update_states"),
+    "waking": (biology, "restricted"),
 }
 ERRORS = [NutrientFailed("it cannot be solved", "Try again"), MemoryError(), KeyboardInterrupt()]
 

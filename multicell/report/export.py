@@ -15,6 +15,7 @@ from multicell.errors import OutputError
 from multicell.report.result import Result, load_result
 from multicell.results.folder import replacing, words
 from multicell.results.frame import Frame
+from multicell.results.observables import contact_rows
 from multicell.results.quantities import known_unit, unit_of
 from multicell.schema import near_miss
 
@@ -151,10 +152,7 @@ def _contacts(run: Result, frames: Iterator[tuple[int, Frame]]) -> Iterator[Tabl
     """Give the pairs in contact of each frame by their identities."""
     for number, frame in frames:
         cells = frame.cells
-        order = np.argsort(cells.id)
-        # a pair of which one has divided or was removed since is a pair no more
-        there = np.isin(frame.contacts, cells.id).all(axis=1)
-        pairs = order[np.searchsorted(cells.id, frame.contacts[there], sorter=order)]
+        pairs = contact_rows(cells, frame.contacts)
         if len(pairs) == 0:
             pairs = _overlapping(cells)
         n, (first, second) = len(pairs), pairs.T
@@ -185,12 +183,10 @@ def _overlapping(cells: Cells) -> NDArray[np.int64]:
 def _lineage(run: Result, frames: Iterator[tuple[int, Frame]]) -> Iterator[Table]:
     """Give the table of all cells that ever were, with the names of their types."""
     kinds = _kinds(run)
-    table = {}
-    for name, column in run.lineage.items():
-        if name == "kind":
-            column = kinds[column]
-        table[_titled(name, unit_of(f"lineage.{name}"))] = column
-    yield table
+    yield {
+        _titled(name, unit_of(f"lineage.{name}")): kinds[column] if name == "kind" else column
+        for name, column in run.lineage.items()
+    }
 
 
 def _history(run: Result, frames: Iterator[tuple[int, Frame]]) -> Iterator[Table]:

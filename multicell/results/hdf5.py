@@ -1,19 +1,19 @@
 """The file ``frames.h5``: written once, as a whole, and checked before anything of it is believed.
 
-HDF5 never meets a disk that can refuse it: it writes through a :class:`_Sink` that notes a refusal
-and goes on as if nothing had happened, and the file is thrown away afterwards. All of the file's
-own structure and all data carry checksums of HDF5, and each frame one of ours over all that it
-holds. Nothing that leads out of the file (links, external storage, virtual data sets) is followed.
+HDF5 never meets a disk that can refuse it: it writes through a
+:class:`~multicell.results.sink.Sink` that notes a refusal and goes on as if nothing had happened,
+and the file is thrown away afterwards. All of the file's own structure and all data carry checksums
+of HDF5, and each frame one of ours over all that it holds. Nothing that leads out of the file
+(links, external storage, virtual data sets) is followed.
 """
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, Final, NamedTuple, final
+from typing import Any, Final, NamedTuple, final
 
 import h5py
 import numpy as np
@@ -26,6 +26,7 @@ from multicell.results.journal import digest
 from multicell.results.lineage import COLUMNS
 from multicell.results.quantities import known_unit
 from multicell.results.records import UNIT, Arrays
+from multicell.results.sink import Sink
 
 NAME: Final = "frames.h5"
 
@@ -119,7 +120,7 @@ def write(path: Path, whole: Whole) -> None:
         If it cannot be written, for example because the disk is full.
     """
     with replacing(path, "w+b") as file:
-        sink = _Sink(file)
+        sink = Sink(file)
         try:
             with h5py.File(sink, "w", libver=_LIBVER) as target:
                 _fill(target, whole, sink)
@@ -131,7 +132,7 @@ def write(path: Path, whole: Whole) -> None:
         sink.check()
 
 
-def _fill(target: Any, whole: Whole, sink: _Sink) -> None:
+def _fill(target: Any, whole: Whole, sink: Sink) -> None:
     """Write everything to an open file."""
     sets = _layout(whole.nutrients)
     target.attrs.update(format=FORMAT, multicell=package_version())
@@ -182,7 +183,7 @@ def _append(column: Any, pieces: Sequence[NDArray[Any]]) -> None:
 class _Log:
     """Rows on their way into a file: HDF5 is quick with few large writes, slow with many."""
 
-    def __init__(self, target: Any, sets: Mapping[str, _Kind], sink: _Sink) -> None:
+    def __init__(self, target: Any, sets: Mapping[str, _Kind], sink: Sink) -> None:
         self._target = target
         self._sets = sets
         self._sink = sink
@@ -267,83 +268,6 @@ def _shared(file: Any, sets: Mapping[str, _Kind]) -> Arrays:
     return {"scene": file["scene"][()], **{path: file[path][()] for path in paths}}
 
 
-@final
-class _Sink:
-    """A file for HDF5 whose writes never fail: the first refusal is kept for :meth:`check`.
-
-    HDF5 cannot close a file that it cannot write: it keeps it open, complains at the end of the
-    process, and may crash there. So it is told that all went well.
-    """
-
-    def __init__(self, file: IO[bytes]) -> None:
-        self._file = file
-        self._place = self._end = 0
-        self._trouble: BaseException | None = None
-
-    def check(self) -> None:
-        """Raise what a write was refused with."""
-        if self._trouble is not None:
-            raise self._trouble
-
-    def seek(self, place: int, whence: int = os.SEEK_SET) -> int:
-        """Go to a place."""
-        base = {os.SEEK_SET: 0, os.SEEK_CUR: self._place, os.SEEK_END: self._end}[whence]
-        self._place = base + place
-        return self._place
-
-    def tell(self) -> int:
-        """Return the place."""
-        return self._place
-
-    def write(self, data: Any) -> int:
-        """Write, or note why that is refused."""
-        length = memoryview(data).nbytes
-
-        def put() -> None:
-            self._file.seek(self._place)
-            self._file.write(data)
-
-        self._try(put)
-        self._place += length
-        self._end = max(self._end, self._place)
-        return length
-
-    def readinto(self, target: Any) -> int:
-        """Read back what was written; after a refusal there may be nothing."""
-        view = memoryview(target).cast("B")
-
-        def get() -> None:
-            self._file.seek(self._place)
-            self._file.readinto(view)  # type: ignore[attr-defined]
-
-        self._try(get)
-        self._place += len(view)
-        return len(view)
-
-    def read(self, size: int) -> bytes:
-        """Read back what was written; it is what tells h5py that this is a file."""
-        data = bytearray(size)
-        self.readinto(data)
-        return bytes(data)
-
-    def truncate(self, size: int | None = None) -> int:
-        """Set the length."""
-        self._end = self._place if size is None else size
-        self._try(lambda: self._file.truncate(self._end))
-        return self._end
-
-    def flush(self) -> None:
-        """Hand everything to the system."""
-        self._try(self._file.flush)
-
-    def _try(self, action: Callable[[], Any]) -> None:
-        if self._trouble is None:
-            try:
-                action()
-            except BaseException as error:  # raised again by check()
-                self._trouble = error
-
-
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
     """Open a file for reading and turn all that HDF5 has to say into words.
@@ -407,8 +331,7 @@ class File:
             if digest(shared) != int(file.attrs["digest"]):
                 raise self._damaged("its scene, index or lineage is not what was written")
             self.identity, self.absorbed = (
-                self._name(file, "identity"),
-                self._name(file, "absorbed"),
+                self._name(file, key) for key in ("identity", "absorbed")
             )
         self._ends = {path: a for path, a in shared.items() if path.endswith("/offset")}
         self.times, self.steps = shared["frames/time"], shared["frames/step"]
@@ -462,19 +385,17 @@ class File:
     def _check_sets(self, file: Any) -> None:
         """Check place, type, shape and storage of every data set before anything is read."""
         self._check_set(file, "scene", _Kind("|u1", None, ""), None)
-        for path, kind in self._sets.items():
-            if kind.pool in ("frames", "ends"):
-                self._check_set(file, path, kind, self.count + (kind.pool == "ends"))
-        lengths = {}
-        for path, kind in self._sets.items():
+        lengths = {"frames": self.count, "ends": self.count + 1}
+        # those whose length is known come first, then those whose length they tell
+        for path, kind in sorted(
+            self._sets.items(), key=lambda entry: entry[1].pool not in lengths
+        ):
+            self._check_set(file, path, kind, lengths[kind.pool])
             if kind.pool == "ends":
                 ends = file[path][()]
                 if ends[0] != 0 or (np.diff(ends) < 0).any():
                     raise self._damaged(f"{path} does not rise from 0")
                 lengths[path] = int(ends[-1])
-        for path, kind in self._sets.items():
-            if kind.pool in lengths:
-                self._check_set(file, path, kind, lengths[kind.pool])
         self.rows = 0
         for k, name in enumerate(self.columns):
             path = f"history/{name}"

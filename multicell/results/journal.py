@@ -4,9 +4,9 @@ HDF5 leaves an unreadable file behind when the disk is full or the process is ki
 of a write. So while a run goes on its results go here, by plain writes to the end of the file, and
 only what is complete counts. The file is a sequence of records
 
-    tag (4 bytes), length of facts, length of body, checksums of facts, of body, and of these 24
+    tag (4 bytes), length of header, length of body, checksums of header, of body, and of these 24
     bytes with the same checksum of the record before
-    facts: JSON, with the kind of the record, and names, types and shapes of the arrays
+    header: JSON, with the kind of the record, and names, types and shapes of the arrays
     body: the arrays one after another, little-endian, in C order
 
 So no record can be missing, or be in the place of another. A record that the file ends in the
@@ -37,7 +37,7 @@ NAME: Final = "frames.journal"
 
 _TAG: Final = b"mcj3"
 _HEAD: Final = struct.Struct("<4sIQIII")  # 28 bytes
-_LARGEST_FACTS: Final = 1 << 24
+_LARGEST_HEADER: Final = 1 << 24
 _SYNC_EVERY: Final = 1.0  # s
 _TYPES: Final = ("<f8", "<i8", "<i2", "|i1", "|u1")
 
@@ -65,7 +65,7 @@ def digest(arrays: Arrays) -> int:
 class Record:
     """A complete record: what it says of itself, and where its arrays are."""
 
-    facts: Mapping[str, Any]
+    header: Mapping[str, Any]
     begin: int
     length: int
     digest: int
@@ -73,7 +73,7 @@ class Record:
     @property
     def kind(self) -> str:
         """What it is a record of."""
-        return str(self.facts["kind"])
+        return str(self.header["kind"])
 
 
 @final
@@ -93,14 +93,14 @@ class Journal:
         self._synced = clock.monotonic()
 
     @classmethod
-    def create(cls, folder: Path, facts: Mapping[str, Any]) -> Journal:
+    def create(cls, folder: Path, header: Mapping[str, Any]) -> Journal:
         """Begin a journal; it is in its place only when its first record is on disk."""
         path = folder / NAME
         part = path.with_name(f"{NAME}.part")
         with words("write", path):
             journal = cls(path, new_file(part))
             try:
-                journal.append([(facts, {})])
+                journal.append([(header, {})])
                 journal.sync()
                 part.replace(path)
             except BaseException:
@@ -127,8 +127,8 @@ class Journal:
     def append(self, records: Sequence[tuple[Mapping[str, Any], Arrays]]) -> None:
         """Write records; a call that does not come to its end leaves none of them."""
         chain, parts = self._chain, []
-        for facts, arrays in records:
-            chain, pieces = _parts(facts, arrays, chain)
+        for header, arrays in records:
+            chain, pieces = _parts(header, arrays, chain)
             parts += pieces
         data = b"".join(parts)
         with words("write", self._path):
@@ -178,9 +178,9 @@ class Journal:
                 os.close(descriptor)
 
 
-def _parts(facts: Mapping[str, Any], arrays: Arrays, chain: int) -> tuple[int, list[Any]]:
+def _parts(header: Mapping[str, Any], arrays: Arrays, chain: int) -> tuple[int, list[Any]]:
     """Return the checksum of a record's head, and the pieces of the record."""
-    text = json.dumps({**facts, "arrays": described(arrays)} if arrays else facts).encode()
+    text = json.dumps({**header, "arrays": described(arrays)} if arrays else header).encode()
     pieces = [flat(array) for array in arrays.values()]
     length = sum(len(piece) for piece in pieces)
     head = _HEAD.pack(_TAG, len(text), length, zlib.crc32(text), digest(arrays), 0)[:-4]
@@ -225,8 +225,8 @@ class Reader:
         head = file.read(_HEAD.size)
         if len(head) < _HEAD.size:
             return False
-        tag, letters, length, of_facts, of_body, of_head = _HEAD.unpack(head)
-        if tag != _TAG or zlib.crc32(head[:-4], self.chain) != of_head or letters > _LARGEST_FACTS:
+        tag, letters, length, of_text, of_body, of_head = _HEAD.unpack(head)
+        if tag != _TAG or zlib.crc32(head[:-4], self.chain) != of_head or letters > _LARGEST_HEADER:
             # after a loss of power the end may be there without what was written to it
             if any(head) or any(file.read(1 << 16)):
                 self.damage = f"the record at byte {self.end} is damaged"
@@ -235,11 +235,11 @@ class Reader:
         if begin + length > size:
             return False
         text = file.read(letters)
-        facts = _facts(text, length) if zlib.crc32(text) == of_facts else None
-        if facts is None:
+        header = _header(text, length) if zlib.crc32(text) == of_text else None
+        if header is None:
             self.damage = f"the record at byte {self.end} is damaged"
             return False
-        self.records.append(Record(facts, begin, length, of_body))
+        self.records.append(Record(header, begin, length, of_body))
         self.end, self.chain = begin + length, of_head
         return True
 
@@ -256,7 +256,7 @@ class Reader:
             body = file.read(record.length)
         arrays, start = {}, 0
         if len(body) == record.length:
-            for name, kind, shape in record.facts.get("arrays", ()):
+            for name, kind, shape in record.header.get("arrays", ()):
                 count = int(np.prod(shape, dtype=np.int64))
                 values = np.frombuffer(body, kind, count, start).reshape(shape)
                 arrays[name], start = values.copy(), start + values.nbytes
@@ -265,11 +265,11 @@ class Reader:
         return arrays
 
 
-def _facts(text: bytes, length: int) -> dict[str, Any] | None:
-    """Return the facts of a record, or None if they do not fit the length of its body."""
+def _header(text: bytes, length: int) -> dict[str, Any] | None:
+    """Return the header of a record, or None if they do not fit the length of its body."""
     try:
-        facts = json.loads(text)
-        arrays = facts.get("arrays", ())
+        header = json.loads(text)
+        arrays = header.get("arrays", ())
         sizes = [
             int(np.prod(shape, dtype=object)) * np.dtype(kind).itemsize
             for _, kind, shape in arrays
@@ -278,4 +278,4 @@ def _facts(text: bytes, length: int) -> dict[str, Any] | None:
         whole = len(sizes) == len(arrays) and sum(sizes) == length
     except (ValueError, TypeError, AttributeError, RecursionError):
         return None
-    return facts if whole and isinstance(facts.get("kind"), str) else None
+    return header if whole and isinstance(header.get("kind"), str) else None

@@ -188,11 +188,22 @@ def heterotypic_fraction(cells: Cells, contacts: IntArray) -> float:
     contacts : (m, 2)
         Identities of the cells of each pair in contact.
     """
-    order = np.argsort(cells.id)
-    place = np.searchsorted(cells.id[order], contacts)
-    present = np.isin(contacts, cells.id).all(axis=1)
-    kind = cells.kind[order[np.minimum(place[present], max(len(cells) - 1, 0))]]
+    kind = cells.kind[contact_rows(cells, contacts)]
     return float((kind[:, 0] != kind[:, 1]).mean()) if len(kind) else float("nan")
+
+
+def contact_rows(cells: Cells, contacts: IntArray) -> IntArray:
+    """Return the rows of the cells of each pair, given by identities: (m, 2), absent ones left out.
+
+    Parameters
+    ----------
+    cells
+        All cells.
+    contacts : (m, 2)
+        Identities.
+    """
+    rows = cells.rows_of(contacts).reshape(-1, 2)
+    return rows[(rows >= 0).all(axis=1)]
 
 
 def largest_pressure(cells: Cells) -> float:

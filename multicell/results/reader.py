@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, NamedTuple, final, overload
 
@@ -19,21 +20,20 @@ _ATTEMPTS: Final = 5  # how often a folder is looked at that changes while it is
 
 
 class _Place(NamedTuple):
-    """Where a frame is."""
+    """A frame: when it is, its checksum, and what reads it and the new rows of the lineage."""
 
     time: float
     step: int
     digest: int
-    in_file: int | None  # number in frames.h5
-    record: journal.Record | None  # in the journal
-    log: journal.Record | None  # new rows of the lineage, in the journal
+    arrays: Callable[[], Arrays]
+    log: Callable[[], Arrays]
 
 
 class _Rows(NamedTuple):
-    """Rows of the history, the first ``length`` of a record or of frames.h5."""
+    """The first ``length`` rows of a part of the history, and what reads them by column."""
 
-    record: journal.Record | None
     length: int
+    read: Callable[[], Mapping[str, NDArray[np.float64]]]
 
 
 @final
@@ -75,9 +75,9 @@ class Contents:
         self.identity = ""
         self.damage: str | None = None
         if self.file is not None:
-            self._take_file(self.file)
+            self._follow_file(self.file)
         if self.journal is not None:
-            self._take_journal(self.journal)
+            self._follow_journal(self.journal)
 
     def _open(self) -> tuple[hdf5.File | None, journal.Reader | None]:
         """Open both files; a run that ends meanwhile makes one of them."""
@@ -95,10 +95,10 @@ class Contents:
                 break
             if reader is None:
                 return file, None
-            facts = reader.records[0].facts
-            if file is not None and file.absorbed == facts.get("identity"):
+            header = reader.records[0].header
+            if file is not None and file.absorbed == header.get("identity"):
                 return file, None
-            if facts.get("base") == ("" if file is None else file.identity):
+            if header.get("base") == ("" if file is None else file.identity):
                 return file, reader
             if attempt == _ATTEMPTS - 1:
                 raise OutputError(
@@ -107,78 +107,86 @@ class Contents:
                 )
         raise OutputError(f"there are no results in '{self.folder}': {hdf5.NAME} is missing")
 
-    def _take_file(self, file: hdf5.File) -> None:
+    def _follow_file(self, file: hdf5.File) -> None:
         self.scene, self.nutrients, self.columns = file.scene, file.nutrients, file.columns
+        known = zip(file.times, file.steps, file.digests, strict=True)
         self.places = [
-            _Place(float(time), int(step), int(check), k, None, None)
-            for k, (time, step, check) in enumerate(
-                zip(file.times, file.steps, file.digests, strict=True)
-            )
+            _Place(float(time), int(step), int(check), partial(file.frame, k), partial(file.log, k))
+            for k, (time, step, check) in enumerate(known)
         ]
-        self._rows = [_Rows(None, file.rows)]
+        self._rows = [_Rows(file.rows, file.history)]
 
-    def _take_journal(self, reader: journal.Reader) -> None:
-        """Follow the journal as far as it makes sense."""
+    def _follow_journal(self, reader: journal.Reader) -> None:
+        """Follow the journal as far as its records follow from each other."""
         self.damage = reader.damage
-        log = None
+        before = None
         for record in reader.records:
             try:
-                fits = self._take(record, log)
+                fits = self._follow(record, partial(reader.arrays, record), before)
             except (KeyError, TypeError, ValueError, AttributeError):
                 fits = False
             if not fits:
                 self.damage = f"the record at byte {record.begin} does not follow from those before"
                 return
-            log = record if record.kind == "lineage" else None
+            before = partial(reader.arrays, record) if record.kind == "lineage" else None
 
-    def _take(self, record: journal.Record, log: journal.Record | None) -> bool:
-        """Follow one record if it fits to what came before; return whether it does."""
-        facts = record.facts
+    def _follow(
+        self, record: journal.Record, read: Callable[[], Arrays], log: Callable[[], Arrays] | None
+    ) -> bool:
+        """Follow one record if it fits to what came before; return whether it does.
+
+        ``log`` reads the record before where that was one of the lineage.
+        """
+        header = record.header
         match record.kind:
             case "open":
-                return self._begin(facts)
+                return self._begin(header)
             case "back":
-                return self._go_back(facts)
+                return self._go_back(header)
             case "rows":
-                return self._add_rows(record)
+                return self._add_rows(header, read)
             case "lineage":
-                return bool(facts["number"] == len(self.places))
+                return bool(header["number"] == len(self.places))
             case "frame":
-                if log is None or facts["number"] != len(self.places):
+                if log is None or header["number"] != len(self.places):
                     return False
-                place = float(facts["time"]), int(facts["step"]), record.digest
-                self.places.append(_Place(*place, None, record, log))
+                when = float(header["time"]), int(header["step"])
+                self.places.append(_Place(*when, record.digest, read, log))
                 return True
         return False
 
-    def _begin(self, facts: Mapping[str, Any]) -> bool:
+    def _begin(self, header: Mapping[str, Any]) -> bool:
         """Begin where a journal begins: after a frame of the file, or with nothing."""
-        names = tuple(sorted(map(str, facts["nutrients"])))
+        names = tuple(sorted(map(str, header["nutrients"])))
         if self.identity or (self.file is not None and names != self.nutrients):
             return False
-        self.identity, self.nutrients = str(facts["identity"]), names
-        return self._go_back(facts)
+        self.identity, self.nutrients = str(header["identity"]), names
+        return self._go_back(header)
 
-    def _go_back(self, facts: Mapping[str, Any]) -> bool:
+    def _go_back(self, header: Mapping[str, Any]) -> bool:
         """Forget what a run that was resumed from an earlier frame has left behind."""
-        frames, rows, scene = facts["frames"], facts["rows"], facts["scene"]
+        frames, rows, scene = header["frames"], header["rows"], header["scene"]
         if not (0 <= frames <= len(self.places) and 0 <= rows <= self.rows):
             return False
         self._cut(int(frames), int(rows))
         self.scene = str(scene)
         return True
 
-    def _add_rows(self, record: journal.Record) -> bool:
+    def _add_rows(self, header: Mapping[str, Any], read: Callable[[], Arrays]) -> bool:
         """Add rows to the history."""
-        columns = tuple(map(str, record.facts["columns"]))
-        ((_, _, (length, width)),) = record.facts["arrays"]
+        columns = tuple(map(str, header["columns"]))
+        ((_, _, (length, width)),) = header["arrays"]
         known = self.columns or columns
         if sorted(columns) != sorted(known) or width != len(set(columns)):
             return False
-        if record.facts["start"] != self.rows:
+        if header["start"] != self.rows:
             return False
         self.columns = known
-        self._rows.append(_Rows(record, int(length)))
+
+        def by_column() -> dict[str, NDArray[np.float64]]:
+            return dict(zip(columns, read()["rows"].T, strict=True))
+
+        self._rows.append(_Rows(int(length), by_column))
         return True
 
     def _cut(self, frames: int, rows: int) -> None:
@@ -197,38 +205,6 @@ class Contents:
         """Number of rows of the history."""
         return sum(part.length for part in self._rows)
 
-    def arrays(self, place: int) -> Arrays:
-        """Return the arrays of a frame.
-
-        Raises
-        ------
-        OutputError
-            If they are not what was written.
-        """
-        where = self.places[place]
-        if where.in_file is not None:
-            assert self.file is not None
-            return self.file.frame(where.in_file)
-        assert self.journal is not None
-        assert where.record is not None
-        return self.journal.arrays(where.record)
-
-    def log(self, place: int) -> Arrays:
-        """Return the rows of the lineage that are new with a frame.
-
-        Raises
-        ------
-        OutputError
-            If they are not what was written.
-        """
-        where = self.places[place]
-        if where.in_file is not None:
-            assert self.file is not None
-            return self.file.log(where.in_file)
-        assert self.journal is not None
-        assert where.log is not None
-        return self.journal.arrays(where.log)
-
     def frame(self, place: int) -> Frame:
         """Return a frame.
 
@@ -238,7 +214,7 @@ class Contents:
             If it is damaged; the text says which frame before it can still be read.
         """
         try:
-            return frame_of(self.arrays(place), self.nutrients)
+            return frame_of(self.places[place].arrays(), self.nutrients)
         except OutputError as error:
             raise OutputError(
                 f"frame {place} in '{self.folder}' is damaged: {error}. {self._before(place)}"
@@ -248,7 +224,7 @@ class Contents:
         """Tell which frame before one can be read."""
         for k in range(place - 1, -1, -1):
             try:
-                frame_of(self.arrays(k), self.nutrients)
+                frame_of(self.places[k].arrays(), self.nutrients)
             except OutputError:
                 continue
             return f"Frame {k} can be read: go on from it with 'multicell resume --frame {k}'"
@@ -263,7 +239,7 @@ class Contents:
             If it is damaged.
         """
         paths = [f"{log}/{name}" for log, columns in COLUMNS.items() for name in columns]
-        parts = [self.log(k) for k in range(place + 1)]
+        parts = [entry.log() for entry in self.places[: place + 1]]
         return lineage_of({path: np.concatenate([part[path] for part in parts]) for path in paths})
 
     def history(self, rows: int | None = None) -> dict[str, NDArray[np.float64]]:
@@ -275,24 +251,14 @@ class Contents:
             If they are damaged.
         """
         wanted = self.rows if rows is None else rows
-        parts: list[dict[str, Any]] = []
-        for source in self._rows:
-            count = min(source.length, wanted)
+        parts: list[dict[str, Any]] = [dict.fromkeys(self.columns, np.empty(0))]
+        for length, read in self._rows:
+            count = min(length, wanted)
             if count > 0:
-                part = self._part(source)
+                part = read()
                 parts.append({name: part[name][:count] for name in self.columns})
             wanted -= count
-        none: list[NDArray[np.float64]] = [np.empty(0)]
-        return {n: np.concatenate([*none, *(part[n] for part in parts)]) for n in self.columns}
-
-    def _part(self, source: _Rows) -> dict[str, Any]:
-        """Return a part of the history by column."""
-        if source.record is None:
-            assert self.file is not None
-            return self.file.history()
-        assert self.journal is not None
-        table = self.journal.arrays(source.record)["rows"]
-        return dict(zip(source.record.facts["columns"], table.T, strict=True))
+        return {name: np.concatenate([part[name] for part in parts]) for name in self.columns}
 
     def whole(self) -> None:
         """Refuse results of which a part cannot be read any more.
@@ -370,45 +336,3 @@ class Frames(Sequence[Frame]):
             )
         self._contents = now
         return True
-
-
-def open_frames(folder: str | Path) -> Frames:
-    """Return the frames of a result folder, also of a run that goes on or was killed.
-
-    Where the folder is damaged these are the frames before the damage, which ``damage`` names.
-
-    Raises
-    ------
-    OutputError
-        If the folder holds no results that this version can read.
-    """
-    return Frames(Contents(folder))
-
-
-def open_lineage(folder: str | Path, frame: int = -1) -> Lineage:
-    """Return the lineage of a run up to a frame.
-
-    Raises
-    ------
-    OutputError
-        If the folder holds no results that this version can read.
-    IndexError
-        If there is no such frame.
-    """
-    contents = Contents(folder)
-    count = len(contents.places)
-    place = frame + count if frame < 0 else frame
-    if not 0 <= place < count:
-        raise IndexError(f"frame {frame} of {count}")
-    return contents.lineage(place)
-
-
-def open_history(folder: str | Path) -> dict[str, NDArray[np.float64]]:
-    """Return the history of a run: column name -> (m,) float64, one entry per coupling step.
-
-    Raises
-    ------
-    OutputError
-        If the folder holds no results that this version can read.
-    """
-    return Contents(folder).history()

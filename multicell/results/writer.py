@@ -34,7 +34,7 @@ from __future__ import annotations
 
 import time as clock
 import uuid
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self, final
@@ -149,14 +149,13 @@ class Store:
         with ExitStack() as stack:
             if contents.journal is None:
                 base = "" if contents.file is None else contents.file.identity
-                facts = _opening(text, names, base, place + 1, rows)
-                journal = Journal.create(folder, facts)
+                journal = Journal.create(folder, _opening(text, names, base, place + 1, rows))
                 stack.callback(journal.close)
             else:
                 journal = Journal.reopen(contents.journal)
                 stack.callback(journal.close)
-                facts = {"kind": "back", "scene": text, "frames": place + 1, "rows": rows}
-                journal.append([(facts, {})])
+                back = {"kind": "back", "scene": text, "frames": place + 1, "rows": rows}
+                journal.append([(back, {})])
                 journal.sync()
             with words("write", folder / "scene.toml"):
                 part.replace(folder / "scene.toml")
@@ -173,8 +172,8 @@ class Store:
         self._pending = [
             list(row) for row in zip(*(c.tolist() for c in history.values()), strict=True)
         ]
-        for k in range(place + 1):
-            self._add(contents.arrays(k), contents.log(k))
+        for entry in contents.places[: place + 1]:
+            self._add(entry.arrays(), entry.log())
 
     def append(self, frame: Frame, lineage: Lineage | None = None) -> None:
         """Write a frame to disk.
@@ -195,18 +194,25 @@ class Store:
 
     def _add(self, arrays: Arrays, log: Arrays) -> None:
         """Write a frame with the new rows of the logs, and the history up to it."""
-        facts = {
-            "kind": "frame",
-            "number": self._frames,
-            "time": float(arrays["time"]),
-            "step": int(arrays["step"]),
-        }
-        logs = {"kind": "lineage", "number": self._frames}
-        self._journal.append([*self._history_records(), (logs, log), (facts, arrays)])
-        self._history_is_written()
+        number = {"number": self._frames}
+        frame = {"time": float(arrays["time"]), "step": int(arrays["step"])}
+        self._write(
+            ({"kind": "lineage", **number}, log), ({"kind": "frame", **number, **frame}, arrays)
+        )
         self._frames += 1
         for name in COLUMNS:
             self._logged[name] += len(log[f"{name}/id"])
+
+    def _write(self, *records: tuple[Mapping[str, Any], Arrays]) -> None:
+        """Write what there is of the history, and records behind it."""
+        rows = []
+        if self._pending:
+            header = {"kind": "rows", "start": self._rows, "columns": list(self._columns)}
+            rows = [(header, {"rows": np.array(self._pending, "<f8")})]
+        self._journal.append([*rows, *records])
+        self._rows += len(self._pending)
+        self._pending.clear()
+        self._written = clock.monotonic()
 
     def append_history(self, row: Mapping[str, float]) -> None:
         """Add one row to the history; the first row says which columns there are.
@@ -228,23 +234,10 @@ class Store:
         if clock.monotonic() - self._written > _HISTORY_EVERY:
             self.flush()
 
-    def _history_records(self) -> list[tuple[Mapping[str, Any], Arrays]]:
-        """Return what is to be written of the history."""
-        if not self._pending:
-            return []
-        facts = {"kind": "rows", "start": self._rows, "columns": list(self._columns)}
-        return [(facts, {"rows": np.array(self._pending, "<f8")})]
-
-    def _history_is_written(self) -> None:
-        self._rows += len(self._pending)
-        self._pending.clear()
-        self._written = clock.monotonic()
-
     def flush(self) -> None:
         """Write what there is of the history."""
         if self._pending:
-            self._journal.append(self._history_records())
-            self._history_is_written()
+            self._write()
 
     def settle(self) -> None:
         """Make one file ``frames.h5`` of all that there is.
@@ -301,16 +294,8 @@ def _opening(
 
 def _whole(contents: Contents) -> hdf5.Whole:
     """Return all that a folder holds as one file is to hold it."""
-
-    def frames() -> Iterator[tuple[Arrays, int, Arrays]]:
-        for k, place in enumerate(contents.places):
-            yield contents.arrays(k), place.digest, contents.log(k)
-
+    frames = ((entry.arrays(), entry.digest, entry.log()) for entry in contents.places)
     return hdf5.Whole(
-        contents.scene,
-        contents.nutrients,
-        frames(),
-        contents.history(),
-        uuid.uuid4().hex,
-        contents.identity,
-    )
+        contents.scene, contents.nutrients, frames, contents.history(),
+        uuid.uuid4().hex, contents.identity,
+    )  # fmt: skip

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from multicell.contact.law import compliance
-from multicell.errors import SceneError
+from multicell.errors import SceneError, StepFailed
 
 if TYPE_CHECKING:
-    from multicell.cells import FloatArray
+    from multicell.cells import Cells, FloatArray, IntArray
     from multicell.mechanics.walls import Walls
     from multicell.scene.parts import Domain
     from multicell.scene.scene import Scene
@@ -86,6 +86,32 @@ def walls(scene: Scene) -> Walls | None:
     young = scene.cells.young if domain.young is None else domain.young
     poisson = scene.cells.poisson if domain.poisson is None else domain.poisson
     return Walls(np.array(low), np.array(high), float(compliance(young, poisson)))
+
+
+def check_start(scene: Scene, cells: Cells) -> None:
+    """Raise ``SceneError`` for a cell that starts outside the scene's domain."""
+    found = None if scene.domain is None else strayed(scene.domain, cells.position)
+    if found is not None:
+        cell, side = found
+        place = ", ".join(f"{x:g}" for x in cells.position[cell])
+        problem = f"is too small: cell {cells.id[cell]} starts at ({place}) um, beyond side {side}"
+        hint = "Widen the domain, or start with fewer cells."
+        raise SceneError(f"domain.{side[0]}", problem, hint)
+
+
+def check_inside(scene: Scene, ids: IntArray, position: FloatArray, time: float) -> None:
+    """Raise ``StepFailed`` where a centre (n, 3) µm has left the scene's domain at a time in s."""
+    domain = scene.domain
+    found = None if domain is None else strayed(domain, position)
+    if domain is None or found is None:
+        return
+    cell, side = found
+    where = position[cell, "xyz".index(side[0])]
+    hint = "Give the walls a larger domain.young, let less push the cells, or widen the domain"
+    if domain.wall == "refuse":
+        hint = "Widen the domain, or let its wall be 'elastic'"
+    problem = f"its centre left the domain through the side {side}, to {side[0]} = {where:g} um"
+    raise StepFailed(time, problem, hint, int(ids[cell]))
 
 
 def strayed(domain: Domain, position: FloatArray) -> tuple[int, str] | None:

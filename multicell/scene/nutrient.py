@@ -115,12 +115,7 @@ class Nutrient:
         doc="outside tissue; absent: the same everywhere",
     )
     boundary: float = quantity(
-        "mM",
-        default=0.07,
-        at_least=0,
-        at_most=MOST,
-        doc="concentration in the medium",
-        hint=_DENSE,
+        "mM", default=0.07, at_least=0, at_most=MOST, doc="concentration in the medium", hint=_DENSE
     )
     media: tuple[tuple[float, float], ...] | None = schedule(
         "mM",
@@ -143,12 +138,7 @@ class Nutrient:
     )
     decay: float = quantity("1/s", default=0.0, at_least=0, at_most=1e6, doc="first-order decay")
     uptake: float = quantity(
-        "amol/s",
-        default=20.0,
-        at_least=0,
-        at_most=1e9,
-        doc="largest uptake of a cell",
-        hint=_FLUX,
+        "amol/s", default=20.0, at_least=0, at_most=1e9, doc="largest uptake of a cell", hint=_FLUX
     )
     half_saturation: float = quantity(
         "mM",

@@ -347,6 +347,10 @@ class Pull:
     force: float = quantity("nN", default=0.0, at_least=0, doc="at the start")
     rate: float = quantity("nN/s", default=0.0, at_least=0, doc="at which the force rises")
 
+    def load(self, time: float) -> float:
+        """Return the force on each cell at a time in s, nN."""
+        return self.force + self.rate * time
+
 
 @final
 @parameters

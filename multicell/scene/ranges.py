@@ -10,13 +10,13 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import is_dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 from multicell.contact.law import effective_modulus, effective_radius
 from multicell.errors import SceneError
 from multicell.integrators.registry import METHODS
-from multicell.schema import Parameter, specs
+from multicell.schema import Bounds, Parameter, leaves
 from multicell.units import RANGES
 
 if TYPE_CHECKING:
@@ -40,44 +40,28 @@ BYTES_PER_CELL: Final = 1000
 
 def check_sizes(scene: Scene) -> None:
     """Raise ``SceneError`` for numbers that nothing can be computed with."""
-    for path, value, unit, spec in _numbers(scene, ""):
-        _check_size(path, value, unit, spec)
+    for path, value, spec in leaves(scene):
+        for number, unit, ends in _numbers(value, spec):
+            _check_size(".".join(path), number, unit, ends)
     _check_steps(scene)
     _check_overlap(scene)
     _check_diffusion(scene)
 
 
-def _numbers(part: Any, path: str) -> Iterator[tuple[str, float, str, Parameter]]:
-    """Yield path, value, unit and declaration of every number in a part and below."""
-    for name, spec in specs(part).items():
-        value, where = getattr(part, name), f"{path}{name}"
-        if is_dataclass(value):
-            yield from _numbers(value, f"{where}.")
-        elif isinstance(value, Mapping):
-            for key, entry in value.items():
-                if is_dataclass(entry):
-                    yield from _numbers(entry, f"{where}.{key}.")
-                else:
-                    yield from _points(entry, f"{where}.{key}", spec)
-        elif spec.kind in ("quantity", "number", "course", "schedule") and value is not None:
-            yield from _points(value, where, spec)
+def _numbers(value: Any, spec: Parameter) -> Iterator[tuple[float, str, Bounds | None]]:
+    """Yield number, unit and bounds: of a value itself, or the two of each point of a curve."""
+    if spec.kind in ("quantity", "number", "quantities"):
+        yield value, spec.unit, spec.bounds
+    elif spec.kind in ("course", "schedule", "responses"):
+        first, second = (spec.unit, "") if spec.kind == "responses" else ("s", spec.unit)
+        for x, y in value:
+            yield x, first, None
+            yield y, second, spec.bounds
 
 
-def _points(value: Any, path: str, spec: Parameter) -> Iterator[tuple[str, float, str, Parameter]]:
-    """Yield the numbers of one value: itself, or the two of each point of a course or curve."""
-    if not isinstance(value, tuple):
-        yield path, value, spec.unit, spec
-        return
-    first, second = (spec.unit, "") if spec.kind == "responses" else ("s", spec.unit)
-    for x, y in value:
-        yield path, x, first, Parameter(spec.convert)
-        yield path, y, second, spec
-
-
-def _check_size(path: str, value: float, unit: str, spec: Parameter) -> None:
+def _check_size(path: str, value: float, unit: str, ends: Bounds | None) -> None:
     """Raise ``SceneError`` for a number that is too large or, if not zero, too small."""
     smallest, largest = RANGES.get(unit, RANGES[""])
-    ends = spec.bounds
     if ends is not None and ends.at_least:
         smallest = min(smallest, abs(ends.at_least))
     if value == 0.0 or smallest <= abs(value) <= largest:

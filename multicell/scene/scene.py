@@ -40,10 +40,10 @@ from multicell.scene.parts import (
 )
 from multicell.scene.ranges import check_sizes
 from multicell.schema import (
-    Parameter,
     Tables,
     build,
     count,
+    leaves,
     near_miss,
     parameters,
     plain,
@@ -190,7 +190,7 @@ class Scene:
         header = [f"# {name}: {value}" for name, value in facts.items()]
         lines = [" ".join(line.split()) for line in ["# A scene of multicell", *header]]
         safe = [line.encode("ascii", "backslashreplace").decode() for line in lines]
-        return "\n".join([*safe, _with_units(tomli_w.dumps(self.to_dict()))])
+        return "\n".join([*safe, _with_units(self, tomli_w.dumps(self.to_dict()))])
 
 
 def scene_names() -> list[str]:
@@ -295,22 +295,30 @@ def _change(entries: dict[str, Any], key: str, value: Any) -> None:
         entries["contact"] = {k: v for k, v in node.items() if k in allowed}
 
 
-def _with_units(toml: str) -> str:
+_KEY = re.compile(r'("(?:[^"\\]|\\.)*"|[\w-]+) = ')
+
+
+def _with_units(scene: Scene, toml: str) -> str:
     """Return TOML text with the unit of each quantity as a comment behind it."""
-    lines = []
-    known: dict[str, Parameter] = specs(Scene)
+    import tomllib
+
+    units = {path: spec.units for path, _, spec in leaves(scene)}
+    lines: list[str] = []
+    table: tuple[str, ...] = ()
     for line in toml.splitlines():
         if line.startswith("["):
-            known = _specs_of_table(line.strip("[]").split(".")[0])
-        match = re.match(r"(\w+) = ", line)
-        unit = known[match[1]].unit if match and match[1] in known else ""
+            table = _keys(tomllib.loads(line))
+        key = _KEY.match(line)
+        unit = units.get((*table, *_keys(tomllib.loads(f"{key[0]}0"))), "") if key else ""
+        if unit.startswith("[") and not line.endswith("["):
+            unit = ""  # a course that is one number
         lines.append(f"{line}  # {unit}" if unit else line)
     return "\n".join(lines) + "\n"
 
 
-def _specs_of_table(name: str) -> dict[str, Parameter]:
-    """Return the declarations of a scene's table; of the contact those of all laws."""
-    if name == "contact":
-        return {key: spec for law in LAWS.values() for key, spec in specs(law).items()}
-    part = specs(Scene)[name].table
-    return specs(part) if part is not None else {}
+def _keys(entries: Any) -> tuple[str, ...]:
+    """Return the path of keys to the innermost of tables that hold one entry each."""
+    if not isinstance(entries, dict) or not entries:
+        return ()
+    ((key, inner),) = entries.items()
+    return (key, *_keys(inner))

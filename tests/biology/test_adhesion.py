@@ -13,6 +13,7 @@ from multicell.integrators.cvode import Cvode
 from multicell.integrators.runge_kutta import Euler
 from multicell.mechanics.friction import FrictionMatrix, FrictionNotSolvedError
 from multicell.mechanics.system import Mechanics, Motion, StateRejected
+from multicell.results.observables import contact_rows
 
 
 def run(scene, **options):
@@ -186,7 +187,7 @@ def test_contacts_follow_cells_through_sorting_and_death():
     simulation.step()
     ids = {frozenset(pair) for pair in simulation.contacts.tolist()}
     simulation.cells = simulation.cells.take(np.arange(len(simulation.cells))[::-1][:-20])
-    index = simulation._touching()
+    index = contact_rows(simulation.cells, simulation.contacts)
     found = {frozenset(pair) for pair in simulation.cells.id[index].tolist()}
     alive = set(simulation.cells.id.tolist())
     assert found == {pair for pair in ids if pair <= alive}

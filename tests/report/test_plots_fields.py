@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from synthetic import SCENE, cells_at, growing_frames, history_of
 
-from multicell.report.plots.run import Plots, growth
+from multicell.report.plots.run import Plots
 from multicell.report.result import Result, history_arrays
 from multicell.results import observables
 from multicell.scene.scene import Scene
@@ -106,4 +106,4 @@ def test_a_frame_without_fields_has_no_map():
     bare = type(frames[0])(0.0, 0, frames[0].cells)
     with pytest.raises(ValueError, match="no fields"):
         Plots([bare], {}, SCENE).fields()
-    assert len(growth(history_arrays(history_of(frames)), "bare").axes) == 3
+    assert len(Plots(frames, history_arrays(history_of(frames)), SCENE).growth().axes) == 3

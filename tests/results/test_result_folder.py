@@ -17,7 +17,7 @@ from multicell.cli.main import main
 from multicell.errors import OutputError
 from multicell.results import folder as folder_module
 from multicell.results.folder import LOCK, write_text
-from multicell.results.reader import Contents, open_frames, open_history
+from multicell.results.reader import Contents, Frames
 from multicell.results.writer import Store
 
 QUICK = {"duration": "4 min", "output.every": "1 min", "initial.count": 12}
@@ -82,9 +82,9 @@ def test_journal_and_file_read_the_same(tmp_path):
     assert {entry.name for entry in settled.iterdir()} == {"scene.toml", "frames.h5"}
     one, other = Contents(journal), Contents(settled)
     assert [place.digest for place in one.places] == [place.digest for place in other.places]
-    assert open_history(journal).keys() == open_history(settled).keys()
-    for name, column in open_history(journal).items():
-        np.testing.assert_array_equal(column, open_history(settled)[name])
+    assert Contents(journal).history().keys() == Contents(settled).history().keys()
+    for name, column in Contents(journal).history().items():
+        np.testing.assert_array_equal(column, Contents(settled).history()[name])
     # a process that is killed between writing the one and removing the other
     written(tmp_path / "both", frames, settle=False)
     store = Store.create(tmp_path / "crash", SCENE)
@@ -93,12 +93,12 @@ def test_journal_and_file_read_the_same(tmp_path):
     store.settle()
     store.close()
     shutil.copy(tmp_path / "kept", tmp_path / "crash" / "frames.journal")
-    assert len(open_frames(tmp_path / "crash")) == 1
+    assert len(Frames(Contents(tmp_path / "crash"))) == 1
     assert Contents(tmp_path / "crash").journal is None
     # a journal beside a file that it knows nothing of
     shutil.copy(settled / "frames.h5", tmp_path / "both" / "frames.h5")
     with pytest.raises(OutputError, match="one of them is from another run"):
-        open_frames(tmp_path / "both")
+        Frames(Contents(tmp_path / "both"))
 
 
 def test_a_reader_keeps_its_frames_when_the_run_ends(tmp_path):
@@ -106,7 +106,7 @@ def test_a_reader_keeps_its_frames_when_the_run_ends(tmp_path):
     store = Store.create(tmp_path / "out", SCENE)
     for frame in frames:
         store.append(frame)
-    back = open_frames(tmp_path / "out")
+    back = Frames(Contents(tmp_path / "out"))
     store.settle()
     store.close()
     for first, second in zip(frames, back, strict=True):
@@ -124,7 +124,7 @@ def test_a_folder_in_which_a_run_goes_on_is_refused(tmp_path):
     def try_others(simulation):
         if tried:
             return
-        before = len(open_frames(folder))
+        before = len(Frames(Contents(folder)))
         run = ["run", "settle", "-o", str(folder), *ARGUMENTS]
         for arguments, words in (
             (run, "not empty"),
@@ -135,7 +135,7 @@ def test_a_folder_in_which_a_run_goes_on_is_refused(tmp_path):
             assert done.exit_code == 2, done.output
             assert words in done.output
             tried.append(words)
-        assert len(open_frames(folder)) == before
+        assert len(Frames(Contents(folder))) == before
 
     result = mc.run(scene, output=folder, report=False, progress=try_others)
     assert len(tried) == 3

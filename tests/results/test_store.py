@@ -20,7 +20,7 @@ from multicell.errors import OutputError
 from multicell.report.result import Result, history_arrays, load_result
 from multicell.results.folder import FILES, prepare_folder, to_json, write_summary
 from multicell.results.frame import Field, Frame
-from multicell.results.reader import open_frames, open_history
+from multicell.results.reader import Contents, Frames
 from multicell.results.writer import Store
 from multicell.scene.scene import load_scene
 
@@ -70,18 +70,18 @@ def written(folder, frames, scene=SCENE):
 def test_round_trip_is_exact_to_the_bit(tmp_path):
     frames = growing_frames(count=5, last=700)
     written(tmp_path / "out", frames)
-    back = open_frames(tmp_path / "out")
+    back = Frames(Contents(tmp_path / "out"))
     assert len(back) == 5
     for first, second in zip(frames, back, strict=True):
         assert_same_frame(first, second)
-    history = open_history(tmp_path / "out")
+    history = Contents(tmp_path / "out").history()
     for name, values in history_arrays(history_of(frames)).items():
         np.testing.assert_array_equal(history[name], values)
 
 
 def test_frames_are_a_lazy_sequence(tmp_path):
     frames = growing_frames(count=4, last=50)
-    back = open_frames(written(tmp_path / "out", frames))
+    back = Frames(Contents(written(tmp_path / "out", frames)))
     assert_same_frame(frames[-1], back[-1])
     assert [frame.time for frame in back[1:3]] == [frames[1].time, frames[2].time]
     assert [frame.time for frame in back[::-1]] == [frame.time for frame in frames[::-1]]
@@ -93,12 +93,12 @@ def test_frames_are_a_lazy_sequence(tmp_path):
 
 def test_frames_without_nutrients_without_cells_and_without_field(tmp_path):
     frames = [Frame(0.0, 0, cells_at([[0, 0, 0]])), Frame(60.0, 1, Cells.empty())]
-    back = open_frames(written(tmp_path / "bare", frames, BARE))
+    back = Frames(Contents(written(tmp_path / "bare", frames, BARE)))
     for first, second in zip(frames, back, strict=True):
         assert_same_frame(first, second)
     full = spheroid(60)
     frames = [Frame(0.0, 0, full.cells, full.concentrations), full]
-    back = open_frames(written(tmp_path / "late", frames))
+    back = Frames(Contents(written(tmp_path / "late", frames)))
     assert back[0].fields == {}
     assert_same_frame(full, back[1])
 
@@ -107,7 +107,7 @@ def test_values_that_are_not_numbers_survive(tmp_path):
     cells = cells_at([[np.nan, np.inf, -0.0]])
     with Store.create(tmp_path / "out", BARE) as store:
         store.append(Frame(0.0, 0, cells))
-    back = open_frames(tmp_path / "out")
+    back = Frames(Contents(tmp_path / "out"))
     assert back[0].cells.position.tobytes() == cells.position.tobytes()
 
 
@@ -125,10 +125,10 @@ def test_folder_holds_the_scene_and_the_file_its_units(tmp_path):
 def test_file_can_be_read_while_it_is_written(tmp_path):
     frames = growing_frames(count=3, last=200)
     with Store.create(tmp_path / "out", SCENE) as store:
-        assert len(open_frames(tmp_path / "out")) == 0
+        assert len(Frames(Contents(tmp_path / "out"))) == 0
         for done, frame in enumerate(frames, start=1):
             store.append(frame)
-            back = open_frames(tmp_path / "out")
+            back = Frames(Contents(tmp_path / "out"))
             assert len(back) == done
             assert_same_frame(frame, back[-1])
 
@@ -150,7 +150,7 @@ def test_killed_writer_leaves_all_finished_frames(tmp_path, wait):
         writer.send_signal(signal.SIGKILL)
         done = max([done, *map(int, writer.stdout.read().split())])
     assert writer.returncode == -signal.SIGKILL
-    frames, history = open_frames(folder), open_history(folder)
+    frames, history = Frames(Contents(folder)), Contents(folder).history()
     assert done <= len(frames) <= done + 1
     expected = growing_frames(count=6, last=900)
     for k, frame in enumerate(frames):
@@ -179,11 +179,11 @@ def test_append_that_breaks_off_leaves_no_trace(tmp_path, monkeypatch):
                 patch.setattr(os, "write", interrupted)
                 with pytest.raises(KeyboardInterrupt):
                     store.append(frames[1])
-            assert len(open_frames(folder)) == 1
+            assert len(Frames(Contents(folder))) == 1
             # a shorter one than that which broke off: nothing of it may stay behind
             store.append(spheroid(20))
             store.append(frames[2])
-        back = open_frames(folder)
+        back = Frames(Contents(folder))
         assert len(back) == 3
         assert_same_frame(frames[0], back[0])
         assert_same_frame(spheroid(20), back[1])
@@ -200,8 +200,8 @@ def test_wrong_frames_and_rows_are_refused(tmp_path):
         store.append_history({"time": 0.0, "cells": 1.0})
         with pytest.raises(ValueError, match="energy"):
             store.append_history({"time": 1.0, "cells": 1.0, "energy": 2.0})
-    assert len(open_frames(tmp_path / "out")) == 0
-    assert len(open_history(tmp_path / "out")["time"]) == 1
+    assert len(Frames(Contents(tmp_path / "out"))) == 0
+    assert len(Contents(tmp_path / "out").history()["time"]) == 1
 
 
 def test_folder_that_holds_something_is_refused_unless_overwritten(tmp_path):
@@ -210,10 +210,10 @@ def test_folder_that_holds_something_is_refused_unless_overwritten(tmp_path):
     (folder / "notes.txt").write_text("mine")
     with pytest.raises(OutputError, match=r"not empty.*--overwrite"):
         Store.create(folder, SCENE)
-    assert len(open_frames(folder)) == 1
+    assert len(Frames(Contents(folder))) == 1
     write_summary(folder, {"cells": 30})
     Store.create(folder, SCENE, overwrite=True).close()
-    assert len(open_frames(folder)) == 0
+    assert len(Frames(Contents(folder))) == 0
     assert not (folder / "summary.json").exists()
     assert (folder / "notes.txt").read_text() == "mine"
 
@@ -246,15 +246,15 @@ def test_foreign_folder_in_the_place_of_a_file_is_not_removed(tmp_path):
 
 def test_results_that_cannot_be_read_are_refused_with_words(tmp_path):
     with pytest.raises(OutputError, match="no results"):
-        open_frames(tmp_path / "nowhere")
+        Frames(Contents(tmp_path / "nowhere"))
     (tmp_path / "frames.h5").write_bytes(b"not HDF5")
     with pytest.raises(OutputError, match="cannot read"):
-        open_frames(tmp_path)
+        Frames(Contents(tmp_path))
     (tmp_path / "frames.h5").unlink()
     with h5py.File(tmp_path / "frames.h5", "w", libver=("v110", "v110")) as file:
         file.attrs["format"] = 99
     with pytest.raises(OutputError, match="format 99"):
-        open_history(tmp_path)
+        Contents(tmp_path).history()
 
 
 def test_broken_summary_is_refused(tmp_path):
@@ -318,6 +318,6 @@ def test_fields_of_different_size_keep_their_order(tmp_path):
         values = np.arange(np.prod(shape), dtype=float).reshape(shape) + k
         field = Field("oxygen", "mM", np.full(3, -k, float), 1.0 + k, values)
         frames.append(Frame(k, k, full.cells, full.concentrations, {"oxygen": field}))
-    back = open_frames(written(tmp_path / "out", frames))
+    back = Frames(Contents(written(tmp_path / "out", frames)))
     for first, second in zip(frames, back, strict=True):
         assert_same_frame(first, second)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from multicell.contact.exact_jkr import ExactJKR
@@ -11,7 +12,7 @@ from multicell.contact.hertz import Hertz
 from multicell.contact.jkr import JKR
 from multicell.contact.pair import Pair
 from multicell.contact.springs import Spring
-from multicell.report.explain.items import Number, Part, hours
+from multicell.report.explain.items import Number, Part, hours, named, part
 from multicell.scene.packing import collapse_notes, strongest_attraction
 from multicell.scene.pairs import daughters_stiffness, drag, pairs
 from multicell.scene.sizes import birth_radius, typical_radius
@@ -22,32 +23,29 @@ if TYPE_CHECKING:
 
 def contact_parts(scene: Scene) -> list[Part]:
     """Return contact law, types, adhesion, friction, motility and pull, used or absent."""
-    rubbing, active, load = scene.friction, scene.motility, scene.pull
-    friction = (
-        "touching cells rub: Gamma(x) v = F is solved in every right-hand side"
-        if rubbing
-        else "absent: only the medium resists"
-    )
-    motility = (
-        f"each living cell pushes itself with {active.force:g} nN, in a new direction every "
-        f"{hours(active.persistence)}"
-        if active
-        else "absent: no active motion"
-    )
-    pull = (
-        f"outwards with {load.force:g} nN and {load.rate:g} nN/s more; the run ends when the last "
-        "contact breaks"
-        if load
-        else "absent: no external force"
-    )
+    active, load = scene.motility, scene.pull
     return [
-        Part("contact", True, _law(scene)),
-        Part("types", bool(scene.types), _types(scene)),
-        Part("adhesion", scene.adhesion is not None, _adhesion(scene)),
-        Part("drag", True, f"Stokes drag in a medium of {scene.drag.viscosity:g} kPa s"),
-        Part("friction", rubbing is not None, friction),
-        Part("motility", active is not None, motility),
-        Part("pull", load is not None, pull),
+        part("contact", _law(scene)),
+        part("types", _types(scene)),
+        part("adhesion", _adhesion(scene)),
+        part("drag", f"Stokes drag in a medium of {scene.drag.viscosity:g} kPa s"),
+        part(
+            "friction",
+            scene.friction
+            and "touching cells rub: Gamma(x) v = F is solved in every right-hand side",
+        ),
+        part(
+            "motility",
+            active
+            and f"each living cell pushes itself with {active.force:g} nN, in a new direction "
+            f"every {hours(active.persistence)}",
+        ),
+        part(
+            "pull",
+            load
+            and f"outwards with {load.force:g} nN and {load.rate:g} nN/s more; the run ends when "
+            "the last contact breaks",
+        ),
     ]
 
 
@@ -64,14 +62,8 @@ def contact_numbers(scene: Scene) -> list[Number]:
     ]
     for label, pair in pairs(scene, radius):
         numbers += _pair_numbers(scene, label, pair)
-    numbers.append(
-        Number(
-            "explicit step limit",
-            limit,
-            "s",
-            "for two fresh daughters alone; several times less in tissue",
-        )
-    )
+    meaning = "for two fresh daughters alone; several times less in tissue"
+    numbers.append(Number("explicit step limit", limit, "s", meaning))
     return [*numbers, *_packing(scene), *_motility(scene), *_pull(scene)]
 
 
@@ -110,7 +102,7 @@ def _pull_notes(scene: Scene) -> Iterator[str]:
     """Yield a remark on a pull that cannot separate even one contact."""
     if scene.pull is None:
         return
-    most = scene.pull.force + scene.pull.rate * scene.duration
+    most = scene.pull.load(scene.duration)
     load = min(load for _, load in _loads(scene))
     if load == 0.0:
         yield "Nothing sticks: the pull meets no resistance but drag."
@@ -142,16 +134,15 @@ def _law(scene: Scene) -> str:
 
 def _types(scene: Scene) -> str:
     """Return the types with their shares in words."""
-    if not scene.types:
-        return "absent: all cells are alike"
     total = sum(kind.fraction for kind in scene.types.values())
     shares = [f"{100.0 * kind.fraction / total:.3g} % {n}" for n, kind in scene.types.items()]
     return ", ".join(shares)
 
 
 def _adhesion(scene: Scene) -> str:
+    """Return receptors and ligands in words."""
     if scene.adhesion is None:
-        return "absent: no receptors"
+        return ""
     courses = [points for kind in scene.types.values() for points in (kind.receptor, kind.ligand)]
     changing = any(len({value for _, value in points}) > 1 for points in courses)
     course = "change in the course of the run" if changing else "are constant"
@@ -172,57 +163,52 @@ def _pair_numbers(scene: Scene, label: str, pair: Pair) -> list[Number]:
     area = math.pi * pair.radius * touching
     normal = 0.0 if scene.friction is None else scene.friction.normal * area
     settle = (friction + 2.0 * normal) / (2.0 * pair.stiffness(overlap))
-    named = f", {label}" if label else ""
     numbers = [
-        Number(f"equilibrium distance{named}", pair.distance(), "um", whom),
-        Number(f"relaxation time{named}", settle, "s", f"{whom} {where}"),
+        Number("equilibrium distance", pair.distance(), "um", whom),
+        Number("relaxation time", settle, "s", f"{whom} {where}"),
     ]
     if (load := pair.deepest()[0]) > 0.0:
-        numbers.append(Number(f"pull-off force{named}", load, "nN", whom))
+        numbers.append(Number("pull-off force", load, "nN", whom))
     if isinstance(pair.law, ExactJKR):
         breaking = pair.rest - float(pair.law.breaking_overlap(pair.modulus, pair.radius))
-        numbers.append(Number(f"breaking distance{named}", breaking, "um", f"{whom}, held there"))
-    return [*numbers, *_smoothing(named, pair), *_rubbing(scene, named, area, friction)]
+        numbers.append(Number("breaking distance", breaking, "um", f"{whom}, held there"))
+    numbers += [*_smoothing(pair), *_friction(scene, area, friction)]
+    return [replace(number, name=named(number.name, label)) for number in numbers]
 
 
-def _smoothing(named: str, pair: Pair) -> list[Number]:
+def _smoothing(pair: Pair) -> list[Number]:
     """Return the model error of smoothing (see the model page)."""
     length = getattr(pair.law, "smoothing", 0.0)
     if length == 0.0 or _surface_energy(pair) == 0.0:
         return []
     ratio = length / _unsmoothed(pair)
-    numbers = [Number(f"smoothing / equilibrium overlap{named}", ratio, "", "h_s / h0")]
+    numbers = [Number("smoothing / equilibrium overlap", ratio, "", "h_s / h0")]
     if ratio <= 1.0:
         lost = 100.0 * 25.0 / 144.0 * ratio**1.75
-        numbers.append(Number(f"binding energy lost{named}", lost, "%", "by the smoothing"))
+        numbers.append(Number("binding energy lost", lost, "%", "by the smoothing"))
     return numbers
 
 
-def _rubbing(scene: Scene, named: str, area: float, stokes: float) -> list[Number]:
-    """Return friction of one contact against Stokes drag."""
+def _friction(scene: Scene, area: float, stokes: float) -> list[Number]:
+    """Return friction of one contact of an area (µm²) against Stokes drag (nN s/µm)."""
     if scene.friction is None:
         return []
-    both = (("normal", scene.friction.normal), ("tangential", scene.friction.tangential))
+    both = {way: getattr(scene.friction, way) * area for way in ("normal", "tangential")}
+    meaning = f"of one contact of {area:.3g} um^2, {{:.3g}} nN s/um"
     return [
-        Number(
-            f"{way} friction / drag{named}",
-            coefficient * area / stokes,
-            "",
-            f"of one contact of {area:.3g} um^2, {coefficient * area:.3g} nN s/um",
-        )
-        for way, coefficient in both
+        Number(f"{way} friction / drag", value / stokes, "", meaning.format(value))
+        for way, value in both.items()
     ]
 
 
 def _packing(scene: Scene) -> list[Number]:
     """Return how strongly cells attract each other against collapse; nothing where none does."""
-    numbers = []
-    for label, (ratio, _, _) in strongest_attraction(scene).items():
-        if 0.0 < ratio < math.inf:
-            named = f", {label}" if label else ""
-            meaning = "of newborn cells, integrated over space: tissue collapses above 1"
-            numbers.append(Number(f"attraction / repulsion{named}", ratio, "", meaning))
-    return numbers
+    meaning = "of newborn cells, integrated over space: tissue collapses above 1"
+    return [
+        Number(named("attraction / repulsion", label), ratio, "", meaning)
+        for label, (ratio, _, _) in strongest_attraction(scene).items()
+        if 0.0 < ratio < math.inf
+    ]
 
 
 def _motility(scene: Scene) -> list[Number]:
@@ -256,12 +242,12 @@ def _pull(scene: Scene) -> list[Number]:
         return []
     numbers = []
     for label, load in _loads(scene):
-        named = f", {label}" if label else ""
-        numbers.append(Number(f"critical load{named}", load, "nN", "that separates two cells"))
+        name = named("critical load", label)
+        numbers.append(Number(name, load, "nN", "that separates two cells"))
         if scene.pull.rate > 0.0 and load > scene.pull.force:
             when = (load - scene.pull.force) / scene.pull.rate
             meaning = f"the pull reaches it after {hours(when)}"
-            numbers.append(Number(f"time to the critical load{named}", when, "s", meaning))
+            numbers.append(Number(f"time to the {name}", when, "s", meaning))
     return numbers
 
 

@@ -1,9 +1,21 @@
-"""The two kinds of facts that ``multicell explain`` gives."""
+"""What ``multicell explain`` tells: the parts of a scene, and numbers that follow from it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import final
+from typing import Final, final
+
+_ABSENT: Final = {
+    "types": "all cells are alike",
+    "adhesion": "no receptors",
+    "friction": "only the medium resists",
+    "motility": "no active motion",
+    "pull": "no external force",
+    "growth": "the number of cells stays, no growth and no division is computed",
+    "death": "necrotic cells keep their place and volume",
+    "nutrients": "no field is solved, no cell starves",
+}
+"""What the absence of a part means."""
 
 
 @final
@@ -25,6 +37,16 @@ class Number:
     value: float
     unit: str
     meaning: str
+
+
+def part(name: str, what: object) -> Part:
+    """Return a part that is used if there is anything to say of it, and absent if not."""
+    return Part(name, bool(what), str(what or "") or f"absent: {_ABSENT[name]}")
+
+
+def named(text: str, label: str) -> str:
+    """Return the name of a number, with the pair of types that it is of."""
+    return f"{text}, {label}" if label else text
 
 
 def hours(seconds: float) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final
 
-from multicell.report.explain.items import Number, Part, hours
+from multicell.report.explain.items import Number, Part, hours, part
 from multicell.scene import checks, scales
 from multicell.scene import domain as box
 
@@ -20,11 +20,9 @@ _GRID_ARRAYS: Final = 12  # arrays of the size of the grid that a solve holds at
 def nutrient_parts(scene: Scene) -> list[Part]:
     """Return what each field is solved as, and why, in the order in which they are solved."""
     if not scene.nutrients:
-        return [Part("nutrients", False, "absent: no field is solved, no cell starves")]
-    return [
-        Part(f"nutrients.{name}", True, _what(scene, name))
-        for name in checks.solving_order(scene.nutrients)
-    ]
+        return [part("nutrients", "")]
+    order = checks.solving_order(scene.nutrients)
+    return [part(f"nutrients.{name}", _what(scene, name)) for name in order]
 
 
 def _what(scene: Scene, name: str) -> str:

@@ -13,7 +13,7 @@ from multicell.errors import MulticellError
 from multicell.integrators.base import MethodInfo
 from multicell.integrators.registry import METHODS
 from multicell.report.explain.contact import contact_notes, contact_numbers, contact_parts
-from multicell.report.explain.items import Number, Part, hours
+from multicell.report.explain.items import Number, Part, hours, part
 from multicell.report.explain.nutrient import nutrient_notes, nutrient_numbers, nutrient_parts
 from multicell.scene.domain import sides
 from multicell.scene.pairs import daughters_stiffness, drag
@@ -53,22 +53,22 @@ def _parts(scene: Scene) -> list[Part]:
     start = scene.initial
     shape = start.arrangement if scene.dimensions == 3 else "plane, where they stay"
     return [
-        Part("initial", True, f"{start.count:,} cell(s) in a {shape}"),
+        part("initial", f"{start.count:,} cell(s) in a {shape}"),
         *contact_parts(scene),
-        Part("growth", scene.growth is not None, _growth_words(scene)),
-        Part("death", scene.death is not None, _death_words(scene)),
+        part("growth", _growth_words(scene)),
+        part("death", _death_words(scene)),
         *_taxis(scene),
         Part("domain", scene.domain is not None, _domain_words(scene)),
         *nutrient_parts(scene),
-        Part("integrator", True, _integrator_words(scene)),
-        Part("output", True, f"a frame every {hours(scene.output.every)}"),
+        part("integrator", _integrator_words(scene)),
+        part("output", f"a frame every {hours(scene.output.every)}"),
     ]
 
 
 def _growth_words(scene: Scene) -> str:
     growth = scene.growth
     if growth is None:
-        return "absent: the number of cells stays, no growth and no division is computed"
+        return ""
     words = f"cells double their volume in {hours(growth.mean_cycle)} and divide"
     if growth.phases:
         lengths = ", ".join(f"{name} {hours(growth.phases[name].duration)}" for name in PHASES)
@@ -81,7 +81,7 @@ def _growth_words(scene: Scene) -> str:
 def _death_words(scene: Scene) -> str:
     death = scene.death
     if death is None:
-        return "absent: necrotic cells keep their place and volume"
+        return ""
     words = ""
     if death.necrosis_rate is not None:
         words = f"starved cells die after {hours(1.0 / death.necrosis_rate)} on average; "
@@ -103,11 +103,11 @@ def _taxis(scene: Scene) -> list[Part]:
         speed = 3600.0 * abs(law.force) / resistance
         way = "up" if law.force >= 0.0 else "down"
         what = f"a free cell drifts {way} a steep gradient at {speed:.3g} um/h"
-        parts.append(Part(f"chemotaxis.{name}", True, what))
+        parts.append(part(f"chemotaxis.{name}", what))
     if scene.haptotaxis is not None:
         speed = 3600.0 * scene.haptotaxis.force / resistance
         what = f"{scene.haptotaxis.landscape}: a free cell drifts at up to {speed:.3g} um/h"
-        parts.append(Part("haptotaxis", True, what))
+        parts.append(part("haptotaxis", what))
     return parts
 
 
@@ -126,18 +126,17 @@ def _domain_words(scene: Scene) -> str:
 
 def _integrator_words(scene: Scene) -> str:
     method = scene.integrator.method
-    words = (METHODS.get(method) or MethodInfo(method)).words
+    words = f"{method}: {(METHODS.get(method) or MethodInfo(method)).words}"
     if method != "auto":
-        return f"{method}: {words}"
+        return words
     if scene.initial.count > _MOST_TRIED:
-        return f"{method}: {words}; not tried here with so many cells"
+        return f"{words}; not tried here with so many cells"
     from multicell.report.explain.integrator import explained
 
     try:
-        choice = explained(scene)
+        return f"{words}; {explained(scene)}"
     except MulticellError as error:
-        choice = f"the first coupling step cannot be taken: {error}"
-    return f"{method}: {words}; {choice}"
+        return f"{words}; the first coupling step cannot be taken: {error}"
 
 
 def _run(scene: Scene) -> list[Number]:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator
-from numpy.typing import NDArray
+from matplotlib.ticker import LogLocator, MaxNLocator
 
 from multicell.cells import FloatArray
 from multicell.contact.pair import Pair
@@ -17,8 +16,11 @@ from multicell.report.plots.style import (
     INK,
     QUIET,
     RED,
+    History,
     TimeUnit,
-    blank,
+    counts,
+    draw_style,
+    headed,
     styled,
     time_unit,
     type_colours,
@@ -33,9 +35,6 @@ if TYPE_CHECKING:
 
     from multicell.cells import Cells
     from multicell.scene.scene import Scene
-
-
-History = Mapping[str, NDArray[np.float64]]
 
 
 def random_mixing(cells: Cells) -> float:
@@ -66,19 +65,8 @@ def mean_distances(cells: Cells, types: int, dimensions: int) -> FloatArray:
 
 
 @styled
-def contacts(frames: Sequence[Frame], history: History, scene: Scene, title: str) -> Figure:
+def contacts(frames: Sequence[Frame], history: History, scene: Scene) -> Figure:
     """Draw heterotypic contacts, all contacts, and the distance of each type from the centre.
-
-    Parameters
-    ----------
-    frames
-        Saved frames, for random mixing and for distances.
-    history : column name -> (m,)
-        With ``heterotypic_fraction`` and ``contacts``.
-    scene
-        With more than one cell type.
-    title
-        Heading.
 
     Raises
     ------
@@ -87,22 +75,25 @@ def contacts(frames: Sequence[Frame], history: History, scene: Scene, title: str
     """
     if len(history.get("heterotypic_fraction", ())) == 0:
         raise ValueError("the history has no contacts of different types: nothing to draw")
-    unit = time_unit(float(history["time"][-1]))
+    end = float(history["time"][-1])
+    unit, time = time_unit(end), history["time"] / time_unit(end).seconds
     mixed = history["heterotypic_fraction"]
     change = f"heterotypic contacts {_percent(mixed[0])} at first, {_percent(mixed[-1])} at last"
-    figure = blank(title, f"After {unit.text(float(history['time'][-1]))}: {change}")
+    figure = headed(scene, f"After {unit.text(end)}: {change}")
     grid = figure.add_gridspec(
         2, 2, left=0.09, right=0.97, top=0.82, bottom=0.11, wspace=0.26, hspace=0.34
     )
-    upper = figure.add_subplot(grid[0, 0])
-    _draw_fraction(upper, frames, history, unit)
-    lower = figure.add_subplot(grid[1, 0])
-    _draw_contacts(lower, history, unit)
+    upper, lower = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[1, 0])
     right = figure.add_subplot(grid[:, 1])
+    _draw_fraction(upper, frames, 100.0 * history["heterotypic_fraction"], time, unit)
+    lower.plot(time, history["contacts"], draw_style(time), color=INK, lw=2)
+    lower.set_ylim(0.0, 1.12 * max(float(history["contacts"].max()), 1.0))
+    lower.yaxis.set_major_locator(MaxNLocator(integer=True, nbins=5))
+    counts(lower.yaxis)
+    lower.set(title="Contacts", ylabel="number of pairs")
     _draw_distances(right, frames, scene, unit)
-    end = float(history["time"][-1]) / unit.seconds
     for axes in (upper, lower, right):
-        axes.set_xlim((0.0, end) if end > 0.0 else (-0.5, 0.5))
+        axes.set_xlim((0.0, float(time[-1])) if end > 0.0 else (-0.5, 0.5))
     for axes in (lower, right):
         axes.set_xlabel(f"time ({unit.name})")
     return figure
@@ -112,17 +103,11 @@ def _percent(part: float) -> str:
     return f"{100.0 * part:.1f} %" if np.isfinite(part) else "none"
 
 
-def _style(values: NDArray[np.float64]) -> str:
-    """Return a line, or a point where one moment makes no line."""
-    return "-" if len(values) > 1 else "o"
-
-
-def _draw_fraction(axes: Axes, frames: Sequence[Frame], history: History, unit: TimeUnit) -> None:
-    """Draw the heterotypic part of the contacts beside that of random mixing."""
-    fraction = 100.0 * history["heterotypic_fraction"]
-    time = history["time"] / unit.seconds
-    axes.set_title("Contacts between unlike cells")
-    axes.plot(time, fraction, _style(time), color=BLUE, lw=2, label="as simulated")
+def _draw_fraction(
+    axes: Axes, frames: Sequence[Frame], fraction: FloatArray, time: FloatArray, unit: TimeUnit
+) -> None:
+    """Draw the heterotypic part of the contacts (%) beside that of random mixing."""
+    axes.plot(time, fraction, draw_style(time), color=BLUE, lw=2, label="as simulated")
     when = np.array([frame.time for frame in frames]) / unit.seconds
     mixed = np.array([100.0 * random_mixing(frame.cells) for frame in frames])
     style = "--" if len(when) > 1 else "x"
@@ -132,19 +117,8 @@ def _draw_fraction(axes: Axes, frames: Sequence[Frame], history: History, unit: 
     low, high = (float(shown.min()), float(shown.max())) if len(shown) else (0.0, 100.0)
     room = max(high - low, 4.0)
     axes.set_ylim(max(low - 0.1 * room, 0.0), high + 0.5 * room)
-    axes.set_ylabel("of all contacts (%)")
+    axes.set(title="Contacts between unlike cells", ylabel="of all contacts (%)")
     axes.legend(loc="upper right", fontsize=11)
-
-
-def _draw_contacts(axes: Axes, history: History, unit: TimeUnit) -> None:
-    """Draw the number of pairs in contact."""
-    time, number = history["time"] / unit.seconds, history["contacts"]
-    axes.set_title("Contacts")
-    axes.plot(time, number, _style(time), color=INK, lw=2)
-    axes.set_ylim(0.0, 1.12 * max(float(number.max()), 1.0))
-    axes.yaxis.set_major_locator(MaxNLocator(integer=True, nbins=5))
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
-    axes.set_ylabel("number of pairs")
 
 
 def _draw_distances(axes: Axes, frames: Sequence[Frame], scene: Scene, unit: TimeUnit) -> None:
@@ -199,19 +173,8 @@ def _pair(cells: Cells, scene: Scene, time: float) -> Pair:
 
 
 @styled
-def pull(frames: Sequence[Frame], history: History, scene: Scene, title: str) -> Figure:
+def pull(frames: Sequence[Frame], history: History, scene: Scene) -> Figure:
     """Draw the pull over the distance of two cells, or over the diameter of more.
-
-    Parameters
-    ----------
-    frames
-        Saved frames.
-    history : column name -> (m,)
-        With ``pull``, ``diameter`` and ``contacts``.
-    scene
-        With ``pull``.
-    title
-        Heading.
 
     Raises
     ------
@@ -224,7 +187,8 @@ def pull(frames: Sequence[Frame], history: History, scene: Scene, title: str) ->
     last = _last_held(history["contacts"])
     broken = 0 <= last < len(force) - 1
     told = f"the last contact broke at {force[last + 1]:.4g} nN" if broken else "not pulled apart"
-    figure = blank(title, f"After {time_unit(float(time[-1])).text(float(time[-1]))}: {told}")
+    end = float(time[-1])
+    figure = headed(scene, f"After {time_unit(end).text(end)}: {told}")
     axes = figure.add_axes((0.09, 0.12, 0.87, 0.63))
     axes.set_ylabel("force (nN)")
     two = len(frames[0].cells) == 2 and scene.growth is None
@@ -233,7 +197,7 @@ def pull(frames: Sequence[Frame], history: History, scene: Scene, title: str) ->
         x = distance_of_two(x, frames[0].cells, scene.dimensions)
     axes.set_xlabel("distance of the two centres (µm)" if two else "diameter of all cells (µm)")
     kept = slice(0, max(last, 0) + 1)
-    axes.plot(x[kept], force[kept], _style(x[kept]), color=BLUE, lw=2.4, label="pull", zorder=3)
+    axes.plot(x[kept], force[kept], draw_style(x[kept]), color=BLUE, lw=2.4, label="pull", zorder=3)
     if two:
         _draw_law(axes, _pair(frames[0].cells, scene, float(time[max(last, 0)])), x[kept])
     elif len(frames[0].cells) > 1 and len(scene.types) < 2:
@@ -241,8 +205,8 @@ def pull(frames: Sequence[Frame], history: History, scene: Scene, title: str) ->
         _draw_load(axes, load, "theory for one contact")
     if not two and x[kept].max() > 5.0 * x[kept].min() > 0.0:
         axes.set_xscale("log")
-        for axis in (axes.xaxis.set_major_formatter, axes.xaxis.set_minor_formatter):
-            axis(FuncFormatter(lambda value, _: f"{value:,.0f}"))
+        counts(axes.xaxis)
+        axes.xaxis.set_minor_formatter(axes.xaxis.get_major_formatter())
         axes.xaxis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
     top = float(force[min(last + 1, len(force) - 1)])
     if broken:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from matplotlib.collections import EllipseCollection
-from matplotlib.colors import ListedColormap, to_rgb
+from matplotlib.colors import Colormap, ListedColormap, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
@@ -18,8 +18,8 @@ from multicell.report.plots.style import (
     INK,
     RED,
     SIZE,
-    blank,
     cell_count,
+    headed,
     moment,
     styled,
     thresholds,
@@ -31,8 +31,10 @@ from multicell.results.observables import centre, uniform_radius
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.image import AxesImage
 
     from multicell.scene.nutrient import Nutrient
+    from multicell.scene.scene import Scene
 
 
 # white to a light blue: cells must stand out against it
@@ -40,37 +42,19 @@ _WATER: Final = ListedColormap(np.linspace(to_rgb("#ffffff"), to_rgb("#8fbce0"),
 
 
 @styled
-def section(
-    frame: Frame,
-    title: str,
-    nutrients: Mapping[str, Nutrient],
-    types: Sequence[str],
-    dimensions: int,
-) -> Figure:
+def section(frame: Frame, scene: Scene) -> Figure:
     """Draw the cells that the plane z = centre cuts, each with the radius of its cut.
 
     Two or three cells without a field are cut by the plane that holds their centres. The colour
     shows the state or, where there is more than one type, the type; cells that are necrotic are
-    dark in both.
-
-    Parameters
-    ----------
-    frame
-        What to draw.
-    title
-        Heading.
-    nutrients : name -> Nutrient
-        Thresholds, drawn as contour lines, and the concentration around the grid.
-    types
-        Names of the cell types.
-    dimensions
-        Of the scene: in 2 all cells lie in the plane.
+    dark in both. Behind them is the scene's first field, with its thresholds as lines.
 
     Raises
     ------
     ValueError
         If the frame has no cells.
     """
+    nutrients, types, dimensions = scene.nutrients, list(scene.types), scene.dimensions
     middle = centre(frame.cells, dimensions)
     few = 1 < len(frame.cells) <= 3 and not frame.fields
     place = _in_plane(frame.cells.position, middle) if few else frame.cells.position
@@ -78,17 +62,17 @@ def section(
     cells = frame.cells.take(cut > 0.0)
     radius = np.sqrt(cut[cut > 0.0])
     cut_through = f": section through the centre ({cell_count(len(cells))})"
-    figure = blank(title, moment(frame) + (cut_through if dimensions == 3 else ""))
+    figure = headed(scene, moment(frame) + (cut_through if dimensions == 3 else ""))
     axes = figure.add_axes((0.03, 0.04, 0.66, 0.83))
     size = uniform_radius(frame.cells, middle, dimensions)
     half = 1.22 * size + 2.0 * float(frame.cells.radius.max())
-    _frame_section(axes, middle, half)
+    frame_window(axes, middle, half, half * (0.66 * SIZE[0]) / (0.83 * SIZE[1]))
+    axes.spines[["top", "right"]].set_visible(True)
     group, palette = _groups(cells, types)
     draw_circles(axes, place[cut > 0.0, :2], radius, group, list(palette.values()))
-    # one field behind the cells: the scene's first
     name = next((name for name in nutrients if name in frame.fields), "")
     if name:
-        _draw_field(figure, axes, frame.fields[name], float(middle[2]), nutrients[name])
+        _draw_behind(figure, axes, frame.fields[name], float(middle[2]), nutrients[name])
     _scale_bar(axes, middle, half)
     shown = "Cells in this section" if dimensions == 3 else "Cells"
     _section_legend(figure, group, palette, shown)
@@ -114,15 +98,12 @@ def _groups(cells: Cells, types: Sequence[str]) -> tuple[IntArray, dict[str, str
     return np.where(dead, len(types), cells.kind), {**colours, name: COLOURS["necrotic"]}
 
 
-def _frame_section(axes: Axes, middle: FloatArray, half: float) -> None:
-    """Prepare axes of equal scale about the centre; a scale bar replaces ticks."""
-    width = half * (0.66 * SIZE[0]) / (0.83 * SIZE[1])
-    axes.set_xlim(middle[0] - width, middle[0] + width)
+def frame_window(axes: Axes, middle: FloatArray, half: float, width: float | None = None) -> None:
+    """Give axes one scale about the centre and no ticks; ``width`` is half of it, as ``half``."""
+    across = half if width is None else width
+    axes.set_xlim(middle[0] - across, middle[0] + across)
     axes.set_ylim(middle[1] - half, middle[1] + half)
-    axes.set_aspect("equal")
-    axes.set_xticks([])
-    axes.set_yticks([])
-    axes.spines[["top", "right"]].set_visible(True)
+    axes.set(xticks=[], yticks=[], aspect="equal")
 
 
 def draw_circles(
@@ -183,35 +164,59 @@ def refined(field: Field, z: float) -> tuple[FloatArray, FloatArray, FloatArray]
     return at[0], at[1], fine.T
 
 
-def _draw_field(figure: Figure, axes: Axes, field: Field, z: float, nutrient: Nutrient) -> None:
-    """Draw a field as shades behind the cells, and its thresholds as lines over them."""
-    field = field.in_plane(z) if field.kind == "radial" else field
+def draw_field(
+    axes: Axes, field: Field, z: float, nutrient: Nutrient, medium: float, low: float | None,
+    colours: Colormap,
+) -> tuple[AxesImage, list[tuple[str, float, str]]]:  # fmt: skip
+    """Draw a field on the plane at z as shades, and its thresholds as lines over all else.
+
+    Parameters
+    ----------
+    medium
+        Concentration around the grid, mM.
+    low
+        Where the colours begin, mM; None for the lowest value.
+
+    Returns
+    -------
+    shades
+    thresholds
+        Meaning, value and line style of those that are drawn.
+    """
     x, y, plane = refined(field, z)
-    top = max(float(plane.max()), nutrient.boundary)
-    if not top > 0.0:
-        return
-    # around the grid lies the medium
-    axes.set_facecolor(_WATER(nutrient.boundary / top))
+    low = min(float(plane.min()), medium) if low is None else low
+    top = max(float(plane.max()), medium)
+    top = top if top > low else low + 1.0
+    axes.set_facecolor(colours((medium - low) / (top - low)))
     window = axes.axis()
     half = 0.5 * (x[1] - x[0])
     extent = (x[0] - half, x[-1] + half, y[0] - half, y[-1] + half)
     shades = axes.imshow(
-        plane, extent=extent, origin="lower", cmap=_WATER, vmin=0.0, vmax=top, zorder=0
+        plane, extent=extent, origin="lower", cmap=colours, vmin=low, vmax=top, zorder=0
     )
     axes.axis(window)
+    inside = [entry for entry in thresholds(nutrient) if plane.min() < entry[1] < plane.max()]
+    for _, level, style in inside:
+        line: dict[str, Any] = {"levels": [level], "zorder": 3}
+        axes.contour(x, y, plane, colors="white", linewidths=3.6, **line)
+        axes.contour(x, y, plane, colors=RED, linewidths=1.8, linestyles=style, **line)
+    return shades, inside
+
+
+def _draw_behind(figure: Figure, axes: Axes, field: Field, z: float, nutrient: Nutrient) -> None:
+    """Draw a field behind the cells of a section, and explain its shades and lines."""
+    if not max(float(field.values.max()), nutrient.boundary) > 0.0:
+        return
+    shades, inside = draw_field(axes, field, z, nutrient, nutrient.boundary, 0.0, _WATER)
     bar = figure.colorbar(shades, cax=figure.add_axes((0.73, 0.28, 0.018, 0.27)))
     bar.outline.set_visible(False)
     bar.ax.grid(False)
     figure.text(0.725, 0.585, f"{field.name.capitalize()} ({field.unit})", **HEADING)
     handles = []
-    for meaning, level, style in thresholds(nutrient):
-        if plane.min() < level < plane.max():
-            line: dict[str, Any] = {"levels": [level], "zorder": 3}
-            axes.contour(x, y, plane, colors="white", linewidths=3.6, **line)
-            axes.contour(x, y, plane, colors=RED, linewidths=1.8, linestyles=style, **line)
-            bar.ax.axhline(level, color=RED, ls=style, lw=1.8)
-            label = f"below {level:.3g}: cells {meaning}"
-            handles.append(Line2D([], [], color=RED, ls=style, lw=1.8, label=label))
+    for meaning, level, style in inside:
+        bar.ax.axhline(level, color=RED, ls=style, lw=1.8)
+        label = f"below {level:.3g}: cells {meaning}"
+        handles.append(Line2D([], [], color=RED, ls=style, lw=1.8, label=label))
     if handles:
         figure.legend(handles=handles, loc="upper left", bbox_to_anchor=(0.713, 0.25))
 

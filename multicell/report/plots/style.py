@@ -3,20 +3,28 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sized
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
+from numpy.typing import NDArray
 
 from multicell.results.folder import write_bytes
 from multicell.results.frame import Frame
 
 if TYPE_CHECKING:
+    from multicell.cells import FloatArray
     from multicell.scene.nutrient import Nutrient
+    from multicell.scene.scene import Scene
 
+
+History = Mapping[str, NDArray[np.float64]]
+"""Columns of a run's history by name, (m,) each."""
 
 COLOURS: Final = {
     "proliferating": "#2a9d6a",
@@ -73,6 +81,22 @@ def time_unit(longest: float) -> TimeUnit:
     return TimeUnit("s", 1.0)
 
 
+def draw_style(points: Sized) -> str:
+    """Return a line, or a point where one moment makes no line."""
+    return "-" if len(points) > 1 else "o"
+
+
+def span(time: FloatArray) -> tuple[float, float]:
+    """Return the range of times to show, which has a width even for one moment."""
+    first, last = float(time[0]), float(time[-1])
+    return (first, last) if last > first else (first - 0.5, first + 0.5)
+
+
+def counts(axis: Any) -> None:
+    """Write whole numbers with commas on an axis."""
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
+
+
 def moment(frame: Frame) -> str:
     """Return the number of cells and the time of a frame in words."""
     return f"{cell_count(len(frame.cells))} after {time_unit(frame.time).text(frame.time)}"
@@ -102,6 +126,11 @@ def blank(title: str, subtitle: str) -> Figure:
     figure.text(0.04, 0.95, shown, fontsize=16, weight="bold", va="center", parse_math=False)
     figure.text(0.04, 0.905, subtitle, fontsize=12, color=QUIET, va="center", parse_math=False)
     return figure
+
+
+def headed(scene: Scene, subtitle: str) -> Figure:
+    """Return an empty figure headed by the scene's title."""
+    return blank(scene.title or "Untitled run", subtitle)
 
 
 def save(figure: Figure, path: Path) -> None:

@@ -1,0 +1,122 @@
+"""What biology does to the cells in a coupling step: growth, events, and decisions.
+
+Each function returns a new population, or what is needed to make one, and changes none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, NamedTuple, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multicell.biology.adhesion import bond_levels
+from multicell.biology.cycle import Cycling, advance, leave_rest
+from multicell.biology.death import remove_lysed
+from multicell.biology.division import divide
+from multicell.biology.growth import growth_factor, volumes_after
+from multicell.biology.states import deciding, restricted, unfavourable, update_states
+from multicell.cells import DEAD, SPHERE, Cells, FloatArray
+from multicell.scene.domain import check_inside
+
+if TYPE_CHECKING:
+    from multicell.scene.scene import Scene
+
+Concentrations = Mapping[str, FloatArray]
+
+
+@final
+class Grown(NamedTuple):
+    """What growth makes of cells by the end of a step: radii (n,) µm, and the place in the cycle.
+
+    ``cycling`` is None where the scene has no phases.
+    """
+
+    radius: FloatArray
+    cycling: Cycling | None
+
+
+@final
+class Events(NamedTuple):
+    """The cells after division and removal, the next free identity, and what was removed.
+
+    ``removals`` is a number of cells, ``released`` their volume in µm³.
+    """
+
+    cells: Cells
+    next_id: int
+    removals: int
+    released: float
+
+
+def grow(scene: Scene, cells: Cells, concentrations: Concentrations, dt: float) -> Grown:
+    """Return the radii after a time ``dt`` (s), and where the cells then are in their cycle."""
+    factor = growth_factor(scene, concentrations, cells.pressure)
+    volume = volumes_after(scene, cells, factor, dt)
+    cycling = None
+    if scene.growth is not None and scene.growth.phases:
+        resting = unfavourable(scene, cells, concentrations)
+        cycling = advance(scene, cells, factor, resting, dt)
+        volume += cycling.volume - cells.volume
+    return Grown(np.asarray(np.cbrt(volume / SPHERE)), cycling)
+
+
+def aged(
+    scene: Scene, cells: Cells, grown: Grown, concentrations: Concentrations,
+    begin: float, end: float,
+) -> tuple[Cells, float]:  # fmt: skip
+    """Return the cells at the end of a step, and the volume that dead ones have lost in it, µm³."""
+    after = cells.copy()
+    after.radius = grown.radius
+    after.age = after.age + (end - begin)
+    if grown.cycling is not None:
+        for name in ("state", "phase", "progress", "phase_length"):
+            setattr(after, name, getattr(grown.cycling, name))
+    bind(scene, after, cells, concentrations, end)
+    dead = np.isin(cells.state, DEAD)
+    # what the dead took up when they swelled counts against what they lose
+    lost = cells.radius[dead] ** 3 - grown.radius[dead] ** 3
+    return after, SPHERE * float(lost.sum())
+
+
+def bind(
+    scene: Scene, after: Cells, cells: Cells, concentrations: Concentrations, time: float
+) -> None:
+    """Give ``after`` the receptors and ligands that ``cells`` have at a time in s."""
+    if scene.adhesion is not None:
+        levels = bond_levels(scene, cells, concentrations, time)
+        after.receptor, after.ligand = np.ascontiguousarray(levels.T)
+
+
+def divide_and_remove(scene: Scene, cells: Cells, step: int, next_id: int, time: float) -> Events:
+    """Return the cells after all that changes their number at a time in s.
+
+    Raises
+    ------
+    StepFailed
+        If a daughter lies outside the scene's domain.
+    """
+    divided, free = divide(scene, cells, step, next_id)
+    if free > next_id:
+        # daughters lie within their mother: only one that is pressed nearly flat, or that no
+        # wall holds, can have one outside
+        check_inside(scene, divided.id, divided.position, time)
+    left, removals = remove_lysed(scene, divided)
+    released = float(divided.volume.sum()) - float(left.volume.sum()) if removals else 0.0
+    return Events(left, free, removals, released)
+
+
+def decide(
+    scene: Scene, cells: Cells, concentrations: Concentrations, step: int, dt: float, time: float
+) -> NDArray[np.bool_]:
+    """Set the states of cells by what they find around them; return which have died, (n,) bool."""
+    before = cells.state
+    cells.state = update_states(scene, cells, concentrations, step, dt, time)
+    if restricted(scene):
+        due = deciding(cells, scene.coupling_step, scene.cells.reaction_time)
+        well = ~unfavourable(scene, cells, concentrations)
+        leave_rest(scene, cells, due & well)
+    dead = (cells.state != before) & np.isin(cells.state, DEAD)
+    cells.age[dead] = 0.0
+    return np.asarray(dead)

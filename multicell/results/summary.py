@@ -1,0 +1,134 @@
+"""The history and the summary of a run: observables of its state, as its scene asks for them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from multicell.results import observables
+from multicell.results.folder import versions
+from multicell.results.observables import known
+from multicell.results.quantities import units_of
+
+if TYPE_CHECKING:
+    from multicell.results.frame import Frame
+    from multicell.scene.scene import Scene
+
+
+def history_row(scene: Scene, frame: Frame, **extra: float) -> dict[str, float]:
+    """Return one row of a run's history: :func:`observables.history_row`, and what scenes add.
+
+    Added are ``contacts`` where the run counts them, ``heterotypic_fraction`` where there are
+    types, ``hypoxic_radius_<field>`` (µm) where cells rest without a field, the ``pull`` (nN), and
+    ``pressure_factor`` and ``held_by_pressure`` where pressure limits growth.
+    """
+    own: dict[str, float] = {}
+    if counts_contacts(scene):
+        own["contacts"] = len(frame.contacts)
+    own |= _mixing(scene, frame)
+    own |= {f"hypoxic_radius_{name}": r for name, r in _hypoxic(scene, frame).items()}
+    own |= extra
+    if scene.pull is not None:
+        own["pull"] = scene.pull.load(frame.time)
+    own |= _held_back(scene, frame)
+    return observables.history_row(frame.time, frame.step, frame.cells, scene.dimensions, **own)
+
+
+def run_summary(
+    scene: Scene,
+    frame: Frame,
+    ledgers: Mapping[str, Mapping[str, float]],
+    fields: Mapping[str, Mapping[str, Any]],
+    remarks: Sequence[str],
+    wall: Mapping[str, float],
+    threads: int,
+) -> dict[str, Any]:
+    """Return the numbers that describe a run up to a frame; ``units`` names their units.
+
+    A number that does not exist (the viable rim without a core) is None.
+
+    Parameters
+    ----------
+    scene
+    frame
+        With its progress.
+    ledgers : field -> name -> amount in amol, or a ratio
+    fields, remarks
+        What each field lives on, and remarks on fields that do not fit; see
+        :meth:`multicell.nutrient.fields.Feeding.fitness`.
+    wall : phase -> s
+    threads
+        Number of threads.
+    """
+    from multicell.scene.packing import packing_notes
+
+    progress = frame.progress
+    assert progress is not None
+    own = observables.state_summary(frame.time, frame.cells, scene.dimensions)
+    remainders = [entry["relative_remainder"] for entry in ledgers.values()]
+    error = progress.local_error
+    optional: dict[str, Any] = {
+        "hypoxic_radius": _hypoxic(scene, frame),
+        "separation": progress.separation,
+        "fields": fields,
+        "notes": [*packing_notes(scene, own["packing_ratio"]), *remarks],
+    }
+    summary = {
+        **own,
+        **{name: known(value) for name, value in _held_back(scene, frame).items()},
+        **{name: known(value) for name, value in _mixing(scene, frame).items()},
+        "title": scene.title,
+        "seed": scene.seed,
+        "steps": frame.step,
+        "divisions": progress.divisions,
+        "removals": progress.removals,
+        "volume_released": progress.released,
+        "integrator": {
+            "method": scene.integrator.method,
+            **progress.work,
+            **({} if error is None else {"largest_local_error": error}),
+        },
+        "ledger": {**ledgers, **({"relative_remainder": max(remainders)} if remainders else {})},
+        **{name: value for name, value in optional.items() if value},
+        "wall": {**wall, "total": sum(wall.values())},
+        "threads": threads,
+        "versions": versions(),
+    }
+    return {**summary, "units": units_of(summary)}
+
+
+def counts_contacts(scene: Scene) -> bool:
+    """Return whether anything asks for the pairs in contact; to find them costs a little."""
+    return remembers_contacts(scene) or len(scene.types) > 1 or scene.pull is not None
+
+
+def remembers_contacts(scene: Scene) -> bool:
+    """Return whether the contact law needs to know which pairs were in contact."""
+    return hasattr(scene.contact, "in_contact")
+
+
+def _held_back(scene: Scene, frame: Frame) -> dict[str, float]:
+    """Return how much pressure holds growth back, where it does."""
+    growth = scene.growth
+    if growth is None or growth.critical_pressure is None:
+        return {}
+    return dict(observables.pressure_summary(frame.cells, growth.critical_pressure))
+
+
+def _hypoxic(scene: Scene, frame: Frame) -> dict[str, float]:
+    """Return the radius in which cells lack each field that makes them rest, µm."""
+    return {
+        name: observables.hypoxic_radius(
+            frame.cells, frame.concentrations[name], field.quiescence, scene.dimensions
+        )
+        for name, field in scene.nutrients.items()
+        if field.quiescence is not None and name in frame.concentrations
+    }
+
+
+def _mixing(scene: Scene, frame: Frame) -> dict[str, float]:
+    """Return how the types mix, where there is more than one."""
+    if len(scene.types) < 2:
+        return {}
+    fraction = observables.heterotypic_fraction(frame.cells, frame.contacts)
+    return {"heterotypic_fraction": fraction}

@@ -1,0 +1,166 @@
+"""The JSON Schema of scene files, for editors that complete and check them.
+
+It is made from the same declarations that read a scene (:mod:`multicell.schema`), so that it has
+all keys with units, defaults, bounds and choices. What it cannot say, such as the bounds of a
+quantity that is written with a unit, or what concerns several keys, only reading the scene tells.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, Field, fields
+from typing import Any, Final
+
+from multicell.scene.scene import Scene
+from multicell.schema import Bounds, Parameter, specs
+
+Schema = dict[str, Any]
+
+_DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
+_QUANTITY: Final = r"^\s*[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?\s*[A-Za-zµμ(1].*$"
+_IDENTIFIER: Final = "^[A-Za-z_][A-Za-z0-9_]*$"
+_LIMITS: Final[Mapping[str, str]] = {
+    "above": "exclusiveMinimum",
+    "at_least": "minimum",
+    "at_most": "maximum",
+    "below": "exclusiveMaximum",
+}
+
+
+def json_schema() -> Schema:
+    """Return the JSON Schema (draft 2020-12) of scene files, of plain values only.
+
+    Each key has a ``description`` with its unit and what is allowed, and its ``default`` where it
+    has one. A quantity is a number in the base unit ``x-unit``, or a string with a unit.
+    """
+    parts: dict[str, Schema] = {}
+    whole = _table(Scene, parts)
+    return {"$schema": _DIALECT, "title": "A scene of multicell", **whole, "$defs": parts}
+
+
+def _table(part: type, parts: dict[str, Schema], also: Schema | None = None) -> Schema:
+    """Return the schema of a part; those of the parts that it holds are added to ``parts``."""
+    known = {spec.name: spec for spec in fields(part)}
+    needed = [
+        name
+        for name, spec in known.items()
+        if spec.default is MISSING and spec.default_factory is MISSING
+    ]
+    made = {
+        "type": "object",
+        "description": (inspect.getdoc(part) or "").partition("\n")[0],
+        "properties": {
+            **(also or {}),
+            **{name: _described(spec, parts) for name, spec in known.items()},
+        },
+        "additionalProperties": False,
+    }
+    return made | ({"required": needed} if needed else {})
+
+
+def _reference(part: type, parts: dict[str, Schema]) -> Schema:
+    """Return a reference to the schema of a part."""
+    if part.__name__ not in parts:
+        parts[part.__name__] = {}
+        parts[part.__name__] = _table(part, parts)
+    return {"$ref": f"#/$defs/{part.__name__}"}
+
+
+def _described(field: Field[Any], parts: dict[str, Schema]) -> Schema:
+    """Return the schema of a key with what a reader must know of it."""
+    spec: Parameter = field.metadata["parameter"]
+    unit = "" if spec.units in spec.allowed else f"in {spec.units}"
+    about = "; ".join(filter(None, (spec.doc.rstrip("."), unit, spec.allowed)))
+    made = _KINDS[spec.kind](spec, parts) | ({"description": about} if about else {})
+    default = field.default
+    if default is not MISSING and default is not None:
+        made["default"] = spec.plain(default)
+    return made
+
+
+def _number(bounds: Bounds | None, kind: str = "number") -> Schema:
+    """Return the schema of a number within bounds."""
+    ends = {} if bounds is None else vars(bounds)
+    limits = {_LIMITS[name]: end for name, end in ends.items() if end is not None}
+    return {"type": kind, **limits}
+
+
+def _amount(unit: str, bounds: Bounds | None = None) -> Schema:
+    """Return the schema of a quantity, or of a number where there is no unit."""
+    if not unit:
+        return _number(bounds)
+    text = {"type": "string", "pattern": _QUANTITY, "examples": [f"1 {unit}"]}
+    return {"anyOf": [_number(bounds), text], "x-unit": unit}
+
+
+def _curve(x: Schema, y: Schema) -> Schema:
+    """Return the schema of a list of points."""
+    point = {"type": "array", "prefixItems": [x, y], "minItems": 2, "maxItems": 2}
+    return {"type": "array", "items": point, "minItems": 1}
+
+
+def _course(spec: Parameter) -> Schema:
+    return {"anyOf": [_number(spec.bounds), _curve(_amount("s"), _number(spec.bounds))]}
+
+
+def _one_table(spec: Parameter, parts: dict[str, Schema]) -> Schema:
+    """Return the schema of a table, or of the string that may stand in its place."""
+    assert spec.table is not None
+    whole = _reference(spec.table, parts)
+    if not spec.shorthand:
+        return whole
+    return {"anyOf": [whole, {"enum": list(specs(spec.table)[spec.shorthand].options)}]}
+
+
+def _tables(spec: Parameter, parts: dict[str, Schema]) -> Schema:
+    """Return the schema of named tables."""
+    assert spec.table is not None
+    one = _reference(spec.table, parts)
+    if spec.options:
+        return {
+            "type": "object",
+            "properties": dict.fromkeys(spec.options, one),
+            "additionalProperties": False,
+        }
+    names = {"pattern": _IDENTIFIER}
+    return {"type": "object", "additionalProperties": one, "propertyNames": names}
+
+
+def _variant(spec: Parameter, parts: dict[str, Schema]) -> Schema:
+    """Return the schema of a table whose key says which part it is; without it the usual one."""
+    assert spec.parts is not None
+    cases = []
+    for name, part in spec.parts.items():
+        case = _table(part, parts, {spec.key: {"const": name}})
+        if name != spec.usual:
+            case["required"] = [spec.key, *case.get("required", ())]
+        cases.append(case)
+    return {"anyOf": cases}
+
+
+_KINDS: Final[Mapping[str, Callable[[Parameter, dict[str, Schema]], Schema]]] = {
+    "quantity": lambda spec, _: _amount(spec.unit, spec.bounds),
+    "number": lambda spec, _: _number(spec.bounds),
+    "count": lambda spec, _: _number(spec.bounds, "integer"),
+    "choice": lambda spec, _: {"enum": list(spec.options)},
+    "text": lambda spec, _: {"type": "string", "pattern": r"^[^\n\r\t]*$"},
+    "flag": lambda spec, _: {"type": "boolean"},
+    "names": lambda spec, _: {"type": "array", "items": {"enum": list(spec.options)}},
+    "interval": lambda spec, _: {
+        "type": "array", "items": _amount(spec.unit, spec.bounds), "minItems": 2, "maxItems": 2,
+    },
+    "course": lambda spec, _: _course(spec),
+    "schedule": lambda spec, _: _curve(_amount("s"), _amount(spec.unit, spec.bounds)),
+    "responses": lambda spec, _: {
+        "type": "object",
+        "additionalProperties": _curve(_amount(spec.unit), _number(spec.bounds)),
+    },
+    "quantities": lambda spec, _: {
+        "type": "object", "additionalProperties": _amount(spec.unit, spec.bounds),
+    },
+    "table": _one_table,
+    "variant": _variant,
+    "tables": _tables,
+}  # fmt: skip
+"""What makes the schema of a key, by the function that declared it."""

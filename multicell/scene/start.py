@@ -1,0 +1,50 @@
+"""What a scene sets in motion: the mechanics of its parts, and cells that do not coincide."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from multicell import random
+from multicell.mechanics import neighbours
+from multicell.mechanics.system import Mechanics
+from multicell.scene import pairs
+from multicell.scene.domain import walls
+
+if TYPE_CHECKING:
+    from multicell.cells import Cells
+    from multicell.scene.scene import Scene
+
+
+def mechanics(scene: Scene, threads: int) -> Mechanics:
+    """Return the mechanics that a scene asks for."""
+    friction = scene.friction
+    return Mechanics(
+        scene.contact,
+        scene.drag.viscosity,
+        threads,
+        bond_strength=0.0 if scene.adhesion is None else scene.adhesion.strength,
+        friction=(0.0, 0.0) if friction is None else (friction.normal, friction.tangential),
+        surface_energies=pairs.surface_energies(scene),
+        walls=walls(scene),
+    )
+
+
+def separated(scene: Scene, cells: Cells) -> Cells:
+    """Move cells apart whose centres coincide: between them no force has a direction.
+
+    Each but one of them moves by a millionth of its radius along a random direction; the
+    contact forces do the rest.
+    """
+    if len(cells) < 2:
+        return cells
+    near = neighbours.neighbour_pairs(cells.position, 1e-9 * float(cells.radius.min()))
+    moved = np.unique(near[:, 1])
+    if len(moved):
+        cells = cells.copy()
+        axis = random.directions(
+            scene.seed, random.Purpose.SEPARATION, 0, cells.id[moved], scene.dimensions
+        )
+        cells.position[moved] += 1e-6 * cells.radius[moved, None] * axis
+    return cells
