@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from multicell.comparison.stability.result import StabilityMap
     from multicell.comparison.stability.search import stability
     from multicell.comparison.work_precision import compare
+    from multicell.contact.custom import load_law, pair_law
     from multicell.contact.hertz import Hertz
     from multicell.contact.jkr import JKR
     from multicell.integrators.base import Integrator, MethodInfo, Outcome
@@ -53,9 +54,11 @@ __all__ = [
     "WorkPrecision",
     "compare",
     "export",
+    "load_law",
     "load_result",
     "load_scene",
     "ode_problem",
+    "pair_law",
     "resume",
     "run",
     "scene_names",
@@ -64,6 +67,8 @@ __all__ = [
 ]
 
 _LAZY = {
+    "load_law": "multicell.contact.custom",
+    "pair_law": "multicell.contact.custom",
     "Cells": "multicell.cells",
     "Hertz": "multicell.contact.hertz",
     "Integrator": "multicell.integrators.base",

@@ -404,15 +404,24 @@ def table(
 
 
 def variant(
-    options: Mapping[str, type[Any]], *, key: str, usual: str, default_factory: Any, doc: str = ""
+    options: Mapping[str, type[Any]],
+    *,
+    key: str,
+    usual: str,
+    default_factory: Any,
+    doc: str = "",
+    hint: Callable[[str], str] | None = None,
 ) -> Any:
-    """Declare a table whose ``key`` says which part it holds; without the key the ``usual`` one."""
+    """Declare a table whose ``key`` says which part it holds; without the key the ``usual`` one.
+
+    ``hint`` may know more than the nearest name about one that is not there.
+    """
 
     def convert(value: object, path: str) -> Any:
         if isinstance(value, tuple(options.values())):
             return value
         entries = _mapping(value, path)
-        name = chosen(entries.pop(key, usual), options, f"{path}.{key}")
+        name = chosen(entries.pop(key, usual), options, f"{path}.{key}", hint)
         return build(options[name], entries, path, also=(key,))
 
     def to_plain(value: Any) -> dict[str, Any]:
@@ -566,14 +575,20 @@ def plain(part: Any) -> dict[str, Any]:
     return result
 
 
-def chosen(value: object, options: Iterable[str], path: str) -> str:
+def chosen(
+    value: object,
+    options: Iterable[str],
+    path: str,
+    hint: Callable[[str], str] | None = None,
+) -> str:
     """Return ``value`` if it is one of the names, else raise ``SceneError`` with the nearest."""
     names = list(options)
-    if isinstance(value, str) and value in names:
+    if isinstance(value, str) and (value in names or value in options):
         return value
     listed = ", ".join(repr(name) for name in names)
-    hint = near_miss(value, names, listed=False) if isinstance(value, str) else ""
-    raise SceneError(path, f"is {shown(value)}, must be one of {listed}", hint)
+    known = hint(value) if hint is not None and isinstance(value, str) else ""
+    near = near_miss(value, names, listed=False) if isinstance(value, str) else ""
+    raise SceneError(path, f"is {shown(value)}, must be one of {listed}", known or near)
 
 
 def near_miss(name: str, options: Iterable[str], *, listed: bool = True) -> str:

@@ -6,6 +6,8 @@ on (:class:`multicell.Integrator`). It fits into any test suite:
 >>> from multicell.testing import check_integrator
 >>> def test_mine():
 ...     check_integrator(Midpoint)                                   # doctest: +SKIP
+
+:func:`check_pair_law` does the same for a pair law (:func:`multicell.pair_law`).
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ import numpy as np
 
 from multicell.cells import FloatArray
 from multicell.contact.hertz import Hertz
+from multicell.contact.law import PairLaw, effective_modulus
 from multicell.integrators.base import Integrator, MethodInfo, Outcome, build
 from multicell.integrators.own import known
 from multicell.mechanics.system import Mechanics, Motion
@@ -243,3 +246,127 @@ _CHECKS: tuple[Callable[[MethodInfo], None], ...] = (
     _check_failures,
     _check_lone_cell,
 )
+
+
+def check_pair_law(law: PairLaw) -> None:
+    """Raise ``AssertionError``, with all that is wrong, unless a pair law keeps its promises.
+
+    Pairs of three sizes and three moduli are taken through overlaps from beyond the reach to
+    nine tenths of a radius:
+
+    - force, stiffness and energy are numbers, and zero where the law does not act;
+    - the force is the slope of the energy and the stiffness that of the force, away from
+      kinks: to 1e-5 of the largest, by central differences;
+    - the reach is at least zero, falls neither with the radius nor with the sum of the radii, and
+      does not rise with the modulus;
+    - at the equilibrium overlap the force vanishes;
+    - compiled, two cells have the force, energy and stiffness that the law's function gives.
+
+    Parameters
+    ----------
+    law
+        A law with its parameters, such as ``Cubic(stiffness=2.0)``.
+
+    Raises
+    ------
+    AssertionError
+        If a promise is not kept.
+    """
+    problems = []
+    for check in (_check_slopes, _check_reach, _check_rest, _check_compiled):
+        try:
+            check(law)
+        except _Broken as error:
+            problems.append(str(error))
+    if problems:
+        raise AssertionError(f"{type(law).__name__}: " + "; ".join(dict.fromkeys(problems)))
+
+
+_SIZES = (2.0, 5.0, 8.0)
+_MODULI = (0.2, 1.0, 5.0)
+_SLOPE = 1e-5
+"""How far slopes may be off, of the largest."""
+
+
+def _pairs() -> list[tuple[float, float, float]]:
+    """Return E_ij, r_ij and the sum of the radii of some pairs of equal cells."""
+    return [(e, 0.5 * r, 2.0 * r) for e in _MODULI for r in _SIZES]
+
+
+def _check_slopes(law: PairLaw) -> None:
+    for modulus, radius, rest in _pairs():
+        begin = -float(law.reach(modulus, radius, rest=rest))
+        overlap = np.linspace(begin - 0.1 * rest, 0.45 * rest, 301)
+        step = 1e-6 * rest
+        low, here, high = (
+            np.stack(law.evaluate(overlap + s * step, modulus, radius, rest=rest, touching=True))
+            for s in (-1.0, 0.0, 1.0)
+        )
+        at = f"at E = {modulus:g} kPa and r = {radius:g} um"
+        _require(np.isfinite(here).all(), f"{at} it gives something that is no number")
+        _require(
+            not here[:, overlap < begin - step].any(),
+            f"{at} it acts beyond its reach of {-begin:g} um",
+        )
+        # where it begins to act and where adhesion sets in a law may have a kink
+        smooth = np.minimum(np.abs(overlap - begin), np.abs(overlap)) > 0.02 * rest
+        found = (high - low)[[2, 0]] / (2.0 * step)
+        names = ("force is not the slope of the energy", "stiffness is not the slope of the force")
+        for name, slope, claimed in zip(names, found, here[:2], strict=True):
+            off = float(np.abs(slope - claimed)[smooth].max())
+            most = float(np.abs(claimed).max())
+            _require(off <= _SLOPE * most, f"{at} its {name}: off by {off:.2g} of {most:.2g}")
+
+
+def _check_reach(law: PairLaw) -> None:
+    grid = np.array(
+        [[[float(law.reach(e, r, rest=4.0 * r * s)) for s in (1.0, 2.0)] for r in _SIZES]
+         for e in _MODULI]
+    )  # fmt: skip
+    _require((grid >= 0.0).all(), "its reach is below zero")
+    _require((np.diff(grid, axis=0) <= 0.0).all(), "its reach rises with the modulus")
+    _require((np.diff(grid, axis=1) >= 0.0).all(), "its reach falls with the radius")
+    _require((np.diff(grid, axis=2) >= 0.0).all(), "its reach falls with the sum of the radii")
+
+
+def _check_rest(law: PairLaw) -> None:
+    for modulus, radius, rest in _pairs():
+        overlap = float(law.equilibrium_overlap(modulus, radius))
+        around = np.linspace(overlap, max(1.1 * overlap, 0.1 * rest), 9)
+        force = law.evaluate(around, modulus, radius, rest=rest, touching=True)[0]
+        small = 1e-6 * float(np.abs(force).max())
+        _require(
+            abs(float(force[0])) <= small or overlap >= rest,
+            f"at its equilibrium overlap of {overlap:.3g} um the force is {float(force[0]):.2g} nN",
+        )
+
+
+def _check_compiled(law: PairLaw) -> None:
+    """Compare two cells in the kernels with the function as Python calls it."""
+    rest, poisson = 10.0, 0.5
+    modulus = float(effective_modulus(1.0, poisson, 1.0, poisson))
+    for overlap in (0.02, 0.3, 1.5, 4.0):
+        system = Mechanics(law, 5.0)
+        ones = np.ones(2)
+        touching = np.array([[0, 1]])
+        system.begin(
+            Motion(5.0 * ones, 0.0 * ones, ones, poisson * ones, BEGIN, END, touching=touching)
+        )
+        position = np.array([[0.0, 0.0, 0.0], [rest - overlap, 0.0, 0.0]])
+        force, slope, energy = law.evaluate(overlap, modulus, 2.5, rest=rest, touching=True)
+        v, out = np.array([[0.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]), np.empty((2, 3))
+        system.linearise(BEGIN, position)
+        system.jacobian_product(v, out)
+        found = (
+            float(system.force(BEGIN, position)[1, 0]),
+            float(out[1, 0]) * system.drag * 5.0,
+            system.energy(BEGIN, position),
+        )
+        for name, got, wanted in zip(
+            ("force", "stiffness", "energy"), found, (force, slope, energy), strict=True
+        ):
+            same = math.isclose(got, float(wanted), rel_tol=1e-9, abs_tol=1e-12)
+            _require(
+                same,
+                f"compiled, its {name} at an overlap of {overlap:g} um is {got!r}, not {wanted!r}",
+            )

@@ -10,9 +10,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,6 +22,8 @@ from multicell.contact.constants import constants_of, fingerprint, further_argum
 from multicell.contact.derived import Scalar, arranged, force_alone, whole_law, without_energy
 from multicell.contact.law import PairLaw
 from multicell.contact.registry import LAWS
+from multicell.errors import SceneError
+from multicell.plugins import load_object
 from multicell.schema import number, quantity, specs
 from multicell.schema import parameters as declare
 
@@ -155,14 +158,19 @@ def pair_law(
             without_energy=without_energy(push, slope, reach),
             force_alone=force_alone(push, reach),
         )
+        declared = {name: _declared(entry) for name, entry in parameters.items()}
+        source = f"{os.path.basename(force.__code__.co_filename)}:{force.__qualname__}"
+        mark = _mark(whole, declared)
+        if f"{source}@{mark}" in LAWS:
+            return cast("type[UserLaw]", LAWS[f"{source}@{mark}"])
         attributes = {
             "__doc__": force.__doc__,
             "__module__": force.__module__,
             "__qualname__": force.__qualname__,
-            **{name: _declared(entry) for name, entry in parameters.items()},
+            **declared,
             "__annotations__": dict.fromkeys(parameters, float),
-            "source": f"{os.path.basename(force.__code__.co_filename)}:{force.__name__}",
-            "fingerprint": fingerprint(whole),
+            "source": source,
+            "fingerprint": mark,
             "_type_of_constants": constants,
             "_reach": None if reach is None else staticmethod(reach),
             "_asks_rest": reach is not None or "rest" in further_arguments(force),
@@ -172,6 +180,32 @@ def pair_law(
         return law
 
     return make
+
+
+def load_law(spec: str) -> type[UserLaw]:
+    """Return the law that ``file.py:Name`` names, after which scenes may name it as well.
+
+    Raises
+    ------
+    SceneError
+        If it cannot be loaded, or is no law made by :func:`pair_law`.
+    """
+    found = load_object(spec, "contact.law")
+    if not (isinstance(found, type) and issubclass(found, UserLaw)):
+        hint = "A function becomes one by the decorator multicell.pair_law."
+        raise SceneError("contact.law", f"{spec!r} is not a pair law", hint)
+    return found
+
+
+def _mark(function: Any, declared: Mapping[str, Any]) -> str:
+    """Return the fingerprint of a law: of its function and of its declared parameters."""
+    specs = {name: column.metadata["parameter"] for name, column in declared.items()}
+    stated = [
+        f"{name} {spec.unit} {spec.bounds} {declared[name].default!r}"
+        for name, spec in specs.items()
+    ]
+    given = hashlib.sha256("\n".join([fingerprint(function), *stated]).encode())
+    return given.hexdigest()[:12]
 
 
 def _declared(entry: Any) -> Any:

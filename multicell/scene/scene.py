@@ -12,6 +12,7 @@ import re
 import stat
 from collections.abc import Mapping
 from copy import deepcopy
+from dataclasses import is_dataclass
 from pathlib import Path
 from typing import Any, final
 
@@ -96,8 +97,9 @@ class Scene:
     initial: Initial = table(Initial, default_factory=Initial, doc="the cells at the start")
     cells: CellParameters = table(CellParameters, default_factory=CellParameters, doc="the cells")
     contact: PairLaw = variant(
-        LAWS, key="law", usual="jkr", default_factory=LAWS["jkr"], doc="the law of touching cells"
-    )
+        LAWS, key="law", usual="jkr", default_factory=LAWS["jkr"],
+        doc="the law of touching cells", hint=LAWS.hint,
+    )  # fmt: skip
     drag: Drag = table(Drag, default_factory=Drag, doc="friction with the medium")
     growth: Growth | None = table(Growth, default=None, doc="absent: no growth, no division")
     death: Death | None = table(Death, default=None, doc="absent: necrotic cells stay")
@@ -162,9 +164,10 @@ class Scene:
         ----------
         changes
             Dotted key -> value, as in ``{"nutrients.oxygen.boundary": "0.07 mM"}``, applied in
-            order. An optional table is made when a key in it is set. A dict replaces a whole
-            table, None removes an optional part. ``"integrator": "euler"`` changes the method
-            and keeps the rest. A new ``contact.law`` drops the parameters that it does not have.
+            order. An optional table is made when a key in it is set. A dict or a part, such as
+            a law made by :func:`multicell.pair_law`, replaces a whole table, None removes an
+            optional part. ``"integrator": "euler"`` changes the method and keeps the rest. A new
+            ``contact.law`` drops the parameters that it does not have.
 
         Raises
         ------
@@ -283,6 +286,8 @@ def _change(entries: dict[str, Any], key: str, value: Any) -> None:
         if not isinstance(node, dict):
             problem = f"is not a key: '{'.'.join(parents[:depth])}' is a value, not a table"
             raise SceneError(key, problem)
+    if spec is not None and is_dataclass(value):
+        value = spec.plain(value)
     if value is None and last in node:
         del node[last]
     else:
