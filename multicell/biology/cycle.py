@@ -18,8 +18,8 @@ in M are one dividing cell.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, final
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +28,9 @@ from multicell import random
 from multicell.biology.growth import birth_volume
 from multicell.cells import HALF, Cells, FloatArray, IntArray, Phase, State
 from multicell.contact.law import effective_modulus, effective_radius
+from multicell.contact.pair import rest_overlap
 from multicell.random import Purpose
+from multicell.scene.pairs import surface_energies
 from multicell.scene.parts import PHASES
 
 if TYPE_CHECKING:
@@ -199,11 +201,11 @@ def newborn(scene: Scene, cells: Cells, progress: FloatArray) -> None:
 
 
 def parting(scene: Scene, cells: Cells, dt: float) -> tuple[IntArray, FloatArray] | None:
-    """Return the sisters that part, (m, 2) indices, and their slack with its rate, (m, 2).
+    """Return the sisters that part, (m, 2) indices, and their offset with its rate, (m, 2).
 
-    At birth the slack is their overlap less the one at which their contact is at rest, so that they
-    feel no force of each other; it falls linearly over M. Over a coupling step of length ``dt``
-    it runs linearly to its value at the end.
+    At birth the offset is their overlap less the one at which their contact is at rest, so that
+    they feel no force of each other; it falls linearly over M. Over a coupling step of length
+    ``dt`` it runs linearly to its value at the end.
     """
     if scene.growth is None or scene.growth.division != "smooth":
         return None
@@ -216,17 +218,35 @@ def parting(scene: Scene, cells: Cells, dt: float) -> tuple[IntArray, FloatArray
     first, second = pairs.T
     r = cells.radius
     overlap = r[first] + r[second] - (r[first] + r[second]) * (1.0 / HALF - 1.0)
-    modulus = effective_modulus(
-        cells.young[first], cells.poisson[first], cells.young[second], cells.poisson[second]
-    )
-    at_rest = scene.contact.equilibrium_overlap(modulus, effective_radius(r[first], r[second]))
-    whole = np.maximum(overlap - at_rest, 0.0)
+    whole = np.maximum(overlap - _at_rest(scene, cells, first, second), 0.0)
     length = cells.phase_length[first]
     share = 1.0 - cells.progress[first] / length
     living = cells.state[first] == State.PROLIFERATING
     after = np.maximum(share - np.where(living, dt / length, 0.0), 0.0)
     rate = whole * (after - share) / dt if dt > 0.0 else np.zeros_like(whole)
     return pairs, np.stack([whole * share, rate], axis=1)
+
+
+def _at_rest(scene: Scene, cells: Cells, first: IntArray, second: IntArray) -> FloatArray:
+    """Return the overlap at which pairs are at rest, with their types and receptors, µm."""
+    r, young, poisson = cells.radius, cells.young, cells.poisson
+    modulus = effective_modulus(young[first], poisson[first], young[second], poisson[second])
+    radius, total = effective_radius(r[first], r[second]), r[first] + r[second]
+    bonds = np.zeros(len(first))
+    if scene.adhesion is not None:
+        receptor, ligand = cells.receptor, cells.ligand
+        count = receptor[first] * ligand[second] + ligand[first] * receptor[second]
+        bonds = 0.5 * scene.adhesion.strength * count
+    energies = surface_energies(scene)
+    if energies is None:
+        return rest_overlap(scene.contact, modulus, radius, total, bonds)
+    own = energies[cells.kind[first], cells.kind[second]]
+    found = np.empty(len(first))
+    for energy in np.unique(own):
+        law: Any = replace(scene.contact, surface_energy=float(energy))  # type: ignore[type-var]
+        k = own == energy
+        found[k] = rest_overlap(law, modulus[k], radius[k], total[k], bonds[k])
+    return found
 
 
 def placed(scene: Scene, cells: Cells, share: FloatArray) -> FloatArray:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from multicell.cells import FloatArray
 from multicell.contact.law import PairLaw
@@ -57,17 +57,7 @@ class Pair:
 
     def equilibrium_overlap(self) -> float:
         """Return the largest overlap without force in µm; bonds make it larger than the law's."""
-        low = float(self.law.equilibrium_overlap(self.modulus, self.radius))
-        if self.bonds == 0.0:
-            return low
-        high = max(low, 1e-6 * self.rest)
-        most = (1.0 - 1e-9) * self.rest  # there the centres meet, and no law goes on
-        while self.force(high) < 0.0 and high < most:
-            high = min(2.0 * high, most)
-        for _ in range(100):
-            middle = 0.5 * (low + high)
-            low, high = (middle, high) if self.force(middle) < 0.0 else (low, middle)
-        return 0.5 * (low + high)
+        return float(rest_overlap(self.law, self.modulus, self.radius, self.rest, self.bonds))
 
     def distance(self) -> float:
         """Return the distance of the centres in equilibrium, µm."""
@@ -88,3 +78,38 @@ class Pair:
         force = self.force(overlap)
         place = int(np.argmin(force))
         return max(-float(force[place]), 0.0), float(overlap[place])
+
+
+def rest_overlap(
+    law: PairLaw, modulus: ArrayLike, radius: ArrayLike, rest: ArrayLike, bonds: ArrayLike
+) -> FloatArray:
+    """Return the largest overlap without force of pairs in contact, µm; shapes broadcast.
+
+    Parameters
+    ----------
+    law
+        The contact law of all these pairs.
+    modulus, radius, rest, bonds
+        See :class:`Pair`.
+    """
+    arrays = [np.asarray(part, dtype=float) for part in (modulus, radius, rest, bonds)]
+    modulus, radius, rest, bonds = np.broadcast_arrays(*arrays)
+    without = np.broadcast_to(law.equilibrium_overlap(modulus, radius), rest.shape)
+    if not bonds.any():
+        return np.array(without)
+
+    def attracts(overlap: FloatArray) -> NDArray[np.bool_]:
+        force, _, _ = law.evaluate(overlap, modulus, radius, rest=rest, touching=True)
+        return np.less(force - math.pi * radius * bonds * np.maximum(overlap, 0.0), 0.0)
+
+    low, high = without, np.maximum(without, 1e-6 * rest)
+    most = (1.0 - 1e-9) * rest  # there the centres meet, and no law goes on
+    while (more := attracts(high) & (high < most)).any():
+        high = np.where(more, np.minimum(2.0 * high, most), high)
+    for _ in range(100):
+        middle = 0.5 * (low + high)
+        pulled = attracts(middle)
+        low, high = np.where(pulled, middle, low), np.where(pulled, high, middle)
+    return np.asarray(
+        np.where(bonds > 0.0, 0.5 * (low + high), law.equilibrium_overlap(modulus, radius))
+    )

@@ -1,5 +1,7 @@
 """The cell cycle in phases, death by the clock, and the adhesion programme."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -400,12 +402,12 @@ def test_smooth_division_conserves_and_parts_over_m():
     pair = simulation.cells
     assert (pair.phase == Phase.M).all()
     np.testing.assert_allclose(pair.position.mean(axis=0), mother.position[0], atol=1e-9)
-    pairs, slack = parting(described, pair, 300.0)
+    pairs, offset = parting(described, pair, 300.0)
     assert pairs.tolist() == [[0, 1]]
     gap = np.linalg.norm(pair.position[0] - pair.position[1])
     modulus = 1.0 / (1.5 * (1 - 0.25))
     at_rest = described.contact.equilibrium_overlap(modulus, pair.radius[0] / 2)
-    assert 2 * pair.radius[0] - gap - slack[0, 0] == pytest.approx(at_rest, rel=0.02)
+    assert 2 * pair.radius[0] - gap - offset[0, 0] == pytest.approx(at_rest, rel=0.02)
     while (simulation.cells.phase == Phase.M).all():
         cells = simulation.cells
         volume.append(cells.volume.sum())
@@ -413,13 +415,58 @@ def test_smooth_division_conserves_and_parts_over_m():
         simulation.step()
     assert len(distance) == 24
     np.testing.assert_allclose(volume, volume[0], rtol=1e-12)
-    # the distance follows the slack: it rises steadily to that of two cells at rest
+    # the distance follows the offset: it rises steadily to that of two cells at rest
     steps = np.diff(distance)
     assert (steps > 0).all()
     assert steps.max() < 2.0 * np.median(steps)
     cells = simulation.cells
     end = np.linalg.norm(cells.position[0] - cells.position[1])
     assert end == pytest.approx(2 * cells.radius[0] - at_rest, rel=0.02)
+
+
+STICKY = {
+    "types energies": {"types": {"a": {"surface_energy": {"a": 0.02}}}},
+    "receptors": {
+        "types": {"a": {"receptor": [["0 h", 0.2], ["9 h", 0.9]], "ligand": 0.8}},
+        "adhesion": {"strength": "0.05 kPa"},
+    },
+    "both": {
+        "types": {"a": {"surface_energy": {"a": 0.02}, "receptor": 0.5, "ligand": 0.8}},
+        "adhesion": {"strength": "0.05 kPa"},
+    },
+}
+
+
+@pytest.mark.parametrize("law", ["jkr", "exact-jkr"])
+@pytest.mark.parametrize("name", STICKY)
+def test_sisters_of_a_smooth_division_feel_no_force_whatever_makes_them_stick(name, law):
+    """Their force at birth is zero with the energies of their type and their receptors."""
+    described = scene(
+        **{
+            "initial.count": 1,
+            "cells.young_variation": 0.0,
+            "coupling_step": "5 min",
+            "duration": "12 h",
+            "contact.law": law,
+            "growth.phases": {
+                "G1": {"duration": "1 h"},
+                "S": {"duration": "1 h"},
+                "G2": {"duration": "1 h"},
+                "M": {"duration": "2 h", "grows": False},
+            },
+            **STICKY[name],
+            **SMOOTH,
+        },
+    )
+    simulation = mc.Simulation(described)
+    while len(simulation.cells) < 2:
+        simulation.step()
+    system = simulation.prepared()
+    position = simulation.cells.position
+    felt = np.abs(system.force(simulation.time, position)).max()
+    whole = replace(system.motion, offset_pairs=None, offset=None)
+    system.begin(whole)
+    assert felt < 1e-6 * np.abs(system.force(simulation.time, position)).max()
 
 
 def test_smooth_division_keeps_the_age_distribution_and_needs_phases():
