@@ -100,7 +100,8 @@ def rest_overlap(
 
     def attracts(overlap: FloatArray) -> NDArray[np.bool_]:
         force, _, _ = law.evaluate(overlap, modulus, radius, rest=rest, touching=True)
-        return np.less(force - math.pi * radius * bonds * np.maximum(overlap, 0.0), 0.0)
+        pull = math.pi * radius * bonds * np.maximum(overlap, 0.0)
+        return np.asarray(force < pull)
 
     low, high = without, np.maximum(without, 1e-6 * rest)
     most = (1.0 - 1e-9) * rest  # there the centres meet, and no law goes on
