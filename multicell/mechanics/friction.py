@@ -561,6 +561,11 @@ class FrictionMatrix:
             self._near, self._link, self._across, self._ends, out,
         )  # fmt: skip
 
+    def diagonal(self) -> FloatArray:
+        """Return the mean of each cell's three diagonal entries of Γ, (n,) nN s/µm."""
+        self._list()
+        return np.asarray(1.0 / self._inverse)
+
     def _list(self) -> PairList:
         if self._pairs is None:
             raise RuntimeError("measure() must come first")
@@ -572,7 +577,7 @@ _INNER = 0.1
 
 
 @final
-class Rubbing:
+class PairFriction:
     """Γ at the present state and at the linearisation, and the last velocity as first guess.
 
     One object serves one coupling step, so that nothing outlives it but the state.
@@ -614,6 +619,18 @@ class Rubbing:
     def linearise(self, rows: FloatArray, pairs: PairList, shared: bool, slack: FloatArray) -> None:
         """Keep Γ at a state for :meth:`divide`."""
         self._linearised.measure(rows, pairs, shared, slack)
+
+    def diagonal(self) -> FloatArray:
+        """Return the mean of each cell's three diagonal entries of Γ, (n,) nN s/µm.
+
+        At the state last given to :meth:`linearise`, as a preconditioner of Γ - γK needs it.
+
+        Raises
+        ------
+        RuntimeError
+            Before the first linearisation.
+        """
+        return self._linearised.diagonal()
 
     def divide(self, out: FloatArray) -> int:
         """Replace forces by Γ⁻¹ times them, roughly; return the iterations it took.

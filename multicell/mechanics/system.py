@@ -22,7 +22,7 @@ from multicell.mechanics.division_offset import Slack
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
-    from multicell.mechanics.friction import Rubbing
+    from multicell.mechanics.friction import PairFriction
     from multicell.mechanics.walls import Walls
 
 
@@ -184,7 +184,7 @@ class Mechanics:
         )
         self._pairs: neighbours.PairList | None = None
         self._linear: Linearisation | None = None
-        self._rubbing: Rubbing | None = None
+        self._rubbing: PairFriction | None = None
 
     def _constant(self, name: str) -> float:
         """Return a parameter of the law, zero where the law has none of that name."""
@@ -532,11 +532,11 @@ class Mechanics:
         return self.threads > 1 and len(pairs.start) >= self.shared_chunks
 
 
-def _rubbing(coefficients: tuple[float, float], n: int, drag: float, chunk: int) -> Rubbing:
+def _rubbing(coefficients: tuple[float, float], n: int, drag: float, chunk: int) -> PairFriction:
     """Return the friction of a coupling step; scenes without it do not load its kernels."""
-    from multicell.mechanics.friction import Rubbing
+    from multicell.mechanics.friction import PairFriction
 
-    return Rubbing(coefficients, n, drag, chunk)
+    return PairFriction(coefficients, n, drag, chunk)
 
 
 def _listed(pairs: neighbours.PairList) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
