@@ -267,18 +267,6 @@ def test_product_with_friction_held_is_the_derivative_at_fixed_gamma(seed, coeff
     np.testing.assert_allclose(found, expected, atol=2e-4 * np.abs(expected).max() + 1e-12)
 
 
-@pytest.mark.parametrize(("normal", "tangential"), PAIRS)
-def test_diagonal_blocks_are_those_of_the_matrix(normal, tangential):
-    position, radius, young = cluster(60, 7)
-    system, gamma, _ = system_at(position, radius, young, normal, tangential, chunk=16)
-    blocks = np.zeros((60, 6))
-    gamma.add_blocks(blocks)
-    full = reference_matrix(position, radius, normal, tangential, system.drag).toarray()
-    for k, (a, b) in enumerate([(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]):
-        expected = np.diag(full[60 * a : 60 * (a + 1), 60 * b : 60 * (b + 1)])
-        np.testing.assert_allclose(blocks[:, k], expected, atol=1e-12 * full.max())
-
-
 def test_what_does_not_converge_is_said():
     position, radius, young = cluster(100, 8)
     _, gamma, force = system_at(position, radius, young, 0.1, 0.1)
