@@ -24,103 +24,130 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 import numpy as np
 from numba import njit, prange
 
 from multicell.mechanics.neighbours import PairList
+from multicell.threads import two_drivers
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
-
-
-BLOCK = 256
-"""Pairs that are gathered before they are measured."""
+    from multicell.mechanics.neighbours import IndexArray, OffsetArray
 
 _TINY = 1e-300
-_NO_SLACK = np.empty(0)
+_NO_OFFSET = np.empty(0)
+
+
+class Listed(NamedTuple):
+    """Arrays of a :class:`PairList`, for kernels."""
+
+    first: IndexArray
+    second: IndexArray
+    start: OffsetArray
+    inner_end: OffsetArray
+    outer_end: OffsetArray
+
+
+class Gamma(NamedTuple):
+    """Γ at one state, for kernels.
+
+    Attributes
+    ----------
+    chunk : int
+        Cells in a chunk.
+    sign : float
+        Of γ_n - γ_t.
+    start : (k,) int64
+        First place of each chunk's pairs.
+    ends : (k, 2) int64
+        Ends of its inner and of its outer pairs, which follow them.
+    near : (m, 2) int32
+        Cells of each touching pair, the chunk's own first.
+    link : (m, 1) or (m, 4)
+        A γ_t of each pair, nN s/µm, and where γ_n is another n √(A |γ_n - γ_t|): B_ij is the
+        first times the unit matrix, plus ``sign`` times the square of the rest.
+    stokes : (n,), nN s/µm
+        Stokes drag of each cell.
+    inverse : (n,), µm/(nN s)
+        One over the mean of each cell's three diagonal entries.
+    """
+
+    chunk: int
+    sign: float
+    start: OffsetArray
+    ends: OffsetArray
+    near: IndexArray
+    link: FloatArray
+    stokes: FloatArray
+    inverse: FloatArray
+
+
+class Vectors(NamedTuple):
+    """Work arrays of conjugate gradients, each (n, 3): u = M⁻¹ r, w = Γ u, s = Γ p."""
+
+    r: FloatArray
+    u: FloatArray
+    w: FloatArray
+    p: FloatArray
+    s: FloatArray
 
 
 @njit(cache=True, error_model="numpy")
-def _gather(rows, first, second, begin, count, spread, slack, dx, dy, dz, gap, area):
-    """Measure a block of pairs: overlap beyond slack, contact area, and n √(area spread)."""
-    for p in range(count):
-        i, j = np.uint32(first[begin + p]), np.uint32(second[begin + p])
-        dx[p] = rows[j, 0] - rows[i, 0]
-        dy[p] = rows[j, 1] - rows[i, 1]
-        dz[p] = rows[j, 2] - rows[i, 2]
-        gap[p] = rows[i, 3] + rows[j, 3]
-        area[p] = rows[i, 3] * rows[j, 3]
-    for p in range(count):
-        d = math.sqrt(dx[p] * dx[p] + dy[p] * dy[p] + dz[p] * dz[p] + _TINY)
-        w = 1.0 / (d * gap[p])
-        h = gap[p] - d
-        if slack.size > 0:
-            h -= slack[begin + p]
-        a = math.pi * area[p] * (w * d) * max(h, 0.0)
-        root = math.sqrt(a * spread) * (w * gap[p])
-        gap[p] = h
-        area[p] = a
-        dx[p] *= root
-        dy[p] *= root
-        dz[p] *= root
-
-
-@njit(cache=True)
-def _keep(
-    first, second, begin, count, dx, dy, dz, gap, area, tangential, anisotropic,
-    at, near, link, across,
-):  # fmt: skip
-    """Append the touching pairs of a block at place ``at``; return the next place.
+def _touching(begin, end, at, rows, first, second, offset, normal, tangential, near, link):
+    """Append the touching pairs of ``begin:end`` at place ``at``; return the next place.
 
     The write is unconditional and only the count depends on the test: no branch to
     mispredict. There is room, since the kept pairs are never ahead of the ones read.
     """
-    for p in range(count):
-        near[at, 0] = first[begin + p]
-        near[at, 1] = second[begin + p]
-        across[at] = area[p] * tangential
-        if anisotropic:
-            link[at, 0] = dx[p]
-            link[at, 1] = dy[p]
-            link[at, 2] = dz[p]
-            link[at, 3] = across[at]
-        at += np.int64(gap[p] > 0.0)
+    spread = abs(normal - tangential)
+    for p in range(begin, end):
+        i, j = np.uint32(first[p]), np.uint32(second[p])
+        dx = rows[j, 0] - rows[i, 0]
+        dy = rows[j, 1] - rows[i, 1]
+        dz = rows[j, 2] - rows[i, 2]
+        gap = rows[i, 3] + rows[j, 3]
+        d = math.sqrt(dx * dx + dy * dy + dz * dz + _TINY)
+        w = 1.0 / (d * gap)
+        h = gap - d
+        if offset.size > 0:
+            h -= offset[p]
+        area = math.pi * (rows[i, 3] * rows[j, 3]) * (w * d) * max(h, 0.0)
+        near[at, 0] = first[p]
+        near[at, 1] = second[p]
+        link[at, 0] = area * tangential
+        if spread > 0.0:
+            root = math.sqrt(area * spread) * (w * gap)
+            link[at, 1] = dx * root
+            link[at, 2] = dy * root
+            link[at, 3] = dz * root
+        at += np.int64(h > 0.0)
     return at
 
 
-@njit(cache=True)
-def _measure_chunk(
-    c, chunk, rows, first, second, start, inner_end, outer_end, normal, tangential, drag,
-    slack, near, link, across, ends, stokes, inverse,
-):  # fmt: skip
+@njit(cache=True, error_model="numpy")
+def _measure_chunk(c, gamma, pairs, rows, offset, normal, tangential, drag):
     """Store the touching pairs of one chunk and 1 / mean diagonal of Γ of its cells."""
-    sign = np.sign(normal - tangential)
-    spread = abs(normal - tangential)
-    dx, dy, dz = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
-    gap, area = np.empty(BLOCK), np.empty(BLOCK)
-    at = start[c]
+    start, ends, near, link = gamma.start[c], gamma.ends, gamma.near, gamma.link
+    inverse = gamma.inverse
+    at = start
     for side in range(2):
-        begin = start[c] if side == 0 else inner_end[c]
-        end = inner_end[c] if side == 0 else outer_end[c]
-        for block in range(begin, end, BLOCK):
-            count = min(BLOCK, end - block)
-            _gather(rows, first, second, block, count, spread, slack, dx, dy, dz, gap, area)
-            at = _keep(
-                first, second, block, count, dx, dy, dz, gap, area, tangential, spread > 0.0,
-                at, near, link, across,
-            )  # fmt: skip
+        begin = start if side == 0 else pairs.inner_end[c]
+        end = pairs.inner_end[c] if side == 0 else pairs.outer_end[c]
+        at = _touching(
+            begin, end, at, rows, pairs.first, pairs.second, offset, normal, tangential, near, link
+        )
         ends[c, side] = at
-    low, high = c * chunk, min((c + 1) * chunk, rows.shape[0])
+    low, high = c * gamma.chunk, min((c + 1) * gamma.chunk, rows.shape[0])
     for i in range(low, high):
-        stokes[i] = drag * rows[i, 3]
-        inverse[i] = stokes[i]
-    for p in range(start[c], ends[c, 1]):
-        mean = across[p]
-        if spread > 0.0:
-            x, y, z = link[p, 0], link[p, 1], link[p, 2]
-            mean += (sign / 3.0) * (x * x + y * y + z * z)
+        gamma.stokes[i] = drag * rows[i, 3]
+        inverse[i] = gamma.stokes[i]
+    for p in range(start, at):
+        mean = link[p, 0]
+        if gamma.sign != 0.0:
+            x, y, z = link[p, 1], link[p, 2], link[p, 3]
+            mean += (gamma.sign / 3.0) * (x * x + y * y + z * z)
         inverse[np.uint32(near[p, 0])] += mean
         if p < ends[c, 0]:
             inverse[np.uint32(near[p, 1])] += mean
@@ -129,44 +156,32 @@ def _measure_chunk(
 
 
 @njit(cache=True)
-def _pair_sums(c, sign, start, near, link, ends, v, out):
-    """Add Σ_j B_ij (v_i - v_j) to the cells of one chunk."""
-    p = start[c]
+def _pair_sums(begin, end, inner, sign, near, link, v, out):
+    """Add Σ_j B_ij (v_i - v_j) of the pairs ``begin:end``; to both cells of ``inner`` pairs."""
+    p = begin
     # pairs with the same first cell follow each other: its sum stays in registers
-    while p < ends[c, 0]:
+    while p < end:
         own = near[p, 0]
         i = np.uint32(own)
         vx, vy, vz = v[i, 0], v[i, 1], v[i, 2]
         sx, sy, sz = 0.0, 0.0, 0.0
-        while p < ends[c, 0] and near[p, 0] == own:
+        while p < end and near[p, 0] == own:
             j = np.uint32(near[p, 1])
             ux, uy, uz = vx - v[j, 0], vy - v[j, 1], vz - v[j, 2]
-            x, y, z, w = link[p, 0], link[p, 1], link[p, 2], link[p, 3]
-            along = sign * (x * ux + y * uy + z * uz)
-            fx, fy, fz = w * ux + along * x, w * uy + along * y, w * uz + along * z
+            w = link[p, 0]
+            if sign == 0.0:
+                fx, fy, fz = w * ux, w * uy, w * uz
+            else:
+                x, y, z = link[p, 1], link[p, 2], link[p, 3]
+                along = sign * (x * ux + y * uy + z * uz)
+                fx, fy, fz = w * ux + along * x, w * uy + along * y, w * uz + along * z
             sx += fx
             sy += fy
             sz += fz
-            out[j, 0] -= fx
-            out[j, 1] -= fy
-            out[j, 2] -= fz
-            p += 1
-        out[i, 0] += sx
-        out[i, 1] += sy
-        out[i, 2] += sz
-    while p < ends[c, 1]:
-        own = near[p, 0]
-        i = np.uint32(own)
-        vx, vy, vz = v[i, 0], v[i, 1], v[i, 2]
-        sx, sy, sz = 0.0, 0.0, 0.0
-        while p < ends[c, 1] and near[p, 0] == own:
-            j = np.uint32(near[p, 1])
-            ux, uy, uz = vx - v[j, 0], vy - v[j, 1], vz - v[j, 2]
-            x, y, z, w = link[p, 0], link[p, 1], link[p, 2], link[p, 3]
-            along = sign * (x * ux + y * uy + z * uz)
-            sx += w * ux + along * x
-            sy += w * uy + along * y
-            sz += w * uz + along * z
+            if inner:
+                out[j, 0] -= fx
+                out[j, 1] -= fy
+                out[j, 2] -= fz
             p += 1
         out[i, 0] += sx
         out[i, 1] += sy
@@ -174,60 +189,17 @@ def _pair_sums(c, sign, start, near, link, ends, v, out):
 
 
 @njit(cache=True)
-def _isotropic_sums(c, start, near, across, ends, v, out):
-    """Do the same where γ_n = γ_t: B_ij is a number, and a quarter of the time is saved."""
-    p = start[c]
-    # pairs with the same first cell follow each other: its sum stays in registers
-    while p < ends[c, 0]:
-        own = near[p, 0]
-        i = np.uint32(own)
-        vx, vy, vz = v[i, 0], v[i, 1], v[i, 2]
-        sx, sy, sz = 0.0, 0.0, 0.0
-        while p < ends[c, 0] and near[p, 0] == own:
-            j = np.uint32(near[p, 1])
-            ux, uy, uz = vx - v[j, 0], vy - v[j, 1], vz - v[j, 2]
-            w = across[p]
-            fx, fy, fz = w * ux, w * uy, w * uz
-            sx += fx
-            sy += fy
-            sz += fz
-            out[j, 0] -= fx
-            out[j, 1] -= fy
-            out[j, 2] -= fz
-            p += 1
-        out[i, 0] += sx
-        out[i, 1] += sy
-        out[i, 2] += sz
-    while p < ends[c, 1]:
-        own = near[p, 0]
-        i = np.uint32(own)
-        vx, vy, vz = v[i, 0], v[i, 1], v[i, 2]
-        sx, sy, sz = 0.0, 0.0, 0.0
-        while p < ends[c, 1] and near[p, 0] == own:
-            j = np.uint32(near[p, 1])
-            ux, uy, uz = vx - v[j, 0], vy - v[j, 1], vz - v[j, 2]
-            w = across[p]
-            sx += w * ux
-            sy += w * uy
-            sz += w * uz
-            p += 1
-        out[i, 0] += sx
-        out[i, 1] += sy
-        out[i, 2] += sz
-
-
-@njit(cache=True)
-def _apply_chunk(c, chunk, stokes, sign, start, near, link, across, ends, v, out):
+def _apply_chunk(c, gamma, v, out):
     """Write Γ v for the cells of one chunk; return their share of v · Γ v."""
-    low, high = c * chunk, min((c + 1) * chunk, v.shape[0])
+    low, high = c * gamma.chunk, min((c + 1) * gamma.chunk, v.shape[0])
     for i in range(low, high):
-        out[i, 0] = stokes[i] * v[i, 0]
-        out[i, 1] = stokes[i] * v[i, 1]
-        out[i, 2] = stokes[i] * v[i, 2]
-    if sign == 0.0:
-        _isotropic_sums(c, start, near, across, ends, v, out)
-    else:
-        _pair_sums(c, sign, start, near, link, ends, v, out)
+        for k in range(3):
+            out[i, k] = gamma.stokes[i] * v[i, k]
+    begin = gamma.start[c]
+    for side in range(2):
+        end = gamma.ends[c, side]
+        _pair_sums(begin, end, side == 0, gamma.sign, gamma.near, gamma.link, v, out)
+        begin = end
     tx, ty, tz = 0.0, 0.0, 0.0
     for i in range(low, high):
         tx += v[i, 0] * out[i, 0]
@@ -237,193 +209,97 @@ def _apply_chunk(c, chunk, stokes, sign, start, near, link, across, ends, v, out
 
 
 @njit(cache=True)
-def _clear_chunk(c, chunk, x, w):
-    """Start from rest: x = 0 and Γ x = 0, without a look at the pairs."""
-    for i in range(c * chunk, min((c + 1) * chunk, x.shape[0])):
-        for k in range(3):
-            x[i, k] = 0.0
-            w[i, k] = 0.0
-
-
-@njit(cache=True)
-def _begin_chunk(c, chunk, inverse, force, x, r, u, w, p, s):
-    """Start from x, with ``w`` = Γ x: r = F - Γ x, u = M⁻¹ r; return r·u, r·r, F·F."""
+def _begin_chunk(c, gamma, force, work, part):
+    """Start from x, with ``w`` = Γ x: r = F - Γ x, u = M⁻¹ r; store r·u, r·r, F·F."""
+    r, u, w, p, s = work
     ru, rr, ff = 0.0, 0.0, 0.0
-    for i in range(c * chunk, min((c + 1) * chunk, x.shape[0])):
+    for i in range(c * gamma.chunk, min((c + 1) * gamma.chunk, r.shape[0])):
         for k in range(3):
             r[i, k] = force[i, k] - w[i, k]
-            u[i, k] = inverse[i] * r[i, k]
+            u[i, k] = gamma.inverse[i] * r[i, k]
             p[i, k] = 0.0
             s[i, k] = 0.0
             ru += r[i, k] * u[i, k]
             rr += r[i, k] * r[i, k]
             ff += force[i, k] * force[i, k]
-    return ru, rr, ff
+    part[c, 0], part[c, 1], part[c, 2] = ru, rr, ff
 
 
 @njit(cache=True)
-def _advance_chunk(c, chunk, inverse, alpha, beta, w, r, u, p, s, x):
-    """Take one step in one chunk; return r·u and r·r.
+def _advance_chunk(c, gamma, alpha, beta, work, x, part):
+    """Take one step in one chunk; store r·u and r·r.
 
     ``w`` holds Γ u; p and s = Γ p are the direction and its image. Each axis has its own
     sums, which shortens the chain of dependent additions.
     """
+    r, u, w, p, s = work
     ax, ay, az, bx, by, bz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for i in range(c * chunk, min((c + 1) * chunk, x.shape[0])):
+    for i in range(c * gamma.chunk, min((c + 1) * gamma.chunk, x.shape[0])):
         for k in range(3):
             p[i, k] = u[i, k] + beta * p[i, k]
             s[i, k] = w[i, k] + beta * s[i, k]
             x[i, k] += alpha * p[i, k]
             r[i, k] -= alpha * s[i, k]
-            u[i, k] = inverse[i] * r[i, k]
+            u[i, k] = gamma.inverse[i] * r[i, k]
         ax += r[i, 0] * u[i, 0]
         ay += r[i, 1] * u[i, 1]
         az += r[i, 2] * u[i, 2]
         bx += r[i, 0] * r[i, 0]
         by += r[i, 1] * r[i, 1]
         bz += r[i, 2] * r[i, 2]
-    return ax + ay + az, bx + by + bz
+    part[c, 0], part[c, 1] = ax + ay + az, bx + by + bz
 
 
 @njit(cache=True)
-def _sums(part):
+def _sum(part, k):
     """Add the chunks' parts in their order: the same bits for any number of threads."""
-    a, b, c = 0.0, 0.0, 0.0
-    for k in range(part.shape[0]):
-        a += part[k, 0]
-        b += part[k, 1]
-        c += part[k, 2]
-    return a, b, c
+    total = 0.0
+    for c in range(part.shape[0]):
+        total += part[c, k]
+    return total
 
 
-@njit(cache=True)
-def measure(
-    chunk, rows, first, second, start, inner_end, outer_end, normal, tangential, drag,
-    slack, near, link, across, ends, stokes, inverse,
-):  # fmt: skip
+def _measure(gamma, pairs, rows, offset, normal, tangential, drag):
     """Store Γ at the state in ``rows``: touching pairs, Stokes drag, inverse diagonal."""
-    for c in range(start.size):
-        _measure_chunk(
-            c, chunk, rows, first, second, start, inner_end, outer_end, normal, tangential,
-            drag, slack, near, link, across, ends, stokes, inverse,
-        )  # fmt: skip
+    for c in prange(gamma.start.size):
+        _measure_chunk(c, gamma, pairs, rows, offset, normal, tangential, drag)
 
 
-@njit(cache=True, parallel=True)
-def measure_parallel(
-    chunk, rows, first, second, start, inner_end, outer_end, normal, tangential, drag,
-    slack, near, link, across, ends, stokes, inverse,
-):  # fmt: skip
-    """Do the same as :func:`measure`, with the chunks shared among threads."""
-    for c in prange(start.size):
-        _measure_chunk(
-            c, chunk, rows, first, second, start, inner_end, outer_end, normal, tangential,
-            drag, slack, near, link, across, ends, stokes, inverse,
-        )  # fmt: skip
+def _conjugate_gradients(gamma, force, tolerance, most, warm, work, part, x):
+    """Solve Γ x = F from the guess in ``x``, or if not ``warm`` from zeros there and in ``w``.
+
+    Return iterations, |r|² and |F|².
+    """
+    for c in prange(gamma.start.size):
+        if warm:
+            _apply_chunk(c, gamma, x, work.w)
+        _begin_chunk(c, gamma, force, work, part)
+    rho, rr, ff = _sum(part, 0), _sum(part, 1), _sum(part, 2)
+    alpha, beta = 1.0, 0.0
+    step = 0
+    # written so that a number that is not one ends the loop
+    while rr > tolerance * tolerance * ff and step < most and ff > 0.0:
+        for c in prange(gamma.start.size):
+            part[c, 0] = _apply_chunk(c, gamma, work.u, work.w)
+        alpha = rho / (_sum(part, 0) - beta * rho / alpha)
+        old = rho
+        for c in prange(gamma.start.size):
+            _advance_chunk(c, gamma, alpha, beta, work, x, part)
+        rho, rr = _sum(part, 0), _sum(part, 1)
+        beta = rho / old
+        step += 1
+    return step, rr, ff
+
+
+measure, measure_parallel = two_drivers(_measure)
+conjugate_gradients, conjugate_gradients_parallel = two_drivers(_conjugate_gradients)
 
 
 @njit(cache=True)
-def apply(chunk, stokes, sign, start, near, link, across, ends, v, out):
+def apply(gamma, v, out):
     """Write Γ v, nN."""
-    for c in range(start.size):
-        _apply_chunk(c, chunk, stokes, sign, start, near, link, across, ends, v, out)
-
-
-@njit(cache=True)
-def conjugate_gradients(
-    chunk, stokes, sign, start, near, link, across, ends, inverse, force, tolerance, most,
-    warm, r, u, w, p, s, x,
-):  # fmt: skip
-    """Solve Γ x = F from the guess in ``x``; return iterations, |r|² and |F|²."""
-    chunks = start.size
-    part = np.zeros((chunks, 3))
-    for c in range(chunks):
-        if warm:
-            _apply_chunk(c, chunk, stokes, sign, start, near, link, across, ends, x, w)
-        else:
-            _clear_chunk(c, chunk, x, w)
-        part[c] = _begin_chunk(c, chunk, inverse, force, x, r, u, w, p, s)
-    rho, rr, ff = _sums(part)
-    if ff == 0.0:
-        # nothing pushes: no relative tolerance could be met from a guess that moves
-        x[:] = 0.0
-        return 0, 0.0, 0.0
-    alpha, beta = 1.0, 0.0
-    step = 0
-    # written so that a number that is not one ends the loop
-    while rr > tolerance * tolerance * ff and step < most:
-        for c in range(chunks):
-            part[c, 0] = _apply_chunk(c, chunk, stokes, sign, start, near, link, across, ends, u, w)
-        alpha = rho / (_sums(part)[0] - beta * rho / alpha)
-        old = rho
-        for c in range(chunks):
-            part[c, 0], part[c, 1] = _advance_chunk(
-                c, chunk, inverse, alpha, beta, w, r, u, p, s, x
-            )
-        rho, rr, _ = _sums(part)
-        beta = rho / old
-        step += 1
-    return step, rr, ff
-
-
-@njit(cache=True, parallel=True)
-def conjugate_gradients_parallel(
-    chunk, stokes, sign, start, near, link, across, ends, inverse, force, tolerance, most,
-    warm, r, u, w, p, s, x,
-):  # fmt: skip
-    """Do the same as :func:`conjugate_gradients`, with the chunks shared among threads."""
-    chunks = start.size
-    part = np.zeros((chunks, 3))
-    for c in prange(chunks):
-        if warm:
-            _apply_chunk(c, chunk, stokes, sign, start, near, link, across, ends, x, w)
-        else:
-            _clear_chunk(c, chunk, x, w)
-        part[c] = _begin_chunk(c, chunk, inverse, force, x, r, u, w, p, s)
-    rho, rr, ff = _sums(part)
-    if ff == 0.0:
-        # nothing pushes: no relative tolerance could be met from a guess that moves
-        x[:] = 0.0
-        return 0, 0.0, 0.0
-    alpha, beta = 1.0, 0.0
-    step = 0
-    # written so that a number that is not one ends the loop
-    while rr > tolerance * tolerance * ff and step < most:
-        for c in prange(chunks):
-            part[c, 0] = _apply_chunk(c, chunk, stokes, sign, start, near, link, across, ends, u, w)
-        alpha = rho / (_sums(part)[0] - beta * rho / alpha)
-        old = rho
-        for c in prange(chunks):
-            part[c, 0], part[c, 1] = _advance_chunk(
-                c, chunk, inverse, alpha, beta, w, r, u, p, s, x
-            )
-        rho, rr, _ = _sums(part)
-        beta = rho / old
-        step += 1
-    return step, rr, ff
-
-
-@njit(cache=True)
-def diagonal_blocks(normal, tangential, stokes, start, near, link, across, ends, out):
-    """Add the 3 x 3 diagonal blocks of Γ, ``xx, yy, zz, xy, xz, yz``, to ``out``."""
-    sign = np.sign(normal - tangential)
-    for i in range(stokes.size):
-        out[i, 0] += stokes[i]
-        out[i, 1] += stokes[i]
-        out[i, 2] += stokes[i]
-    for c in range(start.size):
-        for p in range(start[c], ends[c, 1]):
-            x, y, z, w = 0.0, 0.0, 0.0, across[p]
-            if sign != 0.0:
-                x, y, z = link[p, 0], link[p, 1], link[p, 2]
-            for side in range(2 if p < ends[c, 0] else 1):
-                i = near[p, side]
-                out[i, 0] += w + sign * x * x
-                out[i, 1] += w + sign * y * y
-                out[i, 2] += w + sign * z * z
-                out[i, 3] += sign * x * y
-                out[i, 4] += sign * x * z
-                out[i, 5] += sign * y * z
+    for c in range(gamma.start.size):
+        _apply_chunk(c, gamma, v, out)
 
 
 class FrictionNotSolvedError(Exception):
@@ -464,11 +340,10 @@ class FrictionMatrix:
 
     def __init__(self, friction: Friction, n: int, drag: float, chunk: int) -> None:
         self.friction, self.drag, self.chunk = friction, drag, chunk
-        self._sign = float(np.sign(friction.normal - friction.tangential))
-        self._stokes = np.empty(n)
-        self._inverse = np.empty(n)
-        self._work = [np.empty((n, 3)) for _ in range(5)]
+        self._stokes, self._inverse = np.empty(n), np.empty(n)
+        self._work = Vectors(*(np.empty((n, 3)) for _ in range(5)))
         self._pairs: PairList | None = None
+        self._gamma: Gamma | None = None
         self._shared = False
 
     def measure(
@@ -476,41 +351,42 @@ class FrictionMatrix:
         rows: FloatArray,
         pairs: PairList,
         shared: bool = False,
-        slack: FloatArray = _NO_SLACK,
+        offset: FloatArray = _NO_OFFSET,
     ) -> None:
         """Take Γ from centres and radii.
 
         Parameters
         ----------
-        rows : (n, 5)
+        rows : (n, 4 or more)
             Centre and radius of each cell in the first four columns, µm.
         pairs
             Every pair that may touch.
         shared
             Whether chunks are shared among threads, here and in what follows; same bits.
-        slack
+        offset
             Part of the overlap of each pair of the list that makes no contact, µm; empty for none.
         """
-        if self._pairs is not pairs:
-            self._near = np.empty((len(pairs.first), 2), dtype=np.int32)
-            self._across = np.empty(len(pairs.first))
-            self._link = np.empty((len(pairs.first) if self._sign else 0, 4))
-            self._ends = np.empty((len(pairs.start), 2), dtype=np.int64)
+        normal, tangential = self.friction.normal, self.friction.tangential
+        if self._gamma is None or self._pairs is not pairs:
+            sign = float(np.sign(normal - tangential))
+            room, chunks = len(pairs.first), len(pairs.start)
+            self._gamma = Gamma(
+                self.chunk, sign, pairs.start, np.empty((chunks, 2), dtype=np.int64),
+                np.empty((room, 2), dtype=np.int32), np.empty((room, 4 if sign else 1)),
+                self._stokes, self._inverse,
+            )  # fmt: skip
+            self._listed = Listed(
+                pairs.first, pairs.second, pairs.start, pairs.inner_end, pairs.outer_end
+            )
+            self._part = np.empty((chunks, 3))
             self._pairs = pairs
         self._shared = shared
         run = measure_parallel if shared else measure
-        run(
-            self.chunk, rows, pairs.first, pairs.second, pairs.start, pairs.inner_end,
-            pairs.outer_end, self.friction.normal, self.friction.tangential, self.drag,
-            slack, self._near, self._link, self._across, self._ends, self._stokes, self._inverse,
-        )  # fmt: skip
+        run(self._gamma, self._listed, rows, offset, normal, tangential, self.drag)
 
     def apply(self, vector: FloatArray, out: FloatArray) -> None:
         """Write Γ v, nN, for ``vector`` in µm/s."""
-        apply(
-            self.chunk, self._stokes, self._sign, self._list().start, self._near, self._link,
-            self._across, self._ends, vector, out,
-        )  # fmt: skip
+        apply(self._measured(), vector, out)
 
     def solve(
         self,
@@ -539,13 +415,20 @@ class FrictionMatrix:
         FrictionNotSolvedError
             If the tolerance is not reached; ``velocity`` then has no meaning.
         """
+        gamma = self._measured()
         wanted = self.friction.tolerance if tolerance is None else tolerance
+        if not warm:
+            velocity[:] = 0.0
+            self._work.w[:] = 0.0
         run: Any = conjugate_gradients_parallel if self._shared else conjugate_gradients
         steps, left, scale = run(
-            self.chunk, self._stokes, self._sign, self._list().start, self._near, self._link,
-            self._across, self._ends, self._inverse, force, wanted, self.friction.most_iterations,
-            warm, *self._work, velocity,
+            gamma, force, wanted, self.friction.most_iterations, warm, self._work, self._part,
+            velocity,
         )  # fmt: skip
+        if scale == 0.0:
+            # nothing pushes: no relative tolerance could be met from a guess that moves
+            velocity[:] = 0.0
+            return 0
         if not left <= wanted**2 * scale:
             reached = math.sqrt(left / scale) if scale > 0.0 else math.nan
             raise FrictionNotSolvedError(
@@ -554,17 +437,14 @@ class FrictionMatrix:
             )
         return int(steps)
 
-    def add_blocks(self, out: FloatArray) -> None:
-        """Add the 3 x 3 diagonal blocks of Γ to ``out``, (n, 6): xx, yy, zz, xy, xz, yz."""
-        diagonal_blocks(
-            self.friction.normal, self.friction.tangential, self._stokes, self._list().start,
-            self._near, self._link, self._across, self._ends, out,
-        )  # fmt: skip
+    def diagonal(self) -> FloatArray:
+        """Return the mean of each cell's three diagonal entries of Γ, (n,) nN s/µm."""
+        return np.asarray(1.0 / self._measured().inverse)
 
-    def _list(self) -> PairList:
-        if self._pairs is None:
+    def _measured(self) -> Gamma:
+        if self._gamma is None:
             raise RuntimeError("measure() must come first")
-        return self._pairs
+        return self._gamma
 
 
 _INNER = 0.1
@@ -572,7 +452,7 @@ _INNER = 0.1
 
 
 @final
-class Rubbing:
+class PairFriction:
     """Γ at the present state and at the linearisation, and the last velocity as first guess.
 
     One object serves one coupling step, so that nothing outlives it but the state.
@@ -596,13 +476,13 @@ class Rubbing:
         self.force = np.empty((n, 3))
 
     def velocity(
-        self, rows: FloatArray, pairs: PairList, shared: bool, slack: FloatArray, out: FloatArray
+        self, rows: FloatArray, pairs: PairList, shared: bool, offset: FloatArray, out: FloatArray
     ) -> int:
         """Write the solution of Γ v = ``force``, µm/s; return the iterations it took.
 
-        ``slack`` is the part of each listed pair's overlap that makes no contact; empty for none.
+        ``offset`` is the part of each listed pair's overlap that makes no contact; empty for none.
         """
-        self._present.measure(rows, pairs, shared, slack)
+        self._present.measure(rows, pairs, shared, offset)
         try:
             iterations = self._present.solve(self.force, self._last)
         except FrictionNotSolvedError:
@@ -611,9 +491,23 @@ class Rubbing:
         out[:] = self._last
         return int(iterations)
 
-    def linearise(self, rows: FloatArray, pairs: PairList, shared: bool, slack: FloatArray) -> None:
+    def linearise(
+        self, rows: FloatArray, pairs: PairList, shared: bool, offset: FloatArray
+    ) -> None:
         """Keep Γ at a state for :meth:`divide`."""
-        self._linearised.measure(rows, pairs, shared, slack)
+        self._linearised.measure(rows, pairs, shared, offset)
+
+    def diagonal(self) -> FloatArray:
+        """Return the mean of each cell's three diagonal entries of Γ, (n,) nN s/µm.
+
+        At the state last given to :meth:`linearise`, as a preconditioner of Γ - γK needs it.
+
+        Raises
+        ------
+        RuntimeError
+            Before the first linearisation.
+        """
+        return self._linearised.diagonal()
 
     def divide(self, out: FloatArray) -> int:
         """Replace forces by Γ⁻¹ times them, roughly; return the iterations it took.

@@ -15,11 +15,14 @@ made from the sorted coordinates instead, and memory stays proportional to cells
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, NamedTuple, final
 
 import numpy as np
-from numba import njit, prange
+from numba import njit, objmode, prange
+from numba.extending import register_jitable
 from numpy.typing import NDArray
+
+from multicell.threads import two_drivers
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
@@ -32,6 +35,7 @@ CHUNK = 2048
 
 _BINS_PER_CELL = 8
 _SPARE_BINS = 4096
+_SPARE_PAIRS = 4_000_000
 _BLOCK = 512
 """Candidates that are tested in one go."""
 
@@ -133,10 +137,12 @@ def build(
         empty = np.zeros(-(-n // chunk), dtype=np.int64)
         none = np.empty(0, dtype=np.int32)
         return PairList(none, none, empty, empty.copy(), empty.copy(), chunk, n)
-    run = rebuild_parallel if threads > 1 and n > chunk else rebuild
-    crowded, first, second, start, inner_end, outer_end = run(position, radius, skin, chunk)
+    bins = _bins(position, radius, skin)
+    # on one thread the few steps between the kernels run in Python: they are not compiled then
+    run = _list_parallel if threads > 1 and n > chunk else _list
+    crowded, first, second, start, inner_end, outer_end = run(bins, skin, chunk)
     if crowded:
-        raise TooManyPairsError(f"more than {_limit(n)} pairs among {n} cells")
+        raise TooManyPairsError(f"more than {500 * n + _SPARE_PAIRS} pairs among {n} cells")
     return PairList(first, second, start, inner_end, outer_end, chunk, n)
 
 
@@ -183,350 +189,228 @@ def _spread(value: NDArray[np.uint64]) -> NDArray[np.uint64]:
     return value
 
 
-@njit(cache=True)
-def _limit(n):
-    """Return how many entries a list may have."""
-    return 500 * n + 4_000_000
+class Bins(NamedTuple):
+    """Cells sorted into bins at least as wide as the largest distance of a pair.
+
+    Attributes
+    ----------
+    order : (n,) int64
+        Cells in the order of their bins; bins of one row along x follow each other.
+    place : (n,) int64
+        Where each cell stands in that order.
+    cells : (n, 4), µm
+        Centres and radii in that order: the search reads them in a stream.
+    shape : (3,) int64
+        Bins of a dense grid along x, y and z; zeros where the bins are sparse.
+    box : (n, 3) int32
+        Dense: the place of each cell's bin along x, y and z.
+    start : (bins + 2,) int64
+        Dense: the first place of each bin, x running fastest, and the end.
+    ranges : (n, 9, 2) int64
+        Sparse: the first place and the end of the three bins next to each cell in each of the
+        nine rows around it.
+    """
+
+    order: OffsetArray
+    place: OffsetArray
+    cells: FloatArray
+    shape: OffsetArray
+    box: IndexArray
+    start: OffsetArray
+    ranges: OffsetArray
 
 
-@njit(cache=True)
-def _guess(n, chunk):
-    """Return the room per chunk that a packed tissue needs."""
-    room = np.empty(-(-n // chunk), np.int64)
-    for c in range(room.size):
-        room[c] = 9 * min(n, chunk) + 64
-    return room
+@register_jitable
+def _bins(position, radius, skin):
+    """Return the cells in a dense grid where its memory is in proportion, else sparse bins."""
+    bins, width = _dense_bins(position, radius, skin)
+    return bins if bins.shape[0] > 0 else _sparse_bins(position, radius, width, bins)
 
 
 @njit(cache=True, error_model="numpy")
-def _bins(position, width):
-    """Sort the cells into bins at least as wide as the cutoff.
+def _dense_bins(position, radius, skin):
+    """Sort by counting into a dense grid; return the bins and the width they need.
 
-    Returns
-    -------
-    order : (n,)
-        Cells in the order of their bins; bins of one row along x follow each other.
-    rows, columns : (n,)
-        Row (y and z) and place along x of the bin of each *cell*.
-    bin_start
-        Dense: the first entry of ``order`` in each bin, and the end. Sparse: see ``shape``.
-    shape
-        ``(nx, ny, nz)`` of a dense grid, or zeros where the bins are listed sparsely, with
-        ``bin_start`` then holding the keys of the sorted cells.
+    ``shape`` is zero, and nothing else is filled, where the grid would have too many bins.
     """
     n = position.shape[0]
-    low, counts, total = np.empty(3), np.empty(3), 1.0
+    largest = radius[0]
+    for i in range(n):
+        largest = max(largest, radius[i])
+    width = 2.0 * largest + skin
+    low, shape = np.empty(3), np.empty(3, np.int64)
+    total = 1.0
     for a in range(3):
         low[a], high = position[0, a], position[0, a]
         for i in range(n):
             low[a], high = min(low[a], position[i, a]), max(high, position[i, a])
         # math.floor makes an integer, which is undefined for what no integer holds
-        counts[a] = np.floor((high - low[a]) / width) + 1.0
-        total *= counts[a]
-    shape = np.zeros(3, np.int64)
-    if total <= _BINS_PER_CELL * n + _SPARE_BINS:
-        for a in range(3):
-            shape[a] = np.int64(counts[a])
-        order, row, column, start = _dense_bins(position, low, width, shape)
-    else:
-        order, row, column, start = _sparse_bins(position, width)
-    return order, row, column, start, shape
-
-
-@njit(cache=True)
-def _stable_order(values):
-    """Return the places of ``values`` in ascending order, ties in their order (merge sort)."""
-    n = values.size
-    order, other = np.empty(n, np.int64), np.empty(n, np.int64)
-    for place in range(n):
-        order[place] = place
-    width = 1
-    while width < n:
-        for begin in range(0, n, 2 * width):
-            middle, end = min(begin + width, n), min(begin + 2 * width, n)
-            left, right = begin, middle
-            for place in range(begin, end):
-                if left < middle and (right >= end or values[order[left]] <= values[order[right]]):
-                    other[place] = order[left]
-                    left += 1
-                else:
-                    other[place] = order[right]
-                    right += 1
-        order, other = other, order
-        width *= 2
-    return order
-
-
-@njit(cache=True)
-def _sparse_bins(position, width):
-    """Bin far-flung cells by sorted coordinates; memory does not depend on the distances."""
-    n = position.shape[0]
-    index = np.empty((3, n), np.int64)
-    coordinate = np.empty(n)
-    for a in range(3):
-        for i in range(n):
-            coordinate[i] = position[i, a]
-        _sweep(coordinate, _stable_order(coordinate), width, index[a])
-    # a row key is below 9 n², so that neither key overflows for any n that fits in memory
-    stride = np.int64(n + 2)
-    row, column = np.empty(n, np.int64), np.empty(n, np.int64)
-    for i in range(n):
-        row[i], column[i] = index[2, i] * stride + index[1, i], index[0, i]
-    # number the rows that are occupied, in the order of their keys
-    table = np.empty(2 * n, np.int64)
-    key = np.empty(n, np.int64)
-    rank = -1
-    for place in _stable_order(row):
-        if rank < 0 or table[n + rank] != row[place]:
-            rank += 1
-            table[n + rank] = row[place]
-        key[place] = rank * stride + column[place]
-    order = _stable_order(key)
-    for place in range(n):
-        table[place] = key[order[place]]
-    return order, row, column, table[: n + rank + 1]
-
-
-@njit(cache=True)
-def _sweep(coordinate, order, width, index):
-    """Write the number of each cell's bin along one axis; close cells differ by at most one."""
-    start = coordinate[order[0]]
-    number = 0
-    for place in order:
-        # compared as a sum of halves, which cannot overflow
-        if 0.5 * coordinate[place] > 0.5 * start + 0.5 * width:
-            start = coordinate[place]
-            number += 1
-        index[place] = number
-
-
-@njit(cache=True)
-def _dense_bins(position, low, width, shape):
-    """Sort by counting into a dense grid of bins."""
-    n = position.shape[0]
-    row = np.empty(n, np.int64)
-    column = np.empty(n, np.int64)
-    start = np.zeros(shape[0] * shape[1] * shape[2] + 1, np.int64)
+        count = np.floor((high - low[a]) / width) + 1.0
+        total *= count
+        shape[a] = np.int64(count) if total <= _BINS_PER_CELL * n + _SPARE_BINS else 0
+    bins = shape[0] * shape[1] * shape[2]
+    if bins == 0:
+        shape[0], n = 0, 0
+    order, place, box = np.empty(n, np.int64), np.empty(n, np.int64), np.empty((n, 3), np.int32)
+    cells, start = np.empty((n, 4)), np.empty(bins + 2, np.int64)
+    for b in range(bins + 2):
+        start[b] = 0
     inverse = 1.0 / width
     for i in range(n):
         ix = min(np.int64((position[i, 0] - low[0]) * inverse), shape[0] - 1)
         iy = min(np.int64((position[i, 1] - low[1]) * inverse), shape[1] - 1)
         iz = min(np.int64((position[i, 2] - low[2]) * inverse), shape[2] - 1)
-        column[i] = ix
-        row[i] = iz * shape[1] + iy
-        start[row[i] * shape[0] + ix + 1] += 1
-    for b in range(start.size - 1):
+        box[i, 0], box[i, 1], box[i, 2] = ix, iy, iz
+        start[(iz * shape[1] + iy) * shape[0] + ix + 2] += 1
+    for b in range(1, bins + 1):
         start[b + 1] += start[b]
-    order = np.empty(n, np.int64)
-    cursor = start[:-1].copy()
     for i in range(n):
-        b = row[i] * shape[0] + column[i]
-        order[cursor[b]] = i
-        cursor[b] += 1
-    return order, row, column, start
+        # start[b + 1] runs through bin b, and ends as the first place of the next one
+        b = (box[i, 2] * shape[1] + box[i, 1]) * shape[0] + box[i, 0]
+        p = start[b + 1]
+        start[b + 1] = p + 1
+        order[p], place[i] = i, p
+        for a in range(3):
+            cells[p, a] = position[i, a]
+        cells[p, 3] = radius[i]
+    return Bins(order, place, cells, shape, box, start, np.empty((0, 9, 2), np.int64)), width
 
 
 @njit(cache=True)
-def _sorted_rows(position, radius, order):
-    """Copy centre and radius in the order of the bins: the search reads them in a stream."""
-    rows = np.empty((order.size, 4))
-    for place in range(order.size):
-        i = order[place]
-        rows[place, 0] = position[i, 0]
-        rows[place, 1] = position[i, 1]
-        rows[place, 2] = position[i, 2]
-        rows[place, 3] = radius[i]
-    return rows
+def _sparse_bins(position, radius, width, none):
+    """Bin far-flung cells; the rest of ``none``, bins that were not filled, is kept.
+
+    In Python also from compiled code: NumPy sorts as fast, and nothing has to be compiled for
+    states that hardly ever come.
+    """
+    with objmode(
+        order="int64[::1]", place="int64[::1]", cells="float64[:, ::1]", ranges="int64[:, :, ::1]"
+    ):
+        order, place, cells, ranges = _sorted_sparsely(position, radius, width)
+    return Bins(order, place, cells, none.shape, none.box, none.start, ranges)
+
+
+def _sorted_sparsely(
+    position: FloatArray, radius: FloatArray, width: float
+) -> tuple[OffsetArray, OffsetArray, FloatArray, OffsetArray]:
+    """Return order, place, cells and ranges of sparse :class:`Bins`.
+
+    Coordinates are sorted: memory does not depend on the distances.
+    """
+    n = len(position)
+    x, y, z = (_intervals(np.ascontiguousarray(c), width) for c in position.T)
+    # a row's key is below 9 n², so that it overflows for no n that fits into memory
+    stride = n + 2
+    row = z * stride + y
+    occupied, rank = np.unique(row, return_inverse=True)
+    key = rank * stride + x
+    order = np.argsort(key, kind="stable")
+    place, sorted_key = np.empty_like(order), key[order]
+    place[order] = np.arange(n)
+    ranges = np.zeros((n, 9, 2), dtype=np.int64)
+    for neighbour in range(9):
+        wanted = row + (neighbour // 3 - 1) * stride + neighbour % 3 - 1
+        found = np.searchsorted(occupied, wanted)
+        there = occupied[np.minimum(found, len(occupied) - 1)] == wanted
+        line, column = found[there] * stride, x[there]
+        ends = (line + np.maximum(column - 1, 0), line + np.minimum(column + 2, stride))
+        ranges[there, neighbour] = np.searchsorted(sorted_key, ends).T
+    return order, place, np.column_stack([position, radius])[order], ranges
+
+
+def _intervals(coordinate: FloatArray, width: float) -> OffsetArray:
+    """Return the number of each cell's bin along one axis; close cells differ by at most one."""
+    number = np.empty(len(coordinate), dtype=np.int64)
+    _sweep(coordinate, np.argsort(coordinate, kind="stable"), width, number)
+    return number
 
 
 @njit(cache=True)
-def _lower_bound(values, begin, end, key):
-    """Return the first place in the sorted ``values[begin:end]`` not below ``key``."""
-    while begin < end:
-        middle = (begin + end) // 2
-        if values[middle] < key:
-            begin = middle + 1
-        else:
-            end = middle
-    return begin
+def _sweep(coordinate, order, width, number):
+    start = coordinate[order[0]]
+    found = 0
+    for i in order:
+        # compared as a sum of halves, which cannot overflow
+        if 0.5 * coordinate[i] > 0.5 * start + 0.5 * width:
+            start = coordinate[i]
+            found += 1
+        number[i] = found
 
 
 @njit(cache=True)
-def _sparse_range(row, column, table, n, dy, dz):
-    """Return where in the sorted order the three bins of a neighbouring row stand."""
-    stride = np.int64(n + 2)
-    wanted = row + dz * stride + dy
-    place = _lower_bound(table, n, table.size, wanted)
-    if place == table.size or table[place] != wanted:
-        return 0, 0
-    line = (place - n) * stride
-    begin = _lower_bound(table, 0, n, line + max(column - 1, 0))
-    return begin, _lower_bound(table, begin, n, line + min(column + 2, stride))
-
-
-@njit(cache=True)
-def _dense_range(iy, iz, column, bin_start, shape):
-    """Return where in the sorted order the three bins of a row of the grid stand."""
-    if iy < 0 or iy >= shape[1] or iz < 0 or iz >= shape[2]:
-        return np.int64(0), np.int64(0)
-    line = (iz * shape[1] + iy) * shape[0]
-    high = bin_start[line + min(column + 1, shape[0] - 1) + 1]
-    return bin_start[line + max(column - 1, 0)], high
-
-
-@njit(cache=True)
-def _collect(sorted_rows, low, high, a, skin, hits):
+def _collect(cells, low, high, a, skin, hits):
     """Write the places in ``low:high`` that are close to place ``a``; return how many.
 
     The write is unconditional and only the count depends on the test: one cell in six is
     close, which a branch would mispredict.
     """
-    x, y, z = sorted_rows[a, 0], sorted_rows[a, 1], sorted_rows[a, 2]
-    r = sorted_rows[a, 3] + skin
+    x, y, z = cells[a, 0], cells[a, 1], cells[a, 2]
+    r = cells[a, 3] + skin
     count = 0
     for b in range(low, high):
-        dx = sorted_rows[b, 0] - x
-        dy = sorted_rows[b, 1] - y
-        dz = sorted_rows[b, 2] - z
-        reach = r + sorted_rows[b, 3]
+        dx = cells[b, 0] - x
+        dy = cells[b, 1] - y
+        dz = cells[b, 2] - z
+        reach = r + cells[b, 3]
         hits[count] = b
         count += np.int64(dx * dx + dy * dy + dz * dz <= reach * reach)
     return count
 
 
-@njit(cache=True)
-def _search_chunk(
-    c, chunk, order, own, sorted_rows, rows, columns, bin_start, shape, skin,
-    base, inner, outer, first, second, found_inner, found_outer, limit,
-):  # fmt: skip
-    """Find the pairs of one chunk; counts on when the room is used up, without writing."""
-    n = order.size
+@njit(cache=True, error_model="numpy")
+def _search_chunk(c, chunk, bins, skin, base, room, limit, first, second, found):
+    """Write the pairs of one chunk, and how many are inner and outer to ``found[c]``.
+
+    Counts on without writing when the room is used up: (chunks, 2) places from ``base[c]`` on,
+    those for inner pairs first. Where it is enough, the outer pairs are moved up behind the inner
+    ones. The search ends when there are more than ``limit`` pairs.
+    """
+    n, nx, ny, nz = bins.order.size, bins.shape[0], bins.shape[1], bins.shape[2]
     begin, end = c * chunk, min((c + 1) * chunk, n)
-    inner_at, inner_stop = base[c], base[c] + inner[c]
-    outer_at, outer_stop = inner_stop, inner_stop + outer[c]
+    inner_at, inner_stop = base[c], base[c] + room[c, 0]
+    outer_at, outer_stop = inner_stop, inner_stop + room[c, 1]
     hits = np.empty(_BLOCK, np.int64)
-    dense = shape[0] > 0
+    x, y, z = np.int64(0), np.int64(0), np.int64(0)
     for i in range(begin, end):
-        a, row, column = own[i], rows[i], columns[i]
-        iy, iz = (row % shape[1], row // shape[1]) if dense else (row, row)
+        a = bins.place[i]
+        if nx > 0:
+            x, y, z = np.int64(bins.box[i, 0]), np.int64(bins.box[i, 1]), np.int64(bins.box[i, 2])
         for neighbour in range(9):
-            dy, dz = neighbour % 3 - 1, neighbour // 3 - 1
-            if dense:
-                low, high = _dense_range(iy + dy, iz + dz, column, bin_start, shape)
+            v, w = y + neighbour % 3 - 1, z + neighbour // 3 - 1
+            if nx == 0:
+                low, high = bins.ranges[i, neighbour, 0], bins.ranges[i, neighbour, 1]
+            elif 0 <= v < ny and 0 <= w < nz:
+                line = (w * ny + v) * nx
+                low = bins.start[line + max(x - 1, 0)]
+                high = bins.start[line + min(x + 1, nx - 1) + 1]
             else:
-                low, high = _sparse_range(row, column, bin_start, n, dy, dz)
+                continue
             for block in range(low, high, _BLOCK):
-                close = _collect(sorted_rows, block, min(block + _BLOCK, high), a, skin, hits)
+                stop = min(block + _BLOCK, high)
+                close = _collect(bins.cells, block, stop, a, skin, hits)
                 for h in range(close):
-                    j = order[hits[h]]
+                    j = bins.order[hits[h]]
                     if begin <= j < end:
                         if inner_at < inner_stop:
-                            first[inner_at] = i
-                            second[inner_at] = j
+                            first[inner_at], second[inner_at] = i, j
                         inner_at += np.int64(j > i)
                     else:
                         if outer_at < outer_stop:
-                            first[outer_at] = i
-                            second[outer_at] = j
+                            first[outer_at], second[outer_at] = i, j
                         outer_at += 1
         if inner_at - base[c] + outer_at - inner_stop > limit:
             break
-    found_inner[c] = inner_at - base[c]
-    found_outer[c] = outer_at - inner_stop
+    found[c, 0], found[c, 1] = inner_at - base[c], outer_at - inner_stop
+    if inner_at <= inner_stop and outer_at <= outer_stop:
+        for k in range(outer_at - inner_stop):
+            first[inner_at + k] = first[inner_stop + k]
+            second[inner_at + k] = second[inner_stop + k]
 
 
-@njit(cache=True)
-def _search(
-    chunk, order, sorted_rows, rows, columns, bin_start, shape, skin,
-    base, inner, outer, first, second, found_inner, found_outer, limit,
-):  # fmt: skip
-    own = np.empty(order.size, np.int64)
-    for place in range(order.size):
-        own[order[place]] = place
-    for c in range(found_inner.size):
-        _search_chunk(
-            c, chunk, order, own, sorted_rows, rows, columns, bin_start, shape, skin,
-            base, inner, outer, first, second, found_inner, found_outer, limit,
-        )  # fmt: skip
+def _list(bins, skin, chunk):
+    """Return the list of pairs of cells that were sorted into bins.
 
-
-@njit(cache=True, parallel=True)
-def _search_parallel(
-    chunk, order, sorted_rows, rows, columns, bin_start, shape, skin,
-    base, inner, outer, first, second, found_inner, found_outer, limit,
-):  # fmt: skip
-    own = np.empty(order.size, np.int64)
-    for place in prange(order.size):
-        own[order[place]] = place
-    for c in prange(found_inner.size):
-        _search_chunk(
-            c, chunk, order, own, sorted_rows, rows, columns, bin_start, shape, skin,
-            base, inner, outer, first, second, found_inner, found_outer, limit,
-        )  # fmt: skip
-
-
-@njit(cache=True)
-def _room(inner, outer):
-    """Return where each chunk's entries begin, and arrays for all of them."""
-    base = np.zeros(inner.size + 1, np.int64)
-    for c in range(inner.size):
-        base[c + 1] = base[c] + inner[c] + outer[c]
-    return base, np.empty(base[-1], np.int32), np.empty(base[-1], np.int32)
-
-
-@njit(cache=True)
-def _largest(values):
-    most = values[0]
-    for value in values:
-        most = max(most, value)
-    return most
-
-
-@njit(cache=True)
-def _count(found_inner, found_outer):
-    """Return the number of entries that were found."""
-    total = 0
-    for c in range(found_inner.size):
-        total += found_inner[c] + found_outer[c]
-    return total
-
-
-@njit(cache=True)
-def _ranges(base, found_inner, found_outer):
-    """Return where the pairs of each chunk begin and end."""
-    start, inner_end = np.empty_like(found_inner), np.empty_like(found_inner)
-    outer_end = np.empty_like(found_inner)
-    for c in range(start.size):
-        start[c], inner_end[c] = base[c], base[c] + found_inner[c]
-        outer_end[c] = inner_end[c] + found_outer[c]
-    return start, inner_end, outer_end
-
-
-@njit(cache=True)
-def _fits(inner, outer, found_inner, found_outer):
-    """Return whether the room was enough, and make it so."""
-    enough = True
-    for c in range(inner.size):
-        enough &= found_inner[c] <= inner[c] and found_outer[c] <= outer[c]
-        inner[c] = max(inner[c], found_inner[c])
-        outer[c] = max(outer[c], found_outer[c])
-    return enough
-
-
-@njit(cache=True)
-def _close_gaps(first, second, base, inner, found_inner, found_outer):
-    """Move the outer pairs of each chunk up: they were written behind the room for inner ones."""
-    for c in range(found_inner.size):
-        source = base[c] + inner[c]
-        target = base[c] + found_inner[c]
-        for k in range(found_outer[c]):
-            first[target + k] = first[source + k]
-            second[target + k] = second[source + k]
-
-
-@njit(cache=True)
-def rebuild(position, radius, skin, chunk):
-    """Do the work of :func:`build` for one cell and more, for callers inside numba.
+    Loops in place of array expressions: short as these are, they compile many times faster.
 
     Returns
     -------
@@ -535,44 +419,46 @@ def rebuild(position, radius, skin, chunk):
     first, second, start, inner_end, outer_end
         As in :class:`PairList`.
     """
-    order, rows, columns, bin_start, shape = _bins(position, 2.0 * _largest(radius) + skin)
-    sorted_rows = _sorted_rows(position, radius, order)
-    inner, outer = _guess(order.size, chunk), _guess(order.size, chunk)
-    limit = _limit(order.size)
+    n = bins.order.size
+    chunks = (n + chunk - 1) // chunk
+    base, limit = np.empty(chunks + 1, np.int64), 500 * n + _SPARE_PAIRS
+    room, found = np.empty((chunks, 2), np.int64), np.empty((chunks, 2), np.int64)
+    for c in range(chunks):
+        # what packed tissue needs
+        room[c, 0] = room[c, 1] = 9 * min(n, chunk) + 64
     while True:
-        base, first, second = _room(inner, outer)
-        found_inner, found_outer = np.empty_like(inner), np.empty_like(inner)
-        _search(
-            chunk, order, sorted_rows, rows, columns, bin_start, shape, skin,
-            base, inner, outer, first, second, found_inner, found_outer, limit,
-        )  # fmt: skip
-        crowded = _count(found_inner, found_outer) > limit
-        if crowded or _fits(inner, outer, found_inner, found_outer):
+        base[0] = 0
+        for c in range(chunks):
+            base[c + 1] = base[c] + room[c, 0] + room[c, 1]
+        first, second = np.empty(base[chunks], np.int32), np.empty(base[chunks], np.int32)
+        for c in prange(chunks):
+            _search_chunk(c, chunk, bins, skin, base, room, limit, first, second, found)
+        total, enough = 0, True
+        for c in range(chunks):
+            for side in range(2):
+                total += found[c, side]
+                enough &= found[c, side] <= room[c, side]
+                room[c, side] = max(room[c, side], found[c, side])
+        if enough or total > limit:
             break
-    if not crowded:
-        _close_gaps(first, second, base, inner, found_inner, found_outer)
-    start, inner_end, outer_end = _ranges(base, found_inner, found_outer)
-    return crowded, first, second, start, inner_end, outer_end
+    start, inner_end = np.empty(chunks, np.int64), np.empty(chunks, np.int64)
+    outer_end = np.empty(chunks, np.int64)
+    for c in range(chunks):
+        start[c], inner_end[c] = base[c], base[c] + found[c, 0]
+        outer_end[c] = inner_end[c] + found[c, 1]
+    return total > limit, first, second, start, inner_end, outer_end
+
+
+_list_serial, _list_parallel = two_drivers(_list)
+
+
+@njit(cache=True)
+def rebuild(position, radius, skin, chunk):
+    """Do the work of :func:`build` for one cell and more, for callers inside numba."""
+    return _list_serial(_bins(position, radius, skin), skin, chunk)
 
 
 @njit(cache=True)
 def rebuild_parallel(position, radius, skin, chunk):
-    """Do the same as :func:`rebuild`, with the chunks shared among threads."""
-    order, rows, columns, bin_start, shape = _bins(position, 2.0 * _largest(radius) + skin)
-    sorted_rows = _sorted_rows(position, radius, order)
-    inner, outer = _guess(order.size, chunk), _guess(order.size, chunk)
-    limit = _limit(order.size)
-    while True:
-        base, first, second = _room(inner, outer)
-        found_inner, found_outer = np.empty_like(inner), np.empty_like(inner)
-        _search_parallel(
-            chunk, order, sorted_rows, rows, columns, bin_start, shape, skin,
-            base, inner, outer, first, second, found_inner, found_outer, limit,
-        )  # fmt: skip
-        crowded = _count(found_inner, found_outer) > limit
-        if crowded or _fits(inner, outer, found_inner, found_outer):
-            break
-    if not crowded:
-        _close_gaps(first, second, base, inner, found_inner, found_outer)
-    start, inner_end, outer_end = _ranges(base, found_inner, found_outer)
-    return crowded, first, second, start, inner_end, outer_end
+    """Do the same with the chunks shared among threads."""
+    return _list_parallel(_bins(position, radius, skin), skin, chunk)

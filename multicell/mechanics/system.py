@@ -21,7 +21,7 @@ from multicell.mechanics import blocks, forces, neighbours
 from multicell.mechanics.division_offset import Offsets, PairValues
 
 if TYPE_CHECKING:
-    from multicell.mechanics.friction import Rubbing
+    from multicell.mechanics.friction import PairFriction
     from multicell.mechanics.walls import Walls
 
 
@@ -173,7 +173,7 @@ class Mechanics:
         self.drag = 6.0 * math.pi * self.viscosity
         self._pairs: neighbours.PairList | None = None
         self._linear: Linearisation | None = None
-        self._rubbing: Rubbing | None = None
+        self._rubbing: PairFriction | None = None
 
     def begin(self, motion: Motion) -> None:
         """Take the radii and moduli for a coupling step; the old list is dropped.
@@ -501,11 +501,11 @@ class Mechanics:
         return self.threads > 1 and len(pairs.start) >= self.shared_chunks
 
 
-def _rubbing(coefficients: tuple[float, float], n: int, drag: float, chunk: int) -> Rubbing:
+def _rubbing(coefficients: tuple[float, float], n: int, drag: float, chunk: int) -> PairFriction:
     """Return the friction of a coupling step; scenes without it do not load its kernels."""
-    from multicell.mechanics.friction import Rubbing
+    from multicell.mechanics.friction import PairFriction
 
-    return Rubbing(coefficients, n, drag, chunk)
+    return PairFriction(coefficients, n, drag, chunk)
 
 
 def _listed(pairs: neighbours.PairList) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

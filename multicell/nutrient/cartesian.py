@@ -58,6 +58,13 @@ class Box:
         """Volume of a node, µm³."""
         return self.spacing**2 * (self.height or self.spacing)
 
+    def axes(self) -> list[FloatArray]:
+        """Return the coordinates of the nodes along each axis, (nx,), (ny,), (nz,) µm."""
+        return [
+            np.asarray(o + (np.arange(n) + 0.5) * self.spacing, dtype=np.float64)
+            for o, n in zip(self.origin, self.shape, strict=True)
+        ]
+
     def to_pde(self) -> CartesianGrid:
         """Return py-pde's grid of this box, with two axes where it is flat."""
         from pde.grids.cartesian import CartesianGrid
@@ -86,8 +93,8 @@ def extent(position: FloatArray, margin: float) -> tuple[FloatArray, FloatArray]
     return low, high
 
 
-def lay(low: FloatArray, high: FloatArray, spacing: float) -> Box:
-    """Lay a box round the corners ``low`` and ``high`` (µm).
+def lay(low: FloatArray, high: FloatArray, spacing: float, height: float | None = None) -> Box:
+    """Lay a box round the corners ``low`` and ``high`` (µm); a plane where there is a ``height``.
 
     The faces across the longest axis lie exactly there, and so do those across axes nearly as
     long: the layer of medium between cells and faces is as thick as the margin at every moment.
@@ -100,33 +107,28 @@ def lay(low: FloatArray, high: FloatArray, spacing: float) -> Box:
     NutrientFailed
         If more than :data:`MAX_NODES` nodes would be needed; nothing is allocated before.
     """
+    axes = 3 if height is None else 2
+    low, high = low[:axes], high[:axes]
     size = high - low
     _refuse_too_large(size / spacing, size, spacing)
     _refuse_too_far(low, high, spacing)
     longest = float(size.max())
     most = _fast(longest / spacing)
     step = longest / most
-    x, y, z = (most if s > _NEARLY * longest else _fast(s / step) for s in size)
-    shape = (x, y, z)
-    _refuse_too_large(np.array(shape, dtype=float), size, spacing)
-    a, b, c = (float(m - 0.5 * n * step) for m, n in zip(0.5 * (low + high), shape, strict=True))
-    return Box(origin=(a, b, c), shape=shape, spacing=step)
+    counts = [most if s > _NEARLY * longest else _fast(s / step) for s in size]
+    _refuse_too_large(np.array(counts, dtype=float), size, spacing)
+    middle = 0.5 * (low + high)
+    return _box([float(m - 0.5 * n * step) for m, n in zip(middle, counts, strict=True)],
+                counts, step, height)  # fmt: skip
 
 
-def lay_flat(low: FloatArray, high: FloatArray, spacing: float, height: float) -> Box:
-    """Lay a grid of squares in the plane z = 0; see :func:`lay`."""
-    low, high = low.copy(), high.copy()
-    # as long as the longest axis: it then decides nothing
-    middle, half = 0.5 * (low[:2] + high[:2]), 0.5 * float((high - low)[:2].max())
-    low[2], high[2] = -half, half
-    _refuse_too_large((high - low)[:2] / spacing, (high - low)[:2], spacing)
-    _refuse_too_far(low, high, spacing)
-    longest = 2.0 * half
-    most = _fast(longest / spacing)
-    step = longest / most
-    x, y = (most if s > _NEARLY * longest else _fast(s / step) for s in (high - low)[:2])
-    a, b = (float(m - 0.5 * n * step) for m, n in zip(middle, (x, y), strict=True))
-    return Box((a, b, -0.5 * step), (x, y, 1), step, height)
+def _box(origin: list[float], counts: list[int], spacing: float, height: float | None) -> Box:
+    """Return a box, with a flat third axis round z = 0 where there is a ``height``."""
+    if height is not None:
+        origin, counts = [*origin[:2], -0.5 * spacing], [*counts[:2], 1]
+    a, b, c = origin
+    x, y, z = counts
+    return Box((a, b, c), (x, y, z), spacing, height)
 
 
 def fill(low: FloatArray, high: FloatArray, spacing: float, height: float | None) -> Box:
@@ -158,10 +160,7 @@ def fill(low: FloatArray, high: FloatArray, spacing: float, height: float | None
     step = float((lengths / counts).max())
     while not (lengths / step <= counts).all():  # rounding must leave no point outside
         step = float(np.nextafter(step, np.inf))
-    a, b = float(low[0]), float(low[1])
-    if height is None:
-        return Box((a, b, float(low[2])), (counts[0], counts[1], counts[2]), step)
-    return Box((a, b, -0.5 * step), (counts[0], counts[1], 1), step, height)
+    return _box([float(x) for x in low], list(counts), step, height)
 
 
 def overlaps(old: Box, new: Box) -> list[FloatArray]:
@@ -181,19 +180,21 @@ def overlaps(old: Box, new: Box) -> list[FloatArray]:
 
 def moved(values: FloatArray, old: Box, new: Box, fill: float) -> FloatArray:
     """Return node values on ``new``, interpolated from ``old`` and ``fill`` outside it."""
-    nodes = [
-        o + (np.arange(n) + 0.5) * new.spacing for o, n in zip(new.origin, new.shape, strict=True)
-    ]
+    nodes = new.axes()
     inside = [
         (axis >= low) & (axis <= high)
         for axis, low, high in zip(nodes, old.origin, old.upper, strict=True)
     ]
     out = np.full(new.shape, fill)
     kept = [axis[mask] for axis, mask in zip(nodes, inside, strict=True)]
-    points = np.stack(np.meshgrid(*kept, indexing="ij"), axis=-1)
-    block = gather(points.reshape(-1, 3), values, old.origin, old.spacing)
-    out[np.ix_(*inside)] = block.reshape(points.shape[:-1])
+    block = gather(mesh(kept), values, old.origin, old.spacing)
+    out[np.ix_(*inside)] = block.reshape([len(axis) for axis in kept])
     return out
+
+
+def mesh(axes: list[FloatArray]) -> FloatArray:
+    """Return all points with coordinates from three axes, (n, 3), the last running fastest."""
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def _fast(needed: float) -> int:

@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
 from multicell.nutrient import stencil
+from multicell.nutrient.steady import SolveReport, solve_steady
 
 if TYPE_CHECKING:
     from pde.grids.cartesian import CartesianGrid
 
-
-_NOTHING: FloatArray = np.empty((0, 0, 0))
 
 # What diagonalises the second difference on n cell-centred nodes, by what stands at its two ends
 # (True: a value, False: a slope): the name and the type of SciPy's transform.
@@ -78,7 +77,13 @@ class Diffusion:
         self.stiffness = diffusion / self.spacing**2
         self._grid = grid
         self.set_boundary(boundary)
-        self._vary(varied)
+        # relative coefficients at the nodes and at the faces between them, None for one everywhere
+        self.varied: FloatArray | None = None
+        self.weights: stencil.Weights = None
+        if varied is not None:
+            self.varied = np.ascontiguousarray(varied.reshape(self.shape), dtype=float)
+            wx, wy, wz = (_face_means(self.varied, axis) for axis in range(3))
+            self.weights = (wx, wy, wz)
 
     def set_boundary(self, boundary: float | Mapping[str, Any]) -> None:
         """Take other conditions on the faces."""
@@ -103,13 +108,13 @@ class Diffusion:
 
         By py-pde's operator where the coefficient is uniform, else by the solver's own stencil.
         """
-        if not self.wx.size:
+        if self.weights is None:
             flat = c.reshape(self.shape[: self.dimensions])
             return np.asarray(self.diffusion * self._laplacian(flat)).reshape(self.shape)
         out = np.empty_like(c)
         zero = np.zeros_like(c)
-        stencil.apply_operator(c, zero, self.stiffness, self.ghost, *self.weights, out)
-        return np.asarray(self._scaled_source() - out)
+        stencil.apply_operator(c, zero, self.stiffness, self.ghost, self.weights, out)
+        return np.asarray(self.stencil_source() - out)
 
     def flows(self, c: FloatArray) -> tuple[float, float]:
         """Return what flows in and out through the faces, amol/s, from py-pde's ghost values."""
@@ -121,8 +126,10 @@ class Diffusion:
         inward = outward = 0.0
         for axis in range(self.dimensions):
             layers = np.moveaxis(full, axis, 0)[(slice(None), *inner[1:])]
-            w = self.weights[axis]
-            low, high = _ends(w, axis, self.dimensions) if w.size else (1.0, 1.0)
+            low, high = (
+                (1.0, 1.0) if self.weights is None
+                else _ends(self.weights[axis], axis, self.dimensions)
+            )  # fmt: skip
             for step in (low * (layers[0] - layers[1]), high * (layers[-1] - layers[-2])):
                 inward += float(np.sum(step, where=step > 0.0))
                 outward -= float(np.sum(step, where=step < 0.0))
@@ -133,6 +140,18 @@ class Diffusion:
         """Return the net flow in through the faces, amol/s."""
         inward, outward = self.flows(c)
         return inward - outward
+
+    def solve(
+        self,
+        sink: FloatArray,
+        half_saturation: float,
+        start: FloatArray,
+        *,
+        linear: float = 0.0,
+        supply: FloatArray | None = None,
+    ) -> tuple[FloatArray, SolveReport]:
+        """Solve; see :func:`multicell.nutrient.steady.solve_steady`."""
+        return solve_steady(self, sink, half_saturation, start, linear=linear, supply=supply)
 
     def invert(self, y: NDArray[Any], shift: float) -> tuple[NDArray[Any], float]:
         """Solve (-D L0 + shift) u = y approximately, in the precision of ``y``.
@@ -145,18 +164,10 @@ class Diffusion:
         product = stencil.divide_spectrum(spectrum, ax, ay, az, shift + self._leak)
         return _transform(spectrum, self._kinds, inverse=True), product
 
-    @property
-    def weights(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Relative coefficients of diffusion at the faces between nodes, or empty arrays."""
-        return self.wx, self.wy, self.wz
-
     def stencil_source(self) -> FloatArray:
-        """Return what the faces bring to the balance of the nodes, mM/s."""
-        return self._scaled_source() if self.wx.size else self.source
-
-    def _scaled_source(self) -> FloatArray:
+        """Return what the faces bring to the balance of the nodes, (nx, ny, nz) mM/s."""
         # a node at a face exchanges with it by its own coefficient
-        return self.source * self.varied
+        return self.source if self.varied is None else self.source * self.varied
 
     def _ghosts(self) -> FloatArray:
         """Return the factor of each face's ghost value; the third axis of a plane has walls."""
@@ -188,14 +199,6 @@ class Diffusion:
                 leak += 0.0 if is_value else self.stiffness * (1.0 - factor) / n
             kinds.append((ends[0], ends[1]))
         return kinds, leak
-
-    def _vary(self, varied: FloatArray | None) -> None:
-        self.varied = _NOTHING
-        self.wx = self.wy = self.wz = _NOTHING
-        if varied is None:
-            return
-        self.varied = np.ascontiguousarray(varied.reshape(self.shape), dtype=float)
-        self.wx, self.wy, self.wz = (_face_means(self.varied, axis) for axis in range(3))
 
 
 def eigenvalues(n: int, ends: tuple[bool, bool]) -> FloatArray:

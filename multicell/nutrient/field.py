@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol, final
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
@@ -15,89 +14,16 @@ from multicell.nutrient.cartesian import Box, round_enough
 from multicell.nutrient.grid import BoxLayout, Layout, Operator, ShellLayout
 from multicell.nutrient.steady import SolveReport
 from multicell.nutrient.transient import Amounts, March, TransientReport, march
+from multicell.nutrient.uptake import uptake
 
 if TYPE_CHECKING:
+    from multicell.nutrient.parameters import FieldParameters
     from multicell.results.frame import Field
-    from multicell.scene.nutrient import Side
-    from multicell.scene.parts import Domain
 
 
 _GONE = 1e-6
 """Part of the medium's highest concentration below which a field that fades is not followed any
 more with an error relative to itself: steps would stay as short as ever down to nothing."""
-
-
-class NutrientParameters(Protocol):
-    """What a field is made from; see :class:`multicell.nutrient.parameters.FieldParameters`."""
-
-    @property
-    def diffusion(self) -> float:
-        """Diffusion coefficient in tissue, µm²/s."""
-
-    @property
-    def diffusion_medium(self) -> float | None:
-        """Diffusion coefficient outside tissue, µm²/s; None: as inside."""
-
-    @property
-    def half_saturation(self) -> float:
-        """Michaelis constant of uptake, mM."""
-
-    @property
-    def spacing(self) -> float:
-        """Largest grid spacing, µm."""
-
-    @property
-    def margin(self) -> float:
-        """Least distance from a cell's centre to the faces, µm."""
-
-    @property
-    def layer(self) -> float | None:
-        """Distance of the shells' surface from the tissue's, µm; None: by the margin."""
-
-    @property
-    def domain(self) -> Domain | None:
-        """The box that the field lives on; None: it follows the cells."""
-
-    @property
-    def height(self) -> float:
-        """Height of the layer in two dimensions, µm."""
-
-    @property
-    def dimensions(self) -> int:
-        """2 or 3."""
-
-    @property
-    def decay(self) -> float:
-        """Rate of decay, 1/s."""
-
-    @property
-    def perfusion(self) -> float:
-        """Rate of exchange with the medium, 1/s."""
-
-    @property
-    def geometry(self) -> str:
-        """``"box"``, ``"radial"`` or ``"auto"``."""
-
-    @property
-    def roundness_limit(self) -> float:
-        """Departure from a ball up to which shells are enough."""
-
-    @property
-    def time_tolerance(self) -> float:
-        """Error of a transient step over the concentration."""
-
-    @property
-    def highest(self) -> float:
-        """The highest concentration that medium and sides ever have, mM."""
-
-    def medium(self, time: float) -> float:
-        """Return the concentration of the medium at a time in s, mM."""
-
-    def switches(self, begin: float, end: float) -> list[float]:
-        """Return the times strictly between two times at which the medium is changed, s."""
-
-    def sides(self, time: float) -> Mapping[str, Side]:
-        """Return the condition on every face at a time."""
 
 
 @final
@@ -134,10 +60,10 @@ class NutrientField:
     name
         The field's name in the scene.
     parameters
-        See :class:`NutrientParameters`.
+        See :class:`multicell.nutrient.parameters.FieldParameters`.
     """
 
-    def __init__(self, name: str, parameters: NutrientParameters) -> None:
+    def __init__(self, name: str, parameters: FieldParameters) -> None:
         self.name = name
         self.parameters = parameters
         self.layings = 0
@@ -208,7 +134,7 @@ class NutrientField:
         position, radius = _checked(position, capacity, production, radius)
         layout, kept = self._lay(position, radius)
         operator, conditions = self._operator_on(layout, kept, position, radius, time)
-        p, medium = self.parameters, self.parameters.medium(time)
+        p, medium = self.parameters, self.parameters.nutrient.medium(time)
         if kept:
             start = self._values
         elif self._layout is None:
@@ -216,9 +142,9 @@ class NutrientField:
         else:
             start = layout.guess(self._values, self._layout, medium)
         supply = self._supply(layout, position, production, medium)
-        linear = p.decay + p.perfusion
+        linear = p.nutrient.decay + p.nutrient.perfusion
         values, report = operator.solve(
-            layout.scatter(position, capacity), p.half_saturation, start,
+            layout.scatter(position, capacity), p.nutrient.half_saturation, start,
             linear=linear, supply=supply,
         )  # fmt: skip
         self._take(layout, operator, conditions, values, kept)
@@ -249,12 +175,12 @@ class NutrientField:
         before = self.stored()
         c = self._values
         if not kept:
-            c = layout.carried(self._values, self.layout, self.parameters.medium(begin))
+            c = layout.carried(self._values, self.layout, self.parameters.nutrient.medium(begin))
         relaid = float(np.sum(layout.volumes * c)) - before
         sink = layout.scatter(position, capacity)
         done, p = March(Amounts()), self.parameters
         operator, conditions = self._operator_on(layout, kept, position, radius, begin)
-        for start, stop in _segments(begin, end, p.switches(begin, end)):
+        for start, stop in itertools.pairwise([begin, *p.nutrient.switches(begin, end), end]):
 
             def step(
                 c: FloatArray, dt: float, time: float, last: float = stop
@@ -266,21 +192,21 @@ class NutrientField:
                 if wanted != conditions:
                     operator.set_boundary(wanted)
                     conditions = wanted
-                medium = p.medium(moment)
+                medium = p.nutrient.medium(moment)
                 supply = c / dt
                 fixed = self._supply(layout, position, production, medium)
                 if fixed is not None:
                     supply = supply + fixed
                 values, report = operator.solve(
-                    sink, p.half_saturation, c,
-                    linear=p.decay + p.perfusion + 1.0 / dt, supply=supply,
+                    sink, p.nutrient.half_saturation, c,
+                    linear=p.nutrient.decay + p.nutrient.perfusion + 1.0 / dt, supply=supply,
                 )  # fmt: skip
                 return values, report, medium
 
-            scale = max(p.medium(start), _GONE * p.highest)
+            scale = max(p.nutrient.medium(start), _GONE * p.nutrient.highest)
             c = march(
                 step, layout.volumes, c, start, stop,
-                tolerance=p.time_tolerance, scale=scale, done=done,
+                tolerance=p.nutrient.time_tolerance, scale=scale, done=done,
             )  # fmt: skip
         self._take(layout, operator, conditions, c, kept)
         return self._summed(done, production, end - begin, relaid)
@@ -290,7 +216,7 @@ class NutrientField:
         position, radius = _checked(position, np.zeros(len(position)), None, radius)
         layout, _ = self._lay(position, radius)
         operator, conditions = self._operator_on(layout, False, position, radius, time)
-        values = layout.filled(self.parameters.medium(time))
+        values = layout.filled(self.parameters.nutrient.medium(time))
         self._take(layout, operator, conditions, values, False)
 
     def sample(self, position: FloatArray) -> FloatArray:
@@ -322,7 +248,9 @@ class NutrientField:
     def uptake(self, position: FloatArray, capacity: FloatArray) -> FloatArray:
         """Return what each cell takes up, (n,) amol/s."""
         c = self._values
-        share = self.layout.gather(position, c / (self.parameters.half_saturation + c))
+        share = self.layout.gather(
+            position, uptake(1.0, c, self.parameters.nutrient.half_saturation)
+        )
         return np.asarray(capacity * share)
 
     def stored(self) -> float:
@@ -357,12 +285,14 @@ class NutrientField:
         radial = p.geometry == "radial"
         if p.geometry == "auto":
             now = isinstance(self._layout, ShellLayout)
-            radial = round_enough(position, radius, p.roundness_limit, now_radial=now)
+            radial = round_enough(position, radius, p.nutrient.roundness_limit, now_radial=now)
         if radial:
-            return ShellLayout.round(position, radius, p.margin, p.spacing, p.layer), False
+            return ShellLayout.round(
+                position, radius, p.nutrient.margin, p.spacing, p.nutrient.layer
+            ), False
         height = p.height if p.dimensions == 2 else None
         if p.domain is None:
-            found = BoxLayout.round(position, p.margin, p.spacing, height)
+            found = BoxLayout.round(position, p.nutrient.margin, p.spacing, height)
         else:
             found = BoxLayout.within(p.domain, p.spacing, height)
         same = self._layout is not None and found == self._layout
@@ -374,15 +304,17 @@ class NutrientField:
         """Return the operator on a layout at a time, the last one if it still holds."""
         p = self.parameters
         conditions = layout.conditions(p.sides(time))
-        medium = p.diffusion_medium
+        medium = p.nutrient.diffusion_medium
         if kept and self._operator is not None and medium is None:
             if conditions != self._conditions:
                 self._operator.set_boundary(conditions)
             return self._operator, conditions
         varied = None
-        if medium is not None and medium != p.diffusion:
-            varied = layouts.relative_diffusion(layout, position, radius, medium, p.diffusion)
-        return layout.operator(p.diffusion, conditions, varied), conditions
+        if medium is not None and medium != p.nutrient.diffusion:
+            varied = layouts.relative_diffusion(
+                layout, position, radius, medium, p.nutrient.diffusion
+            )
+        return layout.operator(p.nutrient.diffusion, conditions, varied), conditions
 
     def _supply(
         self,
@@ -392,7 +324,7 @@ class NutrientField:
         medium: float,
     ) -> FloatArray | None:
         """Return what the nodes gain by secretion and perfusion, mM/s, or None."""
-        brought = self.parameters.perfusion * medium
+        brought = self.parameters.nutrient.perfusion * medium
         if production is None:
             return layout.filled(brought) if brought > 0.0 else None
         return layout.scatter(position, production) + brought
@@ -415,17 +347,17 @@ class NutrientField:
         p = self.parameters
         mass = self.stored()
         whole = float(np.sum(np.broadcast_to(self.layout.volumes, self._values.shape)))
-        brought = p.perfusion * medium * whole
+        brought = p.nutrient.perfusion * medium * whole
         return FieldReport(
             report.newton,
             report.cg,
             report.residual,
-            report.inflow + brought - p.perfusion * mass,
+            report.inflow + brought - p.nutrient.perfusion * mass,
             report.uptake,
             report.supplied - brought,
-            p.decay * mass,
+            p.nutrient.decay * mass,
             report.outflow,
-            p.perfusion * mass,
+            p.nutrient.perfusion * mass,
         )
 
     def _summed(
@@ -434,26 +366,20 @@ class NutrientField:
         """Return the balance of a march by what it was for."""
         p, amounts = self.parameters, done.amounts
         whole = float(np.sum(np.broadcast_to(self.layout.volumes, self._values.shape)))
-        brought = p.perfusion * (amounts.level * whole - amounts.mass)
+        brought = p.nutrient.perfusion * (amounts.level * whole - amounts.mass)
         produced = 0.0 if production is None else float(np.sum(production)) * length
         return TransientReport(
             amounts.inflow + brought,
             amounts.uptake,
             produced,
-            p.decay * amounts.mass,
+            p.nutrient.decay * amounts.mass,
             relaid,
             done.steps,
             done.rejections,
             done.first_order,
             done.error,
-            p.perfusion * amounts.mass,
+            p.nutrient.perfusion * amounts.mass,
         )
-
-
-def _segments(begin: float, end: float, switches: list[float]) -> list[tuple[float, float]]:
-    """Return the intervals between the switches."""
-    times = [begin, *switches, end]
-    return list(itertools.pairwise(times))
 
 
 def _checked(

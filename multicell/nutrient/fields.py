@@ -172,8 +172,10 @@ class Feeding:
             shells = isinstance(field.layout, ShellLayout)
             kind = "shells" if shells else "squares" if parameters.dimensions == 2 else "cubes"
             fields[name] = {"geometry": kind, "spacing": field.layout.spacing}
-            if parameters.layer is not None and isinstance(field.layout, ShellLayout):
-                self._rate_layer(name, field.layout, parameters.layer, cells, fields, notes)
+            if parameters.nutrient.layer is not None and isinstance(field.layout, ShellLayout):
+                self._rate_layer(
+                    name, field.layout, parameters.nutrient.layer, cells, fields, notes
+                )
             capacity, production = self._demand(name, cells)
             try:
                 error = discretisation_error(field, parameters, cells, capacity, production, time)
@@ -186,10 +188,11 @@ class Feeding:
                 continue
             departed = departure(cells.position, cells.radius)
             fields[name]["departure_from_a_ball"] = departed
-            if departed > parameters.roundness_limit:
+            limit = parameters.nutrient.roundness_limit
+            if departed > limit:
                 notes.append(
                     f"{name} lives on spherical shells, but the tissue departs from a ball by "
-                    f"{departed:.2g}, more than roundness_limit = {parameters.roundness_limit:g}: "
+                    f"{departed:.2g}, more than roundness_limit = {limit:g}: "
                     "geometry = 'auto' would go over to a grid of cubes."
                 )
         return fields, notes

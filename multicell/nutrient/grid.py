@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from multicell.cells import SPHERE, FloatArray
 from multicell.errors import NutrientFailed
 from multicell.nutrient import cartesian, faces
-from multicell.nutrient.cartesian import Box, extent, fill, lay, lay_flat, moved, overlaps
+from multicell.nutrient.cartesian import Box, extent, fill, lay, mesh, moved, overlaps
 from multicell.nutrient.diffusion import Diffusion
 from multicell.nutrient.spherical import Shells
-from multicell.nutrient.steady import SolveReport, solve_steady
 
 if TYPE_CHECKING:
+    from multicell.nutrient.steady import SolveReport
     from multicell.results.frame import Field
     from multicell.scene.nutrient import Side
     from multicell.scene.parts import Domain
@@ -115,32 +115,6 @@ def _condition(side: Side) -> dict[str, Any]:
 
 
 @final
-class BoxOperator:
-    """:class:`Diffusion` with the solver for boxes."""
-
-    def __init__(self, diffusion: Diffusion) -> None:
-        self._diffusion = diffusion
-
-    def set_boundary(self, boundary: Mapping[str, Any]) -> None:
-        """Take other conditions, in py-pde's terms."""
-        self._diffusion.set_boundary(boundary)
-
-    def solve(
-        self,
-        sink: FloatArray,
-        half_saturation: float,
-        start: FloatArray,
-        *,
-        linear: float = 0.0,
-        supply: FloatArray | None = None,
-    ) -> tuple[FloatArray, SolveReport]:
-        """Solve; see :func:`multicell.nutrient.steady.solve_steady`."""
-        return solve_steady(
-            self._diffusion, sink, half_saturation, start, linear=linear, supply=supply
-        )
-
-
-@final
 @dataclass(frozen=True)
 class BoxLayout:
     """A box of cubes, or a plane of squares, round the cells."""
@@ -153,9 +127,7 @@ class BoxLayout:
     ) -> BoxLayout:
         """Lay it ``margin`` beyond the outermost cells; flat where ``height`` is given."""
         low, high = extent(position, margin)
-        if height is None:
-            return cls(lay(low, high, spacing))
-        return cls(lay_flat(low, high, spacing, height))
+        return cls(lay(low, high, spacing, height))
 
     @classmethod
     def within(cls, domain: Domain, spacing: float, height: float | None) -> BoxLayout:
@@ -268,9 +240,7 @@ class BoxLayout:
 
     def _from_shells(self, values: FloatArray, old: Layout, fill: float) -> FloatArray:
         box = self.box
-        nodes = [o + (np.arange(n) + 0.5) * box.spacing
-                 for o, n in zip(box.origin, box.shape, strict=True)]  # fmt: skip
-        points = np.stack(np.meshgrid(*nodes, indexing="ij"), axis=-1).reshape(-1, 3)
+        points = mesh(box.axes())
         assert isinstance(old, ShellLayout)
         inside = np.linalg.norm(points - old.centre, axis=1) <= old.radius
         out = np.full(len(points), fill)
@@ -287,9 +257,7 @@ class BoxLayout:
     ) -> Operator:
         """Return the operator on these nodes."""
         box = self.box
-        return BoxOperator(
-            Diffusion(box.to_pde(), diffusion, conditions, height=box.height, varied=varied)
-        )
+        return Diffusion(box.to_pde(), diffusion, conditions, height=box.height, varied=varied)
 
     def field(self, name: str, values: FloatArray) -> Field:
         """Return a field for frames."""
@@ -461,10 +429,7 @@ class ShellLayout:
             beyond = SPHERE * np.maximum(faces**3 - old.radius**3, 0.0) * fill
             return np.asarray(np.diff(inside + beyond) / self.volumes)
         assert isinstance(old, BoxLayout)
-        box = old.box
-        nodes = [o + (np.arange(n) + 0.5) * box.spacing
-                 for o, n in zip(box.origin, box.shape, strict=True)]  # fmt: skip
-        points = np.stack(np.meshgrid(*nodes, indexing="ij"), axis=-1).reshape(-1, 3)
+        points = mesh(old.box.axes())
         distance = np.linalg.norm(points - self.centre, axis=1)
         number, _ = np.histogram(distance, faces)
         total, _ = np.histogram(distance, faces, weights=values.ravel())

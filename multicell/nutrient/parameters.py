@@ -16,7 +16,23 @@ if TYPE_CHECKING:
 @final
 @dataclass(frozen=True)
 class FieldParameters:
-    """What :class:`multicell.nutrient.field.NutrientField` asks for, from a scene."""
+    """What :class:`multicell.nutrient.field.NutrientField` is made from.
+
+    Parameters
+    ----------
+    nutrient
+        The substance as the scene has it.
+    spacing : float, µm
+        Largest spacing of the grid.
+    height : float, µm
+        Of the layer in two dimensions.
+    regime
+        ``"steady"`` or ``"transient"``.
+    dimensions
+        2 or 3.
+    domain
+        The box that the field lives on; None: it follows the cells.
+    """
 
     nutrient: Nutrient
     spacing: float
@@ -36,78 +52,15 @@ class FieldParameters:
         )  # fmt: skip
 
     @property
-    def diffusion(self) -> float:
-        """Diffusion coefficient in tissue, µm²/s."""
-        return self.nutrient.diffusion
-
-    @property
-    def diffusion_medium(self) -> float | None:
-        """Diffusion coefficient outside tissue, µm²/s; None: as inside."""
-        return self.nutrient.diffusion_medium
-
-    @property
-    def half_saturation(self) -> float:
-        """Michaelis constant of uptake, mM."""
-        return self.nutrient.half_saturation
-
-    @property
-    def margin(self) -> float:
-        """Least distance from a cell's centre to the faces, µm."""
-        return self.nutrient.margin
-
-    @property
-    def layer(self) -> float | None:
-        """Distance of the shells' surface from the tissue's, µm; None: by the margin."""
-        return self.nutrient.layer
-
-    @property
-    def decay(self) -> float:
-        """Rate of decay, 1/s."""
-        return self.nutrient.decay
-
-    @property
-    def perfusion(self) -> float:
-        """Rate of exchange with the medium, 1/s."""
-        return self.nutrient.perfusion
-
-    @property
     def geometry(self) -> str:
         """``"box"``, ``"radial"`` or ``"auto"``; always a box in two dimensions."""
         return self.nutrient.geometry if self.dimensions == 3 else "box"
-
-    @property
-    def roundness_limit(self) -> float:
-        """Departure from a ball up to which shells are enough."""
-        return self.nutrient.roundness_limit
-
-    @property
-    def time_tolerance(self) -> float:
-        """Error of a transient step over the concentration."""
-        return self.nutrient.time_tolerance
-
-    @property
-    def initial(self) -> str:
-        """Where a transient field starts from: ``"medium"`` or ``"steady"``."""
-        return self.nutrient.initial
-
-    @property
-    def highest(self) -> float:
-        """The highest concentration that medium and sides ever have, mM."""
-        return self.nutrient.highest
-
-    def medium(self, time: float) -> float:
-        """Return the concentration of the medium at a time in s, mM."""
-        return self.nutrient.medium(time)
-
-    def switches(self, begin: float, end: float) -> list[float]:
-        """Return the times strictly between two times at which the medium is changed, s."""
-        return self.nutrient.switches(begin, end)
 
     def sides(self, time: float) -> dict[str, Side]:
         """Return the condition on every face at a time, with the medium's value filled in."""
         from dataclasses import replace
 
-        medium = self.medium(time)
+        medium = self.nutrient.medium(time)
         faces = ("r+", *_faces(self.dimensions))
         found = {face: _side(self.nutrient, face) for face in faces}
         return {

@@ -17,6 +17,7 @@ from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed
 from multicell.nutrient.faces import ghost_terms
 from multicell.nutrient.steady import TOLERANCE, SolveReport
+from multicell.nutrient.uptake import rate, uptake, uptake_and_slope
 
 _MAX_NEWTON = 60  # and as many more as there are shells: the edge of a starved core may move by one
 _MAX_BACKTRACKS = 30
@@ -134,14 +135,8 @@ class _Balance:
         self.supply = np.zeros(shells.count) if supply is None else supply * shells.volumes
 
     def residual(self, c: FloatArray) -> tuple[FloatArray, float]:
-        """Return the imbalance of each shell and the sum of all sinks, amol/s.
-
-        Below zero uptake goes on along its tangent.
-        """
-        kept = np.maximum(c, 0.0)
-        share = self.half / (self.half + kept)
-        slope = self.most / (self.half + kept) * share
-        spent = self.most * kept / (self.half + kept) + slope * (c - kept)
+        """Return the imbalance of each shell and the sum of all sinks, amol/s."""
+        spent, slope = uptake_and_slope(self.most, c, self.half)
         spent += self.linear * self.shells.volumes * c
         self._slope = slope + self.linear * self.shells.volumes
         return self.shells.gain(c) + self.supply - spent, float(spent.sum())
@@ -166,17 +161,17 @@ class _Balance:
         positive entry beside the diagonal: nothing is subtracted on the way to the solution.
         """
         shells = self.shells
-        rate = self.most / (self.half + np.maximum(c, 0.0)) + self.linear * shells.volumes
+        taken = rate(self.most, np.maximum(c, 0.0), self.half) + self.linear * shells.volumes
         brought = self.supply.copy()
         brought[-1] += shells._outer * shells._const
-        return self._solve(rate, brought)
+        return self._solve(taken, brought)
 
-    def _solve(self, rate: FloatArray, right: FloatArray) -> FloatArray:
-        """Solve for what ``rate`` and diffusion, both in µm³/s, take of ``right``, amol/s."""
+    def _solve(self, taken: FloatArray, right: FloatArray) -> FloatArray:
+        """Solve for c of which ``taken`` and diffusion, in µm³/s, take ``right``, amol/s."""
         from scipy.linalg import solveh_banded
 
         g, shells = self.shells.conductance, self.shells
-        diagonal = rate.copy()
+        diagonal = taken.copy()
         diagonal[:-1] += g
         diagonal[1:] += g
         diagonal[-1] += shells._outer * (1.0 - shells._factor)
@@ -194,9 +189,9 @@ class _Balance:
 
     def report(self, c: FloatArray, newton: int, size: float) -> SolveReport:
         """Return the balance."""
-        uptake = float(np.sum(self.most * c / (self.half + c)))
+        total = float(np.sum(uptake(self.most, c, self.half)))
         spent = self.linear * float(np.sum(self.shells.volumes * c))
         return SolveReport(
-            newton, 0, size, self.shells.inflow(c), uptake, spent, float(self.supply.sum()),
+            newton, 0, size, self.shells.inflow(c), total, spent, float(self.supply.sum()),
             max(-self.shells.inflow(c), 0.0),
         )  # fmt: skip

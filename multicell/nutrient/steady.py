@@ -31,16 +31,20 @@ coefficient w D that differs from place to place.
 
 from __future__ import annotations
 
+import math
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import final
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed
 from multicell.nutrient import stencil
-from multicell.nutrient.diffusion import Diffusion
+from multicell.nutrient.uptake import uptake
+
+if TYPE_CHECKING:
+    from multicell.nutrient.diffusion import Diffusion
 
 TOLERANCE = 1e-9
 """Bound on the sum of all nodes' imbalances, relative to the total uptake."""
@@ -217,7 +221,7 @@ class _State:
         problem, op = self.problem, self.problem.operator
         squares, self.total, size = stencil.imbalance(
             self.c, problem.sink, problem.source, problem.half, op.stiffness, problem.linear,
-            op.ghost, *op.weights, self.residual, self.rate,
+            op.ghost, op.weights, self.residual, self.rate,
         )  # fmt: skip
         self.size, self.norm = float(np.sqrt(squares)), float(np.sqrt(size))
 
@@ -228,7 +232,7 @@ class _State:
         problem, op = self.problem, self.problem.operator
         left = stencil.balance_negative(
             self.c, problem.sink, problem.source, problem.half, op.stiffness, problem.linear,
-            op.ghost, *op.weights, MAX_SWEEPS,
+            op.ghost, op.weights, MAX_SWEEPS,
         )  # fmt: skip
         self.evaluate()
         return bool(left == 0)
@@ -246,7 +250,7 @@ class _State:
         """Return the largest rate of a node, 1/s, but for the uptake's."""
         problem = self.problem
         varied = problem.operator.varied
-        most = float(varied.max()) if varied.size else 1.0
+        most = 1.0 if varied is None else float(varied.max())
         return problem.operator.stiffness * max(most, 1.0) + problem.linear / 6.0
 
     def empty_copy(self) -> _State:
@@ -258,9 +262,8 @@ class _State:
     def report(self, linear: _Linear) -> SolveReport:
         """Return the balance, with the imbalance by py-pde's operator."""
         problem, op = self.problem, self.problem.operator
-        uptake = problem.sink * self.c
-        uptake /= problem.half + self.c
-        left = op.divergence(self.c) - uptake - problem.linear * self.c
+        taken = uptake(problem.sink, self.c, problem.half)
+        left = op.divergence(self.c) - taken - problem.linear * self.c
         supplied = 0.0
         if problem.supply is not None:
             left += problem.supply
@@ -272,7 +275,7 @@ class _State:
             linear.cg,
             v * float(np.sum(np.abs(left))),
             inward - outward,
-            v * float(np.sum(uptake)),
+            v * float(np.sum(taken)),
             v * problem.linear * float(np.sum(self.c)),
             v * supplied,
             outward,
@@ -286,13 +289,14 @@ def _search(state: _State, trial: _State, correction: FloatArray) -> None:
     points downhill. The slope along it may at most turn round to nine tenths; it does at the
     first step into a starved core, where the tangent of the saturated law is far from the law.
     """
-    slope = stencil.dot(state.residual, correction)
+    downhill = correction.ravel()
+    slope = stencil.dot(state.residual.ravel(), downhill)
     share = 1.0
     for _ in range(MAX_BACKTRACKS):
         np.multiply(correction, share, out=trial.c)
         trial.c += state.c
         trial.evaluate()
-        there = stencil.dot(trial.residual, correction)
+        there = stencil.dot(trial.residual.ravel(), downhill)
         if not there < -0.9 * slope:
             return
         share *= max(slope / (slope - there), 0.25)
@@ -305,7 +309,8 @@ class _Linear:
     def __init__(self, operator: Diffusion) -> None:
         self.operator = operator
         self.newton = self.cg = 0
-        self.x, self.r, self.p, self.q, self.scale = (np.empty(operator.shape) for _ in range(5))
+        nodes = math.prod(operator.shape)
+        self.x, self.r, self.p, self.q, self.scale = (np.empty(nodes) for _ in range(5))
         self.single = np.empty(operator.shape, dtype=np.float32)
 
     def solve(self, rate: FloatArray, residual: FloatArray, size: float, goal: float) -> FloatArray:
@@ -314,18 +319,22 @@ class _Linear:
         The preconditioner works in single precision: that is exact enough for a search direction
         and takes half the time. The result lives until the next solve.
         """
-        op = self.operator
+        op, shape = self.operator, self.operator.shape
         x, r, p, q, scale = self.x, self.r, self.p, self.q, self.scale
+        varied = None if op.varied is None else op.varied.ravel()
         total = stencil.begin(
-            rate, residual, op.varied, 0.5 / op.stiffness, size, x, r, p, scale, self.single
-        )
+            rate.ravel(), residual.ravel(), varied, 0.5 / op.stiffness, size, x, r, p, scale,
+            self.single.ravel(),
+        )  # fmt: skip
         shift = SHIFT * total / rate.size
         u, rho = op.invert(self.single, shift)
         beta = 0.0
         for _ in range(MAX_CG):
-            stencil.new_direction(p, u, scale, beta)
-            curvature = stencil.apply_operator(p, rate, op.stiffness, op.ghost, *op.weights, q)
-            left = stencil.advance(rho / curvature, x, p, r, q, scale, u)
+            stencil.new_direction(p, u.ravel(), scale, beta)
+            curvature = stencil.apply_operator(
+                p.reshape(shape), rate, op.stiffness, op.ghost, op.weights, q.reshape(shape)
+            )
+            left = stencil.advance(rho / curvature, x, p, r, q, scale, u.ravel())
             self.cg += 1
             if not left > goal**2:
                 break
@@ -333,4 +342,4 @@ class _Linear:
             beta, rho = following / rho, following
         x *= size
         self.newton += 1
-        return x
+        return x.reshape(shape)

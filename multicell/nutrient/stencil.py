@@ -5,8 +5,9 @@ missing neighbour is ``ghost[face]`` times the node itself, faces in the order x
 z+, and what else the condition brings is part of the source: py-pde's convention, in which a value
 gives -1 and a slope 1. A test holds the stencil against py-pde's own operator.
 
-Where the coefficient of diffusion differs from place to place, ``wx``, ``wy`` and ``wz`` hold it at
-all faces between nodes, relative to that of tissue; else they are empty.
+Where the coefficient of diffusion differs from place to place, ``weights`` holds it at all faces
+across x, y and z, relative to that of tissue: (nx + 1, ny, nz), (nx, ny + 1, nz), (nx, ny, nz + 1).
+Else it is None, and what it needs is not compiled. ``ghost`` is (6,), ``stiffness`` D/h² in 1/s.
 """
 
 from __future__ import annotations
@@ -19,7 +20,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
+from multicell.nutrient.uptake import balanced, uptake_and_slope
 
+Weights = tuple[FloatArray, FloatArray, FloatArray] | None
 Float32Array = NDArray[np.float32]
 _F = TypeVar("_F", bound=Callable[..., Any])
 # No fastmath: with it, a function compiled now and the same one read from numba's disk cache were
@@ -50,7 +53,8 @@ def _fill_row(p: FloatArray, ghost: FloatArray, i: int, j: int, row: FloatArray)
         for k in range(nz):
             row[k] = _around(p, ghost, i, j, k)
         return
-    row[0], row[nz - 1] = _around(p, ghost, i, j, 0), _around(p, ghost, i, j, nz - 1)
+    for k in (0, nz - 1):
+        row[k] = _around(p, ghost, i, j, k)
     a, b, c, d, e = p[i - 1, j], p[i + 1, j], p[i, j - 1], p[i, j + 1], p[i, j]
     for k in range(1, nz - 1):  # no branches, for the vector units
         row[k] = (a[k] + b[k]) + (c[k] + d[k]) + (e[k - 1] + e[k + 1])
@@ -60,9 +64,7 @@ def _fill_row(p: FloatArray, ghost: FloatArray, i: int, j: int, row: FloatArray)
 def _fill_varied(
     p: FloatArray,
     ghost: FloatArray,
-    wx: FloatArray,
-    wy: FloatArray,
-    wz: FloatArray,
+    weights: tuple[FloatArray, FloatArray, FloatArray],
     i: int,
     j: int,
     row: FloatArray,
@@ -70,6 +72,7 @@ def _fill_varied(
 ) -> None:
     """Write the weighted sums of neighbours to ``row`` and those of the weights."""
     nx, ny, nz = p.shape
+    wx, wy, wz = weights
     for k in range(nz):
         v = p[i, j, k]
         a, b = wx[i, j, k], wx[i + 1, j, k]
@@ -91,24 +94,22 @@ def apply_operator(
     rate: FloatArray,
     stiffness: float,
     ghost: FloatArray,
-    wx: FloatArray,
-    wy: FloatArray,
-    wz: FloatArray,
+    weights: Weights,
     out: FloatArray,
 ) -> float:
     """Write ``(-D L0 + rate) p`` to ``out`` and return its product with ``p``.
 
-    ``stiffness`` is D/h² in 1/s, ``rate`` the linearised uptake at the nodes in 1/s.
+    ``rate`` (nx, ny, nz) is the linearised uptake at the nodes in 1/s.
     """
     nx, ny, nz = p.shape
     row, diagonal = np.empty(nz), np.full(nz, 6.0)
     product = 0.0
     for i in range(nx):
         for j in range(ny):
-            if wx.size:
-                _fill_varied(p, ghost, wx, wy, wz, i, j, row, diagonal)
-            else:
+            if weights is None:
                 _fill_row(p, ghost, i, j, row)
+            else:
+                _fill_varied(p, ghost, weights, i, j, row, diagonal)
             for k in range(nz):
                 v = p[i, j, k]
                 w = stiffness * (diagonal[k] * v - row[k]) + rate[i, j, k] * v
@@ -126,33 +127,28 @@ def imbalance(
     stiffness: float,
     linear: float,
     ghost: FloatArray,
-    wx: FloatArray,
-    wy: FloatArray,
-    wz: FloatArray,
+    weights: Weights,
     residual: FloatArray,
     rate: FloatArray,
 ) -> tuple[float, float, float]:
     """Write sources minus sinks of all nodes (mM/s) and the sinks' derivative (1/s).
 
-    The sinks are the uptake and ``linear`` times c. Below zero, where only intermediate iterates
-    can be, the law ``sink c / (half + c)`` goes on along its tangent. Return the sums of
-    residual², of all sinks, and of c².
+    The sinks are uptake, ``sink`` at most (mM/s), and ``linear`` (1/s) times c; ``source`` is in
+    mM/s, c and ``half`` in mM. Return the sums of residual², of all sinks, and of c².
     """
     nx, ny, nz = c.shape
     row, diagonal = np.empty(nz), np.full(nz, 6.0)
     squares, total, size = 0.0, 0.0, 0.0
     for i in range(nx):
         for j in range(ny):
-            if wx.size:
-                _fill_varied(c, ghost, wx, wy, wz, i, j, row, diagonal)
-            else:
+            if weights is None:
                 _fill_row(c, ghost, i, j, row)
+            else:
+                _fill_varied(c, ghost, weights, i, j, row, diagonal)
             for k in range(nz):
                 v = c[i, j, k]
-                kept = max(v, 0.0)
-                share = half / (half + kept)
-                slope = sink[i, j, k] / (half + kept) * share
-                spent = sink[i, j, k] * kept / (half + kept) + slope * (v - kept) + linear * v
+                taken, slope = uptake_and_slope(sink[i, j, k], v, half)
+                spent = taken + linear * v
                 r = source[i, j, k] - stiffness * (diagonal[k] * v - row[k]) - spent
                 residual[i, j, k] = r
                 rate[i, j, k] = slope + linear
@@ -171,9 +167,7 @@ def balance_negative(
     stiffness: float,
     linear: float,
     ghost: FloatArray,
-    wx: FloatArray,
-    wy: FloatArray,
-    wz: FloatArray,
+    weights: Weights,
     most: int,
 ) -> int:
     """Bring all nodes below zero to their own balance, in sweeps, until there are none.
@@ -198,14 +192,14 @@ def balance_negative(
             gain, loss = source[i, j, k], linear
             for face in range(6):
                 w = 1.0
-                if wx.size:
+                if weights is not None:
                     axis, high = face // 2, face % 2
                     if axis == 0:
-                        w = wx[i + high, j, k]
+                        w = weights[0][i + high, j, k]
                     elif axis == 1:
-                        w = wy[i, j + high, k]
+                        w = weights[1][i, j + high, k]
                     else:
-                        w = wz[i, j, k + high]
+                        w = weights[2][i, j, k + high]
                 step = 2 * (face % 2) - 1
                 a = i + step if face // 2 == 0 else i
                 b = j + step if face // 2 == 1 else j
@@ -215,17 +209,7 @@ def balance_negative(
                     loss += stiffness * w
                 else:
                     loss += stiffness * w * (1.0 - ghost[face])
-            if gain >= 0.0:  # loss c + sink c / (half + c) = gain
-                middle = loss * half + sink[i, j, k] - gain
-                root = np.sqrt(middle * middle + 4.0 * loss * gain * half)
-                # the smaller of two sums would cancel
-                v = (
-                    2.0 * gain * half / (middle + root)
-                    if middle > 0.0
-                    else 0.5 * (root - middle) / loss
-                )
-            else:
-                v = gain / (loss + sink[i, j, k] / half)
+            v = balanced(gain, loss, sink[i, j, k], half)
             c[i, j, k] = v
             left += v < 0.0
     return left
@@ -235,7 +219,7 @@ def balance_negative(
 def begin(
     rate: FloatArray,
     residual: FloatArray,
-    weight: FloatArray,
+    weight: FloatArray | None,
     time: float,
     size: float,
     x: FloatArray,
@@ -246,14 +230,15 @@ def begin(
 ) -> float:
     """Start the linear solver: ``scale = (w + time rate)^(-1/2)``, ``y = scale r``, no direction.
 
-    ``w`` is the relative coefficient of diffusion at the nodes, one where the array is empty, and
-    ``r`` the residual over its ``size``. Return the sum of ``scale² rate``.
+    All arrays are flat, (nodes,). ``w`` is the relative coefficient of diffusion at the nodes, one
+    without ``weight``, and ``r`` the residual over its ``size``. Return the sum of
+    ``scale² rate``.
     """
-    rate, residual, x, r = rate.ravel(), residual.ravel(), x.ravel(), r.ravel()
-    p, scale, y, weight = p.ravel(), scale.ravel(), y.ravel(), weight.ravel()
     total = 0.0
     for n in range(rate.size):
-        w = weight[n] if weight.size else 1.0
+        w = 1.0
+        if weight is not None:
+            w = weight[n]
         square = 1.0 / (w + time * rate[n])
         s = np.sqrt(square)
         v = residual[n] / size
@@ -276,8 +261,7 @@ def advance(
     scale: FloatArray,
     y: Float32Array,
 ) -> float:
-    """Do ``x += step p``, ``r -= step q``, ``y = scale r``; return ``r . r``."""
-    x, p, r, q, scale, y = x.ravel(), p.ravel(), r.ravel(), q.ravel(), scale.ravel(), y.ravel()
+    """Do ``x += step p``, ``r -= step q``, ``y = scale r``, all flat; return ``r . r``."""
     product = 0.0
     for n in range(x.size):
         x[n] += step * p[n]
@@ -290,8 +274,7 @@ def advance(
 
 @_jit
 def new_direction(p: FloatArray, u: Float32Array, scale: FloatArray, beta: float) -> None:
-    """Do ``p = scale u + beta p``."""
-    p, u, scale = p.ravel(), u.ravel(), scale.ravel()
+    """Do ``p = scale u + beta p``, all flat."""
     for n in range(p.size):
         p[n] = scale[n] * u[n] + beta * p[n]
 
@@ -319,8 +302,7 @@ def divide_spectrum(
 
 @_jit
 def dot(a: FloatArray, b: FloatArray) -> float:
-    """Return the product of two fields (NumPy's may use threads and then change its bits)."""
-    a, b = a.ravel(), b.ravel()
+    """Return the product of two flat fields (NumPy's may use threads and change its bits)."""
     product = 0.0
     for n in range(a.size):
         product += a[n] * b[n]

@@ -64,6 +64,21 @@ def derivative(rows, first, second, start, inner_end, outer_end, coefficient, ra
                         out[j, k] += f
 
 
+def add_blocks(matrix, out):
+    """Add the 3 x 3 diagonal blocks of Γ to ``out``, (n, 6): xx, yy, zz, xy, xz, yz."""
+    gamma = matrix._measured()
+    out[:, :3] += gamma.stokes[:, None]
+    axes = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]
+    for start, (inner, outer) in zip(gamma.start, gamma.ends, strict=True):
+        for side, end in ((0, outer), (1, inner)):
+            cells, link = gamma.near[start:end, side], gamma.link[start:end]
+            for k, (a, b) in enumerate(axes):
+                entry = link[:, 0] * (a == b)
+                if gamma.sign != 0.0:
+                    entry = entry + gamma.sign * link[:, 1 + a] * link[:, 1 + b]
+                np.add.at(out[:, k], cells, entry)
+
+
 def divide(position, radius, young, count):
     """Replace ``count`` cells by two daughters each, as a division of the package does."""
     rng = np.random.default_rng(3)
@@ -141,7 +156,7 @@ class Problem:
         self.system._fill_blocks(self.system._linear)
         total = np.zeros((self.n, 6))
         if friction:
-            self.linear.add_blocks(total)
+            add_blocks(self.linear, total)
         else:
             total[:, :3] += self.stokes
         total = mass * total + stiff * self.system._blocks
@@ -170,7 +185,7 @@ def cvode(problem, rtol, atol, *, exact=True, inner=1e-3, outer=1e-8, precond="b
         p.blocks(1.0, gamma, precond != "stokes")
         if precond == "blocks":
             p.own = np.zeros((p.n, 6))
-            p.linear.add_blocks(p.own)
+            add_blocks(p.linear, p.own)
         jnew[0] = 1
 
     def solve(t, y, yp, r, z, gamma, delta, lr):

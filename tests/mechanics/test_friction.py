@@ -12,7 +12,7 @@ from strategies import cluster, mechanics, seeds
 
 from multicell import JKR
 from multicell.contact.law import effective_modulus, effective_radius
-from multicell.mechanics.friction import Friction, FrictionNotSolvedError
+from multicell.mechanics.friction import Friction, FrictionNotSolvedError, PairFriction
 
 coefficients = st.tuples(st.sampled_from([0.0, 0.1, 3.0]), st.sampled_from([0.0, 0.1, 1.0]))
 PAIRS = [(0.1, 0.1), (0.4, 0.05), (0.0, 0.2), (0.3, 0.0), (0.0, 0.0)]
@@ -267,18 +267,6 @@ def test_product_with_friction_held_is_the_derivative_at_fixed_gamma(seed, coeff
     np.testing.assert_allclose(found, expected, atol=2e-4 * np.abs(expected).max() + 1e-12)
 
 
-@pytest.mark.parametrize(("normal", "tangential"), PAIRS)
-def test_diagonal_blocks_are_those_of_the_matrix(normal, tangential):
-    position, radius, young = cluster(60, 7)
-    system, gamma, _ = system_at(position, radius, young, normal, tangential, chunk=16)
-    blocks = np.zeros((60, 6))
-    gamma.add_blocks(blocks)
-    full = reference_matrix(position, radius, normal, tangential, system.drag).toarray()
-    for k, (a, b) in enumerate([(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]):
-        expected = np.diag(full[60 * a : 60 * (a + 1), 60 * b : 60 * (b + 1)])
-        np.testing.assert_allclose(blocks[:, k], expected, atol=1e-12 * full.max())
-
-
 def test_what_does_not_converge_is_said():
     position, radius, young = cluster(100, 8)
     _, gamma, force = system_at(position, radius, young, 0.1, 0.1)
@@ -309,3 +297,16 @@ def test_nothing_can_be_solved_before_it_is_measured():
     gamma = Friction(0.1, 0.1).matrix(3, 1.0, 2048)
     with pytest.raises(RuntimeError, match="measure"):
         gamma.solve(np.zeros((3, 3)), np.zeros((3, 3)))
+
+
+@pytest.mark.parametrize(("normal", "tangential"), PAIRS)
+def test_diagonal_at_the_linearisation_is_that_of_the_matrix(normal, tangential):
+    position, radius, young = cluster(60, 7)
+    system, _, _ = system_at(position, radius, young, normal, tangential, chunk=16)
+    friction = PairFriction((normal, tangential), 60, system.drag, system.chunk)
+    with pytest.raises(RuntimeError, match="measure"):
+        friction.diagonal()
+    friction.linearise(system._rows, system._pairs, False, np.empty(0))
+    full = reference_matrix(position, radius, normal, tangential, system.drag)
+    expected = full.diagonal().reshape(3, 60).mean(axis=0)
+    np.testing.assert_allclose(friction.diagonal(), expected, rtol=1e-12)

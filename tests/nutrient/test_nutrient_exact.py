@@ -43,7 +43,7 @@ def test_stencil_and_flows_agree_with_pde_for_all_kinds_of_sides(dimensions, fir
     c = np.random.default_rng(1).random(operator.shape)
     out = np.empty_like(c)
     stencil.apply_operator(
-        c, np.zeros_like(c), operator.stiffness, operator.ghost, *operator.weights, out
+        c, np.zeros_like(c), operator.stiffness, operator.ghost, operator.weights, out
     )
     laplace = ScalarField(grid, c.reshape(shape)).laplace(sides).data.reshape(c.shape)
     np.testing.assert_allclose(operator.source - out, D * laplace, rtol=0, atol=1e-11)
