@@ -15,7 +15,7 @@ from sksundae.cvode import CVODE, CVODEJacTimes, CVODEPrecond
 
 from multicell.cells import FloatArray
 from multicell.integrators.restarts import Predictor, Restart, Run, StepImpossible
-from multicell.mechanics.jacobian import limit
+from multicell.mechanics.jacobian import limited
 from multicell.mechanics.preconditioners import preconditioner
 from multicell.mechanics.system import StateRejected
 
@@ -215,7 +215,7 @@ class Krylov:
 
     def _take_jacobian(self, t: float, y: FloatArray) -> None:
         self.system.linearise(self.run.clock(t), y.reshape(-1, 3))
-        stiffest = limit(self.system, self.method.softening)
+        self._linear, stiffest = limited(self.system, self.method.softening)
         self._reference = np.array(y)
         drag = self.system.drag * float(self.system.motion.radius.mean())
         self._rate = _CONTACTS * stiffest / drag
@@ -234,7 +234,7 @@ class Krylov:
     ) -> None:
         """Jacobian times vector."""
         self.system.work.linear_iterations += self.method.linear == "gmres"
-        self.system.jacobian_product(v.reshape(-1, 3), jv.reshape(-1, 3))
+        self.system.jacobian_product(v.reshape(-1, 3), jv.reshape(-1, 3), self._linear)
 
     def setup(
         self, t: float, y: FloatArray, yp: FloatArray, jok: int, jnew: list[int], gamma: float
@@ -258,6 +258,6 @@ class Krylov:
             z[:] = r
             return
         if self._stale:
-            self._preconditioner.setup(self.system, gamma)
+            self._preconditioner.setup(self.system, gamma, self._linear)
             self._stale = False
         self._preconditioner.solve(self.system, r.reshape(-1, 3), z.reshape(-1, 3))

@@ -110,11 +110,11 @@ class _Direct:
 
     def jacobian(self, t: float, y: FloatArray, yp: FloatArray, values: FloatArray) -> None:
         """Write the Jacobian's values in CSC order."""
-        from multicell.mechanics.jacobian import limit
+        from multicell.mechanics.jacobian import limited
 
         self.system.linearise(self.run.clock(t), y.reshape(-1, 3))
-        limit(self.system, self.softening)
-        self.lost = self.pattern.fill(self.system, values)
+        linear, _ = limited(self.system, self.softening)
+        self.lost = self.pattern.fill(self.system, values, linear)
         if not self._factorised:
             self._factorised = True
             ctypes.pythonapi.Py_DecRef(ctypes.py_object(self.solver))

@@ -505,6 +505,11 @@ class FrictionMatrix:
             slack, self._near, self._link, self._across, self._ends, self._stokes, self._inverse,
         )  # fmt: skip
 
+    @property
+    def stokes_share(self) -> FloatArray:
+        """Stokes drag of each cell over its mean diagonal entry of Γ, (n,)."""
+        return np.asarray(self._stokes * self._inverse)
+
     def apply(self, vector: FloatArray, out: FloatArray) -> None:
         """Write Γ v, nN, for ``vector`` in µm/s."""
         apply(
@@ -614,6 +619,11 @@ class Rubbing:
     def linearise(self, rows: FloatArray, pairs: PairList, shared: bool, slack: FloatArray) -> None:
         """Keep Γ at a state for :meth:`divide`."""
         self._linearised.measure(rows, pairs, shared, slack)
+
+    @property
+    def stokes_share(self) -> FloatArray:
+        """Stokes drag of each cell over its mean diagonal entry of Γ at the linearisation, (n,)."""
+        return self._linearised.stokes_share
 
     def divide(self, out: FloatArray) -> int:
         """Replace forces by Γ⁻¹ times them, roughly; return the iterations it took.

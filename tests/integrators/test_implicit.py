@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import strategies
+from scipy.sparse.linalg import LinearOperator, gmres
 from strategies import cluster, mechanics
 
 from multicell import JKR, Hertz
@@ -18,7 +19,7 @@ from multicell.integrators.cvode_sparse import CvodeSparse
 from multicell.integrators.registry import METHODS, make
 from multicell.integrators.restarts import Run, StepImpossible
 from multicell.integrators.scipy import Scipy
-from multicell.mechanics.jacobian import Pattern, limit, sparse_jacobian
+from multicell.mechanics.jacobian import Pattern, limited, sparse_jacobian
 from multicell.mechanics.neighbours import spatial_order
 from multicell.mechanics.preconditioners import PRECONDITIONERS, preconditioner
 from multicell.mechanics.system import Linearisation
@@ -143,9 +144,9 @@ def test_pattern_counts_the_pairs_that_it_cannot_hold():
     near.linearise(0.0, position)
     pattern = Pattern.of(far.linearisation.pairs)
     touching = len(near.contacts(0.0, position))
-    assert pattern.fill(near, np.empty(len(pattern.index))) == 2 * touching
+    assert pattern.fill(near, np.empty(len(pattern.index)), near.linearisation) == 2 * touching
     whole = Pattern.of(near.linearisation.pairs)
-    assert whole.fill(near, np.empty(len(whole.index))) == 0
+    assert whole.fill(near, np.empty(len(whole.index)), near.linearisation) == 0
 
 
 def stable_system(system, gamma):
@@ -174,7 +175,7 @@ def test_gauss_seidel_sweeps_are_those_of_linear_algebra():
     whole = (diagonal + upper.T) @ np.linalg.solve(diagonal, diagonal + upper)
     expected = np.linalg.solve(whole, weight * vector.ravel())
     sweeps, out = preconditioner("gauss-seidel", system), np.empty((50, 3))
-    sweeps.setup(system, gamma)
+    sweeps.setup(system, gamma, system.linearisation)
     sweeps.solve(system, vector, out)
     np.testing.assert_allclose(out.ravel(), expected, atol=1e-12)
 
@@ -193,7 +194,7 @@ def test_preconditioners_approximate_and_give_the_same_bits(name, threads):
         system.linearise(0.0, position)
         vector = np.random.default_rng(1).normal(size=(120, 3))
         inverse, out = preconditioner(name, system), np.empty((120, 3))
-        inverse.setup(system, 3000.0)
+        inverse.setup(system, 3000.0, system.linearisation)
         inverse.solve(system, vector, out)
         results.append(out)
         # the preconditioned matrix is much closer to the identity than the matrix
@@ -207,17 +208,58 @@ def test_preconditioners_approximate_and_give_the_same_bits(name, threads):
 
 
 def test_bounded_softening_changes_nothing_else():
+    """It is a linearisation of its own: what the system has by itself stays the derivative."""
     position = np.array([[0.0, 0, 0], [9.999999, 0, 0], [0.0, 8.0, 0]])
     system = mechanics(np.full(3, 5.0), np.ones(3))
     system.linearise(0.0, position)
     before = sparse_jacobian(system).toarray()
-    limit(system, 0.5)
-    after = sparse_jacobian(system).toarray()
+    linear, _ = limited(system, 0.5)
+    pattern = Pattern.of(linear.pairs)
+    values = np.empty(len(pattern.index))
+    pattern.fill(system, values, linear)
+    after = pattern.matrix(values).toarray()
     # E_ij r_ij = 2/3 · 1 / ¾ ... of two alike cells: E = 1 / (2 · 9/16), r = 2.5
     least = 0.5 * 2.5 / (2 * 0.75 * 0.75)
     assert before[0, 3] * system.drag * 5.0 < -2 * least
     assert after[0, 3] * system.drag * 5.0 == pytest.approx(-least, rel=1e-3)
     np.testing.assert_array_equal(before[:3, 6:], after[:3, 6:])
+    vector, product = np.random.default_rng(0).normal(size=(3, 3)), np.empty((3, 3))
+    for used, matrix in ((None, before), (linear, after)):
+        system.jacobian_product(vector, product, used)
+        np.testing.assert_allclose(product.ravel(), matrix @ vector.ravel(), rtol=1e-12)
+    np.testing.assert_array_equal(sparse_jacobian(system).toarray(), before)
+
+
+@pytest.mark.parametrize("friction", [(2.0, 1.0), (20.0, 20.0), (20.0, 0.0)])
+def test_blocks_know_the_friction_between_cells(friction):
+    """Solved by SciPy's GMRES, I - γJ takes fewer products than with Stokes drag alone."""
+    position, radius, young = cluster(120, 6, spacing=0.8)
+    system = mechanics(radius, young, viscosity=0.05, friction=friction)
+    system.linearise(0.0, position)
+    vector = np.random.default_rng(2).normal(size=360)
+    counts = []
+    for known in (True, False):
+        used = system if known else mechanics(radius, young, viscosity=0.05)
+        used.linearise(0.0, position)
+        blocks = preconditioner("blocks", used)
+        blocks.setup(used, 20.0, used.linearisation)
+
+        def approximate(x, blocks=blocks, used=used):
+            out = np.empty((120, 3))
+            blocks.solve(used, np.ascontiguousarray(x).reshape(-1, 3), out)
+            return out.ravel()
+
+        def whole(x):
+            out = np.empty((120, 3))
+            system.jacobian_product(np.ascontiguousarray(x).reshape(-1, 3), out)
+            return x - 20.0 * out.ravel()
+
+        before = system.work.jacobian_products
+        operator, inverse = (LinearOperator((360, 360), matvec=f) for f in (whole, approximate))
+        _, trouble = gmres(operator, vector, M=inverse, rtol=1e-2, restart=60, maxiter=5)
+        assert trouble == 0
+        counts.append(system.work.jacobian_products - before)
+    assert counts[0] < 0.8 * counts[1]
 
 
 @pytest.mark.parametrize("change", [
