@@ -255,7 +255,7 @@ def test_threads_give_the_same_bits():
         system.linearise(0.0, position)
         system.jacobian_product(out, product)
         sweep, solved = preconditioner("gauss-seidel", system), np.empty_like(position)
-        sweep.setup(system, 10.0)
+        sweep.setup(system, 10.0, system.linearisation)
         sweep.solve(system, out, solved)
         found.append([out, product, solved, system.pressure(0.0, position)])
     assert np.abs(wall_force(position, system.motion.radius, system.motion.young, half)).max() > 0
