@@ -14,7 +14,7 @@ from numba import njit
 from sksundae.cvode import CVODE, CVODEJacTimes, CVODEPrecond
 
 from multicell.cells import FloatArray
-from multicell.integrators.restarts import Predictor, Restart, Run, StepImpossible
+from multicell.integrators.restarts import Predictor, Restart, Run, StepImpossible, one_step
 from multicell.mechanics.jacobian import limited
 from multicell.mechanics.preconditioners import preconditioner
 from multicell.mechanics.system import StateRejected
@@ -126,10 +126,7 @@ class Light:
         _divide(jv, yp, share)
 
     def _advance(self) -> tuple[float, FloatArray, float]:
-        left = self.run.left
-        result = self.solver.step(left, method="onestep", tstop=left)
-        if not result.success:
-            raise StepImpossible(f"SUNDIALS: {result.message}")
+        result = one_step(self.solver, self.run.left)
         self._count(result.nfev)
         error = self._predictor.error(result.t, result.y)
         return float(result.t), result.y.reshape(-1, 3).copy(), error
@@ -188,10 +185,7 @@ class Krylov:
 
     def step(self) -> tuple[float, FloatArray, float]:
         """Take one step."""
-        left = self.run.left
-        result = self.solver.step(left, method="onestep", tstop=left)
-        if not result.success:
-            raise StepImpossible(f"SUNDIALS: {result.message}")
+        result = one_step(self.solver, self.run.left)
         step, self._reached = float(result.t) - self._reached, float(result.t)
         error = self._predictor.error(result.t, result.y, self._order(step))
         return float(result.t), result.y.reshape(-1, 3).copy(), error

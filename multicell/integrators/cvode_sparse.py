@@ -97,14 +97,11 @@ class _Direct:
 
     def step(self) -> tuple[float, FloatArray, float]:
         """Take one step."""
-        from multicell.integrators.restarts import Restart, StepImpossible
+        from multicell.integrators.restarts import Restart, one_step
 
         if self.lost:
             raise Restart
-        left = self.run.left
-        result = self.solver.step(left, method="onestep", tstop=left)
-        if not result.success:
-            raise StepImpossible(f"SUNDIALS: {result.message}")
+        result = one_step(self.solver, self.run.left)
         error = self._predictor.error(result.t, result.y)
         return float(result.t), result.y.reshape(-1, 3).copy(), error
 

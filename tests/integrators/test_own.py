@@ -191,4 +191,13 @@ def test_own_methods_say_what_they_cannot_hold(mine):
 def test_the_stability_of_an_own_method_is_that_of_its_theory(mine):
     found = mc.stability(scene(**{"initial.count": 12}), [f"{mine}:Midpoint"], {}, threads=1)
     row = found.limit("midpoint")
-    assert row["setting"] / row["theory"] == pytest.approx(1.0, abs=0.1)
+    assert row["of_theory"] == pytest.approx(1.0, abs=0.1)
+
+
+def test_the_example_runs_as_it_stands(tmp_path):
+    done = subprocess.run(
+        [sys.executable, str(EXAMPLE)], capture_output=True, text=True, cwd=tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    assert "Midpoint keeps what runs rely on." in done.stdout
+    assert f"recorded as {EXAMPLE}:Midpoint" in done.stdout
