@@ -3,7 +3,7 @@
 Every loop is an ordinary function of a *source* of velocities. Compiled, the source is a
 :class:`Serial` or :class:`Shared` set of arrays, and :func:`evaluate` calls the kernels without
 returning to Python. Uncompiled (``loop.py_func``), the source is :class:`Called`, for systems that
-need Python (see :func:`multicell.integrators.runge_kutta.needs_python`): the same loop, one
+need Python (see :func:`multicell.integrators.driver.needs_python`): the same loop, one
 call of ``Mechanics.velocity`` per stage. Functions that evaluate are
 :func:`numba.extending.register_jitable`; the arithmetic on arrays is compiled in both cases.
 
