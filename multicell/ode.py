@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from multicell.errors import SceneError
+from multicell.runner import integrated_by
 from multicell.simulation import Simulation
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
+    from multicell.integrators.base import Integrator
     from multicell.mechanics.system import Mechanics
     from multicell.scene.scene import Scene
 
@@ -94,10 +96,16 @@ class OdeProblem:
             raise SceneError("friction", "makes the Jacobian a full matrix", "Use jv instead.")
 
 
-def ode_problem(scene: Scene, step: int = 0, *, threads: int | None = None) -> OdeProblem:
+def ode_problem(
+    scene: Scene,
+    step: int = 0,
+    *,
+    integrator: str | type[Integrator] | Integrator | None = None,
+    threads: int | None = None,
+) -> OdeProblem:
     """Return the equations of a coupling step of a scene, for any outside solver.
 
-    The scene is simulated up to the beginning of that step by its own integrator.
+    The scene is simulated up to the beginning of that step.
 
     >>> problem = mc.ode_problem(scene, step=120)                   # doctest: +SKIP
     >>> solve_ivp(problem.f, (problem.t0, problem.t1), problem.y0)  # doctest: +SKIP
@@ -108,6 +116,8 @@ def ode_problem(scene: Scene, step: int = 0, *, threads: int | None = None) -> O
         What to simulate.
     step
         Number of coupling steps before the one that is wanted.
+    integrator
+        Which method takes them, as for :func:`multicell.run`; by default the scene's.
     threads
         Number of threads, by default all.
 
@@ -120,7 +130,8 @@ def ode_problem(scene: Scene, step: int = 0, *, threads: int | None = None) -> O
     """
     if isinstance(step, bool) or not isinstance(step, int) or step < 0:
         raise SceneError("step", f"is {step!r}, must be a whole number from 0 on")
-    simulation = Simulation(scene, threads=threads)
+    scene, own = integrated_by(scene, integrator)
+    simulation = Simulation(scene, threads=threads, integrator=own)
     while simulation.step_index < step and not simulation.finished:
         simulation.step()
     if simulation.finished:

@@ -49,7 +49,7 @@ def check_integrator(method: Any) -> None:
     - the error falls with the step, by the order that ``info`` claims, or follows the tolerance;
     - positions and what is known of the cells are left as they were;
     - evaluations go through the system and steps are counted in ``system.work``; with a fixed step
-      as many as the interval needs;
+      as many as the interval needs, and none more for what rounding adds to it;
     - the same bits come out again, also after the object has solved something else;
     - a state that is no number ends with words in ``Outcome.problem``, not with an exception, at
       the time up to which all was well;
@@ -117,11 +117,11 @@ def _spheres() -> tuple[Mechanics, FloatArray]:
     return system, 3.1 * corners + shift
 
 
-def _lone(count: int = 1) -> tuple[Mechanics, FloatArray]:
+def _lone(count: int = 1, begin: float = BEGIN, end: float = END) -> tuple[Mechanics, FloatArray]:
     """Return spheres far from each other."""
     system = Mechanics(Hertz(), 5.0)
     ones = np.ones(count)
-    system.begin(Motion(5.0 * ones, 0.0 * ones, ones, 0.5 * ones, BEGIN, END))
+    system.begin(Motion(5.0 * ones, 0.0 * ones, ones, 0.5 * ones, begin, end))
     return system, 40.0 * np.arange(3.0 * count).reshape(count, 3)
 
 
@@ -214,6 +214,10 @@ def _check_counts(info: MethodInfo) -> None:
     if info.control == "step":
         count = math.ceil((END - BEGIN) / _usual(info))
         _require(work.steps == count, f"it counts {work.steps} steps where there are {count}")
+        # 1.0 - 0.7 is a little more than three steps of 0.1
+        _, system = _solved(_made(info, 0.1), _lone(begin=0.7, end=1.0))
+        taken = system.work.steps
+        _require(taken == 3, f"it takes {taken} steps of 0.1 s from 0.7 s to 1 s, and not 3")
 
 
 def _check_repetition(info: MethodInfo) -> None:

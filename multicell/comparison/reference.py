@@ -27,6 +27,7 @@ from multicell.comparison.replay import Problem, Trajectory, record, replay
 from multicell.comparison.stepwise import sample
 from multicell.errors import StepFailed
 from multicell.integrators.registry import METHODS
+from multicell.integrators.runge_kutta import Euler
 from multicell.results.folder import package_version, versions
 from multicell.scene.scene import Scene
 from multicell.simulation import Simulation
@@ -236,7 +237,8 @@ def key(scene: Scene, cells: Cells | None, pair: Pair, stepwise: int | None = No
 
 def blank(scene: Scene, cells: Cells | None, threads: int | None) -> Problem:
     """Return the problem before anything has moved: it has no steps yet."""
-    simulation = Simulation(scene, threads=threads, cells=cells)
+    # the scene's own method moves nothing here, and may be one that is not at hand
+    simulation = Simulation(scene, threads=threads, cells=cells, integrator=Euler(1.0))
     cells = simulation.cells
     return Problem(scene, simulation._mechanics, cells.position, cells.radius)
 

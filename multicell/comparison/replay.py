@@ -297,9 +297,8 @@ def record(
         If a step cannot be solved, or if there is nothing that moves.
     """
     begin, begin_cpu = clock.perf_counter(), clock.process_time()
-    simulation = Simulation(scene, threads=threads, cells=cells)
     recorder = _Recorder(integrator)
-    simulation._integrator = recorder
+    simulation = Simulation(scene, threads=threads, cells=cells, integrator=recorder)
     events: list[Events | None] = [None]
     while not simulation.finished and len(simulation.cells):
         before = simulation.cells

@@ -113,10 +113,9 @@ def sample(
     StepFailed
         If a step cannot be solved, or if there is nothing that moves.
     """
-    simulation = Simulation(scene, threads=threads, cells=cells)
-    begin = simulation.cells
     sampler = _Sampler(integrator, count)
-    simulation._integrator = sampler
+    simulation = Simulation(scene, threads=threads, cells=cells, integrator=sampler)
+    begin = simulation.cells
     while not simulation.finished and len(simulation.cells):
         simulation.step()
         if progress is not None:

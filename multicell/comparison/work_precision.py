@@ -181,7 +181,7 @@ def _facts(exact: Reference, decay: float) -> dict[str, Any]:
 
 
 def _check_ladder(methods: Sequence[Method], ladder: Ladder | None) -> None:
-    """Refuse a ladder with a name that nothing listens to."""
+    """Refuse a ladder for a method that is not compared."""
     known = {"tolerance", "step", *(method.name for method in methods)}
     for name in ladder or {}:
         if name not in known:

@@ -123,7 +123,7 @@ class _Step:
 
     def solve(self) -> str:
         """Find the end of the step; return what went wrong, if anything did."""
-        from multicell.mechanics.jacobian import limit
+        from multicell.mechanics.jacobian import limited
         from multicell.mechanics.preconditioners import preconditioner
 
         method, system = self.method, self.system
@@ -132,8 +132,8 @@ class _Step:
         for _ in range(method.newton):
             system.work.newton_iterations += 1
             system.linearise(self.end, self.trial)
-            limit(system, method.softening)
-            approximate.setup(system, self.step)
+            self.linear, _ = limited(system, method.softening)
+            approximate.setup(system, self.step, self.linear)
             correction = self._correction(residual, approximate)
             found = self._search(residual, correction)
             if found is None:
@@ -184,7 +184,7 @@ class _Step:
     def _operator(self, vector: FloatArray) -> FloatArray:
         out = np.empty_like(vector)
         self.system.work.linear_iterations += 1
-        self.system.jacobian_product(vector, out)
+        self.system.jacobian_product(vector, out, self.linear)
         return np.asarray(vector - self.step * out)
 
     def _correction(self, residual: FloatArray, approximate: Preconditioner) -> FloatArray:

@@ -14,8 +14,8 @@ from numba import njit
 from sksundae.cvode import CVODE, CVODEJacTimes, CVODEPrecond
 
 from multicell.cells import FloatArray
-from multicell.integrators.restarts import Predictor, Restart, Run, StepImpossible
-from multicell.mechanics.jacobian import limit
+from multicell.integrators.restarts import Predictor, Restart, Run, StepImpossible, one_step
+from multicell.mechanics.jacobian import limited
 from multicell.mechanics.preconditioners import preconditioner
 from multicell.mechanics.system import StateRejected
 
@@ -126,10 +126,7 @@ class Light:
         _divide(jv, yp, share)
 
     def _advance(self) -> tuple[float, FloatArray, float]:
-        left = self.run.left
-        result = self.solver.step(left, method="onestep", tstop=left)
-        if not result.success:
-            raise StepImpossible(f"SUNDIALS: {result.message}")
+        result = one_step(self.solver, self.run.left)
         self._count(result.nfev)
         error = self._predictor.error(result.t, result.y)
         return float(result.t), result.y.reshape(-1, 3).copy(), error
@@ -188,10 +185,7 @@ class Krylov:
 
     def step(self) -> tuple[float, FloatArray, float]:
         """Take one step."""
-        left = self.run.left
-        result = self.solver.step(left, method="onestep", tstop=left)
-        if not result.success:
-            raise StepImpossible(f"SUNDIALS: {result.message}")
+        result = one_step(self.solver, self.run.left)
         step, self._reached = float(result.t) - self._reached, float(result.t)
         error = self._predictor.error(result.t, result.y, self._order(step))
         return float(result.t), result.y.reshape(-1, 3).copy(), error
@@ -215,7 +209,7 @@ class Krylov:
 
     def _take_jacobian(self, t: float, y: FloatArray) -> None:
         self.system.linearise(self.run.clock(t), y.reshape(-1, 3))
-        stiffest = limit(self.system, self.method.softening)
+        self._linear, stiffest = limited(self.system, self.method.softening)
         self._reference = np.array(y)
         drag = self.system.drag * float(self.system.motion.radius.mean())
         self._rate = _CONTACTS * stiffest / drag
@@ -234,7 +228,7 @@ class Krylov:
     ) -> None:
         """Jacobian times vector."""
         self.system.work.linear_iterations += self.method.linear == "gmres"
-        self.system.jacobian_product(v.reshape(-1, 3), jv.reshape(-1, 3))
+        self.system.jacobian_product(v.reshape(-1, 3), jv.reshape(-1, 3), self._linear)
 
     def setup(
         self, t: float, y: FloatArray, yp: FloatArray, jok: int, jnew: list[int], gamma: float
@@ -258,6 +252,6 @@ class Krylov:
             z[:] = r
             return
         if self._stale:
-            self._preconditioner.setup(self.system, gamma)
+            self._preconditioner.setup(self.system, gamma, self._linear)
             self._stale = False
         self._preconditioner.solve(self.system, r.reshape(-1, 3), z.reshape(-1, 3))

@@ -97,24 +97,21 @@ class _Direct:
 
     def step(self) -> tuple[float, FloatArray, float]:
         """Take one step."""
-        from multicell.integrators.restarts import Restart, StepImpossible
+        from multicell.integrators.restarts import Restart, one_step
 
         if self.lost:
             raise Restart
-        left = self.run.left
-        result = self.solver.step(left, method="onestep", tstop=left)
-        if not result.success:
-            raise StepImpossible(f"SUNDIALS: {result.message}")
+        result = one_step(self.solver, self.run.left)
         error = self._predictor.error(result.t, result.y)
         return float(result.t), result.y.reshape(-1, 3).copy(), error
 
     def jacobian(self, t: float, y: FloatArray, yp: FloatArray, values: FloatArray) -> None:
         """Write the Jacobian's values in CSC order."""
-        from multicell.mechanics.jacobian import limit
+        from multicell.mechanics.jacobian import limited
 
         self.system.linearise(self.run.clock(t), y.reshape(-1, 3))
-        limit(self.system, self.softening)
-        self.lost = self.pattern.fill(self.system, values)
+        linear, _ = limited(self.system, self.softening)
+        self.lost = self.pattern.fill(self.system, values, linear)
         if not self._factorised:
             self._factorised = True
             ctypes.pythonapi.Py_DecRef(ctypes.py_object(self.solver))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Protocol, final
+from typing import Any, Protocol, final
 
 import numpy as np
 
@@ -187,6 +187,14 @@ class Run:
         self.system.work.steps += 1
         self.cell = cell
         return reached - before
+
+
+def one_step(solver: Any, left: float) -> Any:
+    """Return what one internal step of a solver of SUNDIALS, up to ``left``, says of itself."""
+    result = solver.step(left, method="onestep", tstop=left)
+    if not result.success:
+        raise StepImpossible(f"SUNDIALS: {result.message}")
+    return result
 
 
 @final

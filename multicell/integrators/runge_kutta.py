@@ -70,54 +70,78 @@ DORMAND_PRINCE = _tableau(
 """Dormand & Prince 1980, order 5 with an estimate of order 4."""
 
 
+class _Fixed(EqualSteps):
+    """A method with a fixed step; abstract."""
+
+    tableau: ClassVar[Tableau]
+
+    def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
+        """Integrate over the coupling step of ``system``; see :class:`Integrator`."""
+        from multicell.integrators import driver
+        from multicell.integrators.loops.runge_kutta import fixed_runge_kutta
+
+        return driver.equal_steps(system, position, fixed_runge_kutta, self, self.tableau)
+
+
+class _Adaptive(ErrorControl):
+    """An embedded pair; abstract.
+
+    ``estimate`` is the exponent of the step in the estimated error, ``lower`` the order of the
+    result where it is below that of the estimate.
+    """
+
+    tableau: ClassVar[Tableau]
+    estimate: ClassVar[float]
+    lower: ClassVar[int] = 0
+
+    def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
+        """Integrate over the coupling step of ``system``; see :class:`Integrator`."""
+        from multicell.integrators import driver
+        from multicell.integrators.loops.runge_kutta import adaptive_runge_kutta
+
+        control = driver.control(self, system, self.estimate, self.lower)
+        return driver.adaptive(system, position, adaptive_runge_kutta, control, self.tableau)[0]
+
+
 @final
 @dataclass(frozen=True)
-class Euler(EqualSteps):
+class Euler(_Fixed):
     """x ← x + Δt v(t, x), order 1, stable for Δt < 2/λ_max; parameters as :class:`EqualSteps`."""
 
     info: ClassVar[MethodInfo] = MethodInfo(
         "euler", "explicit Euler with a fixed step", "step", order=1, stable=2.0,
         colour="#2f6fb0", marker="o",
     )  # fmt: skip
-
-    def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
-        """Integrate over the coupling step of ``system``; see :class:`Integrator`."""
-        return _fixed(self, system, position, EULER)
+    tableau: ClassVar[Tableau] = EULER
 
 
 @final
 @dataclass(frozen=True)
-class Heun(EqualSteps):
+class Heun(_Fixed):
     """Heun's method, order 2, stable for Δt < 2/λ_max; parameters as :class:`EqualSteps`."""
 
     info: ClassVar[MethodInfo] = MethodInfo(
         "heun", "explicit Runge-Kutta of order 2 with a fixed step", "step", order=2, stable=2.0,
         colour="#4b3a8e", marker="^",
     )  # fmt: skip
-
-    def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
-        """Integrate over the coupling step of ``system``; see :class:`Integrator`."""
-        return _fixed(self, system, position, HEUN)
+    tableau: ClassVar[Tableau] = HEUN
 
 
 @final
 @dataclass(frozen=True)
-class RungeKutta4(EqualSteps):
+class RungeKutta4(_Fixed):
     """The classical method, order 4, stable for Δt < 2.785/λ_max; as :class:`EqualSteps`."""
 
     info: ClassVar[MethodInfo] = MethodInfo(
         "rk4", "explicit Runge-Kutta of order 4 with a fixed step", "step", order=4, stable=2.785,
         colour="#c44fa0", marker="v",
     )  # fmt: skip
-
-    def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
-        """Integrate over the coupling step of ``system``; see :class:`Integrator`."""
-        return _fixed(self, system, position, RUNGE_KUTTA_4)
+    tableau: ClassVar[Tableau] = RUNGE_KUTTA_4
 
 
 @final
 @dataclass(frozen=True)
-class AdaptiveEuler(ErrorControl):
+class AdaptiveEuler(_Adaptive):
     """Euler under error control, its distance from Heun's result being the estimate.
 
     Parameters as for :class:`~multicell.integrators.base.ErrorControl`.
@@ -127,15 +151,14 @@ class AdaptiveEuler(ErrorControl):
         "euler-adaptive", "explicit Euler under error control", "tolerance", order=1,
         colour="#74b0e4", marker="s",
     )  # fmt: skip
-
-    def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
-        """Integrate over the coupling step of ``system``; see :class:`Integrator`."""
-        return _adaptive(self, system, position, EULER_HEUN, 2.0, lower=1)
+    tableau: ClassVar[Tableau] = EULER_HEUN
+    estimate: ClassVar[float] = 2.0
+    lower: ClassVar[int] = 1
 
 
 @final
 @dataclass(frozen=True)
-class Dopri5(ErrorControl):
+class Dopri5(_Adaptive):
     """Dormand & Prince's pair of orders 5 and 4, the higher one propagated; stable to 3.3/λ_max.
 
     Parameters as for :class:`~multicell.integrators.base.ErrorControl`.
@@ -145,34 +168,8 @@ class Dopri5(ErrorControl):
         "dopri5", "explicit Runge-Kutta of Dormand and Prince, order 5, under error control",
         "tolerance", order=5, colour="#14919b", marker="P",
     )  # fmt: skip
-
-    def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
-        """Integrate over the coupling step of ``system``; see :class:`Integrator`."""
-        return _adaptive(self, system, position, DORMAND_PRINCE, 5.0)
+    tableau: ClassVar[Tableau] = DORMAND_PRINCE
+    estimate: ClassVar[float] = 5.0
 
 
 METHODS = (Euler, AdaptiveEuler, Heun, RungeKutta4, Dopri5)
-
-
-def _fixed(
-    method: EqualSteps, system: Mechanics, position: FloatArray, tableau: Tableau
-) -> Outcome:
-    from multicell.integrators import driver
-    from multicell.integrators.loops.runge_kutta import fixed_runge_kutta
-
-    return driver.equal_steps(system, position, fixed_runge_kutta, method, tableau)
-
-
-def _adaptive(
-    method: ErrorControl,
-    system: Mechanics,
-    position: FloatArray,
-    tableau: Tableau,
-    order: float,
-    lower: int = 0,
-) -> Outcome:
-    from multicell.integrators import driver
-    from multicell.integrators.loops.runge_kutta import adaptive_runge_kutta
-
-    control = driver.control(method, system, order, lower)
-    return driver.adaptive(system, position, adaptive_runge_kutta, control, tableau)[0]

@@ -3,7 +3,7 @@
 Every loop is an ordinary function of a *source* of velocities. Compiled, the source is a
 :class:`Serial` or :class:`Shared` set of arrays, and :func:`evaluate` calls the kernels without
 returning to Python. Uncompiled (``loop.py_func``), the source is :class:`Called`, for systems that
-need Python (see :func:`multicell.integrators.runge_kutta.needs_python`): the same loop, one
+need Python (see :func:`multicell.integrators.driver.needs_python`): the same loop, one
 call of ``Mechanics.velocity`` per stage. Functions that evaluate are
 :func:`numba.extending.register_jitable`; the arithmetic on arrays is compiled in both cases.
 
@@ -33,6 +33,9 @@ DONE, REJECTED, NOT_FINITE, MOVED, STALLED, OUT_OF_STEPS, TOO_LONG = range(7)
 """How a loop, or one evaluation, ended."""
 EVALUATIONS, LIST_BUILDS, STEPS, REJECTIONS = range(4)
 """Places in the array of counts."""
+ELAPSED, STEP, PREVIOUS, HELD, WORST = range(5)
+"""Places in the state of error control: time since the beginning and next step, s; size of the last
+error; whether the last step was refused; largest error of a cell so far, µm."""
 
 _SHORTEST = 1e-13
 """Steps below this fraction of the interval are lost in rounding."""
@@ -142,48 +145,46 @@ def evaluate(source, pairs, elapsed, position, out):
 
 @overload(evaluate)
 def _compiled_evaluate(source, pairs, elapsed, position, out):
-    kind = getattr(source, "instance_class", None)
-    return {Serial: _evaluate_serial, Shared: _evaluate_shared}.get(kind)
+    return _KERNELS.get(getattr(source, "instance_class", None))
 
 
-def _evaluate_serial(source, pairs, elapsed, position, out):
-    source.counts[EVALUATIONS] += 1
-    while forces.forces(
-        source.cells, pairs, source.offsets, source.law, position, elapsed, True, source.rows, out
-    ):
-        if not _is_finite(position):
-            return NOT_FINITE, pairs
-        source.counts[LIST_BUILDS] += 1
-        crowded, first, second, start, inner_end, outer_end = neighbours.rebuild(
-            position, source.reach, source.skin, source.cells.chunk
-        )
-        if crowded:
-            return REJECTED, pairs
-        copy(position, source.cells.reference)
-        pairs = forces.PairData(
-            first, second, start, inner_end, outer_end, pairs.sticky, pairs.unit, pairs.onset
-        )
-    return DONE, pairs
+def _evaluation(forces_at, rebuild):
+    """Return the compiled evaluation with the kernels for one thread, or for all."""
+
+    def run(source, pairs, elapsed, position, out):
+        source.counts[EVALUATIONS] += 1
+        while forces_at(
+            source.cells,
+            pairs,
+            source.offsets,
+            source.law,
+            position,
+            elapsed,
+            True,
+            source.rows,
+            out,
+        ):
+            if not _is_finite(position):
+                return NOT_FINITE, pairs
+            source.counts[LIST_BUILDS] += 1
+            crowded, first, second, start, inner_end, outer_end = rebuild(
+                position, source.reach, source.skin, source.cells.chunk
+            )
+            if crowded:
+                return REJECTED, pairs
+            copy(position, source.cells.reference)
+            pairs = forces.PairData(
+                first, second, start, inner_end, outer_end, pairs.sticky, pairs.unit, pairs.onset
+            )
+        return DONE, pairs
+
+    return run
 
 
-def _evaluate_shared(source, pairs, elapsed, position, out):
-    source.counts[EVALUATIONS] += 1
-    while forces.forces_parallel(
-        source.cells, pairs, source.offsets, source.law, position, elapsed, True, source.rows, out
-    ):
-        if not _is_finite(position):
-            return NOT_FINITE, pairs
-        source.counts[LIST_BUILDS] += 1
-        crowded, first, second, start, inner_end, outer_end = neighbours.rebuild_parallel(
-            position, source.reach, source.skin, source.cells.chunk
-        )
-        if crowded:
-            return REJECTED, pairs
-        copy(position, source.cells.reference)
-        pairs = forces.PairData(
-            first, second, start, inner_end, outer_end, pairs.sticky, pairs.unit, pairs.onset
-        )
-    return DONE, pairs
+_KERNELS = {
+    Serial: _evaluation(forces.forces, neighbours.rebuild),
+    Shared: _evaluation(forces.forces_parallel, neighbours.rebuild_parallel),
+}
 
 
 @njit(cache=True)
@@ -302,13 +303,69 @@ def starting_step(source, pairs, control, position, slope, trial, other, length,
 
 
 @njit(cache=True)
-def next_step(step, error, previous, order, again):
-    """Return the next step by PI control (Gustafsson), smaller if the last is done again."""
+def begun(step):
+    """Return the state of error control at the beginning: see ``ELAPSED`` and the others."""
+    walk = np.zeros(5)
+    walk[STEP], walk[PREVIOUS] = step, 1.0
+    return walk
+
+
+@njit(cache=True)
+def ended(walk, counts, control, length):
+    """Return why no step can be tried, or ``DONE``."""
+    if counts[STEPS] == control.most_steps:
+        return OUT_OF_STEPS
+    return STALLED if walk[STEP] < _SHORTEST * length else DONE
+
+
+@njit(cache=True)
+def refused(walk, counts, control, status, moved):
+    """Return whether a step moved a cell too far or had no velocity; the next one is shorter."""
+    if status == DONE and not moved > control.max_displacement:
+        return False
+    counts[REJECTIONS] += 1
+    walk[STEP], walk[HELD] = shorter(walk[STEP], moved, control.max_displacement), 1.0
+    return True
+
+
+@njit(cache=True)
+def accepted(walk, counts, control, length, position, trial, error, least, most, steady):
+    """Take a step if its estimated error is small enough; choose the next step.
+
+    ``least`` and ``most`` bound its length over that of a refused and of an accepted step; a
+    ``steady`` one stays as it is where it would hardly change.
+    """
+    step = walk[STEP]
+    size = weighted_rms(error, position, trial, control.rtol, control.atol) / control.strictness
+    if not size <= 1.0:
+        counts[REJECTIONS] += 1
+        walk[STEP], walk[HELD] = again(step, size, control.order, least), 1.0
+        return False
+    walk[ELAPSED] = length if step == length - walk[ELAPSED] else walk[ELAPSED] + step
+    copy(trial, position)
+    walk[WORST] = max(walk[WORST], largest_length(error))
+    counts[STEPS] += 1
+    wanted = min(next_step(step, size, walk[PREVIOUS], control.order), most * step)
+    if steady and 0.9 * step < wanted < 1.2 * step:
+        wanted = step
+    # no growth right after a refusal
+    walk[STEP] = min(step, wanted) if walk[HELD] > 0.0 else wanted
+    walk[HELD], walk[PREVIOUS] = 0.0, max(size, 1e-4)
+    return True
+
+
+@njit(cache=True)
+def again(step, error, order, least):
+    """Return the step to try after one with too large an error, in units of the allowed one."""
     if not math.isfinite(error):
         return 0.2 * step
+    return step * max(least, 0.9 * error ** (-1.0 / order))
+
+
+@njit(cache=True)
+def next_step(step, error, previous, order):
+    """Return the next step by PI control (Gustafsson)."""
     error = max(error, 1e-10)
-    if again:
-        return step * max(0.2, 0.9 * error ** (-1.0 / order))
     factor = 0.9 * error ** (-0.7 / order) * previous ** (0.4 / order)
     return step * min(5.0, max(0.2, factor))
 
@@ -327,3 +384,13 @@ def fitted(step, left):
     if step >= left * (1.0 - 1e-12):
         return left
     return min(step, 0.5 * left)
+
+
+@njit(cache=True)
+def moved_on(position, trial, radius, allowed, counts):
+    """Take a fixed step unless it moves a cell too far; return that cell and how far it moves."""
+    cell, moved = furthest_moved(position, trial, radius)
+    if moved <= allowed:
+        copy(trial, position)
+        counts[STEPS] += 1
+    return cell, moved

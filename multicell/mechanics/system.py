@@ -272,8 +272,10 @@ class Mechanics:
         """The cells at the last state seen, as :mod:`multicell.mechanics.forces` takes them."""
         return self._rows
 
-    def jacobian_product(self, vector: FloatArray, out: FloatArray) -> None:
-        """Write J v, (n, 3) µm/s, for ``vector`` (n, 3) µm at the last linearisation.
+    def jacobian_product(
+        self, vector: FloatArray, out: FloatArray, linear: Linearisation | None = None
+    ) -> None:
+        """Write J v, (n, 3) µm/s, for ``vector`` (n, 3) µm at the last linearisation, or at one.
 
         Raises
         ------
@@ -281,7 +283,7 @@ class Mechanics:
             If friction cannot be solved for.
         """
         self.work.jacobian_products += 1
-        linear = self._linearised()
+        linear = self._linearised() if linear is None else linear
         run = forces.products_parallel if self._shared(linear.pairs) else forces.products
         drag = self.drag if self._rubbing is None else 0.0
         run(
@@ -297,10 +299,12 @@ class Mechanics:
             except rubbing.failure as error:
                 raise StateRejected(str(error)) from error
 
-    def setup_preconditioner(self, gamma: float) -> None:
+    def setup_preconditioner(self, gamma: float, linear: Linearisation | None = None) -> None:
         """Invert the 3 x 3 diagonal blocks of I - γJ, stable part, at the linearisation."""
         self.work.preconditioner_setups += 1
-        self._fill_blocks(self._linearised())
+        self._fill_blocks(self._linearised() if linear is None else linear)
+        if self._rubbing is not None:
+            self._blocks *= self._rubbing.stokes_share[:, None]
         blocks.invert_blocks(self._rows, self._blocks, gamma, self.drag, self._inverse)
 
     def precondition(self, vector: FloatArray, out: FloatArray) -> None:

@@ -148,7 +148,7 @@ class Defaults:
 class Multigrid:
     """One V-cycle of pyamg's smoothed aggregation on the symmetric matrix, stable part."""
 
-    def setup(self, system, gamma):
+    def setup(self, system, gamma, linear=None):
         import pyamg
 
         system.work.preconditioner_setups += 1
@@ -166,7 +166,7 @@ class Multigrid:
 class Exact:
     """Direct factorisation of I - γJ itself: the limit of any preconditioner."""
 
-    def setup(self, system, gamma):
+    def setup(self, system, gamma, linear=None):
         from scipy.sparse import identity
         from scipy.sparse.linalg import splu
 

@@ -7,18 +7,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 import strategies
+from oracles import reference, smooth_scene
+from scipy.sparse.linalg import LinearOperator, gmres
 from strategies import cluster, mechanics
 
 from multicell import JKR, Hertz
 from multicell.errors import SceneError
 from multicell.integrators.auto import Auto, choose, decay_rate
 from multicell.integrators.backward_euler import BackwardEuler
-from multicell.integrators.cvode import Cvode, CvodeAdams
+from multicell.integrators.cvode import Cvode
 from multicell.integrators.cvode_sparse import CvodeSparse
-from multicell.integrators.registry import METHODS, make
+from multicell.integrators.registry import make
 from multicell.integrators.restarts import Run, StepImpossible
 from multicell.integrators.scipy import Scipy
-from multicell.mechanics.jacobian import Pattern, limit, sparse_jacobian
+from multicell.mechanics.jacobian import Pattern, limited, sparse_jacobian
 from multicell.mechanics.neighbours import spatial_order
 from multicell.mechanics.preconditioners import PRECONDITIONERS, preconditioner
 from multicell.mechanics.system import Linearisation
@@ -28,33 +30,6 @@ from multicell.scene.parts import IntegratorOptions
 from multicell.scene.scene import load_scene
 from multicell.simulation import Simulation
 
-IMPLICIT = {
-    "cvode": Cvode,
-    "cvode-sparse": CvodeSparse,
-    "cvode-adams": CvodeAdams,
-    "scipy-radau": lambda rtol, atol: Scipy("Radau", rtol, atol),
-    "scipy-bdf": lambda rtol, atol: Scipy("BDF", rtol, atol),
-    "scipy-lsoda": lambda rtol, atol: Scipy("LSODA", rtol, atol),
-    "scipy-rk45": lambda rtol, atol: Scipy("RK45", rtol, atol),
-    "auto": Auto,
-}
-
-
-def smooth_scene():
-    """Twenty cells in a helix of tetrahedra: each keeps its contacts, and no kink is passed."""
-    k, edge = np.arange(20), 6.6
-    angle, width = k * np.arccos(-2 / 3), 0.3 * np.sqrt(3) * edge
-    position = np.stack(
-        [width * np.cos(angle), width * np.sin(angle), k * edge / np.sqrt(10)], axis=1
-    ) + np.random.default_rng(3).normal(0.0, 0.1, (20, 3))
-    return position, lambda: mechanics(np.full(20, 5.0), np.ones(20), duration=60.0)
-
-
-def reference(system, position, tolerance=1e-13):
-    outcome = Scipy("DOP853", 3e-14, tolerance).integrate(system, position)
-    assert outcome.done
-    return outcome.position
-
 
 def test_the_smooth_scene_is_smooth():
     position, system = smooth_scene()
@@ -63,36 +38,6 @@ def test_the_smooth_scene_is_smooth():
     np.testing.assert_array_equal(cells.contacts(0.0, position), cells.contacts(60.0, end))
     assert len(cells.contacts(60.0, end)) == 3 * 20 - 6
     assert np.abs(end - position).max() > 0.5
-
-
-@pytest.mark.parametrize("name", IMPLICIT)
-def test_error_follows_the_tolerance(name):
-    position, system = smooth_scene()
-    exact = reference(system(), position)
-    for tolerance in (1e-3, 1e-5, 1e-7, 1e-9):
-        outcome = IMPLICIT[name](1e-13, tolerance).integrate(system(), position)
-        assert outcome.done
-        assert np.abs(outcome.position - exact).max() < 30 * tolerance
-
-
-def test_cvode_reaches_a_billionth():
-    position, system = smooth_scene()
-    exact = reference(system(), position)
-    outcome = Cvode(1e-13, 1e-12, 100_000).integrate(system(), position)
-    assert np.abs(outcome.position - exact).max() < 1e-9 * np.abs(exact).max()
-
-
-def test_backward_euler_is_of_first_order():
-    position, system = smooth_scene()
-    exact = reference(system(), position)
-    steps = np.array([6.0, 3.0, 1.5, 0.75])
-    errors = [
-        np.abs(
-            BackwardEuler(step, tolerance=1e-8).integrate(system(), position).position - exact
-        ).max()
-        for step in steps
-    ]
-    assert np.polyfit(np.log(steps), np.log(errors), 1)[0] == pytest.approx(1.0, abs=0.15)
 
 
 def test_no_step_limit_from_stability():
@@ -143,9 +88,9 @@ def test_pattern_counts_the_pairs_that_it_cannot_hold():
     near.linearise(0.0, position)
     pattern = Pattern.of(far.linearisation.pairs)
     touching = len(near.contacts(0.0, position))
-    assert pattern.fill(near, np.empty(len(pattern.index))) == 2 * touching
+    assert pattern.fill(near, np.empty(len(pattern.index)), near.linearisation) == 2 * touching
     whole = Pattern.of(near.linearisation.pairs)
-    assert whole.fill(near, np.empty(len(whole.index))) == 0
+    assert whole.fill(near, np.empty(len(whole.index)), near.linearisation) == 0
 
 
 def stable_system(system, gamma):
@@ -174,7 +119,7 @@ def test_gauss_seidel_sweeps_are_those_of_linear_algebra():
     whole = (diagonal + upper.T) @ np.linalg.solve(diagonal, diagonal + upper)
     expected = np.linalg.solve(whole, weight * vector.ravel())
     sweeps, out = preconditioner("gauss-seidel", system), np.empty((50, 3))
-    sweeps.setup(system, gamma)
+    sweeps.setup(system, gamma, system.linearisation)
     sweeps.solve(system, vector, out)
     np.testing.assert_allclose(out.ravel(), expected, atol=1e-12)
 
@@ -193,7 +138,7 @@ def test_preconditioners_approximate_and_give_the_same_bits(name, threads):
         system.linearise(0.0, position)
         vector = np.random.default_rng(1).normal(size=(120, 3))
         inverse, out = preconditioner(name, system), np.empty((120, 3))
-        inverse.setup(system, 3000.0)
+        inverse.setup(system, 3000.0, system.linearisation)
         inverse.solve(system, vector, out)
         results.append(out)
         # the preconditioned matrix is much closer to the identity than the matrix
@@ -207,17 +152,58 @@ def test_preconditioners_approximate_and_give_the_same_bits(name, threads):
 
 
 def test_bounded_softening_changes_nothing_else():
+    """It is a linearisation of its own: what the system has by itself stays the derivative."""
     position = np.array([[0.0, 0, 0], [9.999999, 0, 0], [0.0, 8.0, 0]])
     system = mechanics(np.full(3, 5.0), np.ones(3))
     system.linearise(0.0, position)
     before = sparse_jacobian(system).toarray()
-    limit(system, 0.5)
-    after = sparse_jacobian(system).toarray()
+    linear, _ = limited(system, 0.5)
+    pattern = Pattern.of(linear.pairs)
+    values = np.empty(len(pattern.index))
+    pattern.fill(system, values, linear)
+    after = pattern.matrix(values).toarray()
     # E_ij r_ij = 2/3 · 1 / ¾ ... of two alike cells: E = 1 / (2 · 9/16), r = 2.5
     least = 0.5 * 2.5 / (2 * 0.75 * 0.75)
     assert before[0, 3] * system.drag * 5.0 < -2 * least
     assert after[0, 3] * system.drag * 5.0 == pytest.approx(-least, rel=1e-3)
     np.testing.assert_array_equal(before[:3, 6:], after[:3, 6:])
+    vector, product = np.random.default_rng(0).normal(size=(3, 3)), np.empty((3, 3))
+    for used, matrix in ((None, before), (linear, after)):
+        system.jacobian_product(vector, product, used)
+        np.testing.assert_allclose(product.ravel(), matrix @ vector.ravel(), rtol=1e-12)
+    np.testing.assert_array_equal(sparse_jacobian(system).toarray(), before)
+
+
+@pytest.mark.parametrize("friction", [(2.0, 1.0), (20.0, 20.0), (20.0, 0.0)])
+def test_blocks_know_the_friction_between_cells(friction):
+    """Solved by SciPy's GMRES, I - γJ takes fewer products than with Stokes drag alone."""
+    position, radius, young = cluster(120, 6, spacing=0.8)
+    system = mechanics(radius, young, viscosity=0.05, friction=friction)
+    system.linearise(0.0, position)
+    vector = np.random.default_rng(2).normal(size=360)
+    counts = []
+    for known in (True, False):
+        used = system if known else mechanics(radius, young, viscosity=0.05)
+        used.linearise(0.0, position)
+        blocks = preconditioner("blocks", used)
+        blocks.setup(used, 20.0, used.linearisation)
+
+        def approximate(x, blocks=blocks, used=used):
+            out = np.empty((120, 3))
+            blocks.solve(used, np.ascontiguousarray(x).reshape(-1, 3), out)
+            return out.ravel()
+
+        def whole(x):
+            out = np.empty((120, 3))
+            system.jacobian_product(np.ascontiguousarray(x).reshape(-1, 3), out)
+            return x - 20.0 * out.ravel()
+
+        before = system.work.jacobian_products
+        operator, inverse = (LinearOperator((360, 360), matvec=f) for f in (whole, approximate))
+        _, trouble = gmres(operator, vector, M=inverse, rtol=1e-2, restart=60, maxiter=5)
+        assert trouble == 0
+        counts.append(system.work.jacobian_products - before)
+    assert counts[0] < 0.8 * counts[1]
 
 
 @pytest.mark.parametrize("change", [
@@ -286,19 +272,6 @@ def test_a_direct_solver_stopped_before_its_first_factorisation_does_not_crash(w
     assert (done.returncode, done.stdout.count("stopped")) == (0, 20), done.stderr[-2000:]
 
 
-@pytest.mark.parametrize("name", sorted(METHODS))
-def test_every_name_makes_a_method_that_runs(name):
-    position, radius, young = cluster(12, 4, spacing=0.9)
-    method = make(IntegratorOptions(method=name, step=1.0, atol=1e-3))
-    system = mechanics(radius, young, duration=10.0)
-    outcome = method.integrate(system, position)
-    assert outcome.done
-    assert outcome.time == 10.0
-    assert system.work.steps >= 1
-    exact = Cvode(1e-10, 1e-8).integrate(mechanics(radius, young, duration=10.0), position)
-    assert np.abs(outcome.position - exact.position).max() < 0.05
-
-
 @pytest.mark.parametrize(
     ("method", "n"), [(Scipy("LSODA"), 1001), (Scipy("Radau"), 3001), (CvodeSparse(), 10_001)]
 )
@@ -339,10 +312,10 @@ def test_backward_euler_ends_with_words():
     position, radius, young = cluster(60, 8, spacing=0.6)
     system = mechanics(radius, young, duration=4000.0)
     outcome = BackwardEuler(2000.0).integrate(system, position)
-    # which of the two ways comes first hangs on the last bits, and these on the processor
-    ways = ("has no solution that a line search finds", "did not converge in 30 iterations")
+    # whether Newton or its line search gives up first hangs on the last bits of the processor
     assert "step of 2e+03 s" in outcome.problem
-    assert any(way in outcome.problem for way in ways)
+    assert outcome.time == 0.0
+    assert outcome.cell in range(60)
     # no step lowers a residual that is rounding, and none is small enough for no tolerance
     outcome = BackwardEuler(10.0, tolerance=0.0, newton=1000).integrate(system, position)
     assert "step of 10 s has no solution that a line search finds" in outcome.problem
@@ -387,7 +360,7 @@ def test_coincident_and_far_cells(name):
     position, radius, young = cluster(30, 1)
     position[1] = position[0]
     position[2] = [1e7, 1e7, -1e7]
-    outcome = IMPLICIT[name](1e-6, 1e-2).integrate(
+    outcome = make(IntegratorOptions(method=name)).integrate(
         mechanics(radius, young, duration=20.0), position
     )
     assert outcome.done

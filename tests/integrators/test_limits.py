@@ -11,7 +11,7 @@ from multicell.integrators import limits
 from multicell.integrators.registry import METHODS, make
 from multicell.integrators.restarts import Run
 from multicell.mechanics import forces as kernels
-from multicell.mechanics import jacobian as sparse
+from multicell.mechanics import preconditioners as sparse
 from multicell.mechanics.system import StateRejected
 from multicell.scene.parts import IntegratorOptions
 

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from test_implicit import reference, smooth_scene
+from oracles import reference, smooth_scene
 
 import multicell as mc
 from multicell.integrators.cvode import Cvode

@@ -288,7 +288,8 @@ def _first_cells(scene: Scene, threads: int | None) -> tuple[Mechanics, Motion, 
             f"is {scene.initial.count}: the stability of motion needs two cells at least",
             "For example --set initial.count=60 --set initial.spacing=0.85",
         )
-    simulation = Simulation(scene, threads=threads)
+    # the scene's own method moves nothing here, and may be one that is not at hand
+    simulation = Simulation(scene, threads=threads, integrator=Cvode())
     cells = simulation.cells
     motion = replace(simulation._motion(0.0, 0.0, cells.radius), push=None)
     return simulation._mechanics, motion, cells.position

@@ -19,28 +19,27 @@ import math
 import numpy as np
 
 from multicell.integrators.stepping import (
+    _SHORTEST,
     DONE,
+    ELAPSED,
     EVALUATIONS,
     MOVED,
-    OUT_OF_STEPS,
-    REJECTIONS,
-    STALLED,
-    STEPS,
+    STEP,
     TOO_LONG,
+    WORST,
     Report,
+    accepted,
+    begun,
     combine,
     compiled,
-    copy,
     displace,
+    ended,
     evaluate,
     furthest_moved,
-    largest_length,
-    next_step,
-    shorter,
-    weighted_rms,
+    moved_on,
+    refused,
 )
 
-_SHORTEST = 1e-13
 _TRIED = 6  # steps, refused ones too, after which the rest of the way is estimated
 
 
@@ -64,11 +63,9 @@ def fixed_adams(source, pairs, position, length, radius, counts, steps, allowed)
         if status != DONE:
             return Report(status, elapsed, step, -1, math.inf, math.nan), pairs
         combine(position, step, weights, slopes, 2, trial)
-        cell, moved = furthest_moved(position, trial, radius)
-        if moved > allowed:
+        cell, moved = moved_on(position, trial, radius, allowed, counts)
+        if not moved <= allowed:
             return Report(MOVED, elapsed, step, cell, moved, math.nan), pairs
-        copy(trial, position)
-        counts[STEPS] += 1
     return Report(DONE, length, step, -1, 0.0, math.nan), pairs
 
 
@@ -82,79 +79,58 @@ def adaptive_adams(source, pairs, position, length, radius, counts, control, pat
     slopes = np.empty((3, position.shape[0], 3))
     trial, error = np.empty_like(position), np.empty_like(position)
     old, now, new = 0, 1, 2
-    elapsed, previous, last, moved, cell = 0.0, 1.0, 0.0, 0.0, -1
-    accepted, tried, before, worst = 0, 0, counts[EVALUATIONS], 0.0
+    last, tried, first = 0.0, 0, counts[EVALUATIONS]
     status, pairs = evaluate(source, pairs, 0.0, position, slopes[now])
     if status != DONE:
         return Report(status, 0.0, 0.0, -1, math.inf, math.nan), pairs
     # not further than the neighbour list reaches: a refused trial would cost two lists
     displace(position, 1.0, slopes[now], trial)
     cell, moved = furthest_moved(position, trial, radius)
-    step, held = 0.5 * length, False
-    if moved * step > 0.14 * control.max_displacement:
-        step = 0.14 * control.max_displacement / moved
-    while elapsed < length:
+    walk = begun(0.5 * length)
+    if moved * walk[STEP] > 0.14 * control.max_displacement:
+        walk[STEP] = 0.14 * control.max_displacement / moved
+    while walk[ELAPSED] < length:
+        elapsed, step = walk[ELAPSED], walk[STEP]
         left = length - elapsed
         # equal steps to the end, so that no tiny one is left over
         if step > _SHORTEST * length:
-            step = left / np.ceil(left / step * (1.0 - 1e-12))
-        if accepted == control.most_steps or step < _SHORTEST * length:
-            status = OUT_OF_STEPS if accepted == control.most_steps else STALLED
+            step = walk[STEP] = left / np.ceil(left / step * (1.0 - 1e-12))
+        status = ended(walk, counts, control, length)
+        if status != DONE:
             return Report(status, elapsed, step, cell, moved, math.nan), pairs
         if patience and tried >= _TRIED:
-            expected = counts[EVALUATIONS] - before + left / step
+            expected = counts[EVALUATIONS] - first + left / step
             if expected > patience:
                 return Report(TOO_LONG, elapsed, step, -1, expected, math.nan), pairs
         tried += 1
-        status = DONE
-        if accepted == 0:
-            displace(position, step, slopes[now], trial)
-            cell, moved = furthest_moved(position, trial, radius)
-            if moved <= 4.0 * control.max_displacement:
-                status, pairs = evaluate(source, pairs, step, trial, slopes[old])
-                _weigh(0.5 * step, slopes[now], 0.5 * step, slopes[old], position, trial)
-                cell, moved = furthest_moved(position, trial, radius)
-        else:
-            r = step / last
+        r = step / last if last > 0.0 else 0.0
+        if last > 0.0:
             _weigh(
                 step * (1.0 + 0.5 * r), slopes[now], -0.5 * r * step, slopes[old], position, trial
             )
-            cell, moved = furthest_moved(position, trial, radius)
+        else:
+            displace(position, step, slopes[now], trial)
+            _, moved = furthest_moved(position, trial, radius)
+            if moved <= 4.0 * control.max_displacement:
+                status, pairs = evaluate(source, pairs, step, trial, slopes[old])
+                _weigh(0.5 * step, slopes[now], 0.5 * step, slopes[old], position, trial)
+        cell, moved = furthest_moved(position, trial, radius)
         if status == DONE and moved <= control.max_displacement:
             status, pairs = evaluate(source, pairs, elapsed + step, trial, slopes[new])
-        if status != DONE or moved > control.max_displacement:
-            counts[REJECTIONS] += 1
-            step, held = shorter(step, moved, control.max_displacement), True
+        if refused(walk, counts, control, status, moved):
             continue
-        if accepted == 0:
-            _difference(0.5 * step, slopes[new], -0.5 * step, slopes[old], error)
-        else:
+        if last > 0.0:
             share = step * (3.0 + 2.0 * r) / (3.0 + 3.0 * r)
             _milne(share, r, slopes[new], slopes[now], slopes[old], error)
-        size = weighted_rms(error, position, trial, control.rtol, control.atol)
-        size /= control.strictness
-        if not size <= 1.0:
-            counts[REJECTIONS] += 1
-            least = 0.2 if accepted else 0.02
-            step, held = step * max(least, 0.9 * size ** (-1.0 / control.order)), True
-            if not math.isfinite(size):
-                step *= 0.2
-            continue
-        whole = step == left
-        elapsed = length if whole else elapsed + step
-        copy(trial, position)
-        old, now, new = now, new, old
-        worst = max(worst, largest_length(error))
-        counts[STEPS] += 1
-        accepted += 1
-        last = step
-        wanted = min(next_step(step, size, previous, control.order, False), 2.0 * step)
-        # a step that hardly changes is kept: the formula is at its best with equal steps
-        if 0.9 * step < wanted < 1.2 * step:
-            wanted = step
-        step, held = (min(step, wanted) if held else wanted), False
-        previous = max(size, 1e-4)
-    return Report(DONE, length, step, -1, 0.0, worst), pairs
+            least = 0.2
+        else:
+            _difference(0.5 * step, slopes[new], -0.5 * step, slopes[old], error)
+            least = 0.02
+        # the formula is at its best with equal steps
+        if accepted(walk, counts, control, length, position, trial, error, least, 2.0, True):
+            old, now, new = now, new, old
+            last = step
+    return Report(DONE, length, walk[STEP], -1, 0.0, walk[WORST]), pairs
 
 
 @compiled

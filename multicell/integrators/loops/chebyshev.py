@@ -20,25 +20,24 @@ from numba import njit
 from numba.extending import register_jitable
 
 from multicell.integrators.stepping import (
-    _SHORTEST,
     DONE,
+    ELAPSED,
     MOVED,
-    OUT_OF_STEPS,
-    REJECTIONS,
-    STALLED,
-    STEPS,
+    STEP,
+    WORST,
     Report,
+    accepted,
+    begun,
     compiled,
     copy,
     displace,
+    ended,
     evaluate,
     fitted,
     furthest_moved,
-    largest_length,
-    next_step,
-    shorter,
+    moved_on,
+    refused,
     starting_step,
-    weighted_rms,
 )
 
 DAMPING = 2.0 / 13.0
@@ -273,11 +272,9 @@ def fixed_chebyshev(
             status, pairs = _chebyshev(source, pairs, table, position, slope, elapsed, step, work)
         if status != DONE:
             return Report(status, elapsed, step, -1, math.inf, math.nan), pairs
-        cell, moved = furthest_moved(position, work[0], radius)
-        if moved > allowed:
+        cell, moved = moved_on(position, work[0], radius, allowed, counts)
+        if not moved <= allowed:
             return Report(MOVED, elapsed, step, cell, moved, math.nan), pairs
-        copy(work[0], position)
-        counts[STEPS] += 1
     return Report(DONE, length, step, -1, 0.0, math.nan), pairs
 
 
@@ -288,17 +285,19 @@ def adaptive_chebyshev(source, pairs, position, length, radius, counts, control,
     slope, vector = np.empty_like(position), np.empty_like(position)
     error = np.zeros_like(position)
     table = coefficients(2)
-    elapsed, previous, accepted, cell, moved, worst = 0.0, 1.0, 0, -1, 0.0, 0.0
+    cell, moved = -1, 0.0
     status, pairs = evaluate(source, pairs, 0.0, position, slope)
     if status != DONE:
         return Report(status, 0.0, 0.0, -1, math.inf, math.nan), pairs
     step, pairs = starting_step(
         source, pairs, control, position, slope, work[0], work[1], length, radius
     )
+    walk = begun(step)
     _scramble(vector)
     copy(slope, error)
-    rate, products, age, held = 0.0, _COLD, 0, False
-    while elapsed < length:
+    rate, products, age = 0.0, _COLD, 0
+    while walk[ELAPSED] < length:
+        elapsed = walk[ELAPSED]
         if products > 0:
             _mix(radius, vector, error)
             rate, pairs = spectral_radius(
@@ -306,10 +305,10 @@ def adaptive_chebyshev(source, pairs, position, length, radius, counts, control,
             )
             products, age = 0, 0
         if rate > 0.0:
-            step = min(step, stable_length(most_stages) / (_SAFETY * rate))
-        step = fitted(step, length - elapsed)
-        if accepted == control.most_steps or step < _SHORTEST * length:
-            status = OUT_OF_STEPS if accepted == control.most_steps else STALLED
+            walk[STEP] = min(walk[STEP], stable_length(most_stages) / (_SAFETY * rate))
+        step = walk[STEP] = fitted(walk[STEP], length - elapsed)
+        status = ended(walk, counts, control, length)
+        if status != DONE:
             return Report(status, elapsed, step, cell, moved, math.nan), pairs
         stages = stages_for(step, _SAFETY * rate, most_stages)
         if stages != table.shape[0] - 1:
@@ -319,32 +318,17 @@ def adaptive_chebyshev(source, pairs, position, length, radius, counts, control,
         cell, moved = furthest_moved(position, trial, radius)
         if status == DONE and moved <= control.max_displacement:
             status, pairs = evaluate(source, pairs, elapsed + step, trial, work[1])
-        if status != DONE or moved > control.max_displacement:
-            counts[REJECTIONS] += 1
-            step, held = shorter(step, moved, control.max_displacement), True
+        good = not refused(walk, counts, control, status, moved)
+        if good:
+            _estimate(step, position, trial, slope, work[1], error)
+            good = accepted(walk, counts, control, length, position, trial, error, 0.2, 5.0, False)
+        else:
             displace(trial, -1.0, position, error)
+        if good:
+            copy(work[1], slope)
+            age += 1
+            products = _WARM if age == _AGE else 0
+        else:
             # refused twice in a row: the rate is known here already
             products = _COLD if age > 0 else 0
-            continue
-        _estimate(step, position, trial, slope, work[1], error)
-        size = weighted_rms(error, position, trial, control.rtol, control.atol)
-        size /= control.strictness
-        if not size <= 1.0:
-            counts[REJECTIONS] += 1
-            step, held = next_step(step, size, previous, control.order, True), True
-            products = _COLD if age > 0 else 0
-            continue
-        whole = step == length - elapsed
-        elapsed = length if whole else elapsed + step
-        copy(trial, position)
-        copy(work[1], slope)
-        worst = max(worst, largest_length(error))
-        counts[STEPS] += 1
-        accepted += 1
-        age += 1
-        if age == _AGE:
-            products = _WARM
-        wanted = next_step(step, size, previous, control.order, False)
-        step, held = (min(step, wanted) if held else wanted), False
-        previous = max(size, 1e-4)
-    return Report(DONE, length, step, -1, 0.0, worst), pairs
+    return Report(DONE, length, walk[STEP], -1, 0.0, walk[WORST]), pairs

@@ -8,26 +8,25 @@ import numpy as np
 from numba.extending import register_jitable
 
 from multicell.integrators.stepping import (
-    _SHORTEST,
     DONE,
+    ELAPSED,
     MOVED,
-    OUT_OF_STEPS,
-    REJECTIONS,
-    STALLED,
-    STEPS,
+    STEP,
+    WORST,
     Report,
+    accepted,
+    begun,
     combine,
     compiled,
     copy,
+    ended,
     error_of,
     evaluate,
     fitted,
     furthest_moved,
-    largest_length,
-    next_step,
-    shorter,
+    moved_on,
+    refused,
     starting_step,
-    weighted_rms,
 )
 
 
@@ -56,11 +55,9 @@ def fixed_runge_kutta(source, pairs, position, length, radius, counts, steps, al
         if status != DONE:
             return Report(status, elapsed, step, -1, math.inf, math.nan), pairs
         combine(position, step, tableau.b, slopes, tableau.c.size, trial)
-        cell, moved = furthest_moved(position, trial, radius)
-        if moved > allowed:
+        cell, moved = moved_on(position, trial, radius, allowed, counts)
+        if not moved <= allowed:
             return Report(MOVED, elapsed, step, cell, moved, math.nan), pairs
-        copy(trial, position)
-        counts[STEPS] += 1
     return Report(DONE, length, step, -1, 0.0, math.nan), pairs
 
 
@@ -70,42 +67,26 @@ def adaptive_runge_kutta(source, pairs, position, length, radius, counts, contro
     last = tableau.c.size - 1
     slopes = np.empty((tableau.c.size, position.shape[0], 3))
     trial, error = np.empty_like(position), np.empty_like(position)
-    elapsed, previous, accepted, cell, moved, worst = 0.0, 1.0, 0, -1, 0.0, 0.0
+    cell, moved = -1, 0.0
     status, pairs = evaluate(source, pairs, 0.0, position, slopes[0])
     if status != DONE:
         return Report(status, 0.0, 0.0, -1, math.inf, math.nan), pairs
     step, pairs = starting_step(
         source, pairs, control, position, slopes[0], trial, error, length, radius
     )
-    held = False
-    while elapsed < length:
-        step = fitted(step, length - elapsed)
-        if accepted == control.most_steps or step < _SHORTEST * length:
-            status = OUT_OF_STEPS if accepted == control.most_steps else STALLED
+    walk = begun(step)
+    while walk[ELAPSED] < length:
+        elapsed = walk[ELAPSED]
+        step = walk[STEP] = fitted(walk[STEP], length - elapsed)
+        status = ended(walk, counts, control, length)
+        if status != DONE:
             return Report(status, elapsed, step, cell, moved, math.nan), pairs
         status, pairs = _stages(source, pairs, tableau, slopes, position, elapsed, step, trial)
         # the result, where the last stage was
         cell, moved = furthest_moved(position, trial, radius)
-        if status != DONE or moved > control.max_displacement:
-            counts[REJECTIONS] += 1
-            step, held = shorter(step, moved, control.max_displacement), True
+        if refused(walk, counts, control, status, moved):
             continue
         error_of(step, tableau.error, slopes, error)
-        size = weighted_rms(error, position, trial, control.rtol, control.atol)
-        size /= control.strictness
-        if not size <= 1.0:
-            counts[REJECTIONS] += 1
-            step, held = next_step(step, size, previous, control.order, True), True
-            continue
-        whole = step == length - elapsed
-        elapsed = length if whole else elapsed + step
-        copy(trial, position)
-        copy(slopes[last], slopes[0])
-        worst = max(worst, largest_length(error))
-        counts[STEPS] += 1
-        accepted += 1
-        wanted = next_step(step, size, previous, control.order, False)
-        # no growth right after a refusal
-        step, held = (min(step, wanted) if held else wanted), False
-        previous = max(size, 1e-4)
-    return Report(DONE, length, step, -1, 0.0, worst), pairs
+        if accepted(walk, counts, control, length, position, trial, error, 0.2, 5.0, False):
+            copy(slopes[last], slopes[0])
+    return Report(DONE, length, walk[STEP], -1, 0.0, walk[WORST]), pairs
