@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from multicell.cli.options import as_json_option, changes_option, console, errors, parse_changes
+from multicell.cli.options import as_json_option, changes_option, console, errors, scene_of
 from multicell.cli.process import complain, print_json
 
 
@@ -88,14 +88,13 @@ def compare(
     whatever the method: compare those with --stepwise.
     """
     with errors(as_json):
-        parsed = parse_changes(changes)
-        from multicell.comparison.work_precision import run_compare
+        described = scene_of(scene, changes)
+        from multicell import comparison
 
-        result = run_compare(
-            scene,
-            output,
-            changes=parsed,
-            methods=_names(methods),
+        result = comparison.compare(
+            described,
+            _names(methods),
+            output=output,
             stepwise=False if stepwise is None else stepwise,
             clock=clock,
             repeats=repeats,
@@ -137,14 +136,13 @@ def stability(
     Parameters of the scene are swept one at a time; limits stand beside theory.
     """
     with errors(as_json):
-        parsed = parse_changes(changes)
-        from multicell.comparison.stability.search import run_stability
+        described = scene_of(scene, changes)
+        from multicell import comparison
 
-        result = run_stability(
-            scene,
-            output,
-            changes=parsed,
-            methods=_names(methods),
+        result = comparison.stability(
+            described,
+            _names(methods),
+            output=output,
             sweeps={} if no_sweeps else None,
             threads=threads,
             overwrite=overwrite,

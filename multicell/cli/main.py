@@ -15,7 +15,14 @@ import click
 
 from multicell import __version__
 from multicell.cli.compare import compare, stability
-from multicell.cli.options import as_json_option, changes_option, console, errors, parse_changes
+from multicell.cli.options import (
+    as_json_option,
+    changes_option,
+    console,
+    errors,
+    parse_changes,
+    scene_of,
+)
 from multicell.cli.process import Commands, complain, print_json
 from multicell.errors import OutputError, StepFailed
 
@@ -67,7 +74,7 @@ def explain(scene: str, changes: Sequence[str], as_json: bool) -> None:
     with errors(as_json):
         from multicell.report.explain.scene import explain as explained
 
-        facts = explained(_scene(scene, changes))
+        facts = explained(scene_of(scene, changes))
         if as_json:
             print_json({"scene": scene, **facts})
         else:
@@ -103,7 +110,7 @@ def run(
 ) -> None:
     """Run a SCENE and write frames, summary, pictures and a report to a folder."""
     with errors(as_json):
-        described = _scene(scene, changes)
+        described = scene_of(scene, changes)
         if integrator is not None:
             described = described.with_changes({"integrator": integrator})
         # loaded after the scene was accepted: bad input is answered at once
@@ -231,14 +238,6 @@ def _show(result: Result, output: Path, quiet: bool, as_json: bool) -> None:
         print_json(result.summary())
     elif not quiet:
         _print_summary(console(), result.summary(), output)
-
-
-def _scene(source: str, changes: Sequence[str]) -> Scene:
-    """Return the scene that the arguments describe."""
-    parsed = parse_changes(changes)
-    from multicell.scene.scene import load_scene
-
-    return load_scene(source).with_changes(parsed)
 
 
 def _finish_early(error: BaseException, output: Path, no_report: bool, as_json: bool) -> None:

@@ -16,6 +16,8 @@ from multicell.units import shown
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from multicell.scene.scene import Scene
+
 
 _DEEPEST = 20
 """Tables and lists of a scene stand at most five deep."""
@@ -55,6 +57,20 @@ def parse_changes(items: Sequence[str]) -> dict[str, Any]:
         changes.pop(key, None)
         changes[key] = _value(key, text.strip())
     return changes
+
+
+def scene_of(source: str, changes: Sequence[str]) -> Scene:
+    """Return the scene that SCENE and ``--set`` describe.
+
+    Raises
+    ------
+    SceneError
+        If there is no such scene, or a change makes no sense.
+    """
+    parsed = parse_changes(changes)
+    from multicell.scene.scene import load_scene
+
+    return load_scene(source).with_changes(parsed)
 
 
 def _value(key: str, text: str) -> Any:

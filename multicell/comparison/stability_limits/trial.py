@@ -1,4 +1,8 @@
-"""One trial of a method: it is watched step by step, and how it fails is named."""
+"""One trial of a method: it is watched step by step, and how it fails is named.
+
+There are three kinds of failure. A *blow-up* and a *stall* end a trial; a *wrong state* is one that
+the true motion does not come to, whether it was seen on the way or at the end.
+"""
 
 from __future__ import annotations
 
@@ -11,36 +15,28 @@ import numpy as np
 
 from multicell.cells import FloatArray, IntArray
 from multicell.comparison.ladders import Method
-from multicell.comparison.replay import _one_step
-from multicell.comparison.stability.state import State
+from multicell.comparison.replay import advance, too_late
+from multicell.comparison.stability_limits.state import State
 from multicell.mechanics.system import Mechanics, StateRejected
 
 STABLE: Final = "stable"
 BLOW_UP: Final = "blow-up"
-PASSING: Final = "cells passing through each other"
-OSCILLATION: Final = "oscillation"
-SEPARATION: Final = "false separation of a bond"
+WRONG: Final = "wrong state"
 STALL: Final = "stall"
-WRONG: Final = "wrong equilibrium"
 
 KINDS: Final = {
     STABLE: "the energy only falls, and the end is that of the reference",
     BLOW_UP: "positions or energy grow beyond all bounds or are no numbers, or a step is refused "
     "because it would throw a cell away",
-    PASSING: "the line between two cells that touch turns by more than 90° within one step",
-    OSCILLATION: "displacements alternate from step to step and do not decay, or the energy "
-    "rises and falls again",
-    SEPARATION: "a pair in contact at the start, and at the end of the reference, ends apart",
     STALL: "the end is not reached within the allowed steps, or nothing moves where it should",
-    WRONG: "the energy ends above that of the reference, or pair distances differ, though nothing "
-    "failed",
+    WRONG: "cells pass through each other, displacements alternate from step to step, the energy "
+    "rises, a bond is lost, or the end is not that of the reference",
 }
 """How a trial ends -> what that means.
 
-Where several apply, blow-up or stall counts first, then cells that pass through each other,
-displacements that alternate, a lost bond, and the others. After a division cells may take
-another pocket than in the reference: only a higher energy at the end is wrong there, and only
-then a lost bond counts.
+Where several apply, blow-up or stall counts first. After a division cells may take another pocket
+than in the reference: only a higher energy at the end is wrong there, and only then a lost bond
+counts.
 """
 
 STEPS: Final = 200
@@ -56,41 +52,42 @@ _STILL = 0.01  # part of the true way that counts as no progress
 
 
 @final
-@dataclass(frozen=True, eq=False)
+@dataclass
 class Trace:
     """What was seen of a trial.
 
     Attributes
     ----------
-    times : (m + 1,) float64, s
+    times : list of float, s
     positions : list of (n, 3) float64, µm
         At every time, the start included.
-    energy : (m + 1,) float64, fJ
+    energy : list of float, fJ
+        At every time; infinite where cells are out of bounds or on top of others.
     contacts : (p, 2) int64
         Pairs in contact at the start.
+    end : float, s
+        When it should end.
     turned : list of (k, i, j)
         The line between cells i and j, which touched, turned by more than 90° in step k.
     problem : str
         Why it ended early, in words.
     out_of_bounds : bool
         Whether it ended because positions or energy left all bounds.
-    end : float, s
-        When it should have ended.
     steps : int
         Steps that the method took.
     wall : float, s
     """
 
-    times: FloatArray
+    times: list[float]
     positions: list[FloatArray]
-    energy: FloatArray
+    energy: list[float]
     contacts: IntArray
-    turned: list[tuple[int, int, int]]
-    problem: str
-    out_of_bounds: bool
     end: float
-    steps: int
-    wall: float
+    turned: list[tuple[int, int, int]]
+    problem: str = ""
+    out_of_bounds: bool = False
+    steps: int = 0
+    wall: float = 0.0
 
 
 @final
@@ -102,10 +99,10 @@ class Verdict:
     ----------
     kind : str
         A key of :data:`KINDS`.
-    also : tuple of str
-        Other kinds that apply as well.
     words : str
         What was seen.
+    also : tuple of str
+        What else was seen, in words.
     climb : float
         Largest rise of the energy over what is noticed.
     deviation : float
@@ -113,8 +110,8 @@ class Verdict:
     """
 
     kind: str
-    also: tuple[str, ...]
     words: str
+    also: tuple[str, ...]
     climb: float
     deviation: float
 
@@ -133,82 +130,48 @@ def watch(state: State, method: Method, setting: float, patience: float = 20.0) 
     patience
         Wall time in s after which a trial counts as a stall.
     """
+    begin = clock.perf_counter()
     fixed = method.control == "step"
     count = STEPS if fixed else _WINDOWS
     length = setting if fixed else _LENGTH / (_WINDOWS * state.rate)
-    return _Watch(state, method, setting, length, count, patience).run()
+    integrator = method.make(setting)
+    bounds = _Bounds(state)
+    system = state.system(0.0, length)
+    touching = system.contacts(0.0, state.start)
+    energy = system.energy(0.0, state.start)
+    trace = Trace([0.0], [state.start], [energy], touching, count * length, [])
+    for k in range(count):
+        first = 0 if method.name in _REMEMBERS else k
+        before, end = system.work.steps, (k + 1) * length
+        state.ready(system, first * length, end, touching)
+        trace.problem, position = advance(system, integrator, trace.positions[first])
+        trace.steps += system.work.steps - before
+        if trace.problem:
+            break
+        trace.turned += _turns(state, k, length, trace.positions[-1], position, touching, fixed)
+        trace.times.append(end)
+        trace.positions.append(position)
+        trace.energy.append(bounds.energy(system, end, position))
+        trace.out_of_bounds = not trace.energy[-1] <= bounds.most
+        if clock.perf_counter() - begin > patience and k + 1 < count:
+            trace.problem = too_late(patience)
+        if trace.problem or trace.out_of_bounds:
+            break
+        touching = system.contacts(end, position)
+    trace.wall = clock.perf_counter() - begin
+    return trace
 
 
 @final
-class _Watch:
-    """A trial under way."""
+class _Bounds:
+    """How far cells may go, and how much energy they may have, before a trial is lost."""
 
-    def __init__(
-        self,
-        state: State,
-        method: Method,
-        setting: float,
-        length: float,
-        count: int,
-        patience: float,
-    ) -> None:
-        self.state, self.method, self.length, self.count = state, method, length, count
-        self.integrator = method.make(setting)
-        self.patience = patience
-        self.turned: list[tuple[int, int, int]] = []
+    def __init__(self, state: State) -> None:
         self.middle = state.start.mean(axis=0)
         self.reach = float(np.ptp(state.start, axis=0).max()) + 10.0 * state.radius
-        self.most = max(state.energy_unit, state.system(0.0, 1.0).energy(0.0, state.start))
+        self.most = max(state.energy_unit, state.energy(0.0, state.start))
 
-    def run(self) -> Trace:
-        """Take all steps, unless something goes wrong for good."""
-        begin = clock.perf_counter()
-        state = self.state
-        system = state.system(0.0, self.length)
-        touching = first = system.contacts(0.0, state.start)
-        positions, energy = [state.start], [system.energy(0.0, state.start)]
-        steps, problem, lost = 0, "", False
-        for k in range(self.count):
-            before = system.work.steps
-            problem, position = self._step(system, k, positions, touching)
-            steps += system.work.steps - before
-            if problem:
-                break
-            self._note_turns(k, positions[-1], position, touching)
-            positions.append(position)
-            energy.append(self._energy(system, (k + 1) * self.length, position))
-            lost = not energy[-1] <= self.most
-            late = clock.perf_counter() - begin > self.patience and k + 1 < self.count
-            if lost or late:
-                problem = f"not done after {self.patience:g} s of wall time" if late else ""
-                break
-            touching = system.contacts((k + 1) * self.length, position)
-        times = np.asarray(self.length * np.arange(len(positions)), dtype=np.float64)
-        return Trace(
-            times, positions, np.array(energy), first, self.turned, problem, lost,
-            self.count * self.length, steps, clock.perf_counter() - begin,
-        )  # fmt: skip
-
-    def _step(
-        self, system: Mechanics, k: int, positions: list[FloatArray], touching: IntArray
-    ) -> tuple[str, FloatArray]:
-        remembers = self.method.name in _REMEMBERS
-        start = 0 if remembers else k
-        self.state.ready(system, start * self.length, (k + 1) * self.length, touching)
-        return _one_step(system, self.integrator, positions[start])
-
-    def _note_turns(
-        self, k: int, before: FloatArray, after: FloatArray, touching: IntArray
-    ) -> None:
-        pairs = turned_pairs(before, after, touching)
-        if len(pairs) and self.method.control == "tolerance":
-            # a coupling step may be long enough for the true motion to turn a pair
-            true = [self.state.at((k + m) * self.length) for m in (0, 1)]
-            really = {tuple(pair) for pair in turned_pairs(true[0], true[1], pairs)}
-            pairs = np.array([pair for pair in pairs if tuple(pair) not in really])
-        self.turned += [(k, int(i), int(j)) for i, j in pairs]
-
-    def _energy(self, system: Mechanics, time: float, position: FloatArray) -> float:
+    def energy(self, system: Mechanics, time: float, position: FloatArray) -> float:
         """Return the energy in fJ, infinite where cells are out of bounds or on top of others."""
         if not np.abs(position - self.middle).max() <= self.reach:
             return np.inf
@@ -225,28 +188,44 @@ def turned_pairs(before: FloatArray, after: FloatArray, pairs: IntArray) -> IntA
     return np.asarray(pairs[np.einsum("ij,ij->i", old, new) < 0.0])
 
 
+def _turns(
+    state: State,
+    k: int,
+    length: float,
+    before: FloatArray,
+    after: FloatArray,
+    touching: IntArray,
+    fixed: bool,
+) -> list[tuple[int, int, int]]:
+    """Return the pairs whose line turned in step ``k``, other than by the true motion."""
+    pairs = {(int(i), int(j)) for i, j in turned_pairs(before, after, touching)}
+    if pairs and not fixed:
+        # a coupling step may be long enough for the true motion to turn a pair
+        true = [state.at((k + m) * length) for m in (0, 1)]
+        really = turned_pairs(true[0], true[1], np.array(sorted(pairs)))
+        pairs -= {(int(i), int(j)) for i, j in really}
+    return [(k, i, j) for i, j in sorted(pairs)]
+
+
 def judge(state: State, trace: Trace) -> Verdict:
     """Say how a trial went, by comparing it with the reference."""
     problem = trace.problem
-    slack, true_end, rest = _expected(state, trace)
-    climb = _climb(trace.energy) / slack
+    noticed, true_end, rest = _expected(state, trace)
+    climb = _climb(trace.energy) / noticed
     if trace.out_of_bounds or _THROWN.search(problem):
-        kinds = [(BLOW_UP, problem or "positions or energy left all bounds")]
-    elif problem:
-        kinds = [(STALL, problem)]
+        found = [(BLOW_UP, problem or "positions or energy left all bounds")]
     else:
-        kinds = _stillness(state, trace, true_end)
+        stalled = problem or _stillness(state, trace, true_end)
+        found = [(STALL, stalled)] if stalled else []
     if trace.turned:
         k, i, j = trace.turned[0]
-        kinds.append((PASSING, f"cells {i} and {j} changed sides in step {k + 1}"))
+        found.append((WRONG, f"cells {i} and {j} changed sides in step {k + 1}"))
     deviation = np.nan
     if not problem and not trace.out_of_bounds:
         deviation = pair_deviation(state, trace.positions[-1], true_end)
-        kinds += _at_end(state, trace, slack, rest, deviation)
-    if not kinds:
-        return Verdict(STABLE, (), "", climb, deviation)
-    also = tuple(dict.fromkeys(kind for kind, _ in kinds[1:] if kind != kinds[0][0]))
-    return Verdict(kinds[0][0], also, kinds[0][1], climb, deviation)
+        found += [(WRONG, words) for words in _at_end(state, trace, noticed, rest, deviation)]
+    kind, words = found[0] if found else (STABLE, "")
+    return Verdict(kind, words, tuple(words for _, words in found[1:]), climb, deviation)
 
 
 def pair_deviation(state: State, position: FloatArray, true: FloatArray) -> float:
@@ -261,51 +240,49 @@ def pair_deviation(state: State, position: FloatArray, true: FloatArray) -> floa
 def _expected(state: State, trace: Trace) -> tuple[float, FloatArray, float]:
     """Return the rise of energy that is noticed, fJ, and true positions and energy at the end."""
     true_end = state.at(trace.end)
-    rest = state.system(0.0, 1.0).energy(0.0, true_end)
-    released = max(float(trace.energy[0]) - rest, 0.0)
-    others = [state.system(0.0, 1.0).energy(0.0, twin.at(trace.end)) for twin in state.twins]
+    rest = state.energy(0.0, true_end)
+    released = max(trace.energy[0] - rest, 0.0)
+    others = [state.energy(0.0, twin.at(trace.end)) for twin in state.twins]
     spread = max((abs(energy - rest) for energy in others), default=0.0)
-    slack = max(state.share * released, 1e-12 * state.energy_unit)
-    return slack + _SAFETY * spread, true_end, rest
+    noticed = max(state.share * released, 1e-12 * state.energy_unit)
+    return noticed + _SAFETY * spread, true_end, rest
 
 
-def _stillness(state: State, trace: Trace, true_end: FloatArray) -> list[tuple[str, str]]:
-    """Return a stall if the cells have not moved though they should have."""
+def _stillness(state: State, trace: Trace, true_end: FloatArray) -> str:
+    """Return the words for cells that have not moved though they should have, or none."""
     way = np.abs(true_end - trace.positions[0]).max()
     gone = np.abs(trace.positions[-1] - trace.positions[0]).max()
     if way > state.noticed and gone < _STILL * way:
-        return [(STALL, f"no progress: the cells should move by {way / state.radius:.2g} radii")]
-    return []
+        return f"no progress: the cells should move by {way / state.radius:.2g} radii"
+    return ""
 
 
-def _at_end(
-    state: State, trace: Trace, slack: float, rest: float, deviation: float
-) -> list[tuple[str, str]]:
-    """Return the failures that a trial shows which reached its end, the first one foremost."""
+def _at_end(state: State, trace: Trace, noticed: float, rest: float, deviation: float) -> list[str]:
+    """Return what is wrong with a trial that reached its end, the foremost first."""
     found = []
     alternates, size = _alternation(state, trace)
-    excess = (float(trace.energy[-1]) - rest) / slack
+    excess = (trace.energy[-1] - rest) / noticed
     # where cells have been pressed apart, a pocket of no higher energy is as good
     wrong = excess > 1.0 or (deviation > _DISTANCE and not state.twins)
-    still = size * state.radius < 0.1 * state.noticed
-    if alternates:
-        found.append((OSCILLATION, f"displacements of {size:.2g} radii alternate"))
-    bond = _lost_bond(state, trace)
-    if bond and (wrong or not state.twins):
-        found.append((SEPARATION, bond))
     side = "above" if excess > 0.0 else "below"
-    wrong_words = (
+    wrong_end = (
         f"the energy ends {abs(excess):.3g} times what is noticed {side} the reference; "
         f"pair distances differ by up to {deviation:.2g} radii"
     )
+    if alternates:
+        found.append(f"displacements of {size:.2g} radii alternate")
+    bond = _lost_bond(state, trace)
+    if bond and (wrong or not state.twins):
+        found.append(bond)
+    still = size * state.radius < 0.1 * state.noticed
     if wrong and still:
-        found.append((WRONG, wrong_words))
-    if _cycles(trace.energy, slack):
-        found.append((OSCILLATION, "the energy rose and fell again"))
-    elif _climb(trace.energy) > slack and not wrong:
-        found.append((OSCILLATION, "the energy rose"))
+        found.append(wrong_end)
+    if _cycles(trace.energy, noticed):
+        found.append("the energy rose and fell again")
+    elif _climb(trace.energy) > noticed and not wrong:
+        found.append("the energy rose")
     if wrong and not still:
-        found.append((WRONG, wrong_words))
+        found.append(wrong_end)
     return found
 
 
@@ -322,22 +299,27 @@ def _alternation(state: State, trace: Trace) -> tuple[bool, float]:
     return bool(np.median(angle) < -0.3 and size * state.radius > state.noticed), size
 
 
-def _climb(energy: FloatArray) -> float:
+def _rises(energy: list[float]) -> FloatArray:
+    """Return how far the energy is above the least of what it was before, fJ."""
+    return np.asarray(energy - np.minimum.accumulate(energy))
+
+
+def _climb(energy: list[float]) -> float:
     """Return the largest rise of the energy above what it was before, fJ."""
-    rises = energy - np.minimum.accumulate(energy)
+    rises = _rises(energy)
     return float(rises.max()) if np.isfinite(rises).all() else np.inf
 
 
-def _cycles(energy: FloatArray, slack: float) -> bool:
-    """Return whether the energy rises by more than ``slack`` and falls by as much again."""
-    rises = energy - np.minimum.accumulate(energy)
+def _cycles(energy: list[float], noticed: float) -> bool:
+    """Return whether the energy rises by more than is noticed and falls by as much again."""
+    rises = _rises(energy)
     peak = int(rises.argmax())
-    return bool(rises[peak] > slack and energy[peak] - energy[peak:].min() > slack)
+    return bool(rises[peak] > noticed and energy[peak] - min(energy[peak:]) > noticed)
 
 
 def _lost_bond(state: State, trace: Trace) -> str:
     """Return the words for a bond that the method has broken, or none."""
-    time = float(trace.times[-1])
+    time = trace.times[-1]
     pairs = trace.contacts
     rest = state.motion.radius[pairs[:, 0]] + state.motion.radius[pairs[:, 1]]
     true_ends = [true.at(trace.end) for true in (state, *state.twins)]

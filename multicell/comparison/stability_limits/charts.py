@@ -12,34 +12,18 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from multicell.comparison.charts import look
-from multicell.comparison.stability.trial import (
-    BLOW_UP,
-    OSCILLATION,
-    PASSING,
-    SEPARATION,
-    STABLE,
-    STALL,
-    WRONG,
-)
+from multicell.comparison.stability_limits.trial import BLOW_UP, STABLE, STALL, WRONG
 from multicell.report.plots.style import INK, QUIET, blank, cell_count, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from multicell.comparison.measure import Row
-    from multicell.comparison.stability.result import StabilityMap
+    from multicell.comparison.files import Row
+    from multicell.comparison.stability_limits.result import StabilityMap
 
 
 # told apart by lightness as well as by hue (Okabe & Ito, darkened where white text is near)
-COLOURS: Final = {
-    STABLE: "#cfe8dc",
-    BLOW_UP: "#8f1d14",
-    OSCILLATION: "#e69f00",
-    PASSING: "#7b3fa0",
-    SEPARATION: "#56b4e9",
-    WRONG: "#f4a6b8",
-    STALL: "#5c6166",
-}
+COLOURS: Final = {STABLE: "#cfe8dc", BLOW_UP: "#8f1d14", STALL: "#5c6166", WRONG: "#e69f00"}
 """Kind of end -> its colour."""
 
 _TITLES: Final = {

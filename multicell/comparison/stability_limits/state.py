@@ -35,7 +35,6 @@ _TWINS = 3
 
 Product = Callable[[FloatArray], FloatArray]
 
-_DENSE = 150  # cells up to which all eigenvalues are computed
 _AT_REST = 1e-10  # speed of a cluster at rest, in radii times the largest decay rate
 _DOUBLINGS = 16
 _RTOL, _ATOL = 1e-11, 1e-9  # of the reference; the second in mean radii
@@ -111,6 +110,10 @@ class State:
         if motion.touching is not None and touching is not None:
             motion = replace(motion, touching=touching)
         system.begin(motion)
+
+    def energy(self, time: float, position: FloatArray) -> float:
+        """Return the contact energy of cells at some place and time, fJ."""
+        return self.system(time, time + 1.0).energy(time, position)
 
     def at(self, time: float) -> FloatArray:
         """Return the true positions at a time, (n, 3) µm.
@@ -216,12 +219,12 @@ def _strained(state: State, position: FloatArray, mode: FloatArray) -> float:
 
 
 def largest_decay(
-    system: Mechanics, position: FloatArray, flat: bool = False
+    system: Mechanics, position: FloatArray, flat: bool = False, dense: int = 150
 ) -> tuple[float, FloatArray]:
     """Return the largest decay rate of the linearised motion, 1/s, and its mode, (n, 3).
 
     Without friction between cells Γ^½ J Γ^-½ is symmetric, with the drag coefficients Γ. Below
-    150 cells all its eigenvalues are computed, above the extreme one by Lanczos' method from
+    ``dense`` cells all its eigenvalues are computed, above the extreme one by Lanczos' method from
     products J v. With friction products are known to 1e-4, and so is the rate.
 
     Parameters
@@ -232,6 +235,8 @@ def largest_decay(
         Positions, (n, 3) µm, at the step's beginning.
     flat
         Whether motion out of the plane z = 0 is left out.
+    dense
+        Number of cells from which only the extreme eigenvalue is computed.
 
     Raises
     ------
@@ -249,7 +254,7 @@ def largest_decay(
         return np.asarray(np.where(free, -weight * image.ravel(), 0.0))
 
     symmetric = max(system.friction) == 0.0
-    value, mode = (_by_all if len(position) < _DENSE else _by_lanczos)(
+    value, mode = (_by_all if len(position) < dense else _by_lanczos)(
         product, len(weight), symmetric
     )
     if not value > 0.0:
