@@ -27,7 +27,7 @@ import multicell as mc
 from multicell.comparison.cache import source_hash
 from multicell.comparison.ladders import SMALLEST_TOLERANCE, Method
 from multicell.comparison.result import WorkPrecision
-from multicell.integrators.base import Outcome
+from multicell.integrators.base import MethodInfo, Outcome
 from multicell.integrators.registry import METHODS
 
 HERE = Path(__file__).parent
@@ -115,13 +115,16 @@ class SundialsDefaults:
         return Outcome(motion.end, np.array(result.y).reshape(-1, 3), problem)
 
 
+LOOKS = MethodInfo("sundials-defaults", implicit=True, colour="#7aa37a", marker="H", outside=True)
+
+
 def sundials_defaults(radius: float) -> Method:
     """Return the method under the tolerances of all others, for cells of a mean radius in µm."""
 
     def make(tolerance: float) -> SundialsDefaults:
         return SundialsDefaults(max(0.01 * tolerance, SMALLEST_TOLERANCE), tolerance * radius)
 
-    return Method("sundials-defaults", "tolerance", make)
+    return Method("sundials-defaults", "tolerance", make, LOOKS)
 
 
 def compared(

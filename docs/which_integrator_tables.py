@@ -64,8 +64,11 @@ class Entry:
 
 def kind(method: str) -> str:
     """Return ``"explicit"``, ``"implicit"`` or ``""`` of a method."""
-    first = METHODS.get(method, "").partition(" ")[0].strip(":,")
-    return first if first in ("explicit", "implicit") else ""
+    info = METHODS.get(method)
+    # auto is of no order of its own
+    if info is None or info.outside or not (info.implicit or info.order):
+        return ""
+    return "implicit" if info.implicit else "explicit"
 
 
 def first_of(entry: Entry, goal: Goal, wanted: str = "") -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 from matplotlib.figure import Figure
@@ -11,36 +11,17 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from multicell.comparison.norms import NORMS
+from multicell.integrators.base import MethodInfo
+from multicell.integrators.registry import find
 from multicell.report.plots.style import QUIET, blank, cell_count, styled, time_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from multicell.comparison.result import WorkPrecision
+    from multicell.comparison.stability_limits.result import StabilityMap
 
 
-# implicit methods green, explicit ones blue to violet, stabilised orange, outside ones grey
-_LOOKS: Final[dict[str, tuple[str, str, str]]] = {
-    "cvode": ("#1f7f54", "o", "-"),
-    "cvode-sparse": ("#58b368", "s", "-"),
-    "cvode-adams": ("#a3c644", "D", "-"),
-    "backward-euler": ("#0d4a3a", "v", "-"),
-    "euler": ("#2f6fb0", "o", "-"),
-    "euler-adaptive": ("#74b0e4", "s", "-"),
-    "heun": ("#4b3a8e", "^", "-"),
-    "ab2": ("#9a7fd1", "D", "-"),
-    "ab2-adaptive": ("#d0a9e8", "p", "-"),
-    "rk4": ("#c44fa0", "v", "-"),
-    "dopri5": ("#14919b", "P", "-"),
-    "rkc2": ("#e8590c", "X", "-"),
-    "auto": ("#22303c", "*", "-"),
-    "scipy-rk45": ("#8b8f94", "o", "--"),
-    "scipy-dop853": ("#5c6166", "s", "--"),
-    "scipy-lsoda": ("#a98467", "^", "--"),
-    "scipy-radau": ("#b0b5ba", "D", "--"),
-    "scipy-bdf": ("#7d6b5d", "v", "--"),
-    "sundials-defaults": ("#7aa37a", "H", "--"),
-}
 _OTHERS: Final = ("#b5432f", "#f2b63c", "#6b7a86", "#2a9d6a", "#d16ba5", "#00798c")
 _LABELS: Final = {
     "wall": "wall time (s)",
@@ -107,7 +88,7 @@ def _headed(result: WorkPrecision, subtitle: str) -> Figure:
 def _curves(axes: Axes, result: WorkPrecision, norm: str, cost: str, size: float = 6.0) -> None:
     """Draw one line for each method."""
     for method in result.methods:
-        colour, marker, line = look(method, result.methods)
+        colour, marker, line = look(method, result)
         points = [(row[cost], row[f"error_{norm}"]) for row in result.rows(method)]
         # an error of exactly zero has no place on a logarithmic axis
         points = [(x, y) for x, y in points if x > 0.0 and y > 0.0]
@@ -148,7 +129,7 @@ def _crosses(strip: Axes, result: WorkPrecision) -> None:
         height = 1.0 - (level + 0.5) / len(failed)
         strip.plot(
             [row["spent"] for row in rows], [height] * len(rows), "x", ms=6, mew=1.6,
-            color=look(method, result.methods)[0], label=f"{method} failed", clip_on=False,
+            color=look(method, result)[0], label=f"{method} failed", clip_on=False,
         )  # fmt: skip
     strip.set_ylim(0.0, 1.0)
     strip.set_yticks([])
@@ -163,7 +144,7 @@ def _legend(figure: Figure, result: WorkPrecision, *, crosses: bool = True) -> N
     """Name the methods, in the order of the table."""
     handles: list[Any] = []
     for method in result.methods:
-        colour, marker, line = look(method, result.methods)
+        colour, marker, line = look(method, result)
         handles.append(Line2D([], [], color=colour, marker=marker, ls=line, label=method))
     if crosses and result.failures():
         handles.append(
@@ -175,9 +156,19 @@ def _legend(figure: Figure, result: WorkPrecision, *, crosses: bool = True) -> N
     )  # fmt: skip
 
 
-def look(method: str, methods: Sequence[str]) -> tuple[str, str, str]:
+def look(method: str, result: WorkPrecision | StabilityMap) -> tuple[str, str, str]:
     """Return colour, marker and line style of a method."""
-    if method in _LOOKS:
-        return _LOOKS[method]
-    unknown = [name for name in methods if name not in _LOOKS]
-    return _OTHERS[unknown.index(method) % len(_OTHERS)], "h", "-"
+    looks = {name: looks_of(name, result.facts) for name in result.methods}
+    if looks[method][0]:
+        return looks[method]
+    unknown = [name for name, (colour, _, _) in looks.items() if not colour]
+    return _OTHERS[unknown.index(method) % len(_OTHERS)], *looks[method][1:]
+
+
+def looks_of(method: str, facts: Mapping[str, Any]) -> tuple[str, str, str]:
+    """Return the looks that a method asks for; its colour may be empty."""
+    own = facts.get("looks", {})
+    if method in own:
+        return tuple(own[method])
+    info = find(method) or MethodInfo(method)
+    return info.colour, info.marker, "--" if info.outside else "-"

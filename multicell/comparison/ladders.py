@@ -5,21 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Literal, final
+from typing import Any, Final, final
 
 import numpy as np
 
 from multicell.comparison.replay import Problem, Trajectory
 from multicell.errors import SceneError
 from multicell.integrators import registry
-from multicell.integrators.base import Integrator
+from multicell.integrators.base import Control, Integrator, MethodInfo, build
 from multicell.integrators.registry import METHODS
 from multicell.mechanics.system import Work
-from multicell.scene.parts import IntegratorOptions
 from multicell.scene.scene import Scene
 from multicell.schema import near_miss
 
-Control = Literal["tolerance", "step"]
 Ladder = Mapping[str, Sequence[float]]
 
 SMALLEST_TOLERANCE: Final = 1e-13
@@ -47,19 +45,26 @@ class Method:
         What its setting means: a tolerance in mean radii, or a step in s.
     make : callable
         Setting -> integrator.
+    info : MethodInfo
+        What is known of it; by default what the registry knows by that name.
     """
 
     name: str
     control: Control
     make: Callable[[float], Integrator]
+    info: MethodInfo = None  # type: ignore[assignment]  # set below
+
+    def __post_init__(self) -> None:
+        if self.info is None:
+            object.__setattr__(self, "info", registry.find(self.name) or MethodInfo(self.name))
 
 
 def named(name: str, scene: Scene, radius: float) -> Method:
-    """Return a method of :data:`multicell.integrators.registry.METHODS`.
+    """Return a method of :data:`multicell.integrators.registry.METHODS`, or a variant of one.
 
     With a tolerance t the absolute tolerance is t ``radius``. The relative one is t / 100, so
     that it matters little how far from the origin of coordinates a cell lies. What kind of
-    setting a method has is seen from whether the integrator changes with the step.
+    setting a method has is part of what the registry knows of it.
 
     Parameters
     ----------
@@ -75,8 +80,14 @@ def named(name: str, scene: Scene, radius: float) -> Method:
     SceneError
         If there is no such method.
     """
-    if name not in METHODS:
+    info = registry.find(name)
+    if info is None:
         raise SceneError("methods", f"no method is called {name!r}", near_miss(name, METHODS))
+    return turned(info, scene, radius)
+
+
+def turned(info: MethodInfo, scene: Scene, radius: float) -> Method:
+    """Return a method whose tolerance or step is turned; see :func:`named`."""
     limits: dict[str, Any] = {
         "max_displacement": scene.integrator.max_displacement,
         "max_steps": _MANY_STEPS,
@@ -84,18 +95,21 @@ def named(name: str, scene: Scene, radius: float) -> Method:
 
     def by_tolerance(tolerance: float) -> Integrator:
         rtol = max(0.01 * tolerance, SMALLEST_TOLERANCE)
-        options = IntegratorOptions(method=name, rtol=rtol, atol=tolerance * radius, **limits)
-        return registry.make(options)
+        return build(info, rtol=rtol, atol=tolerance * radius, **limits)
 
     def by_step(step: float) -> Integrator:
         # an implicit one solves its equations far more exactly than its step is exact
-        options = IntegratorOptions(method=name, step=step, atol=_SOLVED * radius, **limits)
-        return registry.make(options)
+        return build(info, step=step, atol=_SOLVED * radius, **limits)
 
-    # integrators are frozen dataclasses: equal settings make equal objects
-    if by_step(1.0) != by_step(2.0):
-        return Method(name, "step", by_step)
-    return Method(name, "tolerance", by_tolerance)
+    if info.control == "step":
+        return Method(info.name, "step", by_step, info)
+    return Method(info.name, "tolerance", by_tolerance, info)
+
+
+def able(scene: Scene) -> list[str]:
+    """Return the names of all methods that can hold a scene, as far as its beginning tells."""
+    cells, friction = scene.initial.count, scene.friction is not None
+    return [name for name, m in METHODS.items() if m.refusal(cells, friction=friction) is None]
 
 
 def settings(
@@ -125,8 +139,7 @@ def settings(
     if given is None:
         if method.control == "tolerance":
             return list(TOLERANCES)
-        implicit = METHODS.get(method.name, "").startswith("implicit")
-        return _steps(problem, 0.0 if implicit else stiffness)
+        return _steps(problem, 0.0 if method.info.implicit else stiffness)
     path = f"ladder.{method.name if method.name in (ladder or {}) else method.control}"
     if len(given) == 0:
         raise SceneError(path, "is empty, must hold at least one value")
@@ -164,6 +177,15 @@ def _steps(problem: Problem, stiffness: float) -> list[float]:
     length = max(step.motion.end - step.motion.begin for step in problem.steps)
     count = max(1, math.ceil(length * stiffness / (2.0 * _COARSEST)))
     return [length / (count * 2**k) for k in range(_HALVINGS)]
+
+
+def looks(methods: Sequence[Method]) -> dict[str, list[str]]:
+    """Return colour, marker and line of the methods that the registry does not know."""
+    return {
+        m.name: [m.info.colour, m.info.marker, "--" if m.info.outside else "-"]
+        for m in methods
+        if registry.find(m.name) is None
+    }
 
 
 def weighted_cost(work: Work) -> float:

@@ -8,13 +8,12 @@ from typing import Any
 
 from multicell.cells import Cells
 from multicell.comparison.files import CLOCKS, Row, prepare
-from multicell.comparison.ladders import Ladder, Method, named, settings, stiffness
+from multicell.comparison.ladders import Ladder, Method, able, looks, named, settings, stiffness
 from multicell.comparison.measure import Effort, Timed, climb, time_again
 from multicell.comparison.record import sample_size
 from multicell.comparison.reference import Reference, blank, paired, reference
 from multicell.comparison.result import FILES, WorkPrecision
 from multicell.errors import SceneError
-from multicell.integrators.registry import METHODS
 from multicell.results.folder import versions
 from multicell.scene.scene import Scene, load_scene
 from multicell.schema import near_miss
@@ -54,7 +53,7 @@ def compare(
         The scene, the name of a built-in one, or a TOML file.
     methods
         Names (:data:`multicell.integrators.registry.METHODS`) or :class:`Method` objects; by
-        default all that there are.
+        default all that can hold the scene.
     ladder
         Settings of the methods, see :func:`multicell.comparison.ladders.settings`.
     output
@@ -106,7 +105,7 @@ def compare(
         raise SceneError("clock", f"is {clock!r}, must be {' or '.join(map(repr, CLOCKS))}")
     tell = progress or (lambda _: None)
     radius = blank(described, cells, threads).mean_radius
-    asked = METHODS if methods is None else methods
+    asked = able(described) if methods is None else methods
     if len(asked) == 0:
         raise ValueError("methods is empty: there is nothing to compare")
     chosen = [m if isinstance(m, Method) else named(m, described, radius) for m in asked]
@@ -130,7 +129,8 @@ def compare(
         left -= spent
     tell("timing again, all methods in turns")
     time_again(again, exact.problem, repeats)
-    result = WorkPrecision(described, table, exact.uncertainty, _facts(exact, decay), clock)
+    facts = {**_facts(exact, decay), "looks": looks(chosen)}
+    result = WorkPrecision(described, table, exact.uncertainty, facts, clock)
     if output is not None:
         result.save(output)
     return result

@@ -1,151 +1,73 @@
-"""Adams-Bashforth of order 2 under error control: one evaluation a step.
-
-With r the ratio of a step h to the one before,
-
-    x(n+1) = x(n) + h ((1 + r/2) f(n) - r/2 f(n-1)).
-
-The velocity at the new state is needed for the next step anyway. It also gives the trapezoidal
-rule's result, and the distance of the two is the estimate of the error (Milne's device; Hairer,
-Nørsett & Wanner I, III.1), of order h³: its share of the difference is (3 + 2r) / (3 + 3r).
-
-The first step of an interval is Heun's. The distance between its result and the one of its
-corrector applied once more has the same order, and costs nothing either.
-"""
+"""Adams-Bashforth of order 2, with a fixed step and under error control."""
 
 from __future__ import annotations
 
-import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, final
 
-import numpy as np
+from multicell.integrators.base import EqualSteps, ErrorControl, MethodInfo, Outcome
 
-from multicell.integrators.stepping import (
-    DONE,
-    EVALUATIONS,
-    OUT_OF_STEPS,
-    REJECTIONS,
-    STALLED,
-    STEPS,
-    TOO_LONG,
-    Report,
-    compiled,
-    copy,
-    displace,
-    evaluate,
-    furthest_moved,
-    largest_length,
-    next_step,
-    shorter,
-    weighted_rms,
-)
-
-_SHORTEST = 1e-13
-_TRIED = 6  # steps, refused ones too, after which the rest of the way is estimated
+if TYPE_CHECKING:
+    from multicell.cells import FloatArray
+    from multicell.mechanics.system import Mechanics
 
 
-@compiled
-def adaptive_adams(source, pairs, control, patience, position, length, radius, counts):
-    """Take steps of the two-step Adams-Bashforth method under error control.
+@final
+@dataclass(frozen=True)
+class AdamsBashforth2(EqualSteps):
+    """Two steps back, order 2, one evaluation a step, stable for Δt < 1/λ_max.
 
-    It gives up where the interval would take more evaluations than ``patience``, judged by the
-    present step; zero for any number.
+    The first step of each coupling step is Heun's. Parameters as for
+    :class:`~multicell.integrators.base.EqualSteps`.
     """
-    slopes = np.empty((3, position.shape[0], 3))
-    trial, error = np.empty_like(position), np.empty_like(position)
-    old, now, new = 0, 1, 2
-    elapsed, previous, last, moved, cell = 0.0, 1.0, 0.0, 0.0, -1
-    accepted, tried, before, worst = 0, 0, counts[EVALUATIONS], 0.0
-    status, pairs = evaluate(source, pairs, 0.0, position, slopes[now])
-    if status != DONE:
-        return Report(status, 0.0, 0.0, -1, math.inf, math.nan), pairs
-    # not further than the neighbour list reaches: a refused trial would cost two lists
-    displace(position, 1.0, slopes[now], trial)
-    cell, moved = furthest_moved(position, trial, radius)
-    step, held = 0.5 * length, False
-    if moved * step > 0.14 * control.max_displacement:
-        step = 0.14 * control.max_displacement / moved
-    while elapsed < length:
-        left = length - elapsed
-        # equal steps to the end, so that no tiny one is left over
-        if step > _SHORTEST * length:
-            step = left / np.ceil(left / step * (1.0 - 1e-12))
-        if accepted == control.most_steps or step < _SHORTEST * length:
-            status = OUT_OF_STEPS if accepted == control.most_steps else STALLED
-            return Report(status, elapsed, step, cell, moved, math.nan), pairs
-        if patience and tried >= _TRIED:
-            expected = counts[EVALUATIONS] - before + left / step
-            if expected > patience:
-                return Report(TOO_LONG, elapsed, step, -1, expected, math.nan), pairs
-        tried += 1
-        status = DONE
-        if accepted == 0:
-            displace(position, step, slopes[now], trial)
-            cell, moved = furthest_moved(position, trial, radius)
-            if moved <= 4.0 * control.max_displacement:
-                status, pairs = evaluate(source, pairs, step, trial, slopes[old])
-                _weigh(0.5 * step, slopes[now], 0.5 * step, slopes[old], position, trial)
-                cell, moved = furthest_moved(position, trial, radius)
-        else:
-            r = step / last
-            _weigh(
-                step * (1.0 + 0.5 * r), slopes[now], -0.5 * r * step, slopes[old], position, trial
-            )
-            cell, moved = furthest_moved(position, trial, radius)
-        if status == DONE and moved <= control.max_displacement:
-            status, pairs = evaluate(source, pairs, elapsed + step, trial, slopes[new])
-        if status != DONE or moved > control.max_displacement:
-            counts[REJECTIONS] += 1
-            step, held = shorter(step, moved, control.max_displacement), True
-            continue
-        if accepted == 0:
-            _difference(0.5 * step, slopes[new], -0.5 * step, slopes[old], error)
-        else:
-            share = step * (3.0 + 2.0 * r) / (3.0 + 3.0 * r)
-            _milne(share, r, slopes[new], slopes[now], slopes[old], error)
-        size = weighted_rms(error, position, trial, control.rtol, control.atol)
-        size /= control.strictness
-        if not size <= 1.0:
-            counts[REJECTIONS] += 1
-            least = 0.2 if accepted else 0.02
-            step, held = step * max(least, 0.9 * size ** (-1.0 / control.order)), True
-            if not math.isfinite(size):
-                step *= 0.2
-            continue
-        whole = step == left
-        elapsed = length if whole else elapsed + step
-        copy(trial, position)
-        old, now, new = now, new, old
-        worst = max(worst, largest_length(error))
-        counts[STEPS] += 1
-        accepted += 1
-        last = step
-        wanted = min(next_step(step, size, previous, control.order, False), 2.0 * step)
-        # a step that hardly changes is kept: the formula is at its best with equal steps
-        if 0.9 * step < wanted < 1.2 * step:
-            wanted = step
-        step, held = (min(step, wanted) if held else wanted), False
-        previous = max(size, 1e-4)
-    return Report(DONE, length, step, -1, 0.0, worst), pairs
+
+    info: ClassVar[MethodInfo] = MethodInfo(
+        "ab2", "explicit Adams-Bashforth of order 2 with a fixed step", "step", order=2,
+        stable=1.0, remembers=True, colour="#9a7fd1", marker="D",
+    )  # fmt: skip
+
+    def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
+        """Integrate over the coupling step of ``system``; see :class:`Integrator`."""
+        from multicell.integrators import driver
+        from multicell.integrators.loops.adams_bashforth import fixed_adams
+
+        return driver.equal_steps(system, position, fixed_adams, self)
 
 
-@compiled
-def _weigh(a, u, b, v, position, out):
-    """Write position + a u + b v."""
-    x, p, q, y = position.reshape(-1), u.reshape(-1), v.reshape(-1), out.reshape(-1)
-    for k in range(y.size):
-        y[k] = x[k] + a * p[k] + b * q[k]
+@final
+@dataclass(frozen=True)
+class AdaptiveAdams(ErrorControl):
+    """Adams-Bashforth of order 2 under error control, one evaluation a step; to 1/λ_max.
+
+    Parameters
+    ----------
+    rtol, atol, max_steps, max_displacement
+        As for :class:`~multicell.integrators.base.ErrorControl`.
+    patience
+        Largest number of evaluations that a coupling step may be expected to take; beyond, the
+        integration ends early, with ``problem`` set. Zero for any number.
+    """
+
+    info: ClassVar[MethodInfo] = MethodInfo(
+        "ab2-adaptive", "explicit Adams-Bashforth of order 2 under error control", "tolerance",
+        order=2, remembers=True, colour="#d0a9e8", marker="p",
+    )  # fmt: skip
+
+    patience: int = 0
+
+    def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
+        """Integrate over the coupling step of ``system``; see :class:`Integrator`."""
+        return self.attempt(system, position)[0]
+
+    def attempt(self, system: Mechanics, position: FloatArray) -> tuple[Outcome, float]:
+        """Integrate; return also how many evaluations were expected where it gave up, or 0."""
+        from multicell.integrators import driver, stepping
+        from multicell.integrators.loops.adams_bashforth import adaptive_adams
+
+        control = driver.control(self, system, 3.0, lower=2)
+        outcome, report = driver.adaptive(system, position, adaptive_adams, control, self.patience)
+        long = report is not None and report.status == stepping.TOO_LONG
+        return outcome, float(report.moved) if report is not None and long else 0.0
 
 
-@compiled
-def _difference(a, u, b, v, out):
-    """Write a u + b v."""
-    p, q, y = u.reshape(-1), v.reshape(-1), out.reshape(-1)
-    for k in range(y.size):
-        y[k] = a * p[k] + b * q[k]
-
-
-@compiled
-def _milne(share, r, new, now, old, out):
-    """Write share times what the trapezoidal rule and the Adams-Bashforth formula differ by."""
-    p, q, s, y = new.reshape(-1), now.reshape(-1), old.reshape(-1), out.reshape(-1)
-    for k in range(y.size):
-        y[k] = share * (0.5 * p[k] - (0.5 + 0.5 * r) * q[k] + 0.5 * r * s[k])
+METHODS = (AdamsBashforth2, AdaptiveAdams)

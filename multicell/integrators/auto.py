@@ -2,7 +2,7 @@
 
 Most coupling steps are mild, and there any measurement of stiffness costs as much as the step
 itself. So every coupling step is begun by Adams-Bashforth of order 2 under error control, which
-needs one evaluation a step. Only where that would take more than ``_PATIENCE`` evaluations, as its
+needs one evaluation a step. Only where that would take more than ``PATIENCE`` evaluations, as its
 own steps show after a few of them, is the largest decay rate measured, and the cheapest method
 goes over the coupling step from its beginning.
 
@@ -32,17 +32,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import final
+from typing import TYPE_CHECKING, ClassVar, final
 
 import numpy as np
 
-from multicell.cells import FloatArray
-from multicell.integrators.base import Integrator, Outcome
-from multicell.integrators.limits import beyond
-from multicell.mechanics.system import Mechanics, StateRejected
+from multicell.integrators.adams_bashforth import AdaptiveAdams
+from multicell.integrators.base import ErrorControl, Integrator, MethodInfo, Outcome
+from multicell.integrators.cvode import Cvode
+from multicell.integrators.rkc import Rkc2
+from multicell.integrators.runge_kutta import Dopri5
+
+if TYPE_CHECKING:
+    from multicell.cells import FloatArray
+    from multicell.mechanics.system import Mechanics
 
 _ITERATIONS = 6
-_PATIENCE = 150
+PATIENCE = 150
 """Evaluations up to which nothing but Adams-Bashforth is tried."""
 _TIGHT = 0.03
 """θ up to which a method of order 5 may cost less than Adams-Bashforth."""
@@ -93,29 +98,27 @@ class Choice:
 
 @final
 @dataclass(frozen=True)
-class Auto:
+class Auto(ErrorControl):
     """Chooses for each coupling step between Adams-Bashforth, Dormand-Prince, RKC2 and CVODE.
 
     The steps by each method are counted in ``Work``. If a method cannot go on, the next
-    one starts from the beginning of the coupling step.
-
-    Parameters
-    ----------
-    rtol, atol, max_steps, max_displacement
-        As for :class:`~multicell.integrators.cvode.Cvode`.
+    one starts from the beginning of the coupling step. Parameters as for
+    :class:`~multicell.integrators.base.ErrorControl`.
     """
 
-    rtol: float = 1e-6
-    atol: float = 1e-2
-    max_steps: int = 10_000
-    max_displacement: float = 0.5
+    info: ClassVar[MethodInfo] = MethodInfo(
+        "auto", "ab2-adaptive, dopri5, rkc2 or cvode, chosen for each coupling step", "tolerance",
+        remembers=True, colour="#22303c", marker="*",
+    )  # fmt: skip
 
     def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
         """Integrate over the coupling step of ``system``; see :class:`Integrator`."""
+        from multicell.integrators.limits import beyond
+
         refused = beyond(system, position, self.atol)
         if refused is not None:
             return refused
-        outcome, expected = self._mild(system, position)
+        outcome, expected = self.try_mild(system, position)
         if outcome.done:
             return outcome
         for name in choose(system, position, self.rtol, self.atol, expected).order:
@@ -126,33 +129,27 @@ class Auto:
                 break
         return outcome
 
-    def _mild(self, system: Mechanics, position: FloatArray) -> tuple[Outcome, float]:
+    def try_mild(self, system: Mechanics, position: FloatArray) -> tuple[Outcome, float]:
         """Try the method for mild problems; return how many evaluations it expected."""
-        from multicell.integrators.runge_kutta import AdaptiveAdams
-
         before = system.work.steps
-        first = AdaptiveAdams(
-            self.rtol, self.atol, self.max_steps, self.max_displacement, _PATIENCE
-        )
+        first = AdaptiveAdams(self.rtol, self.atol, self.max_steps, self.max_displacement, PATIENCE)
         found = first.attempt(system, position)
-        _count(system, "ab2-adaptive", before)
+        _count(system, MILD, before)
         return found
 
     def method(self, name: str) -> Integrator:
         """Return a candidate with these options."""
-        options = (self.rtol, self.atol, self.max_steps, self.max_displacement)
-        if name == "cvode":
-            from multicell.integrators.cvode import Cvode
+        kind = CANDIDATES[name]
+        return kind(self.rtol, self.atol, self.max_steps, self.max_displacement)
 
-            return Cvode(*options)
-        from multicell.integrators import runge_kutta
 
-        kind = {
-            "ab2-adaptive": runge_kutta.AdaptiveAdams,
-            "dopri5": runge_kutta.Dopri5,
-            "rkc2": runge_kutta.Rkc2,
-        }[name]
-        return kind(*options)  # type: ignore[no-any-return]
+METHODS = (Auto,)
+CANDIDATES: dict[str, type[AdaptiveAdams] | type[Dopri5] | type[Rkc2] | type[Cvode]] = {
+    kind.info.name: kind for kind in (AdaptiveAdams, Dopri5, Rkc2, Cvode)
+}
+"""What is chosen from."""
+MILD = AdaptiveAdams.info.name
+"""What every coupling step is begun by."""
 
 
 def _count(system: Mechanics, name: str, before: int) -> None:
@@ -170,12 +167,14 @@ def choose(
     ``expected`` is the number of evaluations that ``ab2-adaptive`` expects; without it that method
     is no candidate.
     """
+    from multicell.integrators.driver import needs_python
+
     motion = system.motion
     rate = decay_rate(system, position)
     z = max(rate * (motion.end - motion.begin), 1.0)
     n = max(len(system), 1)
     theta = (atol + rtol * float(motion.radius.mean() if len(system) else 1.0)) / 0.01
-    called = _STAGE / n if _through_python(system) else 0.0
+    called = _STAGE / n if needs_python(system) else 0.0
 
     accurate, stable = 12.0 * theta**-0.1, z / 3.0
     rattle = 2.5 if stable > accurate and theta > _TIGHT else 1.0
@@ -202,6 +201,8 @@ def decay_rate(system: Mechanics, position: FloatArray) -> float:
     the start is fixed. The estimate is from below: a random start of 3n numbers finds the upper
     end of a dense spectrum to a tenth or so.
     """
+    from multicell.mechanics.system import StateRejected
+
     if len(system) < 2 and system.walls is None:
         return 0.0
     try:
@@ -220,9 +221,3 @@ def decay_rate(system: Mechanics, position: FloatArray) -> float:
             return 0.0
         vector, image = image, vector
     return rate
-
-
-def _through_python(system: Mechanics) -> bool:
-    from multicell.integrators.runge_kutta import needs_python
-
-    return needs_python(system)

@@ -10,16 +10,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, final
+from typing import TYPE_CHECKING, Any, ClassVar, final
 
 import numpy as np
 
-from multicell.cells import FloatArray
-from multicell.integrators.base import Outcome, furthest
-from multicell.integrators.limits import beyond
-from multicell.mechanics.jacobian import limit
-from multicell.mechanics.preconditioners import Preconditioner, preconditioner
-from multicell.mechanics.system import Mechanics, StateRejected
+from multicell.integrators.base import EqualSteps, MethodInfo, Outcome
+
+if TYPE_CHECKING:
+    from multicell.cells import FloatArray
+    from multicell.mechanics.preconditioners import Preconditioner
+    from multicell.mechanics.system import Mechanics
 
 _HALVINGS = 8
 _MOST_ITERATIONS = 200
@@ -38,18 +38,15 @@ _DECREASE = 1e-4
 
 @final
 @dataclass(frozen=True)
-class BackwardEuler:
+class BackwardEuler(EqualSteps):
     """x_{k+1} = x_k + Δt v(t_{k+1}, x_{k+1}), first order.
 
     Parameters
     ----------
-    step
-        Largest step, s; a coupling step is cut into equal steps no longer than this.
+    step, max_displacement
+        As for :class:`~multicell.integrators.base.EqualSteps`.
     tolerance
         Newton's method ends when the largest correction of a coordinate is below this, µm.
-    max_displacement
-        Fraction of its radius that a cell may move in one step. The step is fixed, so a
-        cell that would move further ends the integration.
     preconditioner
         A key of ``preconditioners.PRECONDITIONERS``.
     newton
@@ -60,9 +57,15 @@ class BackwardEuler:
         As for :class:`~multicell.integrators.cvode.Cvode`.
     """
 
-    step: float
+    info: ClassVar[MethodInfo] = MethodInfo(
+        "backward-euler", "implicit Euler with a fixed step, Newton with conjugate gradients",
+        "step", order=1, implicit=True, stable=math.inf, colour="#0d4a3a", marker="v",
+        make=lambda step, atol, max_displacement: BackwardEuler(
+            step, max_displacement, tolerance=0.01 * atol
+        ),
+    )  # fmt: skip
+
     tolerance: float = 1e-4
-    max_displacement: float = 0.5
     preconditioner: str = "gauss-seidel"
     newton: int = 30
     forcing: float = 1e-2
@@ -70,6 +73,10 @@ class BackwardEuler:
 
     def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
         """Integrate over the coupling step of ``system``; see :class:`Integrator`."""
+        from multicell.integrators.limits import beyond
+        from multicell.integrators.stepping import furthest_moved
+        from multicell.mechanics.system import StateRejected
+
         if len(system) == 0:
             return Outcome(system.motion.end, np.array(position))
         refused = beyond(system, position, self.tolerance)
@@ -89,7 +96,7 @@ class BackwardEuler:
                 problem = str(error)
             if problem:
                 return Outcome(time, position, problem, hint, implicit.worst)
-            cell, moved = furthest(position, implicit.trial, motion.radius)
+            cell, moved = furthest_moved(position, implicit.trial, motion.radius)
             if moved > self.max_displacement:
                 return Outcome(
                     time, position,
@@ -116,6 +123,9 @@ class _Step:
 
     def solve(self) -> str:
         """Find the end of the step; return what went wrong, if anything did."""
+        from multicell.mechanics.jacobian import limit
+        from multicell.mechanics.preconditioners import preconditioner
+
         method, system = self.method, self.system
         approximate = preconditioner(method.preconditioner, system)
         residual = self._residual(self.trial)
@@ -226,3 +236,6 @@ class _Step:
             restart=30, maxiter=10, M=LinearOperator(shape, matvec=approximately),
         )  # fmt: skip
         return np.asarray(solution).reshape(-1, 3)
+
+
+METHODS = (BackwardEuler,)

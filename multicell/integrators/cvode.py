@@ -1,61 +1,33 @@
-"""Implicit integration by SUNDIALS CVODE: BDF or Adams, Newton, error control.
-
-scikit-sundae hands every callback read-only views of the solver's memory, and counts only
-part of the evaluations; the counts that are reported are those of :class:`Mechanics`.
-"""
+"""Implicit integration by SUNDIALS CVODE: BDF or Adams, Newton, error control."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
 from dataclasses import dataclass
-from typing import Any, TypeVar, cast, final
+from typing import TYPE_CHECKING, ClassVar, final
 
 import numpy as np
-from numba import njit
-from sksundae.cvode import CVODE, CVODEJacTimes, CVODEPrecond
 
-from multicell.cells import FloatArray
-from multicell.integrators.base import Outcome
-from multicell.integrators.restarts import Predictor, Restart, Run, StepImpossible
-from multicell.mechanics.jacobian import limit
-from multicell.mechanics.preconditioners import preconditioner
-from multicell.mechanics.system import Mechanics, StateRejected
+from multicell.integrators.base import ErrorControl, MethodInfo, Outcome
 
-_F = TypeVar("_F", bound=Callable[..., Any])
-_jit = cast(Callable[[_F], _F], njit(cache=True))
-
-_CONTACTS = 8.0
-"""Largest decay rate of packed cells, in stiffness of the stiffest pair over drag."""
-_SLOW_START = 5e-4
-"""Share of the interval below which the first two steps of a mild start say that it is stiff."""
-_BUSY, _WINDOW = 6, 3
-"""Evaluations a step, over how many last steps, above which a mild start has become stiff."""
-_LIGHT_KRYLOV = 5
-_FIRST = 1e-6
-"""First step of a mild start over the interval. CVODE's own is about as long, and it takes two
-evaluations to find it; the second one may be ten thousand times longer."""
-_INCREMENT = 1e-5
-"""Largest change of a coordinate in a difference quotient, in mean radii."""
-_MILD, _STIFF = 3.0, 10.0
-"""Products γλ up to which there is no preconditioning, and beyond which J is kept fresh."""
+if TYPE_CHECKING:
+    from multicell.cells import FloatArray
+    from multicell.integrators.cvode_solver import Krylov, Light
+    from multicell.integrators.restarts import Run
+    from multicell.mechanics.system import Mechanics
 
 
 @final
 @dataclass(frozen=True)
-class Cvode:
+class Cvode(ErrorControl):
     """Variable-order, variable-step BDF with a preconditioned Krylov method.
 
     The defaults are what ``tests/benchmarks/tune_cvode.py`` found best over its scenes.
 
     Parameters
     ----------
-    rtol, atol
-        Relative tolerance, and absolute tolerance in µm.
-    max_steps
-        Largest number of internal steps in a coupling step.
-    max_displacement
-        Fraction of its radius that a cell may move in one accepted step. A step that
-        moves a cell further is refused and tried again with a quarter of the step.
+    rtol, atol, max_steps, max_displacement
+        As for :class:`~multicell.integrators.base.ErrorControl`.
     krylov_dim
         Dimension of the Krylov space.
     preconditioner
@@ -89,10 +61,11 @@ class Cvode:
         the last steps say that they are not. False for the settings above from the start.
     """
 
-    rtol: float = 1e-6
-    atol: float = 1e-2
-    max_steps: int = 10_000
-    max_displacement: float = 0.5
+    info: ClassVar[MethodInfo] = MethodInfo(
+        "cvode", "implicit: SUNDIALS CVODE, BDF with Newton-Krylov", "tolerance", implicit=True,
+        stable=math.inf, colour="#1f7f54", marker="o",
+    )  # fmt: skip
+
     krylov_dim: int = 8
     preconditioner: str = "blocks"
     side: str = "right"
@@ -105,251 +78,50 @@ class Cvode:
     formula: str = "BDF"
     light: bool = True
 
-    @classmethod
-    def adams(cls, rtol: float, atol: float, max_steps: int, max_displacement: float) -> Cvode:
-        """Return the method with Adams formulas up to order 12.
-
-        There is no functional iteration in scikit-sundae: this is an implicit method, solved
-        by Newton's, and not an explicit one to compare with.
-        """
-        return cls(rtol, atol, max_steps, max_displacement, max_order=12, formula="Adams")
-
     def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
         """Integrate over the coupling step of ``system``; see :class:`Integrator`."""
+        from multicell.integrators.cvode_solver import Krylov, Light
+        from multicell.integrators.restarts import Run
+
         run = Run(system, np.array(position), self.max_steps, self.max_displacement, self.atol)
         mild = self.light
 
-        def start(run: Run, ceiling: float) -> _Krylov | _Light:
+        def start(run: Run, ceiling: float) -> Krylov | Light:
             nonlocal mild
             # a ceiling comes with a refusal: nothing mild about that
             mild = mild and ceiling == 0.0 and run.steps == 0
             if mild:
-                light = _Light(self, run)
+                light = Light(self, run)
                 if not light.begins_slowly():
                     return light
                 mild = False
-            return _Krylov(self, run, ceiling)
+            return Krylov(self, run, ceiling)
 
         return run.integrate(start)
 
 
-@_jit
-def _displace(y: FloatArray, v: FloatArray, largest: float, out: FloatArray) -> float:
-    """Write ``y + share v`` to ``out``; return the share, 0 where ``v`` is zero."""
-    most = 0.0
-    for n in range(v.size):
-        most = max(most, abs(v[n]))
-    share = largest / most if most > 0.0 else 0.0
-    for n in range(v.size):
-        out[n] = y[n] + share * v[n]
-    return share
-
-
-@_jit
-def _divide(out: FloatArray, before: FloatArray, share: float) -> None:
-    """Make a difference quotient of the value after a change by ``share``."""
-    for n in range(out.size):
-        out[n] = (out[n] - before[n]) / share
-
-
 @final
-class _Light:
-    """CVODE as it comes: products by difference quotients, each of which is an evaluation."""
+@dataclass(frozen=True)
+class CvodeAdams(ErrorControl):
+    """Adams formulas up to order 12, solved by the Newton-Krylov method of :class:`Cvode`.
 
-    def __init__(self, method: Cvode, run: Run) -> None:
-        self.run, self.method = run, method
-        self._counts = [run.system.work.evaluations]
-        self._others = 0
-        self._small = _INCREMENT * float(run.system.motion.radius.mean())
-        self._moved = np.empty(3 * len(run.position))
-        self._probed: list[tuple[float, FloatArray, float]] = []
-        self._predictor = Predictor(run)
-        self.solver = CVODE(
-            self._predictor.velocity,
-            method=method.formula,
-            rtol=method.rtol,
-            atol=method.atol,
-            max_order=method.max_order,
-            max_nonlin_iters=method.newton,
-            linsolver=method.linear,
-            krylov_dim=_LIGHT_KRYLOV,
-            first_step=_FIRST * run.left,
-            jactimes=CVODEJacTimes(None, self.product),
-        )
-        self.solver.init_step(0.0, run.position.ravel())
+    There is no functional iteration in scikit-sundae: this is an implicit method, and not an
+    explicit one to compare with. Parameters as for
+    :class:`~multicell.integrators.base.ErrorControl`.
+    """
 
-    def step(self) -> tuple[float, FloatArray, float]:
-        """Take one step; ask for the full method where the last ones took many evaluations."""
-        if self._probed:
-            return self._probed.pop(0)
-        if self._stiff():
-            raise Restart
-        return self._advance()
+    info: ClassVar[MethodInfo] = MethodInfo(
+        "cvode-adams", "implicit: SUNDIALS CVODE, Adams formulas, solved by the same Newton-Krylov",
+        "tolerance", implicit=True, stable=math.inf, colour="#a3c644", marker="D",
+    )  # fmt: skip
 
-    def begins_slowly(self) -> bool:
-        """Return whether the first two steps, which are kept for later, say that it is stiff.
-
-        Error control chooses them. Where they are a tiny part of the interval, so many will
-        follow that the full method pays as soon as they lengthen.
-        """
-        try:
-            while len(self._probed) < 2 and (
-                not self._probed or self._probed[-1][0] < self.run.left
-            ):
-                self._probed.append(self._advance())
-        except (StateRejected, StepImpossible):
-            # the full method meets the same trouble, and has the means to go on
-            return True
-        return self._probed[-1][0] < _SLOW_START * self.run.length
-
-    def product(
-        self, t: float, y: FloatArray, yp: FloatArray, v: FloatArray, jv: FloatArray
-    ) -> None:
-        """Jacobian times vector by a difference quotient.
-
-        SUNDIALS's own moves cells by about the tolerance: by as much as a contact reaches where
-        that is loose, and the steps then end in another equilibrium.
-        """
-        share = _displace(y, v, self._small, self._moved)
-        if share == 0.0:
-            jv[:] = 0.0
-            return
-        self.run.velocity(t, self._moved, jv)
-        _divide(jv, yp, share)
-
-    def _advance(self) -> tuple[float, FloatArray, float]:
-        left = self.run.left
-        result = self.solver.step(left, method="onestep", tstop=left)
-        if not result.success:
-            raise StepImpossible(f"SUNDIALS: {result.message}")
-        self._count(result.nfev)
-        error = self._predictor.error(result.t, result.y)
-        return float(result.t), result.y.reshape(-1, 3).copy(), error
-
-    def _stiff(self) -> bool:
-        """Return whether the last steps took so many evaluations that the full method pays."""
-        counts = self._counts
-        return len(counts) > _WINDOW and counts[-1] - counts[-1 - _WINDOW] > _BUSY * _WINDOW
-
-    def _count(self, direct: int) -> None:
-        """Count the iterations of a step: SUNDIALS tells the evaluations that are no products.
-
-        There is one in each Newton iteration. The first step has some more, to find its length;
-        it is so short that Newton's method needs one iteration.
-        """
-        work = self.run.system.work
-        others, self._others = direct - self._others, direct
-        work.newton_iterations += others if len(self._counts) > 1 else 1
-        if self.method.linear == "gmres":
-            work.linear_iterations += work.evaluations - self._counts[-1] - others
-        self._counts.append(work.evaluations)
+    def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
+        """Integrate over the coupling step of ``system``; see :class:`Integrator`."""
+        method = Cvode(
+            self.rtol, self.atol, self.max_steps, self.max_displacement,
+            max_order=12, formula="Adams",
+        )  # fmt: skip
+        return method.integrate(system, position)
 
 
-@final
-class _Krylov:
-    """One life of a CVODE object, and the callbacks it needs."""
-
-    def __init__(self, method: Cvode, run: Run, ceiling: float) -> None:
-        self.run, self.system = run, run.system
-        self.method = method
-        self._fresh, self._stale = False, True
-        self._reference = np.full(3 * len(run.position), np.inf)
-        # without a preconditioner γ is not told: J is then kept as fresh as for stiff steps
-        self._gamma, self._rate = np.inf, 1.0
-        self._used, self._reached = np.inf, 0.0
-        self._far = method.far * float(run.system.motion.radius.mean())
-        options: dict[str, Any] = {}
-        if method.preconditioner != "none":
-            self._preconditioner = preconditioner(method.preconditioner, run.system)
-            options["precond"] = CVODEPrecond(self.setup, self.solve, side=method.side)
-        self._predictor = Predictor(run)
-        self.solver = CVODE(
-            self._predictor.velocity,
-            method=method.formula,
-            rtol=method.rtol,
-            atol=method.atol,
-            max_step=ceiling,
-            max_order=method.max_order,
-            max_nonlin_iters=method.newton,
-            linsolver=method.linear,
-            krylov_dim=method.krylov_dim,
-            jactimes=CVODEJacTimes(self.linearise, self.product),
-            **options,
-        )
-        self.solver.init_step(0.0, run.position.ravel())
-
-    def step(self) -> tuple[float, FloatArray, float]:
-        """Take one step."""
-        left = self.run.left
-        result = self.solver.step(left, method="onestep", tstop=left)
-        if not result.success:
-            raise StepImpossible(f"SUNDIALS: {result.message}")
-        step, self._reached = float(result.t) - self._reached, float(result.t)
-        error = self._predictor.error(result.t, result.y, self._order(step))
-        return float(result.t), result.y.reshape(-1, 3).copy(), error
-
-    def _order(self, step: float) -> int:
-        """Return the order of a step of BDF, which its γ tells: h/γ = 1 + 1/2 + ... + 1/q."""
-        if self.method.formula != "BDF" or not self._used < np.inf:
-            return 1
-        sums = np.cumsum(1.0 / np.arange(1, self.method.max_order + 1))
-        return 1 + int(np.abs(sums - step / self._used).argmin())
-
-    def linearise(self, t: float, y: FloatArray, yp: FloatArray) -> None:
-        """Get ready for products before a linear solve."""
-        self.system.work.newton_iterations += 1
-        refresh = self.method.refresh
-        if self._fresh:
-            self._fresh = False
-        elif refresh in ("solve", "product") or (refresh == "moved" and self._moved(y)):
-            self._take_jacobian(t, y)
-            self._stale |= refresh == "solve"
-
-    def _take_jacobian(self, t: float, y: FloatArray) -> None:
-        self.system.linearise(self.run.clock(t), y.reshape(-1, 3))
-        stiffest = limit(self.system, self.method.softening)
-        self._reference = np.array(y)
-        drag = self.system.drag * float(self.system.motion.radius.mean())
-        self._rate = _CONTACTS * stiffest / drag
-
-    def _moved(self, y: FloatArray) -> bool:
-        """Return whether some cell has moved too far for the last Jacobian.
-
-        Newton's method with an old J converges like γ times its error: the milder the step,
-        the further cells may have moved.
-        """
-        far = self._far * max(1.0, _STIFF / max(self._gamma * self._rate, 1e-9))
-        return not np.abs(y - self._reference).max() <= far
-
-    def product(
-        self, t: float, y: FloatArray, yp: FloatArray, v: FloatArray, jv: FloatArray
-    ) -> None:
-        """Jacobian times vector."""
-        self.system.work.linear_iterations += self.method.linear == "gmres"
-        self.system.jacobian_product(v.reshape(-1, 3), jv.reshape(-1, 3))
-
-    def setup(
-        self, t: float, y: FloatArray, yp: FloatArray, jok: int, jnew: list[int], gamma: float
-    ) -> None:
-        """Preconditioner for a new γ."""
-        self._gamma = gamma
-        refresh = self.method.refresh
-        if not jok or refresh not in ("asked", "moved") or (refresh == "moved" and self._moved(y)):
-            self._take_jacobian(t, y)
-            self._fresh = True
-            jnew[0] = 1
-        self._stale = True
-
-    def solve(
-        self, t: float, y: FloatArray, yp: FloatArray, r: FloatArray, z: FloatArray,
-        gamma: float, delta: float, lr: int,
-    ) -> None:  # fmt: skip
-        """Apply the preconditioner; where the step is mild it would cost more than it saves."""
-        self._used = gamma
-        if gamma * self._rate < _MILD:
-            z[:] = r
-            return
-        if self._stale:
-            self._preconditioner.setup(self.system, gamma)
-            self._stale = False
-        self._preconditioner.solve(self.system, r.reshape(-1, 3), z.reshape(-1, 3))
+METHODS = (Cvode, CvodeAdams)

@@ -8,44 +8,43 @@ that has no place in it, a new solver is started, which begins again at first or
 from __future__ import annotations
 
 import ctypes
+import math
 import warnings
 from dataclasses import dataclass
-from typing import final
+from typing import TYPE_CHECKING, ClassVar, final
 
 import numpy as np
-from sksundae.cvode import CVODE
 
-from multicell.cells import FloatArray
-from multicell.errors import SceneError
-from multicell.integrators.base import Outcome
-from multicell.integrators.restarts import Predictor, Restart, Run, StepImpossible
-from multicell.mechanics import neighbours
-from multicell.mechanics.jacobian import Pattern, limit
-from multicell.mechanics.system import Mechanics
+from multicell.integrators.base import ErrorControl, MethodInfo, Outcome, hold
+
+if TYPE_CHECKING:
+    from multicell.cells import FloatArray
+    from multicell.integrators.restarts import Run
+    from multicell.mechanics.system import Mechanics
 
 
 @final
 @dataclass(frozen=True)
-class CvodeSparse:
+class CvodeSparse(ErrorControl):
     """Variable-order, variable-step BDF with a direct sparse solver.
 
     Parameters
     ----------
     rtol, atol, max_steps, max_displacement, softening
         As for :class:`~multicell.integrators.cvode.Cvode`.
-    most_cells
-        Scenes with more are refused: the factors of a solid tissue fill up. 5000 cells
-        need ten million entries and 1.7 s for each factorisation, 1000 cells 0.06 s.
     margin
         Room of the pattern: surfaces closer than this times the mean radius have a place.
     """
 
-    rtol: float = 1e-6
-    atol: float = 1e-2
-    max_steps: int = 10_000
-    max_displacement: float = 0.5
+    # the factors of a solid tissue fill up: 5000 cells need ten million entries and 1.7 s for each
+    # factorisation, 1000 cells 0.06 s
+    info: ClassVar[MethodInfo] = MethodInfo(
+        "cvode-sparse", "implicit: SUNDIALS CVODE, BDF with a direct sparse solver (SuperLU_MT)",
+        "tolerance", implicit=True, stable=math.inf, colour="#58b368", marker="s", friction=False,
+        most_cells=10_000, why_no_more="its factors would fill the memory",
+    )  # fmt: skip
+
     softening: float = 0.5
-    most_cells: int = 10_000
     margin: float = 0.2
 
     def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
@@ -56,7 +55,9 @@ class CvodeSparse:
         SceneError
             If there are too many cells, or friction between them.
         """
-        holds(system, "cvode-sparse", self.most_cells, "its factors would fill the memory")
+        from multicell.integrators.restarts import Run
+
+        hold(self.info, system)
         run = Run(system, np.array(position), self.max_steps, self.max_displacement, self.atol)
         return run.integrate(lambda run, ceiling: _Direct(self, run, ceiling))
 
@@ -66,6 +67,12 @@ class _Direct:
     """One life of a CVODE object with one pattern."""
 
     def __init__(self, method: CvodeSparse, run: Run, ceiling: float) -> None:
+        from sksundae.cvode import CVODE
+
+        from multicell.integrators.restarts import Predictor
+        from multicell.mechanics import neighbours
+        from multicell.mechanics.jacobian import Pattern
+
         self.run, self.system, self.softening = run, run.system, method.softening
         motion = run.system.motion
         largest = np.maximum(
@@ -96,6 +103,8 @@ class _Direct:
 
     def step(self) -> tuple[float, FloatArray, float]:
         """Take one step."""
+        from multicell.integrators.restarts import Restart, StepImpossible
+
         if self.lost:
             raise Restart
         left = self.run.left
@@ -107,6 +116,8 @@ class _Direct:
 
     def jacobian(self, t: float, y: FloatArray, yp: FloatArray, values: FloatArray) -> None:
         """Write the Jacobian's values in CSC order."""
+        from multicell.mechanics.jacobian import limit
+
         self.system.linearise(self.run.clock(t), y.reshape(-1, 3))
         limit(self.system, self.softening)
         self.lost = self.pattern.fill(self.system, values)
@@ -115,18 +126,4 @@ class _Direct:
             ctypes.pythonapi.Py_DecRef(ctypes.py_object(self.solver))
 
 
-def holds(system: Mechanics, method: str, most_cells: int, reason: str) -> None:
-    """Raise ``SceneError`` if a method that needs the matrix J cannot hold a scene."""
-    if max(system.friction) > 0.0:
-        raise SceneError(
-            "integrator.method",
-            f"is {method!r}, which needs the Jacobian as a sparse matrix; friction between cells "
-            "makes it a full one",
-            "Choose 'cvode', or leave the friction out",
-        )
-    if len(system) > most_cells:
-        raise SceneError(
-            "integrator.method",
-            f"is {method!r}, which holds at most {most_cells} cells, not {len(system)}: {reason}",
-            "Choose 'cvode'",
-        )
+METHODS = (CvodeSparse,)

@@ -1,350 +1,89 @@
-"""Stabilised explicit Runge-Kutta: RKC2 of Sommeijer, Shampine & Verwer (1998).
-
-With s stages RKC2 is of order two and stable for steps up to β(s)/λ,
-β(s) ≈ 2/3 (s² - 1)(1 - 2ε/15) with the damping ε = 2/13, where λ is the largest decay rate:
-s² times further than Euler for s evaluations. The spectrum must be close to the negative real
-axis; here J is self-adjoint in the scalar product of the drag coefficients, so it is real.
-
-λ is estimated by a few steps of Lanczos' method in that scalar product, with difference
-quotients of the velocity as products: no Jacobian is needed. The estimate plus its residual
-is used, and the vector that was found starts the next estimate, together with the estimated
-error of the last step, in which a mode that has become unstable stands out.
-"""
+"""Stabilised explicit Runge-Kutta: RKC2 of Sommeijer, Shampine & Verwer (1998)."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, ClassVar, final
 
 import numpy as np
-from numba import njit
-from numba.extending import register_jitable
 
-from multicell.integrators.stepping import (
-    _SHORTEST,
-    DONE,
-    MOVED,
-    OUT_OF_STEPS,
-    REJECTIONS,
-    STALLED,
-    STEPS,
-    Report,
-    compiled,
-    copy,
-    displace,
-    evaluate,
-    fitted,
-    furthest_moved,
-    largest_length,
-    next_step,
-    shorter,
-    starting_step,
-    weighted_rms,
-)
+from multicell.integrators.base import ErrorControl, MethodInfo, Outcome
 
-DAMPING = 2.0 / 13.0
-_SAFETY = 1.1
-_COLD, _WARM = 10, 3
-"""Products for an estimate from nothing, or after a refusal, and for a refreshed one."""
-_AGE = 10
-"""Steps after which the estimate is refreshed."""
-_PROBE = 1e-5
-"""Root mean square displacement of a difference quotient, in mean radii."""
+if TYPE_CHECKING:
+    from multicell.cells import FloatArray
+    from multicell.mechanics.system import Mechanics
+
+_MOST_STAGES = 200
+"""Under error control: a step that needs more is taken shorter."""
+_MOST_FIXED_STAGES = 5000
 
 
-@njit(cache=True)
-def stable_length(stages):
-    """Return β(s): the largest stable product of step and decay rate."""
-    w0 = 1.0 + DAMPING / stages**2
-    t, d, b = 1.0, 0.0, 0.0
-    t1, d1, b1 = w0, 1.0, 0.0
-    for _ in range(2, stages + 1):
-        t, t1 = t1, 2.0 * w0 * t1 - t
-        # t is now the former last polynomial, whose double enters the derivative
-        d, d1 = d1, 2.0 * t + 2.0 * w0 * d1 - d
-        b, b1 = b1, 4.0 * d + 2.0 * w0 * b1 - b
-    return (w0 + 1.0) * b1 / d1
+@final
+@dataclass(frozen=True)
+class Rkc2(ErrorControl):
+    """Stabilised Runge-Kutta of order 2 with s stages, stable for Δt < 0.65 s²/λ_max.
 
+    Under error control unless ``step`` is given. See :mod:`multicell.integrators.loops.chebyshev`.
 
-@njit(cache=True)
-def coefficients(stages):
-    """Return (s + 1, 5) with μ, ν, μ~, γ~ and the time c of each stage."""
-    w0 = 1.0 + DAMPING / stages**2
-    t, d, b = np.zeros(stages + 1), np.zeros(stages + 1), np.zeros(stages + 1)
-    t[0], t[1], d[1] = 1.0, w0, 1.0
-    for j in range(2, stages + 1):
-        t[j] = 2.0 * w0 * t[j - 1] - t[j - 2]
-        d[j] = 2.0 * t[j - 1] + 2.0 * w0 * d[j - 1] - d[j - 2]
-        b[j] = 4.0 * d[j - 1] + 2.0 * w0 * b[j - 1] - b[j - 2]
-    w1 = d[stages] / b[stages]
-    weight = np.empty(stages + 1)
-    for j in range(2, stages + 1):
-        weight[j] = b[j] / d[j] ** 2
-    weight[0] = weight[1] = weight[2]
-    table = np.zeros((stages + 1, 5))
-    table[1, 2] = weight[1] * w1
-    for j in range(2, stages + 1):
-        table[j, 0] = 2.0 * weight[j] * w0 / weight[j - 1]
-        table[j, 1] = -weight[j] / weight[j - 2]
-        table[j, 2] = 2.0 * weight[j] * w1 / weight[j - 1]
-        table[j, 3] = -(1.0 - weight[j - 1] * t[j - 1]) * table[j, 2]
-        table[j, 4] = w1 * b[j] / d[j]
-    # the time of the first stage is that at which it stands
-    table[1, 4] = table[1, 2]
-    return table
+    Parameters
+    ----------
+    rtol, atol, max_steps, max_displacement
+        As for :class:`~multicell.integrators.base.ErrorControl`.
+    step
+        Fixed step, s, for studies of order and stability; zero for error control.
+    stages
+        Fixed number of stages, 2 or more, only with ``step``; zero for as many as the
+        stiffness asks for.
 
-
-@njit(cache=True)
-def _recur(row, step, base, near, far, slope, slope0, out):
-    """Write the next stage of the recurrence; as a displacement, to keep rounding small."""
-    x0, x1, x2 = base.reshape(-1), near.reshape(-1), far.reshape(-1)
-    f, f0, y = slope.reshape(-1), slope0.reshape(-1), out.reshape(-1)
-    mu, nu, mt, gt = row[0], row[1], step * row[2], step * row[3]
-    for k in range(y.size):
-        x = x0[k]
-        y[k] = x + (mu * (x1[k] - x) + nu * (x2[k] - x) + mt * f[k] + gt * f0[k])
-
-
-@register_jitable
-def _chebyshev(source, pairs, table, position, slope0, elapsed, step, work):
-    """Take one step; the result is left in ``work[0]``."""
-    far, near, new, slope = work[1], work[2], work[0], work[3]
-    copy(position, far)
-    displace(position, step * table[1, 2], slope0, near)
-    for j in range(2, table.shape[0]):
-        status, pairs = evaluate(source, pairs, elapsed + table[j - 1, 4] * step, near, slope)
-        if status != DONE:
-            copy(near, new)
-            return status, pairs
-        _recur(table[j], step, position, near, far, slope, slope0, new)
-        copy(near, far)
-        copy(new, near)
-    return DONE, pairs
-
-
-@njit(cache=True)
-def _estimate(step, before, after, slope0, slope, out):
-    """Write the estimated error of a step."""
-    x, y, f0, f, e = (
-        before.reshape(-1), after.reshape(-1), slope0.reshape(-1), slope.reshape(-1),
-        out.reshape(-1),
-    )  # fmt: skip
-    for k in range(e.size):
-        e[k] = 0.8 * (x[k] - y[k]) + 0.4 * step * (f0[k] + f[k])
-
-
-@njit(cache=True)
-def scaled(factor, values, out):
-    """Write a multiple."""
-    x, y = values.reshape(-1), out.reshape(-1)
-    for k in range(y.size):
-        y[k] = factor * x[k]
-
-
-@njit(cache=True)
-def _dot(radius, a, b):
-    total = 0.0
-    for i in range(radius.size):
-        total += radius[i] * (a[i, 0] * b[i, 0] + a[i, 1] * b[i, 1] + a[i, 2] * b[i, 2])
-    return total
-
-
-@njit(cache=True)
-def _scramble(out):
-    """Fill with numbers that have no pattern, the same every time (integer hash)."""
-    flat = out.reshape(-1)
-    for k in range(flat.size):
-        h = np.uint64(k + 1) * np.uint64(0x9E3779B97F4A7C15)
-        h = (h ^ (h >> np.uint64(32))) * np.uint64(0xD6E8FEB86659FD93)
-        h = h ^ (h >> np.uint64(32))
-        flat[k] = np.float64(h >> np.uint64(11)) / 2.0**52 - 1.0
-
-
-@njit(cache=True)
-def _mix(radius, vector, other):
-    """Replace a vector by the sum of two directions of unit length."""
-    one = math.sqrt(_dot(radius, vector, vector))
-    two = math.sqrt(_dot(radius, other, other))
-    one = 1.0 / one if one > 0.0 else 0.0
-    two = 1.0 / two if two > 0.0 and math.isfinite(two) else 0.0
-    for i in range(radius.size):
-        for a in range(3):
-            vector[i, a] = one * vector[i, a] + (two * other[i, a] if two > 0.0 else 0.0)
-
-
-@njit(cache=True)
-def _dominant(alpha, beta, count):
-    """Return the dominant eigenvalue of a small tridiagonal matrix, and its vector."""
-    v, w = np.empty(count), np.empty(count)
-    for k in range(count):
-        v[k] = (-1.0) ** k / (1.0 + k)
-    value = 0.0
-    for _ in range(40 * count):
-        for k in range(count):
-            w[k] = alpha[k] * v[k]
-            if k > 0:
-                w[k] += beta[k] * v[k - 1]
-            if k + 1 < count:
-                w[k] += beta[k + 1] * v[k + 1]
-        total = 0.0
-        for k in range(count):
-            total += w[k] * w[k]
-        value = math.sqrt(total)
-        if value == 0.0:
-            break
-        for k in range(count):
-            v[k] = w[k] / value
-    return value, v
-
-
-@register_jitable
-def spectral_radius(source, pairs, elapsed, position, slope, radius, vector, count):
-    """Estimate the largest decay rate at a state by Lanczos' method, from above.
-
-    ``vector`` is where to start; on return it is the direction that was found.
+    Raises
+    ------
+    ValueError
+        For a number of stages that there is no method of, or one without ``step``; for
+        tolerances that are not positive.
     """
-    scale = _PROBE * radius.mean() * math.sqrt(3.0 * radius.sum())
-    basis = np.empty((count, position.shape[0], 3))
-    trial, product = np.empty_like(position), np.empty_like(position)
-    alpha, beta = np.zeros(count), np.zeros(count + 1)
-    length = math.sqrt(_dot(radius, vector, vector))
-    if not length > 0.0:
-        return 0.0, pairs
-    scaled(1.0 / length, vector, basis[0])
-    used, ceiling = 0, 0.0
-    for k in range(count):
-        displace(position, scale, basis[k], trial)
-        status, pairs = evaluate(source, pairs, elapsed, trial, product)
-        if status != DONE:
-            break
-        displace(product, -1.0, slope, product)
-        scaled(1.0 / scale, product, product)
-        ceiling = max(ceiling, math.sqrt(_dot(radius, product, product)))
-        alpha[k] = _dot(radius, basis[k], product)
-        displace(product, -alpha[k], basis[k], product)
-        if k > 0:
-            displace(product, -beta[k], basis[k - 1], product)
-        beta[k + 1] = math.sqrt(_dot(radius, product, product))
-        used += 1
-        if not beta[k + 1] > 1e-6 * ceiling:
-            break
-        if used < count:
-            scaled(1.0 / beta[used], product, basis[used])
-    if used == 0:
-        return 0.0, pairs
-    value, small = _dominant(alpha, beta, used)
-    scaled(small[0], basis[0], vector)
-    for k in range(1, used):
-        displace(vector, small[k], basis[k], vector)
-    return value + beta[used] * abs(small[used - 1]), pairs
 
+    info: ClassVar[MethodInfo]
 
-@njit(cache=True)
-def stages_for(step, rate, most):
-    """Return the number of stages that a step needs."""
-    stages = 2
-    while stages < most and stable_length(stages) < step * rate:
-        # the law tells where to look, its exact value decides
-        guess = int(min(math.sqrt(1.5 * step * rate + 1.0), most + 1.0)) - 1
-        stages = max(stages + 1, guess)
-    return stages
+    step: float = 0.0
+    stages: int = 0
 
+    def __post_init__(self) -> None:
+        ErrorControl.__post_init__(self)
+        if self.stages and (self.stages < 2 or self.step <= 0.0):
+            raise ValueError(f"stages is {self.stages}, must be 2 or more and go with a step")
 
-@compiled
-def fixed_chebyshev(
-    source, pairs, position, length, steps, stages, most_stages, allowed, radius, counts
-):
-    """Take equal steps of RKC2, with ``stages`` stages or, if zero, as many as are needed."""
-    work = np.empty((4, position.shape[0], 3))
-    slope, vector = np.empty_like(position), np.empty_like(position)
-    step = length / steps
-    table = coefficients(max(stages, 2))
-    _scramble(vector)
-    for k in range(steps):
-        elapsed = k * step
-        status, pairs = evaluate(source, pairs, elapsed, position, slope)
-        if stages == 0 and status == DONE and k % _AGE == 0:
-            _mix(radius, vector, slope)
-            rate, pairs = spectral_radius(
-                source, pairs, elapsed, position, slope, radius, vector,
-                _COLD if k == 0 else _WARM,
-            )  # fmt: skip
-            table = coefficients(stages_for(step, _SAFETY * rate, most_stages))
-        if status == DONE:
-            status, pairs = _chebyshev(source, pairs, table, position, slope, elapsed, step, work)
-        if status != DONE:
-            return Report(status, elapsed, step, -1, math.inf, math.nan), pairs
-        cell, moved = furthest_moved(position, work[0], radius)
-        if moved > allowed:
-            return Report(MOVED, elapsed, step, cell, moved, math.nan), pairs
-        copy(work[0], position)
-        counts[STEPS] += 1
-    return Report(DONE, length, step, -1, 0.0, math.nan), pairs
+    def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
+        """Integrate over the coupling step of ``system``; see :class:`Integrator`."""
+        from multicell.integrators import driver
+        from multicell.integrators.loops import chebyshev
 
-
-@compiled
-def adaptive_chebyshev(source, pairs, control, most_stages, position, length, radius, counts):
-    """Take steps of RKC2 under error control, each with as many stages as it needs."""
-    work = np.empty((4, position.shape[0], 3))
-    slope, vector = np.empty_like(position), np.empty_like(position)
-    error = np.zeros_like(position)
-    table = coefficients(2)
-    elapsed, previous, accepted, cell, moved, worst = 0.0, 1.0, 0, -1, 0.0, 0.0
-    status, pairs = evaluate(source, pairs, 0.0, position, slope)
-    if status != DONE:
-        return Report(status, 0.0, 0.0, -1, math.inf, math.nan), pairs
-    step, pairs = starting_step(
-        source, pairs, control, position, slope, work[0], work[1], length, radius
-    )
-    _scramble(vector)
-    copy(slope, error)
-    rate, products, age, held = 0.0, _COLD, 0, False
-    while elapsed < length:
-        if products > 0:
-            _mix(radius, vector, error)
-            rate, pairs = spectral_radius(
-                source, pairs, elapsed, position, slope, radius, vector, products
+        if self.step > 0.0:
+            return driver.equal_steps(
+                system, position, chebyshev.fixed_chebyshev, self, self.stages, _MOST_FIXED_STAGES
             )
-            products, age = 0, 0
-        if rate > 0.0:
-            step = min(step, stable_length(most_stages) / (_SAFETY * rate))
-        step = fitted(step, length - elapsed)
-        if accepted == control.most_steps or step < _SHORTEST * length:
-            status = OUT_OF_STEPS if accepted == control.most_steps else STALLED
-            return Report(status, elapsed, step, cell, moved, math.nan), pairs
-        stages = stages_for(step, _SAFETY * rate, most_stages)
-        if stages != table.shape[0] - 1:
-            table = coefficients(stages)
-        status, pairs = _chebyshev(source, pairs, table, position, slope, elapsed, step, work)
-        trial = work[0]
-        cell, moved = furthest_moved(position, trial, radius)
-        if status == DONE and moved <= control.max_displacement:
-            status, pairs = evaluate(source, pairs, elapsed + step, trial, work[1])
-        if status != DONE or moved > control.max_displacement:
-            counts[REJECTIONS] += 1
-            step, held = shorter(step, moved, control.max_displacement), True
-            displace(trial, -1.0, position, error)
-            # refused twice in a row: the rate is known here already
-            products = _COLD if age > 0 else 0
-            continue
-        _estimate(step, position, trial, slope, work[1], error)
-        size = weighted_rms(error, position, trial, control.rtol, control.atol)
-        size /= control.strictness
-        if not size <= 1.0:
-            counts[REJECTIONS] += 1
-            step, held = next_step(step, size, previous, control.order, True), True
-            products = _COLD if age > 0 else 0
-            continue
-        whole = step == length - elapsed
-        elapsed = length if whole else elapsed + step
-        copy(trial, position)
-        copy(work[1], slope)
-        worst = max(worst, largest_length(error))
-        counts[STEPS] += 1
-        accepted += 1
-        age += 1
-        if age == _AGE:
-            products = _WARM
-        wanted = next_step(step, size, previous, control.order, False)
-        step, held = (min(step, wanted) if held else wanted), False
-        previous = max(size, 1e-4)
-    return Report(DONE, length, step, -1, 0.0, worst), pairs
+        control = driver.control(self, system, 3.0, lower=2)
+        # s² times the rounding of a stage must stay below the tolerance
+        finest = control.strictness / math.sqrt(10.0 * np.finfo(float).eps)
+        most = int(min(_MOST_STAGES, max(2.0, finest)))
+        return driver.adaptive(system, position, chebyshev.adaptive_chebyshev, control, most)[0]
+
+
+def _of_stages(stages: int) -> MethodInfo | None:
+    """Return what is known of the method with a fixed step and number of stages."""
+    if not 2 <= stages <= _MOST_STAGES:
+        return None
+    from multicell.integrators.loops.chebyshev import stable_length
+
+    return MethodInfo(
+        f"rkc2-{stages}", f"Runge-Kutta-Chebyshev of {stages} stages with a fixed step", "step",
+        order=2, stable=float(stable_length(stages)), make=partial(Rkc2, stages=stages),
+    )  # fmt: skip
+
+
+Rkc2.info = MethodInfo(
+    "rkc2", "explicit, stabilised: Runge-Kutta-Chebyshev of order 2 under error control",
+    "tolerance", order=2, colour="#e8590c", marker="X", variant=_of_stages,
+)  # fmt: skip
+METHODS = (Rkc2,)

@@ -8,28 +8,46 @@ from __future__ import annotations
 
 import math
 import sys
-from dataclasses import dataclass
-from typing import Any, final
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from multicell.cells import FloatArray
 from multicell.errors import SceneError
-from multicell.integrators.base import Outcome
-from multicell.integrators.cvode_sparse import holds
-from multicell.integrators.restarts import Run, StepImpossible
-from multicell.mechanics.jacobian import sparse_jacobian
-from multicell.mechanics.system import Mechanics
+from multicell.integrators.base import MethodInfo, Outcome, hold
+
+if TYPE_CHECKING:
+    from multicell.cells import FloatArray
+    from multicell.integrators.restarts import Run
+    from multicell.mechanics.system import Mechanics
 
 _LEAST_RTOL = 100.0 * sys.float_info.epsilon
 
-_CLASSES = {"rk45": "RK45", "dop853": "DOP853", "lsoda": "LSODA", "radau": "Radau", "bdf": "BDF"}
-_LIMITS = {
-    "lsoda": (1000, "its Jacobian is a full matrix of 9 n² numbers"),
-    "radau": (3000, "it factorises a real and a complex matrix with a growing fill"),
-    "bdf": (6000, "its factors would fill the memory"),
-}
-"""Method -> most cells that it holds, and why no more; the explicit ones hold any number."""
+_INFOS = {
+    "RK45": MethodInfo(
+        "scipy-rk45", "outside reference: SciPy's RK45", order=5, colour="#8b8f94", marker="o",
+    ),
+    "DOP853": MethodInfo(
+        "scipy-dop853", "outside reference: SciPy's DOP853", order=8, colour="#5c6166", marker="s",
+    ),
+    "LSODA": MethodInfo(
+        "scipy-lsoda", "outside reference: SciPy's LSODA, up to 1000 cells", implicit=True,
+        colour="#a98467", marker="^", friction=False, most_cells=1000,
+        why_no_more="its Jacobian is a full matrix of 9 n² numbers",
+    ),
+    "Radau": MethodInfo(
+        "scipy-radau", "outside reference: SciPy's Radau, up to 3000 cells", order=5,
+        implicit=True, stable=math.inf, colour="#b0b5ba", marker="D", friction=False,
+        most_cells=3000,
+        why_no_more="it factorises a real and a complex matrix with a growing fill",
+    ),
+    "BDF": MethodInfo(
+        "scipy-bdf", "outside reference: SciPy's BDF, up to 6000 cells", implicit=True,
+        stable=math.inf, colour="#7d6b5d", marker="v", friction=False, most_cells=6000,
+        why_no_more="its factors would fill the memory",
+    ),
+}  # fmt: skip
 
 
 @final
@@ -40,7 +58,7 @@ class Scipy:
     Parameters
     ----------
     name
-        ``"rk45"``, ``"dop853"``, ``"lsoda"``, ``"radau"`` or ``"bdf"``.
+        Of SciPy's class: ``"RK45"``, ``"DOP853"``, ``"LSODA"``, ``"Radau"`` or ``"BDF"``.
     rtol, atol, max_steps, max_displacement
         As for :class:`~multicell.integrators.cvode.Cvode`.
 
@@ -55,6 +73,11 @@ class Scipy:
     atol: float = 1e-2
     max_steps: int = 10_000
     max_displacement: float = 0.5
+
+    @property
+    def info(self) -> MethodInfo:
+        """What is known of the method."""
+        return _INFOS[self.name]
 
     def __post_init__(self) -> None:
         if self.rtol < _LEAST_RTOL:
@@ -72,8 +95,9 @@ class Scipy:
         SceneError
             If the method cannot hold the scene.
         """
-        if self.name in _LIMITS:
-            holds(system, f"scipy-{self.name}", *_LIMITS[self.name])
+        from multicell.integrators.restarts import Run
+
+        hold(self.info, system)
         run = Run(system, np.array(position), self.max_steps, self.max_displacement, self.atol)
         return run.integrate(lambda run, ceiling: _Stepped(self, run, ceiling))
 
@@ -86,18 +110,19 @@ class _Stepped:
         from scipy import integrate
 
         self.run, self.system = run, run.system
-        jacobian = {"lsoda": self.full, "radau": self.sparse, "bdf": self.sparse}
         options: dict[str, Any] = {}
-        if method.name in jacobian:
-            options["jac"] = jacobian[method.name]
+        if method.info.implicit:
+            options["jac"] = self.full if method.name == "LSODA" else self.sparse
         self.factorised = 0
-        self.solver = getattr(integrate, _CLASSES[method.name])(
+        self.solver = getattr(integrate, method.name)(
             self.velocity, 0.0, run.position.ravel(), run.left,
             rtol=method.rtol, atol=method.atol, max_step=ceiling or np.inf, **options,
         )  # fmt: skip
 
     def step(self) -> tuple[float, FloatArray, float]:
         """Take one step; SciPy keeps its estimate of the error to itself."""
+        from multicell.integrators.restarts import StepImpossible
+
         try:
             message = self.solver.step()
         except (RuntimeError, np.linalg.LinAlgError) as error:
@@ -117,9 +142,17 @@ class _Stepped:
 
     def sparse(self, t: float, y: FloatArray) -> Any:
         """Jacobian as a sparse matrix."""
+        from multicell.mechanics.jacobian import sparse_jacobian
+
         self.system.linearise(self.run.clock(t), y.reshape(-1, 3))
         return sparse_jacobian(self.system)
 
     def full(self, t: float, y: FloatArray) -> FloatArray:
         """Jacobian as a full matrix."""
         return np.asarray(self.sparse(t, y).toarray())
+
+
+METHODS = tuple(
+    replace(info, control="tolerance", outside=True, make=partial(Scipy, name))
+    for name, info in _INFOS.items()
+)

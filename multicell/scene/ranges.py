@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from multicell.contact.law import effective_modulus, effective_radius
 from multicell.errors import SceneError
-from multicell.integrators.registry import FIXED_STEP
+from multicell.integrators.registry import METHODS
 from multicell.schema import Parameter, specs
 from multicell.units import RANGES
 
@@ -96,7 +96,8 @@ def _check_steps(scene: Scene) -> None:
         hint = f"The run would take more than {MOST_STEPS:g} coupling steps."
         raise SceneError("coupling_step", problem, hint)
     fixed = scene.integrator
-    if fixed.method in FIXED_STEP and min(step, scene.duration) / fixed.step > MOST_FIXED_STEPS:
+    steps = min(step, scene.duration) / fixed.step
+    if METHODS[fixed.method].control == "step" and steps > MOST_FIXED_STEPS:
         problem = f"is {fixed.step:g} s, must be at least {step / MOST_FIXED_STEPS:g} s"
         hint = f"A coupling step would take more than {MOST_FIXED_STEPS:g} steps."
         raise SceneError("integrator.step", problem, hint)

@@ -24,9 +24,9 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import tune_cvode
 
+from multicell.integrators.adams_bashforth import AdaptiveAdams
 from multicell.integrators.auto import Auto, choose
 from multicell.integrators.cvode import Cvode
-from multicell.integrators.runge_kutta import AdaptiveAdams
 
 CANDIDATES = ("ab2-adaptive", "dopri5", "rkc2", "cvode")
 MOST_EVALUATIONS = 20_000

@@ -11,15 +11,9 @@ import numpy as np
 import pytest
 from strategies import cluster, mechanics
 
-from multicell.integrators.runge_kutta import (
-    AdamsBashforth2,
-    AdaptiveEuler,
-    Dopri5,
-    Euler,
-    Heun,
-    Rkc2,
-    RungeKutta4,
-)
+from multicell.integrators.adams_bashforth import AdamsBashforth2
+from multicell.integrators.rkc import Rkc2
+from multicell.integrators.runge_kutta import AdaptiveEuler, Dopri5, Euler, Heun, RungeKutta4
 from multicell.mechanics import neighbours
 
 pytestmark = pytest.mark.benchmark

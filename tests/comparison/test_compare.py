@@ -171,7 +171,7 @@ def test_failures_are_drawn_as_crosses_in_the_colour_of_their_method(failing):
     for name, count in (("fragile", 1), ("raising", 2), ("nan", 2)):
         line = crosses[f"{name} failed"]
         assert line.get_marker() == "x"
-        assert line.get_color() == look(name, failing.methods)[0]
+        assert line.get_color() == look(name, failing)[0]
         spent = [row["spent"] for row in failing.rows(name, "failed")]
         np.testing.assert_array_equal(line.get_xdata(), spent)
         assert len(spent) == count

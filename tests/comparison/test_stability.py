@@ -39,7 +39,7 @@ from multicell.comparison.stability_limits.trial import (
     watch,
 )
 from multicell.integrators.base import Outcome
-from multicell.integrators.runge_kutta import Rkc2
+from multicell.integrators.rkc import Rkc2
 from multicell.scene.scene import Scene, load_scene
 
 CLUSTER = Scene.from_dict(

@@ -13,7 +13,7 @@ import sys
 import numpy as np
 
 import multicell as mc
-from multicell.integrators import runge_kutta as explicit
+from multicell.integrators import driver as explicit
 from multicell.integrators import stepping as loops
 from multicell.integrators.registry import METHODS
 from multicell.mechanics.system import Mechanics

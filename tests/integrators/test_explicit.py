@@ -10,20 +10,14 @@ from strategies import cluster, mechanics
 
 from multicell import JKR, Hertz
 from multicell.contact.exact_jkr import ExactJKR
-from multicell.integrators import runge_kutta as explicit
+from multicell.integrators import driver as explicit
 from multicell.integrators import stepping as loops
+from multicell.integrators.adams_bashforth import AdamsBashforth2, AdaptiveAdams
+from multicell.integrators.loops.chebyshev import coefficients, spectral_radius, stable_length
+from multicell.integrators.loops.runge_kutta import fixed_runge_kutta
 from multicell.integrators.registry import make
-from multicell.integrators.rkc import coefficients, spectral_radius, stable_length
-from multicell.integrators.runge_kutta import (
-    AdamsBashforth2,
-    AdaptiveAdams,
-    AdaptiveEuler,
-    Dopri5,
-    Euler,
-    Heun,
-    Rkc2,
-    RungeKutta4,
-)
+from multicell.integrators.rkc import Rkc2
+from multicell.integrators.runge_kutta import AdaptiveEuler, Dopri5, Euler, Heun, RungeKutta4
 from multicell.mechanics import forces as kernels
 from multicell.mechanics import neighbours
 from multicell.mechanics.system import Mechanics, Motion
@@ -508,7 +502,7 @@ def test_rebuild_inside_numba_gives_the_list_of_build(scale, chunk):
 
 
 def test_the_cache_of_the_loops_notices_other_files():
-    stamp = loops.fixed_runge_kutta._cache._cache_file._source_stamp
+    stamp = fixed_runge_kutta._cache._cache_file._source_stamp
     for function in (kernels.forces, neighbours.rebuild, loops.combine):
         assert function._cache._cache_file._source_stamp in stamp
 

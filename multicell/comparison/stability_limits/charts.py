@@ -141,7 +141,7 @@ def sweeps(result: StabilityMap) -> Figure:
 def _sweep(axes: Axes, result: StabilityMap, sweep: str, methods: Sequence[str]) -> None:
     limits = result.limits(sweep)
     for k, method in enumerate(methods):
-        colour = look(method, result.methods)[0]
+        colour = look(method, result)[0]
         # where limits coincide the first one stays visible around the later ones
         size = 9.0 - 4.5 * k / len(methods)
         found = [row for row in limits if row["method"] == method]
@@ -181,9 +181,7 @@ def _sweeps_legend(
         if row["method"] in methods
     }
     handles: list[Any] = [
-        Line2D([], [], color=look(m, result.methods)[0], lw=1.8, label=m)
-        for m in methods
-        if m in shown
+        Line2D([], [], color=look(m, result)[0], lw=1.8, label=m) for m in methods if m in shown
     ]
     handles += [
         Line2D([], [], marker="o", ls="", ms=7, mec=QUIET, mfc=COLOURS[kind], label=kind)

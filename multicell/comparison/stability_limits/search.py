@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from multicell.comparison.files import Row, prepare
-from multicell.comparison.ladders import Method, named
+from multicell.comparison.ladders import Method, able, looks, named
 from multicell.comparison.stability_limits.result import FILES, StabilityMap
 from multicell.comparison.stability_limits.state import State, divided, settled
 from multicell.comparison.stability_limits.trial import STABLE, judge, watch
@@ -28,10 +28,7 @@ LOOSEST: Final = 0.1
 """Loosest tolerance that is tried, in mean radii; one that loose asks for hardly anything."""
 
 _TIGHTEST = 1e-8
-_STAGES = "rkc2-"  # with a number of stages: RKC2 with a fixed step
 _EXTRA = ("rkc2-5", "rkc2-10")
-_REAL_AXIS = {"euler": 2.0, "heun": 2.0, "rk4": 2.785, "ab2": 1.0}
-_IMPLICIT = {"backward-euler", "cvode", "cvode-sparse", "cvode-adams", "scipy-radau", "scipy-bdf"}
 _FIRST, _MOST_STEP = 0.45, 1000.0  # first and longest step that are tried, over Euler's limit
 _BEYOND = (0.25, 0.5, 0.8, 1.25, 1.6, 2.5, 4.0, 8.0, 20.0)
 _TOLERANCES = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.03, LOOSEST)
@@ -127,6 +124,7 @@ def stability(
         "precision": precision,
         "wall": clock.perf_counter() - begin,
         "skipped": skipped,
+        "looks": looks(chosen),
         "versions": versions(),
     }
     result = StabilityMap(described, table, facts)
@@ -173,14 +171,7 @@ def limit_in_theory(method: Method, rate: float) -> float:
     Infinite for implicit methods; NaN where nothing is known, and for explicit methods under
     error control, which shorten their steps.
     """
-    if method.name in _IMPLICIT:
-        return math.inf
-    stages = _stages(method.name)
-    if stages:
-        from multicell.integrators.rkc import stable_length
-
-        return float(stable_length(stages)) / rate
-    return _REAL_AXIS.get(method.name, math.nan) / rate
+    return method.info.stable / rate
 
 
 def _measured(
@@ -295,32 +286,11 @@ def _points(
 def _chosen(methods: Sequence[str | Method] | None, scene: Scene) -> list[Method]:
     """Return methods for names; by default all that can hold the scene."""
     if methods is None:
-        count = scene.initial.count
-        most = {"scipy-lsoda": 1000, "scipy-radau": 3000, "scipy-bdf": 6000}
-        methods = [*(m for m in METHODS if count <= most.get(m, count)), *_EXTRA]
+        methods = [*able(scene), *_EXTRA]
     if len(methods) == 0:
         raise ValueError("methods is empty: there is nothing to try")
     radius = 0.9 * scene.cells.division_radius
-    return [m if isinstance(m, Method) else _named(m, scene, radius) for m in methods]
-
-
-def _named(name: str, scene: Scene, radius: float) -> Method:
-    """Return the method of a name, also RKC2 with a fixed number of stages."""
-    stages = _stages(name)
-    if not stages:
-        return named(name, scene, radius)
-    from multicell.integrators.runge_kutta import Rkc2
-
-    far = scene.integrator.max_displacement
-    return Method(
-        name, "step", lambda step: Rkc2(max_displacement=far, step=step, stages=stages)
-    )  # fmt: skip
-
-
-def _stages(name: str) -> int:
-    """Return the number of stages in a name such as ``"rkc2-5"``, or 0."""
-    number = name.removeprefix(_STAGES) if name.startswith(_STAGES) else ""
-    return int(number) if number.isdecimal() and 2 <= int(number) <= 200 else 0
+    return [m if isinstance(m, Method) else named(m, scene, radius) for m in methods]
 
 
 def _taking_part(names: Sequence[str] | None, chosen: Sequence[Method]) -> list[Method]:

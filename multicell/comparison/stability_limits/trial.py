@@ -43,7 +43,6 @@ STEPS: Final = 200
 """Steps that a method with a fixed step takes in a trial."""
 
 _WINDOWS, _LENGTH = 8, 2000.0  # of methods under error control; time in 1/λ_max
-_REMEMBERS = {"ab2"}  # methods that look back beyond the step's beginning
 _THROWN = re.compile("would move|not a number|on top of each other|not finite")
 _DISTANCE = 0.05  # pair distances off by more are wrong, in radii
 _FIRM = 0.02  # overlap of a contact that cannot be lost by chance, in radii
@@ -141,7 +140,7 @@ def watch(state: State, method: Method, setting: float, patience: float = 20.0) 
     energy = system.energy(0.0, state.start)
     trace = Trace([0.0], [state.start], [energy], touching, count * length, [])
     for k in range(count):
-        first = 0 if method.name in _REMEMBERS else k
+        first = 0 if fixed and method.info.remembers else k
         before, end = system.work.steps, (k + 1) * length
         state.ready(system, first * length, end, touching)
         trace.problem, position = advance(system, integrator, trace.positions[first])

@@ -126,16 +126,16 @@ def _domain_words(scene: Scene) -> str:
 def _integrator_words(scene: Scene) -> str:
     method = scene.integrator.method
     if method != "auto":
-        return f"{method}: {METHODS[method]}"
+        return f"{method}: {METHODS[method].words}"
     if scene.initial.count > _MOST_TRIED:
-        return f"{method}: {METHODS[method]}; not tried here with so many cells"
+        return f"{method}: {METHODS[method].words}; not tried here with so many cells"
     from multicell.report.explain.integrator import explained
 
     try:
         choice = explained(scene)
     except MulticellError as error:
         choice = f"the first coupling step cannot be taken: {error}"
-    return f"{method}: {METHODS[method]}; {choice}"
+    return f"{method}: {METHODS[method].words}; {choice}"
 
 
 def _run(scene: Scene) -> list[Number]:
@@ -191,10 +191,12 @@ def _notes(scene: Scene) -> list[str]:
             "Take a smaller coupling_step."
         )
     limit = drag(scene, birth_radius(scene)) / daughters_stiffness(scene)
-    if scene.integrator.method == "euler" and scene.integrator.step > limit / 3.0:
+    method, step = METHODS[scene.integrator.method], scene.integrator.step
+    limit *= method.stable / 6.0
+    if method.control == "step" and step > limit:
         notes.append(
-            f"Euler's step of {scene.integrator.step:g} s is near or above its limit of stability "
-            f"(about {limit / 3.0:.2g} s in tissue). Take a smaller integrator.step or cvode."
+            f"The step of {step:g} s of {method.name} is near or above its limit of stability "
+            f"(about {limit:.2g} s in tissue). Take a smaller integrator.step or cvode."
         )
     notes += nutrient_notes(scene)
     return notes

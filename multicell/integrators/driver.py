@@ -1,0 +1,211 @@
+"""How an explicit method runs: its loop on a copy of the positions, its work, its end in words.
+
+The loops (:mod:`multicell.integrators.loops`) run compiled, each compiled when it is first used.
+All methods refuse a step that moves a cell further than ``max_displacement`` of its radius, or to
+where there is no velocity: under error control the step is tried shorter, with a fixed step the
+integration ends.
+
+Error control. The estimate of a step is measured as CVODE does, in the root mean square of
+e_k / (atol + rtol |x_k|), and PI control (Gustafsson 1991) chooses the next step. The first
+step of a coupling step is derived from its state (Hairer, Nørsett & Wanner), so that nothing
+is carried over. Where the result is of lower order p than the estimate, the error of a
+step may not exceed θ^(1/p), θ = rtol + atol / mean radius, in that norm, in place of one:
+the number of steps grows like θ^(-1/p), so that the error of the interval follows the
+tolerance (tolerance calibration, Söderlind & Wang 2006).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from multicell.cells import FloatArray
+from multicell.integrators import stepping
+from multicell.integrators.base import Outcome
+from multicell.integrators.limits import beyond
+from multicell.mechanics import forces
+from multicell.mechanics.neighbours import PairList
+from multicell.mechanics.system import Mechanics
+
+if TYPE_CHECKING:
+    from multicell.integrators.base import EqualSteps, ErrorControl
+    from multicell.integrators.rkc import Rkc2
+
+_STEP_HINT = "Choose a shorter integrator.step, or the method 'cvode'"
+_TOLERANCE_HINT = "Choose a shorter coupling_step, or the method 'cvode'"
+
+
+def needs_python(system: Mechanics) -> bool:
+    """Return whether each evaluation must go through Python.
+
+    Exact JKR and surface energies between types keep values for each pair, which are made
+    in Python with each neighbour list, friction solves a linear system, and walls are a part
+    that scenes without them do not load. The loops are the same then, uncompiled around
+    compiled arithmetic.
+    """
+    between_types = system.surface_energies is not None and system.motion.kind is not None
+    rubbed = max(system.friction) > 0.0 or system.walls is not None
+    return between_types or system.law.code == forces.EXACT_JKR or rubbed
+
+
+def control(method: ErrorControl, system: Mechanics, order: float, lower: int) -> stepping.Control:
+    """Return the settings of error control for a coupling step.
+
+    Parameters
+    ----------
+    method
+        Its tolerances and limits.
+    system
+        Made ready for the coupling step.
+    order
+        Exponent of the step in the estimated error.
+    lower
+        Order p of the result where it is below that of the estimate, else 0.
+    """
+    radius = system.motion.radius
+    # θ of the module's text; a sum costs a third of a mean, which tells with two cells
+    mean = len(radius) / float(radius.sum()) if len(radius) else math.inf
+    share = min(1.0, method.rtol + method.atol * mean)
+    strictness = (1.0, share, math.sqrt(share))[lower]
+    return stepping.Control(
+        method.rtol, method.atol, strictness, order, method.max_steps, method.max_displacement
+    )
+
+
+def equal_steps(
+    system: Mechanics, position: FloatArray, loop: Any, method: EqualSteps | Rkc2, *settings: Any
+) -> Outcome:
+    """Run a loop with equal steps no longer than ``method.step``; see :class:`Integrator`."""
+    length = system.motion.end - system.motion.begin
+    steps = max(1, math.ceil(length / method.step * (1.0 - 1e-12)))
+    allowed = method.max_displacement
+    return _run(system, position, loop, (steps, allowed, *settings), allowed, _STEP_HINT, 0.0)[0]
+
+
+def adaptive(
+    system: Mechanics, position: FloatArray, loop: Any, control: stepping.Control, *settings: Any
+) -> tuple[Outcome, stepping.Report | None]:
+    """Run a loop under error control; return also its report, if it ran."""
+    return _run(
+        system, position, loop, (control, *settings), control.max_displacement, _TOLERANCE_HINT,
+        control.atol,
+    )  # fmt: skip
+
+
+def _run(
+    system: Mechanics,
+    position: FloatArray,
+    loop: Any,
+    settings: tuple[Any, ...],
+    max_displacement: float,
+    hint: str,
+    atol: float,
+) -> tuple[Outcome, stepping.Report | None]:
+    """Run a loop on a copy of the positions; count its work; put its end into words."""
+    motion = system.motion
+    length = motion.end - motion.begin
+    state = np.array(position, dtype=float, order="C")
+    if len(system) == 0 or length <= 0.0:
+        return Outcome(motion.end, state), None
+    refused = beyond(system, state, atol)
+    if refused is not None:
+        return refused, None
+    counts = np.zeros(4, dtype=np.int64)
+    common = (state, length, motion.radius, counts)
+    if needs_python(system):
+        source: Any = stepping.Called(system)
+        report, _ = loop.py_func(source, None, *common, *settings)
+    else:
+        source, pairs = _borrow(system, counts)
+        report, pairs = loop(source, pairs, *common, *settings)
+        _give_back(system, source, pairs)
+    work = system.work
+    work.evaluations += int(counts[stepping.EVALUATIONS])
+    work.list_builds += int(counts[stepping.LIST_BUILDS])
+    work.steps += int(counts[stepping.STEPS])
+    work.rejections += int(counts[stepping.REJECTIONS])
+    if report.status == stepping.DONE:
+        return Outcome(motion.end, state, local_error=float(report.error)), report
+    return _failure(motion.begin, state, report, source, max_displacement, hint), report
+
+
+def _failure(
+    begin: float,
+    state: FloatArray,
+    report: stepping.Report,
+    source: Any,
+    max_displacement: float,
+    hint: str,
+) -> Outcome:
+    step = f"step of {report.step:.3g} s"
+    cell = int(report.cell) if report.cell >= 0 else None
+    if report.status == stepping.MOVED:
+        problem = (
+            f"a {step} would move the cell by {report.moved:.3g} of its radius "
+            f"(allowed: {max_displacement:g})"
+        )
+    elif report.status == stepping.OUT_OF_STEPS:
+        problem = f"the largest number of internal steps did not reach the end (last {step})"
+        hint = "Raise integrator.max_steps, loosen integrator.atol or shorten coupling_step"
+    elif report.status == stepping.TOO_LONG:
+        problem = f"the whole interval would take about {report.moved:.0f} evaluations"
+        hint = "Take a method for stiff problems, such as 'cvode' or 'rkc2'"
+    elif report.status == stepping.STALLED:
+        problem = f"steps became too short to go on (last {step})"
+    elif report.status == stepping.REJECTED:
+        words = getattr(source, "problem", "") or "cells lie on top of each other"
+        problem = f"in a {step} {words}"
+    else:
+        cell = _worst(state) if cell is None else cell
+        problem = f"in a {step} a position is not a number"
+    return Outcome(begin + report.elapsed, state, problem, hint, cell)
+
+
+def _worst(state: FloatArray) -> int | None:
+    """Return the first cell that is nowhere, if there is one."""
+    lost = ~np.isfinite(state).all(axis=1)
+    return int(lost.argmax()) if lost.any() else None
+
+
+def _borrow(system: Mechanics, counts: Any) -> tuple[Any, forces.PairData]:
+    """Return what the kernels need, with a list of its own or one that is built at first use."""
+    motion = system.motion
+    nothing, none = np.empty((0, 0)), np.empty(0)
+    chunks = -(-len(system) // system.chunk)
+    if system._pairs is None:
+        index, ends = np.empty(0, dtype=np.int32), np.zeros(chunks, dtype=np.int64)
+        pairs = forces.PairData(index, index, ends, ends, ends, none, nothing, none)
+        # no cell is close to a place that is not a number: the first evaluation builds
+        reference = np.full((len(system), 3), np.nan)
+    else:
+        pairs, reference = system._pair_data, np.array(system._cells.reference)
+    cells = forces.CellData(
+        system.chunk,
+        (0.5 * system._skin) ** 2,
+        reference,
+        motion.radius,
+        motion.radius_rate,
+        nothing if motion.bonds is None else motion.bonds,
+        nothing if motion.push is None else motion.push,
+    )
+    shared = system.threads > 1 and chunks >= system.shared_chunks
+    kind = stepping.Shared if shared else stepping.Serial
+    source = kind(
+        cells, system._slack.data, system._law, system._list_radius, system._skin, system._rows,
+        counts,
+    )  # fmt: skip
+    return source, pairs
+
+
+def _give_back(system: Mechanics, source: Any, pairs: forces.PairData) -> None:
+    """Let the mechanics go on with the list that the loop has built last."""
+    if pairs.first.size == 0 and system._pairs is None:
+        return
+    system._cells = source.cells
+    system._pair_data = pairs
+    system._pairs = PairList(
+        pairs.first, pairs.second, pairs.start, pairs.inner_end, pairs.outer_end,
+        system.chunk, len(system),
+    )  # fmt: skip
