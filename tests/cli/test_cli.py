@@ -10,7 +10,6 @@ import click
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from rich.console import Console
 from synthetic import BARE, SCENE
 
 from multicell import __version__
@@ -354,11 +353,14 @@ def test_log_has_a_line_for_every_tenth(capsys):
     assert "120 cells" in lines[0]
 
 
-def test_bar_in_a_terminal_shows_the_status():
-    console = Console(force_terminal=True, width=120, record=True, file=sys.stderr)
-    with progress._bar(SimpleNamespace(duration=36000.0), console) as report:
+def test_bar_in_a_terminal_shows_the_status(capsys, monkeypatch):
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("COLUMNS", "120")
+    with progress.reporter(SimpleNamespace(duration=36000.0)) as report:
         report(moment(18000.0))
-    assert "50%" in console.export_text()
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert "50%" in shown.err
 
 
 def test_quiet_run_reports_nothing(capsys):
