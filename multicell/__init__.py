@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from multicell.errors import MulticellError, OutputError, SceneError, StepFailed
 
 if TYPE_CHECKING:
+    from multicell import testing
     from multicell.cells import Cells, State
     from multicell.comparison.result import WorkPrecision
     from multicell.comparison.stability_limits.result import StabilityMap
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
     from multicell.comparison.work_precision import compare
     from multicell.contact.hertz import Hertz
     from multicell.contact.jkr import JKR
+    from multicell.integrators.base import Integrator, MethodInfo, Outcome
+    from multicell.mechanics.system import StateRejected
+    from multicell.ode import OdeProblem, ode_problem
     from multicell.report.export import export
     from multicell.report.result import Result, load_result
     from multicell.runner import resume, run
@@ -32,7 +36,11 @@ __all__ = [
     "JKR",
     "Cells",
     "Hertz",
+    "Integrator",
+    "MethodInfo",
     "MulticellError",
+    "OdeProblem",
+    "Outcome",
     "OutputError",
     "Result",
     "Scene",
@@ -40,26 +48,35 @@ __all__ = [
     "Simulation",
     "StabilityMap",
     "State",
+    "StateRejected",
     "StepFailed",
     "WorkPrecision",
     "compare",
     "export",
     "load_result",
     "load_scene",
+    "ode_problem",
     "resume",
     "run",
     "scene_names",
     "stability",
+    "testing",
 ]
 
 _LAZY = {
     "Cells": "multicell.cells",
     "Hertz": "multicell.contact.hertz",
+    "Integrator": "multicell.integrators.base",
+    "MethodInfo": "multicell.integrators.base",
+    "OdeProblem": "multicell.ode",
+    "Outcome": "multicell.integrators.base",
+    "ode_problem": "multicell.ode",
     "JKR": "multicell.contact.jkr",
     "Result": "multicell.report.result",
     "Scene": "multicell.scene.scene",
     "Simulation": "multicell.simulation",
     "State": "multicell.cells",
+    "StateRejected": "multicell.mechanics.system",
     "load_result": "multicell.report.result",
     "load_scene": "multicell.scene.scene",
     "WorkPrecision": "multicell.comparison.result",
@@ -77,6 +94,8 @@ def __getattr__(name: str) -> Any:
     """Load a public name when it is first asked for: numba and SUNDIALS take their time."""
     if name in _LAZY:
         return getattr(import_module(_LAZY[name]), name)
+    if name == "testing":
+        return import_module("multicell.testing")
     raise AttributeError(f"module 'multicell' has no attribute {name!r}")
 
 

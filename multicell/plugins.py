@@ -18,11 +18,12 @@ from multicell.errors import SceneError
 from multicell.schema import near_miss
 
 _NAMED = re.compile(r"(?P<file>.+):(?P<name>[^\W\d]\w*(\.[^\W\d]\w*)*)")
+_RECORDED = re.compile(_NAMED.pattern + r"(\(.*\))?")
 
 
-def names_object(text: str) -> bool:
-    """Return whether a text has the form ``file.py:Name``."""
-    return bool(_NAMED.fullmatch(text)) and text.isprintable()
+def recorded_object(text: str) -> bool:
+    """Return whether a text has the form of a record, ``file.py:Name`` or ``file.py:Name(…)``."""
+    return bool(_RECORDED.fullmatch(text)) and text.isprintable()
 
 
 def load_object(spec: str, what: str) -> Any:

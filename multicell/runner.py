@@ -8,6 +8,7 @@ import threading
 import time as clock
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, final
@@ -15,6 +16,8 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from multicell.errors import OutputError, SceneError
+from multicell.integrators.base import info_of
+from multicell.integrators.own import chosen
 from multicell.report.result import Result, history_arrays, read_summary, recorded_scene
 from multicell.results.folder import locked, write_summary
 from multicell.results.frame import Frame
@@ -24,6 +27,7 @@ from multicell.simulation import Simulation
 from multicell.threads import thread_count
 
 if TYPE_CHECKING:
+    from multicell.integrators.base import Integrator
     from multicell.results.lineage import Lineage
     from multicell.results.reader import Contents
     from multicell.results.writer import Store
@@ -34,7 +38,7 @@ def run(
     scene: Scene,
     *,
     output: str | Path | None = None,
-    integrator: str | None = None,
+    integrator: str | type[Integrator] | Integrator | None = None,
     overwrite: bool = False,
     threads: int | None = None,
     progress: Callable[[Simulation], None] | None = None,
@@ -49,7 +53,9 @@ def run(
     output
         Folder for scene, frames, summary and report; None keeps all in memory.
     integrator
-        Name of an integration method, instead of the scene's.
+        Name of an integration method, instead of the scene's; or a method of the user's own
+        (:class:`multicell.Integrator`): an object, a class that is made with the scene's options,
+        or ``"file.py:Name"``. The folder records where it came from.
     overwrite
         Whether an earlier run in the folder may be replaced.
     threads
@@ -74,8 +80,7 @@ def run(
         If a step cannot be solved. Like after Ctrl-C, the folder then holds all frames so far,
         the history and a summary with ``"interrupted": true``.
     """
-    if integrator is not None:
-        scene = scene.with_changes({"integrator": integrator})
+    scene, own = integrated_by(scene, integrator)
     begin = clock.perf_counter()
     threads = thread_count(threads)  # before the folder is made
     recorder = Recorder(scene, _open_store(scene, output, overwrite))
@@ -83,11 +88,26 @@ def run(
         stack.enter_context(under_way())
         interrupt = stack.enter_context(between_steps())
         stack.callback(recorder.close)
-        simulation = Simulation(scene, threads=threads)
+        simulation = Simulation(scene, threads=threads, integrator=own)
         recorder.startup = clock.perf_counter() - begin
         recorder.record(simulation)
         go_on(simulation, recorder, interrupt, progress)
     return finished(recorder, report)
+
+
+def integrated_by(
+    scene: Scene, integrator: str | type[Integrator] | Integrator | None
+) -> tuple[Scene, Integrator | None]:
+    """Return a scene that names a method, and the integrator if it is one of the user's own."""
+    if integrator is None:
+        return scene, None
+    if isinstance(integrator, str) and ":" not in integrator:
+        return scene.with_changes({"integrator": integrator}), None
+    options, own = chosen(integrator, scene.integrator)
+    refused = info_of(own).refusal(scene.initial.count, friction=scene.friction is not None)
+    if refused is not None:
+        raise SceneError("integrator.method", *refused)
+    return replace(scene, integrator=options), own
 
 
 def go_on(
@@ -277,6 +297,7 @@ def resume(
     *,
     output: str | Path | None = None,
     changes: Mapping[str, Any] | None = None,
+    integrator: str | type[Integrator] | Integrator | None = None,
     overwrite: bool = False,
     threads: int | None = None,
     progress: Callable[[Simulation], None] | None = None,
@@ -299,6 +320,8 @@ def resume(
     changes
         Dotted keys with new values, as in :meth:`Scene.with_changes`: of what may change while
         a run goes on, such as ``duration``, ``stop_cells``, ``output.every`` or the medium.
+    integrator
+        As for :func:`multicell.run`; a run by a method of the user's own needs it again.
     overwrite
         Whether an earlier run in ``output`` may be replaced.
     threads, progress, report
@@ -331,9 +354,9 @@ def resume(
             contents = Contents(folder)  # another run may have come first
         place = _place(contents, frame)
         _check_damage(contents, frame, here)
-        scene = _changed(recorded_scene(contents), changes or {})
+        scene, own = integrated_by(_changed(recorded_scene(contents), changes or {}), integrator)
         threads = thread_count(threads)
-        simulation = _simulation(scene, contents, place, threads)
+        simulation = _simulation(scene, contents, place, threads, own)
         rows = _rows(contents, simulation.step_index)
         interrupt = stack.enter_context(between_steps())
         if here:
@@ -369,7 +392,9 @@ def _check_damage(contents: Contents, frame: int, here: bool) -> None:
         contents.whole()
 
 
-def _simulation(scene: Scene, contents: Contents, place: int, threads: int) -> Simulation:
+def _simulation(
+    scene: Scene, contents: Contents, place: int, threads: int, own: Integrator | None
+) -> Simulation:
     """Return the simulation at a frame, or say why it cannot go on."""
     folder, start = contents.folder, contents.frame(place)
     if start.progress is None:
@@ -380,7 +405,7 @@ def _simulation(scene: Scene, contents: Contents, place: int, threads: int) -> S
     if problem:
         raise OutputError(f"no run can go on from the frame at {start.time:g} s: {problem}")
     lineage = contents.lineage(place)
-    simulation = Simulation(scene, threads=threads, frame=start, lineage=lineage)
+    simulation = Simulation(scene, threads=threads, frame=start, lineage=lineage, integrator=own)
     if simulation.finished and _complete(contents):
         raise OutputError(
             f"the run in '{folder}' ends with the frame at {start.time:g} s. "

@@ -190,11 +190,19 @@ def count(
     return _field(parameter, default)
 
 
-def choice(options: Iterable[str], *, default: Any = MISSING, doc: str = "") -> Any:
-    """Declare one name out of several."""
+def choice(
+    options: Iterable[str],
+    *,
+    default: Any = MISSING,
+    doc: str = "",
+    other: Callable[[str], bool] = lambda _: False,
+) -> Any:
+    """Declare one name out of several; ``other`` tells which other texts are accepted."""
     names = list(options)
 
     def convert(value: object, path: str) -> str:
+        if isinstance(value, str) and other(value):
+            return value
         return chosen(value, names, path)
 
     parameter = Parameter(

@@ -43,6 +43,7 @@ from multicell.scene.ranges import check_memory
 from multicell.threads import thread_count
 
 if TYPE_CHECKING:
+    from multicell.integrators.base import Integrator
     from multicell.nutrient.fields import Feeding
     from multicell.scene.scene import Scene
 
@@ -77,6 +78,8 @@ class Simulation:
         State to go on from, of a run of this scene; what comes is what would have come.
     lineage
         Of the run that the frame is from.
+    integrator
+        A method of the user's own, in place of the one that the scene names.
 
     Attributes
     ----------
@@ -109,6 +112,7 @@ class Simulation:
         cells: Cells | None = None,
         frame: Frame | None = None,
         lineage: Lineage | None = None,
+        integrator: Integrator | None = None,
     ) -> None:
         if cells is None and frame is None:
             check_memory(scene)
@@ -122,7 +126,7 @@ class Simulation:
         # identities of the pairs in contact, (m, 2): what exact JKR remembers, and others count
         self.contacts = np.empty((0, 2), dtype=np.int64)
         self.separation: dict[str, float] | None = None
-        self._integrator = registry.make(scene.integrator)
+        self._integrator = integrator or registry.make(scene.integrator)
         self._feeding = _feeding(scene)
         self.lineage = Lineage() if lineage is None else lineage
         if frame is None:

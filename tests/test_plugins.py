@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from multicell.errors import SceneError
-from multicell.plugins import load_object, names_object, origin
+from multicell.plugins import load_object, origin, recorded_object
 
 
 def written(folder, text, name="mine.py"):
@@ -68,8 +68,8 @@ def test_a_folder_and_an_unreadable_file(tmp_path):
 
 
 def test_the_form_of_a_name():
-    assert names_object("mine.py:Own")
-    assert names_object("__main__:Own")
-    assert not names_object("cvode")
-    assert not names_object("mine.py:")
-    assert not names_object("a\n.py:Own")
+    assert recorded_object("mine.py:Own")
+    assert recorded_object("__main__:Own(alpha=0.3, name='x:y')")
+    assert not recorded_object("cvode")
+    assert not recorded_object("mine.py:")
+    assert not recorded_object("a\n.py:Own")

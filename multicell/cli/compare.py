@@ -55,7 +55,8 @@ def _comparing(command: Callable[..., None]) -> Callable[..., None]:
             "--methods",
             metavar="NAMES",
             callback=_names,
-            help="Methods to compare, separated by commas; by default all.",
+            help="Methods to compare, separated by commas; by default all that can hold the scene. "
+            "One of your own is named as mine.py:Midpoint.",
         ),
         threads_option,
         overwrite_option("Replace earlier results."),

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +20,7 @@ from multicell.cli.options import (
     as_json_option,
     changes_option,
     console,
+    integrator_option,
     no_report_option,
     output_option,
     overwrite_option,
@@ -86,6 +88,7 @@ def _simulating(command: Callable[..., None]) -> Callable[..., None]:
     """Add what ``run`` and ``resume`` take."""
     options = (
         changes_option,
+        integrator_option,
         overwrite_option("Replace the results of an earlier run."),
         threads_option,
         no_report_option,
@@ -101,7 +104,6 @@ def _simulating(command: Callable[..., None]) -> Callable[..., None]:
 @click.argument("scene")
 @output_option("Folder for the results; it must be empty or new.")
 @_simulating
-@click.option("--integrator", metavar="NAME", help="Method, for example cvode or euler.")
 def run(
     scene: str,
     output: Path,
@@ -111,15 +113,12 @@ def run(
 ) -> None:
     """Run a SCENE and write frames, summary, pictures and a report to a folder."""
     described = scene_of(scene, changes)
-    if integrator is not None:
-        described = described.with_changes({"integrator": integrator})
+    # loaded after the scene was accepted: bad input is answered at once
+    from multicell.runner import integrated_by
+    from multicell.runner import run as simulated
 
-    def simulate(**rest: Any) -> Result:
-        # loaded after the scene was accepted: bad input is answered at once
-        from multicell.runner import run as simulated
-
-        return simulated(described, output=output, **rest)
-
+    described, own = integrated_by(described, integrator)
+    simulate = partial(simulated, described, output=output, integrator=own)
     _simulate(simulate, described, output, **options)
 
 
@@ -129,7 +128,12 @@ def run(
 @output_option("Folder for the whole run; by default it goes on in FOLDER.", required=False)
 @_simulating
 def resume(
-    folder: Path, frame: int, output: Path | None, changes: Sequence[str], **options: Any
+    folder: Path,
+    frame: int,
+    output: Path | None,
+    changes: Sequence[str],
+    integrator: str | None,
+    **options: Any,
 ) -> None:
     """Go on with the run in FOLDER, from its last frame or from another one.
 
@@ -137,15 +141,11 @@ def resume(
     may change what can change while a run goes on: duration, stop_cells, output and the medium.
     """
     parsed = parse_changes(changes)
+    from multicell.runner import resume as resumed
     from multicell.scene.scene import load_scene
 
     scene = load_scene(folder / "scene.toml").with_changes(parsed)
-
-    def go_on(**rest: Any) -> Result:
-        from multicell.runner import resume as resumed
-
-        return resumed(folder, frame, output=output, changes=parsed, **rest)
-
+    go_on = partial(resumed, folder, frame, output=output, changes=parsed, integrator=integrator)
     _simulate(go_on, scene, output or folder, **options)
 
 

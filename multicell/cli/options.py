@@ -65,6 +65,13 @@ def scene_of(source: str, changes: Sequence[str]) -> Scene:
     return load_scene(source).with_changes(parsed)
 
 
+integrator_option = click.option(
+    "--integrator",
+    metavar="NAME",
+    help="Method, for example cvode or euler; or one of your own, as mine.py:Midpoint.",
+)
+
+
 def parse_changes(items: Sequence[str]) -> dict[str, Any]:
     """Return the values of ``KEY=VALUE`` items.
 

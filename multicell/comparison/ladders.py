@@ -13,10 +13,10 @@ from multicell.comparison.replay import Problem, Trajectory
 from multicell.errors import SceneError
 from multicell.integrators import registry
 from multicell.integrators.base import Control, Integrator, MethodInfo, build
+from multicell.integrators.own import known
 from multicell.integrators.registry import METHODS
 from multicell.mechanics.system import Work
 from multicell.scene.scene import Scene
-from multicell.schema import near_miss
 
 Ladder = Mapping[str, Sequence[float]]
 
@@ -59,17 +59,19 @@ class Method:
             object.__setattr__(self, "info", registry.find(self.name) or MethodInfo(self.name))
 
 
-def named(name: str, scene: Scene, radius: float) -> Method:
-    """Return a method of :data:`multicell.integrators.registry.METHODS`, or a variant of one.
+def named(method: Any, scene: Scene, radius: float) -> Method:
+    """Return a method of any kind, ready to be turned.
 
     With a tolerance t the absolute tolerance is t ``radius``. The relative one is t / 100, so
     that it matters little how far from the origin of coordinates a cell lies. What kind of
-    setting a method has is part of what the registry knows of it.
+    setting a method has is part of what is known of it (:class:`MethodInfo`).
 
     Parameters
     ----------
-    name
-        Name of the method.
+    method
+        A :class:`Method`; a name in :data:`multicell.integrators.registry.METHODS`, a variant of
+        one, or ``"file.py:Name"``; a class; or an integrator, of which all but the tolerance or
+        step stays as it is.
     scene
         Its ``integrator.max_displacement`` holds for all methods.
     radius
@@ -78,16 +80,30 @@ def named(name: str, scene: Scene, radius: float) -> Method:
     Raises
     ------
     SceneError
-        If there is no such method.
+        If there is no such method, or it has neither step nor tolerance.
     """
-    info = registry.find(name)
-    if info is None:
-        raise SceneError("methods", f"no method is called {name!r}", near_miss(name, METHODS))
+    if isinstance(method, Method):
+        return method
+    info = known(method, "methods")
+    wanted = "step" if info.control == "step" else "atol"
+    if wanted not in info.settings:
+        raise SceneError("methods", f"{info.name!r} cannot be turned: it takes no {wanted!r}")
     return turned(info, scene, radius)
 
 
+def listed(methods: Sequence[Any], scene: Scene, radius: float) -> list[Method]:
+    """Return some methods, of which no two may have one name (see :func:`named`)."""
+    found = [named(method, scene, radius) for method in methods]
+    if not found:
+        raise ValueError("methods is empty: there is nothing to compare")
+    for k, method in enumerate(found):
+        if method.name in [other.name for other in found[:k]]:
+            raise SceneError("methods", f"two methods are called {method.name!r}")
+    return found
+
+
 def turned(info: MethodInfo, scene: Scene, radius: float) -> Method:
-    """Return a method whose tolerance or step is turned; see :func:`named`."""
+    """Return the method of which something is known; see :func:`named`."""
     limits: dict[str, Any] = {
         "max_displacement": scene.integrator.max_displacement,
         "max_steps": _MANY_STEPS,

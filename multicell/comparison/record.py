@@ -139,10 +139,9 @@ def record(
         If a step cannot be solved, or if there is nothing that moves.
     """
     begin, begin_cpu = clock.perf_counter(), clock.process_time()
-    simulation = Simulation(scene, threads=threads, cells=cells)
-    first = simulation.cells
     recorder = Recorder(integrator, samples)
-    simulation._integrator = recorder
+    simulation = Simulation(scene, threads=threads, cells=cells, integrator=recorder)
+    first = simulation.cells
     events: list[Events | None] = [None]
     while not simulation.finished and len(simulation.cells):
         before = simulation.cells

@@ -8,12 +8,13 @@ from typing import Any
 
 from multicell.cells import Cells
 from multicell.comparison.files import CLOCKS, Row, prepare
-from multicell.comparison.ladders import Ladder, Method, able, looks, named, settings, stiffness
+from multicell.comparison.ladders import Ladder, Method, able, listed, looks, settings, stiffness
 from multicell.comparison.measure import Effort, Timed, climb, time_again
 from multicell.comparison.record import sample_size
 from multicell.comparison.reference import Reference, blank, paired, reference
 from multicell.comparison.result import FILES, WorkPrecision
 from multicell.errors import SceneError
+from multicell.integrators.base import Integrator
 from multicell.results.folder import versions
 from multicell.scene.scene import Scene, load_scene
 from multicell.schema import near_miss
@@ -21,7 +22,7 @@ from multicell.schema import near_miss
 
 def compare(
     scene: Scene | str | Path,
-    methods: Sequence[str | Method] | None = None,
+    methods: Sequence[str | Method | type[Integrator] | Integrator] | None = None,
     ladder: Ladder | None = None,
     output: str | Path | None = None,
     *,
@@ -52,8 +53,9 @@ def compare(
     scene
         The scene, the name of a built-in one, or a TOML file.
     methods
-        Names (:data:`multicell.integrators.registry.METHODS`) or :class:`Method` objects; by
-        default all that can hold the scene.
+        Names (:data:`multicell.integrators.registry.METHODS`), methods of the user's own (an
+        object, a class or ``"file.py:Name"``) or :class:`Method` objects; by default all that can
+        hold the scene.
     ladder
         Settings of the methods, see :func:`multicell.comparison.ladders.settings`.
     output
@@ -106,9 +108,7 @@ def compare(
     tell = progress or (lambda _: None)
     radius = blank(described, cells, threads).mean_radius
     asked = able(described) if methods is None else methods
-    if len(asked) == 0:
-        raise ValueError("methods is empty: there is nothing to compare")
-    chosen = [m if isinstance(m, Method) else named(m, described, radius) for m in asked]
+    chosen = listed(asked, described, radius)
     pair = None if references is None else paired(references, described, radius)
     _check_ladder(chosen, ladder)
     prepare(output, FILES, overwrite)

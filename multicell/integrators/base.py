@@ -22,6 +22,7 @@ import inspect
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, Protocol, final
 
 from multicell.errors import SceneError
@@ -204,6 +205,11 @@ class MethodInfo:
     make: Callable[..., Integrator] | None = None
     variant: Callable[[int], MethodInfo | None] | None = None
 
+    @property
+    def settings(self) -> set[str]:
+        """Names of what the method is made with."""
+        return set() if self.make is None else set(inspect.signature(self.make).parameters)
+
     def refusal(self, cells: int, *, friction: bool) -> tuple[str, str] | None:
         """Return why it cannot hold a scene, and what to try, or None if it can."""
         if friction and not self.friction:
@@ -231,21 +237,25 @@ def hold(info: MethodInfo, system: Mechanics) -> None:
 def info_of(method: Any) -> MethodInfo:
     """Return what is known of a method: a class, an integrator, or what is known already.
 
-    A class without ``info`` is known by its name and the first line of its docstring.
+    A class without ``info`` is known by its name and the first line of its docstring. What an
+    integrator is made with again is what it was made with.
     """
     if isinstance(method, MethodInfo):
         return method
-    kind = method if isinstance(method, type) else type(method)
+    kind: Any = method if isinstance(method, type) else type(method)
     info = getattr(method, "info", None)
     if not isinstance(info, MethodInfo):
         # of a dataclass without docstring the first line is its signature
         line = (inspect.getdoc(kind) or "").partition("\n")[0].strip()
         own = line and not line.startswith(f"{kind.__name__}(")
         info = MethodInfo(kind.__name__, line if own else MethodInfo.words)
+    if kind is not method:
+        taken = [name for name in inspect.signature(kind).parameters if hasattr(method, name)]
+        info = replace(info, make=partial(kind, **{name: getattr(method, name) for name in taken}))
     info = info if info.make else replace(info, make=kind)
     if info.control:
         return info
-    return replace(info, control="step" if "step" in _taken(info.make) else "tolerance")
+    return replace(info, control="step" if "step" in info.settings else "tolerance")
 
 
 def build(info: MethodInfo, **options: Any) -> Integrator:
@@ -256,13 +266,8 @@ def build(info: MethodInfo, **options: Any) -> Integrator:
     SceneError
         If it cannot be made with them.
     """
-    taken = _taken(info.make)
+    made = {name: value for name, value in options.items() if name in info.settings}
     try:
-        return info.make(**{k: v for k, v in options.items() if k in taken})  # type: ignore[misc]
+        return info.make(**made)  # type: ignore[misc]
     except (TypeError, ValueError) as error:
         raise SceneError("integrator", f"{info.name!r} cannot be made: {error}") from error
-
-
-def _taken(make: Callable[..., Integrator] | None) -> set[str]:
-    """Return the names of a maker's arguments."""
-    return set() if make is None else set(inspect.signature(make).parameters)

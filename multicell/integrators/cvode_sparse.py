@@ -70,16 +70,10 @@ class _Direct:
         from sksundae.cvode import CVODE
 
         from multicell.integrators.restarts import Predictor
-        from multicell.mechanics import neighbours
         from multicell.mechanics.jacobian import Pattern
 
         self.run, self.system, self.softening = run, run.system, method.softening
-        motion = run.system.motion
-        largest = np.maximum(
-            motion.radius, motion.radius + motion.radius_rate * (motion.end - motion.begin)
-        )
-        margin = method.margin * float(largest.mean())
-        self.pattern = Pattern.of(neighbours.build(run.position, largest, margin))
+        self.pattern = Pattern.near(run.position, run.system.motion, method.margin)
         self.lost = 0
         self._predictor = Predictor(run)
         with warnings.catch_warnings():

@@ -1,5 +1,7 @@
 """What double precision can follow: a coupling step beyond it is refused before it is tried.
 
+So is one that begins with positions that are no numbers.
+
 An implicit step solves (I - γJ) x = b. Rigid motions, and all motions of cells that touch
 nothing, have the eigenvalue 1; pressing two cells together has 1 + γλ. Rounding the largest
 entries, by ε γλ, is therefore an error in the 1: from ε γλ = 1 on, the matrix no longer says that
@@ -57,6 +59,11 @@ def beyond(system: Mechanics, position: FloatArray, atol: float = 0.0) -> Outcom
         Absolute tolerance, µm; zero for methods without error control.
     """
     motion = system.motion
+    finite = np.isfinite(position)
+    if not finite.all():
+        hint = "Look at what happened before: a coupling step must begin with numbers"
+        cell = int(finite.all(axis=1).argmin())
+        return Outcome(motion.begin, position, "a position is not a number", hint, cell)
     length = motion.end - motion.begin
     stiffness = stiffness_scale(system) * length
     if not stiffness <= LARGEST_STIFFNESS:

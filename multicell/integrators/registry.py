@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from multicell.errors import SceneError
 from multicell.integrators import (
     adams_bashforth,
     auto,
@@ -50,7 +51,20 @@ def find(name: str) -> MethodInfo | None:
 
 
 def make(options: IntegratorOptions) -> Integrator:
-    """Return the integrator that a scene asks for (see :class:`IntegratorOptions`)."""
+    """Return the integrator that a scene asks for (see :class:`IntegratorOptions`).
+
+    Raises
+    ------
+    SceneError
+        If it is one of the user's own: what a scene names is never loaded.
+    """
+    if options.method not in METHODS:
+        place = options.method.partition("(")[0]
+        raise SceneError(
+            "integrator.method",
+            f"is {options.method!r}, a method of the user's own, which is not loaded by itself",
+            f"Hand it over as integrator=..., or by --integrator '{place}' if the file is there.",
+        )
     return made(METHODS[options.method], options)
 
 

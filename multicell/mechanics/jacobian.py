@@ -29,12 +29,13 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from multicell.mechanics import neighbours
 from multicell.mechanics.forces import NEARLY_SINGULAR, invert_by_pivots
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
     from multicell.mechanics.neighbours import PairList
-    from multicell.mechanics.system import Mechanics
+    from multicell.mechanics.system import Mechanics, Motion
 
 OffsetArray = NDArray[np.int64]
 _EPS = float(np.finfo(float).eps)
@@ -378,6 +379,23 @@ class Pattern:
         index = np.empty(9 * len(row), dtype=np.int32)
         _expand(column, row, pointer, index)
         return cls(column, row, pointer, index)
+
+    @classmethod
+    def near(cls, position: FloatArray, motion: Motion, margin: float) -> Pattern:
+        """Return the pattern with room for pairs whose surfaces are closer than a margin.
+
+        Parameters
+        ----------
+        position
+            (n, 3) µm.
+        motion
+            The largest radii of the coupling step count.
+        margin
+            In mean radii.
+        """
+        length = motion.end - motion.begin
+        largest = np.maximum(motion.radius, motion.radius + motion.radius_rate * length)
+        return cls.of(neighbours.build(position, largest, margin * float(largest.mean())))
 
     def fill(self, system: Mechanics, values: FloatArray) -> int:
         """Write J of the last linearisation, 1/s; return how many blocks have no place."""

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from multicell.cells import Phase
 from multicell.errors import SceneError
+from multicell.integrators.registry import METHODS
 from multicell.scene import domain as box
 from multicell.scene.scales import MAX_NODES, level_fixed, spacing
 from multicell.schema import near_miss
@@ -34,6 +35,14 @@ def check_types(scene: Scene) -> None:
     if scene.adhesion is not None and not any(kind.sticks for kind in types.values()):
         hint = "Give types.<name>.receptor and types.<name>.ligand."
         raise SceneError("adhesion", "has no effect: no type carries receptors or ligands", hint)
+
+
+def check_integrator(scene: Scene) -> None:
+    """Raise ``SceneError`` for a method that cannot hold the scene."""
+    info = METHODS.get(scene.integrator.method)
+    refused = info and info.refusal(scene.initial.count, friction=scene.friction is not None)
+    if refused:
+        raise SceneError("integrator.method", *refused)
 
 
 def _check_energies(scene: Scene, path: str, kind: CellType) -> None:

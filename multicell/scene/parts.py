@@ -9,6 +9,7 @@ import numpy as np
 
 from multicell.errors import SceneError
 from multicell.integrators.registry import METHODS
+from multicell.plugins import recorded_object
 from multicell.schema import (
     Tables,
     choice,
@@ -228,7 +229,12 @@ class Death:
 class IntegratorOptions:
     """How the equations of motion are integrated."""
 
-    method: str = choice(METHODS, default="cvode", doc="name of the method")
+    method: str = choice(
+        METHODS,
+        default="cvode",
+        doc="name of the method; of a method of the user's own where it came from",
+        other=recorded_object,
+    )
     rtol: float = number(default=1e-6, at_least=1e-14, at_most=0.1, doc="relative tolerance")
     atol: float = quantity("um", default=0.01, above=0, at_least=1e-15, doc="absolute tolerance")
     max_steps: int = count(default=10000, at_least=1, doc="most steps in one coupling step")

@@ -96,8 +96,9 @@ def _check_steps(scene: Scene) -> None:
         hint = f"The run would take more than {MOST_STEPS:g} coupling steps."
         raise SceneError("coupling_step", problem, hint)
     fixed = scene.integrator
+    info = METHODS.get(fixed.method)
     steps = min(step, scene.duration) / fixed.step
-    if METHODS[fixed.method].control == "step" and steps > MOST_FIXED_STEPS:
+    if info is not None and info.control == "step" and steps > MOST_FIXED_STEPS:
         problem = f"is {fixed.step:g} s, must be at least {step / MOST_FIXED_STEPS:g} s"
         hint = f"A coupling step would take more than {MOST_FIXED_STEPS:g} steps."
         raise SceneError("integrator.step", problem, hint)

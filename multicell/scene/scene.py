@@ -18,7 +18,7 @@ from typing import Any, final
 from multicell.contact.law import PairLaw
 from multicell.contact.registry import LAWS
 from multicell.errors import SceneError
-from multicell.scene.checks import check_nutrients, check_types
+from multicell.scene.checks import check_integrator, check_nutrients, check_types
 from multicell.scene.domain import check_domain
 from multicell.scene.nutrient import Nutrient
 from multicell.scene.parts import (
@@ -125,6 +125,7 @@ class Scene:
         """Raise ``SceneError`` for parts that do not fit together."""
         check_sizes(self)
         check_types(self)
+        check_integrator(self)
         smallest = 0.5 ** (1.0 / 3.0) * self.cells.division_radius
         smoothing = getattr(self.contact, "smoothing", 0.0)
         if smoothing > smallest:

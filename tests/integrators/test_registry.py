@@ -66,7 +66,7 @@ def test_a_method_is_named_in_its_own_file_only():
         for name in names:
             if re.search(rf"""["']{name}["']""", text):
                 places.setdefault(name, []).append(str(path.relative_to(PACKAGE)))
-    expected = {name: 1 for name in names}
+    expected = dict.fromkeys(names, 1)
     # what references are solved by, what auto weighs and a hint recommends
     allowed = {"comparison/reference.py", "integrators/auto.py", "integrators/driver.py"}
     allowed |= {"comparison/stability/search.py"}

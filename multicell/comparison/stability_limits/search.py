@@ -6,15 +6,16 @@ import math
 import time as clock
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from multicell.comparison.files import Row, prepare
-from multicell.comparison.ladders import Method, able, looks, named
+from multicell.comparison.ladders import Method, able, listed, looks
 from multicell.comparison.stability_limits.result import FILES, StabilityMap
 from multicell.comparison.stability_limits.state import State, divided, settled
 from multicell.comparison.stability_limits.trial import STABLE, judge, watch
 from multicell.contact.law import effective_modulus
 from multicell.errors import SceneError, StepFailed
+from multicell.integrators.base import Integrator
 from multicell.integrators.registry import METHODS
 from multicell.results.folder import versions
 from multicell.scene.scene import Scene, load_scene
@@ -41,7 +42,7 @@ Trial = Callable[[float], bool]
 
 def stability(
     scene: Scene | str | Path,
-    methods: Sequence[str | Method] | None = None,
+    methods: Sequence[str | Method | type[Integrator] | Integrator] | None = None,
     sweeps: Mapping[str, Sequence[float]] | None = None,
     output: str | Path | None = None,
     progress: Callable[[str], None] | None = None,
@@ -66,8 +67,8 @@ def stability(
         The scene, the name of a built-in one, or a TOML file.
     methods
         Names (:data:`multicell.integrators.registry.METHODS`, or ``"rkc2-8"`` for RKC2 of eight
-        stages with a fixed step) or :class:`Method` objects; by default all that can hold the
-        scene.
+        stages with a fixed step), methods of the user's own (an object, a class or
+        ``"file.py:Name"``) or :class:`Method` objects; by default all that can hold the scene.
     sweeps
         Dotted key -> values that it takes one after the other, the other parameters being those
         of the scene; ``"overlap at division"`` (overlap of the daughters over the sum of their
@@ -283,14 +284,11 @@ def _points(
                 yield sweep, value, lambda c=changed: settled(c, threads)  # type: ignore[misc]
 
 
-def _chosen(methods: Sequence[str | Method] | None, scene: Scene) -> list[Method]:
+def _chosen(methods: Sequence[Any] | None, scene: Scene) -> list[Method]:
     """Return methods for names; by default all that can hold the scene."""
     if methods is None:
         methods = [*able(scene), *_EXTRA]
-    if len(methods) == 0:
-        raise ValueError("methods is empty: there is nothing to try")
-    radius = 0.9 * scene.cells.division_radius
-    return [m if isinstance(m, Method) else named(m, scene, radius) for m in methods]
+    return listed(methods, scene, 0.9 * scene.cells.division_radius)
 
 
 def _taking_part(names: Sequence[str] | None, chosen: Sequence[Method]) -> list[Method]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from multicell.cells import Cells
 from multicell.errors import MulticellError
+from multicell.integrators.base import MethodInfo
 from multicell.integrators.registry import METHODS
 from multicell.report.explain.contact import contact_notes, contact_numbers, contact_parts
 from multicell.report.explain.items import Number, Part, hours
@@ -125,17 +126,18 @@ def _domain_words(scene: Scene) -> str:
 
 def _integrator_words(scene: Scene) -> str:
     method = scene.integrator.method
+    words = (METHODS.get(method) or MethodInfo(method)).words
     if method != "auto":
-        return f"{method}: {METHODS[method].words}"
+        return f"{method}: {words}"
     if scene.initial.count > _MOST_TRIED:
-        return f"{method}: {METHODS[method].words}; not tried here with so many cells"
+        return f"{method}: {words}; not tried here with so many cells"
     from multicell.report.explain.integrator import explained
 
     try:
         choice = explained(scene)
     except MulticellError as error:
         choice = f"the first coupling step cannot be taken: {error}"
-    return f"{method}: {METHODS[method].words}; {choice}"
+    return f"{method}: {words}; {choice}"
 
 
 def _run(scene: Scene) -> list[Number]:
@@ -191,7 +193,8 @@ def _notes(scene: Scene) -> list[str]:
             "Take a smaller coupling_step."
         )
     limit = drag(scene, birth_radius(scene)) / daughters_stiffness(scene)
-    method, step = METHODS[scene.integrator.method], scene.integrator.step
+    name, step = scene.integrator.method, scene.integrator.step
+    method = METHODS.get(name) or MethodInfo(name)
     limit *= method.stable / 6.0
     if method.control == "step" and step > limit:
         notes.append(

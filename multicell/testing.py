@@ -1,0 +1,245 @@
+"""Conformance tests for parts of the user's own.
+
+:func:`check_integrator` tells whether a method keeps the promises that runs and comparisons rely
+on (:class:`multicell.Integrator`). It fits into any test suite:
+
+>>> from multicell.testing import check_integrator
+>>> def test_mine():
+...     check_integrator(Midpoint)                                   # doctest: +SKIP
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import fields
+from typing import Any, final
+
+import numpy as np
+
+from multicell.cells import FloatArray
+from multicell.contact.hertz import Hertz
+from multicell.integrators.base import Integrator, MethodInfo, Outcome, build
+from multicell.integrators.own import known
+from multicell.mechanics.system import Mechanics, Motion
+
+BEGIN, END = 30.0, 110.0
+"""The interval of the problem that is solved, s."""
+STEPS = (4.0, 2.0, 1.0, 0.5)
+"""Steps that a method with a fixed step is tried with, s."""
+TOLERANCES = (1e-3, 1e-4, 1e-5)
+"""Tolerances that a method under error control is tried with, µm."""
+
+_WORST = 100.0  # times its tolerance, for the error of the interval
+_ORDER = 0.3  # what a measured order may lack
+_ROUNDING = 1e-11  # µm, below which an error is none
+
+
+def check_integrator(method: Any) -> None:
+    """Raise ``AssertionError``, with all that is wrong, unless a method keeps its promises.
+
+    Four elastic spheres that touch and grow are followed for 80 s, a smooth problem that depends
+    on time, and compared with SciPy's DOP853:
+
+    - the end of the interval is reached, with positions that are numbers;
+    - the error falls with the step, by the order that ``info`` claims, or follows the tolerance;
+    - positions and what is known of the cells are left as they were;
+    - evaluations go through the system and steps are counted in ``system.work``; with a fixed step
+      as many as the interval needs;
+    - the same bits come out again, also after the object has solved something else;
+    - a state that is no number ends with words in ``Outcome.problem``, not with an exception, at
+      the time up to which all was well;
+    - a single cell that nothing pushes stays where it is.
+
+    Parameters
+    ----------
+    method
+        A class, an integrator, ``"file.py:Name"`` or a name in
+        :data:`multicell.integrators.registry.METHODS`. Step and tolerance are set by the checks.
+
+    Raises
+    ------
+    AssertionError
+        If a promise is not kept.
+    SceneError
+        If there is no such method, it is no integrator, or cannot be made.
+    """
+    info = known(method)
+    wanted = "step" if info.control == "step" else "atol"
+    problems = []
+    if wanted not in info.settings:
+        problems.append(f"it takes no {wanted!r}, which is how its accuracy is set")
+    else:
+        for check in _CHECKS:
+            try:
+                check(info)
+            except _Broken as error:
+                problems.append(str(error))
+    if problems:
+        raise AssertionError(f"{info.name}: " + "; ".join(dict.fromkeys(problems)))
+
+
+@final
+class _Broken(Exception):  # noqa: N818 - it names what happened to a promise
+    """A promise that is not kept, in words."""
+
+
+def _require(kept: object, problem: str) -> None:
+    if not kept:
+        raise _Broken(problem)
+
+
+def _made(info: MethodInfo, setting: float) -> Integrator:
+    """Return the method with a step in s or a tolerance in µm."""
+    if info.control == "step":
+        return build(info, step=setting, atol=1e-7, max_displacement=0.5)
+    rtol = max(0.01 * setting, 1e-13)
+    return build(info, rtol=rtol, atol=setting, max_steps=1_000_000, max_displacement=0.5)
+
+
+def _usual(info: MethodInfo) -> float:
+    return STEPS[1] if info.control == "step" else TOLERANCES[1]
+
+
+def _spheres() -> tuple[Mechanics, FloatArray]:
+    """Return four spheres that touch each other all the time, made ready, and their places."""
+    corners = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])
+    shift = np.array([[0.1, -0.2, 0.0], [0.0, 0.1, 0.2], [-0.1, 0.0, -0.2], [0.2, 0.1, 0.0]])
+    radius = np.array([5.0, 4.6, 4.8, 5.2])
+    system = Mechanics(Hertz(), 5.0)
+    growth = np.array([2e-3, 1e-3, 0.0, 1.5e-3])
+    young = np.array([1.0, 1.1, 0.9, 1.05])
+    system.begin(Motion(radius, growth, young, np.full(4, 0.5), BEGIN, END))
+    return system, 3.1 * corners + shift
+
+
+def _lone(count: int = 1) -> tuple[Mechanics, FloatArray]:
+    """Return spheres far from each other."""
+    system = Mechanics(Hertz(), 5.0)
+    ones = np.ones(count)
+    system.begin(Motion(5.0 * ones, 0.0 * ones, ones, 0.5 * ones, BEGIN, END))
+    return system, 40.0 * np.arange(3.0 * count).reshape(count, 3)
+
+
+@functools.cache
+def _exact() -> FloatArray:
+    """Return where the four spheres end, by SciPy's DOP853."""
+    from scipy.integrate import solve_ivp
+
+    system, position = _spheres()
+
+    def velocity(t: float, y: FloatArray) -> FloatArray:
+        out = np.empty((4, 3))
+        system.velocity(t, np.ascontiguousarray(y).reshape(4, 3), out)
+        return out.ravel()
+
+    found = solve_ivp(
+        velocity, (BEGIN, END), position.ravel(), method="DOP853", rtol=1e-13, atol=1e-13
+    )
+    return np.asarray(found.y[:, -1].reshape(4, 3))
+
+
+def _solved(method: Integrator, problem: tuple[Mechanics, FloatArray]) -> tuple[Outcome, Mechanics]:
+    """Return how a solve ended; an exception is a promise that is not kept."""
+    system, position = problem
+    try:
+        outcome = method.integrate(system, position)
+    except Exception as error:
+        raise _Broken(f"it raises {type(error).__name__}: {error}") from error
+    _require(isinstance(outcome, Outcome), "it does not return an Outcome")
+    return outcome, system
+
+
+def _finished(
+    info: MethodInfo, setting: float, problem: tuple[Mechanics, FloatArray]
+) -> tuple[FloatArray, Mechanics]:
+    """Return where a solve ended, which must reach the end."""
+    outcome, system = _solved(_made(info, setting), problem)
+    at = f"with {'step' if info.control == 'step' else 'tolerance'} {setting:g}"
+    _require(outcome.done, f"{at} it does not reach the end: {outcome.problem}")
+    _require(outcome.time == END, f"{at} it ends at {outcome.time!r} s, not at {END!r} s")
+    _require(
+        np.shape(outcome.position) == problem[1].shape and np.isfinite(outcome.position).all(),
+        f"{at} it does not return numbers for all cells",
+    )
+    return outcome.position, system
+
+
+def _check_errors(info: MethodInfo) -> None:
+    settings: Sequence[float] = STEPS if info.control == "step" else TOLERANCES
+    errors = np.array(
+        [np.abs(_finished(info, value, _spheres())[0] - _exact()).max() for value in settings]
+    )
+    pairs = zip(settings, errors, strict=True)
+    listed = ", ".join(f"{error:.2g} um at {setting:g}" for setting, error in pairs)
+    if info.control == "tolerance":
+        _require(
+            (errors <= _WORST * np.array(settings)).all(),
+            f"its errors do not follow the tolerance: {listed}",
+        )
+        return
+    seen = errors > _ROUNDING
+    if seen.sum() < 2:
+        return
+    order = float(np.polyfit(np.log(np.array(settings)[seen]), np.log(errors[seen]), 1)[0])
+    claimed = 1.0 if info.order is None else info.order
+    _require(order >= claimed - _ORDER, f"its order is {order:.2f}, not {claimed:g}: {listed}")
+
+
+def _check_inputs(info: MethodInfo) -> None:
+    system, position = _spheres()
+    motion, before = system.motion, position.copy()
+    known = {f.name: np.array(getattr(motion, f.name)) for f in fields(motion)}
+    outcome, _ = _solved(_made(info, _usual(info)), (system, position))
+    _require((position == before).all(), "it changes the positions that it was given")
+    same = system.motion is motion and all(
+        np.array_equal(value, np.array(getattr(motion, name))) for name, value in known.items()
+    )
+    _require(same, "it changes what is known of the cells (system.motion)")
+    _require(
+        not np.shares_memory(outcome.position, position),
+        "it returns the array that it was given, and not one of its own",
+    )
+
+
+def _check_counts(info: MethodInfo) -> None:
+    _, system = _finished(info, _usual(info), _spheres())
+    work = system.work
+    _require(work.evaluations > 0, "its evaluations do not go through the system")
+    _require(work.steps > 0, "it does not count its steps in system.work.steps")
+    if info.control == "step":
+        count = math.ceil((END - BEGIN) / _usual(info))
+        _require(work.steps == count, f"it counts {work.steps} steps where there are {count}")
+
+
+def _check_repetition(info: MethodInfo) -> None:
+    method = _made(info, _usual(info))
+    first, _ = _solved(method, _spheres())
+    _solved(method, _lone(3))
+    again, _ = _solved(method, _spheres())
+    same = np.array_equal(first.position, again.position, equal_nan=True)
+    _require(same, "it does not give the same bits again")
+
+
+def _check_failures(info: MethodInfo) -> None:
+    system, position = _spheres()
+    position[2, 1] = np.nan
+    outcome, _ = _solved(_made(info, _usual(info)), (system, position))
+    _require(not outcome.done, "it calls a state done that is no number")
+    _require(outcome.time == BEGIN, "it says that it has gone on from a state that is no number")
+
+
+def _check_lone_cell(info: MethodInfo) -> None:
+    found, _ = _finished(info, _usual(info), _lone())
+    _require((found == _lone()[1]).all(), "it moves a single cell that nothing pushes")
+
+
+_CHECKS: tuple[Callable[[MethodInfo], None], ...] = (
+    _check_errors,
+    _check_inputs,
+    _check_counts,
+    _check_repetition,
+    _check_failures,
+    _check_lone_cell,
+)
