@@ -20,7 +20,6 @@ from multicell.comparison.norms import Observed, errors, observe
 from multicell.comparison.record import record
 from multicell.comparison.replay import Problem, Trajectory, replay
 from multicell.errors import StepFailed
-from multicell.integrators.registry import METHODS
 from multicell.scene.scene import Scene
 from multicell.simulation import Simulation
 
@@ -140,17 +139,11 @@ def default_pairs(scene: Scene, unsolved: Problem, stepwise: int | None = None) 
     radius = unsolved.mean_radius
     cvode = named("cvode", scene, radius)
     pairs: list[Pair] = [((cvode, tolerance), (cvode, 10.0 * tolerance))]
-    if stepwise is not None and "dopri5" in METHODS:
-        exact = named("dopri5", scene, radius)
-        return [((exact, _TIGHT_STEP), (cvode, 10.0 * _TIGHT_STEP)), *pairs]
-    if "scipy-dop853" in METHODS:
-        exact = named("scipy-dop853", scene, radius)
-        check = (cvode, _TIGHT)
-        if not few:
-            other = "dopri5" if "dopri5" in METHODS else "scipy-dop853"
-            check = (named(other, scene, radius), 10.0 * _TIGHT)
-        pairs.insert(0, ((exact, _TIGHT), check))
-    return pairs
+    dopri5 = named("dopri5", scene, radius)
+    if stepwise is not None:
+        return [((dopri5, _TIGHT_STEP), (cvode, 10.0 * _TIGHT_STEP)), *pairs]
+    check = (cvode, _TIGHT) if few else (dopri5, 10.0 * _TIGHT)
+    return [((named("scipy-dop853", scene, radius), _TIGHT), check), *pairs]
 
 
 def paired(

@@ -2,6 +2,7 @@
 
 import csv
 import math
+import time
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from multicell import OutputError, SceneError
 from multicell.comparison.ladders import Method
 from multicell.comparison.stability_limits.charts import COLOURS
+from multicell.comparison.stability_limits.decay import largest_decay
 from multicell.comparison.stability_limits.result import FILES, StabilityMap
 from multicell.comparison.stability_limits.search import (
     OVERLAP,
@@ -24,7 +26,6 @@ from multicell.comparison.stability_limits.state import (
     NOTICED,
     PUSH,
     divided,
-    largest_decay,
     settled,
 )
 from multicell.comparison.stability_limits.trial import (
@@ -222,7 +223,7 @@ def settles_wrongly(system, position, outcome):
 SAID = {
     "alternates": "alternate",
     "swaps": "changed sides",
-    "separates": "lost",
+    "separates": "pair distances differ",
     "squeezed": "energy ends",
 }
 PLANTS = {
@@ -514,3 +515,29 @@ def test_a_fixed_step_is_watched_step_by_step_also_for_a_method_that_looks_back(
     assert len(trace.positions) == STEPS + 1
     whole = method.make(step).integrate(small.system(0.0, STEPS * step), small.start)
     np.testing.assert_allclose(trace.positions[-1], whole.position, atol=1e-9)
+
+
+def test_the_function_is_not_hidden_by_a_module():
+    import multicell.comparison as comparison
+    import multicell.comparison.stability_limits.result
+
+    assert multicell.comparison.stability_limits.result.StabilityMap is comparison.StabilityMap
+    assert comparison.stability is stability
+    assert comparison.compare.__name__ == "compare"
+
+
+def test_what_a_first_step_compiles_is_not_held_against_the_method(small):
+    @dataclass
+    class SlowAtFirst:
+        called: int = 0
+
+        def integrate(self, system, position):
+            if not self.called:
+                time.sleep(0.3)
+            self.called += 1
+            return Outcome(system.motion.end, position)
+
+    trace = watch(small, Method("slow", "step", lambda _: SlowAtFirst()), 1e-3, patience=0.25)
+    assert trace.wall < 0.3
+    assert len(trace.times) == STEPS + 1
+    assert trace.problem == ""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 import time as clock
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final, final
 
@@ -30,13 +31,12 @@ KINDS: Final = {
     "because it would throw a cell away",
     STALL: "the end is not reached within the allowed steps, or nothing moves where it should",
     WRONG: "cells pass through each other, displacements alternate from step to step, the energy "
-    "rises, a bond is lost, or the end is not that of the reference",
+    "rises, or the end is not that of the reference",
 }
 """How a trial ends -> what that means.
 
 Where several apply, blow-up or stall counts first. After a division cells may take another pocket
-than in the reference: only a higher energy at the end is wrong there, and only then a lost bond
-counts.
+than in the reference: only a higher energy at the end is wrong there.
 """
 
 STEPS: Final = 200
@@ -45,7 +45,6 @@ STEPS: Final = 200
 _WINDOWS, _LENGTH = 8, 2000.0  # of methods under error control; time in 1/λ_max
 _THROWN = re.compile("would move|not a number|on top of each other|not finite")
 _DISTANCE = 0.05  # pair distances off by more are wrong, in radii
-_FIRM = 0.02  # overlap of a contact that cannot be lost by chance, in radii
 _SAFETY = 3.0  # on what differs among the true courses of twins
 _SHORT = 1e-3  # of a step, for what must not be timed
 _STILL = 0.01  # part of the true way that counts as no progress
@@ -225,7 +224,8 @@ def judge(state: State, trace: Trace) -> Verdict:
     deviation = np.nan
     if not problem and not trace.out_of_bounds:
         deviation = pair_deviation(state, trace.positions[-1], true_end)
-        found += [(WRONG, words) for words in _at_end(state, trace, noticed, rest, deviation)]
+        excess = (trace.energy[-1] - rest) / noticed
+        found += [(WRONG, words) for words in _wrong(state, trace, climb, excess, deviation)]
     kind, words = found[0] if found else (STABLE, "")
     return Verdict(kind, words, tuple(words for _, words in found[1:]), climb, deviation)
 
@@ -259,33 +259,26 @@ def _stillness(state: State, trace: Trace, true_end: FloatArray) -> str:
     return ""
 
 
-def _at_end(state: State, trace: Trace, noticed: float, rest: float, deviation: float) -> list[str]:
-    """Return what is wrong with a trial that reached its end, the foremost first."""
-    found = []
+def _wrong(
+    state: State, trace: Trace, climb: float, excess: float, deviation: float
+) -> Iterator[str]:
+    """Yield what is wrong with a trial that reached its end, the foremost first.
+
+    ``climb`` and ``excess``, of the energy at the end over that of the reference, are in units of
+    what is noticed.
+    """
     alternates, size = _alternation(state, trace)
-    excess = (trace.energy[-1] - rest) / noticed
-    # where cells have been pressed apart, a pocket of no higher energy is as good
-    wrong = excess > 1.0 or (deviation > _DISTANCE and not state.twins)
-    side = "above" if excess > 0.0 else "below"
-    wrong_end = (
-        f"the energy ends {abs(excess):.3g} times what is noticed {side} the reference; "
-        f"pair distances differ by up to {deviation:.2g} radii"
-    )
     if alternates:
-        found.append(f"displacements of {size:.2g} radii alternate")
-    bond = _lost_bond(state, trace)
-    if bond and (wrong or not state.twins):
-        found.append(bond)
-    still = size * state.radius < 0.1 * state.noticed
-    if wrong and still:
-        found.append(wrong_end)
-    if _cycles(trace.energy, noticed):
-        found.append("the energy rose and fell again")
-    elif _climb(trace.energy) > noticed and not wrong:
-        found.append("the energy rose")
-    if wrong and not still:
-        found.append(wrong_end)
-    return found
+        yield f"displacements of {size:.2g} radii alternate"
+    # where cells have been pressed apart, a pocket of no higher energy is as good
+    if excess > 1.0 or (deviation > _DISTANCE and not state.twins):
+        side = "above" if excess > 0.0 else "below"
+        yield (
+            f"the energy ends {abs(excess):.3g} times what is noticed {side} the reference; "
+            f"pair distances differ by up to {deviation:.2g} radii"
+        )
+    if climb > 1.0:
+        yield "the energy rose"
 
 
 def _alternation(state: State, trace: Trace) -> tuple[bool, float]:
@@ -301,39 +294,10 @@ def _alternation(state: State, trace: Trace) -> tuple[bool, float]:
     return bool(np.median(angle) < -0.3 and size * state.radius > state.noticed), size
 
 
-def _rises(energy: list[float]) -> FloatArray:
-    """Return how far the energy is above the least of what it was before, fJ."""
-    return np.asarray(energy - np.minimum.accumulate(energy))
-
-
 def _climb(energy: list[float]) -> float:
-    """Return the largest rise of the energy above what it was before, fJ."""
-    rises = _rises(energy)
+    """Return the largest rise of the energy above the least of what it was before, fJ."""
+    rises = energy - np.minimum.accumulate(energy)
     return float(rises.max()) if np.isfinite(rises).all() else np.inf
-
-
-def _cycles(energy: list[float], noticed: float) -> bool:
-    """Return whether the energy rises by more than is noticed and falls by as much again."""
-    rises = _rises(energy)
-    peak = int(rises.argmax())
-    return bool(rises[peak] > noticed and energy[peak] - min(energy[peak:]) > noticed)
-
-
-def _lost_bond(state: State, trace: Trace) -> str:
-    """Return the words for a bond that the method has broken, or none."""
-    time = trace.times[-1]
-    pairs = trace.contacts
-    rest = state.motion.radius[pairs[:, 0]] + state.motion.radius[pairs[:, 1]]
-    true_ends = [true.at(trace.end) for true in (state, *state.twins)]
-    # bonds of every true course, whichever pocket it ends in
-    firm = np.all([rest - _distances(x, pairs) > _FIRM * state.radius for x in true_ends], axis=0)
-    system = state.system(time, time + 1.0, pairs)
-    touching = {tuple(pair) for pair in system.contacts(time, trace.positions[-1]).tolist()}
-    lost = [tuple(pair) for pair in pairs[firm].tolist() if tuple(pair) not in touching]
-    if not lost:
-        return ""
-    i, j = lost[0]
-    return f"{len(lost)} bond{'s' if len(lost) > 1 else ''} lost, first that of cells {i} and {j}"
 
 
 def _distances(position: FloatArray, pairs: IntArray) -> FloatArray:
