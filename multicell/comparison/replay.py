@@ -11,16 +11,19 @@ from where the method has led.
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import final
+from typing import TypeVar, final
 
 import numpy as np
+from numba.core.event import install_recorder
 
 from multicell.cells import FloatArray, IntArray
 from multicell.integrators.base import Integrator
 from multicell.mechanics.system import Mechanics, Motion, Work
 from multicell.scene.scene import Scene
+
+T = TypeVar("T")
 
 
 @final
@@ -207,6 +210,21 @@ def replay(problem: Problem, integrator: Integrator, limit: float = np.inf) -> T
 @final
 class _OutOfTime(Exception):  # noqa: N818 - it names what happened
     """A solve has taken longer than it may."""
+
+
+def without_compiling(solve: Callable[[], T]) -> tuple[T, float]:
+    """Return what a solve gives in which nothing is compiled, and the wall time lost before, s.
+
+    A tolerance or a step may be the first to need some kernel. It is solved again then: what it
+    has compiled is there the second time.
+    """
+    begin = clock.perf_counter()
+    with install_recorder("numba:compile") as compiled:
+        found = solve()
+    if not compiled.buffer:
+        return found, 0.0
+    lost = clock.perf_counter() - begin
+    return solve(), lost
 
 
 def too_late(limit: float) -> str:

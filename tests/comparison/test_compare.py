@@ -3,7 +3,10 @@
 import csv
 import io
 import math
+import time
+from dataclasses import dataclass
 
+import numba
 import numpy as np
 import pytest
 from synthetic import cells_at
@@ -413,3 +416,23 @@ def test_a_comparison_may_start_from_given_cells():
     assert result.facts["cells"] == [3, 3]
     assert result.facts["mean_radius"] == 4.0
     assert 0.0 < result.uncertainty["position"] < result.table[0]["error_position"]
+
+
+def test_what_is_compiled_at_a_finer_setting_is_not_held_against_the_method():
+    @dataclass
+    class CompilesOnce:
+        called: int = 0
+
+        def integrate(self, system, position):
+            self.called += 1
+            if self.called == 20:
+                numba.njit(lambda x: x + 1.0)(1.0)
+                time.sleep(0.3)
+            return Planted().integrate(system, position)
+
+    late = CompilesOnce()
+    method = step_method(lambda _: late, "late")
+    result = compared([method], [4.0, 2.0, 1.0, 0.5], patience=0.25, budget=0.25)
+    assert late.called > 20
+    assert [row["status"] for row in result.table] == ["done"] * 4
+    assert all(row["spent"] < 0.25 for row in result.table)

@@ -10,6 +10,7 @@ from typing import Any, Final
 
 from multicell.comparison.files import Row, prepare
 from multicell.comparison.ladders import Method, able, listed, looks
+from multicell.comparison.replay import without_compiling
 from multicell.comparison.stability_limits.result import FILES, StabilityMap
 from multicell.comparison.stability_limits.state import State, divided, settled
 from multicell.comparison.stability_limits.trial import STABLE, judge, watch
@@ -243,7 +244,7 @@ def bisect(stable: Trial, low: float, high: float, precision: float) -> float:
 
 def _row(state: State, method: Method, setting: float, theory: float, patience: float) -> Row:
     """Try one setting."""
-    trace = watch(state, method, setting, patience)
+    trace, _ = without_compiling(lambda: watch(state, method, setting, patience))
     verdict = judge(state, trace)
     fixed = method.control == "step"
     mean = setting if fixed else float(trace.times[-1]) / max(trace.steps, 1)

@@ -133,7 +133,7 @@ def watch(state: State, method: Method, setting: float, patience: float = 20.0) 
     count = STEPS if fixed else _WINDOWS
     length = setting if fixed else _LENGTH / (_WINDOWS * state.rate)
     integrator = method.make(setting)
-    # compiled and loaded before the clock runs, however short the patience
+    # loaded before the clock runs, however short the patience
     advance(state.system(0.0, _SHORT * length), integrator, state.start)
     begin = clock.perf_counter()
     bounds = _Bounds(state)
