@@ -8,8 +8,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from multicell.errors import OutputError
-from multicell.results.folder import prepare_folder, words, write_text
+from multicell.results.folder import make_folder, remove, words, write_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -43,18 +42,8 @@ def prepare(output: str | Path | None, names: Iterable[str], overwrite: bool) ->
     OutputError
         If the folder cannot be used.
     """
-    if output is None:
-        return
-    if not overwrite:
-        prepare_folder(output)
-        return
-    folder = Path(output)
-    if folder.exists() and not folder.is_dir():
-        raise OutputError(f"output '{folder}' is a file, not a folder")
-    with words("use the output folder", folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        for name in names:
-            (folder / name).unlink(missing_ok=True)
+    if output is not None:
+        remove(make_folder(output, overwrite=overwrite), names)
 
 
 def to_csv(rows: Sequence[Row]) -> str:

@@ -103,7 +103,8 @@ def reference(
     """
     tell = progress or (lambda _: None)
     unsolved = blank(scene, cells, threads)
-    work = _Solving(unsolved, stepwise, {"cells": cells, "threads": threads}, tell)
+    recording = {"samples": stepwise, "cells": cells, "threads": threads}
+    sampled: tuple[Problem, Trajectory] | None = None
     pairs = default_pairs(scene, unsolved, stepwise) if pair is None else [pair]
     for k, chosen in enumerate(pairs):
         path = _path(cache, scene, cells, chosen, stepwise)
@@ -113,7 +114,11 @@ def reference(
             tell("reference: from the cache")
             return Reference(problem, ends, observe(problem, ends), **about, cached=True)
         try:
-            solved = work.solve(chosen)
+            if stepwise is not None and sampled is None:
+                name, tolerance = _RECORDED
+                leading = named(name, scene, unsolved.mean_radius)
+                sampled = _recorded(unsolved, leading, tolerance, recording, tell)
+            solved = _solve(unsolved, chosen, sampled, recording, tell)
         except StepFailed as error:
             if k + 1 == len(pairs):
                 raise
@@ -188,62 +193,60 @@ def _path(
     return folder / f"{key(scene, cells, pair, stepwise)}.npz"
 
 
-@final
-class _Solving:
-    """The computation of a reference; a sample of steps is recorded once for all pairs."""
+def _solve(
+    unsolved: Problem,
+    pair: Pair,
+    sampled: tuple[Problem, Trajectory] | None,
+    recording: dict[str, Any],
+    tell: Callable[[str], None],
+) -> Reference:
+    """Solve by the first method and check by the second; without a sample record the run."""
+    (method, setting), (checking, other) = pair
+    if sampled is None:
+        problem, found = _recorded(unsolved, method, setting, recording, tell)
+        wall = found.wall
+    else:
+        problem, run = sampled
+        found = _replayed(problem, method, setting, "reference", tell)
+        wall = run.wall + found.wall
+    observed = observe(problem, found)
+    check = _replayed(problem, checking, other, "check of the reference", tell)
+    uncertainty = errors(problem, observe(problem, check), observed)
+    text = f"{method.name} at {setting:g}, checked by {checking.name} at {other:g}"
+    return Reference(problem, found, observed, uncertainty, wall, text, cached=False)
 
-    def __init__(
-        self,
-        unsolved: Problem,
-        stepwise: int | None,
-        options: dict[str, Any],
-        tell: Callable[[str], None],
-    ) -> None:
-        self.unsolved, self.stepwise, self.options, self.tell = unsolved, stepwise, options, tell
-        self.sampled: tuple[Problem, Trajectory] | None = None
 
-    def solve(self, pair: Pair) -> Reference:
-        """Solve by the first method and check by the second."""
-        (method, setting), (checking, other) = pair
-        if self.stepwise is None:
-            self.tell(f"reference: {method.name} at {setting:g}")
-            problem, found = self._record(method, setting)
-            wall = found.wall
-        else:
-            if self.sampled is None:
-                name, tolerance = _RECORDED
-                self.tell(f"reference: states by {name} at {tolerance:g}")
-                recorder = named(name, self.unsolved.scene, self.unsolved.mean_radius)
-                self.sampled = self._record(recorder, tolerance)
-            problem, run = self.sampled
-            found = self._replayed(problem, method, setting, "reference")
-            wall = run.wall + found.wall
-        observed = observe(problem, found)
-        check = self._replayed(problem, checking, other, "check of the reference")
-        uncertainty = errors(problem, observe(problem, check), observed)
-        text = f"{method.name} at {setting:g}, checked by {checking.name} at {other:g}"
-        return Reference(problem, found, observed, uncertainty, wall, text, cached=False)
+def _recorded(
+    unsolved: Problem,
+    method: Method,
+    setting: float,
+    recording: dict[str, Any],
+    tell: Callable[[str], None],
+) -> tuple[Problem, Trajectory]:
+    """Return the run, or a sample of it, by a method; every tenth of it is told."""
+    states = "" if recording["samples"] is None else "states by "
+    tell(f"reference: {states}{method.name} at {setting:g}")
+    told = 0
 
-    def _record(self, method: Method, setting: float) -> tuple[Problem, Trajectory]:
-        told = 0
+    def share(part: float) -> None:
+        nonlocal told
+        if int(10.0 * part) > told:
+            told = int(10.0 * part)
+            tell(f"reference: {10 * told} % of the scene")
 
-        def share(part: float) -> None:
-            nonlocal told
-            if int(10.0 * part) > told:
-                told = int(10.0 * part)
-                self.tell(f"reference: {10 * told} % of the scene")
+    return record(unsolved.scene, method.make(setting), progress=share, **recording)
 
-        scene, by = self.unsolved.scene, method.make(setting)
-        return record(scene, by, self.stepwise, progress=share, **self.options)
 
-    def _replayed(self, problem: Problem, method: Method, setting: float, what: str) -> Trajectory:
-        """Return the solution by a method, which must succeed."""
-        self.tell(f"{what}: {method.name} at {setting:g}")
-        found = replay(problem, method.make(setting))
-        if not found.done:
-            raise StepFailed(
-                float(problem.times[len(found.positions)]),
-                f"the {what} by {method.name} failed: {found.problem}",
-                "Choose other methods for the reference",
-            )
-        return found
+def _replayed(
+    problem: Problem, method: Method, setting: float, what: str, tell: Callable[[str], None]
+) -> Trajectory:
+    """Return the solution by a method, which must succeed."""
+    tell(f"{what}: {method.name} at {setting:g}")
+    found = replay(problem, method.make(setting))
+    if not found.done:
+        raise StepFailed(
+            float(problem.times[len(found.positions)]),
+            f"the {what} by {method.name} failed: {found.problem}",
+            "Choose other methods for the reference",
+        )
+    return found

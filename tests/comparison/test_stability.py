@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from multicell import OutputError, SceneError
-from multicell.comparison.ladders import Method
+from multicell.comparison.ladders import Method, named
 from multicell.comparison.stability_limits.charts import COLOURS
 from multicell.comparison.stability_limits.decay import largest_decay
 from multicell.comparison.stability_limits.result import FILES, StabilityMap
@@ -505,15 +505,23 @@ def test_a_point_that_cannot_be_settled_is_left_out_with_words():
     assert "touch" in result.facts["skipped"]["initial.spacing = 3"]
 
 
-def test_a_fixed_step_is_watched_step_by_step_also_for_a_method_that_looks_back(small):
-    """Seen one by one, the states of AB2 are those of one integration in a single go."""
-    from multicell.comparison.ladders import named
+@pytest.mark.parametrize("law", ["jkr", "exact-jkr"])
+def test_a_fixed_step_is_watched_step_by_step_also_for_a_method_that_looks_back(law):
+    """Seen one by one, the states of AB2 are those of one integration in a single go.
 
-    method = named("ab2", SMALL, small.radius)
-    step = 0.4 * small.stiff_limit
-    trace = watch(small, method, step)
+    The daughters push: contacts break on the way, which exact JKR remembers from the start.
+    """
+    state = divided(SMALL.with_changes({"contact.law": law}), 0.6, 1)
+    method = named("ab2", SMALL, state.radius)
+    step = 0.2 * state.stiff_limit
+    trace = watch(state, method, step)
     assert len(trace.positions) == STEPS + 1
-    whole = method.make(step).integrate(small.system(0.0, STEPS * step), small.start)
+    system = state.system(0.0, STEPS * step)
+    first = system.contacts(0.0, state.start)
+    state.ready(system, 0.0, STEPS * step, first)
+    whole = method.make(step).integrate(system, state.start)
+    last = system.contacts(STEPS * step, whole.position)
+    assert set(map(tuple, first)) != set(map(tuple, last))
     np.testing.assert_allclose(trace.positions[-1], whole.position, atol=1e-9)
 
 

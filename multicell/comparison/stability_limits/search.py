@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time as clock
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -269,20 +270,20 @@ def _points(
     scene: Scene, sweeps: Mapping[str, Sequence[float]], threads: int | None
 ) -> Iterator[tuple[str, float, Callable[[], State]]]:
     """Yield name, value and maker of the state of each point, the scene itself first."""
-    yield "", math.nan, lambda: settled(scene, threads)
+    yield "", math.nan, partial(settled, scene, threads)
     for sweep, values in sweeps.items():
         for value in map(float, values):
             if not (math.isfinite(value) and value >= 0.0):
                 raise SceneError(f"sweeps.{sweep}", f"is {value!r}, must be a number from 0 on")
+            if sweep == OVERLAP and value >= 1.0:
+                raise SceneError(f"sweeps.{sweep}", f"is {value:g}, must be below 1")
             if sweep == OVERLAP:
-                if value >= 1.0:
-                    raise SceneError(f"sweeps.{sweep}", f"is {value:g}, must be below 1")
-                yield sweep, value, lambda v=value: divided(scene, v, threads)  # type: ignore[misc]
+                make = partial(divided, scene, value, threads)
             elif sweep == RATIO:
-                yield sweep, value, lambda v=value: settled(scene, threads, v)  # type: ignore[misc]
+                make = partial(settled, scene, threads, value)
             else:
-                changed = scene.with_changes({sweep: value})
-                yield sweep, value, lambda c=changed: settled(c, threads)  # type: ignore[misc]
+                make = partial(settled, scene.with_changes({sweep: value}), threads)
+            yield sweep, value, make
 
 
 def _chosen(methods: Sequence[Any] | None, scene: Scene) -> list[Method]:

@@ -91,10 +91,10 @@ class State:
         """Σ E r³, fJ: the energy of cells that are squeezed out of shape."""
         return float((self.motion.young * self.motion.radius**3).sum())
 
-    def system(self, begin: float, end: float, touching: IntArray | None = None) -> Mechanics:
+    def system(self, begin: float, end: float) -> Mechanics:
         """Return mechanics of its own, ready for the time between two moments."""
         system = replace(self.template, work=Work())
-        self.ready(system, begin, end, touching)
+        self.ready(system, begin, end)
         return system
 
     def ready(

@@ -62,8 +62,6 @@ class Trace:
         At every time, the start included.
     energy : list of float, fJ
         At every time; infinite where cells are out of bounds or on top of others.
-    contacts : (p, 2) int64
-        Pairs in contact at the start.
     end : float, s
         When it should end.
     turned : list of (k, i, j)
@@ -80,7 +78,6 @@ class Trace:
     times: list[float]
     positions: list[FloatArray]
     energy: list[float]
-    contacts: IntArray
     end: float
     turned: list[tuple[int, int, int]]
     problem: str = ""
@@ -136,15 +133,14 @@ def watch(state: State, method: Method, setting: float, patience: float = 20.0) 
     # loaded before the clock runs, however short the patience
     advance(state.system(0.0, _SHORT * length), integrator, state.start)
     begin = clock.perf_counter()
-    bounds = _Bounds(state)
     system = state.system(0.0, length)
-    touching = system.contacts(0.0, state.start)
+    touching = at_start = system.contacts(0.0, state.start)
     energy = system.energy(0.0, state.start)
-    trace = Trace([0.0], [state.start], [energy], touching, count * length, [])
+    trace = Trace([0.0], [state.start], [energy], count * length, [])
     for k in range(count):
         first = 0 if fixed and method.info.remembers else k
         before, end = system.work.steps, (k + 1) * length
-        state.ready(system, first * length, end, touching)
+        state.ready(system, first * length, end, touching if first else at_start)
         trace.problem, position = advance(system, integrator, trace.positions[first])
         trace.steps += system.work.steps - before
         if trace.problem:
@@ -152,8 +148,8 @@ def watch(state: State, method: Method, setting: float, patience: float = 20.0) 
         trace.turned += _turns(state, k, length, trace.positions[-1], position, touching, fixed)
         trace.times.append(end)
         trace.positions.append(position)
-        trace.energy.append(bounds.energy(system, end, position))
-        trace.out_of_bounds = not trace.energy[-1] <= bounds.most
+        trace.energy.append(_energy(state, system, end, position))
+        trace.out_of_bounds = not trace.energy[-1] <= max(state.energy_unit, energy)
         if clock.perf_counter() - begin > patience and k + 1 < count:
             trace.problem = too_late(patience)
         if trace.problem or trace.out_of_bounds:
@@ -163,23 +159,15 @@ def watch(state: State, method: Method, setting: float, patience: float = 20.0) 
     return trace
 
 
-@final
-class _Bounds:
-    """How far cells may go, and how much energy they may have, before a trial is lost."""
-
-    def __init__(self, state: State) -> None:
-        self.middle = state.start.mean(axis=0)
-        self.reach = float(np.ptp(state.start, axis=0).max()) + 10.0 * state.radius
-        self.most = max(state.energy_unit, state.energy(0.0, state.start))
-
-    def energy(self, system: Mechanics, time: float, position: FloatArray) -> float:
-        """Return the energy in fJ, infinite where cells are out of bounds or on top of others."""
-        if not np.abs(position - self.middle).max() <= self.reach:
-            return np.inf
-        try:
-            return system.energy(time, position)
-        except StateRejected:
-            return np.inf
+def _energy(state: State, system: Mechanics, time: float, position: FloatArray) -> float:
+    """Return the energy in fJ, infinite where cells are out of bounds or on top of others."""
+    reach = float(np.ptp(state.start, axis=0).max()) + 10.0 * state.radius
+    if not np.abs(position - state.start.mean(axis=0)).max() <= reach:
+        return np.inf
+    try:
+        return system.energy(time, position)
+    except StateRejected:
+        return np.inf
 
 
 def turned_pairs(before: FloatArray, after: FloatArray, pairs: IntArray) -> IntArray:
