@@ -24,8 +24,8 @@ import numpy as np
 from which_integrator_tables import Entry, write_page
 
 import multicell as mc
+from multicell.comparison.cache import source_hash
 from multicell.comparison.ladders import SMALLEST_TOLERANCE, Method
-from multicell.comparison.reference import source_hash
 from multicell.comparison.result import WorkPrecision
 from multicell.integrators.base import MethodInfo, Outcome
 from multicell.integrators.registry import METHODS

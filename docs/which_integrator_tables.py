@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
 
-from multicell.comparison.measure import CLOCKS
+from multicell.comparison.files import CLOCKS
 from multicell.comparison.result import WorkPrecision
 from multicell.integrators.registry import METHODS
 

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from multicell import testing
     from multicell.cells import Cells, State
     from multicell.comparison.result import WorkPrecision
-    from multicell.comparison.stability.result import StabilityMap
-    from multicell.comparison.stability.search import stability
+    from multicell.comparison.stability_limits.result import StabilityMap
+    from multicell.comparison.stability_limits.search import stability
     from multicell.comparison.work_precision import compare
     from multicell.contact.custom import load_law, pair_law
     from multicell.contact.hertz import Hertz
@@ -85,13 +85,13 @@ _LAZY = {
     "load_result": "multicell.report.result",
     "load_scene": "multicell.scene.scene",
     "WorkPrecision": "multicell.comparison.result",
-    "StabilityMap": "multicell.comparison.stability.result",
+    "StabilityMap": "multicell.comparison.stability_limits.result",
     "compare": "multicell.comparison.work_precision",
     "export": "multicell.report.export",
     "resume": "multicell.runner",
     "run": "multicell.runner",
     "scene_names": "multicell.scene.scene",
-    "stability": "multicell.comparison.stability.search",
+    "stability": "multicell.comparison.stability_limits.search",
 }
 
 

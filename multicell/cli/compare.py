@@ -4,12 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from multicell.cli.options import as_json_option, changes_option, console, errors, parse_changes
+from multicell.cli.options import (
+    as_json_option,
+    changes_option,
+    console,
+    output_option,
+    overwrite_option,
+    quiet_option,
+    scene_of,
+    threads_option,
+)
 from multicell.cli.process import complain, print_json
+
+if TYPE_CHECKING:
+    from multicell.comparison import StabilityMap, WorkPrecision
 
 
 def _positive(context: click.Context, option: click.Parameter, value: float | None) -> float | None:
@@ -19,28 +31,45 @@ def _positive(context: click.Context, option: click.Parameter, value: float | No
     return value
 
 
-_output = click.option(
-    "-o",
-    "--output",
-    type=click.Path(path_type=Path),
-    required=True,
-    help="Folder for the results; it must be empty or new.",
-)
-_methods = click.option(
-    "--methods",
-    metavar="NAMES",
-    help="Methods to compare, separated by commas; by default all that can hold the scene. One of "
-    "your own is named as mine.py:Midpoint.",
-)
-_overwrite = click.option("--overwrite", is_flag=True, help="Replace earlier results.")
-_quiet = click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+def _names(context: click.Context, option: click.Parameter, text: str | None) -> list[str] | None:
+    """Return the methods of a comma-separated list."""
+    if text is None:
+        return None
+    names = [name.strip() for name in text.split(",") if name.strip()]
+    if not names:
+        raise click.BadParameter("no method is named", param_hint="'--methods'")
+    return names
+
+
+def _seconds(name: str, help: str, default: float | None = None) -> Callable[[Any], Any]:
+    return click.option(name, type=float, default=default, callback=_positive, help=help)
+
+
+def _comparing(command: Callable[..., None]) -> Callable[..., None]:
+    """Add what both commands take."""
+    options = (
+        click.argument("scene"),
+        output_option("Folder for the results; it must be empty or new."),
+        changes_option,
+        click.option(
+            "--methods",
+            metavar="NAMES",
+            callback=_names,
+            help="Methods to compare, separated by commas; by default all that can hold the scene. "
+            "One of your own is named as mine.py:Midpoint.",
+        ),
+        threads_option,
+        overwrite_option("Replace earlier results."),
+        quiet_option,
+        as_json_option,
+    )
+    for option in reversed(options):
+        command = option(command)
+    return command
 
 
 @click.command()
-@click.argument("scene")
-@_output
-@changes_option
-@_methods
+@_comparing
 @click.option(
     "--stepwise",
     type=click.IntRange(min=1),
@@ -57,30 +86,15 @@ _quiet = click.option("--quiet", is_flag=True, help="Print nothing but errors.")
     help="The time that judges; that of the processors suffers less from other load.",
 )
 @click.option("--repeats", type=click.IntRange(min=1), default=3, help="Timed solves per point.")
-@click.option(
-    "--patience", type=float, default=10.0, callback=_positive, help="Longest solve in s."
-)
-@click.option(
-    "--budget", type=float, callback=_positive, help="Time for all methods together in s."
-)
-@click.option("--threads", type=click.IntRange(min=1), help="Number of threads.")
-@_overwrite
-@_quiet
-@as_json_option
+@_seconds("--patience", "Longest solve in s.", default=10.0)
+@_seconds("--budget", "Time for all methods together in s.")
 def compare(
     scene: str,
-    output: Path,
     changes: Sequence[str],
-    methods: str | None,
     stepwise: int | None,
-    clock: str,
-    repeats: int,
-    patience: float,
-    budget: float | None,
-    threads: int | None,
-    overwrite: bool,
     quiet: bool,
     as_json: bool,
+    **options: Any,
 ) -> None:
     """Chart error against cost of integration methods on a SCENE.
 
@@ -88,83 +102,43 @@ def compare(
     its own uncertainty is part of the chart. Trajectories of a growing or driven population part
     whatever the method: compare those with --stepwise.
     """
-    with errors(as_json):
-        parsed = parse_changes(changes)
-        from multicell.comparison.work_precision import run_compare
+    described = scene_of(scene, changes)
+    from multicell import comparison
 
-        result = run_compare(
-            scene,
-            output,
-            changes=parsed,
-            methods=_names(methods),
-            stepwise=False if stepwise is None else stepwise,
-            clock=clock,
-            repeats=repeats,
-            patience=patience,
-            budget=budget,
-            threads=threads,
-            overwrite=overwrite,
-            progress=None if quiet else _say,
-        )
-        if as_json:
-            print_json(result.table)
-        elif not quiet:
-            console().print(f"Results are in '{output}'.", markup=False)
+    result = comparison.compare(
+        described, stepwise=stepwise or False, progress=None if quiet else complain, **options
+    )
+    _show(result, options["output"], quiet, as_json)
 
 
 @click.command()
-@click.argument("scene")
-@_output
-@changes_option
-@_methods
+@_comparing
 @click.option("--no-sweeps", is_flag=True, help="Only the scene as it is.")
-@click.option("--threads", type=click.IntRange(min=1), help="Number of threads.")
-@_overwrite
-@_quiet
-@as_json_option
 def stability(
     scene: str,
-    output: Path,
     changes: Sequence[str],
-    methods: str | None,
     no_sweeps: bool,
-    threads: int | None,
-    overwrite: bool,
     quiet: bool,
     as_json: bool,
+    **options: Any,
 ) -> None:
     """Find the largest stable step of each method on a SCENE, and how it fails beyond.
 
     Parameters of the scene are swept one at a time; limits stand beside theory.
     """
-    with errors(as_json):
-        parsed = parse_changes(changes)
-        from multicell.comparison.stability.search import run_stability
+    described = scene_of(scene, changes)
+    from multicell import comparison
 
-        result = run_stability(
-            scene,
-            output,
-            changes=parsed,
-            methods=_names(methods),
-            sweeps={} if no_sweeps else None,
-            threads=threads,
-            overwrite=overwrite,
-            progress=None if quiet else _say,
-        )
-        if as_json:
-            print_json(result.table)
-        elif not quiet:
-            console().print(f"Results are in '{output}'.", markup=False)
+    sweeps: dict[str, list[float]] | None = {} if no_sweeps else None
+    result = comparison.stability(
+        described, sweeps=sweeps, progress=None if quiet else complain, **options
+    )
+    _show(result, options["output"], quiet, as_json)
 
 
-def _names(methods: str | None) -> list[str] | None:
-    """Return the methods of a comma-separated list."""
-    if methods is None:
-        return None
-    names = [name.strip() for name in methods.split(",") if name.strip()]
-    if not names:
-        raise click.BadParameter("no method is named", param_hint="'--methods'")
-    return names
-
-
-_say: Callable[[Any], None] = lambda text: complain(str(text))  # noqa: E731
+def _show(result: WorkPrecision | StabilityMap, output: Path, quiet: bool, as_json: bool) -> None:
+    """Print the table as JSON, or where the results are."""
+    if as_json:
+        print_json(result.table)
+    elif not quiet:
+        console().print(f"Results are in '{output}'.", markup=False)

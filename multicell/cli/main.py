@@ -7,7 +7,8 @@ sentence on stderr. With ``--json`` stdout holds exactly one JSON document.
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,15 +20,21 @@ from multicell.cli.options import (
     as_json_option,
     changes_option,
     console,
-    errors,
     integrator_option,
+    no_report_option,
+    output_option,
+    overwrite_option,
     parse_changes,
+    quiet_option,
+    scene_of,
+    threads_option,
 )
 from multicell.cli.process import Commands, complain, print_json
 from multicell.errors import OutputError, StepFailed
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.table import Table
 
     from multicell.report.result import Result
     from multicell.scene.scene import Scene
@@ -47,22 +54,19 @@ def main() -> None:
 @as_json_option
 def scenes(as_json: bool) -> None:
     """List the built-in scenes."""
-    with errors(as_json):
-        from multicell.scene.scene import load_scene, scene_names
+    from multicell.scene.scene import load_scene, scene_names
 
-        rows = [_scene_row(name, load_scene(name)) for name in scene_names()]
-        if as_json:
-            print_json(rows)
-            return
-        from rich.table import Table
-
-        table = Table(box=None, pad_edge=False, header_style="bold")
-        for column in ("scene", "duration", "parts", "title"):
-            table.add_column(column, no_wrap=column in ("scene", "duration"))
-        for row in rows:
-            time = _time(row["duration"])
-            table.add_row(*map(_plain, (row["name"], time, ", ".join(row["parts"]), row["title"])))
-        console().print(table)
+    rows = [_scene_row(name, load_scene(name)) for name in scene_names()]
+    if as_json:
+        print_json(rows)
+        return
+    table = _table()
+    for column in ("scene", "duration", "parts", "title"):
+        table.add_column(column, no_wrap=column in ("scene", "duration"))
+    for row in rows:
+        time = _time(row["duration"])
+        table.add_row(*map(_plain, (row["name"], time, ", ".join(row["parts"]), row["title"])))
+    console().print(table)
 
 
 @main.command()
@@ -80,145 +84,90 @@ def schema() -> None:
 @as_json_option
 def explain(scene: str, changes: Sequence[str], as_json: bool) -> None:
     """Tell what a SCENE uses and why, without running it."""
-    with errors(as_json):
-        from multicell.report.explain.scene import explain as explained
+    from multicell.report.explain.scene import explain as explained
 
-        facts = explained(_scene(scene, changes))
-        if as_json:
-            print_json({"scene": scene, **facts})
-        else:
-            _print_facts(console(), scene, facts)
+    facts = explained(scene_of(scene, changes))
+    if as_json:
+        print_json({"scene": scene, **facts})
+    else:
+        _print_facts(console(), scene, facts)
+
+
+def _simulating(command: Callable[..., None]) -> Callable[..., None]:
+    """Add what ``run`` and ``resume`` take."""
+    options = (
+        changes_option,
+        integrator_option,
+        overwrite_option("Replace the results of an earlier run."),
+        threads_option,
+        no_report_option,
+        quiet_option,
+        as_json_option,
+    )
+    for option in reversed(options):
+        command = option(command)
+    return command
 
 
 @main.command()
 @click.argument("scene")
-@click.option(
-    "-o",
-    "--output",
-    type=click.Path(path_type=Path),
-    required=True,
-    help="Folder for the results; it must be empty or new.",
-)
-@changes_option
-@click.option("--overwrite", is_flag=True, help="Replace the results of an earlier run.")
-@integrator_option
-@click.option("--threads", type=click.IntRange(min=1), help="Number of threads.")
-@click.option("--no-report", is_flag=True, help="Write no report and no pictures.")
-@click.option("--quiet", is_flag=True, help="Print nothing but errors.")
-@as_json_option
+@output_option("Folder for the results; it must be empty or new.")
+@_simulating
 def run(
     scene: str,
     output: Path,
     changes: Sequence[str],
-    overwrite: bool,
     integrator: str | None,
-    threads: int | None,
-    no_report: bool,
-    quiet: bool,
-    as_json: bool,
+    **options: Any,
 ) -> None:
     """Run a SCENE and write frames, summary, pictures and a report to a folder."""
-    with errors(as_json):
-        described = _scene(scene, changes)
-        # loaded after the scene was accepted: bad input is answered at once
-        from multicell.cli.progress import reporter
-        from multicell.runner import integrated_by
-        from multicell.runner import run as simulate
+    described = scene_of(scene, changes)
+    # loaded after the scene was accepted: bad input is answered at once
+    from multicell.runner import integrated_by
+    from multicell.runner import run as simulated
 
-        described, own = integrated_by(described, integrator)
-        try:
-            with reporter(described, show=not quiet) as progress:
-                result = simulate(
-                    described,
-                    output=output,
-                    integrator=own,
-                    overwrite=overwrite,
-                    threads=threads,
-                    progress=progress,
-                    report=not no_report,
-                )
-        except (KeyboardInterrupt, StepFailed) as error:
-            _finish_early(error, output, no_report, as_json)
-            raise
-        _show(result, output, quiet, as_json)
+    described, own = integrated_by(described, integrator)
+    simulate = partial(simulated, described, output=output, integrator=own)
+    _simulate(simulate, described, output, **options)
 
 
 @main.command()
 @click.argument("folder", type=click.Path(path_type=Path))
 @click.option("--frame", type=int, default=-1, show_default=True, help="Frame to go on from.")
-@click.option(
-    "-o",
-    "--output",
-    type=click.Path(path_type=Path),
-    help="Folder for the whole run; by default it goes on in FOLDER.",
-)
-@changes_option
-@integrator_option
-@click.option("--overwrite", is_flag=True, help="Replace the results of an earlier run.")
-@click.option("--threads", type=click.IntRange(min=1), help="Number of threads.")
-@click.option("--no-report", is_flag=True, help="Write no report and no pictures.")
-@click.option("--quiet", is_flag=True, help="Print nothing but errors.")
-@as_json_option
+@output_option("Folder for the whole run; by default it goes on in FOLDER.", required=False)
+@_simulating
 def resume(
     folder: Path,
     frame: int,
     output: Path | None,
     changes: Sequence[str],
     integrator: str | None,
-    overwrite: bool,
-    threads: int | None,
-    no_report: bool,
-    quiet: bool,
-    as_json: bool,
+    **options: Any,
 ) -> None:
     """Go on with the run in FOLDER, from its last frame or from another one.
 
     Without changes the run becomes what it would have been, bit for bit on the same machine. --set
     may change what can change while a run goes on: duration, stop_cells, output and the medium.
     """
-    with errors(as_json):
-        parsed = parse_changes(changes)
-        from multicell.cli.progress import reporter
-        from multicell.runner import resume as go_on
-        from multicell.scene.scene import load_scene
+    parsed = parse_changes(changes)
+    from multicell.runner import resume as resumed
+    from multicell.scene.scene import load_scene
 
-        written = output or folder
-        scene = load_scene(folder / "scene.toml").with_changes(parsed)
-        try:
-            with reporter(scene, show=not quiet) as progress:
-                result = go_on(
-                    folder,
-                    frame,
-                    output=output,
-                    changes=parsed,
-                    integrator=integrator,
-                    overwrite=overwrite,
-                    threads=threads,
-                    progress=progress,
-                    report=not no_report,
-                )
-        except (KeyboardInterrupt, StepFailed) as error:
-            _finish_early(error, written, no_report, as_json)
-            raise
-        _show(result, written, quiet, as_json)
+    scene = load_scene(folder / "scene.toml").with_changes(parsed)
+    go_on = partial(resumed, folder, frame, output=output, changes=parsed, integrator=integrator)
+    _simulate(go_on, scene, output or folder, **options)
 
 
 @main.command()
 @click.argument("folder", type=click.Path(path_type=Path))
-@click.option(
-    "-o",
-    "--output",
-    type=click.Path(path_type=Path),
-    required=True,
-    help="Folder for the tables.",
-)
+@output_option("Folder for the tables.")
 @click.option(
     "--tables",
     metavar="NAMES",
     help="Which tables, separated by commas: lineage, history, cells, contacts; by default all.",
 )
 @click.option("--frame", type=int, help="Cells and contacts of this frame only; -1 is the last.")
-@click.option("--overwrite", is_flag=True, help="Replace files of the same names.")
+@overwrite_option("Replace files of the same names.")
 @as_json_option
 def export(
     folder: Path,
@@ -229,36 +178,47 @@ def export(
     as_json: bool,
 ) -> None:
     """Write the results in FOLDER as CSV tables, with units in their headers."""
-    with errors(as_json):
-        from multicell.report.export import export as write
+    from multicell.report.export import export as write
 
-        chosen = None if tables is None else [name.strip() for name in tables.split(",")]
-        paths = write(folder, output, tables=chosen, frame=frame, overwrite=overwrite)
-        if as_json:
-            print_json({"files": [str(path) for path in paths]})
-            return
-        for path in paths:
-            click.echo(path, file=sys.stdout)
+    chosen = None if tables is None else [name.strip() for name in tables.split(",")]
+    paths = write(folder, output, tables=chosen, frame=frame, overwrite=overwrite)
+    if as_json:
+        print_json({"files": [str(path) for path in paths]})
+        return
+    for path in paths:
+        click.echo(path, file=sys.stdout)
 
 
 main.add_command(compare)
 main.add_command(stability)
 
 
-def _show(result: Result, output: Path, quiet: bool, as_json: bool) -> None:
-    """Print what a run came to."""
+def _simulate(
+    simulate: Callable[..., Result],
+    scene: Scene,
+    output: Path,
+    *,
+    overwrite: bool,
+    threads: int | None,
+    no_report: bool,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Run, with progress on stderr, and print what it came to."""
+    from multicell.cli.progress import reporter
+
+    try:
+        with reporter(scene, show=not quiet) as progress:
+            result = simulate(
+                overwrite=overwrite, threads=threads, progress=progress, report=not no_report
+            )
+    except (KeyboardInterrupt, StepFailed) as error:
+        _finish_early(error, output, no_report, as_json)
+        raise
     if as_json:
         print_json(result.summary())
     elif not quiet:
         _print_summary(console(), result.summary(), output)
-
-
-def _scene(source: str, changes: Sequence[str]) -> Scene:
-    """Return the scene that the arguments describe."""
-    parsed = parse_changes(changes)
-    from multicell.scene.scene import load_scene
-
-    return load_scene(source).with_changes(parsed)
 
 
 def _finish_early(error: BaseException, output: Path, no_report: bool, as_json: bool) -> None:
@@ -300,6 +260,13 @@ def _time(seconds: float) -> str:
     return f"{seconds:.3g} s"
 
 
+def _table(**options: Any) -> Table:
+    """Return an empty table without lines."""
+    from rich.table import Table
+
+    return Table(box=None, pad_edge=False, header_style="bold", **options)
+
+
 def _plain(text: object) -> Any:
     """Return text in which square brackets are no markup."""
     from rich.text import Text
@@ -309,17 +276,15 @@ def _plain(text: object) -> Any:
 
 def _print_facts(console: Console, scene: str, facts: dict[str, Any]) -> None:
     """Print the parts, the numbers and the notes of ``explain``."""
-    from rich.table import Table
-
     console.print(_plain(f"{scene}: {facts['title']}" if facts["title"] else scene), style="bold")
-    parts = Table(box=None, pad_edge=False, header_style="bold")
+    parts = _table()
     for column in ("", "part", "what it means"):
         parts.add_column(column)
     for part in facts["parts"]:
         mark = _plain("used" if part["used"] else "absent")
         mark.stylize("green" if part["used"] else "dim")
         parts.add_row(mark, _plain(part["part"]), _plain(part["what"]))
-    numbers = Table(box=None, pad_edge=False, header_style="bold")
+    numbers = _table()
     for column in ("derived number", "value", "unit", "meaning"):
         numbers.add_column(column, justify="right" if column == "value" else "left")
     for entry in facts["numbers"]:
@@ -336,11 +301,9 @@ def _print_facts(console: Console, scene: str, facts: dict[str, Any]) -> None:
 
 def _print_summary(console: Console, summary: dict[str, Any], output: Path) -> None:
     """Print the key figures of a run as a short table."""
-    from rich.table import Table
-
     from multicell.report.page import measures
 
-    table = Table(box=None, pad_edge=False, show_header=False)
+    table = _table(show_header=False)
     table.add_column(style="bold")
     table.add_column(justify="right")
     for name, value in measures(summary):

@@ -1,21 +1,24 @@
-"""What all commands share: options, errors and exit codes, printing."""
+"""What all commands share: options, and how they are read."""
 
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from multicell.cli.process import INTERRUPTED, complain, print_json, quietly
-from multicell.errors import MulticellError, SceneError
+from multicell.errors import SceneError
 from multicell.units import shown
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from multicell.scene.scene import Scene
+
+Option = Callable[[Any], Any]
+"""A decorator of click."""
 
 _DEEPEST = 20
 """Tables and lists of a scene stand at most five deep."""
@@ -30,6 +33,36 @@ changes_option = click.option(
     "--set nutrients.oxygen.boundary='0.07 mM'. An empty value removes an optional part "
     "(--set growth=). May be given several times.",
 )
+threads_option = click.option("--threads", type=click.IntRange(min=1), help="Number of threads.")
+quiet_option = click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+no_report_option = click.option(
+    "--no-report", is_flag=True, help="Write no report and no pictures."
+)
+
+
+def output_option(help: str, *, required: bool = True) -> Option:
+    """Return the option for the folder to write to."""
+    place = click.Path(path_type=Path)
+    return click.option("-o", "--output", type=place, required=required, help=help)
+
+
+def overwrite_option(help: str) -> Option:
+    """Return the flag that lets a command replace what is there."""
+    return click.option("--overwrite", is_flag=True, help=help)
+
+
+def scene_of(source: str, changes: Sequence[str]) -> Scene:
+    """Return the scene that SCENE and ``--set`` describe.
+
+    Raises
+    ------
+    SceneError
+        If there is no such scene, or a change makes no sense.
+    """
+    parsed = parse_changes(changes)
+    from multicell.scene.scene import load_scene
+
+    return load_scene(source).with_changes(parsed)
 
 
 integrator_option = click.option(
@@ -95,22 +128,6 @@ def _depth(value: Any) -> int:
         depth += 1
         level = [y for x in level for y in (x.values() if isinstance(x, dict) else x)]
     return depth
-
-
-@contextmanager
-def errors(as_json: bool) -> Iterator[None]:
-    """End with one sentence and the exit code of the error, without traceback."""
-    try:
-        yield
-    except MulticellError as error:
-        complain(f"Error: {error}")
-        if as_json:
-            with quietly():
-                print_json({"error": str(error), "kind": type(error).__name__})
-        raise click.exceptions.Exit(error.exit_code) from None
-    except KeyboardInterrupt:
-        complain("Interrupted.")
-        raise click.exceptions.Exit(INTERRUPTED) from None
 
 
 def console() -> Console:

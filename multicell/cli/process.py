@@ -121,7 +121,7 @@ def _explained(error: Exception, as_json: bool) -> int:
     else:
         message, code = in_words(error)
         complain(f"Error: {message}")
-        if os.environ.get(DEBUG):
+        if os.environ.get(DEBUG) and not isinstance(error, MulticellError):
             import traceback
 
             complain("".join(traceback.format_exception(error)).rstrip())

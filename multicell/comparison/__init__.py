@@ -8,26 +8,24 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from multicell.comparison.ladders import Method
     from multicell.comparison.result import WorkPrecision
-    from multicell.comparison.stability.result import StabilityMap
-    from multicell.comparison.stability.search import run_stability
-    from multicell.comparison.work_precision import compare, run_compare
+    from multicell.comparison.stability_limits.result import StabilityMap
+    from multicell.comparison.stability_limits.search import stability
+    from multicell.comparison.work_precision import compare
 
 __all__ = [
     "Method",
     "StabilityMap",
     "WorkPrecision",
     "compare",
-    "run_compare",
-    "run_stability",
+    "stability",
 ]
 
 _LAZY = {
     "Method": "multicell.comparison.ladders",
     "WorkPrecision": "multicell.comparison.result",
     "compare": "multicell.comparison.work_precision",
-    "run_compare": "multicell.comparison.work_precision",
-    "run_stability": "multicell.comparison.stability.search",
-    "StabilityMap": "multicell.comparison.stability.result",
+    "stability": "multicell.comparison.stability_limits.search",
+    "StabilityMap": "multicell.comparison.stability_limits.result",
 }
 
 

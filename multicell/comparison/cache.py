@@ -1,4 +1,4 @@
-"""A recorded problem with its reference solution as one file of plain arrays (``.npz``).
+"""References on disk, by version, scene and pair of methods: files of plain arrays (``.npz``).
 
 No objects are pickled: a cache file can be opened without trusting it. Arrays of all coupling
 steps are laid end to end, with their lengths beside them.
@@ -6,53 +6,109 @@ steps are laid end to end, with their lengths beside them.
 
 from __future__ import annotations
 
+import hashlib
 import json
+import os
 import zipfile
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
+from multicell.cells import Cells
 from multicell.comparison.replay import Events, Problem, Step, Trajectory
 from multicell.mechanics.system import Motion
-from multicell.results.folder import replacing, words
+from multicell.results.folder import replacing, versions, words
+from multicell.scene.scene import Scene
 
-_FORMAT = 2
+FORMAT: Final = 3
+"""Counts up whenever a reference is computed or written in another way."""
+
+_NO_NUMBERS: Final = ("cli", "comparison", "report", "studies")
+"""Rooms that can change no number of a reference; for this one :data:`FORMAT` answers."""
 
 
-def save(path: Path, problem: Problem, trajectory: Trajectory, facts: Mapping[str, Any]) -> bool:
-    """Write a problem and its reference; return False if its motion has no plain form.
+def cache_folder() -> Path:
+    """Return the folder of the user's cache: ``$MULTICELL_CACHE``, or below ``~/.cache``."""
+    own = os.environ.get("MULTICELL_CACHE")
+    if own:
+        return Path(own)
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "multicell" / "references"
+
+
+def source_hash(folder: Path | None = None) -> str:
+    """Return a hash of all sources that can change a number of a reference.
+
+    Parameters
+    ----------
+    folder
+        Folder of the package, by default that of multicell.
+    """
+    root = Path(__file__).parent.parent if folder is None else folder
+    digest = hashlib.sha256()
+    for path in sorted(root.rglob("*.py")):
+        place = path.relative_to(root)
+        if place.parts[0] not in _NO_NUMBERS:
+            digest.update(str(place).encode())
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def key(scene: Scene, cells: Cells | None, pair: Any) -> str:
+    """Return what a reference depends on as one hash: versions, scene, cells, pair of methods.
+
+    Parameters
+    ----------
+    scene
+        Its output and integrator have no part in a reference.
+    cells
+        Cells to start from, if not the scene's own.
+    pair
+        How the reference is computed, as JSON can hold it.
+    """
+    entries = scene.to_dict()
+    entries.pop("output", None)
+    entries["integrator"] = {"max_displacement": scene.integrator.max_displacement}
+    version = [FORMAT, versions(), source_hash()]
+    described = json.dumps([version, entries, pair], sort_keys=True)
+    digest = hashlib.sha256(described.encode())
+    for name, column in () if cells is None else cells.columns():
+        digest.update(name.encode())
+        digest.update(np.ascontiguousarray(column).tobytes())
+    return digest.hexdigest()[:32]
+
+
+def save(path: Path, problem: Problem, trajectory: Trajectory, about: Mapping[str, Any]) -> Path:
+    """Write a problem and its reference, and what else is known about it; return the path.
 
     Raises
     ------
     OutputError
         If the file cannot be written.
     """
-    motions = _flat([step.motion for step in problem.steps])
-    if motions is None:
-        return False
-    with_events = [k for k, step in enumerate(problem.steps) if step.before is not None]
-    events = [step.before for step in problem.steps if step.before is not None]
-    arrays = {
-        "format": np.array(_FORMAT),
-        "facts": np.array(json.dumps(dict(facts))),
-        "start": problem.start,
-        "count": problem.counts,
-        "positions": np.concatenate(trajectory.positions),
-        "events": np.array(with_events, dtype=np.int64),
-        "source": np.concatenate([e.source for e in events] or [np.zeros(0, np.int64)]),
-        "offset": np.concatenate([e.offset for e in events] or [np.zeros((0, 3))]),
-        "total": np.array(problem.total),
-        **({} if problem.starts is None else {"starts": np.concatenate(problem.starts)}),
-        **motions,
+    events = [step.before for step in problem.steps]
+    columns: dict[str, Sequence[Any]] = {
+        "ends": trajectory.positions,
+        "starts": [] if problem.starts is None else problem.starts,
+        "source": [None if event is None else event.source for event in events],
+        "offset": [None if event is None else event.offset for event in events],
     }
+    for spec in fields(Motion):
+        columns[f"motion.{spec.name}"] = [getattr(s.motion, spec.name) for s in problem.steps]
+    arrays: dict[str, Any] = {
+        "about": np.array(json.dumps(dict(about))),
+        "total": np.array(problem.total),
+    }
+    for name, values in columns.items():
+        arrays |= _packed(name, values)
     with words("write", path):
         path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as file:
         np.savez(file, **arrays)
-    return True
+    return path
 
 
 def load(path: Path, blank: Problem) -> tuple[Problem, Trajectory, dict[str, Any]] | None:
@@ -76,65 +132,39 @@ def load(path: Path, blank: Problem) -> tuple[Problem, Trajectory, dict[str, Any
 def _restored(
     arrays: Mapping[str, Any], blank: Problem
 ) -> tuple[Problem, Trajectory, dict[str, Any]]:
-    if int(arrays["format"]) != _FORMAT:
-        raise ValueError("another format")
-    count = arrays["count"]
-    shocked = count[arrays["events"]]
-    events: dict[int, Events] = {
-        int(k): Events(source, offset)
-        for k, source, offset in zip(
-            arrays["events"], _cut(arrays["source"], shocked), _cut(arrays["offset"], shocked),
-            strict=True,
-        )
-    }  # fmt: skip
-    motions = _motions(arrays, count)
-    steps = [Step(motion, events.get(k)) for k, motion in enumerate(motions)]
-    starts = _cut(arrays["starts"], count) if "starts" in arrays else None
-    problem = Problem(
-        blank.scene, blank.template, arrays["start"], blank.radius, steps, starts,
-        int(arrays["total"]),
-    )  # fmt: skip
-    facts: dict[str, Any] = json.loads(str(arrays["facts"]))
-    return problem, Trajectory(_cut(arrays["positions"], count)), facts
+    columns = {spec.name: _unpacked(arrays, f"motion.{spec.name}") for spec in fields(Motion)}
+    ends = _unpacked(arrays, "ends") or []
+    none = [None] * len(ends)
+    sources, offsets = (_unpacked(arrays, name) or none for name in ("source", "offset"))
+    steps = []
+    for k, (source, offset) in enumerate(zip(sources, offsets, strict=True)):
+        motion = Motion(**{name: values[k] for name, values in columns.items() if values})
+        steps.append(Step(motion, None if source is None else Events(source, offset)))
+    about: dict[str, Any] = json.loads(str(arrays["about"]))
+    problem = replace(
+        blank, steps=steps, starts=_unpacked(arrays, "starts"), total=int(arrays["total"])
+    )
+    return problem, Trajectory(ends), about
 
 
-def _flat(motions: Sequence[Motion]) -> dict[str, Any] | None:
-    """Return every field of the motions as one array, or None if one has no plain form."""
-    flat: dict[str, Any] = {}
-    for spec in fields(Motion):
-        values = [getattr(motion, spec.name) for motion in motions]
-        known = [value for value in values if value is not None]
-        if not known:
-            continue
-        if all(isinstance(value, int | float) for value in values):
-            flat[f"scalar.{spec.name}"] = np.array(values)
-        elif all(isinstance(v, np.ndarray) and v.dtype != object and v.ndim for v in known):
-            flat[f"column.{spec.name}"] = np.concatenate(known)
-            flat[f"length.{spec.name}"] = np.array([0 if v is None else len(v) for v in values])
-            if len(known) < len(values):
-                flat[f"absent.{spec.name}"] = np.array([value is None for value in values])
-        else:
-            return None
-    return flat
+def _packed(name: str, values: Sequence[Any]) -> dict[str, Any]:
+    """Return numbers, or arrays and None, of all steps as one array; their lengths beside it."""
+    known = [value for value in values if value is not None]
+    if not known:
+        return {}
+    if all(isinstance(value, int | float) for value in values):
+        return {name: np.array(values)}
+    length = np.array([-1 if value is None else len(value) for value in values])
+    return {name: np.concatenate(known), f"{name}.length": length}
 
 
-def _motions(arrays: Mapping[str, Any], count: Any) -> list[Motion]:
-    """Return the motions again; what was None, everywhere or in some steps, is None."""
-    entries: dict[str, Any] = {spec.name: [None] * len(count) for spec in fields(Motion)}
-    for name, array in arrays.items():
-        kind, _, field = name.partition(".")
-        if kind == "scalar":
-            entries[field] = array.tolist()
-        elif kind == "column":
-            entries[field] = _cut(array, arrays[f"length.{field}"])
-            for k in np.flatnonzero(arrays.get(f"absent.{field}", ())):
-                entries[field][k] = None
-    return [
-        Motion(**{name: values[k] for name, values in entries.items()}) for k in range(len(count))
-    ]
-
-
-def _cut(array: Any, count: Any) -> list[Any]:
-    """Cut an array into runs of the given lengths; each owns its memory."""
-    parts = np.split(array, np.cumsum(count)[:-1])
-    return [np.array(part) for part in parts] if len(count) else []
+def _unpacked(arrays: Mapping[str, Any], name: str) -> list[Any] | None:
+    """Return what :func:`_packed` was given; each array owns its memory."""
+    if name not in arrays:
+        return None
+    if f"{name}.length" not in arrays:
+        return list(arrays[name].tolist())
+    length = arrays[f"{name}.length"]
+    ends = np.cumsum(np.maximum(length, 0))
+    parts = np.split(arrays[name], ends[:-1])
+    return [None if n < 0 else np.array(part) for n, part in zip(length, parts, strict=True)]

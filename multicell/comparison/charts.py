@@ -19,26 +19,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from multicell.comparison.result import WorkPrecision
-    from multicell.comparison.stability.result import StabilityMap
+    from multicell.comparison.stability_limits.result import StabilityMap
 
 
 _OTHERS: Final = ("#b5432f", "#f2b63c", "#6b7a86", "#2a9d6a", "#d16ba5", "#00798c")
-_TITLES: Final = {
-    "position": "positions, worst time",
-    "position_median": "positions, median time",
-    "position_final": "positions, at the end",
-    "energy": "contact energy, worst time",
-    "gyration": "radius of gyration, worst time",
-    "pair_distance": "pair distances, at the end",
-}
-_TITLES_STEPWISE: Final = {
-    "position": "positions, worst step",
-    "position_median": "positions, median step",
-    "position_final": "positions, last step",
-    "energy": "contact energy, worst step",
-    "gyration": "radius of gyration, worst step",
-    "pair_distance": "pair distances, last step",
-}
 _LABELS: Final = {
     "wall": "wall time (s)",
     "cpu": "processor time (s)",
@@ -73,14 +57,13 @@ def workprecision(result: WorkPrecision, norm: str) -> Figure:
 def norms(result: WorkPrecision) -> Figure:
     """Draw error over time in every norm."""
     figure = _headed(result, "every norm; grey: what the reference leaves open")
-    titles = _TITLES_STEPWISE if result.stepwise else _TITLES
-    for k, norm in enumerate(NORMS):
+    for k, (name, norm) in enumerate(NORMS.items()):
         row, column = divmod(k, 3)
         place = (0.065 + 0.262 * column, 0.525 - 0.435 * row, 0.205, 0.285)
-        axes = figure.add_axes(place, label=f"{norm} wall")
-        _curves(axes, result, norm, result.clock, size=3.5)
-        _band(axes, result.uncertainty[norm])
-        axes.set_title(titles[norm], fontsize=10)
+        axes = figure.add_axes(place, label=f"{name} wall")
+        _curves(axes, result, name, result.clock, size=3.5)
+        _band(axes, result.uncertainty[name])
+        axes.set_title(norm.title(result.stepwise), fontsize=10)
         axes.tick_params(labelsize=8.5)
         if row == 1:
             axes.set_xlabel(_LABELS[result.clock], fontsize=10)

@@ -6,17 +6,16 @@ import math
 import time as clock
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, final
+from functools import partial
+from typing import Any, final
 
+from multicell.comparison.files import DONE, FAILED, SKIPPED, Row
 from multicell.comparison.ladders import Method, weighted_cost
 from multicell.comparison.norms import errors, no_errors, observe
 from multicell.comparison.reference import Reference
-from multicell.comparison.replay import Problem, Trajectory, replay
-from multicell.integrators.base import Integrator
+from multicell.comparison.replay import Problem, Trajectory, replay, without_compiling
 from multicell.mechanics.system import Work
 
-Row = dict[str, Any]
-DONE, FAILED, SKIPPED = "done", "failed", "skipped"
 _TRIALS = 3
 """Tolerances at which a method may fail before it is held to be too slow for finer ones."""
 _SHORT = 0.02
@@ -90,10 +89,12 @@ def climb(
         dear = foreseen > effort.patience or spent + 2.0 * foreseen > effort.budget
         if rows and dear:
             text = f"not tried: it would take about {foreseen:.2g} s, after {spent:.2g} s"
-            rows.append(_row(method, setting, SKIPPED, text))
+            rows.append(_row(method, setting, SKIPPED, words=text))
             continue
         tell(f"{method.name} at {setting:.3g}")
-        found = replay(exact.problem, method.make(setting), effort.patience)
+        solve = partial(replay, exact.problem, method.make(setting), effort.patience)
+        found, lost = without_compiling(solve)
+        begin += lost
         rows.append(_measured(method, setting, found, exact, effort))
         if found.done:
             wall = rows[-1]["wall"]
@@ -133,61 +134,29 @@ def time_again(points: Sequence[Timed], problem: Problem, repeats: int) -> None:
 
 
 def _measured(
-    method: Method,
-    setting: float,
-    found: Trajectory,
-    exact: Reference,
-    effort: Effort,
+    method: Method, setting: float, found: Trajectory, exact: Reference, effort: Effort
 ) -> Row:
     """Return the row of a solve; one that succeeded is timed."""
     if not found.done:
-        return _row(method, setting, FAILED, found.problem, spent=found.wall)
-    times = _timed(exact.problem, method.make(setting), found.wall, effort)
-    error = errors(exact.problem, observe(exact.problem, found), exact.observed)
-    return _row(method, setting, DONE, "", times, found, error, spent=found.wall)
+        return _row(method, setting, FAILED, words=found.problem, spent=found.wall)
+    problem, solver = exact.problem, method.make(setting)
+    # that solve has compiled the kernels and filled the caches; if it was short another warms up
+    if found.wall < effort.share:
+        replay(problem, solver)
+    timed = replay(problem, solver)
+    return _row(
+        method, setting, DONE, wall=timed.wall, cpu=timed.cpu, spent=found.wall,
+        cost=weighted_cost(found.work), **vars(found.work),
+        **_columns(errors(problem, observe(problem, found), exact.observed)),
+    )  # fmt: skip
 
 
-def _timed(
-    problem: Problem, integrator: Integrator, first: float, effort: Effort
-) -> tuple[float, float]:
-    """Return the wall time and the processor time of one solve, s.
-
-    The solve that gave the error has compiled the kernels and filled the caches; if it was
-    short another one warms up.
-    """
-    if first < effort.share:
-        replay(problem, integrator)
-    again = replay(problem, integrator)
-    return again.wall, again.cpu
-
-
-def _row(
-    method: Method,
-    setting: float,
-    status: str,
-    text: str,
-    times: tuple[float, float] = (math.nan, math.nan),
-    found: Trajectory | None = None,
-    error: Mapping[str, float] | None = None,
-    *,
-    spent: float = math.nan,
-) -> Row:
+def _row(method: Method, setting: float, status: str, **known: Any) -> Row:
     """Return one row of the table; what is not known is NaN."""
-    counts = dict.fromkeys(vars(Work()), math.nan) if found is None else vars(found.work)
-    return {
-        "method": method.name,
-        "control": method.control,
-        "setting": setting,
-        "status": status,
-        "words": text,
-        "wall": times[0],
-        "cpu": times[1],
-        "spent": spent,
-        **{f"error_{norm}": value for norm, value in (error or no_errors()).items()},
-        "cost": math.nan if found is None else weighted_cost(found.work),
-        **counts,
-    }
+    unknown = ("wall", "cpu", "spent", *_columns(no_errors()), "cost", *vars(Work()))
+    first = {"method": method.name, "control": method.control, "setting": setting}
+    return {**first, "status": status, "words": "", **dict.fromkeys(unknown, math.nan), **known}
 
 
-CLOCKS: Final = {"wall": "wall time", "cpu": "processor time"}
-"""Column of the table that may judge -> what it is."""
+def _columns(errors: Mapping[str, float]) -> dict[str, float]:
+    return {f"error_{norm}": value for norm, value in errors.items()}

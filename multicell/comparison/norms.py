@@ -8,6 +8,7 @@ settled elsewhere shortly before the end.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, final
 
@@ -16,27 +17,20 @@ import numpy as np
 from multicell.cells import FloatArray
 from multicell.comparison.replay import Problem, Trajectory
 
-NORMS: Final = {
-    "position": "positions, largest over the common times / mean radius",
-    "position_median": "positions, median over the common times / mean radius",
-    "position_final": "positions at the end / mean radius",
-    "energy": "contact energy, largest over time / its largest value",
-    "gyration": "radius of gyration, largest over time, relative",
-    "pair_distance": "pair distances at the end (Wasserstein) / mean radius",
-}
-"""Name of each norm -> what it measures. Positions: root mean square over the cells."""
-
-_STEPWISE: Final = {
-    "position": "positions, largest over the steps / mean radius",
-    "position_median": "positions, median over the steps / mean radius",
-    "position_final": "positions after the last step / mean radius",
-    "energy": "contact energy, largest over the steps / its largest value",
-    "gyration": "radius of gyration, largest over the steps, relative",
-    "pair_distance": "pair distances after the last step (Wasserstein) / mean radius",
-}
-
 _ENERGIES = 100  # common times at which the energy is taken
 _CELLS = 1500  # cells among which distances are taken
+_MOMENTS: Final = {
+    "worst": ("largest over the common times", "largest over the steps"),
+    "median": ("median over the common times", "median over the steps"),
+    "last": ("at the end", "after the last step"),
+}
+"""Where a norm looks -> in words of a whole run, and of single steps."""
+
+_SHORT: Final = {
+    "worst": ("worst time", "worst step"),
+    "median": ("median time", "median step"),
+    "last": ("at the end", "last step"),
+}
 
 
 @final
@@ -62,9 +56,38 @@ class Observed:
     distances: FloatArray
 
 
-def described(stepwise: bool) -> dict[str, str]:
-    """Return what each norm measures, of a whole run or of single coupling steps."""
-    return dict(_STEPWISE if stepwise else NORMS)
+@final
+@dataclass(frozen=True)
+class Norm:
+    """One measure of the distance between two trajectories, dimensionless.
+
+    Attributes
+    ----------
+    name : str
+        Name in tables (``error_<name>``).
+    quantity : str
+        What is compared.
+    moment : str
+        Where: ``"worst"``, ``"median"`` or ``"last"`` of the common times or steps.
+    scale : str
+        What the difference is divided by.
+    measure : callable
+        Observed, exact, mean radius in µm -> error.
+    """
+
+    name: str
+    quantity: str
+    moment: str
+    scale: str
+    measure: Callable[[Observed, Observed, float], float]
+
+    def words(self, stepwise: bool = False) -> str:
+        """Return what is measured, of a whole run or of single coupling steps."""
+        return f"{self.quantity}, {_MOMENTS[self.moment][stepwise]} / {self.scale}"
+
+    def title(self, stepwise: bool = False) -> str:
+        """Return the same in a few words."""
+        return f"{self.quantity}, {_SHORT[self.moment][stepwise]}"
 
 
 def observe(problem: Problem, trajectory: Trajectory) -> Observed:
@@ -81,23 +104,7 @@ def observe(problem: Problem, trajectory: Trajectory) -> Observed:
 def errors(problem: Problem, found: Observed, exact: Observed) -> dict[str, float]:
     """Return the error of ``found`` in every norm of :data:`NORMS`, all dimensionless."""
     radius = problem.mean_radius
-    rms = np.array(
-        [
-            np.sqrt(np.square(a - b).sum(axis=1).mean())
-            for a, b in zip(found.positions, exact.positions, strict=True)
-        ]
-    )
-    energy_scale = float(np.abs(exact.energy).max())
-    distance = np.abs(found.distances - exact.distances)
-    return {
-        "position": float(rms.max()) / radius,
-        "position_median": float(np.median(rms)) / radius,
-        "position_final": float(rms[-1]) / radius,
-        "energy": _relative(np.abs(found.energy - exact.energy), energy_scale),
-        "gyration": float((np.abs(found.gyration - exact.gyration) / _size(exact, radius)).max()),
-        # equally many samples: the distance of the distributions is that of the sorted samples
-        "pair_distance": float(distance.mean()) / radius if len(distance) else 0.0,
-    }
+    return {name: norm.measure(found, exact, radius) for name, norm in NORMS.items()}
 
 
 def no_errors() -> dict[str, float]:
@@ -107,7 +114,7 @@ def no_errors() -> dict[str, float]:
 
 def gyration(position: FloatArray) -> float:
     """Return the root mean square distance of the centres from their centroid, µm."""
-    return float(np.sqrt(np.square(position - position.mean(axis=0)).sum(axis=1).mean()))
+    return float(_rms(position, position.mean(axis=0)))
 
 
 def pair_distances(position: FloatArray) -> FloatArray:
@@ -134,11 +141,50 @@ def _energies(problem: Problem, positions: list[FloatArray]) -> FloatArray:
     return np.array(values)
 
 
-def _size(exact: Observed, radius: float) -> FloatArray:
-    """Return the radius of gyration, or the mean radius where a single cell has none."""
-    return np.where(exact.gyration > 0.0, exact.gyration, radius)
+def _rms(position: FloatArray, other: FloatArray) -> float:
+    """Return the root mean square distance of cells from other places, µm."""
+    return float(np.sqrt(np.square(position - other).sum(axis=1).mean()))
 
 
-def _relative(difference: FloatArray, scale: float) -> float:
-    """Return the largest difference over a scale; cells that do not touch have no scale."""
-    return float(difference.max()) / (scale if scale > 0.0 else 1.0)
+def _position(over: Callable[[FloatArray], float]) -> Callable[[Observed, Observed, float], float]:
+    """Return the error of positions: root mean square over the cells, then ``over`` the times."""
+
+    def measure(found: Observed, exact: Observed, radius: float) -> float:
+        pairs = zip(found.positions, exact.positions, strict=True)
+        return float(over(np.array([_rms(a, b) for a, b in pairs]))) / radius
+
+    return measure
+
+
+def _energy(found: Observed, exact: Observed, radius: float) -> float:
+    scale = float(np.abs(exact.energy).max())
+    # cells that do not touch have no scale
+    return float(np.abs(found.energy - exact.energy).max()) / (scale if scale > 0.0 else 1.0)
+
+
+def _gyration(found: Observed, exact: Observed, radius: float) -> float:
+    # a single cell has no radius of gyration
+    size = np.where(exact.gyration > 0.0, exact.gyration, radius)
+    return float((np.abs(found.gyration - exact.gyration) / size).max())
+
+
+def _pair_distance(found: Observed, exact: Observed, radius: float) -> float:
+    # equally many samples: the distance of the distributions is that of the sorted samples
+    distance = np.abs(found.distances - exact.distances)
+    return float(distance.mean()) / radius if len(distance) else 0.0
+
+
+NORMS: Final = {
+    norm.name: norm
+    for norm in (
+        Norm("position", "positions", "worst", "mean radius", _position(np.max)),
+        Norm("position_median", "positions", "median", "mean radius", _position(np.median)),
+        Norm("position_final", "positions", "last", "mean radius", _position(lambda x: x[-1])),
+        Norm("energy", "contact energy", "worst", "its largest value", _energy),
+        Norm("gyration", "radius of gyration", "worst", "itself", _gyration),
+        Norm(
+            "pair_distance", "pair distances", "last", "mean radius (Wasserstein)", _pair_distance
+        ),
+    )
+}
+"""Name of each norm -> the norm. Of positions: root mean square over the cells."""

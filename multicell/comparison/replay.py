@@ -1,12 +1,11 @@
 """What is compared: the same cells, events and radii for every method.
 
-A scene is simulated once, by the reference method. Of each coupling step the motion (radii and
-their rates, moduli) and what the events did to the cells are recorded. A method then *replays*
-the record: it integrates over the same coupling steps and undergoes the same events at the same
-times, so that nothing but the mechanics differs, and nutrient and biology are solved once.
+A scene is simulated once (:mod:`multicell.comparison.record`). A method then *replays* the record:
+it integrates over the same coupling steps and undergoes the same events at the same times, so
+that nothing but the mechanics differs, and nutrient and biology are solved once.
 
-A problem may also be *step-wise* (:mod:`multicell.comparison.stepwise`): then every coupling step
-starts from a recorded state, and not from where the method has led.
+A problem may also be *step-wise*: then every coupling step starts from a recorded state, and not
+from where the method has led.
 """
 
 from __future__ import annotations
@@ -14,16 +13,17 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import final
+from typing import TypeVar, final
 
 import numpy as np
+from numba.core.event import install_recorder
 
-from multicell.cells import Cells, FloatArray, IntArray
-from multicell.errors import StepFailed
-from multicell.integrators.base import Integrator, Outcome
+from multicell.cells import FloatArray, IntArray
+from multicell.integrators.base import Integrator
 from multicell.mechanics.system import Mechanics, Motion, Work
 from multicell.scene.scene import Scene
-from multicell.simulation import Simulation
+
+T = TypeVar("T")
 
 
 @final
@@ -191,18 +191,15 @@ def replay(problem: Problem, integrator: Integrator, limit: float = np.inf) -> T
     ends: list[FloatArray] = []
     begin, begin_cpu = clock.perf_counter(), clock.process_time()
     if limit < np.inf:
-        _watch(system, begin + limit, f"not done after {limit:g} s of wall time")
+        watch(system, begin + limit, too_late(limit))
     words = ""
     for k, step in enumerate(problem.steps):
         position = problem.beginning(k, position)
         system.begin(step.motion)
-        words, position = _one_step(system, integrator, position)
-        if (
-            not words
-            and clock.perf_counter() - begin > limit
-            and len(ends) + 1 < len(problem.steps)
-        ):
-            words = f"not done after {limit:g} s of wall time (t = {step.motion.end:.6g} s)"
+        words, position = advance(system, integrator, position)
+        last = k + 1 == len(problem.steps)
+        if not words and not last and clock.perf_counter() - begin > limit:
+            words = f"{too_late(limit)} (t = {step.motion.end:.6g} s)"
         if words:
             break
         ends.append(position)
@@ -215,7 +212,27 @@ class _OutOfTime(Exception):  # noqa: N818 - it names what happened
     """A solve has taken longer than it may."""
 
 
-def _watch(system: Mechanics, deadline: float, words: str) -> None:
+def without_compiling(solve: Callable[[], T]) -> tuple[T, float]:
+    """Return what a solve gives in which nothing is compiled, and the wall time lost before, s.
+
+    A tolerance or a step may be the first to need some kernel. It is solved again then: what it
+    has compiled is there the second time.
+    """
+    begin = clock.perf_counter()
+    with install_recorder("numba:compile") as compiled:
+        found = solve()
+    if not compiled.buffer:
+        return found, 0.0
+    lost = clock.perf_counter() - begin
+    return solve(), lost
+
+
+def too_late(limit: float) -> str:
+    """Return the words for a solve that takes longer than ``limit`` s of wall time."""
+    return f"not done after {limit:g} s of wall time"
+
+
+def watch(system: Mechanics, deadline: float, words: str) -> None:
     """Let the next evaluation of this one system end the solve once a time has passed."""
     inner = system.velocity
 
@@ -227,10 +244,18 @@ def _watch(system: Mechanics, deadline: float, words: str) -> None:
     system.velocity = velocity  # type: ignore[method-assign]
 
 
-def _one_step(
+def advance(
     system: Mechanics, integrator: Integrator, position: FloatArray
 ) -> tuple[str, FloatArray]:
-    """Return the words of a failure, or none, and where the step ended."""
+    """Integrate over the coupling step of ``system``, whatever happens.
+
+    Returns
+    -------
+    str
+        Words of a failure; empty if there was none.
+    (n, 3) float64, µm
+        Where the step ended.
+    """
     begin = system.motion.begin
     try:
         # what overflows on the way ends in a position that is not finite
@@ -245,86 +270,3 @@ def _one_step(
     if not np.isfinite(outcome.position).all():
         return f"a position is not a number (in the step from t = {begin:.6g} s)", position
     return "", outcome.position
-
-
-@final
-class _Recorder:
-    """An integrator that notes what passes through another one."""
-
-    def __init__(self, inner: Integrator) -> None:
-        self.inner = inner
-        self.system: Mechanics | None = None
-        self.start: FloatArray | None = None
-        self.motions: list[Motion] = []
-        self.ends: list[FloatArray] = []
-
-    def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
-        """Integrate by the inner method."""
-        if self.start is None:
-            self.system, self.start = system, np.array(position)
-        outcome = self.inner.integrate(system, position)
-        self.motions.append(system.motion)
-        self.ends.append(outcome.position)
-        return outcome
-
-
-def record(
-    scene: Scene,
-    integrator: Integrator,
-    *,
-    cells: Cells | None = None,
-    threads: int | None = None,
-    progress: Callable[[float], None] | None = None,
-) -> tuple[Problem, Trajectory]:
-    """Simulate a scene and return what happened.
-
-    Parameters
-    ----------
-    scene
-        What to simulate; its own integrator is not used.
-    integrator
-        The method that moves the cells.
-    cells
-        Cells to start from instead of the scene's initial ones.
-    threads
-        See :class:`multicell.simulation.Simulation`.
-    progress
-        Called after each coupling step with the part of the duration that is done.
-
-    Raises
-    ------
-    StepFailed
-        If a step cannot be solved, or if there is nothing that moves.
-    """
-    begin, begin_cpu = clock.perf_counter(), clock.process_time()
-    recorder = _Recorder(integrator)
-    simulation = Simulation(scene, threads=threads, cells=cells, integrator=recorder)
-    events: list[Events | None] = [None]
-    while not simulation.finished and len(simulation.cells):
-        before = simulation.cells
-        simulation.step()
-        events.append(_events(before, recorder.ends[-1], simulation.cells))
-        if progress is not None:
-            progress(simulation.time / scene.duration)
-    if recorder.system is None or recorder.start is None:
-        raise StepFailed(0.0, "the scene has no cells to move", "Start from at least one cell")
-    steps = [Step(*pair) for pair in zip(recorder.motions, events, strict=False)]
-    problem = Problem(
-        scene, recorder.system, recorder.start, recorder.motions[0].radius, steps, total=len(steps)
-    )
-    wall, cpu = clock.perf_counter() - begin, clock.process_time() - begin_cpu
-    return problem, Trajectory(recorder.ends, replace(recorder.system.work), wall, cpu)
-
-
-def _events(before: Cells, position: FloatArray, after: Cells) -> Events | None:
-    """Return how the cells ``after`` follow from those ``before``, which ended at ``position``."""
-    if np.array_equal(before.id, after.id):
-        return None
-    order = np.argsort(before.id)
-    known = before.id[order]
-    survives = np.isin(after.id, known)
-    origin = np.where(survives, after.id, after.parent)
-    source = order[np.searchsorted(known, origin)]
-    offset = after.position - position[source]
-    offset[survives] = 0.0
-    return Events(source, offset)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
 from dataclasses import dataclass
@@ -13,9 +11,9 @@ from typing import TYPE_CHECKING, Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.comparison.measure import DONE, FAILED, Row
-from multicell.comparison.norms import NORMS, described
-from multicell.results.folder import to_json, words, write_text
+from multicell.comparison.files import DONE, FAILED, Row, to_csv, write
+from multicell.comparison.norms import NORMS
+from multicell.results.folder import to_json
 from multicell.scene.scene import Scene
 
 if TYPE_CHECKING:
@@ -89,7 +87,7 @@ class WorkPrecision:
     @property
     def norms(self) -> dict[str, str]:
         """Name of each norm -> what it measures here."""
-        return described(self.stepwise)
+        return {name: norm.words(self.stepwise) for name, norm in NORMS.items()}
 
     @property
     def methods(self) -> list[str]:
@@ -125,9 +123,9 @@ class WorkPrecision:
         """
         self._check(norm)
         reached: dict[str, Row] = {}
-        slack = self.uncertainty[norm]
+        open_error = self.uncertainty[norm]
         for row in self.table:
-            if row["status"] == DONE and row[f"error_{norm}"] + slack <= error:
+            if row["status"] == DONE and row[f"error_{norm}"] + open_error <= error:
                 best = reached.get(row["method"])
                 if best is None or row[self.clock] < best[self.clock]:
                     reached[row["method"]] = row
@@ -179,11 +177,7 @@ class WorkPrecision:
 
     def to_csv(self) -> str:
         """Return the table as CSV; NaN is written as ``nan``."""
-        text = io.StringIO()
-        writer = csv.DictWriter(text, list(self.table[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(self.table)
-        return text.getvalue()
+        return to_csv(self.table)
 
     def to_json(self) -> str:
         """Return table, uncertainty, facts and scene as JSON; NaN becomes null."""
@@ -206,19 +200,15 @@ class WorkPrecision:
         OutputError
             If the folder cannot be written to.
         """
-        from multicell.comparison.files import page
-        from multicell.report.plots.style import save
+        from multicell.comparison.page import CAPTIONS, context
 
-        folder = Path(folder)
-        with words("use the output folder", folder):
-            folder.mkdir(parents=True, exist_ok=True)
-        write_text(folder / "workprecision.csv", self.to_csv())
-        write_text(folder / "workprecision.json", self.to_json() + "\n")
-        save(self.figure(), folder / "workprecision.png")
-        save(self.norms_figure(), folder / "norms.png")
-        path = folder / "report.html"
-        write_text(path, page(self, [folder / "workprecision.png", folder / "norms.png"]))
-        return path
+        csv, document, chart, norms, _ = FILES
+        texts = {csv: self.to_csv(), document: self.to_json() + "\n"}
+        drawings = {
+            chart: (self.figure, CAPTIONS[chart]),
+            norms: (self.norms_figure, CAPTIONS[norms]),
+        }
+        return write(folder, self.scene, texts, drawings, "compare.html", **context(self))
 
     def _check(self, norm: str) -> None:
         if norm not in NORMS:

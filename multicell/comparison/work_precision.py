@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from multicell.cells import Cells
+from multicell.comparison.files import CLOCKS, Row, prepare
 from multicell.comparison.ladders import Ladder, Method, able, listed, looks, settings, stiffness
-from multicell.comparison.measure import CLOCKS, Effort, Row, Timed, climb, time_again
+from multicell.comparison.measure import Effort, Timed, climb, time_again
+from multicell.comparison.record import sample_size
 from multicell.comparison.reference import Reference, blank, paired, reference
 from multicell.comparison.result import FILES, WorkPrecision
-from multicell.comparison.stepwise import sample_size
-from multicell.errors import OutputError, SceneError
+from multicell.errors import SceneError
 from multicell.integrators.base import Integrator
-from multicell.results.folder import prepare_folder, versions, words
+from multicell.results.folder import versions
 from multicell.scene.scene import Scene, load_scene
 from multicell.schema import near_miss
 
@@ -45,7 +46,7 @@ def compare(
 
     In a growing or driven population trajectories of any two methods part after a while. There
     compare step-wise: each of a sample of the run's coupling steps starts from the same recorded
-    state for every method (:mod:`multicell.comparison.stepwise`).
+    state for every method (:mod:`multicell.comparison.record`).
 
     Parameters
     ----------
@@ -110,8 +111,7 @@ def compare(
     chosen = listed(asked, described, radius)
     pair = None if references is None else paired(references, described, radius)
     _check_ladder(chosen, ladder)
-    if output is not None:
-        _prepare(output, overwrite)
+    prepare(output, FILES, overwrite)
     exact = reference(
         described, pair=pair, stepwise=count, cells=cells, cache=cache, threads=threads,
         progress=tell,
@@ -136,29 +136,6 @@ def compare(
     return result
 
 
-def run_compare(
-    scene: str | Path,
-    output: str | Path,
-    *,
-    changes: Mapping[str, Any] | None = None,
-    **options: Any,
-) -> WorkPrecision:
-    """Compare methods on a scene and write the results: what ``multicell compare`` does.
-
-    Parameters
-    ----------
-    scene
-        Name of a built-in scene or path of a TOML file.
-    output
-        Folder for the results.
-    changes
-        Dotted keys with new values, as in :meth:`Scene.with_changes`.
-    **options
-        The others of :func:`compare`.
-    """
-    return compare(load_scene(scene).with_changes(changes or {}), output=output, **options)
-
-
 def _facts(exact: Reference, decay: float) -> dict[str, Any]:
     """Return what a reader of the chart must know of the problem."""
     problem = exact.problem
@@ -181,22 +158,8 @@ def _facts(exact: Reference, decay: float) -> dict[str, Any]:
 
 
 def _check_ladder(methods: Sequence[Method], ladder: Ladder | None) -> None:
-    """Refuse a ladder for a method that is not compared."""
+    """Refuse a ladder for a method or control that is not compared."""
     known = {"tolerance", "step", *(method.name for method in methods)}
     for name in ladder or {}:
         if name not in known:
             raise SceneError(f"ladder.{name}", "is no method here", near_miss(name, known))
-
-
-def _prepare(output: str | Path, overwrite: bool) -> None:
-    """Make sure that the results can be written, before they are computed."""
-    if not overwrite:
-        prepare_folder(output)
-        return
-    folder = Path(output)
-    if folder.exists() and not folder.is_dir():
-        raise OutputError(f"output '{folder}' is a file, not a folder")
-    with words("use the output folder", folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        for name in FILES:
-            (folder / name).unlink(missing_ok=True)

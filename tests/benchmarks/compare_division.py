@@ -63,7 +63,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
 from strategies import cluster
 
 from multicell import JKR, load_scene
-from multicell.comparison.replay import record, replay
+from multicell.comparison.record import record
+from multicell.comparison.replay import replay
 from multicell.contact.law import effective_modulus, effective_radius
 from multicell.integrators.cvode import Cvode
 from multicell.mechanics.system import Mechanics, Motion

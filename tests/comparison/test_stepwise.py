@@ -4,88 +4,33 @@ import csv
 import io
 import json
 import math
-from dataclasses import dataclass
 
 import numpy as np
 import pytest
+import two_cells
 from click.testing import CliRunner
+from two_cells import GROWING, PAIR, RADIUS, PlantedInSteps, parted, step_method
 
 import multicell.comparison.measure as measure
-import multicell.comparison.stepwise as stepwise
-from multicell import SceneError, Simulation, StepFailed
+from multicell import SceneError, StepFailed
 from multicell.cli.main import main
-from multicell.comparison.ladders import Method
 from multicell.comparison.norms import NORMS
+from multicell.comparison.record import SAMPLES, sample_size
 from multicell.comparison.reference import default_pairs, key, paired, reference
 from multicell.comparison.replay import Trajectory, replay
 from multicell.comparison.result import WorkPrecision
-from multicell.comparison.stepwise import SAMPLES, sample, sample_size
 from multicell.comparison.work_precision import compare
-from multicell.integrators.base import Outcome
 from multicell.integrators.runge_kutta import Euler
-from multicell.scene.scene import Scene, load_scene
+from multicell.scene.scene import load_scene
 
-PAIR = Scene.from_dict(
-    {
-        "title": "Two Hertz cells part",
-        "duration": "300 s",
-        "coupling_step": "60 s",
-        "initial": {"count": 2, "spacing": 0.8},
-        "cells": {"young_variation": 0.0},
-        "contact": {"law": "hertz"},
-    }
-)
-GROWING = Scene.from_dict(
-    {
-        "title": "Twelve cells grow",
-        "duration": "12 h",
-        "coupling_step": "20 min",
-        "initial": {"count": 12, "stage": "uniform"},
-        "growth": {"cycle_time": "15 h"},
-    }
-)
-RADIUS = PAIR.cells.division_radius * 0.5 ** (1 / 3)
-
-
-def parted(position, length):
-    """Return where two Hertz cells are after a time: dh/dt = -2 k h^1.5 / Γ in closed form."""
-    modulus = 1.0 / (0.75 * (1.0 - 0.25) * 2.0 / PAIR.cells.young)
-    stiff = modulus * math.sqrt(0.5 * RADIUS)
-    drag = 6.0 * math.pi * PAIR.drag.viscosity * RADIUS
-    middle, axis = position.mean(axis=0), position[1] - position[0]
-    distance = np.linalg.norm(axis)
-    overlap = ((2.0 * RADIUS - distance) ** -0.5 + stiff * length / drag) ** -2
-    half = 0.5 * (2.0 * RADIUS - overlap) * axis / distance
-    return np.array([middle - half, middle + half])
-
-
-@dataclass(frozen=True)
-class Planted:
-    """The exact solution from where a step starts, shifted by a little in every step."""
-
-    shift: float = 0.0
-    fail_in: float = math.inf
-
-    def integrate(self, system, position):
-        """Return the end of a step, or the planted failure in the step that ends after it."""
-        begin, end = system.motion.begin, system.motion.end
-        system.work.evaluations += 3
-        if begin <= self.fail_in < end:
-            return Outcome(begin, position, "the planted end", "plant none", 0)
-        return Outcome(end, parted(position, end - begin) + np.array([0, 0, self.shift]))
-
-
-def planted(make, name="planted"):
-    return Method(name, "step", make)
-
-
-EXACT = planted(lambda _: Planted(), "exact")
+EXACT = step_method(lambda _: PlantedInSteps(), "exact")
 BOTH_EXACT = [(EXACT, 1.0), (EXACT, 1.0)]
 
 
 def compared(methods, ladder, scene=PAIR, **options):
-    options = {"cache": False, "references": BOTH_EXACT, "repeats": 1, "stepwise": True} | options
-    return compare(scene, methods, {"step": ladder}, **options)
+    return two_cells.compared(
+        methods, ladder, scene, **{"references": BOTH_EXACT, "stepwise": True, **options}
+    )
 
 
 # errors
@@ -104,7 +49,7 @@ def test_every_step_starts_from_its_recorded_state_and_meets_the_closed_form():
 
 
 def test_an_error_of_each_step_is_found_and_not_carried_on():
-    drift = planted(lambda s: Planted(shift=s * RADIUS))
+    drift = step_method(lambda s: PlantedInSteps(shift=s * RADIUS))
     apart = compared([drift], [1e-3]).table[0]
     whole = compared([drift], [1e-3], stepwise=False).table[0]
     for norm in ("position", "position_median", "position_final"):
@@ -117,7 +62,7 @@ def test_an_error_of_each_step_is_found_and_not_carried_on():
 
 @pytest.mark.parametrize("planted_error", [1e-2, 1e-6])
 def test_the_uncertainty_is_measured_step_by_step_too(planted_error):
-    off = planted(lambda s: Planted(shift=planted_error * RADIUS), "off")
+    off = step_method(lambda s: PlantedInSteps(shift=planted_error * RADIUS), "off")
     result = compared([EXACT], [1.0], references=[(EXACT, 1.0), (off, 1.0)])
     assert result.uncertainty["position"] == pytest.approx(planted_error, rel=1e-6)
     assert result.table[0]["error_position"] == 0.0
@@ -151,9 +96,9 @@ def test_the_cost_is_the_sum_over_the_steps():
 @pytest.fixture(scope="module")
 def failing():
     """Return a comparison in which a method fails in the fourth step at one setting."""
-    make = {2.0: Planted(fail_in=200.0), 1.0: Planted(shift=0.01)}
-    off = planted(lambda s: Planted(shift=1e-4 * RADIUS), "off")
-    fragile = planted(make.__getitem__, "fragile")
+    make = {2.0: PlantedInSteps(fail_in=200.0), 1.0: PlantedInSteps(shift=0.01)}
+    off = step_method(lambda s: PlantedInSteps(shift=1e-4 * RADIUS), "off")
+    fragile = step_method(make.__getitem__, "fragile")
     return compared([EXACT, fragile], [2.0, 1.0], references=[(EXACT, 1.0), (off, 1.0)])
 
 
@@ -170,7 +115,7 @@ def test_a_failure_in_one_step_is_nan_with_words_and_a_cross(failing):
 
 
 def test_a_reference_that_fails_in_a_step_says_so():
-    stuck = planted(lambda _: Planted(fail_in=100.0), "stuck")
+    stuck = step_method(lambda _: PlantedInSteps(fail_in=100.0), "stuck")
     with pytest.raises(StepFailed, match="the reference by stuck failed: the planted end"):
         compared([EXACT], [1.0], references=[(stuck, 1.0), (EXACT, 1.0)])
     with pytest.raises(StepFailed, match="the check of the reference by stuck failed"):
@@ -209,59 +154,6 @@ def test_a_result_comes_back_from_its_json(failing):
 
 
 # sampling
-
-
-def noted(total, count):
-    """Return what a sampler keeps of a run of ``total`` steps, by the first coordinate."""
-
-    class Stays:
-        def integrate(self, system, position):
-            return Outcome(0.0, position)
-
-    class System:
-        motion = None
-
-    sampler = stepwise._Sampler(Stays(), count)
-    held = 0
-    for k in range(total):
-        sampler.integrate(System(), np.full((1, 3), float(k)))
-        held = max(held, len(sampler.held))
-    return [int(start[0, 0]) for start, _ in sampler.chosen(count)], held
-
-
-@pytest.mark.parametrize(("total", "count"), [(1, 4), (7, 24), (24, 24), (25, 24), (97, 5)])
-def test_a_sample_is_taken_from_the_middles_of_equal_parts(total, count):
-    chosen, _ = noted(total, count)
-    parts = min(total, count)
-    assert len(set(chosen)) == parts
-    edges = np.linspace(0, total, parts + 1)
-    middles = 0.5 * (edges[1:] + edges[:-1]) - 0.5
-    np.testing.assert_allclose(chosen, middles, atol=0.5 if total <= 16 * count else 1.0)
-
-
-def test_a_long_run_is_sampled_with_few_states_held():
-    chosen, held = noted(5000, 6)
-    assert held <= 16 * 6 + 1
-    # states are held at a stride of at most an eighth of the distance between two samples
-    middles = (np.arange(6) + 0.5) * 5000 / 6
-    np.testing.assert_allclose(chosen, middles, atol=5000 / 6 / 16 + 1)
-
-
-def test_the_sampled_states_are_those_of_the_simulation():
-    problem = sample(GROWING, Euler(5.0), 7)
-    simulation = Simulation(GROWING.with_changes({"integrator": "euler", "integrator.step": 5.0}))
-    begins = {step.motion.begin: k for k, step in enumerate(problem.steps)}
-    seen = 0
-    while not simulation.finished:
-        k = begins.get(simulation.time)
-        if k is not None:
-            np.testing.assert_array_equal(problem.starts[k], simulation.cells.position)
-            np.testing.assert_array_equal(problem.steps[k].motion.radius, simulation.cells.radius)
-            seen += 1
-        simulation.step()
-    assert seen == 7
-    assert problem.total == simulation.steps == 36
-    assert problem.counts[-1] > problem.counts[0] >= 12
 
 
 RICH = {
@@ -337,7 +229,7 @@ def test_the_chosen_clock_judges(monkeypatch):
         return Trajectory(found.positions, found.work, *next(times), found.problem)
 
     monkeypatch.setattr(measure, "replay", timed)
-    methods = [EXACT, planted(lambda s: Planted(), "other")]
+    methods = [EXACT, step_method(lambda s: PlantedInSteps(), "other")]
     result = compared(methods, [1.0], clock="cpu")
     assert list(result.within(0.1)) == ["other", "exact"]
     assert [(row["wall"], row["cpu"]) for row in result.table] == [(1.0, 5.0), (4.0, 2.0)]

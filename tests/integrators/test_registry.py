@@ -70,7 +70,7 @@ def test_a_method_is_named_in_its_own_file_only():
     expected = dict.fromkeys(names, 1)
     # what references are solved by, what auto weighs and a hint recommends
     allowed = {"comparison/reference.py", "integrators/auto.py", "integrators/driver.py"}
-    allowed |= {"comparison/stability/search.py"}
+    allowed |= {"comparison/stability_limits/search.py"}
     assert {name: len(set(found) - allowed) for name, found in places.items()} == expected
 
 

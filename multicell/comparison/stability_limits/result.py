@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
-from multicell.comparison.measure import Row
-from multicell.comparison.stability.trial import KINDS, STABLE
-from multicell.results.folder import words, write_text
+from multicell.comparison.files import Row, to_csv, write
+from multicell.comparison.stability_limits.trial import KINDS, STABLE
 from multicell.scene.scene import Scene
 
 if TYPE_CHECKING:
@@ -36,9 +33,10 @@ class StabilityMap:
         ``rate`` (λ_max, 1/s), ``method``, ``control`` (``"tolerance"`` in mean radii or ``"step"``
         in s), ``setting``, ``theory`` (largest stable step, s; infinite for implicit methods, NaN
         where there is none), ``of_theory``, ``of_euler`` (mean step over 2/λ_max), ``kind`` (a key
-        of :data:`multicell.comparison.stability.trial.KINDS`), ``also`` (other kinds), ``words``,
-        ``climb`` (largest rise of the energy over what is noticed), ``deviation`` (largest error
-        of a pair distance at the end, mean radii), ``steps``, ``wall`` (s).
+        of :data:`multicell.comparison.stability_limits.trial.KINDS`), ``words`` (what was seen),
+        ``also`` (what else), ``climb`` (largest rise of the energy over what is noticed),
+        ``deviation`` (largest error of a pair distance at the end, mean radii), ``steps``,
+        ``wall`` (s).
     facts : dict
         ``precision`` of the bisection, ``wall`` (s), ``skipped`` (points of a sweep that could
         not be settled, with words), ``versions``.
@@ -98,19 +96,19 @@ class StabilityMap:
 
     def figure(self) -> Figure:
         """Draw how each method goes over its step or tolerance."""
-        from multicell.comparison.stability.charts import stability_map
+        from multicell.comparison.stability_limits.charts import stability_map
 
         return stability_map(self)
 
     def sweeps_figure(self) -> Figure:
         """Draw the largest stable steps along the sweeps, beside the theory."""
-        from multicell.comparison.stability.charts import sweeps
+        from multicell.comparison.stability_limits.charts import sweeps
 
         return sweeps(self)
 
     def to_csv(self) -> str:
         """Return the table as CSV; NaN is written as ``nan``."""
-        return _csv(self.table)
+        return to_csv(self.table)
 
     def all_limits(self) -> list[Row]:
         """Return the limits at the scene itself and along all sweeps."""
@@ -124,22 +122,14 @@ class StabilityMap:
         OutputError
             If the folder cannot be written to.
         """
-        from multicell.comparison.stability.files import page
-        from multicell.report.plots.style import save
+        from multicell.comparison.stability_limits.page import CAPTIONS, context
 
-        folder = Path(folder)
-        with words("use the output folder", folder):
-            folder.mkdir(parents=True, exist_ok=True)
-        write_text(folder / "stability.csv", self.to_csv())
-        write_text(folder / "limits.csv", _csv(self.all_limits()))
-        pictures = [folder / "stability.png"]
-        save(self.figure(), pictures[0])
+        trials, limits, chart, sweeps, _ = FILES
+        texts = {trials: self.to_csv(), limits: to_csv(self.all_limits())}
+        drawings = {chart: (self.figure, CAPTIONS[chart])}
         if self.sweeps():
-            pictures.append(folder / "sweeps.png")
-            save(self.sweeps_figure(), pictures[1])
-        path = folder / "report.html"
-        write_text(path, page(self, pictures))
-        return path
+            drawings[sweeps] = (self.sweeps_figure, CAPTIONS[sweeps])
+        return write(folder, self.scene, texts, drawings, "stability.html", **context(self))
 
 
 def _limit(rows: Sequence[Row]) -> Row:
@@ -157,11 +147,3 @@ def _limit(rows: Sequence[Row]) -> Row:
         "kind": rows[first]["kind"] if failed else STABLE,
         "kinds": "; ".join(dict.fromkeys(r["kind"] for r in rows if r["kind"] != STABLE)),
     }
-
-
-def _csv(rows: Sequence[Row]) -> str:
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()

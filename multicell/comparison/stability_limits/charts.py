@@ -12,34 +12,18 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from multicell.comparison.charts import look
-from multicell.comparison.stability.trial import (
-    BLOW_UP,
-    OSCILLATION,
-    PASSING,
-    SEPARATION,
-    STABLE,
-    STALL,
-    WRONG,
-)
+from multicell.comparison.stability_limits.trial import BLOW_UP, STABLE, STALL, WRONG
 from multicell.report.plots.style import INK, QUIET, blank, cell_count, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from multicell.comparison.measure import Row
-    from multicell.comparison.stability.result import StabilityMap
+    from multicell.comparison.files import Row
+    from multicell.comparison.stability_limits.result import StabilityMap
 
 
 # told apart by lightness as well as by hue (Okabe & Ito, darkened where white text is near)
-COLOURS: Final = {
-    STABLE: "#cfe8dc",
-    BLOW_UP: "#8f1d14",
-    OSCILLATION: "#e69f00",
-    PASSING: "#7b3fa0",
-    SEPARATION: "#56b4e9",
-    WRONG: "#f4a6b8",
-    STALL: "#5c6166",
-}
+COLOURS: Final = {STABLE: "#cfe8dc", BLOW_UP: "#8f1d14", STALL: "#5c6166", WRONG: "#e69f00"}
 """Kind of end -> its colour."""
 
 _TITLES: Final = {
@@ -132,77 +116,62 @@ def sweeps(result: StabilityMap) -> Figure:
         f"{cell_count(cells)} · line: theory, marker: measured, in the colour of the failure "
         "beyond it; triangle: no limit found",
     )
-    names = list(result.sweeps())
-    columns = 3 if len(names) > 2 else len(names)
-    rows = -(-(len(names) + 1) // 3) if len(names) > 2 else 1
     stepping = [m for m in result.methods if _control(result, m) == "step"]
-    for k, sweep in enumerate(names):
+    limits = {
+        sweep: [row for row in result.limits(sweep) if row["control"] == "step"]
+        for sweep in result.sweeps()
+    }
+    many = len(limits) > 2
+    columns = 3 if many else len(limits)
+    height = 0.84 / (-(-(len(limits) + 1) // 3) if many else 1)
+    width = (0.98 if many else 0.8) / columns
+    for k, (sweep, rows) in enumerate(limits.items()):
         row, column = divmod(k, columns)
-        height = 0.84 / rows
-        width = (0.98 if len(names) > 2 else 0.8) / columns
-        place = (
-            0.08 + column * width,
-            0.9 - (row + 1) * height + 0.06,
-            width - 0.09,
-            height - 0.13,
-        )
-        axes = figure.add_axes(place, label=sweep)
-        _sweep(axes, result, sweep, [m for m in stepping if result.limits(sweep)])
+        left, bottom = 0.08 + column * width, 0.96 - (row + 1) * height
+        axes = figure.add_axes((left, bottom, width - 0.09, height - 0.13), label=sweep)
+        for level, method in enumerate(stepping):
+            # where limits coincide the first one stays visible around the later ones
+            size = 9.0 - 4.5 * level / len(stepping)
+            own = [row for row in rows if row["method"] == method]
+            _limits(axes, own, look(method, result)[0], size)
+        name, scale = _TITLES.get(sweep, (sweep, _scale(result.sweeps()[sweep])))
+        axes.set_xscale(scale)
+        axes.set_yscale("log")
+        axes.set_xlabel(name, fontsize=10.5)
+        axes.tick_params(labelsize=9.5)
         if column == 0:
             axes.set_ylabel("step (s)", fontsize=10.5)
-    _sweeps_legend(figure, result, stepping, (0.7, 0.46) if len(names) > 2 else (0.81, 0.85))
+    shown = [row for rows in limits.values() for row in rows]
+    _sweeps_legend(figure, result, shown, (0.7, 0.46) if many else (0.81, 0.85))
     return figure
 
 
-def _sweep(axes: Axes, result: StabilityMap, sweep: str, methods: Sequence[str]) -> None:
-    limits = result.limits(sweep)
-    for k, method in enumerate(methods):
-        colour = look(method, result)[0]
-        # where limits coincide the first one stays visible around the later ones
-        size = 9.0 - 4.5 * k / len(methods)
-        found = [row for row in limits if row["method"] == method]
-        theory = [(row["value"], row["theory"]) for row in found if math.isfinite(row["theory"])]
-        if theory:
+def _limits(axes: Axes, rows: Sequence[Row], colour: str, size: float) -> None:
+    """Draw the limits of one method; one without a limit gets a triangle at its largest step."""
+    theory = [(row["value"], row["theory"]) for row in rows if math.isfinite(row["theory"])]
+    if theory:
+        axes.plot(*zip(*theory, strict=True), color=colour, lw=0.3 * size)
+    for row in rows:
+        open_end = math.isinf(row["beyond"])
+        if not math.isnan(row["limit"]):
             axes.plot(
-                *zip(*theory, strict=True), color=colour, lw=0.3 * size, gid=f"{method} theory"
-            )
-        for row in found:
-            _limit_mark(axes, row, colour, size)
-    name, scale = _TITLES.get(sweep, (sweep, _scale([row["value"] for row in limits])))
-    axes.set_xscale(scale)
-    axes.set_yscale("log")
-    axes.set_xlabel(name, fontsize=10.5)
-    axes.tick_params(labelsize=9.5)
-
-
-def _limit_mark(axes: Axes, row: Row, colour: str, size: float) -> None:
-    """Draw one measured limit; a method without one gets a triangle at its largest step."""
-    open_end = math.isinf(row["beyond"])
-    if not math.isnan(row["limit"]):
-        axes.plot(
-            row["value"], row["limit"], "^" if open_end else "o", ms=size, mew=1.5, mec=colour,
-            mfc="white" if open_end else COLOURS[row["kind"]], ls="",
-            gid=f"{row['method']}|{row['kind']}",
-        )  # fmt: skip
+                row["value"], row["limit"], "^" if open_end else "o", ms=size, mew=1.5, mec=colour,
+                mfc="white" if open_end else COLOURS[row["kind"]], ls="",
+            )  # fmt: skip
 
 
 def _sweeps_legend(
-    figure: Figure, result: StabilityMap, methods: Sequence[str], place: tuple[float, float]
+    figure: Figure, result: StabilityMap, rows: Sequence[Row], place: tuple[float, float]
 ) -> None:
-    shown = {row["method"] for sweep in result.sweeps() for row in result.limits(sweep)}
-    kinds = {
-        row["kind"]
-        for sweep in result.sweeps()
-        for row in result.limits(sweep)
-        if row["method"] in methods
-    }
+    kinds = {row["kind"] for row in rows} - {STABLE}
     handles: list[Any] = [
-        Line2D([], [], color=look(m, result)[0], lw=1.8, label=m) for m in methods if m in shown
+        Line2D([], [], color=look(method, result)[0], lw=1.8, label=method)
+        for method in dict.fromkeys(row["method"] for row in rows)
     ]
     handles += [
-        Line2D([], [], marker="o", ls="", ms=7, mec=QUIET, mfc=COLOURS[kind], label=kind)
-        for kind in COLOURS
-        if kind in kinds and kind != STABLE
+        Line2D([], [], marker="o", ls="", ms=7, mec=QUIET, mfc=colour, label=kind)
+        for kind, colour in COLOURS.items()
+        if kind in kinds
     ]
     figure.legend(
         handles=handles, loc="upper left", bbox_to_anchor=place, fontsize=9.8, labelspacing=0.4

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import bisect
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Final, final
+from typing import Any, Final, final
 
 import numpy as np
 
 from multicell.cells import HALF, FloatArray, IntArray
+from multicell.comparison.stability_limits.decay import largest_decay
 from multicell.errors import SceneError, StepFailed
 from multicell.integrators.cvode import Cvode
 from multicell.mechanics.system import Mechanics, Motion, Work
@@ -33,9 +33,6 @@ UNNOTICED: Final = 0.02
 
 _TWINS = 3
 
-Product = Callable[[FloatArray], FloatArray]
-
-_DENSE = 150  # cells up to which all eigenvalues are computed
 _AT_REST = 1e-10  # speed of a cluster at rest, in radii times the largest decay rate
 _DOUBLINGS = 16
 _RTOL, _ATOL = 1e-11, 1e-9  # of the reference; the second in mean radii
@@ -94,10 +91,10 @@ class State:
         """Σ E r³, fJ: the energy of cells that are squeezed out of shape."""
         return float((self.motion.young * self.motion.radius**3).sum())
 
-    def system(self, begin: float, end: float, touching: IntArray | None = None) -> Mechanics:
+    def system(self, begin: float, end: float) -> Mechanics:
         """Return mechanics of its own, ready for the time between two moments."""
         system = replace(self.template, work=Work())
-        self.ready(system, begin, end, touching)
+        self.ready(system, begin, end)
         return system
 
     def ready(
@@ -111,6 +108,10 @@ class State:
         if motion.touching is not None and touching is not None:
             motion = replace(motion, touching=touching)
         system.begin(motion)
+
+    def energy(self, time: float, position: FloatArray) -> float:
+        """Return the contact energy of cells at some place and time, fJ."""
+        return self.system(time, time + 1.0).energy(time, position)
 
     def at(self, time: float) -> FloatArray:
         """Return the true positions at a time, (n, 3) µm.
@@ -215,71 +216,6 @@ def _strained(state: State, position: FloatArray, mode: FloatArray) -> float:
     return float(max(overlap, 1e-4 * state.radius))
 
 
-def largest_decay(
-    system: Mechanics, position: FloatArray, flat: bool = False
-) -> tuple[float, FloatArray]:
-    """Return the largest decay rate of the linearised motion, 1/s, and its mode, (n, 3).
-
-    Without friction between cells Γ^½ J Γ^-½ is symmetric, with the drag coefficients Γ. Below
-    150 cells all its eigenvalues are computed, above the extreme one by Lanczos' method from
-    products J v. With friction products are known to 1e-4, and so is the rate.
-
-    Parameters
-    ----------
-    system
-        Mechanics that have been made ready for a step.
-    position
-        Positions, (n, 3) µm, at the step's beginning.
-    flat
-        Whether motion out of the plane z = 0 is left out.
-
-    Raises
-    ------
-    SceneError
-        If nothing decays: no cells touch.
-    """
-    system.linearise(system.motion.begin, position)
-    weight = np.repeat(np.sqrt(system.motion.radius), 3)
-    free = np.tile([True, True, not flat], len(position))
-
-    def product(vector: FloatArray) -> FloatArray:
-        image = np.empty_like(position)
-        moved = np.where(free, np.ravel(vector) / weight, 0.0)
-        system.jacobian_product(moved.reshape(-1, 3), image)
-        return np.asarray(np.where(free, -weight * image.ravel(), 0.0))
-
-    symmetric = max(system.friction) == 0.0
-    value, mode = (_by_all if len(position) < _DENSE else _by_lanczos)(
-        product, len(weight), symmetric
-    )
-    if not value > 0.0:
-        raise SceneError("", "no cells touch: there is no motion whose stability can be lost")
-    return value, np.where(free, mode / weight, 0.0).reshape(-1, 3)
-
-
-def _by_all(product: Product, size: int, symmetric: bool) -> tuple[float, FloatArray]:
-    matrix = np.stack([product(column) for column in np.eye(size)], axis=1)
-    if symmetric:
-        values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
-        return float(values[-1]), vectors[:, -1]
-    general, modes = np.linalg.eig(matrix)
-    last = int(general.real.argmax())
-    return float(general[last].real), np.asarray(modes[:, last].real)
-
-
-def _by_lanczos(product: Product, size: int, symmetric: bool) -> tuple[float, FloatArray]:
-    from scipy.sparse.linalg import LinearOperator, eigs, eigsh
-
-    operator = LinearOperator((size, size), matvec=product, dtype=float)
-    # a fixed start: the same state gives the same rate
-    start = np.random.default_rng(0).normal(size=size)
-    if symmetric:
-        values, vectors = eigsh(operator, k=1, which="LA", v0=start, tol=1e-8)
-    else:
-        values, vectors = eigs(operator, k=1, which="LR", v0=start, tol=1e-4)
-    return float(values[0].real), np.asarray(vectors[:, 0].real)
-
-
 def _first_cells(scene: Scene, threads: int | None) -> tuple[Mechanics, Motion, FloatArray]:
     """Return mechanics, motion and positions of the cells that a scene starts with."""
     if scene.initial.count < 2:
@@ -337,12 +273,6 @@ def _carried(system: Mechanics, position: FloatArray) -> FloatArray:
 
 def _taken(motion: Motion, source: IntArray, radius: FloatArray) -> Motion:
     """Return the motion of cells that descend from those at ``source``."""
-    return replace(
-        motion,
-        radius=radius,
-        radius_rate=np.zeros(len(radius)),
-        young=motion.young[source],
-        poisson=motion.poisson[source],
-        bonds=None if motion.bonds is None else motion.bonds[source],
-        kind=None if motion.kind is None else motion.kind[source],
-    )
+    columns = {name: getattr(motion, name) for name in ("young", "poisson", "bonds", "kind")}
+    taken: dict[str, Any] = {n: None if x is None else x[source] for n, x in columns.items()}
+    return replace(motion, radius=radius, radius_rate=np.zeros(len(radius)), **taken)

@@ -5,19 +5,21 @@ from __future__ import annotations
 import math
 import time as clock
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
+from multicell.comparison.files import Row, prepare
 from multicell.comparison.ladders import Method, able, listed, looks
-from multicell.comparison.measure import Row
-from multicell.comparison.stability.result import FILES, StabilityMap
-from multicell.comparison.stability.state import State, divided, settled
-from multicell.comparison.stability.trial import STABLE, judge, watch
+from multicell.comparison.replay import without_compiling
+from multicell.comparison.stability_limits.result import FILES, StabilityMap
+from multicell.comparison.stability_limits.state import State, divided, settled
+from multicell.comparison.stability_limits.trial import STABLE, judge, watch
 from multicell.contact.law import effective_modulus
-from multicell.errors import OutputError, SceneError, StepFailed
+from multicell.errors import SceneError, StepFailed
 from multicell.integrators.base import Integrator
 from multicell.integrators.registry import METHODS
-from multicell.results.folder import prepare_folder, versions, words
+from multicell.results.folder import versions
 from multicell.scene.scene import Scene, load_scene
 from multicell.schema import near_miss
 
@@ -58,7 +60,8 @@ def stability(
     The first cells of the scene settle; then they are pushed a little along the mode that decays
     fastest, and each method must let them come to rest again: a fixed step for 200 steps, a
     method under error control for 2000 / λ_max. The limit is found by bisection and set beside
-    the theory; how a method fails beyond is named (:data:`stability_trial.KINDS`).
+    the theory; how a method fails beyond is named
+    (:data:`multicell.comparison.stability_limits.trial.KINDS`).
 
     Parameters
     ----------
@@ -104,8 +107,7 @@ def stability(
     taking_part = _taking_part(sweep_methods, chosen)
     asked = default_sweeps(described) if sweeps is None else sweeps
     points = list(_points(described, asked, threads))
-    if output is not None:
-        _prepare(output, overwrite)
+    prepare(output, FILES, overwrite)
     begin = clock.perf_counter()
     table: list[Row] = []
     skipped: dict[str, str] = {}
@@ -132,33 +134,6 @@ def stability(
     if output is not None:
         result.save(output)
     return result
-
-
-def run_stability(
-    scene: str | Path,
-    output: str | Path,
-    methods: Sequence[str | Method] | None = None,
-    *,
-    changes: Mapping[str, Any] | None = None,
-    **options: Any,
-) -> StabilityMap:
-    """Measure stability on a scene and write the results: what ``multicell stability`` does.
-
-    Parameters
-    ----------
-    scene
-        Name of a built-in scene or path of a TOML file.
-    output
-        Folder for the results.
-    methods
-        As for :func:`stability`.
-    changes
-        Dotted keys with new values, as in :meth:`Scene.with_changes`.
-    **options
-        The others of :func:`stability`.
-    """
-    described = load_scene(scene).with_changes(changes or {})
-    return stability(described, methods, output=output, **options)
 
 
 def default_sweeps(scene: Scene) -> dict[str, list[float]]:
@@ -220,7 +195,7 @@ def _measured(
     else:
         # the search starts well below Euler's limit and knows nothing of the theory
         ceiling = _MOST_STEP * state.stiff_limit
-        limit = _search_around(stable, _FIRST * state.stiff_limit, ceiling, precision)
+        limit = bracket(stable, _FIRST * state.stiff_limit, ceiling, precision)
         more = [f * limit for f in _BEYOND if f * limit <= ceiling]
     if not sweep:
         for setting in more:
@@ -231,7 +206,7 @@ def _measured(
     return [{**place, **rows[setting]} for setting in sorted(rows)]
 
 
-def _search_around(stable: Trial, guess: float, ceiling: float, precision: float) -> float:
+def bracket(stable: Trial, guess: float, ceiling: float, precision: float) -> float:
     """Bracket the largest stable step and bisect; return it, or the ceiling."""
     low = high = guess
     factor = 1.5
@@ -246,7 +221,7 @@ def _search_around(stable: Trial, guess: float, ceiling: float, precision: float
             if low <= floor:
                 return low
             high, low, factor = low, low / factor, min(1.5 * factor, 8.0)
-    return _bisect(stable, low, high, precision)
+    return bisect(stable, low, high, precision)
 
 
 def _search_up(stable: Trial, precision: float) -> None:
@@ -257,10 +232,10 @@ def _search_up(stable: Trial, precision: float) -> None:
     ladder = (_TIGHTEST, *_TOLERANCES) if not stable(_TOLERANCES[0]) else _TOLERANCES
     failed = next((k for k, good in enumerate(map(stable, ladder)) if not good), len(ladder))
     if 0 < failed < len(ladder):
-        _bisect(stable, ladder[failed - 1], ladder[failed], precision)
+        bisect(stable, ladder[failed - 1], ladder[failed], precision)
 
 
-def _bisect(stable: Trial, low: float, high: float, precision: float) -> float:
+def bisect(stable: Trial, low: float, high: float, precision: float) -> float:
     """Halve, geometrically, what lies between a stable and an unstable setting."""
     while high > (1.0 + precision) * low:
         middle = math.sqrt(low * high)
@@ -270,7 +245,7 @@ def _bisect(stable: Trial, low: float, high: float, precision: float) -> float:
 
 def _row(state: State, method: Method, setting: float, theory: float, patience: float) -> Row:
     """Try one setting."""
-    trace = watch(state, method, setting, patience)
+    trace, _ = without_compiling(lambda: watch(state, method, setting, patience))
     verdict = judge(state, trace)
     fixed = method.control == "step"
     mean = setting if fixed else float(trace.times[-1]) / max(trace.steps, 1)
@@ -295,20 +270,20 @@ def _points(
     scene: Scene, sweeps: Mapping[str, Sequence[float]], threads: int | None
 ) -> Iterator[tuple[str, float, Callable[[], State]]]:
     """Yield name, value and maker of the state of each point, the scene itself first."""
-    yield "", math.nan, lambda: settled(scene, threads)
+    yield "", math.nan, partial(settled, scene, threads)
     for sweep, values in sweeps.items():
         for value in map(float, values):
             if not (math.isfinite(value) and value >= 0.0):
                 raise SceneError(f"sweeps.{sweep}", f"is {value!r}, must be a number from 0 on")
+            if sweep == OVERLAP and value >= 1.0:
+                raise SceneError(f"sweeps.{sweep}", f"is {value:g}, must be below 1")
             if sweep == OVERLAP:
-                if value >= 1.0:
-                    raise SceneError(f"sweeps.{sweep}", f"is {value:g}, must be below 1")
-                yield sweep, value, lambda v=value: divided(scene, v, threads)  # type: ignore[misc]
+                make = partial(divided, scene, value, threads)
             elif sweep == RATIO:
-                yield sweep, value, lambda v=value: settled(scene, threads, v)  # type: ignore[misc]
+                make = partial(settled, scene, threads, value)
             else:
-                changed = scene.with_changes({sweep: value})
-                yield sweep, value, lambda c=changed: settled(c, threads)  # type: ignore[misc]
+                make = partial(settled, scene.with_changes({sweep: value}), threads)
+            yield sweep, value, make
 
 
 def _chosen(methods: Sequence[Any] | None, scene: Scene) -> list[Method]:
@@ -328,17 +303,3 @@ def _taking_part(names: Sequence[str] | None, chosen: Sequence[Method]) -> list[
         if name not in known:
             raise SceneError("sweep_methods", f"{name!r} is not tried", near_miss(name, known))
     return [known[name] for name in names]
-
-
-def _prepare(output: str | Path, overwrite: bool) -> None:
-    """Make sure that the results can be written, before they are computed."""
-    if not overwrite:
-        prepare_folder(output)
-        return
-    folder = Path(output)
-    if folder.exists() and not folder.is_dir():
-        raise OutputError(f"output '{folder}' is a file, not a folder")
-    with words("use the output folder", folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        for name in FILES:
-            (folder / name).unlink(missing_ok=True)

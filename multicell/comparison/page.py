@@ -1,0 +1,76 @@
+"""What the page of a comparison says beside its table."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any, Final
+
+from multicell.comparison.files import CLOCKS
+from multicell.report.plots.style import time_unit
+
+if TYPE_CHECKING:
+    from multicell.comparison.result import WorkPrecision
+
+VERDICT_NORMS: Final = ("position", "position_median", "energy", "gyration")
+"""Norms in which the page gives the time to reach an error."""
+
+TARGETS: Final = (1e-1, 1e-2, 1e-3, 1e-4, 1e-6)
+"""Errors for which the page names the fastest setting of each method."""
+
+CAPTIONS: Final = {
+    "workprecision.png": "Error over cost; lower and further left is better. Each point is one "
+    "tolerance or step, a cross is a solve that failed, placed at the time it had taken.",
+    "norms.png": "The same solves in every norm. Where single cells settle in another pocket the "
+    "positions differ, while size, energy and pair distances may still be right.",
+}
+
+
+def context(result: WorkPrecision) -> dict[str, Any]:
+    """Return what ``compare.html`` asks for."""
+    return {
+        "title": f"{result.scene.title or 'Untitled scene'}: work and precision",
+        "subtitle": _subtitle(result),
+        "tiles": _tiles(result),
+        "result": result,
+        "judge": CLOCKS[result.clock],
+        "verdicts": {
+            norm: {f"{target:.4g}": result.within(target, norm) for target in TARGETS}
+            for norm in VERDICT_NORMS
+        },
+        "uncertainty": {
+            result.norms[norm]: f"{value:.2e}" for norm, value in result.uncertainty.items()
+        },
+        "orders": _orders(result),
+    }
+
+
+def _subtitle(result: WorkPrecision) -> str:
+    facts = result.facts
+    if result.stepwise:
+        compared = f"{facts['mode']}, each from the same recorded state for every method"
+    else:
+        compared = (
+            f"{facts['coupling_steps']:,} common times, events at "
+            f"{facts['steps_with_events']:,} of them"
+        )
+    return f"{compared} · reference: {facts['reference']} · threads: {facts['threads']}"
+
+
+def _tiles(result: WorkPrecision) -> dict[str, str]:
+    facts = result.facts
+    first, last = facts["cells"]
+    return {
+        "cells": f"{last:,}" if first == last else f"{first:,} → {last:,}",
+        "simulated time": time_unit(facts["time"]).text(facts["time"]),
+        "methods": f"{len(result.methods)}",
+        "solves that failed": f"{len(result.failures())} of {len(result.table)}",
+        "largest decay rate × time": f"{facts['largest_decay_rate'] * facts['time']:,.0f}",
+        "uncertainty of positions": f"{result.uncertainty['position']:.1e}",
+    }
+
+
+def _orders(result: WorkPrecision) -> dict[str, str]:
+    """Return the measured order of the methods with a fixed step."""
+    fixed = dict.fromkeys(r["method"] for r in result.table if r["control"] == "step")
+    orders = {method: result.order(method, finest=5) for method in fixed}
+    return {m: f"{order:.2f}" for m, order in orders.items() if math.isfinite(order)}

@@ -1,0 +1,183 @@
+"""Record a scene once: all its coupling steps with their events, or a sample of them.
+
+Of each coupling step the motion (radii and their rates, moduli) and what the events did to the
+cells are kept. In a growing or driven population the trajectories of any two methods part after a
+while: a contact that forms a moment later sends cells into another pocket, and an error at the
+end of the run then tells nothing about a method. There a *sample* of the steps is kept, each with
+the state at its beginning, from which every method starts; no error is carried from one step to
+the next. The sample is taken from the middles of equal parts of the run: the first steps, in which
+an artificial beginning collapses, are typical of nothing.
+"""
+
+from __future__ import annotations
+
+import math
+import time as clock
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Final, NamedTuple, final
+
+import numpy as np
+
+from multicell.cells import Cells, FloatArray
+from multicell.comparison.replay import Events, Problem, Step, Trajectory
+from multicell.errors import SceneError, StepFailed
+from multicell.integrators.base import Integrator, Outcome
+from multicell.mechanics.system import Mechanics, Motion
+from multicell.scene.scene import Scene
+from multicell.simulation import Simulation
+
+SAMPLES: Final = 24
+"""Number of coupling steps that are compared unless another one is asked for."""
+
+_SPARE = 16  # so many times more states are held during the run than are taken in the end
+
+
+def sample_size(stepwise: bool | int | None) -> int | None:
+    """Return the number of steps that is asked for; None if the whole run is compared.
+
+    Raises
+    ------
+    SceneError
+        If it is no whole number above zero.
+    """
+    if stepwise is None or stepwise is False:
+        return None
+    if stepwise is True:
+        return SAMPLES
+    if not isinstance(stepwise, int | np.integer) or stepwise < 1:
+        raise SceneError("stepwise", f"is {stepwise!r}, must be a whole number of 1 or more")
+    return int(stepwise)
+
+
+class Held(NamedTuple):
+    """A coupling step that was seen; of a whole run only the first start matters, none is kept."""
+
+    motion: Motion
+    end: FloatArray
+    start: FloatArray | None
+
+
+@final
+class Recorder:
+    """An integrator that notes what passes through another one: all of it, or evenly some.
+
+    How many steps there will be is not known before the end. So for a sample every step is kept
+    at first; whenever too many are held every second one is dropped.
+
+    Parameters
+    ----------
+    inner
+        The method that moves the cells.
+    samples
+        Number of steps that :meth:`chosen` is asked for; None to keep all.
+    """
+
+    def __init__(self, inner: Integrator, samples: int | None = None) -> None:
+        self.inner = inner
+        self.samples = samples
+        self.system: Mechanics | None = None
+        self.stride, self.total = 1, 0
+        self.held: dict[int, Held] = {}
+
+    def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
+        """Integrate by the inner method."""
+        self.system = system
+        start = None if self.samples is None else np.array(position)
+        outcome = self.inner.integrate(system, position)
+        if self.total % self.stride == 0:
+            self.held[self.total] = Held(system.motion, outcome.position, start)
+        self.total += 1
+        most = math.inf if self.samples is None else _SPARE * self.samples
+        while len(self.held) > most:
+            self.stride *= 2
+            self.held = {k: state for k, state in self.held.items() if k % self.stride == 0}
+        return outcome
+
+    def chosen(self) -> list[Held]:
+        """Return all steps, or the sample: from the middles of equal parts of the run."""
+        if self.samples is None:
+            return list(self.held.values())
+        parts = min(self.samples, self.total)
+        known = np.array(sorted(self.held))
+        middles = (np.arange(parts) + 0.5) * self.total / parts - 0.5
+        nearest = {int(known[np.abs(known - middle).argmin()]) for middle in middles}
+        return [self.held[k] for k in sorted(nearest)]
+
+
+def record(
+    scene: Scene,
+    integrator: Integrator,
+    samples: int | None = None,
+    *,
+    cells: Cells | None = None,
+    threads: int | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> tuple[Problem, Trajectory]:
+    """Simulate a scene and return what happened: the problem, and where the method led.
+
+    Parameters
+    ----------
+    scene
+        What to simulate; its own integrator is not used.
+    integrator
+        The method that moves the cells; of a sample it decides which states occur, and has no
+        part in any error.
+    samples
+        None for the whole run; or the number of steps of a step-wise problem, one from the
+        middle of each of so many equal parts of the run (all steps if there are fewer).
+    cells
+        Cells to start from instead of the scene's initial ones.
+    threads
+        See :class:`multicell.simulation.Simulation`.
+    progress
+        Called after each coupling step with the part of the duration that is done.
+
+    Raises
+    ------
+    StepFailed
+        If a step cannot be solved, or if there is nothing that moves.
+    """
+    begin, begin_cpu = clock.perf_counter(), clock.process_time()
+    recorder = Recorder(integrator, samples)
+    simulation = Simulation(scene, threads=threads, cells=cells, integrator=recorder)
+    first = simulation.cells
+    events: list[Events | None] = [None]
+    while not simulation.finished and len(simulation.cells):
+        before = simulation.cells
+        simulation.step()
+        if samples is None:
+            end = recorder.held[recorder.total - 1].end
+            events.append(events_between(before, end, simulation.cells))
+        if progress is not None:
+            progress(simulation.time / scene.duration)
+    if recorder.system is None:
+        raise StepFailed(0.0, "the scene has no cells to move", "Start from at least one cell")
+    held = recorder.chosen()
+    starts = None if samples is None else [s.start for s in held if s.start is not None]
+    steps = [
+        Step(state.motion, events[k] if samples is None else None) for k, state in enumerate(held)
+    ]
+    problem = Problem(
+        scene, recorder.system, first.position, first.radius, steps, starts, recorder.total
+    )
+    wall, cpu = clock.perf_counter() - begin, clock.process_time() - begin_cpu
+    ends = [state.end for state in held]
+    return problem, Trajectory(ends, replace(recorder.system.work), wall, cpu)
+
+
+def events_between(before: Cells, position: FloatArray, after: Cells) -> Events | None:
+    """Return how the cells ``after`` follow from those ``before``, which ended at ``position``.
+
+    None if no cell divided, died or changed its place in the order.
+    """
+    if np.array_equal(before.id, after.id):
+        return None
+    order = np.argsort(before.id)
+    known = before.id[order]
+    survives = np.isin(after.id, known)
+    origin = np.where(survives, after.id, after.parent)
+    source = order[np.searchsorted(known, origin)]
+    offset = after.position - position[source]
+    offset[survives] = 0.0
+    return Events(source, offset)

@@ -1,0 +1,43 @@
+"""What the page of a study of stability says beside its table."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+from multicell.comparison.stability_limits.charts import COLOURS
+from multicell.comparison.stability_limits.trial import KINDS, STABLE
+from multicell.report.html import clock
+
+if TYPE_CHECKING:
+    from multicell.comparison.stability_limits.result import StabilityMap
+
+CAPTIONS: Final = {
+    "stability.png": "What happens at each step or tolerance. Each dot is one trial; a bar is the "
+    "limit in theory.",
+    "sweeps.png": "The largest stable step as one parameter changes. Lines are the theory, from "
+    "the largest decay rate of each state.",
+}
+
+
+def context(result: StabilityMap) -> dict[str, Any]:
+    """Return what ``stability.html`` asks for."""
+    first = result.table[0]
+    failures = sum(row["kind"] != STABLE for row in result.table)
+    own = [row for method in result.methods for row in result.rows(method)]
+    return {
+        "title": f"{result.scene.title or 'Untitled scene'}: stability",
+        "subtitle": "The cells settle, are pushed a little along their stiffest mode, and must "
+        "come to rest again.",
+        "tiles": {
+            "cells": f"{first['cells']:,}",
+            "largest decay rate λmax": f"{first['rate']:.3g}/s",
+            "Euler's limit 2/λmax": f"{2.0 / first['rate']:.3g} s",
+            "methods": f"{len(result.methods)}",
+            "trials that failed": f"{failures} of {len(result.table):,}",
+            "wall time": clock(result.facts["wall"]),
+        },
+        "result": result,
+        "colours": COLOURS,
+        "kinds": KINDS,
+        "failed": [row for row in own if row["kind"] != STABLE],
+    }

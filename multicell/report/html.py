@@ -1,0 +1,191 @@
+"""Pages of HTML from the templates of this room; Jinja2 is loaded when a page is written.
+
+A page holds its pictures and needs nothing else. Whatever a template is given is escaped.
+"""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import fields, is_dataclass
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from multicell.report.plots.style import time_unit
+from multicell.results.folder import package_version, words, write_text
+from multicell.results.quantities import known_unit
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+    from multicell.scene.scene import Scene
+
+_LABELS: Final = {
+    "discretisation_error": "estimated error at the cells",
+    "largest_local_error": "largest estimated error of a cell in a step",
+}
+
+
+def write_page(
+    path: Path,
+    template: str,
+    *,
+    scene: Scene,
+    title: str,
+    subtitle: str,
+    tiles: Mapping[str, str],
+    pictures: Mapping[Path, str],
+    **context: Any,
+) -> Path:
+    """Write one page and return its path.
+
+    Parameters
+    ----------
+    path
+        Of the page.
+    template
+        Name of a file in ``templates``.
+    scene
+        Its parameters make the last card.
+    title, subtitle
+        Heading of the page.
+    tiles
+        Key figures: name -> value in words.
+    pictures
+        Path of a PNG file that is there -> caption.
+    **context
+        What else the template asks for.
+
+    Raises
+    ------
+    OutputError
+        If a picture cannot be read or the page cannot be written.
+    """
+    page = _environment().get_template(template)
+    text = page.render(
+        title=title,
+        subtitle=subtitle,
+        tiles=dict(tiles),
+        pictures=[_embedded(picture, caption) for picture, caption in pictures.items()],
+        blocks=list(_blocks(scene, "run")),
+        version=package_version(),
+        **context,
+    )
+    write_text(path, text)
+    return path
+
+
+def clock(seconds: float) -> str:
+    """Return a wall time in words, for example ``"2 min 14 s"``."""
+    if seconds < 60.0:
+        return f"{seconds:.2g} s" if seconds < 10.0 else f"{seconds:.0f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours} h {minutes} min" if hours else f"{minutes} min {rest} s"
+
+
+@cache
+def _environment() -> Environment:
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("multicell.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {
+        "clock": clock,
+        "label": _label,
+        "limit": _limit,
+        "setting": _setting,
+        "text": _text,
+    }
+    return environment
+
+
+def _embedded(path: Path, caption: str) -> dict[str, str]:
+    with words("read", path):
+        return {"caption": caption, "data": base64.b64encode(path.read_bytes()).decode("ascii")}
+
+
+def _blocks(part: Any, title: str) -> Iterator[tuple[str, list[dict[str, str]]]]:
+    """Yield the parameters of a part of a scene, then those of the parts in it."""
+    rows, below = [], []
+    for spec in fields(part):
+        value = getattr(part, spec.name)
+        inner = spec.name if title == "run" else f"{title}.{spec.name}"
+        if is_dataclass(value):
+            kind = f" ({type(value).__name__})" if spec.name == "contact" else ""
+            below.append((value, inner + kind))
+        elif isinstance(value, Mapping) and all(map(is_dataclass, value.values())):
+            below += [(entry, f"{inner}.{name}") for name, entry in value.items()]
+        else:
+            parameter = spec.metadata["parameter"]
+            text = _parameter_text(value, parameter.unit)
+            rows.append({"name": spec.name, "text": text, "doc": parameter.doc})
+    if rows:
+        yield title, rows
+    for value, name in below:
+        yield from _blocks(value, name)
+
+
+def _parameter_text(value: Any, unit: str) -> str:
+    if value is None:
+        return "not set"
+    text = f"{_text(value)} {unit}".strip()
+    if unit == "s" and isinstance(value, float) and value >= 180.0:
+        text += f" ({time_unit(value).text(value)})"
+    return text
+
+
+def _label(key: str, path: str = "") -> str:
+    """Return the name of an entry; ``path`` leads to it in the summary, which knows its unit."""
+    if not path:
+        return str(key).replace("_", " ")
+    unit = known_unit(f"{path}.{key}").replace("um", "µm").replace("^3", "³")
+    name = _LABELS.get(key, key).replace("_", " ")
+    return f"{name} ({unit})" if unit else name
+
+
+def _setting(row: Mapping[str, Any]) -> str:
+    """Return the tolerance, or the step, of a row of a comparison."""
+    return f"{row['setting']:.3g}{' s' if row['control'] == 'step' else ''}"
+
+
+def _limit(value: float, unit: str = "", missing: str = "") -> str:
+    """Return a limit of stability, which may be infinite or (NaN) missing."""
+    if math.isnan(value):
+        return missing
+    return "no limit" if math.isinf(value) else f"{value:.3g}{unit}"
+
+
+def _text(value: Any) -> str:
+    """Return a value in words: thousands separated, seven digits at most."""
+    if isinstance(value, bool) or value is None:
+        return {True: "yes", False: "no", None: "unknown"}[value]
+    if isinstance(value, int):
+        return f"{value:,}"
+    if isinstance(value, float):
+        return f"{value:,.0f}" if value.is_integer() and abs(value) < 1e7 else f"{value:.4g}"
+    if isinstance(value, Mapping):  # of numbers, or of curves over a concentration
+        return ", ".join(
+            f"{name} {_curve(entry) if isinstance(entry, tuple) else _text(entry)}"
+            for name, entry in value.items()
+        )
+    if isinstance(value, tuple) and not all(isinstance(point, tuple) for point in value):
+        return ", ".join(map(_text, value)) or "none"
+    if isinstance(value, tuple):  # points of a course: time and value
+        if not value:
+            return "none"
+        first = _text(value[0][1])
+        points = [f"{_text(v)} at {time_unit(t).text(t)}" for t, v in value]
+        return first if len(value) == 1 else ", ".join(points)
+    return str(value)
+
+
+def _curve(points: tuple[tuple[float, float], ...]) -> str:
+    return " ".join(f"{_text(y)} at {_text(x)}" for x, y in points)
