@@ -18,7 +18,13 @@ import numpy as np
 from multicell.errors import OutputError, SceneError
 from multicell.integrators.base import info_of
 from multicell.integrators.own import chosen
-from multicell.report.result import Result, history_arrays, read_summary, recorded_scene
+from multicell.report.result import (
+    Result,
+    history_arrays,
+    load_result,
+    read_summary,
+    recorded_scene,
+)
 from multicell.results.folder import locked, write_summary
 from multicell.results.frame import Frame
 from multicell.results.quantities import units_of
@@ -83,7 +89,12 @@ def run(
     scene, own = integrated_by(scene, integrator)
     begin = clock.perf_counter()
     threads = thread_count(threads)  # before the folder is made
-    recorder = Recorder(scene, _open_store(scene, output, overwrite))
+    store = None
+    if output is not None:
+        from multicell.results.writer import Store  # HDF5 is loaded where there is a folder only
+
+        store = Store.create(output, scene, overwrite)
+    recorder = Recorder(scene, store)
     with ExitStack() as stack:
         stack.enter_context(under_way())
         interrupt = stack.enter_context(between_steps())
@@ -176,7 +187,7 @@ class Recorder:
         self._rows: list[dict[str, float]] = []
         self._next_frame = 0.0
         self._last_frame = -1
-        self._summary: dict[str, object] = {}
+        self._summary: dict[str, Any] = {}
         self.startup = 0.0
 
     def record(self, simulation: Simulation) -> None:
@@ -194,16 +205,14 @@ class Recorder:
     def skip(self, frame: Frame) -> None:
         """Go on after a frame that is recorded already."""
         self._last_frame = frame.step
-        self._count_frames(frame.time)
+        self._next_frame = next_frame(self._scene.output.every, frame.time)
 
     def finish(self, simulation: Simulation, *, interrupted: bool) -> None:
         """Write the last state and the summary."""
         if simulation.step_index > self._last_frame:
             self._frame(simulation)
         self._summary = simulation.summary()
-        wall = self._summary["wall"]
-        assert isinstance(wall, dict)
-        wall["startup"] = self.startup
+        self._summary["wall"]["startup"] = self.startup
         self._summary["units"] = units_of(self._summary)
         if interrupted:
             self._summary["interrupted"] = True
@@ -222,34 +231,24 @@ class Recorder:
             history = history_arrays(self._rows)
             lineage = {} if self._lineage is None else self._lineage.table()
             return Result(None, self._frames, history, self._summary, self._scene, lineage)
-        from multicell.report.result import load_result
-
         return load_result(self._store.folder)
 
     def _frame(self, simulation: Simulation) -> None:
-        self._count_frames(simulation.time)
-        self._last_frame = simulation.step_index
-        self._lineage = simulation.lineage
         frame = simulation.frame()
+        self.skip(frame)
+        self._lineage = simulation.lineage
         if self._store is None:
             self._frames.append(frame)
         else:
             self._store.append(frame, simulation.lineage)
 
-    def _count_frames(self, time: float) -> None:
-        """Find when the next frame after a time is due."""
-        every, now = self._scene.output.every, time * (1.0 + 1e-12)
-        due = (math.floor(now / every) + 1) * every
-        # where the frames are closer than the rounding of the time, the next step has one
-        self._next_frame = max(due, math.nextafter(now, math.inf))
 
-
-def _open_store(scene: Scene, output: str | Path | None, overwrite: bool) -> Store | None:
-    if output is None:
-        return None
-    from multicell.results.writer import Store
-
-    return Store.create(output, scene, overwrite)
+def next_frame(every: float, time: float) -> float:
+    """Return when the next frame is due after a time: at a multiple of ``every``, all in s."""
+    now = time * (1.0 + 1e-12)
+    due = (math.floor(now / every) + 1) * every
+    # where the frames are closer than the rounding of the time, the next step has one
+    return max(due, math.nextafter(now, math.inf))
 
 
 @contextmanager
@@ -341,7 +340,7 @@ def resume(
     StepFailed
         As for :func:`multicell.run`.
     """
-    from multicell.results.reader import Contents  # HDF5 is loaded where there is a folder only
+    from multicell.results.reader import Contents
     from multicell.results.writer import Store
 
     begin = clock.perf_counter()

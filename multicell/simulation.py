@@ -46,10 +46,12 @@ if TYPE_CHECKING:
 PHASES = ("nutrient", "biology", "mechanics", "events", "record")
 """Phases of the loop whose wall time is measured."""
 
-_STATE = (
-    "cells", "step_index", "contacts", "separation", "divisions", "removals", "released",
-    "local_error", "_next_id", "_unsorted",
+_NOTED = (
+    "divisions", "removals", "released", "separation", "local_error", "next_id", "unsorted",
 )  # fmt: skip
+"""What a run notes beside its cells; a frame's progress has entries of the same names."""
+
+_STATE = ("cells", "step_index", "contacts", *_NOTED)
 """What a coupling step changes, beside fields, logs and counts of work."""
 
 _STALE_ORDER = 0.05
@@ -85,6 +87,8 @@ class Simulation:
         Number of coupling steps done.
     divisions, removals : int
         Events so far.
+    next_id, unsorted : int
+        First identity that is free, and new cells since all were last sorted in space.
     released : float, µm³
         Volume that dead cells have lost, their remains at removal included.
     local_error : float or None, µm
@@ -120,7 +124,7 @@ class Simulation:
         self._mechanics = start.mechanics(scene, thread_count(threads))
         # identities of the pairs in contact, (m, 2): what exact JKR remembers, and others count
         self.contacts = np.empty((0, 2), dtype=np.int64)
-        self.separation: dict[str, float] | None = None
+        self.separation: Mapping[str, float] | None = None
         self._integrator = integrator or registry.make(scene.integrator)
         self._feeding = _feeding(scene)
         self.lineage = Lineage() if lineage is None else lineage
@@ -134,9 +138,9 @@ class Simulation:
         check_start(self.scene, cells)
         self.cells = cells
         bind(self.scene, cells, cells, {}, self.time)
-        self._next_id = int(cells.id.max(initial=-1)) + 1
+        self.next_id = int(cells.id.max(initial=-1)) + 1
         self.lineage.born(cells.take(np.argsort(cells.id)), self.time)
-        self._unsorted = len(cells)
+        self.unsorted = len(cells)
         self._sort()
         with self._phase("mechanics"):
             self._find_first_contacts()
@@ -162,12 +166,9 @@ class Simulation:
         self.cells = frame.cells.copy()
         check_start(self.scene, self.cells)
         self.contacts = np.array(frame.contacts)
-        self.divisions, self.removals = known.divisions, known.removals
-        self.released, self.local_error = known.released, known.local_error
-        self._next_id, self._unsorted = known.next_id, known.unsorted
-        self.separation = None if known.separation is None else dict(known.separation)
-        for name, count in known.work.items():
-            setattr(self._mechanics.work, name, count)
+        for name in _NOTED:
+            setattr(self, name, getattr(known, name))
+        self._count(known.work)
         if self._feeding is not None:
             self._feeding.restore(frame)
 
@@ -175,17 +176,16 @@ class Simulation:
         """Return what a frame needs so that the run can be resumed from it."""
         feeding = self._feeding
         return Progress(
-            self._next_id,
-            self.divisions,
-            self.removals,
-            self._unsorted,
-            self.released,
-            self.separation,
-            {} if feeding is None else {n: asdict(x) for n, x in feeding.ledger.items()},
-            {} if feeding is None else {n: asdict(x) for n, x in feeding.reports.items()},
-            asdict(self._mechanics.work),
-            self.local_error,
+            **{name: getattr(self, name) for name in _NOTED},
+            ledger={} if feeding is None else {n: asdict(x) for n, x in feeding.ledger.items()},
+            rates={} if feeding is None else {n: asdict(x) for n, x in feeding.reports.items()},
+            work=asdict(self._mechanics.work),
         )
+
+    def _count(self, work: Mapping[str, int]) -> None:
+        """Set what the integration has cost so far."""
+        for name, count in work.items():
+            setattr(self._mechanics.work, name, count)
 
     @property
     def concentrations(self) -> dict[str, FloatArray]:
@@ -282,8 +282,7 @@ class Simulation:
     def _take_back(self, kept: Mapping[str, Any]) -> None:
         """Make the state that was kept the state again."""
         self.lineage.cut(kept["lineage"])
-        for name, count in kept["work"].items():
-            setattr(self._mechanics.work, name, count)
+        self._count(kept["work"])
         if self._feeding is not None:
             self._feeding.take_back(kept["feeding"])
         for name, value in kept["rest"].items():
@@ -408,24 +407,24 @@ class Simulation:
 
     def _divide_and_remove(self) -> None:
         """Change the number of cells, and all that is noted of single ones."""
-        before, first = self.cells, self._next_id
+        before, first = self.cells, self.next_id
         after = divide_and_remove(self.scene, before, self.step_index, first, self.time)
         born = after.next_id - first
-        self.cells, self._next_id = after.cells, after.next_id
+        self.cells, self.next_id = after.cells, after.next_id
         self.divisions += born // 2
         self.removals += after.removals
         self.released += after.released
-        self._unsorted += born + after.removals
+        self.unsorted += born + after.removals
         if born or after.removals:
             self.lineage.events(before, self.cells, self.time)
             self.contacts = self.cells.id[contact_rows(self.cells, self.contacts)]
 
     def _sort(self) -> None:
         """Sort the cells in space when many are new: neighbours then share memory."""
-        if self._unsorted > _STALE_ORDER * len(self.cells):
+        if self.unsorted > _STALE_ORDER * len(self.cells):
             width = 2.0 * float(self.cells.radius.max(initial=1.0))
             self.cells = self.cells.take(neighbours.spatial_order(self.cells.position, width))
-            self._unsorted = 0
+            self.unsorted = 0
 
     def _decide(self, dt: float) -> None:
         """Let cells turn to another state by what they find, and note those that die."""

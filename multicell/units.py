@@ -19,36 +19,24 @@ from multicell.errors import SceneError
 BASE_UNITS = "um, s, nN, amol; hence kPa = nN/um^2, nN/um = mN/m, kPa s, mM = amol/um^3"
 """The base units in words, for headers and messages."""
 
-_KINDS = {
-    "um": ("a length", "5 um"),
-    "s": ("a time", "15 h"),
-    "kPa": ("a pressure or modulus", "1 kPa"),
-    "nN/um": ("a surface energy", "0.1 nN/um"),
-    "kPa s": ("a viscosity", "5 kPa s"),
-    "um^2/s": ("a diffusion coefficient", "2000 um^2/s"),
-    "mM": ("a concentration", "0.07 mM"),
-    "amol/s": ("an amount per time", "20 amol/s"),
-    "1/s": ("a rate", "1e-5 1/s"),
-    "1/um": ("an inverse length", "0.01 1/um"),
-    "mM/um": ("a gradient of concentration", "1e-4 mM/um"),
+_UNITS = {
+    "um": (1e-6, 1e6, "a length", "5 um"),
+    "s": (1e-6, 1e12, "a time", "15 h"),
+    "kPa": (1e-9, 1e10, "a pressure or modulus", "1 kPa"),
+    "nN": (1e-12, 1e9, "a force", "1 nN"),
+    "nN/s": (1e-15, 1e9, "a change of force", "1 nN/s"),
+    "nN/um": (1e-9, 1e9, "a surface energy", "0.1 nN/um"),
+    "kPa s": (1e-8, 1e12, "a viscosity", "5 kPa s"),
+    "kPa s/um": (1e-12, 1e12, "a friction per area", "0.1 kPa s/um"),
+    "um^2/s": (1e-9, 1e9, "a diffusion coefficient", "2000 um^2/s"),
+    "mM": (1e-12, 1e5, "a concentration", "0.07 mM"),
+    "mM/um": (1e-15, 1e6, "a gradient of concentration", "1e-4 mM/um"),
+    "amol/s": (1e-12, 1e12, "an amount per time", "20 amol/s"),
+    "1/s": (1e-15, 1e6, "a rate", "1e-5 1/s"),
+    "1/um": (1e-9, 1e6, "an inverse length", "0.01 1/um"),
+    "": (1e-12, 1e12, "a number", "1"),
 }
-RANGES = {
-    "um": (1e-6, 1e6),
-    "s": (1e-6, 1e12),
-    "kPa": (1e-9, 1e10),
-    "nN": (1e-12, 1e9),
-    "nN/s": (1e-15, 1e9),
-    "nN/um": (1e-9, 1e9),
-    "kPa s": (1e-8, 1e12),
-    "kPa s/um": (1e-12, 1e12),
-    "um^2/s": (1e-9, 1e9),
-    "mM": (1e-12, 1e5),
-    "mM/um": (1e-15, 1e6),
-    "amol/s": (1e-12, 1e12),
-    "1/s": (1e-15, 1e6),
-    "1/um": (1e-9, 1e6),
-    "": (1e-12, 1e12),
-}
+RANGES = {unit: entry[:2] for unit, entry in _UNITS.items()}
 """Smallest and largest size of a number other than zero that a scene may hold, by its unit.
 
 Far beyond any use: lengths from a picometre to a metre, times from a microsecond to thirty thousand
@@ -155,7 +143,7 @@ def _factor(unit_text: str, unit: str, text: str, path: str) -> float:
     try:
         return _conversion(unit_text, unit)
     except pint.DimensionalityError:
-        kind = _KINDS.get(unit, (f"a quantity in {unit}", ""))[0]
+        kind = _UNITS[unit][2] if unit in _UNITS else f"a quantity in {unit}"
         problem = f"is {shown(text)}, must be {kind}, which '{unit_text}' is not"
         raise SceneError(path, problem, _example(unit)) from None
     except _parse_errors():
@@ -194,4 +182,4 @@ def _registry() -> Any:
 
 
 def _example(unit: str) -> str:
-    return f"Write for example '{_KINDS.get(unit, ('', f'1 {unit}'))[1]}'."
+    return f"Write for example '{_UNITS[unit][3] if unit in _UNITS else f'1 {unit}'}'."

@@ -10,6 +10,8 @@ from click.testing import CliRunner
 import multicell as mc
 from multicell.cli.main import main
 from multicell.errors import OutputError, SceneError
+from multicell.results.hdf5 import File
+from multicell.results.journal import Reader
 
 SPHEROID = {
     "duration": "30 h",
@@ -184,3 +186,38 @@ def test_the_dead_die_before_they_are_removed(family):
     removed = table["end"] == "necrotic"
     assert (table["death_time"][removed] < table["end_time"][removed]).all()
     assert np.isnan(table["death_time"][table["end"] == "division"]).all()
+
+
+def frames_read(folder, count, monkeypatch):
+    """Return how many frames and rows of the lineage a resume of so many frames reads."""
+    changes = {
+        "duration": f"{count} min",
+        "coupling_step": "1 min",
+        "output.every": "1 min",
+        "initial.count": 3,
+    }
+    mc.run(mc.load_scene("settle").with_changes(changes), output=folder, report=False, threads=1)
+    read = []
+
+    def counted(function):
+        def call(*args):
+            read.append(args)
+            return function(*args)
+
+        return call
+
+    with monkeypatch.context() as patch:
+        patch.setattr(File, "frame", counted(File.frame))
+        patch.setattr(File, "log", counted(File.log))
+        patch.setattr(Reader, "arrays", counted(Reader.arrays))
+        longer = {"duration": f"{count + 3} min"}
+        result = mc.resume(folder, changes=longer, report=False, threads=1)
+    assert len(result.frames) == count + 4
+    return len(read)
+
+
+def test_the_cost_of_a_resume_is_linear_in_the_frames(tmp_path, monkeypatch):
+    few, many = (frames_read(tmp_path / str(n), n, monkeypatch) for n in (10, 40))
+    assert few > 10
+    # so many more frames, and for each the same number of reads
+    assert many - few <= 8 * 30

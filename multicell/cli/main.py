@@ -72,10 +72,9 @@ def scenes(as_json: bool) -> None:
 @main.command()
 def schema() -> None:
     """Print the JSON Schema of scene files, for editors that complete and check them."""
-    with errors(as_json=True):
-        from multicell.scene.json_schema import json_schema
+    from multicell.scene.json_schema import json_schema
 
-        print_json(json_schema())
+    print_json(json_schema())
 
 
 @main.command()

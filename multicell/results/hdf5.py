@@ -25,7 +25,7 @@ from multicell.results.folder import package_version, replacing
 from multicell.results.journal import digest
 from multicell.results.lineage import COLUMNS
 from multicell.results.quantities import known_unit
-from multicell.results.records import UNIT, Arrays
+from multicell.results.records import FIELD, UNIT, Arrays
 from multicell.results.sink import Sink
 
 NAME: Final = "frames.h5"
@@ -79,10 +79,9 @@ def _layout(nutrients: Iterable[str]) -> dict[str, _Kind]:
         sets[f"{group}/offset"] = _Kind("<i8", None, "ends")
         sets[f"{group}/values"] = _Kind("<f8", None, f"{group}/offset", UNIT)
         sets[f"{group}/shape"] = _Kind("<i8", 3, "frames")
-        sets[f"{group}/origin"] = _Kind("<f8", 3, "frames", "um")
-        sets[f"{group}/spacing"] = _Kind("<f8", None, "frames", "um")
-        sets[f"{group}/height"] = _Kind("<f8", None, "frames", "um")
-        sets[f"{group}/radial"] = _Kind("|i1", None, "frames")
+        for key, entry in FIELD.items():
+            kind = _Kind(entry.dtype, entry.width or None, "frames", entry.unit)
+            sets[f"{group}/{key}"] = kind
     return sets
 
 
@@ -208,7 +207,8 @@ class _Log:
             group = path.removesuffix("/values")
             values = arrays.get(path, np.empty((0, 0, 0)))
             rows[path], single[f"{group}/shape"] = values.reshape(-1), values.shape
-            for name, absent in _NO_FIELD.items():
+            for name, entry in FIELD.items():
+                absent = np.full((entry.width,) if entry.width else (), entry.absent)
                 single[f"{group}/{name}"] = arrays.get(f"{group}/{name}", absent)
         for path, kind in self._sets.items():
             if kind.pool == "frames":
@@ -235,14 +235,6 @@ class _Log:
                 pieces.clear()
         self._size = 0
         self._sink.check()
-
-
-_NO_FIELD: Final[Mapping[str, Any]] = {
-    "origin": np.full(3, np.nan),
-    "spacing": np.nan,
-    "height": np.nan,
-    "radial": 0,
-}
 
 
 def _finish(
@@ -478,7 +470,7 @@ class File:
             values = rows(f"{group}/values")
             if len(values):
                 arrays[f"{group}/values"] = values.reshape(file[f"{group}/shape"][place])
-                for key in _NO_FIELD:
+                for key in FIELD:
                     arrays[f"{group}/{key}"] = np.array(file[f"{group}/{key}"][place])
         arrays["contacts/pair"] = rows("contacts/pair")
         arrays["progress/text"] = rows("progress/text")

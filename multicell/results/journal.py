@@ -36,7 +36,9 @@ Arrays = Mapping[str, NDArray[Any]]
 NAME: Final = "frames.journal"
 
 _TAG: Final = b"mcj3"
-_HEAD: Final = struct.Struct("<4sIQIII")  # 28 bytes
+PREFIX: Final = struct.Struct("<4sIQIII")
+"""Tag, lengths and checksums of a record: 28 bytes."""
+
 _LARGEST_HEADER: Final = 1 << 24
 _SYNC_EVERY: Final = 1.0  # s
 _TYPES: Final = ("<f8", "<i8", "<i2", "|i1", "|u1")
@@ -183,7 +185,7 @@ def _parts(header: Mapping[str, Any], arrays: Arrays, chain: int) -> tuple[int, 
     text = json.dumps({**header, "arrays": described(arrays)} if arrays else header).encode()
     pieces = [flat(array) for array in arrays.values()]
     length = sum(len(piece) for piece in pieces)
-    head = _HEAD.pack(_TAG, len(text), length, zlib.crc32(text), digest(arrays), 0)[:-4]
+    head = PREFIX.pack(_TAG, len(text), length, zlib.crc32(text), digest(arrays), 0)[:-4]
     chain = zlib.crc32(head, chain)
     return chain, [head, chain.to_bytes(4, "little"), text, *pieces]
 
@@ -222,16 +224,16 @@ class Reader:
 
     def _next(self, file: Any, size: int) -> bool:
         """Read the head of the record at the end; return whether there is a complete one."""
-        head = file.read(_HEAD.size)
-        if len(head) < _HEAD.size:
+        head = file.read(PREFIX.size)
+        if len(head) < PREFIX.size:
             return False
-        tag, letters, length, of_text, of_body, of_head = _HEAD.unpack(head)
+        tag, letters, length, of_text, of_body, of_head = PREFIX.unpack(head)
         if tag != _TAG or zlib.crc32(head[:-4], self.chain) != of_head or letters > _LARGEST_HEADER:
             # after a loss of power the end may be there without what was written to it
             if any(head) or any(file.read(1 << 16)):
                 self.damage = f"the record at byte {self.end} is damaged"
             return False
-        begin = self.end + _HEAD.size + letters
+        begin = self.end + PREFIX.size + letters
         if begin + length > size:
             return False
         text = file.read(letters)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, fields
-from typing import Any, Final
+from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,27 @@ Arrays = dict[str, NDArray[Any]]
 
 UNIT: Final = "mM"
 """Unit of all fields and concentrations."""
+
+
+@final
+class FieldArray(NamedTuple):
+    """What is stored of a field beside its values.
+
+    Type, entries (0: one number), unit, and what stands where there is no field.
+    """
+
+    dtype: str
+    width: int
+    unit: str
+    absent: float
+
+
+FIELD: Final[Mapping[str, FieldArray]] = {
+    "origin": FieldArray("<f8", 3, "um", np.nan),
+    "spacing": FieldArray("<f8", 0, "um", np.nan),
+    "height": FieldArray("<f8", 0, "um", np.nan),
+    "radial": FieldArray("|i1", 0, "", 0),
+}
 
 _DEEPEST: Final = 32
 
@@ -58,13 +79,9 @@ def _of_field(field: Field) -> Arrays:
     """Return a field as arrays."""
     if field.unit != UNIT:
         raise ValueError(f"field {field.name} is in {field.unit!r}, must be in {UNIT}")
-    return {
-        "values": np.asarray(field.values, "<f8"),
-        "origin": np.asarray(field.origin, "<f8"),
-        "spacing": np.array(field.spacing, "<f8"),
-        "height": np.array(field.height, "<f8"),
-        "radial": np.array(field.kind == "radial", "|i1"),
-    }
+    stored = {**vars(field), "radial": field.kind == "radial"}
+    arrays = {name: np.asarray(stored[name], entry.dtype) for name, entry in FIELD.items()}
+    return {"values": np.asarray(field.values, "<f8"), **arrays}
 
 
 def frame_of(arrays: Mapping[str, NDArray[Any]], nutrients: Iterable[str]) -> Frame:
@@ -154,6 +171,7 @@ def progress_of(text: bytes, nutrients: Iterable[str]) -> Progress | None:
     checks: dict[str, Callable[[Any], bool]] = {
         **dict.fromkeys(("next_id", "divisions", "removals", "unsorted"), _is_count),
         "released": _is_number,
+        "local_error": lambda value: value is None or _is_number(value),
         "separation": lambda value: value is None or _are_numbers(value),
         "work": lambda value: isinstance(value, dict) and all(map(_is_count, value.values())),
         "ledger": lambda value: _of_nutrients(value, known),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
 from multicell.cells import Phase
@@ -17,6 +17,17 @@ if TYPE_CHECKING:
     from multicell.scene.nutrient import Nutrient
     from multicell.scene.parts import CellType
     from multicell.scene.scene import Scene
+
+
+def check_names(names: Iterable[str] | None, known: Iterable[str], path: str, what: str) -> None:
+    """Raise ``SceneError`` for a name below ``path`` that is not one of the known ones."""
+    known = list(known)
+    for name in names or ():
+        if name not in known:
+            raise SceneError(f"{path}.{name}", f"is not {what}", near_miss(name, known))
+
+
+_FIELD = "a field of this scene"
 
 
 def check_types(scene: Scene) -> None:
@@ -51,11 +62,7 @@ def _check_energies(scene: Scene, path: str, kind: CellType) -> None:
     own = path.split(".")[1]
     if not hasattr(scene.contact, "surface_energy"):
         raise SceneError(path, "needs a contact law with a surface energy", "Such as law = 'jkr'.")
-    for other in kind.surface_energy:
-        if other not in scene.types:
-            raise SceneError(
-                f"{path}.{other}", "is not a type of this scene", near_miss(other, scene.types)
-            )
+    check_names(kind.surface_energy, scene.types, path, "a type of this scene")
     for other, partner in scene.types.items():
         back = (partner.surface_energy or {}).get(own)
         there = kind.surface_energy.get(other)
@@ -73,18 +80,13 @@ def _check_energies(scene: Scene, path: str, kind: CellType) -> None:
 def _check_responses(scene: Scene, path: str, kind: CellType) -> None:
     """Check that a programme of adhesion refers to phases and fields that there are."""
     for key in ("receptor_by_phase", "ligand_by_phase"):
-        for phase in getattr(kind, key) or ():
-            if phase not in Phase.__members__:
-                hint = near_miss(phase, Phase.__members__)
-                raise SceneError(f"{path}.{key}.{phase}", "is not a phase of the cycle", hint)
-            if scene.growth is None or not scene.growth.phases:
-                hint = "growth.phases gives them."
-                raise SceneError(f"{path}.{key}", "has no effect: the scene has no phases", hint)
+        phases = getattr(kind, key)
+        check_names(phases, Phase.__members__, f"{path}.{key}", "a phase of the cycle")
+        if phases and (scene.growth is None or not scene.growth.phases):
+            hint = "growth.phases gives them."
+            raise SceneError(f"{path}.{key}", "has no effect: the scene has no phases", hint)
     for key in ("receptor_by", "ligand_by"):
-        for name in getattr(kind, key) or ():
-            if name not in scene.nutrients:
-                hint = near_miss(name, scene.nutrients)
-                raise SceneError(f"{path}.{key}.{name}", "is not a field of this scene", hint)
+        check_names(getattr(kind, key), scene.nutrients, f"{path}.{key}", _FIELD)
 
 
 _FINEST = 0.001
@@ -93,6 +95,7 @@ _FINEST = 0.001
 
 def check_nutrients(scene: Scene) -> None:
     """Raise ``SceneError`` for fields that do not fit together or to the rest of the scene."""
+    check_names(scene.chemotaxis, scene.nutrients, "chemotaxis", _FIELD)
     for name, nutrient in scene.nutrients.items():
         path = f"nutrients.{name}"
         _check_names(scene, path, nutrient)
@@ -108,10 +111,7 @@ def check_nutrients(scene: Scene) -> None:
 def _check_names(scene: Scene, path: str, nutrient: Nutrient) -> None:
     """Check that fields which a field refers to exist."""
     for key in ("uptake_on", "secretion_from"):
-        for other in getattr(nutrient, key) or ():
-            if other not in scene.nutrients:
-                hint = near_miss(other, scene.nutrients)
-                raise SceneError(f"{path}.{key}.{other}", "is not a field of this scene", hint)
+        check_names(getattr(nutrient, key), scene.nutrients, f"{path}.{key}", _FIELD)
     if nutrient.uptake_on and nutrient.uptake == 0.0:
         hint = "Give an uptake, or remove uptake_on."
         raise SceneError(f"{path}.uptake_on", "has no effect: uptake is zero", hint)
@@ -122,17 +122,18 @@ def _check_names(scene: Scene, path: str, nutrient: Nutrient) -> None:
 
 
 def _check_spacing(scene: Scene, path: str, nutrient: Nutrient) -> None:
-    widest = 4.0 * scene.cells.division_radius
-    if nutrient.spacing is not None and nutrient.spacing > widest:
+    """Check that a grid is neither coarser nor far finer than the cells."""
+    given, radius = nutrient.spacing, scene.cells.division_radius
+    widest, finest = 4.0 * radius, _FINEST * radius
+    if given is None or finest <= given <= widest:
+        return
+    problem = f"is {given:g} um, must be at least {finest:g} um: finer than any cell"
+    if given > widest:
         problem = (
-            f"is {nutrient.spacing:g} um, must be at most {widest:g} um "
+            f"is {given:g} um, must be at most {widest:g} um "
             "(two diameters of a dividing cell): grid too coarse for its cells"
         )
-        raise SceneError(f"{path}.spacing", problem, "Take about one diameter.")
-    finest = _FINEST * scene.cells.division_radius
-    if nutrient.spacing is not None and nutrient.spacing < finest:
-        problem = f"is {nutrient.spacing:g} um, must be at least {finest:g} um: finer than any cell"
-        raise SceneError(f"{path}.spacing", problem, "Take about one diameter.")
+    raise SceneError(f"{path}.spacing", problem, "Take about one diameter.")
 
 
 def _check_sides(scene: Scene, path: str, nutrient: Nutrient) -> None:

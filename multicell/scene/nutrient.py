@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import final
 
 import numpy as np
@@ -25,6 +26,11 @@ MOST = 1e5
 _DENSE = "Nothing dissolves to more: pure water is 55,500 mM."
 _FLUX = "A cell that takes up its own volume of pure water in a second has 3e7 amol/s."
 
+_level = partial(quantity, "mM", at_least=0, at_most=MOST)
+_level_above_zero = partial(quantity, "mM", above=0, at_most=MOST)
+_rate = partial(quantity, "1/s", default=0.0, at_least=0, at_most=1e6)
+_flux = partial(quantity, "amol/s", at_least=0, at_most=1e9, hint=_FLUX)
+
 FACES = ("*", "r+", "x", "y", "z", "x-", "x+", "y-", "y+", "z-", "z+")
 """Names of the sides of a field's grid, as py-pde has them; ``*`` stands for all others."""
 
@@ -40,13 +46,8 @@ class Side:
     """
 
     type: str = choice(["value", "derivative", "mixed"], default="value", doc="of the condition")
-    value: float | None = quantity(
-        "mM",
-        default=None,
-        at_least=0,
-        at_most=MOST,
-        doc="concentration; absent: that of the medium",
-        hint=_DENSE,
+    value: float | None = _level(
+        default=None, doc="concentration; absent: that of the medium", hint=_DENSE
     )
     derivative: float | None = quantity(
         "mM/um",
@@ -114,9 +115,7 @@ class Nutrient:
         at_most=1e8,
         doc="outside tissue; absent: the same everywhere",
     )
-    boundary: float = quantity(
-        "mM", default=0.07, at_least=0, at_most=MOST, doc="concentration in the medium", hint=_DENSE
-    )
+    boundary: float = _level(default=0.07, doc="concentration in the medium", hint=_DENSE)
     media: tuple[tuple[float, float], ...] | None = schedule(
         "mM",
         at_least=0,
@@ -129,17 +128,9 @@ class Nutrient:
     sides: Mapping[str, Side] = tables(
         Side, names=FACES, default_factory=Tables, doc="absent: the medium's value on all sides"
     )
-    perfusion: float = quantity(
-        "1/s",
-        default=0.0,
-        at_least=0,
-        at_most=1e6,
-        doc="exchange with the medium everywhere, a flow through",
-    )
-    decay: float = quantity("1/s", default=0.0, at_least=0, at_most=1e6, doc="first-order decay")
-    uptake: float = quantity(
-        "amol/s", default=20.0, at_least=0, at_most=1e9, doc="largest uptake of a cell", hint=_FLUX
-    )
+    perfusion: float = _rate(doc="exchange with the medium everywhere, a flow through")
+    decay: float = _rate(doc="first-order decay")
+    uptake: float = _flux(default=20.0, doc="largest uptake of a cell")
     half_saturation: float = quantity(
         "mM",
         default=0.005,
@@ -154,38 +145,23 @@ class Nutrient:
     uptake_on: Mapping[str, Dependence] = tables(
         Dependence, default_factory=Tables, doc="how uptake depends on other fields, by name"
     )
-    secretion: float = quantity(
-        "amol/s",
-        default=0.0,
-        at_least=0,
-        at_most=1e9,
-        doc="of a proliferating cell; a quiescent one as uptake",
-        hint=_FLUX,
-    )
+    secretion: float = _flux(default=0.0, doc="of a proliferating cell; a quiescent one as uptake")
     secretion_from: Mapping[str, float] | None = quantities(
         "",
         at_least=0,
         at_most=1e6,
         doc="amount secreted for each amount taken up of other fields, by name",
     )
-    growth_half_saturation: float | None = quantity(
-        "mM",
-        default=None,
-        above=0,
-        at_most=MOST,
-        doc="of half the largest growth (Monod); absent: no effect",
+    growth_half_saturation: float | None = _level_above_zero(
+        default=None, doc="of half the largest growth (Monod); absent: no effect"
     )
-    growth_inhibition: float | None = quantity(
-        "mM", default=None, above=0, at_most=MOST, doc="that halves growth; absent: no effect"
+    growth_inhibition: float | None = _level_above_zero(
+        default=None, doc="that halves growth; absent: no effect"
     )
-    quiescence: float | None = quantity(
-        "mM", default=None, at_least=0, at_most=MOST, doc="below: quiescent; absent: never"
-    )
-    necrosis: float | None = quantity(
-        "mM", default=None, at_least=0, at_most=MOST, doc="below: necrotic; absent: never"
-    )
-    necrosis_above: float | None = quantity(
-        "mM", default=None, above=0, at_most=MOST, doc="above: necrotic; absent: never"
+    quiescence: float | None = _level(default=None, doc="below: quiescent; absent: never")
+    necrosis: float | None = _level(default=None, doc="below: necrotic; absent: never")
+    necrosis_above: float | None = _level_above_zero(
+        default=None, doc="above: necrotic; absent: never"
     )
     regime: str = choice(
         ["auto", "steady", "transient"],

@@ -135,10 +135,6 @@ class Scene:
             raise SceneError("contact.smoothing", problem, "0 turns it off.")
         check_domain(self)
         check_nutrients(self)
-        for name in self.chemotaxis:
-            if name not in self.nutrients:
-                hint = near_miss(name, self.nutrients)
-                raise SceneError(f"chemotaxis.{name}", "is not a field of this scene", hint)
         if self.dimensions == 2 and self.haptotaxis is not None and self.haptotaxis.axis == "z":
             raise SceneError("haptotaxis.axis", "is 'z' in a scene of 2 dimensions")
 

@@ -17,7 +17,7 @@ import h5py
 import numpy as np
 
 import multicell as mc
-from multicell.results.journal import _HEAD, Reader
+from multicell.results.journal import PREFIX, Reader
 from multicell.results.reader import Contents
 
 MEMORY = 3 << 30  # bytes of address space beyond what the process has
@@ -149,22 +149,22 @@ def _shuffle(folder, rng):
 
 
 def _forged(piece, rng):
-    """Return a record whose facts are wrong and whose checksums are right."""
-    tag, letters, length, _, body, _ = _HEAD.unpack(piece[: _HEAD.size])
-    facts = json.loads(piece[_HEAD.size : _HEAD.size + letters])
-    key = rng.choice(list(facts))
-    facts[key] = rng.choice([None, -1, 10**30, "x", [], {}, [[1, 2, 3]], float("nan")])
-    text = json.dumps(facts).encode()
-    head = _HEAD.pack(tag, len(text), length, zlib.crc32(text), body, 0)
-    return head + text + piece[_HEAD.size + letters :]
+    """Return a record whose header are wrong and whose checksums are right."""
+    tag, letters, length, _, body, _ = PREFIX.unpack(piece[: PREFIX.size])
+    header = json.loads(piece[PREFIX.size : PREFIX.size + letters])
+    key = rng.choice(list(header))
+    header[key] = rng.choice([None, -1, 10**30, "x", [], {}, [[1, 2, 3]], float("nan")])
+    text = json.dumps(header).encode()
+    head = PREFIX.pack(tag, len(text), length, zlib.crc32(text), body, 0)
+    return head + text + piece[PREFIX.size + letters :]
 
 
 def _chained(pieces):
     """Join records with the right checksums of their heads."""
     data, chain = b"", 0
     for piece in pieces:
-        chain = zlib.crc32(piece[: _HEAD.size - 4], chain)
-        data += piece[: _HEAD.size - 4] + chain.to_bytes(4, "little") + piece[_HEAD.size :]
+        chain = zlib.crc32(piece[: PREFIX.size - 4], chain)
+        data += piece[: PREFIX.size - 4] + chain.to_bytes(4, "little") + piece[PREFIX.size :]
     return data
 
 
@@ -342,9 +342,7 @@ def _same_history(history, other):
 def _same_columns(one, other):
     assert set(one) == set(other)
     for name, column in one.items():
-        assert column.tolist() == other[name].tolist() or (
-            np.asarray(column, float).tobytes() == np.asarray(other[name], float).tobytes()
-        ), name
+        np.testing.assert_array_equal(column, other[name], err_msg=name)
 
 
 def _tables(folder, whole):

@@ -185,7 +185,7 @@ def state(simulation):
         "step": simulation.step_index,
         "contacts": np.array(simulation.contacts),
         "released": simulation.released,
-        "next": simulation._next_id,
+        "next": simulation.next_id,
     }
 
 

@@ -1,0 +1,49 @@
+"""Parts of a scene as frozen dataclasses whose fields convert and check what they are given.
+
+A part is declared once and the declaration says everything: unit, default, what is allowed::
+
+    @final
+    @parameters
+    class Drag:
+        viscosity: float = quantity("kPa s", default=5.0, above=0, doc="of the medium")
+
+``Drag(viscosity="70 Pa s").viscosity`` is 0.07, and ``Drag(viscosity=0)`` raises
+:class:`~multicell.errors.SceneError` with the value and what is allowed. A part may define
+``check(self)`` for what concerns more than one field.
+"""
+
+from multicell.schema.bounds import Bounds
+from multicell.schema.declarations import (
+    choice,
+    count,
+    course,
+    flag,
+    interval,
+    names,
+    number,
+    parameters,
+    quantities,
+    quantity,
+    responses,
+    schedule,
+    table,
+    tables,
+    text,
+    variant,
+)
+from multicell.schema.part import (
+    Parameter,
+    Tables,
+    build,
+    chosen,
+    leaves,
+    near_miss,
+    plain,
+    specs,
+)
+
+__all__ = [
+    "Bounds", "Parameter", "Tables", "build", "choice", "chosen", "count", "course", "flag",
+    "interval", "leaves", "names", "near_miss", "number", "parameters", "plain", "quantities",
+    "quantity", "responses", "schedule", "specs", "table", "tables", "text", "variant",
+]  # fmt: skip

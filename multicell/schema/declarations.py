@@ -1,0 +1,339 @@
+"""The functions that declare the fields of a part, one for each kind of value."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import MISSING, dataclass, fields
+from numbers import Integral
+from typing import Any, TypeVar, dataclass_transform
+
+from multicell.errors import SceneError
+from multicell.schema.bounds import Bounds, Curve, curve, in_time, lists, reader, rises
+from multicell.schema.part import (
+    Tables,
+    build,
+    chosen,
+    convert_fields,
+    declared,
+    mapping,
+    named,
+    near_miss,
+    plain,
+)
+from multicell.units import shown
+
+T = TypeVar("T")
+
+
+def quantity(
+    unit: str,
+    *,
+    default: Any = MISSING,
+    above: float | None = None,
+    at_least: float | None = None,
+    at_most: float | None = None,
+    below: float | None = None,
+    doc: str = "",
+    hint: str = "",
+) -> Any:
+    """Declare a quantity: a number in the base unit or a string with a unit.
+
+    With ``default=None`` the value may be None: the quantity is absent. ``hint`` is given when a
+    value lies outside the bounds.
+    """
+    bounds = Bounds(above, at_least, at_most, below)
+    return declared(
+        "quantity", reader(unit, bounds, hint=hint), default,
+        unit=unit, allowed=bounds.words(unit), doc=doc, bounds=bounds,
+    )  # fmt: skip
+
+
+def number(
+    *,
+    default: Any = MISSING,
+    above: float | None = None,
+    at_least: float | None = None,
+    at_most: float | None = None,
+    below: float | None = None,
+    doc: str = "",
+    hint: str = "",
+) -> Any:
+    """Declare a number without dimension; strings are refused."""
+    bounds = Bounds(above, at_least, at_most, below)
+    read = reader("", bounds, "a number without unit and quotes", hint)
+    return declared("number", read, default, allowed=bounds.words(), doc=doc, bounds=bounds)
+
+
+def count(
+    *,
+    default: Any = MISSING,
+    at_least: int = 0,
+    at_most: int = 10**9,
+    doc: str = "",
+    hint: str = "",
+) -> Any:
+    """Declare a whole number."""
+    bounds = Bounds(at_least=at_least, at_most=at_most)
+
+    def convert(value: object, path: str) -> int:
+        if isinstance(value, bool) or not isinstance(value, Integral):
+            raise SceneError(path, f"is {shown(value)}, must be a whole number", hint)
+        bounds.require(int(value), value, path, "", hint)
+        return int(value)
+
+    return declared("count", convert, default, allowed=bounds.words(), doc=doc, bounds=bounds)
+
+
+def choice(
+    options: Iterable[str],
+    *,
+    default: Any = MISSING,
+    doc: str = "",
+    other: Callable[[str], bool] = lambda _: False,
+) -> Any:
+    """Declare one name out of several; ``other`` tells which other texts are accepted."""
+    known = tuple(options)
+
+    def convert(value: object, path: str) -> str:
+        if isinstance(value, str) and other(value):
+            return value
+        return chosen(value, known, path)
+
+    return declared("choice", convert, default, allowed=" or ".join(known), doc=doc, options=known)
+
+
+def text(*, default: Any = MISSING, doc: str = "") -> Any:
+    """Declare one line of printable text."""
+
+    def convert(value: object, path: str) -> str:
+        if not isinstance(value, str) or not value.isprintable():
+            raise SceneError(path, f"is {shown(value)}, must be one line of text")
+        return value
+
+    return declared("text", convert, default, doc=doc)
+
+
+def flag(*, default: Any = MISSING, doc: str = "") -> Any:
+    """Declare a yes or no."""
+
+    def convert(value: object, path: str) -> bool:
+        if not isinstance(value, bool):
+            raise SceneError(path, f"is {shown(value)}, must be true or false")
+        return value
+
+    return declared("flag", convert, default, allowed="true or false", doc=doc)
+
+
+def names(options: Iterable[str], *, doc: str = "") -> Any:
+    """Declare a list of names out of several, by default none."""
+    known = tuple(options)
+
+    def convert(value: object, path: str) -> tuple[str, ...]:
+        if not isinstance(value, list | tuple):
+            raise SceneError(path, f"is {shown(value)}, must be a list of names")
+        return tuple(chosen(name, known, path) for name in value)
+
+    return declared(
+        "names", convert, (), plain=list, allowed=", ".join(known), doc=doc, options=known
+    )
+
+
+def interval(
+    unit: str, *, at_least: float | None = None, at_most: float | None = None, doc: str = ""
+) -> Any:
+    """Declare an optional pair of quantities, the lower one first; stored as a tuple."""
+    bounds = Bounds(at_least=at_least, at_most=at_most)
+    read = reader(unit, bounds)
+
+    def convert(value: object, path: str) -> tuple[float, float]:
+        if not isinstance(value, list | tuple) or len(value) != 2:
+            hint = f"For example ['-100 {unit}', '100 {unit}']."
+            raise SceneError(path, f"is {shown(value)}, must be a list of two quantities", hint)
+        low, high = (read(end, path) for end in value)
+        if not low < high:
+            problem = f"goes from {low:g} to {high:g} {unit}, must have the lower end first"
+            raise SceneError(path, problem)
+        return low, high
+
+    return declared(
+        "interval", convert, None, plain=list, unit=unit, bounds=bounds, doc=doc,
+        allowed=f"two quantities: {bounds.words(unit)}",
+    )  # fmt: skip
+
+
+def course(*, default: float, at_least: float | None = None, doc: str = "") -> Any:
+    """Declare a number that may change with time: a number, or a list of ``[time, value]``.
+
+    The stored value is a tuple of (time in s, value), with times that rise.
+    """
+    bounds = Bounds(at_least=at_least)
+    read = reader("", bounds)
+
+    def convert(value: object, path: str) -> Curve:
+        found = in_time(
+            value if isinstance(value, list | tuple) else [(0.0, value)], path, "", read
+        )
+        # a single value holds always: its time says nothing, and would not be written
+        return found if len(found) > 1 else ((0.0, found[0][1]),)
+
+    def to_plain(value: Curve) -> Any:
+        return value[0][1] if len(value) == 1 else lists(value)
+
+    return declared("course", convert, ((0.0, default),), plain=to_plain, doc=doc, bounds=bounds)
+
+
+def schedule(
+    unit: str, *, at_least: float | None = None, at_most: float | None = None, doc: str = ""
+) -> Any:
+    """Declare a list of ``[time, quantity]`` with times that rise, by default None.
+
+    The stored value is a tuple of (time in s, value in ``unit``).
+    """
+    bounds = Bounds(at_least=at_least, at_most=at_most)
+    read = reader(unit, bounds)
+    return declared(
+        "schedule", lambda value, path: in_time(value, path, unit, read), None,
+        plain=lists, unit=unit, doc=doc, bounds=bounds,
+    )  # fmt: skip
+
+
+def responses(unit: str, *, at_least: float | None = None, doc: str = "") -> Any:
+    """Declare an optional table of names to curves, lists of ``[quantity, number]``.
+
+    The stored curves are tuples of (quantity in ``unit``, number), with quantities that rise.
+    """
+    bounds = Bounds(at_least=at_least)
+    x, y = reader(unit, Bounds()), reader("", bounds)
+    example = f"[['0 {unit}', 0.2], ['0.02 {unit}', 1]]"
+
+    def one(given: object, path: str) -> Curve:
+        result = curve(given, path, x, y, f"a list of [{unit}, factor]", example)
+        if not rises(result):
+            raise SceneError(path, "must have concentrations that rise")
+        return result
+
+    return declared(
+        "responses", lambda value, path: named(value, path, one) or None, None,
+        plain=lambda value: {name: lists(points) for name, points in value.items()},
+        unit=unit, doc=doc, bounds=bounds,
+    )  # fmt: skip
+
+
+def quantities(
+    unit: str, *, at_least: float | None = None, at_most: float | None = None, doc: str = ""
+) -> Any:
+    """Declare an optional table of names to quantities, or to numbers where ``unit`` is empty."""
+    bounds = Bounds(at_least=at_least, at_most=at_most)
+    read = reader(unit, bounds)
+    return declared(
+        # an empty table says no more than an absent one, which is how it would be written
+        "quantities", lambda value, path: named(value, path, read) or None, None,
+        plain=dict, unit=unit, doc=doc, bounds=bounds,
+    )  # fmt: skip
+
+
+def table(
+    part: type[Any],
+    *,
+    default: Any = MISSING,
+    default_factory: Any = MISSING,
+    shorthand: str = "",
+    doc: str = "",
+) -> Any:
+    """Declare a table that holds the parameters of ``part``; with ``default=None`` it is optional.
+
+    ``shorthand`` names the key that a bare string in the table's place stands for.
+    """
+
+    def convert(value: object, path: str) -> Any:
+        if shorthand and isinstance(value, str):
+            value = {shorthand: value}
+        return value if isinstance(value, part) else build(part, value, path)
+
+    return declared(
+        "table", convert, default, default_factory,
+        plain=plain, doc=doc, shorthand=shorthand, table=part,
+    )  # fmt: skip
+
+
+def variant(
+    options: Mapping[str, type[Any]],
+    *,
+    key: str,
+    usual: str,
+    default_factory: Any,
+    doc: str = "",
+    hint: Callable[[str], str] | None = None,
+) -> Any:
+    """Declare a table whose ``key`` says which part it holds; without the key the ``usual`` one.
+
+    ``hint`` may know more than the nearest name about one that is not there.
+    """
+
+    def convert(value: object, path: str) -> Any:
+        if isinstance(value, tuple(options.values())):
+            return value
+        entries = mapping(value, path)
+        name = chosen(entries.pop(key, usual), options, f"{path}.{key}", hint)
+        return build(options[name], entries, path, also=(key,))
+
+    def to_plain(value: Any) -> dict[str, Any]:
+        name = next(name for name, part in options.items() if type(value) is part)
+        return {key: name, **plain(value)}
+
+    return declared(
+        "variant", convert, MISSING, default_factory, plain=to_plain, doc=doc,
+        allowed=f"{key}: {' or '.join(options)}", options=tuple(options), parts=options, key=key,
+        usual=usual,
+    )  # fmt: skip
+
+
+def tables(
+    part: type[Any], *, default_factory: Any, names: Iterable[str] | None = None, doc: str = ""
+) -> Any:
+    """Declare a table of named tables, each of them a ``part``; ``names`` are all that may be."""
+    known = tuple(names or ())
+
+    def convert(value: object, path: str) -> Tables[Any]:
+        entries = mapping(value, path)
+        for name in entries:
+            if known and name not in known:
+                hint = near_miss(name, known)
+                raise SceneError(f"{path}.{name}", "is not a known name here", hint)
+            if not known and not (name.isidentifier() and name.isascii()):
+                problem = f"is named {shown(name)}, must have a name of letters, digits and '_'"
+                raise SceneError(path, problem)
+        return named(entries, path, one)
+
+    def one(entry: object, path: str) -> Any:
+        return entry if isinstance(entry, part) else build(part, entry, path)
+
+    return declared(
+        "tables", convert, MISSING, default_factory,
+        plain=lambda value: {name: plain(entry) for name, entry in value.items()},
+        doc=doc, table=part, options=known,
+    )  # fmt: skip
+
+
+@dataclass_transform(
+    frozen_default=True,
+    kw_only_default=True,
+    field_specifiers=(
+        quantity, number, count, choice, text, flag, names, interval, course, schedule, responses,
+        quantities, table, variant, tables,
+    ),
+)  # fmt: skip
+def parameters(cls: type[T]) -> type[T]:
+    """Make a frozen dataclass, with keyword arguments only, that converts and checks its fields.
+
+    Raises
+    ------
+    TypeError
+        At declaration, for a field that is not declared by one of this module's functions.
+    """
+    cls.__post_init__ = convert_fields  # type: ignore[attr-defined]
+    made = dataclass(frozen=True, kw_only=True)(cls)
+    for spec in fields(made):  # type: ignore[arg-type]
+        if "parameter" not in spec.metadata:
+            raise TypeError(f"{cls.__name__}.{spec.name} must be declared by quantity(), ...")
+    return made

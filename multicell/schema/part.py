@@ -1,0 +1,237 @@
+"""What declares the fields of a part, and what builds, walks and writes parts by it."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass
+from typing import Any, TypeVar, final
+
+from multicell.errors import SceneError
+from multicell.schema.bounds import Bounds
+from multicell.units import shown
+
+T = TypeVar("T")
+
+
+V = TypeVar("V")
+
+
+@final
+@dataclass(frozen=True)
+class Parameter:
+    """What a field of a part accepts; found with :func:`specs`.
+
+    Attributes
+    ----------
+    convert
+        Turns a given value and its path into the stored value, or raises ``SceneError``.
+    plain
+        Turns the stored value into numbers, strings and dicts that ``convert`` accepts.
+    unit
+        Base unit of a quantity, else empty.
+    allowed
+        The allowed range or names in words, else empty.
+    doc
+        What the parameter means.
+    shorthand
+        The key of a table that a bare string in the table's place stands for, else empty.
+    table
+        The class of a table, else None.
+    kind
+        Name of the function that declared it, such as ``"quantity"``.
+    bounds
+        The interval of its numbers.
+    options
+        The names that are allowed; of a variant the names of its parts.
+    parts
+        The parts of a variant by name.
+    key, usual
+        The key of a variant that says which part it is, and what it is without the key.
+    examples
+        Values that are accepted, where ``kind`` does not say how to make some.
+    """
+
+    convert: Callable[[Any, str], Any]
+    plain: Callable[[Any], Any] = lambda value: value
+    unit: str = ""
+    allowed: str = ""
+    doc: str = ""
+    shorthand: str = ""
+    table: type | None = None
+    kind: str = ""
+    bounds: Bounds | None = None
+    options: tuple[str, ...] = ()
+    parts: Mapping[str, type] | None = None
+    key: str = ""
+    usual: str = ""
+    examples: tuple[Any, ...] = ()
+
+    @property
+    def units(self) -> str:
+        """The unit of a value, or of the two numbers of each point of a curve, for a reader."""
+        first = {"schedule": "s", "course": "s", "responses": self.unit}.get(self.kind)
+        if first is None:
+            return self.unit
+        return f"[{first}, {self.unit if self.kind == 'schedule' else 'number'}]"
+
+
+@final
+class Tables(Mapping[str, V]):
+    """A read-only mapping of names to parts, which can be compared, hashed and pickled."""
+
+    def __init__(self, entries: Mapping[str, V] | None = None) -> None:
+        self._entries = dict(entries or {})
+
+    def __getitem__(self, name: str) -> V:
+        return self._entries[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._entries)
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    def __hash__(self) -> int:
+        return hash(frozenset(self._entries.items()))
+
+    def __repr__(self) -> str:
+        return f"Tables({self._entries!r})"
+
+
+def specs(part: Any) -> dict[str, Parameter]:
+    """Return the declaration of every field of a part (its class or an instance) by name."""
+    return {spec.name: spec.metadata["parameter"] for spec in fields(part)}
+
+
+def build(part: type[T], value: object, path: str = "", also: tuple[str, ...] = ()) -> T:
+    """Return a part made from a table.
+
+    Parameters
+    ----------
+    part
+        A class made by :func:`parameters`.
+    value
+        Mapping of keys to values, as read from TOML.
+    path
+        Where the table stands, as dotted keys.
+    also
+        Keys that the caller has taken out already, for the list of allowed keys.
+
+    Raises
+    ------
+    SceneError
+        For an unknown or missing key and for any value that is refused, with its full path.
+    """
+    entries = mapping(value, path)
+    known = specs(part)
+    for key in entries:
+        if key not in known:
+            hint = near_miss(key, [*also, *known])
+            raise SceneError(_join(path, key or "''"), "is not a known key here", hint)
+    for spec in fields(part):  # type: ignore[arg-type]
+        needed = spec.default is MISSING and spec.default_factory is MISSING
+        if needed and spec.name not in entries:
+            raise SceneError(_join(path, spec.name), "is missing", known[spec.name].doc)
+    try:
+        return part(**entries)
+    except SceneError as error:
+        raise SceneError(_join(path, error.path), error.problem, error.hint) from None
+
+
+def leaves(
+    part: Any, path: tuple[str, ...] = ()
+) -> Iterator[tuple[tuple[str, ...], Any, Parameter]]:
+    """Yield path, value and declaration of every value in a part and in those that it holds."""
+    for name, spec in specs(part).items():
+        value, where = getattr(part, name), (*path, name)
+        entries = value.items() if isinstance(value, Tables) else [("", value)]
+        for key, entry in entries:
+            inner = (*where, key) if key else where
+            if is_dataclass(entry):
+                yield from leaves(entry, inner)
+            elif entry is not None:
+                yield inner, entry, spec
+
+
+def plain(part: Any) -> dict[str, Any]:
+    """Return a part as a dict of plain values in base units; what is absent has no key."""
+    result = {}
+    for name, spec in specs(part).items():
+        value = getattr(part, name)
+        empty = isinstance(value, Tables) and not value
+        if value is not None and not empty:
+            result[name] = spec.plain(value)
+    return result
+
+
+def chosen(
+    value: object,
+    options: Iterable[str],
+    path: str,
+    hint: Callable[[str], str] | None = None,
+) -> str:
+    """Return ``value`` if it is one of the names, else raise ``SceneError`` with the nearest."""
+    names = list(options)
+    if isinstance(value, str) and (value in names or value in options):
+        return value
+    listed = ", ".join(repr(name) for name in names)
+    known = hint(value) if hint is not None and isinstance(value, str) else ""
+    near = near_miss(value, names, listed=False) if isinstance(value, str) else ""
+    raise SceneError(path, f"is {shown(value)}, must be one of {listed}", known or near)
+
+
+def near_miss(name: str, options: Iterable[str], *, listed: bool = True) -> str:
+    """Return ``"Did you mean 'viscosity'?"`` if a name is near, and the list of all names."""
+    names = {option.lower(): option for option in options}
+    near = difflib.get_close_matches(str(name).lower(), names, n=1, cutoff=0.6)
+    parts = [f"Did you mean '{names[near[0]]}'?"] if near else []
+    if listed:
+        parts.append(f"Allowed: {', '.join(names.values()) or 'no keys at all'}")
+    return " ".join(parts)
+
+
+def convert_fields(self: Any) -> None:
+    """Convert and check every field, then what concerns several of them."""
+    for spec in fields(self):
+        value = getattr(self, spec.name)
+        if value is None and spec.default is None:
+            continue
+        converted = spec.metadata["parameter"].convert(value, spec.name)
+        object.__setattr__(self, spec.name, converted)
+    check = getattr(self, "check", None)
+    if check is not None:
+        check()
+
+
+def declared(
+    kind: str,
+    convert: Callable[[Any, str], Any],
+    default: Any,
+    default_factory: Any = MISSING,
+    **about: Any,
+) -> Any:
+    """Return a dataclass field with its declaration."""
+    metadata = {"parameter": Parameter(convert, kind=kind, **about)}
+    if default_factory is not MISSING:
+        return field(default_factory=default_factory, metadata=metadata)
+    return field(default=default, metadata=metadata)
+
+
+def named(value: object, path: str, one: Callable[[Any, str], V]) -> Tables[V]:
+    """Return a table of names whose entries are each read by ``one``."""
+    entries = mapping(value, path).items()
+    return Tables({name: one(entry, f"{path}.{name}") for name, entry in entries})
+
+
+def mapping(value: object, path: str) -> dict[str, Any]:
+    """Return a copy of a table, or raise ``SceneError``."""
+    if not isinstance(value, Mapping):
+        raise SceneError(path, f"is {shown(value)}, must be a table")
+    if not all(isinstance(key, str) for key in value):
+        raise SceneError(path, "has keys that are not text, must be a table")
+    return dict(value)
+
+
+def _join(path: str, key: str) -> str:
+    return f"{path}.{key}" if path and key else path or key
