@@ -1,5 +1,14 @@
 """Settings for all tests."""
 
+import os
+
+# before numba starts its threads: those of another worker wait without taking a core away from
+# this one, and no machine has too few or too many of them
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+os.environ.setdefault("NUMBA_NUM_THREADS", "2")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import pytest
 from hypothesis import settings
 
 # the first example of a test may have to compile a kernel; the same examples every time,
@@ -19,3 +28,17 @@ def pytest_addoption(parser):
     group.addoption(
         "--coupling-steps", type=int, default=1000, help="of each run that must not leak"
     )
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_cmdline_main(config):
+    # each worker begins with neighbouring tests, which share fixtures and kernels
+    if config.option.numprocesses and config.option.dist == "no":
+        config.option.dist = "worksteal"
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_xdist_auto_num_workers():
+    # the longest test and the memory of a small machine make more useless
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return min(cores or 1, 8)

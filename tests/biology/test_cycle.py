@@ -61,8 +61,6 @@ def test_a_fixed_cycle_doubles_volume_and_number_whatever_the_step(dt):
     described = scene()
     start = cells_of(described, 3)
     cells, _ = lived(described, start, 28, dt)
-    after = cells.age.max() if dt < HOUR else None
-    del after
     assert len(cells) == 6
     # 28 h are one cycle and 13 h: the daughters have grown through G1 and S, and 2 h of G2
     assert (cells.phase == Phase.G2).all()

@@ -342,9 +342,7 @@ def _same_history(history, other):
 def _same_columns(one, other):
     assert set(one) == set(other)
     for name, column in one.items():
-        assert column.tolist() == other[name].tolist() or (
-            np.asarray(column, float).tobytes() == np.asarray(other[name], float).tobytes()
-        ), name
+        np.testing.assert_array_equal(column, other[name], err_msg=name, strict=True)
 
 
 def _tables(folder, whole):

@@ -561,7 +561,8 @@ def test_a_tolerance_that_cannot_be_met_ends_with_words(make):
     position, radius, young = cluster(20, 1)
     outcome = make(0.0, 1e-20).integrate(mechanics(radius, young), position)
     assert not outcome.done
-    assert "too short" in outcome.problem or "did not reach the end" in outcome.problem
+    words = "did not reach the end" if make is Dopri5 else "too short"
+    assert words in outcome.problem
     assert outcome.time < 100.0
     for rtol, atol in ((0.0, 0.0), (-1.0, 1.0), (np.nan, 1.0)):
         with pytest.raises(ValueError, match="above 0"):
