@@ -7,6 +7,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from numba import njit
+from oracles import cbmos_cubic, cbmos_linear, chaste_nodes
 from scipy.integrate import quad
 from scipy.optimize import brentq, minimize_scalar
 from strategies import energies, moduli, poissons, radii
@@ -345,19 +346,6 @@ def test_a_smoothing_that_is_no_length_is_refused(value):
 
 
 # springs
-
-
-def cbmos_linear(r, mu=1.0, s=1.0, rA=1.5):
-    return np.where(r < rA, mu * (r - s), 0.0)
-
-
-def cbmos_cubic(r, mu=50.0, s=1.0, rA=1.5):
-    return np.where(r < rA, mu * (r - rA) ** 2 * (r - s), 0.0)
-
-
-def chaste_nodes(r, mu=15.0, s=1.0, rA=1.5, alpha=5.0):
-    apart = mu * (r - s) * np.exp(-alpha * (r - s) / s)
-    return np.where(r < rA, np.where(r <= s, mu * s * np.log(r / s), apart), 0.0)
 
 
 @pytest.mark.parametrize(

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from oracles import Pairs, pair, reduced
 from scipy.spatial import cKDTree
 from strategies import cluster, laws, mechanics, radii, seeds
 
 from multicell import JKR, Hertz
-from multicell.contact.law import effective_modulus, effective_radius
 from multicell.mechanics import neighbours
 from multicell.mechanics.system import StateRejected
 
@@ -19,29 +19,12 @@ def velocity(system, position, time=0.0):
     return out
 
 
-def reference_forces(position, radius, young, law):
-    """Sum the vectorised law over the pairs of a k-d tree."""
-    pairs = cKDTree(position).query_pairs(2 * radius.max(), output_type="ndarray")
-    i, j = pairs.T
-    vector = position[j] - position[i]
-    distance = np.linalg.norm(vector, axis=1)
-    force = law.force(
-        radius[i] + radius[j] - distance,
-        effective_modulus(young[i], 0.5, young[j], 0.5),
-        effective_radius(radius[i], radius[j]),
-    )
-    total = np.zeros_like(position)
-    np.add.at(total, i, -(force / distance)[:, None] * vector)
-    np.add.at(total, j, (force / distance)[:, None] * vector)
-    return total
-
-
 @pytest.mark.parametrize("law", [Hertz(), JKR(surface_energy=0.1)])
 @pytest.mark.parametrize("n", [2, 700, 2 * neighbours.CHUNK + 10])
 def test_forces_are_sums_of_the_pair_law(law, n):
     position, radius, young = cluster(n, 1)
     found = mechanics(radius, young, law).force(0.0, position)
-    expected = reference_forces(position, radius, young, law)
+    expected = Pairs(position, radius, young, law).forces()
     np.testing.assert_allclose(found, expected, atol=1e-12 * np.abs(expected).max())
 
 
@@ -163,7 +146,7 @@ def test_pressure_of_a_pair_is_its_virial(r, fraction):
     law, distance = JKR(surface_energy=0.1), 2 * r * (1 - fraction / 2)
     system = mechanics(np.array([r, r]), np.array([1.0, 1.0]), law)
     position = np.array([[0.0, 0, 0], [0, distance, 0]])
-    force = law.force(2 * r - distance, effective_modulus(1, 0.5, 1, 0.5), r / 2)
+    force, _ = pair(law, 2 * r - distance, *reduced(1.0, 1.0, r, r))
     expected = force * distance / 2 / (3 * 4 / 3 * np.pi * r**3)
     np.testing.assert_allclose(system.pressure(0.0, position), expected, rtol=1e-10)
 
@@ -192,17 +175,14 @@ def test_preconditioner_solves_the_block_diagonal_system():
     vector = np.random.default_rng(0).normal(size=position.shape)
     found = np.empty_like(vector)
     system.precondition(vector, found)
-    pairs = neighbours.neighbour_pairs(position, 2 * radius.max())
+    pairs = cKDTree(position).query_pairs(2 * radius.max(), output_type="ndarray")
     for cell in range(30):
         block = np.eye(3)
         for i, j in pairs[(pairs == cell).any(axis=1)]:
             n = position[j] - position[i]
             d = np.linalg.norm(n)
-            k = Hertz().stiffness(
-                radius[i] + radius[j] - d,
-                effective_modulus(young[i], 0.5, young[j], 0.5),
-                effective_radius(radius[i], radius[j]),
-            )
+            modulus, size = reduced(young[i], young[j], radius[i], radius[j])
+            k = 1.5 * modulus * np.sqrt(size * max(radius[i] + radius[j] - d, 0.0))
             block += gamma * k / (6 * np.pi * 5 * radius[cell]) * np.outer(n, n) / d**2
         np.testing.assert_allclose(block @ found[cell], vector[cell], rtol=1e-9, atol=1e-12)
 
