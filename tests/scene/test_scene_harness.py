@@ -57,6 +57,7 @@ def test_small_scenes_run_to_finite_numbers_or_fail_by_name(request):
     assert counts["ran"] / counts.total() > 0.6, "the search runs too little"
 
 
+@pytest.mark.slow
 def test_every_declared_key_is_drawn():
     """A key of a new kind needs a way to be drawn: ``Parameter.kind``, or ``examples``."""
     seen = set()
