@@ -33,12 +33,20 @@ def pytest_addoption(parser):
 @pytest.hookimpl(tryfirst=True)
 def pytest_cmdline_main(config):
     # each worker begins with neighbouring tests, which share fixtures and kernels
-    if config.option.numprocesses and config.option.dist == "no":
+    if getattr(config.option, "numprocesses", None) and config.option.dist == "no":
         config.option.dist = "worksteal"
 
 
-@pytest.hookimpl(tryfirst=True)
+@pytest.hookimpl(tryfirst=True, optionalhook=True)
 def pytest_xdist_auto_num_workers():
-    # the longest test and the memory of a small machine make more useless
+    # beyond eight the longest test decides, and each compiles the kernels that it is first to need
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return min(cores or 1, 8)
+    return max(1, min(cores or 1, 8, _memory() // 2**30))
+
+
+def _memory():
+    """Return the memory of the machine in bytes; a worker takes up to one GB."""
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):
+        return 8 * 2**30
