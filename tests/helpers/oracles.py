@@ -5,6 +5,7 @@ r_i + r_j (µm); arrays broadcast. ``Pairs`` sums them over a population.
 """
 
 import numpy as np
+from scipy.integrate import solve_ivp
 from scipy.spatial import cKDTree
 
 # scenes of populations keep ν = ½: 1 - ν² = ¾
@@ -183,3 +184,61 @@ class Pairs:
         for cell in (self.i, self.j):
             np.add.at(virial, cell, 0.5 * self.force * self.distance)
         return virial / (4.0 * np.pi * self.radius**3)
+
+
+def end_of(position, radius, young, law, duration, *, rate=0.0, viscosity=5.0, outer=None):
+    """Return where few cells are in the end, by SciPy's DOP853 over all pairs without a list.
+
+    ``outer`` gives further forces (n, 3) for positions, radii (n, 3), (n,).
+    """
+    i, j = np.triu_indices(len(radius), 1)
+
+    def velocity(t, y):
+        x, size = y.reshape(-1, 3), radius + rate * t
+        away = x[j] - x[i]
+        distance = np.linalg.norm(away, axis=1)
+        modulus, small = reduced(young[i], young[j], size[i], size[j])
+        force, _ = pair(law, size[i] + size[j] - distance, modulus, small, size[i] + size[j])
+        total = np.zeros_like(x) if outer is None else outer(x, size)
+        np.add.at(total, i, -(force / distance)[:, None] * away)
+        np.add.at(total, j, (force / distance)[:, None] * away)
+        return (total / (6.0 * np.pi * viscosity * size[:, None])).ravel()
+
+    span = (0.0, duration)
+    found = solve_ivp(velocity, span, position.ravel(), "DOP853", rtol=1e-12, atol=1e-12)
+    return found.y[:, -1].reshape(-1, 3)
+
+
+# derivatives
+
+
+def slope(function, place, direction, step):
+    """Return the derivative of a function along a direction, by a central difference."""
+    ahead, behind = function(place + step * direction), function(place - step * direction)
+    return (ahead - behind) / (2.0 * step)
+
+
+def velocity_of(system, time=0.0):
+    """Return the right-hand side of a population as a function of positions."""
+
+    def velocity(position):
+        out = np.empty_like(position)
+        system.velocity(time, position, out)
+        return out
+
+    return velocity
+
+
+def product_of(system, direction):
+    """Return J v of the last linearisation."""
+    out = np.empty_like(direction)
+    system.jacobian_product(direction, out)
+    return out
+
+
+def dense_jacobian(system, position, step=1e-6):
+    """Return J of the velocity by central differences, column by column, (3n, 3n)."""
+    units = np.eye(position.size).reshape(-1, *position.shape)
+    return np.stack(
+        [slope(velocity_of(system), position, unit, step).ravel() for unit in units], axis=1
+    )
