@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from oracles import pair
+from oracles import pair, product_of, slope, velocity_of
 from oracles import reduced as pairwise
 from scipy.integrate import solve_ivp
 from strategies import cluster, seeds
@@ -126,12 +126,10 @@ def _smooth_state(n, seed, law, time, **options):
 def test_force_is_minus_the_gradient_of_the_energy(seed, law, n, receptors, time):
     position, system = _smooth_state(n, seed, law, time, receptors=receptors)
     direction = np.random.default_rng(seed).normal(size=position.shape)
-    step = 1e-5
-    slope = system.energy(time, position + step * direction)
-    slope = (slope - system.energy(time, position - step * direction)) / (2 * step)
+    rise = slope(lambda x: system.energy(time, x), position, direction, 1e-5)
     force = system.force(time, position)
     scale = np.abs(force * direction).sum() + 1e-9
-    assert slope == pytest.approx(-(force * direction).sum(), abs=2e-6 * scale)
+    assert rise == pytest.approx(-(force * direction).sum(), abs=2e-6 * scale)
 
 
 @given(seeds, SMOOTH, st.integers(2, 15), st.booleans(), st.sampled_from([0.0, 40.0]))
@@ -139,15 +137,9 @@ def test_jacobian_product_is_the_directional_derivative(seed, law, n, receptors,
     position, system = _smooth_state(n, seed, law, time, receptors=receptors)
     direction = np.random.default_rng(seed).normal(size=position.shape)
     system.linearise(time, position)
-    product = np.empty_like(position)
-    system.jacobian_product(direction, product)
-    matrix = sparse_jacobian(system)
-    step = 1e-6
-    ends = [np.empty_like(position), np.empty_like(position)]
-    for sign, end in zip((1, -1), ends, strict=True):
-        system.velocity(time, position + sign * step * direction, end)
-    slope = (ends[0] - ends[1]) / (2 * step)
-    np.testing.assert_allclose(product, slope, atol=1e-6 * np.abs(slope).max() + 1e-10)
+    product, matrix = product_of(system, direction), sparse_jacobian(system)
+    expected = slope(velocity_of(system, time), position, direction, 1e-6)
+    np.testing.assert_allclose(product, expected, atol=1e-6 * np.abs(expected).max() + 1e-10)
     np.testing.assert_allclose(
         (matrix @ direction.ravel()).reshape(-1, 3), product, atol=1e-12 * np.abs(product).max()
     )

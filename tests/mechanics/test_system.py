@@ -4,19 +4,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from oracles import Pairs, pair, reduced
+from oracles import Pairs, pair, product_of, reduced, slope, velocity_of
 from scipy.spatial import cKDTree
 from strategies import cluster, laws, mechanics, radii, seeds
 
 from multicell import JKR, Hertz
 from multicell.mechanics import neighbours
 from multicell.mechanics.system import StateRejected
-
-
-def velocity(system, position, time=0.0):
-    out = np.empty_like(position)
-    system.velocity(time, position, out)
-    return out
 
 
 @pytest.mark.parametrize("law", [Hertz(), JKR(surface_energy=0.1)])
@@ -41,14 +35,10 @@ def test_force_is_minus_the_gradient_of_the_energy(seed, law, n):
     position, radius, young = _away_from_first_contact(n, seed)
     system = mechanics(radius, young, law)
     direction = np.random.default_rng(seed).normal(size=position.shape)
-    step = 1e-5
-    slope = (
-        system.energy(0.0, position + step * direction)
-        - system.energy(0.0, position - step * direction)
-    ) / (2 * step)
+    rise = slope(lambda x: system.energy(0.0, x), position, direction, 1e-5)
     force = system.force(0.0, position)
     scale = np.abs(force * direction).sum() + 1e-9
-    assert slope == pytest.approx(-(force * direction).sum(), abs=1e-6 * scale)
+    assert rise == pytest.approx(-(force * direction).sum(), abs=1e-6 * scale)
 
 
 @given(seeds, laws, st.integers(2, 25))
@@ -57,14 +47,10 @@ def test_jacobian_product_is_the_directional_derivative(seed, law, n):
     system = mechanics(radius, young, law)
     direction = np.random.default_rng(seed).normal(size=position.shape)
     system.linearise(0.0, position)
-    product = np.empty_like(position)
-    system.jacobian_product(direction, product)
-    step = 2e-6
-    slope = (
-        velocity(system, position + step * direction)
-        - velocity(system, position - step * direction)
-    ) / (2 * step)
-    np.testing.assert_allclose(product, slope, atol=1e-6 * np.abs(slope).max() + 1e-12)
+    expected = slope(velocity_of(system), position, direction, 2e-6)
+    np.testing.assert_allclose(
+        product_of(system, direction), expected, atol=1e-6 * np.abs(expected).max() + 1e-12
+    )
 
 
 def _away_from_first_contact(n, seed):
@@ -83,9 +69,9 @@ def test_velocity_is_force_over_stokes_drag_of_the_growing_radius():
     rate = np.linspace(0.0, 2e-3, 60)
     growing = mechanics(radius, young, rate=rate, duration=100.0)
     later = mechanics(radius + 40.0 * rate, young)
-    found = velocity(growing, position, 40.0)
+    found = velocity_of(growing, 40.0)(position)
     drag = 6 * np.pi * 5.0 * (radius + 40.0 * rate)
-    np.testing.assert_allclose(found, velocity(later, position), rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(found, velocity_of(later)(position), rtol=1e-9, atol=1e-15)
     np.testing.assert_allclose(found, later.force(0.0, position) / drag[:, None], rtol=1e-9)
 
 
@@ -96,11 +82,9 @@ def test_threads_do_not_change_a_bit():
     for threads in (1, 2):
         system = mechanics(radius, young, threads=threads, chunk=256)
         assert system._shared(neighbours.build(position, radius, 0.5, chunk=256)) == (threads > 1)
-        product = np.empty_like(position)
-        v = velocity(system, position)
+        v = velocity_of(system)(position)
         system.linearise(0.0, position)
-        system.jacobian_product(vector, product)
-        results.append((v, product))
+        results.append((v, product_of(system, vector)))
     assert np.array_equal(results[0][0], results[1][0])
     assert np.array_equal(results[0][1], results[1][1])
 
@@ -114,7 +98,7 @@ def test_list_survives_motion_within_its_skin_and_is_rebuilt_beyond():
         fresh = mechanics(radius, young)
         # the order of the pairs, and with it the last bits, may differ
         np.testing.assert_allclose(
-            velocity(system, moved), velocity(fresh, moved), rtol=1e-9, atol=1e-12
+            velocity_of(system)(moved), velocity_of(fresh)(moved), rtol=1e-9, atol=1e-12
         )
     assert 2 <= system.work.list_builds <= 4
 
@@ -123,10 +107,10 @@ def test_list_survives_motion_within_its_skin_and_is_rebuilt_beyond():
 def test_a_position_that_is_no_number_is_rejected(bad):
     position, radius, young = cluster(10, 0)
     system = mechanics(radius, young)
-    velocity(system, position)
+    velocity_of(system)(position)
     position[3, 1] = bad
     with pytest.raises(StateRejected, match="not a number"):
-        velocity(system, position)
+        velocity_of(system)(position)
 
 
 def test_coincident_and_far_cells_give_finite_forces():
@@ -135,7 +119,7 @@ def test_coincident_and_far_cells_give_finite_forces():
     position[2] = [1e15, -1e15, 1e15]
     position[3] = [1e300, 0, 0]
     system = mechanics(radius, young)
-    assert np.isfinite(velocity(system, position)).all()
+    assert np.isfinite(velocity_of(system)(position)).all()
     assert np.isfinite(system.energy(0.0, position))
     assert np.isfinite(system.pressure(0.0, position)).all()
     assert np.isfinite(system.stiffness_bound(0.0, position))
@@ -156,12 +140,8 @@ def test_stiffness_bound_encloses_the_decay_rates(law):
     position, radius, young = cluster(40, 8)
     system = mechanics(radius, young, law)
     bound = system.stiffness_bound(0.0, position)
-    columns = np.empty((120, 120))
-    for k in range(120):
-        unit, out = np.zeros(120), np.empty((40, 3))
-        unit[k] = 1.0
-        system.jacobian_product(unit.reshape(-1, 3), out)
-        columns[:, k] = out.ravel()
+    units = np.eye(120).reshape(120, 40, 3)
+    columns = np.stack([product_of(system, unit).ravel() for unit in units], axis=1)
     largest = -np.linalg.eigvals(columns).real.min()
     assert largest <= bound <= 2.5 * largest
 
