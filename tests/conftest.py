@@ -11,6 +11,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import pytest
 from hypothesis import settings
 
+# Two workers begin at the first test, with kernels of mechanics, and at the one in the middle, with
+# those of fields, so that they seldom compile the same. No long test comes last.
+ROOMS = ("contact", "mechanics", "integrators", "biology", "comparison", "examples",
+         "nutrient", "tests", "results", "cli", "report", "scene")  # fmt: skip
+
 # the first example of a test may have to compile a kernel; the same examples every time,
 # so that a failure can be seen again
 settings.register_profile("multicell", deadline=None, derandomize=True)
@@ -30,6 +35,11 @@ def pytest_addoption(parser):
     )
 
 
+def pytest_collection_modifyitems(items):
+    order = {name: place for place, name in enumerate(ROOMS)}
+    items.sort(key=lambda item: order.get(item.path.parent.name, len(ROOMS)))
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_cmdline_main(config):
     # each worker begins with neighbouring tests, which share fixtures and kernels
@@ -39,13 +49,13 @@ def pytest_cmdline_main(config):
 
 @pytest.hookimpl(tryfirst=True, optionalhook=True)
 def pytest_xdist_auto_num_workers():
-    # beyond eight the longest test decides, and each compiles the kernels that it is first to need
+    # beyond eight the longest test decides
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return max(1, min(cores or 1, 8, _memory() // 2**30))
+    return max(1, min(cores or 1, 8, _memory() // (3 * 2**29)))
 
 
 def _memory():
-    """Return the memory of the machine in bytes; a worker takes up to one GB."""
+    """Return the memory of the machine in bytes; a worker takes up to 1.2 GB."""
     try:
         return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (AttributeError, ValueError, OSError):
