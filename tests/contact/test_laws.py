@@ -3,6 +3,7 @@
 from decimal import Decimal, getcontext
 
 import numpy as np
+import oracles
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
@@ -271,17 +272,15 @@ def test_contact_forms_at_zero_and_breaks_at_the_turning_point():
 
 
 @given(pairs, energies, st.floats(0.0, 5.0))
-def test_smoothing_off_is_the_plain_law_bit_for_bit(pair, sigma, h):
-    modulus, radius = pair
+def test_above_its_length_the_smoothed_force_is_the_plain_one_bit_for_bit(pair, sigma, h):
     law = JKR(surface_energy=sigma, smoothing=0.0)
-    a = modulus * np.sqrt(radius)
-    b = law.adhesion * np.sqrt(a * radius)
-    h = np.float64(h)
-    assert law.force(h, *pair) == np.asarray(a * h**1.5 - b * h**0.75)
-    assert law.energy(h, *pair) == np.asarray(0.4 * a * h**2.5 - (4.0 / 7.0) * b * h**1.75)
-    # above its length the smoothed force is the plain one, bit for bit too
     smoothed = JKR(surface_energy=sigma, smoothing=0.3)
     assert smoothed.force(0.3 + h, *pair) == law.force(0.3 + h, *pair)
+    # and without smoothing it is eq. 3.6
+    exact = oracles.pair(law, h, *pair)
+    for found, expected in zip((law.force(h, *pair), law.energy(h, *pair)), exact, strict=True):
+        stiff = pair[0] * np.sqrt(pair[1]) * h**1.5
+        assert found == CLOSE(float(expected), rel=1e-12, abs=1e-13 * stiff)
 
 
 @given(pairs, sticky, st.floats(0.01, 1.0))
