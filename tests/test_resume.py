@@ -42,7 +42,10 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("case", CASES)
+LONG = pytest.param("transient", marks=pytest.mark.slow)
+
+
+@pytest.mark.parametrize("case", [LONG if case == "transient" else case for case in CASES])
 def test_resumed_runs_have_the_bits_of_uninterrupted_ones(case, tmp_path):
     name, changes = CASES[case]
     scene = mc.load_scene(name).with_changes(changes)
