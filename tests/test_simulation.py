@@ -71,7 +71,7 @@ def test_same_seed_same_bits_for_any_number_of_threads(grown, monkeypatch):
 
 def test_another_seed_differs(grown):
     other = run(small(seed=2))
-    assert sorted(other.cells.radius) != sorted(grown.cells.radius)
+    assert sorted(other.cells.radius.tolist()) != sorted(grown.cells.radius.tolist())
 
 
 def test_every_cell_is_accounted_for(grown):

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from oracles import pair
+from formulas import pair
 from scipy.optimize import brentq
 
 import multicell as mc

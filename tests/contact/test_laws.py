@@ -2,13 +2,13 @@
 
 from decimal import Decimal, getcontext
 
+import formulas
 import numpy as np
-import oracles
 import pytest
+from formulas import cbmos_cubic, cbmos_linear, chaste_nodes
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from numba import njit
-from oracles import cbmos_cubic, cbmos_linear, chaste_nodes
 from scipy.integrate import quad
 from scipy.optimize import brentq, minimize_scalar
 from strategies import energies, moduli, poissons, radii
@@ -277,7 +277,7 @@ def test_above_its_length_the_smoothed_force_is_the_plain_one_bit_for_bit(pair, 
     smoothed = JKR(surface_energy=sigma, smoothing=0.3)
     assert smoothed.force(0.3 + h, *pair) == law.force(0.3 + h, *pair)
     # and without smoothing it is eq. 3.6
-    exact = oracles.pair(law, h, *pair)
+    exact = formulas.pair(law, h, *pair)
     for found, expected in zip((law.force(h, *pair), law.energy(h, *pair)), exact, strict=True):
         stiff = pair[0] * np.sqrt(pair[1]) * h**1.5
         assert found == CLOSE(float(expected), rel=1e-12, abs=1e-13 * stiff)

@@ -1,7 +1,7 @@
 """Every law against a formula of its own that shares no line with the package."""
 
+import formulas
 import numpy as np
-import oracles
 import pytest
 from scipy.integrate import quad
 
@@ -25,7 +25,7 @@ RI, RJ, EI, EJ = np.array([4.0, 3.1, 8.0]), np.array([6.5, 3.1, 2.0]), 0.8, 2.5
 
 
 def test_effective_constants_are_those_of_two_solids():
-    modulus, radius = oracles.reduced(EI, EJ, RI, RJ, 0.3)
+    modulus, radius = formulas.reduced(EI, EJ, RI, RJ, 0.3)
     np.testing.assert_allclose(effective_modulus(EI, 0.3, EJ, -0.3), modulus, rtol=1e-14)
     np.testing.assert_allclose(effective_radius(RI, RJ), radius, rtol=1e-14)
 
@@ -34,9 +34,9 @@ def test_effective_constants_are_those_of_two_solids():
 @pytest.mark.parametrize("name", LAWS)
 def test_force_and_energy(name, touching):
     law = LAWS[name]
-    modulus, radius = oracles.reduced(EI, EJ, RI, RJ)
+    modulus, radius = formulas.reduced(EI, EJ, RI, RJ)
     overlap = np.linspace(-3.6, 2.9, 161)[:, None]
-    force, energy = oracles.pair(law, overlap, modulus, radius, RI + RJ, touching=touching)
+    force, energy = formulas.pair(law, overlap, modulus, radius, RI + RJ, touching=touching)
     options = {"rest": RI + RJ, "touching": touching}
     got = law.force(overlap, modulus, radius, **options)
     # the slope of exact JKR has no bound where it breaks: digits of the overlap are lost there
@@ -50,13 +50,13 @@ def test_force_and_energy(name, touching):
 
 @pytest.mark.parametrize("name", LAWS)
 def test_the_second_energy_is_the_integral_of_the_second_force(name):
-    law, (modulus, radius) = LAWS[name], oracles.reduced(EI, EJ, 4.0, 6.5)
+    law, (modulus, radius) = LAWS[name], formulas.reduced(EI, EJ, 4.0, 6.5)
 
     def force(h):
-        return float(oracles.pair(law, h, modulus, radius, 10.5, touching=True)[0])
+        return float(formulas.pair(law, h, modulus, radius, 10.5, touching=True)[0])
 
     ends = np.array([0.3, 2.4])
-    energy = oracles.pair(law, ends, modulus, radius, 10.5, touching=True)[1]
+    energy = formulas.pair(law, ends, modulus, radius, 10.5, touching=True)[1]
     assert energy[1] - energy[0] == pytest.approx(
         quad(force, *ends, epsabs=1e-12, points=[0.6])[0], rel=1e-9
     )

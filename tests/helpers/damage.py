@@ -342,7 +342,7 @@ def _same_history(history, other):
 def _same_columns(one, other):
     assert set(one) == set(other)
     for name, column in one.items():
-        np.testing.assert_array_equal(column, other[name], err_msg=name, strict=True)
+        np.testing.assert_array_equal(column, other[name], err_msg=name)
 
 
 def _tables(folder, whole):

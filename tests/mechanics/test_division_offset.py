@@ -4,10 +4,10 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from formulas import pair, product_of, slope, velocity_of
+from formulas import reduced as pairwise
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from oracles import pair, product_of, slope, velocity_of
-from oracles import reduced as pairwise
 from scipy.integrate import solve_ivp
 from strategies import cluster, seeds
 

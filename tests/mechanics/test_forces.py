@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from formulas import Pairs, product_of, slope, velocity_of
 from hypothesis import given
 from hypothesis import strategies as st
-from oracles import Pairs, product_of, slope, velocity_of
 from scipy.spatial import cKDTree
 from strategies import cluster, seeds
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from formulas import Pairs, pair, product_of, reduced, slope, velocity_of
 from hypothesis import given
 from hypothesis import strategies as st
-from oracles import Pairs, pair, product_of, reduced, slope, velocity_of
 from scipy.spatial import cKDTree
 from strategies import cluster, laws, mechanics, radii, seeds
 

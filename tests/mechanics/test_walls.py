@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from oracles import end_of
+from formulas import end_of
 from strategies import cluster
 
 from multicell.contact.hertz import Hertz
