@@ -5,8 +5,8 @@ from pathlib import Path
 
 TESTS = Path(__file__).parent
 FILES = sorted(TESTS.rglob("*.py"))
-# functions of numpy.testing and pytest that say what must hold
-CHECKS = ("assert_", "raises", "warns")
+# functions of numpy.testing, pytest and multicell.testing that say what must hold
+CHECKS = ("assert_", "check_", "raises", "warns")
 
 
 def tree(path):
