@@ -1,6 +1,20 @@
 """Settings for all tests."""
 
+import os
+
+# before numba starts its threads: those of another worker wait without taking a core away from
+# this one, and no machine has too few or too many of them
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+os.environ.setdefault("NUMBA_NUM_THREADS", "2")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import pytest
 from hypothesis import settings
+
+# Two workers begin at the first test, with kernels of mechanics, and at the one in the middle, with
+# those of fields, so that they seldom compile the same. No long test comes last.
+ROOMS = ("contact", "mechanics", "integrators", "biology", "comparison", "examples",
+         "nutrient", "tests", "results", "cli", "report", "scene")  # fmt: skip
 
 # the first example of a test may have to compile a kernel; the same examples every time,
 # so that a failure can be seen again
@@ -19,3 +33,30 @@ def pytest_addoption(parser):
     group.addoption(
         "--coupling-steps", type=int, default=1000, help="of each run that must not leak"
     )
+
+
+def pytest_collection_modifyitems(items):
+    order = {name: place for place, name in enumerate(ROOMS)}
+    items.sort(key=lambda item: order.get(item.path.parent.name, len(ROOMS)))
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_cmdline_main(config):
+    # each worker begins with neighbouring tests, which share fixtures and kernels
+    if getattr(config.option, "numprocesses", None) and config.option.dist == "no":
+        config.option.dist = "worksteal"
+
+
+@pytest.hookimpl(tryfirst=True, optionalhook=True)
+def pytest_xdist_auto_num_workers():
+    # beyond eight the longest test decides
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return max(1, min(cores or 1, 8, _memory() // (3 * 2**29)))
+
+
+def _memory():
+    """Return the memory of the machine in bytes; a worker takes up to 1.2 GB."""
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):
+        return 8 * 2**30

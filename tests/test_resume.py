@@ -6,6 +6,7 @@ import h5py
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from stored import assert_same_bits, contents
 
 import multicell as mc
 from multicell.cli.main import main
@@ -43,23 +44,10 @@ CASES = {
 }
 
 
-def contents(folder):
-    """Return every dataset of a result file."""
-    found = {}
-    with h5py.File(folder / "frames.h5", "r") as file:
-        file.visititems(
-            lambda name, item: found.update({name: item[()]}) if hasattr(item, "shape") else None
-        )
-    return found
+LONG = pytest.param("transient", marks=pytest.mark.slow)
 
 
-def same(one, other):
-    assert set(one) == set(other)
-    for name in one:
-        np.testing.assert_array_equal(one[name], other[name], err_msg=name)
-
-
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", [LONG if case == "transient" else case for case in CASES])
 def test_resumed_runs_have_the_bits_of_uninterrupted_ones(case, tmp_path):
     name, changes = CASES[case]
     scene = mc.load_scene(name).with_changes(changes)
@@ -70,7 +58,7 @@ def test_resumed_runs_have_the_bits_of_uninterrupted_ones(case, tmp_path):
         result = mc.resume(
             tmp_path / "whole", k, output=again, report=False, threads=threads, overwrite=True
         )
-        same(contents(tmp_path / "whole"), contents(again))
+        assert_same_bits(tmp_path / "whole", again)
         one, other = whole.summary(), result.summary()
         for summary in (one, other):
             del summary["wall"], summary["threads"]
@@ -91,7 +79,7 @@ def test_a_run_goes_on_in_its_own_folder_after_an_interruption(tmp_path):
     # the frame written at the interruption is not one of the whole run
     result = mc.resume(tmp_path / "part", -2, report=False)
     assert "interrupted" not in result.summary()
-    same(contents(tmp_path / "whole"), contents(tmp_path / "part"))
+    assert_same_bits(tmp_path / "whole", tmp_path / "part")
     assert not list((tmp_path / "part").glob("*.part"))
 
 
@@ -126,7 +114,7 @@ def test_what_cannot_be_resumed_is_refused_with_words(tmp_path):
         mc.resume(folder, 0)
     with h5py.File(folder / "frames.h5", "r+") as file:
         file.attrs["format"] = 3
-    same(before, contents(folder))
+    assert contents(folder) == before
 
 
 def test_the_command_resumes(tmp_path):

@@ -120,7 +120,8 @@ def test_quiet_prints_nothing(tmp_path):
 
 def test_existing_folder_is_refused_and_overwritten_on_request(folder, tmp_path):
     out = tmp_path / "o"
-    arguments = ["run", "settle", "-o", out, "--no-report", "--set", "duration=1 min"]
+    arguments = ["run", "settle", "-o", out, "--no-report", "--set", "duration=1 min",
+                 "--set", "initial.count=5"]  # fmt: skip
     multicell(*arguments, check=0)
     (out / "mine.txt").write_text("keep")
     refused = multicell(*arguments, check=2)

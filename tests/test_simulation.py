@@ -1,9 +1,7 @@
 """The coupling loop: order of events, bits, ledgers, optional parts, failures."""
 
-import os
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -74,27 +72,6 @@ def test_same_seed_same_bits_for_any_number_of_threads(grown, monkeypatch):
     again = run(small())
     for name, column in state_of(grown).items():
         assert np.array_equal(column, state_of(again)[name]), name
-
-
-def test_compiled_now_or_read_from_the_disk_cache_the_bits_are_the_same(tmp_path):
-    """Two processes: the first compiles all kernels, the second finds them in numba's cache."""
-    program = (
-        "import hashlib, multicell as mc, test_simulation as t\n"
-        "s = t.run(t.small(duration='2 h'))\n"
-        "state = b''.join(column.tobytes() for column in t.state_of(s).values())\n"
-        "print(hashlib.sha256(state).hexdigest())"
-    )
-    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
-    digests = [
-        subprocess.run(
-            [sys.executable, "-c", program],
-            capture_output=True, text=True, check=True, env=environment,
-            cwd=Path(__file__).parent,
-        ).stdout
-        for _ in range(2)
-    ]  # fmt: skip
-    assert len(digests[0]) == 65
-    assert digests[0] == digests[1]
 
 
 def test_another_seed_differs(grown):

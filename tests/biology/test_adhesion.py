@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from formulas import pair
 from scipy.optimize import brentq
 
 import multicell as mc
@@ -126,7 +127,7 @@ def test_approach_and_retreat_trace_the_two_branches(step):
     approach = np.arange(20.0 + 1.5 * gap, 17.0, -step)
     there = quasi_static(law, approach)
     overlap = 20.0 - approach
-    branch = law.force(overlap, modulus, radius, touching=True)
+    branch, _ = pair(law, overlap, modulus, radius, touching=True)
     np.testing.assert_allclose(there, np.where(overlap >= 0, branch, 0.0), atol=1e-12)
     path = np.concatenate([approach, approach[::-1]])
     back = quasi_static(law, path)[len(approach) :][::-1]
@@ -161,7 +162,7 @@ def test_hysteresis_does_not_depend_on_integrator_or_step(method, step):
         touching = system.contacts(begin + step, position)
         overlap = 20.0 - np.linalg.norm(position[1] - position[0])
         static = brentq(
-            lambda h, load=load: float(law.force(h, modulus, radius, touching=True)) + load,
+            lambda h, load=load: float(pair(law, h, modulus, radius, touching=True)[0]) + load,
             float(law.pull_off_overlap(modulus, radius)), rest + 1e-9,
         )  # fmt: skip
         assert overlap == pytest.approx(static, abs=2e-3)

@@ -2,8 +2,10 @@
 
 from decimal import Decimal, getcontext
 
+import formulas
 import numpy as np
 import pytest
+from formulas import cbmos_cubic, cbmos_linear, chaste_nodes
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.integrate import quad
@@ -253,19 +255,15 @@ def test_contact_forms_at_zero_and_breaks_at_the_turning_point():
 
 
 @given(pairs, energies, st.floats(0.0, 5.0))
-def test_smoothing_off_is_the_plain_law(pair, sigma, h):
-    modulus, radius = pair
+def test_above_its_length_the_smoothed_force_is_the_plain_one_bit_for_bit(pair, sigma, h):
     law = JKR(surface_energy=sigma, smoothing=0.0)
-    a = modulus * np.sqrt(radius)
-    b = law.adhesion * np.sqrt(a * radius)
-    h = np.float64(h)
-    parts = a * h**1.5, b * h**0.75
-    assert law.force(h, *pair) == pytest.approx(parts[0] - parts[1], abs=1e-14 * sum(parts))
-    parts = 0.4 * a * h**2.5, (4.0 / 7.0) * b * h**1.75
-    assert law.energy(h, *pair) == pytest.approx(parts[0] - parts[1], abs=1e-14 * sum(parts))
-    # above its length the smoothed force is the plain one, bit for bit too
     smoothed = JKR(surface_energy=sigma, smoothing=0.3)
     assert smoothed.force(0.3 + h, *pair) == law.force(0.3 + h, *pair)
+    # and without smoothing it is eq. 3.6
+    exact = formulas.pair(law, h, *pair)
+    for found, expected in zip((law.force(h, *pair), law.energy(h, *pair)), exact, strict=True):
+        stiff = pair[0] * np.sqrt(pair[1]) * h**1.5
+        assert found == CLOSE(float(expected), rel=1e-12, abs=1e-13 * stiff)
 
 
 @given(pairs, sticky, st.floats(0.01, 1.0))
@@ -330,19 +328,6 @@ def test_a_smoothing_that_is_no_length_is_refused(value):
 
 
 # springs
-
-
-def cbmos_linear(r, mu=1.0, s=1.0, rA=1.5):
-    return np.where(r < rA, mu * (r - s), 0.0)
-
-
-def cbmos_cubic(r, mu=50.0, s=1.0, rA=1.5):
-    return np.where(r < rA, mu * (r - rA) ** 2 * (r - s), 0.0)
-
-
-def chaste_nodes(r, mu=15.0, s=1.0, rA=1.5, alpha=5.0):
-    apart = mu * (r - s) * np.exp(-alpha * (r - s) / s)
-    return np.where(r < rA, np.where(r <= s, mu * s * np.log(r / s), apart), 0.0)
 
 
 @pytest.mark.parametrize(

@@ -82,6 +82,7 @@ def test_euler_is_of_first_order_on_two_cells() -> None:
     assert order == pytest.approx(1.0, abs=0.15)
 
 
+@pytest.mark.slow
 def test_small_spheroid_is_limited_by_oxygen(tmp_path: Path) -> None:
     summary = load("small_spheroid").main(tmp_path / "out")
     states = summary["states"]

@@ -42,7 +42,7 @@ METHOD_CASES = {name: ("settle", {**TISSUE, "integrator": name}) for name in MET
 GROUPS = {
     "methods": METHOD_CASES,
     "physics": PHYSICS,
-    "few": {key: PHYSICS[key] for key in ("exact JKR", "slack", "fields")}
+    "few": {key: PHYSICS[key] for key in ("exact JKR", "slack", "fields", "death")}
     | {key: METHOD_CASES[key] for key in ("cvode", "dopri5")},
 }
 

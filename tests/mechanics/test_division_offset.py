@@ -4,6 +4,8 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from formulas import pair, product_of, slope, velocity_of
+from formulas import reduced as pairwise
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
@@ -13,7 +15,7 @@ from multicell import JKR, Hertz, load_scene
 from multicell.comparison import cache as archive
 from multicell.comparison.replay import Problem, Step, Trajectory, replay
 from multicell.contact.exact_jkr import ExactJKR
-from multicell.contact.law import effective_modulus, effective_radius
+from multicell.contact.law import effective_modulus
 from multicell.contact.springs import Cubic, GeneralisedLinear, Linear
 from multicell.integrators.cvode import Cvode
 from multicell.integrators.registry import METHODS, make
@@ -68,9 +70,8 @@ def felt(system, time, position):
     distance = np.linalg.norm(vector, axis=1)
     offset = np.maximum(motion.offset[:, 0] + motion.offset[:, 1] * time, 0.0)
     overlap = radius[i] + radius[j] - distance
-    young = effective_modulus(motion.young[i], 0.5, motion.young[j], 0.5)
-    reduced = effective_radius(radius[i], radius[j])
-    return overlap, offset, vector / distance[:, None], young, reduced, radius[i] + radius[j]
+    constants = pairwise(motion.young[i], motion.young[j], radius[i], radius[j])
+    return overlap, offset, vector / distance[:, None], *constants, radius[i] + radius[j]
 
 
 @pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
@@ -84,18 +85,16 @@ def test_law_of_a_pair_sees_the_overlap_beyond_its_offset(law, time):
     _, without = population(400, 2, law, offset=False, chunk=64)
     i, j = system.motion.offset_pairs.T
     overlap, offset, normal, young, reduced, rest = felt(system, time, position)
-    options = {"rest": rest, "touching": True}
-    change = law.force(overlap - offset, young, reduced, **options)
-    change = change - law.force(overlap, young, reduced, **options)
+    beyond = pair(law, overlap - offset, young, reduced, rest, touching=True)
+    whole = pair(law, overlap, young, reduced, rest, touching=True)
+    change = beyond[0] - whole[0]
     expected = without.force(time, position)
     np.subtract.at(expected, i, change[:, None] * normal)
     np.add.at(expected, j, change[:, None] * normal)
     found = system.force(time, position)
     np.testing.assert_allclose(found, expected, atol=1e-11 * np.abs(expected).max())
     gained = system.energy(time, position) - without.energy(time, position)
-    energy = law.energy(overlap - offset, young, reduced, **options)
-    energy = energy - law.energy(overlap, young, reduced, **options)
-    assert gained == pytest.approx(energy.sum(), rel=1e-9)
+    assert gained == pytest.approx((beyond[1] - whole[1]).sum(), rel=1e-9)
 
 
 @given(seeds, SMOOTH, st.integers(2, 40), st.booleans(), st.booleans(), st.floats(0.0, 100.0))
@@ -127,12 +126,10 @@ def _smooth_state(n, seed, law, time, **options):
 def test_force_is_minus_the_gradient_of_the_energy(seed, law, n, receptors, time):
     position, system = _smooth_state(n, seed, law, time, receptors=receptors)
     direction = np.random.default_rng(seed).normal(size=position.shape)
-    step = 1e-5
-    slope = system.energy(time, position + step * direction)
-    slope = (slope - system.energy(time, position - step * direction)) / (2 * step)
+    rise = slope(lambda x: system.energy(time, x), position, direction, 1e-5)
     force = system.force(time, position)
     scale = np.abs(force * direction).sum() + 1e-9
-    assert slope == pytest.approx(-(force * direction).sum(), abs=2e-6 * scale)
+    assert rise == pytest.approx(-(force * direction).sum(), abs=2e-6 * scale)
 
 
 @given(seeds, SMOOTH, st.integers(2, 15), st.booleans(), st.sampled_from([0.0, 40.0]))
@@ -140,15 +137,9 @@ def test_jacobian_product_is_the_directional_derivative(seed, law, n, receptors,
     position, system = _smooth_state(n, seed, law, time, receptors=receptors)
     direction = np.random.default_rng(seed).normal(size=position.shape)
     system.linearise(time, position)
-    product = np.empty_like(position)
-    system.jacobian_product(direction, product)
-    matrix = sparse_jacobian(system)
-    step = 1e-6
-    ends = [np.empty_like(position), np.empty_like(position)]
-    for sign, end in zip((1, -1), ends, strict=True):
-        system.velocity(time, position + sign * step * direction, end)
-    slope = (ends[0] - ends[1]) / (2 * step)
-    np.testing.assert_allclose(product, slope, atol=1e-6 * np.abs(slope).max() + 1e-10)
+    product, matrix = product_of(system, direction), sparse_jacobian(system)
+    expected = slope(velocity_of(system, time), position, direction, 1e-6)
+    np.testing.assert_allclose(product, expected, atol=1e-6 * np.abs(expected).max() + 1e-10)
     np.testing.assert_allclose(
         (matrix @ direction.ravel()).reshape(-1, 3), product, atol=1e-12 * np.abs(product).max()
     )
@@ -209,9 +200,8 @@ def test_contacts_and_pressure_are_those_of_the_overlap_felt(law):
     after = {tuple(pair) for pair in system.contacts(0.0, position)}
     assert before - after == {tuple(pair) for pair in parted}
     # both cells of a pair take half of F d: the sum of the virials tells the change of all
-    options = {"rest": rest, "touching": True}
-    change = law.force(overlap - offset, young, reduced, **options)
-    change = change - law.force(overlap, young, reduced, **options)
+    change = pair(law, overlap - offset, young, reduced, rest, touching=True)[0]
+    change = change - pair(law, overlap, young, reduced, rest, touching=True)[0]
     volume = 4.0 / 3.0 * np.pi * system.motion.radius**3
     gained = system.pressure(0.0, position) - without.pressure(0.0, position)
     expected = (change * (rest - overlap)).sum() / 3.0
@@ -294,7 +284,7 @@ def test_distance_of_sisters_against_scipy():
 
     def rhs(t, d):
         overlap = 8.0 - d - offset * (1.0 - t / phase)
-        return 2.0 * law.force(overlap, modulus, 2.0) / (system.drag * 4.0)
+        return 2.0 * pair(law, overlap, modulus, 2.0)[0] / (system.drag * 4.0)
 
     begin = np.linalg.norm(position[1] - position[0])
     expected = solve_ivp(rhs, (0.0, phase), [begin], "DOP853", rtol=1e-11, atol=1e-11).y[0, -1]

@@ -2,38 +2,15 @@
 
 import numpy as np
 import pytest
+from formulas import Pairs, pair, product_of, reduced, slope, velocity_of
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 from strategies import cluster, laws, mechanics, radii, seeds
 
 from multicell import JKR, Hertz
-from multicell.contact.law import effective_modulus, effective_radius
 from multicell.mechanics import neighbours
 from multicell.mechanics.system import StateRejected
-
-
-def velocity(system, position, time=0.0):
-    out = np.empty_like(position)
-    system.velocity(time, position, out)
-    return out
-
-
-def reference_forces(position, radius, young, law):
-    """Sum the vectorised law over the pairs of a k-d tree."""
-    pairs = cKDTree(position).query_pairs(2 * radius.max(), output_type="ndarray")
-    i, j = pairs.T
-    vector = position[j] - position[i]
-    distance = np.linalg.norm(vector, axis=1)
-    force = law.force(
-        radius[i] + radius[j] - distance,
-        effective_modulus(young[i], 0.5, young[j], 0.5),
-        effective_radius(radius[i], radius[j]),
-    )
-    total = np.zeros_like(position)
-    np.add.at(total, i, -(force / distance)[:, None] * vector)
-    np.add.at(total, j, (force / distance)[:, None] * vector)
-    return total
 
 
 @pytest.mark.parametrize("law", [Hertz(), JKR(surface_energy=0.1)])
@@ -41,7 +18,7 @@ def reference_forces(position, radius, young, law):
 def test_forces_are_sums_of_the_pair_law(law, n):
     position, radius, young = cluster(n, 1)
     found = mechanics(radius, young, law).force(0.0, position)
-    expected = reference_forces(position, radius, young, law)
+    expected = Pairs(position, radius, young, law).forces()
     np.testing.assert_allclose(found, expected, atol=1e-12 * np.abs(expected).max())
 
 
@@ -58,14 +35,10 @@ def test_force_is_minus_the_gradient_of_the_energy(seed, law, n):
     position, radius, young = _away_from_first_contact(n, seed)
     system = mechanics(radius, young, law)
     direction = np.random.default_rng(seed).normal(size=position.shape)
-    step = 1e-5
-    slope = (
-        system.energy(0.0, position + step * direction)
-        - system.energy(0.0, position - step * direction)
-    ) / (2 * step)
+    rise = slope(lambda x: system.energy(0.0, x), position, direction, 1e-5)
     force = system.force(0.0, position)
     scale = np.abs(force * direction).sum() + 1e-9
-    assert slope == pytest.approx(-(force * direction).sum(), abs=1e-6 * scale)
+    assert rise == pytest.approx(-(force * direction).sum(), abs=1e-6 * scale)
 
 
 @given(seeds, laws, st.integers(2, 25))
@@ -74,14 +47,10 @@ def test_jacobian_product_is_the_directional_derivative(seed, law, n):
     system = mechanics(radius, young, law)
     direction = np.random.default_rng(seed).normal(size=position.shape)
     system.linearise(0.0, position)
-    product = np.empty_like(position)
-    system.jacobian_product(direction, product)
-    step = 2e-6
-    slope = (
-        velocity(system, position + step * direction)
-        - velocity(system, position - step * direction)
-    ) / (2 * step)
-    np.testing.assert_allclose(product, slope, atol=1e-6 * np.abs(slope).max() + 1e-12)
+    expected = slope(velocity_of(system), position, direction, 2e-6)
+    np.testing.assert_allclose(
+        product_of(system, direction), expected, atol=1e-6 * np.abs(expected).max() + 1e-12
+    )
 
 
 def _away_from_first_contact(n, seed):
@@ -100,9 +69,9 @@ def test_velocity_is_force_over_stokes_drag_of_the_growing_radius():
     rate = np.linspace(0.0, 2e-3, 60)
     growing = mechanics(radius, young, rate=rate, duration=100.0)
     later = mechanics(radius + 40.0 * rate, young)
-    found = velocity(growing, position, 40.0)
+    found = velocity_of(growing, 40.0)(position)
     drag = 6 * np.pi * 5.0 * (radius + 40.0 * rate)
-    np.testing.assert_allclose(found, velocity(later, position), rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(found, velocity_of(later)(position), rtol=1e-9, atol=1e-15)
     np.testing.assert_allclose(found, later.force(0.0, position) / drag[:, None], rtol=1e-9)
 
 
@@ -113,11 +82,9 @@ def test_threads_do_not_change_a_bit():
     for threads in (1, 2):
         system = mechanics(radius, young, threads=threads, chunk=256)
         assert system._shared(neighbours.build(position, radius, 0.5, chunk=256)) == (threads > 1)
-        product = np.empty_like(position)
-        v = velocity(system, position)
+        v = velocity_of(system)(position)
         system.linearise(0.0, position)
-        system.jacobian_product(vector, product)
-        results.append((v, product))
+        results.append((v, product_of(system, vector)))
     assert np.array_equal(results[0][0], results[1][0])
     assert np.array_equal(results[0][1], results[1][1])
 
@@ -131,7 +98,7 @@ def test_list_survives_motion_within_its_skin_and_is_rebuilt_beyond():
         fresh = mechanics(radius, young)
         # the order of the pairs, and with it the last bits, may differ
         np.testing.assert_allclose(
-            velocity(system, moved), velocity(fresh, moved), rtol=1e-9, atol=1e-12
+            velocity_of(system)(moved), velocity_of(fresh)(moved), rtol=1e-9, atol=1e-12
         )
     assert 2 <= system.work.list_builds <= 4
 
@@ -140,10 +107,10 @@ def test_list_survives_motion_within_its_skin_and_is_rebuilt_beyond():
 def test_a_position_that_is_no_number_is_rejected(bad):
     position, radius, young = cluster(10, 0)
     system = mechanics(radius, young)
-    velocity(system, position)
+    velocity_of(system)(position)
     position[3, 1] = bad
     with pytest.raises(StateRejected, match="not a number"):
-        velocity(system, position)
+        velocity_of(system)(position)
 
 
 def test_coincident_and_far_cells_give_finite_forces():
@@ -152,7 +119,7 @@ def test_coincident_and_far_cells_give_finite_forces():
     position[2] = [1e15, -1e15, 1e15]
     position[3] = [1e300, 0, 0]
     system = mechanics(radius, young)
-    assert np.isfinite(velocity(system, position)).all()
+    assert np.isfinite(velocity_of(system)(position)).all()
     assert np.isfinite(system.energy(0.0, position))
     assert np.isfinite(system.pressure(0.0, position)).all()
     assert np.isfinite(system.stiffness_bound(0.0, position))
@@ -163,7 +130,7 @@ def test_pressure_of_a_pair_is_its_virial(r, fraction):
     law, distance = JKR(surface_energy=0.1), 2 * r * (1 - fraction / 2)
     system = mechanics(np.array([r, r]), np.array([1.0, 1.0]), law)
     position = np.array([[0.0, 0, 0], [0, distance, 0]])
-    force = law.force(2 * r - distance, effective_modulus(1, 0.5, 1, 0.5), r / 2)
+    force, _ = pair(law, 2 * r - distance, *reduced(1.0, 1.0, r, r))
     expected = force * distance / 2 / (3 * 4 / 3 * np.pi * r**3)
     np.testing.assert_allclose(system.pressure(0.0, position), expected, rtol=1e-10)
 
@@ -173,12 +140,8 @@ def test_stiffness_bound_encloses_the_decay_rates(law):
     position, radius, young = cluster(40, 8)
     system = mechanics(radius, young, law)
     bound = system.stiffness_bound(0.0, position)
-    columns = np.empty((120, 120))
-    for k in range(120):
-        unit, out = np.zeros(120), np.empty((40, 3))
-        unit[k] = 1.0
-        system.jacobian_product(unit.reshape(-1, 3), out)
-        columns[:, k] = out.ravel()
+    units = np.eye(120).reshape(120, 40, 3)
+    columns = np.stack([product_of(system, unit).ravel() for unit in units], axis=1)
     largest = -np.linalg.eigvals(columns).real.min()
     assert largest <= bound <= 2.5 * largest
 
@@ -192,17 +155,14 @@ def test_preconditioner_solves_the_block_diagonal_system():
     vector = np.random.default_rng(0).normal(size=position.shape)
     found = np.empty_like(vector)
     system.precondition(vector, found)
-    pairs = neighbours.neighbour_pairs(position, 2 * radius.max())
+    pairs = cKDTree(position).query_pairs(2 * radius.max(), output_type="ndarray")
     for cell in range(30):
         block = np.eye(3)
         for i, j in pairs[(pairs == cell).any(axis=1)]:
             n = position[j] - position[i]
             d = np.linalg.norm(n)
-            k = Hertz().stiffness(
-                radius[i] + radius[j] - d,
-                effective_modulus(young[i], 0.5, young[j], 0.5),
-                effective_radius(radius[i], radius[j]),
-            )
+            modulus, size = reduced(young[i], young[j], radius[i], radius[j])
+            k = 1.5 * modulus * np.sqrt(size * max(radius[i] + radius[j] - d, 0.0))
             block += gamma * k / (6 * np.pi * 5 * radius[cell]) * np.outer(n, n) / d**2
         np.testing.assert_allclose(block @ found[cell], vector[cell], rtol=1e-9, atol=1e-12)
 

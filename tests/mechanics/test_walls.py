@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+from formulas import end_of
 from strategies import cluster
 
 from multicell.contact.hertz import Hertz
@@ -205,25 +205,10 @@ def test_a_cell_under_a_constant_force_rests_at_the_closed_form(method):
 def reference(system, position, duration):
     """Integrate with SciPy a right-hand side of the test's own, without any neighbour list."""
     motion = system.motion
-    n = len(motion.radius)
-    i, j = np.triu_indices(n, 1)
-    soft = 0.75 * 0.75 / motion.young
-
-    def velocity(t, y):
-        x = y.reshape(-1, 3)
-        radius = motion.radius + motion.radius_rate * t
-        away = x[j] - x[i]
-        d = np.linalg.norm(away, axis=1)
-        h = np.maximum(radius[i] + radius[j] - d, 0.0)
-        r = radius[i] * radius[j] / (radius[i] + radius[j])
-        f = (np.sqrt(r) * h**1.5 / (soft[i] + soft[j]) / d)[:, None] * away
-        force = wall_force(x, radius, motion.young)
-        np.add.at(force, i, -f)
-        np.add.at(force, j, f)
-        return (force / (6 * np.pi * 5.0 * radius[:, None])).ravel()
-
-    found = solve_ivp(velocity, (0.0, duration), position.ravel(), "DOP853", rtol=1e-11, atol=1e-10)
-    return found.y[:, -1].reshape(-1, 3)
+    return end_of(
+        position, motion.radius, motion.young, Hertz(), duration, rate=motion.radius_rate,
+        outer=lambda x, radius: wall_force(x, radius, motion.young),
+    )  # fmt: skip
 
 
 @pytest.fixture(scope="module")

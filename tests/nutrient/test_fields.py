@@ -305,7 +305,7 @@ def test_scales_and_choices():
         ),
         (
             {"nutrients.glucose.uptake_on": {"oxygen": {"effect": 1, "half": 1}}},
-            None, "depends on itself",
+            "nutrients.glucose", "depends on itself",
         ),
         (
             {"nutrients.oxygen.media": [["2 h", 0.1], ["1 h", 0.2]]},
@@ -352,5 +352,5 @@ def test_scales_and_choices():
 def test_wrong_input_is_named(changes, path, words):
     with pytest.raises(SceneError) as caught:
         scene().with_changes(changes)
-    assert path is None or caught.value.path == path
+    assert caught.value.path == path
     assert words in str(caught.value)

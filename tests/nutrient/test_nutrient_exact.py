@@ -45,7 +45,9 @@ def test_stencil_and_flows_agree_with_pde_for_all_kinds_of_sides(dimensions, fir
     stencil.apply_operator(
         c, np.zeros_like(c), operator.stiffness, operator.ghost, operator.weights, out
     )
-    laplace = ScalarField(grid, c.reshape(shape)).laplace(sides).data.reshape(c.shape)
+    # its other backend compiles for every shape and kind of side
+    field = ScalarField(grid, c.reshape(shape))
+    laplace = field.laplace(sides, backend="scipy").data.reshape(c.shape)
     np.testing.assert_allclose(operator.source - out, D * laplace, rtol=0, atol=1e-11)
     total = float(operator.divergence(c).sum()) * operator.volume
     assert operator.inflow(c) == pytest.approx(total, rel=1e-11, abs=1e-9)

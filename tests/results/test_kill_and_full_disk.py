@@ -8,10 +8,10 @@ import os
 import random
 import subprocess
 
-import h5py
 import numpy as np
 import pytest
 from forks import Forks
+from stored import assert_same_bits
 
 import multicell as mc
 from multicell.results.reader import Contents
@@ -29,18 +29,6 @@ CHANGES = {
     "output.every": "30 min",
 }
 SETTINGS = [part for key, value in CHANGES.items() for part in ("--set", f"{key}={value}")]
-
-
-def contents(folder):
-    """Return the bytes of all data sets of a result file."""
-    found = {}
-    with h5py.File(folder / "frames.h5", "r") as file:
-        file.visititems(
-            lambda name, item: (
-                found.update({name: item[()].tobytes()}) if isinstance(item, h5py.Dataset) else None
-            )
-        )
-    return found
 
 
 def summary(folder):
@@ -105,7 +93,7 @@ def finish(forks, folder, whole):
         assert done["code"] == 0, done["text"]
         assert (folder / "report.html").is_file()
         assert not list(folder.glob("*.part"))
-    assert contents(folder) == contents(whole)
+    assert_same_bits(folder, whole)
     assert summary(folder) == summary(whole)
     assert not {entry.name for entry in folder.iterdir()} & {"frames.journal", "scene.toml.next"}
 

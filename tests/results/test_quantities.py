@@ -117,7 +117,8 @@ def test_the_scenes_have_all_that_is_declared():
     for entries in SCENES.values():
         result = mc.run(mc.Scene.from_dict(entries))
         given |= set(result.history) | {name for name, _ in leaves(result.summary())}
-    given |= {"heterotypic_fraction"}
+    # of scenes with types, and of commands
+    given |= {"heterotypic_fraction", "wall.startup"}
     for declared in UNITS:
         if declared.startswith(("cells.", "contacts.", "lineage.", "integrator.steps_")):
             continue

@@ -57,6 +57,7 @@ def test_small_scenes_run_to_finite_numbers_or_fail_by_name(request):
     assert counts["ran"] / counts.total() > 0.6, "the search runs too little"
 
 
+@pytest.mark.slow
 def test_every_declared_key_is_drawn():
     """A key of a new kind needs a way to be drawn: ``Parameter.kind``, or ``examples``."""
     seen = set()
@@ -250,7 +251,9 @@ def test_more_frames_than_coupling_steps_are_not_promised():
     ],
 )
 def test_explain_finds_rest_where_the_law_is_at_its_end(entries):
-    explained(Scene.from_dict({"duration": 3600.0, **entries}))
+    scene = Scene.from_dict({"duration": 3600.0, **entries})
+    (rest,) = [n for n in explained(scene)["numbers"] if "equilibrium distance" in n["name"]]
+    assert rest["value"] == pytest.approx(2.0 * scene.cells.division_radius * 0.5 ** (1 / 3))
 
 
 def test_explain_tells_that_the_first_step_cannot_be_taken():

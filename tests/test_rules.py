@@ -1,0 +1,85 @@
+"""What every test must keep to, and every file must, read from their source."""
+
+import ast
+from pathlib import Path
+
+TESTS = Path(__file__).parent
+FILES = sorted(TESTS.rglob("*.py"))
+# functions of numpy.testing, pytest and multicell.testing that say what must hold
+CHECKS = ("assert_", "check_", "raises", "warns")
+
+
+def tree(path):
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+def functions(node):
+    return [item for item in ast.walk(node) if isinstance(item, ast.FunctionDef)]
+
+
+def called(node):
+    """Return the last names of all that a function calls."""
+    calls = [item.func for item in ast.walk(node) if isinstance(item, ast.Call)]
+    return {call.attr if isinstance(call, ast.Attribute) else getattr(call, "id", "")
+            for call in calls}  # fmt: skip
+
+
+def checking(functions):
+    """Return the names of the functions that check something, or call one that does."""
+    said = {
+        function.name
+        for function in functions
+        if any(isinstance(item, ast.Assert | ast.Raise) for item in ast.walk(function))
+        or any(name.startswith(CHECKS) for name in called(function))
+    }
+    while more := {f.name for f in functions if f.name not in said and called(f) & said}:
+        said |= more
+    return said
+
+
+def unchecked(path, shared=frozenset()):
+    """Return the tests of a file that assert nothing, by themselves or by a helper."""
+    found = functions(tree(path))
+    known = checking(found) | shared
+    tests = [item for item in found if item.name.startswith("test_")]
+    return [test.name for test in tests if test.name not in known and not called(test) & known]
+
+
+def alternatives(path):
+    """Return the lines of assertions that hold if either of two things does."""
+    return [
+        item.lineno
+        for item in ast.walk(tree(path))
+        if isinstance(item, ast.Assert)
+        and isinstance(item.test, ast.BoolOp)
+        and isinstance(item.test.op, ast.Or)
+    ]
+
+
+def broken(rule):
+    """Return what breaks a rule, by file."""
+    return {str(path.relative_to(TESTS)): found for path in FILES if (found := rule(path))}
+
+
+def test_every_test_asserts():
+    helpers = (TESTS / "helpers").glob("*.py")
+    shared = {name for path in helpers for name in checking(functions(tree(path)))}
+    assert broken(lambda path: unchecked(path, shared)) == {}
+
+
+def test_no_assertion_is_joined_by_or():
+    assert broken(alternatives) == {}
+
+
+def test_names_of_test_files_are_given_once():
+    """Files without packages are modules by their names alone."""
+    names = [path.name for path in FILES]
+    assert len(names) == len(set(names))
+
+
+def test_the_rules_see_what_breaks_them(tmp_path):
+    file = tmp_path / "test_bad.py"
+    bad = ["def help(x): assert x", "def test_a(): help(1)", "def test_b(): print(1)"]
+    file.write_text("\n".join([*bad, "def test_c(): assert 1 or 2"]))
+    assert unchecked(file) == ["test_b"]
+    assert alternatives(file) == [4]
