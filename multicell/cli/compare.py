@@ -12,6 +12,7 @@ from multicell.cli.options import (
     as_json_option,
     changes_option,
     console,
+    law_option,
     output_option,
     overwrite_option,
     quiet_option,
@@ -50,6 +51,7 @@ def _comparing(command: Callable[..., None]) -> Callable[..., None]:
     options = (
         click.argument("scene"),
         output_option("Folder for the results; it must be empty or new."),
+        law_option,
         changes_option,
         click.option(
             "--methods",
@@ -90,6 +92,7 @@ def _comparing(command: Callable[..., None]) -> Callable[..., None]:
 @_seconds("--budget", "Time for all methods together in s.")
 def compare(
     scene: str,
+    law: str | None,
     changes: Sequence[str],
     stepwise: int | None,
     quiet: bool,
@@ -102,7 +105,7 @@ def compare(
     its own uncertainty is part of the chart. Trajectories of a growing or driven population part
     whatever the method: compare those with --stepwise.
     """
-    described = scene_of(scene, changes)
+    described = scene_of(scene, changes, law)
     from multicell import comparison
 
     result = comparison.compare(
@@ -116,6 +119,7 @@ def compare(
 @click.option("--no-sweeps", is_flag=True, help="Only the scene as it is.")
 def stability(
     scene: str,
+    law: str | None,
     changes: Sequence[str],
     no_sweeps: bool,
     quiet: bool,
@@ -126,7 +130,7 @@ def stability(
 
     Parameters of the scene are swept one at a time; limits stand beside theory.
     """
-    described = scene_of(scene, changes)
+    described = scene_of(scene, changes, law)
     from multicell import comparison
 
     sweeps: dict[str, list[float]] | None = {} if no_sweeps else None

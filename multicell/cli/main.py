@@ -21,6 +21,8 @@ from multicell.cli.options import (
     changes_option,
     console,
     integrator_option,
+    law_option,
+    name_law,
     no_report_option,
     output_option,
     overwrite_option,
@@ -79,13 +81,14 @@ def schema() -> None:
 
 @main.command()
 @click.argument("scene")
+@law_option
 @changes_option
 @as_json_option
-def explain(scene: str, changes: Sequence[str], as_json: bool) -> None:
+def explain(scene: str, law: str | None, changes: Sequence[str], as_json: bool) -> None:
     """Tell what a SCENE uses and why, without running it."""
     from multicell.report.explain.scene import explain as explained
 
-    facts = explained(scene_of(scene, changes))
+    facts = explained(scene_of(scene, changes, law))
     if as_json:
         print_json({"scene": scene, **facts})
     else:
@@ -95,6 +98,7 @@ def explain(scene: str, changes: Sequence[str], as_json: bool) -> None:
 def _simulating(command: Callable[..., None]) -> Callable[..., None]:
     """Add what ``run`` and ``resume`` take."""
     options = (
+        law_option,
         changes_option,
         integrator_option,
         overwrite_option("Replace the results of an earlier run."),
@@ -115,12 +119,13 @@ def _simulating(command: Callable[..., None]) -> Callable[..., None]:
 def run(
     scene: str,
     output: Path,
+    law: str | None,
     changes: Sequence[str],
     integrator: str | None,
     **options: Any,
 ) -> None:
     """Run a SCENE and write frames, summary, pictures and a report to a folder."""
-    described = scene_of(scene, changes)
+    described = scene_of(scene, changes, law)
     # loaded after the scene was accepted: bad input is answered at once
     from multicell.runner import integrated_by
     from multicell.runner import run as simulated
@@ -139,6 +144,7 @@ def resume(
     folder: Path,
     frame: int,
     output: Path | None,
+    law: str | None,
     changes: Sequence[str],
     integrator: str | None,
     **options: Any,
@@ -149,6 +155,8 @@ def resume(
     may change what can change while a run goes on: duration, stop_cells, output and the medium.
     """
     parsed = parse_changes(changes)
+    if law is not None:
+        name_law(law)
     from multicell.runner import resume as resumed
     from multicell.scene.scene import load_scene
 
@@ -166,17 +174,21 @@ def resume(
     help="Which tables, separated by commas: lineage, history, cells, contacts; by default all.",
 )
 @click.option("--frame", type=int, help="Cells and contacts of this frame only; -1 is the last.")
+@law_option
 @overwrite_option("Replace files of the same names.")
 @as_json_option
 def export(
     folder: Path,
     output: Path,
+    law: str | None,
     tables: str | None,
     frame: int | None,
     overwrite: bool,
     as_json: bool,
 ) -> None:
     """Write the results in FOLDER as CSV tables, with units in their headers."""
+    if law is not None:
+        name_law(law)
     from multicell.report.export import export as write
 
     chosen = None if tables is None else [name.strip() for name in tables.split(",")]

@@ -35,6 +35,11 @@ changes_option = click.option(
 )
 threads_option = click.option("--threads", type=click.IntRange(min=1), help="Number of threads.")
 quiet_option = click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+law_option = click.option(
+    "--law",
+    metavar="FILE:NAME",
+    help="Contact law of your own, as mine.py:Cubic; its parameters follow as --set contact.KEY=.",
+)
 no_report_option = click.option(
     "--no-report", is_flag=True, help="Write no report and no pictures."
 )
@@ -51,18 +56,29 @@ def overwrite_option(help: str) -> Option:
     return click.option("--overwrite", is_flag=True, help=help)
 
 
-def scene_of(source: str, changes: Sequence[str]) -> Scene:
-    """Return the scene that SCENE and ``--set`` describe.
+def scene_of(source: str, changes: Sequence[str], law: str | None = None) -> Scene:
+    """Return the scene that SCENE, ``--law`` and ``--set`` describe.
 
     Raises
     ------
     SceneError
-        If there is no such scene, or a change makes no sense.
+        If there is no such scene or law, or a change makes no sense.
     """
     parsed = parse_changes(changes)
+    named = None if law is None else name_law(law)
     from multicell.scene.scene import load_scene
 
-    return load_scene(source).with_changes(parsed)
+    scene = load_scene(source)
+    if named is not None and scene.to_dict()["contact"]["law"] != named:
+        parsed = {"contact.law": named, **parsed}
+    return scene.with_changes(parsed)
+
+
+def name_law(spec: str) -> str:
+    """Load a law of the user's own, ``mine.py:Cubic``; return the name that scenes know it by."""
+    from multicell.contact.custom import load_law
+
+    return load_law(spec).scene_name()
 
 
 integrator_option = click.option(

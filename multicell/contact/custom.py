@@ -13,6 +13,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Callable, Mapping
+from dataclasses import MISSING
 from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 import numpy as np
@@ -54,6 +55,19 @@ class UserLaw(PairLaw):
     _type_of_constants: ClassVar[Any]
     _reach: ClassVar[Scalar | None]
     _asks_rest: ClassVar[bool]
+
+    @classmethod
+    def scene_name(cls) -> str:
+        """Return the name of the law in a scene, ``file.py:name@fingerprint``."""
+        return f"{cls.source}@{cls.fingerprint}"
+
+    def describe(self, energy: str) -> str:
+        """Return the law in words: its name and its parameters."""
+        given = {name: f"{getattr(self, name):g} {spec.unit}" for name, spec in specs(self).items()}
+        if "surface_energy" in given:
+            given["surface_energy"] = energy
+        parts = [f"{name.replace('_', ' ')} {value.strip()}" for name, value in given.items()]
+        return f"{self.source}, a law of your own: {', '.join(parts) or 'no parameters'}"
 
     def constants(self) -> Any:
         """Return the parameters as the law's function takes them."""
@@ -199,11 +213,11 @@ def load_law(spec: str) -> type[UserLaw]:
 
 def _mark(function: Any, declared: Mapping[str, Any]) -> str:
     """Return the fingerprint of a law: of its function and of its declared parameters."""
-    specs = {name: column.metadata["parameter"] for name, column in declared.items()}
-    stated = [
-        f"{name} {spec.unit} {spec.bounds} {declared[name].default!r}"
-        for name, spec in specs.items()
-    ]
+    stated = []
+    for name, column in declared.items():
+        spec = column.metadata["parameter"]
+        default = "" if column.default is MISSING else repr(column.default)
+        stated.append(f"{name} {spec.unit} {spec.bounds} {default}")
     given = hashlib.sha256("\n".join([fingerprint(function), *stated]).encode())
     return given.hexdigest()[:12]
 

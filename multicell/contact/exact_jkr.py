@@ -138,6 +138,13 @@ class ExactJKR(PairLaw):
         """Return nothing: adhesion and unit of overlap are the pair's own."""
         return _Constants()
 
+    def describe(self, energy: str) -> str:
+        """Return the law in words."""
+        return (
+            f"exact JKR: elastic and sticky, surface energy {energy}; contacts form at h = 0 and "
+            "break at its turning point: one flag per pair remembers"
+        )
+
     def pair_memory(
         self, adhesion: ArrayLike, modulus: ArrayLike, radius: ArrayLike, touching: ArrayLike
     ) -> tuple[FloatArray, FloatArray]:

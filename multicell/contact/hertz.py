@@ -35,6 +35,10 @@ class Hertz(PairLaw):
         """Return nothing: the law has no constants."""
         return _Constants()
 
+    def describe(self, energy: str) -> str:
+        """Return the law in words."""
+        return "Hertz: elastic, nothing sticks"
+
     def equilibrium_overlap(self, modulus: ArrayLike, radius: ArrayLike) -> FloatArray:
         """Return zero: spheres that only repel rest at first contact (µm)."""
         return np.zeros(np.broadcast_shapes(np.shape(modulus), np.shape(radius)))

@@ -87,6 +87,11 @@ class JKR(PairLaw):
         """Return nothing, or the smoothing length (µm): the adhesion is the pair's own."""
         return _SmoothConstants(self.smoothing) if self.smoothing > 0.0 else _Constants()
 
+    def describe(self, energy: str) -> str:
+        """Return the law in words."""
+        smooth = f", smoothed below {self.smoothing:g} um" if self.smoothing > 0.0 else ""
+        return f"JKR: elastic and sticky, surface energy {energy}{smooth}"
+
     def equilibrium_overlap(self, modulus: ArrayLike, radius: ArrayLike) -> FloatArray:
         """Return the overlap in µm where the force is zero.
 

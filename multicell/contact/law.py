@@ -59,6 +59,9 @@ class PairLaw(ABC):
         """Return the constants of the law's function, made by ``constants_of``."""
 
     @abstractmethod
+    def describe(self, energy: str) -> str:
+        """Return the law in words; ``energy`` tells its surface energy."""
+    @abstractmethod
     def equilibrium_overlap(self, modulus: ArrayLike, radius: ArrayLike) -> FloatArray:
         """Return the overlap without force in µm."""
 

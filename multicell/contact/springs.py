@@ -97,6 +97,13 @@ class Spring(PairLaw):
     stiffness_at_rest: float
     cutoff: float
 
+    def describe(self, energy: str) -> str:
+        """Return the law in words."""
+        return (
+            f"{type(self).__name__}: a spring of {self.stiffness_at_rest:g} nN/um whatever Young's "
+            f"modulus, up to {self.cutoff:g} times the sum of the radii"
+        )
+
     def equilibrium_overlap(self, modulus: ArrayLike, radius: ArrayLike) -> FloatArray:
         """Return zero: the pair rests at s (µm)."""
         return np.zeros(np.broadcast_shapes(np.shape(modulus), np.shape(radius)))

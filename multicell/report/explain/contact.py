@@ -8,10 +8,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from multicell.contact.exact_jkr import ExactJKR
-from multicell.contact.hertz import Hertz
 from multicell.contact.jkr import JKR
 from multicell.contact.pair import Pair
-from multicell.contact.springs import Spring
 from multicell.report.explain.items import Number, Part, hours, named, part
 from multicell.scene.packing import collapse_notes, strongest_attraction
 from multicell.scene.pairs import daughters_stiffness, drag, pairs
@@ -112,24 +110,9 @@ def _pull_notes(scene: Scene) -> Iterator[str]:
 
 def _law(scene: Scene) -> str:
     """Return the contact law in words."""
-    law = scene.contact
     given = any(kind.surface_energy is not None for kind in scene.types.values())
-    if isinstance(law, Spring):
-        return (
-            f"{type(law).__name__}: a spring of {law.stiffness_at_rest:g} nN/um whatever Young's "
-            f"modulus, up to {law.cutoff:g} times the sum of the radii"
-        )
-    if isinstance(law, Hertz):
-        return "Hertz: elastic, nothing sticks"
-    assert isinstance(law, JKR | ExactJKR)
-    energy = "by type" if given else f"{law.surface_energy:g} nN/um"
-    if isinstance(law, ExactJKR):
-        return (
-            f"exact JKR: elastic and sticky, surface energy {energy}; contacts form at h = 0 and "
-            "break at its turning point: one flag per pair remembers"
-        )
-    smooth = f", smoothed below {law.smoothing:g} um" if law.smoothing > 0.0 else ""
-    return f"JKR: elastic and sticky, surface energy {energy}{smooth}"
+    energy = f"{getattr(scene.contact, 'surface_energy', 0.0):g} nN/um"
+    return scene.contact.describe("by type" if given else energy)
 
 
 def _types(scene: Scene) -> str:
