@@ -5,7 +5,7 @@ the side the indentation is h = r_i - d, and the force on the cell, towards the 
 
     F = E_iw √r_i h^{3/2} for h > 0,     1/E_iw = ¾ [(1 - ν_i²)/E_i + (1 - ν_w²)/E_w]
 
-(Hertz 1882; eqs 3.2 to 3.4 with 1/r_w = 0). It does not stick and does not rub. Its energy is
+(Hertz 1882; eqs 3.2 to 3.4 with 1/r_w = 0). There is neither adhesion nor friction. Its energy is
 U = (2/5) E_iw √r_i h^{5/2}. The force acts along the axis only and depends on that coordinate
 alone, so that its derivative is one number for each axis of each cell.
 

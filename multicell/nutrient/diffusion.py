@@ -211,11 +211,6 @@ def eigenvalues(n: int, ends: tuple[bool, bool]) -> FloatArray:
     return np.asarray(4.0 * np.sin(0.5 * np.pi * (np.arange(n) + first) / n) ** 2)
 
 
-def sine_eigenvalues(n: int) -> FloatArray:
-    """Return the n eigenvalues of minus the one-dimensional Dirichlet Laplacian times h²."""
-    return eigenvalues(n, (True, True))
-
-
 def _transform(
     y: NDArray[Any], kinds: Sequence[tuple[bool, bool]], *, inverse: bool
 ) -> NDArray[Any]:
