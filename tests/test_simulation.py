@@ -258,7 +258,8 @@ def test_public_names():
         "JKR", "Cells", "Hertz", "MulticellError", "OutputError", "Result", "Scene",
         "SceneError", "Simulation", "StabilityMap", "State", "StepFailed", "WorkPrecision",
         "compare", "export", "load_result", "load_scene", "resume", "run", "scene_names",
-        "stability",
+        "stability", "Integrator", "MethodInfo", "OdeProblem", "Outcome", "StateRejected",
+        "ode_problem", "testing",
     }  # fmt: skip
     assert all(hasattr(mc, name) for name in mc.__all__)
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
