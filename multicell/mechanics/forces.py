@@ -26,7 +26,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from multicell.mechanics.pairs import INLINED, pair_law
+from multicell.mechanics.pairs import INLINED, INNER, pair_law
 from multicell.threads import two_drivers
 
 BLOCK = 256
@@ -126,7 +126,7 @@ def _bonded(bond, count, overlap, radius):
     return (0.5 * math.pi * bond) * q * q * count, slope if overlap > 0.0 else 0.0
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _pack_chunk(c, cells, position, elapsed, rows):
     """Fill the rows of one chunk at a time ``elapsed``; return 1 if a cell has drifted.
 
@@ -148,7 +148,7 @@ def _pack_chunk(c, cells, position, elapsed, rows):
     return drifted
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _pack_bonds(bonds, begin, end, elapsed, rows):
     if bonds is None:
         return
@@ -230,7 +230,7 @@ def _scatter(pairs, begin, count, inner, block, out):
             out[j, 2] += fz
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**INNER)
 def _force_chunk(c, chunk, rows, pairs, law, elapsed, out):
     """Sum the pair forces on the cells of one chunk into ``out``, nN.
 
@@ -252,7 +252,7 @@ def _force_chunk(c, chunk, rows, pairs, law, elapsed, out):
             _scatter(pairs, begin, count, side == 0, block, out)
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _push_chunk(c, chunk, push, elapsed, out):
     """Add external forces to the cells of one chunk."""
     if push is None:
@@ -263,7 +263,7 @@ def _push_chunk(c, chunk, push, elapsed, out):
         out[i, 2] += push[i, 2] + push[i, 5] * elapsed
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _drag_chunk(c, chunk, rows, drag, out):
     """Turn forces into velocities: divide by ``drag`` times the radius (Stokes)."""
     for i in range(c * chunk, min((c + 1) * chunk, rows.shape[0])):
@@ -343,7 +343,7 @@ def _offset_at(offsets, e, elapsed):
     return max(offsets.value[e] + offsets.rate[e] * elapsed, 0.0)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**INNER)
 def _add_offset_forces(rows, offsets, law, elapsed, stokes, out):
     """Replace the forces of the pairs with an offset, or with ``stokes`` their part of velocities.
 
@@ -474,7 +474,7 @@ def _touches(h, unit, onset, p, elapsed):
     return h >= onset[p] * _unit_at(unit, p, elapsed)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**INNER)
 def _linearise_chunk(c, rows, pairs, law, elapsed, normal, along, across):
     """Store direction, dF/dh + F/d and F/d of the pairs of one chunk."""
     block = np.empty((9, BLOCK))
@@ -505,7 +505,7 @@ def _linearise(rows, pairs, law, elapsed, normal, along, across):
 linearise, linearise_parallel = two_drivers(_linearise)
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _product_chunk(c, chunk, rows, pairs, normal, along, across, drag, v, out):
     """Write (J v) for the cells of one chunk; forces instead of velocities if drag is zero."""
     low, high = c * chunk, min((c + 1) * chunk, rows.shape[0])

@@ -14,7 +14,14 @@ from numba.extending import overload, register_jitable
 
 from multicell.contact.constants import function_of, helpers_of
 
-INLINED: dict[str, Any] = {"cache": True, "error_model": "numpy", "forceinline": True}
+INNER: dict[str, Any] = {
+    "cache": True,
+    "error_model": "numpy",
+    "no_cpython_wrapper": True,
+    "no_cfunc_wrapper": True,
+}
+"""Options of functions that other compiled code calls alone: what Python needs is not made."""
+INLINED: dict[str, Any] = {**INNER, "forceinline": True}
 """Options of small functions of one pair, which must not cost a call."""
 
 
