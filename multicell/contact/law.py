@@ -61,6 +61,7 @@ class PairLaw(ABC):
     @abstractmethod
     def describe(self, energy: str) -> str:
         """Return the law in words; ``energy`` tells its surface energy."""
+
     @abstractmethod
     def equilibrium_overlap(self, modulus: ArrayLike, radius: ArrayLike) -> FloatArray:
         """Return the overlap without force in µm."""

@@ -384,11 +384,6 @@ class FrictionMatrix:
         run = measure_parallel if shared else measure
         run(self._gamma, self._listed, rows, offset, normal, tangential, self.drag)
 
-    @property
-    def stokes_share(self) -> FloatArray:
-        """Stokes drag of each cell over its mean diagonal entry of Γ, (n,)."""
-        return np.asarray(self._stokes * self._inverse)
-
     def apply(self, vector: FloatArray, out: FloatArray) -> None:
         """Write Γ v, nN, for ``vector`` in µm/s."""
         apply(self._measured(), vector, out)
@@ -513,11 +508,6 @@ class PairFriction:
             Before the first linearisation.
         """
         return self._linearised.diagonal()
-
-    @property
-    def stokes_share(self) -> FloatArray:
-        """Stokes drag of each cell over its mean diagonal entry of Γ at the linearisation, (n,)."""
-        return self._linearised.stokes_share
 
     def divide(self, out: FloatArray) -> int:
         """Replace forces by Γ⁻¹ times them, roughly; return the iterations it took.

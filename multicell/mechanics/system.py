@@ -173,7 +173,7 @@ class Mechanics:
         self.drag = 6.0 * math.pi * self.viscosity
         self._pairs: neighbours.PairList | None = None
         self._linear: Linearisation | None = None
-        self._rubbing: PairFriction | None = None
+        self._pair_friction: PairFriction | None = None
 
     def begin(self, motion: Motion) -> None:
         """Take the radii and moduli for a coupling step; the old list is dropped.
@@ -203,7 +203,7 @@ class Mechanics:
         self._blocks = np.empty((n, 6))
         self._inverse = np.empty((n, 6))
         if max(self.friction) > 0.0:
-            self._rubbing = _rubbing(self.friction, n, self.drag, self.chunk)
+            self._pair_friction = _friction_of(self.friction, n, self.drag, self.chunk)
 
     def __len__(self) -> int:
         """Return the number of cells."""
@@ -219,16 +219,16 @@ class Mechanics:
             solved for.
         """
         self.work.evaluations += 1
-        rubbing = self._rubbing
-        if rubbing is None:
+        friction = self._pair_friction
+        if friction is None:
             self._forces(time, position, True, out)
             return
-        pairs = self._forces(time, position, False, rubbing.force)
+        pairs = self._forces(time, position, False, friction.force)
         try:
-            iterations = rubbing.velocity(
+            iterations = friction.velocity(
                 self._rows, pairs, self._shared(pairs), self._listed_offsets(time), out
             )
-        except rubbing.failure as error:
+        except friction.failure as error:
             raise StateRejected(str(error)) from error
         self.work.friction_iterations += iterations
 
@@ -256,8 +256,8 @@ class Mechanics:
                 time - self.motion.begin, *self._offsets.places(self._pair_data),
                 linear.along, linear.across,
             )  # fmt: skip
-        if self._rubbing is not None:
-            self._rubbing.linearise(
+        if self._pair_friction is not None:
+            self._pair_friction.linearise(
                 self._rows, pairs, self._shared(pairs), self._listed_offsets(time)
             )
         return linear
@@ -285,26 +285,28 @@ class Mechanics:
         self.work.jacobian_products += 1
         linear = self._linearised() if linear is None else linear
         run = forces.products_parallel if self._shared(linear.pairs) else forces.products
-        drag = self.drag if self._rubbing is None else 0.0
+        drag = self.drag if self._pair_friction is None else 0.0
         run(
             self.chunk, self._rows, linear.data, linear.normal, linear.along, linear.across,
             drag, _frozen(vector), out,
         )  # fmt: skip
         if self.walls is not None:
             self.walls.subtract_products(self._rows, linear.walls, drag, _frozen(vector), out)
-        rubbing = self._rubbing
-        if rubbing is not None:
+        friction = self._pair_friction
+        if friction is not None:
             try:
-                self.work.friction_iterations += rubbing.divide(out)
-            except rubbing.failure as error:
+                self.work.friction_iterations += friction.divide(out)
+            except friction.failure as error:
                 raise StateRejected(str(error)) from error
 
     def setup_preconditioner(self, gamma: float, linear: Linearisation | None = None) -> None:
         """Invert the 3 x 3 diagonal blocks of I - γJ, stable part, at the linearisation."""
         self.work.preconditioner_setups += 1
         self._fill_blocks(self._linearised() if linear is None else linear)
-        if self._rubbing is not None:
-            self._blocks *= self._rubbing.stokes_share[:, None]
+        if self._pair_friction is not None:
+            # the drag that the blocks are divided by is that of Γ's diagonal
+            stokes = self.drag * self._rows[:, 3]
+            self._blocks *= (stokes / self._pair_friction.diagonal())[:, None]
         blocks.invert_blocks(self._rows, self._blocks, gamma, self.drag, self._inverse)
 
     def precondition(self, vector: FloatArray, out: FloatArray) -> None:
@@ -505,7 +507,9 @@ class Mechanics:
         return self.threads > 1 and len(pairs.start) >= self.shared_chunks
 
 
-def _rubbing(coefficients: tuple[float, float], n: int, drag: float, chunk: int) -> PairFriction:
+def _friction_of(
+    coefficients: tuple[float, float], n: int, drag: float, chunk: int
+) -> PairFriction:
     """Return the friction of a coupling step; scenes without it do not load its kernels."""
     from multicell.mechanics.friction import PairFriction
 

@@ -125,7 +125,7 @@ def test_with_friction_between_cells_walls_are_a_part_of_the_force(monkeypatch):
     v = np.random.default_rng(1).normal(size=position.shape)
     product, image = np.empty_like(v), np.empty_like(v)
     system.jacobian_product(v, product)
-    system._rubbing._linearised.apply(product, image)
+    system._pair_friction._linearised.apply(product, image)
     ends = [system.force(0.0, position + s * 1e-6 * v) for s in (1, -1)]
     slope = (ends[0] - ends[1]) / 2e-6
     np.testing.assert_allclose(image, slope, rtol=1e-5, atol=1e-6 * np.abs(slope).max())
