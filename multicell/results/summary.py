@@ -104,7 +104,7 @@ def counts_contacts(scene: Scene) -> bool:
 
 def remembers_contacts(scene: Scene) -> bool:
     """Return whether the contact law needs to know which pairs were in contact."""
-    return hasattr(scene.contact, "in_contact")
+    return scene.contact.remembers
 
 
 def _held_back(scene: Scene, frame: Frame) -> dict[str, float]:

@@ -74,7 +74,7 @@ def moments(pair: Pair, dimensions: int) -> tuple[float, float]:
         3, or 2 in a plane.
     """
     rest = max(pair.distance(), 0.0)
-    end = pair.rest if hasattr(pair.law, "in_contact") else pair.rest + pair.reach()
+    end = pair.rest if pair.law.remembers else pair.rest + pair.reach()
     attraction = max(-_moment(pair, rest, end, dimensions), 0.0)
     return max(_moment(pair, 0.0, rest, dimensions), 0.0), attraction
 
