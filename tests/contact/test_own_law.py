@@ -224,3 +224,53 @@ def test_laws_that_are_none_are_refused_with_words(tmp_path):
     (tmp_path / "mine.py").write_text("def Law(x): return x")
     with pytest.raises(mc.SceneError, match="is not a pair law"):
         load_law(f"{tmp_path / 'mine.py'}:Law")
+
+
+def command(folder, *arguments, code=0):
+    """Run the command line in a process that has never seen the law; return what it prints."""
+    package = str(Path(mc.__file__).parents[1])
+    done = subprocess.run(
+        [sys.executable, "-m", "multicell", *map(str, arguments)],
+        capture_output=True, text=True, cwd=folder, check=False,
+        env=os.environ | {"PYTHONPATH": package},
+    )  # fmt: skip
+    assert done.returncode == code, done.stderr
+    return done.stdout + done.stderr
+
+
+@pytest.mark.slow
+def test_a_law_goes_through_the_commands(tmp_path):
+    (tmp_path / "mine.py").write_text(LAW.format(factor=1.0))
+    own = ("--law", "mine.py:Square")
+    scene = ("doublet-settle", "--set", "duration=10 min")
+    assert "contact.stiffness: is missing" in command(tmp_path, "explain", *scene, *own, code=2)
+    stiff = (*own, "--set", "contact.stiffness=2")
+    told = command(tmp_path, "explain", *scene, *stiff)
+    assert "a law of your own: stiffness 2 nN/um" in " ".join(told.split())
+    command(tmp_path, "run", *scene, *stiff, "-o", "out", "--no-report")
+    written = (tmp_path / "out" / "scene.toml").read_text()
+    assert 'law = "mine.py:Square@' in written
+    # a folder runs no file by itself: it says what it needs
+    longer = ("resume", "out", "--set", "duration=20 min", "--no-report")
+    assert "--law mine.py:Square" in command(tmp_path, *longer, code=2)
+    command(tmp_path, *longer, *own)
+    command(tmp_path, "export", "out", "-o", "tables", *own)
+    assert (tmp_path / "tables" / "cells.csv").stat().st_size > 0
+    chart = ("--methods", "cvode,rk4", "--budget", "5", "-o", "chart")
+    command(tmp_path, "compare", *scene, *stiff, *chart)
+    (tmp_path / "mine.py").write_text(LAW.format(factor=2.0))
+    assert "has changed since" in command(tmp_path, *longer, *own, code=2)
+
+
+@pytest.mark.parametrize(
+    ("law", "words"),
+    [
+        ("mine.py:Nothing", "has nothing called 'Nothing'"),
+        ("mine.py:helper", "is not a pair law"),
+        ("other.py:Square", "there is no file 'other.py'"),
+        ("Square", "must be the form 'file.py:Name'"),
+    ],
+)
+def test_what_is_no_law_is_refused_by_the_command(tmp_path, law, words):
+    (tmp_path / "mine.py").write_text(LAW.format(factor=1.0))
+    assert words in command(tmp_path, "explain", "doublet-settle", "--law", law, code=2)

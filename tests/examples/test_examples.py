@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 from scipy import optimize
 
+import multicell as mc
+
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
@@ -31,8 +33,10 @@ def is_picture(path: Path) -> bool:
 
 def test_every_example_states_problem_cost_and_command() -> None:
     files = sorted(EXAMPLES.glob("*.py"))
-    expected = ["exact_jkr", "figure_3_3", "jkr_curves", "small_spheroid", "table_3_2", "two_cells"]
-    assert [f.stem for f in files] == expected
+    assert [f.stem for f in files] == [
+        "exact_jkr", "figure_3_3", "jkr_curves", "own_integrator", "own_law", "small_spheroid",
+        "table_3_2", "two_cells",
+    ]  # fmt: skip
     for file in files:
         words = load(file.stem).__doc__
         for word in ("Problem", "Scaling", "Cost", f"python examples/{file.name}"):
@@ -96,3 +100,12 @@ def test_small_spheroid_is_limited_by_oxygen(tmp_path: Path) -> None:
     for name in ("growth", "section", "profiles"):
         assert is_picture(tmp_path / "out" / f"{name}.png")
     assert (tmp_path / "out" / "report.html").stat().st_size > 10_000
+
+
+def test_own_laws_bring_cells_to_rest_as_ours_do() -> None:
+    ends = load("own_law").main()
+    scene = mc.load_scene("settle").with_changes({"initial.count": 50, "duration": "20 min"})
+    ours = mc.run(scene.with_changes({"contact": mc.JKR(surface_energy=0.1)})).frames[-1].cells
+    np.testing.assert_allclose(ends["Sticky"], ours.position, atol=1e-6)
+    # a law that only repels spreads them further
+    assert ends["Square"].std() > 1.1 * ends["Sticky"].std()

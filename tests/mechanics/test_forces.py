@@ -20,6 +20,7 @@ LAWS = {
     "jkr": JKR(surface_energy=0.1),
     "smooth jkr": JKR(surface_energy=0.1, smoothing=0.6),
     "exact jkr": ExactJKR(surface_energy=0.1),
+    "exact jkr that does not stick": ExactJKR(surface_energy=0.0),
     "linear": Linear(stiffness_at_rest=2.0),
     "repulsive": Linear(stiffness_at_rest=2.0, cutoff=1.0),
     "cubic": Cubic(stiffness_at_rest=2.0),
@@ -197,3 +198,12 @@ def test_growing_exact_contacts_end_at_the_right_unit():
     np.testing.assert_allclose(
         growing.force(10.0, position), grown.force(0.0, position), rtol=1e-9, atol=1e-12
     )
+
+
+@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
+def test_cells_that_only_meet_are_in_contact_where_contacts_form_at_an_overlap_of_zero(law):
+    """Other laws need an overlap above zero; 5 + 5 - 10 has no rounding."""
+    young, radius = np.ones(3), np.full(3, 5.0)
+    position = np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, np.nextafter(10.0, 0.0), 0.0]])
+    found = system(law, radius, young).contacts(0.0, position).tolist()
+    assert found == ([[0, 1], [0, 2]] if law.remembers else [[0, 2]])
