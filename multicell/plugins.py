@@ -17,6 +17,8 @@ from typing import Any
 from multicell.errors import SceneError
 from multicell.schema import near_miss
 
+OWN_OBJECT = r"^.+\.py:[A-Za-z_].*$"
+"""Pattern of how a scene names an object of the user's own, for editors."""
 _NAMED = re.compile(r"(?P<file>.+):(?P<name>[^\W\d]\w*(\.[^\W\d]\w*)*)")
 _RECORDED = re.compile(_NAMED.pattern + r"(\(.*\))?")
 

@@ -72,8 +72,12 @@ def scenes(as_json: bool) -> None:
 
 
 @main.command()
-def schema() -> None:
-    """Print the JSON Schema of scene files, for editors that complete and check them."""
+@as_json_option
+def schema(as_json: bool) -> None:
+    """Print the JSON Schema of scene files, for editors that complete and check them.
+
+    It is a JSON document with and without --json.
+    """
     from multicell.scene.json_schema import json_schema
 
     print_json(json_schema())

@@ -89,7 +89,8 @@ def constants_of(
         if name in SHARED or name.startswith("_") or "__" in name:
             raise TypeError(f"{name!r} cannot be the name of a constant of a law")
     further = further_arguments(function)
-    made = _type("__".join([f"Constants_{fingerprint(function)}", *fields]))
+    mark = fingerprint(function, modules=True)
+    made = _type("__".join([f"Constants_{mark}", *fields]))
     _FUNCTIONS[made] = LawFunction(
         function, further, without_energy or function, force_alone or without_energy or function
     )
@@ -113,10 +114,14 @@ def function_of(constants: Any) -> LawFunction:
     return _FUNCTIONS[constants if isinstance(constants, type) else type(constants)]
 
 
-def fingerprint(function: Function) -> str:
-    """Return twelve hexadecimal digits that change with a function and all that it reads."""
+def fingerprint(function: Function, *, modules: bool = False) -> str:
+    """Return twelve hexadecimal digits that change with a function and all that it reads.
+
+    With ``modules`` also with the names of the modules that these come from, which compiled code
+    on disk asks for when it is loaded: the same file in another folder is another module.
+    """
     digest = hashlib.sha256()
-    for part in _walk(function, set()):
+    for part in _walk(function, set(), modules):
         digest.update(part)
     return digest.hexdigest()[:12]
 
@@ -133,18 +138,20 @@ def helpers_of(function: Function) -> list[Function]:
     return found
 
 
-def _walk(function: Any, seen: set[int]) -> Iterator[bytes]:
+def _walk(function: Any, seen: set[int], modules: bool) -> Iterator[bytes]:
     """Yield the code of a function and of all that it calls, and the values that they read."""
     function = getattr(function, "py_func", function)  # what numba has compiled
     if id(function) in seen:
         return
     seen.add(id(function))
     yield from _code(function.__code__)
+    if modules:
+        yield str(function.__module__).encode()
     yield repr((function.__defaults__, function.__kwdefaults__)).encode()
     for name, value in _read_by(function):
         yield name.encode()
         if isinstance(value, FunctionType) or hasattr(value, "py_func"):
-            yield from _walk(value, seen)
+            yield from _walk(value, seen, modules)
         elif not isinstance(value, ModuleType):
             yield value.tobytes() if hasattr(value, "tobytes") else repr(value).encode()
 

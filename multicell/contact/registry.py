@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @final
 class Laws(Mapping[str, "type[PairLaw]"]):
-    """Pair laws by the name that a scene gives.
+    """Pair laws by the name that a scene gives; our own are listed, the user's only found.
 
     A law of the user's own is named ``file.py:name@fingerprint``. Without the fingerprint the name
     means the one that was made last; with it no other law is taken for it, so that a scene on disk
@@ -24,26 +24,27 @@ class Laws(Mapping[str, "type[PairLaw]"]):
     """
 
     def __init__(self, laws: Mapping[str, type[PairLaw]]) -> None:
-        self._laws = dict(laws)
+        self._ours = dict(laws)
+        self._own: dict[str, type[PairLaw]] = {}
         self._latest: dict[str, str] = {}
 
     def add(self, source: str, fingerprint: str, law: type[PairLaw]) -> None:
         """Enter a law of the user's own."""
         name = f"{source}@{fingerprint}"
-        self._laws[name] = law
+        self._own[name] = law
         self._latest[source] = name
 
     def __getitem__(self, name: str) -> type[PairLaw]:
-        return self._laws[self._latest.get(name, name)]
+        return {**self._own, **self._ours}[self._latest.get(name, name)]
 
     def __contains__(self, name: object) -> bool:
-        return name in self._laws or name in self._latest
+        return name in self._ours or name in self._own or name in self._latest
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._laws)
+        return iter(self._ours)
 
     def __len__(self) -> int:
-        return len(self._laws)
+        return len(self._ours)
 
     def hint(self, name: str) -> str:
         """Return what helps where a scene names a law of the user's own that is not there."""

@@ -136,14 +136,25 @@ def _variant(spec: Parameter, parts: dict[str, Schema]) -> Schema:
         if name != spec.usual:
             case["required"] = [spec.key, *case.get("required", ())]
         cases.append(case)
+    if spec.further:
+        own = {"type": "string", "pattern": spec.further}
+        cases.append({"type": "object", "properties": {spec.key: own}, "required": [spec.key]})
     return {"anyOf": cases}
+
+
+def _choice(spec: Parameter) -> Schema:
+    """Return the schema of a name out of several, or of further ones."""
+    names = {"enum": list(spec.options)}
+    return (
+        {"anyOf": [names, {"type": "string", "pattern": spec.further}]} if spec.further else names
+    )
 
 
 _KINDS: Final[Mapping[str, Callable[[Parameter, dict[str, Schema]], Schema]]] = {
     "quantity": lambda spec, _: _amount(spec.unit, spec.bounds),
     "number": lambda spec, _: _number(spec.bounds),
     "count": lambda spec, _: _number(spec.bounds, "integer"),
-    "choice": lambda spec, _: {"enum": list(spec.options)},
+    "choice": lambda spec, _: _choice(spec),
     "text": lambda spec, _: {"type": "string", "pattern": r"^[^\n\r\t]*$"},
     "flag": lambda spec, _: {"type": "boolean"},
     "names": lambda spec, _: {"type": "array", "items": {"enum": list(spec.options)}},

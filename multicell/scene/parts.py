@@ -9,7 +9,7 @@ import numpy as np
 
 from multicell.errors import SceneError
 from multicell.integrators.registry import METHODS
-from multicell.plugins import recorded_object
+from multicell.plugins import OWN_OBJECT, recorded_object
 from multicell.schema import (
     Tables,
     choice,
@@ -234,6 +234,7 @@ class IntegratorOptions:
         default="cvode",
         doc="name of the method; of a method of the user's own where it came from",
         other=recorded_object,
+        further=OWN_OBJECT,
     )
     rtol: float = number(default=1e-6, at_least=1e-14, at_most=0.1, doc="relative tolerance")
     atol: float = quantity("um", default=0.01, above=0, at_least=1e-15, doc="absolute tolerance")

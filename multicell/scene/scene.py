@@ -19,6 +19,7 @@ from typing import Any, final
 from multicell.contact.law import PairLaw
 from multicell.contact.registry import LAWS
 from multicell.errors import SceneError
+from multicell.plugins import OWN_OBJECT
 from multicell.scene.checks import check_integrator, check_nutrients, check_types
 from multicell.scene.domain import check_domain
 from multicell.scene.nutrient import Nutrient
@@ -98,7 +99,7 @@ class Scene:
     cells: CellParameters = table(CellParameters, default_factory=CellParameters, doc="the cells")
     contact: PairLaw = variant(
         LAWS, key="law", usual="jkr", default_factory=LAWS["jkr"],
-        doc="the law of touching cells", hint=LAWS.hint,
+        doc="the law of touching cells", hint=LAWS.hint, further=OWN_OBJECT,
     )  # fmt: skip
     drag: Drag = table(Drag, default_factory=Drag, doc="friction with the medium")
     growth: Growth | None = table(Growth, default=None, doc="absent: no growth, no division")

@@ -90,8 +90,12 @@ def choice(
     default: Any = MISSING,
     doc: str = "",
     other: Callable[[str], bool] = lambda _: False,
+    further: str = "",
 ) -> Any:
-    """Declare one name out of several; ``other`` tells which other texts are accepted."""
+    """Declare one name out of several.
+
+    ``other`` tells which other texts are accepted, the pattern ``further`` describes them.
+    """
     known = tuple(options)
 
     def convert(value: object, path: str) -> str:
@@ -99,7 +103,15 @@ def choice(
             return value
         return chosen(value, known, path)
 
-    return declared("choice", convert, default, allowed=" or ".join(known), doc=doc, options=known)
+    return declared(
+        "choice",
+        convert,
+        default,
+        allowed=" or ".join(known),
+        doc=doc,
+        options=known,
+        further=further,
+    )
 
 
 def text(*, default: Any = MISSING, doc: str = "") -> Any:
@@ -264,27 +276,35 @@ def variant(
     default_factory: Any,
     doc: str = "",
     hint: Callable[[str], str] | None = None,
+    further: str = "",
 ) -> Any:
     """Declare a table whose ``key`` says which part it holds; without the key the ``usual`` one.
 
-    ``hint`` may know more than the nearest name about one that is not there.
+    A part of a class that the options only find when asked, and do not list, tells its own name
+    (``scene_name()``), which the pattern ``further`` describes to editors. ``hint`` may know more
+    than the nearest name about one that is not there.
     """
 
     def convert(value: object, path: str) -> Any:
-        if isinstance(value, tuple(options.values())):
+        if name_of(value) in options:
             return value
         entries = mapping(value, path)
         name = chosen(entries.pop(key, usual), options, f"{path}.{key}", hint)
         return build(options[name], entries, path, also=(key,))
 
+    def name_of(value: object) -> str | None:
+        own = getattr(type(value), "scene_name", None)
+        if own is not None:
+            return str(own())
+        return next((name for name, part in options.items() if type(value) is part), None)
+
     def to_plain(value: Any) -> dict[str, Any]:
-        name = next(name for name, part in options.items() if type(value) is part)
-        return {key: name, **plain(value)}
+        return {key: name_of(value), **plain(value)}
 
     return declared(
         "variant", convert, MISSING, default_factory, plain=to_plain, doc=doc,
         allowed=f"{key}: {' or '.join(options)}", options=tuple(options), parts=options, key=key,
-        usual=usual,
+        usual=usual, further=further,
     )  # fmt: skip
 
 

@@ -48,6 +48,8 @@ class Parameter:
         The parts of a variant by name.
     key, usual
         The key of a variant that says which part it is, and what it is without the key.
+    further
+        A regular expression for names beyond the options, else empty.
     examples
         Values that are accepted, where ``kind`` does not say how to make some.
     """
@@ -65,6 +67,7 @@ class Parameter:
     parts: Mapping[str, type] | None = None
     key: str = ""
     usual: str = ""
+    further: str = ""
     examples: tuple[Any, ...] = ()
 
     @property

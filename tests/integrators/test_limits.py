@@ -10,7 +10,7 @@ from multicell.errors import SceneError
 from multicell.integrators import limits
 from multicell.integrators.registry import METHODS, make
 from multicell.integrators.restarts import Run
-from multicell.mechanics import forces as kernels
+from multicell.mechanics import blocks
 from multicell.mechanics import preconditioners as sparse
 from multicell.mechanics.system import StateRejected
 from multicell.scene.parts import IntegratorOptions
@@ -156,19 +156,19 @@ def test_blocks_are_inverted_at_any_stiffness(stiffness, contacts):
         out = np.empty((1, 6))
         rows = np.zeros((1, 5))
         rows[0, 3] = 1.0
-        kernels.invert_blocks(rows, six, stiffness, 1.0, out)
+        blocks.invert_blocks(rows, six, stiffness, 1.0, out)
         whole = np.eye(3) + stiffness * block
         vector = rng.normal(size=3)
         # what it is for: the answer to a right-hand side, at most off by what rounding costs
         product = whole @ (inverse(out[0]) @ vector)
         worst = max(worst, float(np.abs(product - vector).max() / np.abs(vector).max()))
-        blocks = 1e-20 * (np.array([[1.0, 1.0, 1.0, 0.0, 0.0, 0.0]]) + stiffness * six)
-        sparse._invert(blocks, 0)
-        assert np.isfinite(blocks).all()
-        assert np.linalg.eigvalsh(inverse(blocks[0] * 1e-20))[0] > 0.0
+        small = 1e-20 * (np.array([[1.0, 1.0, 1.0, 0.0, 0.0, 0.0]]) + stiffness * six)
+        sparse._invert(small, 0)
+        assert np.isfinite(small).all()
+        assert np.linalg.eigvalsh(inverse(small[0] * 1e-20))[0] > 0.0
     assert np.isfinite(worst)
     # below the change of method cofactors lose the square, as they always did
-    lost = stiffness if stiffness > kernels.NEARLY_SINGULAR else stiffness**2
+    lost = stiffness if stiffness > blocks.NEARLY_SINGULAR else stiffness**2
     assert worst <= max(1e-13 * lost, 1e-12)
 
 
