@@ -14,13 +14,13 @@ import math
 from hypothesis import strategies as st
 
 from multicell.cells import Phase
+from multicell.integrators.registry import METHODS
 from multicell.scene.nutrient import FACES
 from multicell.scene.parts import PHASES
 from multicell.scene.scene import Scene
 from multicell.schema import specs
 from multicell.units import RANGES
 
-SCIPY_IMPLICIT = ("scipy-lsoda", "scipy-radau", "scipy-bdf")
 FIELDS = ("oxygen", "glucose", "drug")
 TYPES = ("soft", "stiff", "third")
 NAMES = {
@@ -463,9 +463,8 @@ def plausible(draw, extreme=0.004, small=True):
             _let_steps_be_few(scene, options)
         if "domain" in scene and drawer.chance(0.9):
             scene["initial"]["jitter"] = min(scene["initial"].get("jitter", 0.0), 0.3)
-        matrix = options.get("method") in ("cvode-sparse", *SCIPY_IMPLICIT)
-        if "friction" in scene and matrix and drawer.chance(0.9):
-            options["method"] = "cvode"
+    if drawer.chance(0.95):
+        _let_the_method_hold(scene)
     scene = fitted(scene)
     if small:
         _loosen(scene)
@@ -473,6 +472,16 @@ def plausible(draw, extreme=0.004, small=True):
             field["margin"] = min(base(field["margin"]), 12.0 * base(field["spacing"]))
         scene["duration"] = scene["coupling_step"] * drawer.one_of([1.0, 2.0, 2.5, 3.0])
     return scene
+
+
+def _let_the_method_hold(scene):
+    """Take another method where the scene's own would refuse its cells or their friction."""
+    options = scene.get("integrator", {})
+    options = {"method": options} if isinstance(options, str) else options
+    info = METHODS.get(options.get("method", "cvode"))
+    count = scene.get("initial", {}).get("count", 1)
+    if info is not None and info.refusal(count, friction="friction" in scene):
+        scene["integrator"] = {**options, "method": "cvode"}
 
 
 def _let_steps_be_few(scene, options):
