@@ -20,6 +20,11 @@ HALF = 0.5 ** (1.0 / 3.0)
 """Radius of a sphere over the radius of one with twice its volume."""
 
 
+def stokes_drag(viscosity: float) -> float:
+    """Return 6πη, the drag of a sphere over its radius, kPa s (Stokes; η in kPa s)."""
+    return 6.0 * np.pi * viscosity
+
+
 @final
 class Phase(IntEnum):
     """Where a cell is in its cycle; the values are those stored in :attr:`Cells.phase`."""

@@ -7,14 +7,13 @@ values at the two ends, so that volumes are exact at both ends.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.cells import SPHERE, FloatArray
+from multicell.cells import SPHERE, FloatArray, stokes_drag
 from multicell.contact.law import PairLaw, compliance, effective_radius
 from multicell.contact.springs import Spring
 from multicell.mechanics import blocks, forces, neighbours
@@ -101,6 +100,11 @@ class Motion:
     offset_pairs: NDArray[Any] | None = None
     offset: FloatArray | None = None
 
+    @property
+    def end_radius(self) -> FloatArray:
+        """Radius at ``end``, (n,) µm."""
+        return self.radius + self.radius_rate * (self.end - self.begin)
+
 
 @final
 @dataclass
@@ -170,7 +174,7 @@ class Mechanics:
     work: Work = field(default_factory=Work)
 
     def __post_init__(self) -> None:
-        self.drag = 6.0 * math.pi * self.viscosity
+        self.drag = stokes_drag(self.viscosity)
         self._pairs: neighbours.PairList | None = None
         self._linear: Linearisation | None = None
         self._pair_friction: PairFriction | None = None
@@ -194,8 +198,7 @@ class Mechanics:
         )
         self._rows = np.zeros((n, width))
         self._rows[:, 4] = compliance(motion.young, motion.poisson)
-        self._end_radius = motion.radius + motion.radius_rate * (motion.end - motion.begin)
-        largest = np.maximum(motion.radius, self._end_radius)
+        largest = np.maximum(motion.radius, motion.end_radius)
         self._skin = self.skin * float(largest.mean()) if n else 0.0
         self._list_radius = self._reaching(largest)
         self._pairs = self._linear = None
@@ -489,7 +492,7 @@ class Mechanics:
             self.law.pair_memory(
                 adhesion, modulus, effective_radius(radius[first], radius[second]), touching
             )
-            for radius in (self.motion.radius, self._end_radius)
+            for radius in (self.motion.radius, self.motion.end_radius)
         )
         length = self.motion.end - self.motion.begin
         rate = (end - begin) / length if length > 0.0 else np.zeros(len(first))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations_with_replacement
@@ -10,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from multicell.cells import FloatArray, stokes_drag
 from multicell.contact.law import effective_modulus, effective_radius
 from multicell.contact.pair import Pair
 from multicell.scene.sizes import birth_radius
 
 if TYPE_CHECKING:
-    from multicell.cells import FloatArray
     from multicell.scene.scene import Scene
 
 
@@ -30,7 +29,7 @@ def surface_energies(scene: Scene) -> FloatArray | None:
 
 def drag(scene: Scene, radius: float) -> float:
     """Return the Stokes drag 6πηr of a cell in nN·s/µm."""
-    return 6.0 * math.pi * scene.drag.viscosity * radius
+    return stokes_drag(scene.drag.viscosity) * radius
 
 
 def daughters_stiffness(scene: Scene) -> float:
