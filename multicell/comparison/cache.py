@@ -20,7 +20,7 @@ import numpy as np
 from multicell.cells import Cells
 from multicell.comparison.replay import Events, Problem, Step, Trajectory
 from multicell.mechanics.system import Motion
-from multicell.results.folder import replacing, versions, words
+from multicell.results.folder import file_errors, replacing, versions
 from multicell.scene.scene import Scene
 
 FORMAT: Final = 3
@@ -104,7 +104,7 @@ def save(path: Path, problem: Problem, trajectory: Trajectory, about: Mapping[st
     }
     for name, values in columns.items():
         arrays |= _packed(name, values)
-    with words("write", path):
+    with file_errors("write", path):
         path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as file:
         np.savez(file, **arrays)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from multicell.results.folder import make_folder, remove, words, write_text
+from multicell.results.folder import file_errors, make_folder, remove, write_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -87,7 +87,7 @@ def write(
     from multicell.report.plots.style import save
 
     folder = Path(folder)
-    with words("use the output folder", folder):
+    with file_errors("use the output folder", folder):
         folder.mkdir(parents=True, exist_ok=True)
     for name, text in texts.items():
         write_text(folder / name, text)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from multicell.cells import Cells, Phase, State
 from multicell.errors import OutputError
 from multicell.report.result import Result, load_result
-from multicell.results.folder import replacing, words
+from multicell.results.folder import file_errors, replacing
 from multicell.results.frame import Frame
 from multicell.results.observables import contact_rows
 from multicell.results.quantities import known_unit, unit_of
@@ -81,7 +81,7 @@ def export(
         raise OutputError(f"there is no frame {frame}: the run has {count}")
     folder = Path(output)
     paths = [folder / f"{name}.csv" for name in chosen]
-    with words("use the output folder", folder):
+    with file_errors("use the output folder", folder):
         there = next((path for path in paths if path.exists() or path.is_symlink()), None)
         if there is not None and not overwrite:
             raise OutputError(f"'{there}' exists already: choose another folder or overwrite")

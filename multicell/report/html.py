@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from multicell.report.plots.style import time_unit
-from multicell.results.folder import package_version, words, write_text
+from multicell.results.folder import file_errors, package_version, write_text
 from multicell.results.quantities import known_unit
 
 if TYPE_CHECKING:
@@ -108,7 +108,7 @@ def _environment() -> Environment:
 
 
 def _embedded(path: Path, caption: str) -> dict[str, str]:
-    with words("read", path):
+    with file_errors("read", path):
         return {"caption": caption, "data": base64.b64encode(path.read_bytes()).decode("ascii")}
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 from multicell.errors import OutputError
 from multicell.report.html import clock, write_page
 from multicell.report.plots.style import cell_count, save, time_unit
-from multicell.results.folder import words
+from multicell.results.folder import file_errors
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -58,7 +58,7 @@ def write_report(result: Result, folder: str | Path | None = None) -> Path:
     place = result.folder if folder is None else Path(folder)
     if place is None:
         raise OutputError("the run has no output folder: say where the report shall go")
-    with words("use the output folder", place):
+    with file_errors("use the output folder", place):
         place.mkdir(parents=True, exist_ok=True)
     captions = _CAPTIONS if result.scene.dimensions == 3 else _FLAT_CAPTIONS
     pictures = {}

@@ -188,10 +188,10 @@ def read_summary(path: Path) -> dict[str, Any] | None:
     OutputError
         If it cannot be read, or is no table as a run writes it.
     """
-    from multicell.results.folder import words
+    from multicell.results.folder import file_errors
     from multicell.results.records import parse_table
 
-    with words("read", path):
+    with file_errors("read", path):
         if not path.is_file():
             return None
         if path.stat().st_size > _LARGEST_SUMMARY:

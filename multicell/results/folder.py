@@ -56,7 +56,7 @@ def versions() -> dict[str, str]:
 
 
 @contextmanager
-def words(action: str, path: Path) -> Iterator[None]:
+def file_errors(action: str, path: Path) -> Iterator[None]:
     """Turn the system's refusal of a file into an error with words."""
     try:
         yield
@@ -76,7 +76,7 @@ def locked(folder: Path) -> Iterator[None]:
     """
     path = folder / LOCK
     lock = FileLock(path, timeout=0, thread_local=False)
-    with words("use the output folder", folder):
+    with file_errors("use the output folder", folder):
         if path.is_symlink():  # a lock is a file of its own, never one that a link names
             path.unlink()
         try:
@@ -104,7 +104,7 @@ def make_folder(folder: str | Path, *, overwrite: bool = False) -> Path:
         overwritten through a symbolic link, or cannot be made.
     """
     folder = Path(folder)
-    with words("use the output folder", folder):
+    with file_errors("use the output folder", folder):
         if folder.is_symlink() and not folder.exists():
             raise OutputError(
                 f"output '{folder}' is a link to '{folder.readlink()}' that is missing"
@@ -137,7 +137,7 @@ def remove(folder: Path, names: Iterable[str]) -> None:
     """
     for name in names:
         for path in (folder / name, folder / f"{name}.part"):
-            with words("remove", path):
+            with file_errors("remove", path):
                 path.unlink(missing_ok=True)
 
 
@@ -192,7 +192,7 @@ def replacing(path: Path, mode: str = "wb", **options: Any) -> Iterator[IO[Any]]
         If it cannot be written, for example because the disk is full.
     """
     part = path.with_name(path.name + ".part")
-    with words("write", path), ExitStack() as stack:
+    with file_errors("write", path), ExitStack() as stack:
         if path.is_dir():
             raise OSError(errno.EISDIR, os.strerror(errno.EISDIR))
         descriptor = new_file(part)

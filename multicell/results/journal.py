@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.errors import OutputError
-from multicell.results.folder import new_file, words
+from multicell.results.folder import file_errors, new_file
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -99,7 +99,7 @@ class Journal:
         """Begin a journal; it is in its place only when its first record is on disk."""
         path = folder / NAME
         part = path.with_name(f"{NAME}.part")
-        with words("write", path):
+        with file_errors("write", path):
             journal = cls(path, new_file(part))
             try:
                 journal.append([(header, {})])
@@ -115,7 +115,7 @@ class Journal:
     def reopen(cls, reader: Reader) -> Journal:
         """Go on with a journal behind its complete records."""
         path, end = reader.path, reader.end
-        with words("write", path):
+        with file_errors("write", path):
             flags = os.O_RDWR | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
             descriptor = os.open(path, flags)
             journal = cls(path, descriptor, end, reader.chain)
@@ -133,7 +133,7 @@ class Journal:
             chain, pieces = _parts(header, arrays, chain)
             parts += pieces
         data = b"".join(parts)
-        with words("write", self._path):
+        with file_errors("write", self._path):
             if self._torn:
                 os.ftruncate(self._descriptor, self._end)
             self._torn = True
@@ -169,14 +169,14 @@ class Journal:
 
     def sync(self) -> None:
         """Wait until everything is on the disk itself: then it survives a loss of power."""
-        with words("write", self._path):
+        with file_errors("write", self._path):
             self._sync()
 
     def close(self) -> None:
         """Close the file; closing twice does no harm."""
         if self._descriptor >= 0:
             descriptor, self._descriptor = self._descriptor, -1
-            with words("write", self._path):
+            with file_errors("write", self._path):
                 os.close(descriptor)
 
 
@@ -213,7 +213,7 @@ class Reader:
         self.records: list[Record] = []
         self.end = self.chain = 0
         self.damage: str | None = None
-        with words("read", path), path.open("rb") as file:
+        with file_errors("read", path), path.open("rb") as file:
             size = os.fstat(file.fileno()).st_size
             while self.end < size and self.damage is None:
                 file.seek(self.end)
@@ -253,7 +253,7 @@ class Reader:
         OutputError
             If they are not what was written.
         """
-        with words("read", self.path), self.path.open("rb") as file:
+        with file_errors("read", self.path), self.path.open("rb") as file:
             file.seek(record.begin)
             body = file.read(record.length)
         arrays, start = {}, 0

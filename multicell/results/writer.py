@@ -46,12 +46,12 @@ from multicell.results import hdf5
 from multicell.results.folder import (
     FILES,
     PASSING,
+    file_errors,
     locked,
     make_folder,
     remove,
     sync_folder,
     versions,
-    words,
     write_text,
 )
 from multicell.results.frame import Frame
@@ -157,7 +157,7 @@ class Store:
                 back = {"kind": "back", "scene": text, "frames": place + 1, "rows": rows}
                 journal.append([(back, {})])
                 journal.sync()
-            with words("write", folder / "scene.toml"):
+            with file_errors("write", folder / "scene.toml"):
                 part.replace(folder / "scene.toml")
             remove(folder, [name for name in FILES if name not in ("scene.toml", hdf5.NAME)])
             store = cls(folder, journal, names, stack.pop_all())
@@ -258,7 +258,7 @@ class Store:
                 "can be read; 'multicell resume' makes one file of them when there is room"
             ) from error
         self._journal.close()
-        with words("remove", self.folder / JOURNAL):
+        with file_errors("remove", self.folder / JOURNAL):
             (self.folder / JOURNAL).unlink()
         sync_folder(self.folder)
 
