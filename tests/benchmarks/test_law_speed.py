@@ -4,10 +4,13 @@ Targets: at most 1.3 times the plain JKR kernel for the laws of scenes; friction
 most 8 times the right-hand side without. Run ``pytest -m benchmark -s``; ratios of one run count.
 """
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from strategies import cluster
 
+from multicell.contact.custom import load_law
 from multicell.contact.exact_jkr import ExactJKR
 from multicell.contact.hertz import Hertz
 from multicell.contact.jkr import JKR
@@ -25,6 +28,7 @@ def tissue(n):
 
 
 TISSUE = {}
+OWN = Path(__file__).parents[2] / "examples" / "own_law.py"
 
 CASES = {
     "jkr": (JKR(), {}, {}),
@@ -34,6 +38,8 @@ CASES = {
     "linear": (Linear(cutoff=1.0), {}, {}),
     "cubic": (Cubic(cutoff=1.05), {}, {}),
     "generalised linear": (GeneralisedLinear(cutoff=1.0), {}, {}),
+    "one's own square": (load_law(f"{OWN}:Square")(stiffness=2.0), {}, {}),
+    "one's own jkr": (load_law(f"{OWN}:Sticky")(surface_energy=0.1), {}, {}),
     "jkr between types": (JKR(), {"surface_energies": np.array([[0.1, 0.05], [0.05, 0.1]])}, {}),
     "jkr and receptors": (JKR(), {"bond_strength": 0.1}, {"bonds": True}),
     "jkr and external force": (JKR(), {}, {"push": True}),
