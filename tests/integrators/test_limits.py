@@ -1,5 +1,7 @@
 """Where there is nothing to solve, and where double precision ends: every method, every law."""
 
+import itertools
+
 import numpy as np
 import pytest
 from strategies import mechanics
@@ -28,9 +30,16 @@ def method(name, **options):
     return make(IntegratorOptions(method=name, **options))
 
 
+# every method with one law and every law with some methods: a compiled loop is made for each law
+LONELY = [
+    (name, law)
+    for name, law in itertools.product(sorted(METHODS), sorted(LAWS))
+    if law == "jkr" or name in ("cvode", "backward-euler", "rk4", "scipy-rk45")
+]
+
+
 @pytest.mark.parametrize("friction", [(0.0, 0.0), (0.1, 0.05)], ids=["bare", "friction"])
-@pytest.mark.parametrize("law", sorted(LAWS))
-@pytest.mark.parametrize("name", sorted(METHODS))
+@pytest.mark.parametrize(("name", "law"), LONELY)
 def test_cells_without_neighbours_stay_where_they_are(name, law, friction):
     for start in LONE.values():
         n = len(start)

@@ -62,7 +62,7 @@ def test_every_declared_key_is_drawn():
     """A key of a new kind needs a way to be drawn: ``Parameter.kind``, or ``examples``."""
     seen = set()
 
-    @settings(max_examples=300, suppress_health_check=list(HealthCheck))
+    @settings(max_examples=900, suppress_health_check=list(HealthCheck))
     @given(entries=drawn.plausible(small=False))
     def look(entries):
         seen.update(drawn.keys_of(entries))
