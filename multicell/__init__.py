@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from multicell.contact.hertz import Hertz
     from multicell.contact.jkr import JKR
     from multicell.integrators.base import Integrator, MethodInfo, Outcome
-    from multicell.mechanics.system import StateRejected
+    from multicell.mechanics.motion import StateRejected
     from multicell.ode import OdeProblem, ode_problem
     from multicell.report.export import export
     from multicell.report.result import Result, load_result
@@ -81,7 +81,7 @@ _LAZY = {
     "Scene": "multicell.scene.scene",
     "Simulation": "multicell.simulation",
     "State": "multicell.cells",
-    "StateRejected": "multicell.mechanics.system",
+    "StateRejected": "multicell.mechanics.motion",
     "load_result": "multicell.report.result",
     "load_scene": "multicell.scene.scene",
     "WorkPrecision": "multicell.comparison.result",

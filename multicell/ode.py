@@ -26,7 +26,7 @@ class OdeProblem:
     y holds the coordinates of the cells one after the other, y[3 i + a] the component a of cell i
     in µm. Radii, receptors and external forces change linearly in time between t0 and t1.
 
-    Evaluations raise :class:`~multicell.mechanics.system.StateRejected` at states that are not
+    Evaluations raise :class:`~multicell.mechanics.motion.StateRejected` at states that are not
     finite, or with thousands of cells in one place.
 
     Attributes

@@ -26,7 +26,8 @@ from multicell.cells import Cells, FloatArray
 from multicell.errors import NutrientFailed, StepFailed
 from multicell.integrators import registry
 from multicell.mechanics import neighbours
-from multicell.mechanics.system import Mechanics, Motion
+from multicell.mechanics.motion import Motion
+from multicell.mechanics.system import Mechanics
 from multicell.nutrient.balance import Ledger
 from multicell.results import summary
 from multicell.results.frame import Field, Frame, Progress

@@ -25,7 +25,8 @@ from multicell.contact.hertz import Hertz
 from multicell.contact.law import PairLaw, effective_modulus
 from multicell.integrators.base import Integrator, MethodInfo, Outcome, build
 from multicell.integrators.own import known
-from multicell.mechanics.system import Mechanics, Motion
+from multicell.mechanics.motion import Motion
+from multicell.mechanics.system import Mechanics
 
 BEGIN, END = 30.0, 110.0
 """The interval of the problem that is solved, s."""

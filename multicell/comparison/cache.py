@@ -19,7 +19,7 @@ import numpy as np
 
 from multicell.cells import Cells
 from multicell.comparison.replay import Events, Problem, Step, Trajectory
-from multicell.mechanics.system import Motion
+from multicell.mechanics.motion import Motion
 from multicell.results.folder import file_errors, replacing, versions
 from multicell.scene.scene import Scene
 

@@ -15,7 +15,7 @@ from multicell.integrators import registry
 from multicell.integrators.base import Control, Integrator, MethodInfo, build
 from multicell.integrators.own import known
 from multicell.integrators.registry import METHODS
-from multicell.mechanics.system import Work
+from multicell.mechanics.motion import Work
 from multicell.scene.scene import Scene
 
 Ladder = Mapping[str, Sequence[float]]

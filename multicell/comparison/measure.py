@@ -14,7 +14,7 @@ from multicell.comparison.ladders import Method, weighted_cost
 from multicell.comparison.norms import errors, no_errors, observe
 from multicell.comparison.reference import Reference
 from multicell.comparison.replay import Problem, Trajectory, replay, without_compiling
-from multicell.mechanics.system import Work
+from multicell.mechanics.motion import Work
 
 _TRIALS = 3
 """Tolerances at which a method may fail before it is held to be too slow for finer ones."""

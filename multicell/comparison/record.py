@@ -23,7 +23,8 @@ from multicell.cells import Cells, FloatArray
 from multicell.comparison.replay import Events, Problem, Step, Trajectory
 from multicell.errors import SceneError, StepFailed
 from multicell.integrators.base import Integrator, Outcome
-from multicell.mechanics.system import Mechanics, Motion
+from multicell.mechanics.motion import Motion
+from multicell.mechanics.system import Mechanics
 from multicell.scene.scene import Scene
 from multicell.simulation import Simulation
 

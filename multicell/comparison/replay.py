@@ -20,7 +20,8 @@ from numba.core.event import install_recorder
 
 from multicell.cells import FloatArray, IntArray
 from multicell.integrators.base import Integrator
-from multicell.mechanics.system import Mechanics, Motion, Work
+from multicell.mechanics.motion import Motion, Work
+from multicell.mechanics.system import Mechanics
 from multicell.scene.scene import Scene
 
 T = TypeVar("T")

@@ -46,7 +46,7 @@ class WorkPrecision:
         solves), ``spent`` (s, the one solve that the errors are of, also of a failure),
         ``error_...`` in every norm of :data:`multicell.comparison.norms.NORMS`, ``cost``
         (evaluations, with linearisations and Jacobian products by their weights), the counts of
-        :class:`multicell.mechanics.system.Work`, and ``mode`` (``"whole run"``, or how many of the
+        :class:`multicell.mechanics.motion.Work`, and ``mode`` (``"whole run"``, or how many of the
         coupling steps were compared one by one). What a failed or skipped solve lacks is NaN.
     uncertainty : norm -> float
         Of the reference: an error is known no better than this.

@@ -201,7 +201,7 @@ def decay_rate(system: Mechanics, position: FloatArray) -> float:
     the start is fixed. The estimate is from below: a random start of 3n numbers finds the upper
     end of a dense spectrum to a tenth or so.
     """
-    from multicell.mechanics.system import StateRejected
+    from multicell.mechanics.motion import StateRejected
 
     if len(system) < 2 and system.walls is None:
         return 0.0

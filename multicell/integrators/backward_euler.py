@@ -75,7 +75,7 @@ class BackwardEuler(EqualSteps):
         """Integrate over the coupling step of ``system``; see :class:`Integrator`."""
         from multicell.integrators.limits import beyond
         from multicell.integrators.stepping import furthest_moved
-        from multicell.mechanics.system import StateRejected
+        from multicell.mechanics.motion import StateRejected
 
         if len(system) == 0:
             return Outcome(system.motion.end, np.array(position))

@@ -94,7 +94,7 @@ class Integrator(Protocol):
         -------
         Outcome
             With ``time`` equal to ``system.motion.end``, or with ``problem`` set. The exception
-            :class:`~multicell.mechanics.system.StateRejected`, which evaluations raise at states
+            :class:`~multicell.mechanics.motion.StateRejected`, which evaluations raise at states
             without meaning, must become such a problem.
         """
 

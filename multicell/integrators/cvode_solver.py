@@ -16,8 +16,8 @@ from sksundae.cvode import CVODE, CVODEJacTimes, CVODEPrecond
 from multicell.cells import FloatArray
 from multicell.integrators.restarts import Predictor, Restart, Run, StepImpossible, one_step
 from multicell.mechanics.jacobian import limited
+from multicell.mechanics.motion import StateRejected
 from multicell.mechanics.preconditioners import preconditioner
-from multicell.mechanics.system import StateRejected
 
 if TYPE_CHECKING:
     from multicell.integrators.cvode import Cvode

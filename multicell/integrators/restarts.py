@@ -17,7 +17,8 @@ from multicell.cells import FloatArray
 from multicell.integrators.base import Outcome
 from multicell.integrators.limits import beyond
 from multicell.integrators.stepping import furthest_moved, largest_length
-from multicell.mechanics.system import Mechanics, StateRejected
+from multicell.mechanics.motion import StateRejected
+from multicell.mechanics.system import Mechanics
 
 _MOST_REFUSALS = 30
 _STEPS_BEFORE_LIFT = 8

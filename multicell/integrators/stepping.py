@@ -23,7 +23,8 @@ from numba.extending import overload, register_jitable
 from numpy.typing import NDArray
 
 from multicell.mechanics import forces, neighbours
-from multicell.mechanics.system import Mechanics, StateRejected
+from multicell.mechanics.motion import StateRejected
+from multicell.mechanics.system import Mechanics
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray

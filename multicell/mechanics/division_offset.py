@@ -55,7 +55,7 @@ class Offsets:
         n
             Number of cells.
         pairs, offset
-            See :class:`~multicell.mechanics.system.Motion`.
+            See :class:`~multicell.mechanics.motion.Motion`.
         values
             Returns for the two cells of each pair what the law keeps for it.
 

@@ -18,8 +18,9 @@ from multicell.mechanics import neighbours
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
+    from multicell.mechanics.motion import Motion
     from multicell.mechanics.neighbours import PairList
-    from multicell.mechanics.system import Linearisation, Mechanics, Motion
+    from multicell.mechanics.system import Linearisation, Mechanics
 
 _SQUARE = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])
 """Where the entries of a symmetric block stand among (xx, yy, zz, xy, xz, yz)."""

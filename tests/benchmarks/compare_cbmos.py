@@ -27,7 +27,8 @@ import numpy as np
 from multicell.biology.initial import packed_ball
 from multicell.contact.springs import Cubic
 from multicell.integrators.registry import make
-from multicell.mechanics.system import Mechanics, Motion
+from multicell.mechanics.motion import Motion
+from multicell.mechanics.system import Mechanics
 from multicell.scene.parts import IntegratorOptions
 
 KEPT = "cvode-adams, J kept"

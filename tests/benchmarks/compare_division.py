@@ -67,7 +67,8 @@ from multicell.comparison.record import record
 from multicell.comparison.replay import replay
 from multicell.contact.law import effective_modulus, effective_radius
 from multicell.integrators.cvode import Cvode
-from multicell.mechanics.system import Mechanics, Motion
+from multicell.mechanics.motion import Motion
+from multicell.mechanics.system import Mechanics
 
 HALF = 0.5 ** (1.0 / 3.0)
 MODULUS = effective_modulus(1.0, 0.5, 1.0, 0.5)

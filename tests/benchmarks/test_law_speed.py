@@ -16,7 +16,8 @@ from multicell.contact.hertz import Hertz
 from multicell.contact.jkr import JKR
 from multicell.contact.springs import Cubic, GeneralisedLinear, Linear
 from multicell.mechanics import neighbours
-from multicell.mechanics.system import Mechanics, Motion
+from multicell.mechanics.motion import Motion
+from multicell.mechanics.system import Mechanics
 
 pytestmark = pytest.mark.benchmark
 

@@ -11,7 +11,8 @@ from strategies import cluster
 
 from multicell import JKR
 from multicell.mechanics import neighbours
-from multicell.mechanics.system import Mechanics, Motion
+from multicell.mechanics.motion import Motion
+from multicell.mechanics.system import Mechanics
 
 CELLS = 100_000
 

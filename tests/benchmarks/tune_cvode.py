@@ -50,7 +50,8 @@ from multicell import JKR
 from multicell.integrators.base import Outcome
 from multicell.integrators.cvode import Cvode
 from multicell.mechanics import neighbours, preconditioners
-from multicell.mechanics.system import Mechanics, Motion
+from multicell.mechanics.motion import Motion
+from multicell.mechanics.system import Mechanics
 
 EXPENSIVE = ["multigrid", "exact"]
 """Preconditioners that take seconds; left out unless asked for. The first needs pyamg."""

@@ -13,7 +13,8 @@ from multicell.contact.law import effective_modulus, effective_radius
 from multicell.integrators.cvode import Cvode
 from multicell.integrators.runge_kutta import Euler
 from multicell.mechanics.friction import FrictionMatrix, FrictionNotSolvedError
-from multicell.mechanics.system import Mechanics, Motion, StateRejected
+from multicell.mechanics.motion import Motion, StateRejected
+from multicell.mechanics.system import Mechanics
 from multicell.results.observables import contact_rows
 
 

@@ -34,7 +34,7 @@ from multicell.comparison.work_precision import compare
 from multicell.integrators.base import Outcome
 from multicell.integrators.registry import METHODS
 from multicell.integrators.runge_kutta import Euler
-from multicell.mechanics.system import Work
+from multicell.mechanics.motion import Work
 
 
 class Raising:

@@ -42,7 +42,8 @@ import json, sys
 import numpy as np
 import multicell as mc
 from multicell.mechanics import forces
-from multicell.mechanics.system import Mechanics, Motion
+from multicell.mechanics.motion import Motion
+from multicell.mechanics.system import Mechanics
 law = mc.load_law(sys.argv[1])(stiffness=2.0)
 system, two = Mechanics(law, 5.0), np.ones(2)
 system.begin(Motion(5.0 * two, 0.0 * two, two, 0.5 * two, 0.0, 1.0))

@@ -5,7 +5,8 @@ from hypothesis import strategies as st
 
 from multicell.contact.hertz import Hertz
 from multicell.contact.jkr import JKR
-from multicell.mechanics.system import Mechanics, Motion
+from multicell.mechanics.motion import Motion
+from multicell.mechanics.system import Mechanics
 
 SEED_SET = {"young": 1.0, "poisson": 0.5, "surface_energy": 0.1}
 """Parameters of the thesis: nN/µm², dimensionless, nN/µm."""

@@ -17,7 +17,8 @@ from multicell.integrators.rkc import Rkc2
 from multicell.integrators.runge_kutta import AdaptiveEuler, Dopri5, Euler, Heun, RungeKutta4
 from multicell.mechanics import forces as kernels
 from multicell.mechanics import neighbours
-from multicell.mechanics.system import Mechanics, Motion
+from multicell.mechanics.motion import Motion
+from multicell.mechanics.system import Mechanics
 
 ALL = [
     Euler(2.0),

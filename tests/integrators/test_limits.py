@@ -14,7 +14,7 @@ from multicell.integrators.registry import METHODS, make
 from multicell.integrators.restarts import Run
 from multicell.mechanics import blocks
 from multicell.mechanics import preconditioners as sparse
-from multicell.mechanics.system import StateRejected
+from multicell.mechanics.motion import StateRejected
 from multicell.scene.parts import IntegratorOptions
 
 LONE = {

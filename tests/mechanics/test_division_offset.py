@@ -21,7 +21,8 @@ from multicell.integrators.cvode import Cvode
 from multicell.integrators.registry import METHODS, make
 from multicell.integrators.runge_kutta import Dopri5
 from multicell.mechanics.jacobian import sparse_jacobian
-from multicell.mechanics.system import Mechanics, Motion
+from multicell.mechanics.motion import Motion
+from multicell.mechanics.system import Mechanics
 
 LAWS = {
     "hertz": Hertz(),

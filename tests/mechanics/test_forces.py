@@ -13,7 +13,8 @@ from multicell.contact.hertz import Hertz
 from multicell.contact.jkr import JKR
 from multicell.contact.law import effective_modulus
 from multicell.contact.springs import Cubic, GeneralisedLinear, Linear
-from multicell.mechanics.system import Mechanics, Motion
+from multicell.mechanics.motion import Motion
+from multicell.mechanics.system import Mechanics
 
 LAWS = {
     "hertz": Hertz(),

@@ -10,7 +10,7 @@ from strategies import cluster, laws, mechanics, radii, seeds
 
 from multicell import JKR, Hertz
 from multicell.mechanics import neighbours
-from multicell.mechanics.system import StateRejected
+from multicell.mechanics.motion import StateRejected
 
 
 @pytest.mark.parametrize("law", [Hertz(), JKR(surface_energy=0.1)])

@@ -13,8 +13,9 @@ from multicell.integrators.auto import decay_rate
 from multicell.integrators.registry import METHODS
 from multicell.mechanics import forces as kernels
 from multicell.mechanics.jacobian import limited, sparse_jacobian
+from multicell.mechanics.motion import Motion
 from multicell.mechanics.preconditioners import preconditioner
-from multicell.mechanics.system import Mechanics, Motion
+from multicell.mechanics.system import Mechanics
 from multicell.mechanics.walls import Walls
 from multicell.scene.parts import IntegratorOptions
 

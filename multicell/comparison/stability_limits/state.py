@@ -17,7 +17,8 @@ from multicell.cells import HALF, FloatArray, IntArray
 from multicell.comparison.stability_limits.decay import largest_decay
 from multicell.errors import SceneError, StepFailed
 from multicell.integrators.cvode import Cvode
-from multicell.mechanics.system import Mechanics, Motion, Work
+from multicell.mechanics.motion import Motion, Work
+from multicell.mechanics.system import Mechanics
 from multicell.scene.scene import Scene
 from multicell.simulation import Simulation
 

@@ -18,7 +18,8 @@ from multicell.cells import FloatArray, IntArray
 from multicell.comparison.ladders import Method
 from multicell.comparison.replay import advance, too_late
 from multicell.comparison.stability_limits.state import State
-from multicell.mechanics.system import Mechanics, StateRejected
+from multicell.mechanics.motion import StateRejected
+from multicell.mechanics.system import Mechanics
 
 STABLE: Final = "stable"
 BLOW_UP: Final = "blow-up"

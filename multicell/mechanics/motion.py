@@ -1,0 +1,89 @@
+"""What is known of the cells during one coupling step, and what its integration has cost."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, final
+
+from numpy.typing import NDArray
+
+from multicell.cells import FloatArray
+
+
+class StateRejected(Exception):  # noqa: N818 - what happened to a trial state, not a fault
+    """A trial state that has no meaning: not finite, or with too many cells in one place."""
+
+
+@final
+@dataclass
+class Work:
+    """Counts of what an integration has cost."""
+
+    evaluations: int = 0
+    linearisations: int = 0
+    jacobian_products: int = 0
+    preconditioner_setups: int = 0
+    preconditioner_solves: int = 0
+    list_builds: int = 0
+    steps: int = 0
+    rejections: int = 0
+    newton_iterations: int = 0
+    linear_iterations: int = 0
+    factorisations: int = 0
+    steps_ab2_adaptive: int = 0
+    steps_dopri5: int = 0
+    steps_rkc2: int = 0
+    steps_cvode: int = 0
+    friction_iterations: int = 0
+
+    def add(self, other: Work) -> None:
+        """Add the counts of ``other`` to these."""
+        for name, count in vars(other).items():
+            setattr(self, name, getattr(self, name) + count)
+
+
+@final
+@dataclass
+class Motion:
+    """What is known of the cells during one coupling step, from ``begin`` to ``end``.
+
+    Attributes
+    ----------
+    radius, radius_rate : (n,)
+        Radius at ``begin``, µm, and its constant rate, µm/s.
+    young, poisson : (n,)
+        Elastic constants, kPa and dimensionless.
+    begin, end : float
+        Time, s.
+    bonds : (n, 4), optional
+        Receptors and ligands at ``begin`` and their constant rates, 1/s.
+    push : (n, 6), optional
+        External force on each cell at ``begin``, nN, and its constant rate, nN/s.
+    kind : (n,) int, optional
+        Type of each cell, an index into the matrix of surface energies.
+    touching : (m, 2) int, optional
+        Pairs in contact at ``begin``, smaller index first; only exact JKR asks.
+    offset_pairs : (m, 2) int, optional
+        Pairs that feel only the overlap beyond their offset, smaller index first, none twice; see
+        :mod:`multicell.mechanics.division_offset`.
+    offset : (m, 2), optional
+        Their offset at ``begin``, µm, and its constant rate, µm/s; it ends where it reaches zero.
+    """
+
+    radius: FloatArray
+    radius_rate: FloatArray
+    young: FloatArray
+    poisson: FloatArray
+    begin: float
+    end: float
+    bonds: FloatArray | None = None
+    push: FloatArray | None = None
+    kind: NDArray[Any] | None = None
+    touching: NDArray[Any] | None = None
+    offset_pairs: NDArray[Any] | None = None
+    offset: FloatArray | None = None
+
+    @property
+    def end_radius(self) -> FloatArray:
+        """Radius at ``end``, (n,) µm."""
+        return self.radius + self.radius_rate * (self.end - self.begin)
