@@ -58,12 +58,12 @@ def norms(result: WorkPrecision) -> Figure:
     """Draw error over time in every norm."""
     figure = _headed(result, "every norm; grey: what the reference leaves open")
     for k, (name, norm) in enumerate(NORMS.items()):
-        row, column = divmod(k, 3)
-        place = (0.065 + 0.262 * column, 0.525 - 0.435 * row, 0.205, 0.285)
+        row, column = divmod(k, 4)
+        place = (0.055 + 0.1985 * column, 0.525 - 0.435 * row, 0.15, 0.285)
         axes = figure.add_axes(place, label=f"{name} wall")
         _curves(axes, result, name, result.clock, size=3.5)
         _band(axes, result.uncertainty[name])
-        axes.set_title(norm.title(result.stepwise), fontsize=10)
+        axes.set_title(norm.title(result.stepwise), fontsize=8)
         axes.tick_params(labelsize=8.5)
         if row == 1:
             axes.set_xlabel(_LABELS[result.clock], fontsize=10)

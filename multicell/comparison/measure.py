@@ -11,7 +11,7 @@ from typing import Any, final
 
 from multicell.comparison.files import DONE, FAILED, SKIPPED, Row
 from multicell.comparison.ladders import Method, weighted_cost
-from multicell.comparison.norms import errors, no_errors, observe
+from multicell.comparison.norms import WORST_CELL, errors, no_errors, observe
 from multicell.comparison.reference import Reference
 from multicell.comparison.replay import Problem, Trajectory, replay, without_compiling
 from multicell.mechanics.system import Work
@@ -147,16 +147,18 @@ def _measured(
     return _row(
         method, setting, DONE, wall=timed.wall, cpu=timed.cpu, spent=found.wall,
         cost=weighted_cost(found.work), **vars(found.work),
-        **_columns(errors(problem, observe(problem, found), exact.observed)),
+        **_columns(errors(problem, observe(problem, found), exact.observed), problem.mean_radius),
     )  # fmt: skip
 
 
 def _row(method: Method, setting: float, status: str, **known: Any) -> Row:
     """Return one row of the table; what is not known is NaN."""
-    unknown = ("wall", "cpu", "spent", *_columns(no_errors()), "cost", *vars(Work()))
+    unknown = ("wall", "cpu", "spent", *_columns(no_errors(), 1.0), "cost", *vars(Work()))
     first = {"method": method.name, "control": method.control, "setting": setting}
     return {**first, "status": status, "words": "", **dict.fromkeys(unknown, math.nan), **known}
 
 
-def _columns(errors: Mapping[str, float]) -> dict[str, float]:
-    return {f"error_{norm}": value for norm, value in errors.items()}
+def _columns(errors: Mapping[str, float], radius: float) -> dict[str, float]:
+    """Return the errors as columns; that of the worst cell in mean radii, and in µm too."""
+    columns = {f"error_{norm}": value for norm, value in errors.items()}
+    return columns | {column: radius * errors[norm] for norm, column in WORST_CELL.items()}

@@ -11,7 +11,14 @@ from multicell.report.plots.style import time_unit
 if TYPE_CHECKING:
     from multicell.comparison.result import WorkPrecision
 
-VERDICT_NORMS: Final = ("position", "position_median", "energy", "gyration")
+VERDICT_NORMS: Final = (
+    "position",
+    "position_median",
+    "worst_cell",
+    "worst_cell_median",
+    "energy",
+    "gyration",
+)
 """Norms in which the page gives the time to reach an error."""
 
 TARGETS: Final = (1e-1, 1e-2, 1e-3, 1e-4, 1e-6)
@@ -20,6 +27,7 @@ TARGETS: Final = (1e-1, 1e-2, 1e-3, 1e-4, 1e-6)
 CAPTIONS: Final = {
     "workprecision.png": "Error over cost; lower and further left is better. Each point is one "
     "tolerance or step, a cross is a solve that failed, placed at the time it had taken.",
+    "worst-cell.png": "The same solves, judged by the one cell that is furthest from its place.",
     "norms.png": "The same solves in every norm. Where single cells settle in another pocket the "
     "positions differ, while size, energy and pair distances may still be right.",
 }
@@ -66,6 +74,7 @@ def _tiles(result: WorkPrecision) -> dict[str, str]:
         "solves that failed": f"{len(result.failures())} of {len(result.table)}",
         "largest decay rate × time": f"{facts['largest_decay_rate'] * facts['time']:,.0f}",
         "uncertainty of positions": f"{result.uncertainty['position']:.1e}",
+        "uncertainty of the worst cell": f"{result.uncertainty['worst_cell']:.1e}",
     }
 
 

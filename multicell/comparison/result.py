@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.comparison.files import DONE, FAILED, Row, to_csv, write
-from multicell.comparison.norms import NORMS
+from multicell.comparison.norms import NORMS, WORST_CELL
 from multicell.results.folder import to_json
 from multicell.scene.scene import Scene
 
@@ -24,6 +24,7 @@ FILES: Final = (
     "workprecision.csv",
     "workprecision.json",
     "workprecision.png",
+    "worst-cell.png",
     "norms.png",
     "report.html",
 )
@@ -44,7 +45,8 @@ class WorkPrecision:
         ``"failed"``, or ``"skipped"`` where it would have taken too long), ``words`` (of a
         failure), ``wall`` and ``cpu`` (s on the wall and of the processors, the minimum of several
         solves), ``spent`` (s, the one solve that the errors are of, also of a failure),
-        ``error_...`` in every norm of :data:`multicell.comparison.norms.NORMS`, ``cost``
+        ``error_...`` in every norm of :data:`multicell.comparison.norms.NORMS`, dimensionless,
+        ``worst_cell_um`` and ``worst_cell_median_um`` (the worst cell's error in µm), ``cost``
         (evaluations, with linearisations and Jacobian products by their weights), the counts of
         :class:`multicell.mechanics.system.Work`, and ``mode`` (``"whole run"``, or how many of the
         coupling steps were compared one by one). What a failed or skipped solve lacks is NaN.
@@ -72,12 +74,16 @@ class WorkPrecision:
             If the text is something else.
         """
         held = json.loads(text)
+        # a file of an earlier version lacks norms that came later
+        unknown = dict.fromkeys((*(f"error_{norm}" for norm in NORMS), *WORST_CELL.values()))
         table = [
-            {name: math.nan if value is None else value for name, value in row.items()}
+            {name: math.nan if v is None else v for name, v in (row | unknown | row).items()}
             for row in held["table"]
         ]
         scene = Scene.from_dict(held["scene"])
-        return cls(scene, table, held["uncertainty"], held["facts"], held["clock"])
+        known = {n: math.nan if v is None else v for n, v in held["uncertainty"].items()}
+        uncertainty = dict.fromkeys(NORMS, math.nan) | known
+        return cls(scene, table, uncertainty, held["facts"], held["clock"])
 
     @property
     def stepwise(self) -> bool:
@@ -202,10 +208,11 @@ class WorkPrecision:
         """
         from multicell.comparison.page import CAPTIONS, context
 
-        csv, document, chart, norms, _ = FILES
+        csv, document, chart, worst, norms, _ = FILES
         texts = {csv: self.to_csv(), document: self.to_json() + "\n"}
         drawings = {
             chart: (self.figure, CAPTIONS[chart]),
+            worst: (lambda: self.figure("worst_cell"), CAPTIONS[worst]),
             norms: (self.norms_figure, CAPTIONS[norms]),
         }
         return write(folder, self.scene, texts, drawings, "compare.html", **context(self))
