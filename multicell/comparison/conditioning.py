@@ -34,6 +34,8 @@ class Conditioning:
     ----------
     shift : float, µm
         Root mean square of the shift of each coordinate at the beginning.
+    begin : (m,) float64, s
+        When each step begins.
     rms : (m,) float64, µm
         Displacement at the end of each step, root mean square over the cells.
     worst_cell : (m,) float64, µm
@@ -43,6 +45,7 @@ class Conditioning:
     """
 
     shift: float
+    begin: FloatArray
     rms: FloatArray
     worst_cell: FloatArray
     floor: dict[str, float]
@@ -51,6 +54,7 @@ class Conditioning:
         """Return numbers and lists, with the unit in the name of what has one."""
         return {
             "shift_um": self.shift,
+            "begin_s": self.begin.tolist(),
             "rms_um": self.rms.tolist(),
             "worst_cell_um": self.worst_cell.tolist(),
             "floor": self.floor,
@@ -67,20 +71,22 @@ class Conditioning:
         """
         if held is None:
             return None
-        rms, worst = (np.array(held[name], dtype=float) for name in ("rms_um", "worst_cell_um"))
-        return cls(held["shift_um"], rms, worst, dict(held["floor"]))
+        names = ("begin_s", "rms_um", "worst_cell_um")
+        begin, rms, worst = (np.array(held[name], dtype=float) for name in names)
+        return cls(held["shift_um"], begin, rms, worst, dict(held["floor"]))
 
     @property
     def amplification(self) -> FloatArray:
-        """Worst cell's displacement at each end over the shift's mean length in space, (m,)."""
-        return np.asarray(self.worst_cell / (self.shift * np.sqrt(3.0)))
+        """Displacement of the worst cell at each end over the shift of a coordinate, (m,)."""
+        return np.asarray(self.worst_cell / self.shift)
 
     def rows(self) -> list[Row]:
         """Return the steps as rows of a table; columns of a quantity end in its unit."""
-        both = zip(self.rms.tolist(), self.worst_cell.tolist(), strict=True)
+        held = self.to_dict()
+        columns = ("begin_s", "rms_um", "worst_cell_um")
         return [
-            {"step": k, "shift_um": self.shift, "rms_um": rms, "worst_cell_um": worst}
-            for k, (rms, worst) in enumerate(both)
+            {"step": k, "shift_um": self.shift, **{name: held[name][k] for name in columns}}
+            for k in range(len(self.begin))
         ]
 
 
@@ -113,8 +119,9 @@ def measured(problem: Problem, shift: float, found: Observed, exact: Observed) -
     found, exact
         What is compared of the ends from shifted positions, and of those of the reference.
     """
+    begin = np.array([step.motion.begin for step in problem.steps])
     rms, worst = apart(found.positions, exact.positions)
-    return Conditioning(shift, rms, worst, errors(problem, found, exact))
+    return Conditioning(shift, begin, rms, worst, errors(problem, found, exact))
 
 
 def _noise(seed: int, step: int, n: int) -> FloatArray:

@@ -147,18 +147,24 @@ def _measured(
     return _row(
         method, setting, DONE, wall=timed.wall, cpu=timed.cpu, spent=found.wall,
         cost=weighted_cost(found.work), **vars(found.work),
-        **_columns(errors(problem, observe(problem, found), exact.observed), problem.mean_radius),
+        **_columns(errors(problem, observe(problem, found), exact.observed), exact),
     )  # fmt: skip
 
 
 def _row(method: Method, setting: float, status: str, **known: Any) -> Row:
     """Return one row of the table; what is not known is NaN."""
-    unknown = ("wall", "cpu", "spent", *_columns(no_errors(), 1.0), "cost", *vars(Work()))
+    unknown = ("wall", "cpu", "spent", *_columns(no_errors()), "cost", *vars(Work()))
     first = {"method": method.name, "control": method.control, "setting": setting}
     return {**first, "status": status, "words": "", **dict.fromkeys(unknown, math.nan), **known}
 
 
-def _columns(errors: Mapping[str, float], radius: float) -> dict[str, float]:
-    """Return the errors as columns; that of the worst cell in mean radii, and in µm too."""
-    columns = {f"error_{norm}": value for norm, value in errors.items()}
-    return columns | {column: radius * errors[norm] for norm, column in WORST_CELL.items()}
+def _columns(errors: Mapping[str, float], exact: Reference | None = None) -> dict[str, float]:
+    """Return the errors as columns; that of the worst cell in mean radii, in µm and in shifts."""
+    radius = math.nan if exact is None else exact.problem.mean_radius
+    known = None if exact is None else exact.conditioning
+    floor = math.nan if known is None else known.floor["worst_cell_median"]
+    return {
+        **{f"error_{norm}": value for norm, value in errors.items()},
+        **{column: radius * errors[norm] for norm, column in WORST_CELL.items()},
+        "worst_cell_over_shift": errors["worst_cell_median"] / (floor or math.nan),
+    }
