@@ -58,10 +58,10 @@ def workprecision(result: WorkPrecision, norm: str) -> Figure:
 @styled
 def norms(result: WorkPrecision) -> Figure:
     """Draw error over time in every norm."""
-    open_ = "grey: what the reference leaves open"
+    open_ = "every norm; grey: what the reference leaves open"
     if result.conditioning is not None:
-        open_ += f"; yellow: {_shift_words(result.conditioning)}"
-    figure = _headed(result, f"every norm; {open_}")
+        open_ = f"grey: open in the reference; yellow: {_shift_words(result.conditioning)}"
+    figure = _headed(result, open_)
     for k, (name, norm) in enumerate(NORMS.items()):
         row, column = divmod(k, 4)
         place = (0.055 + 0.1985 * column, 0.525 - 0.435 * row, 0.15, 0.285)
