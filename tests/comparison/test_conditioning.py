@@ -20,6 +20,7 @@ from multicell.cli.main import main
 from multicell.comparison.conditioning import measured, shifted
 from multicell.comparison.ladders import named
 from multicell.comparison.norms import NORMS, apart, observe
+from multicell.comparison.page import VERDICT_NORMS
 from multicell.comparison.reference import key, paired, reference
 from multicell.comparison.replay import Problem, Step, replay
 from multicell.comparison.result import FILES, WorkPrecision
@@ -235,6 +236,8 @@ def test_page_csv_and_json_hold_it_with_units(judged, tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == set(FILES)
     assert "the difference of trajectories means nothing" in page
     assert page.count("below the floor</small>") == 3
+    for norm in VERDICT_NORMS:
+        assert f"ends off by {judged.conditioning.floor[norm]:.1e}: smaller errors" in page
     rows = list(csv.DictReader(io.StringIO((tmp_path / "conditioning.csv").read_text())))
     assert list(rows[0]) == ["step", "shift_um", "begin_s", "rms_um", "worst_cell_um"]
     assert [float(row["begin_s"]) for row in rows] == [0.0, 60.0, 120.0, 180.0, 240.0]
