@@ -46,7 +46,7 @@ AFTER = (0.0, 10.0, 60.0, 300.0)
 ASTRAY = 0.01
 """Part of a radius by which a cell is off that is called astray."""
 PER_STEP = 13
-"""Divisions in a coupling step at this number of cells."""
+"""About how many divisions a coupling step has at this number of cells."""
 Row = dict[str, Any]
 
 
