@@ -48,6 +48,8 @@ class Purpose(IntEnum):
     PHASES = 9
     APOPTOSIS = 10
     NECROSIS = 11
+    CONDITIONING = 12
+    EIGENVECTOR = 13
 
 
 def _product(a: np.uint64, b: UIntArray) -> tuple[UIntArray, UIntArray]:

@@ -82,6 +82,14 @@ def _comparing(command: Callable[..., None]) -> Callable[..., None]:
     "recorded state: for scenes whose trajectories part.",
 )
 @click.option(
+    "--shift",
+    type=click.FloatRange(min=0.0),
+    default=0.01,
+    show_default=True,
+    help="Random shift of all positions in um that shows how far a single step changes it, with "
+    "--stepwise; 0 to leave it out.",
+)
+@click.option(
     "--clock",
     type=click.Choice(["wall", "cpu"]),
     default="wall",

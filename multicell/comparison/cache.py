@@ -23,7 +23,7 @@ from multicell.mechanics.motion import Motion
 from multicell.results.folder import file_errors, replacing, versions
 from multicell.scene.scene import Scene
 
-FORMAT: Final = 3
+FORMAT: Final = 4
 """Counts up whenever a reference is computed or written in another way."""
 
 _NO_NUMBERS: Final = ("cli", "comparison", "report", "studies")

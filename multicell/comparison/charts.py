@@ -18,11 +18,13 @@ from multicell.report.plots.style import QUIET, blank, cell_count, styled, time_
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from multicell.comparison.conditioning import Conditioning
     from multicell.comparison.result import WorkPrecision
     from multicell.comparison.stability_limits.result import StabilityMap
 
 
 _OTHERS: Final = ("#b5432f", "#f2b63c", "#6b7a86", "#2a9d6a", "#d16ba5", "#00798c")
+_BANDS: Final = {"_uncertainty": "#dfe4e8", "_floor": "#fbf1d9"}
 _LABELS: Final = {
     "wall": "wall time (s)",
     "cpu": "processor time (s)",
@@ -44,8 +46,8 @@ def workprecision(result: WorkPrecision, norm: str) -> Figure:
         axes.set_xlabel(_LABELS[cost], fontsize=11)
     left.set_ylabel("error")
     right.tick_params(labelleft=False)
-    _band(left, result.uncertainty[norm])
-    _band(right, result.uncertainty[norm], words=True)
+    _bands(left, result, norm)
+    _bands(right, result, norm, words=True)
     if strip:
         place = (0.085, top - strip, 0.35, strip)
         _crosses(figure.add_axes(place, label="failures", sharex=left), result)
@@ -56,14 +58,17 @@ def workprecision(result: WorkPrecision, norm: str) -> Figure:
 @styled
 def norms(result: WorkPrecision) -> Figure:
     """Draw error over time in every norm."""
-    figure = _headed(result, "every norm; grey: what the reference leaves open")
+    open_ = "every norm; grey: what the reference leaves open"
+    if result.conditioning is not None:
+        open_ = f"grey: open in the reference; yellow: {_shift_words(result.conditioning)}"
+    figure = _headed(result, open_)
     for k, (name, norm) in enumerate(NORMS.items()):
-        row, column = divmod(k, 3)
-        place = (0.065 + 0.262 * column, 0.525 - 0.435 * row, 0.205, 0.285)
+        row, column = divmod(k, 4)
+        place = (0.055 + 0.1985 * column, 0.525 - 0.435 * row, 0.15, 0.285)
         axes = figure.add_axes(place, label=f"{name} wall")
         _curves(axes, result, name, result.clock, size=3.5)
-        _band(axes, result.uncertainty[name])
-        axes.set_title(norm.title(result.stepwise), fontsize=10)
+        _bands(axes, result, name)
+        axes.set_title(norm.title(result.stepwise), fontsize=8)
         axes.tick_params(labelsize=8.5)
         if row == 1:
             axes.set_xlabel(_LABELS[result.clock], fontsize=10)
@@ -106,19 +111,30 @@ def _curves(axes: Axes, result: WorkPrecision, norm: str, cost: str, size: float
         axis.set_minor_formatter(NullFormatter())
 
 
-def _band(axes: Axes, uncertainty: float, *, words: bool = False) -> None:
-    """Shade the errors that the reference cannot tell from zero."""
-    if not (math.isfinite(uncertainty) and uncertainty > 0.0):
+def _bands(axes: Axes, result: WorkPrecision, norm: str, *, words: bool = False) -> None:
+    """Shade the errors that the reference cannot tell from zero, and those that mean nothing."""
+    known = result.conditioning
+    levels = [("_uncertainty", result.uncertainty[norm], "uncertainty of the reference", "top")]
+    if known is not None:
+        levels.insert(0, ("_floor", known.floor[norm], _shift_words(known), "bottom"))
+    levels = [level for level in levels if math.isfinite(level[1]) and level[1] > 0.0]
+    if not levels:
         return
     low, high = axes.get_ylim()
-    bottom = min(low, 0.3 * uncertainty)
-    axes.axhspan(bottom, uncertainty, color="#dfe4e8", zorder=0, label="_uncertainty", lw=0)
-    axes.set_ylim(bottom, max(1.3 * high, 3.0 * uncertainty))
-    if words:
-        axes.text(
-            0.98, 0.97 * uncertainty, "uncertainty of the reference", ha="right", va="top",
-            transform=axes.get_yaxis_transform(), fontsize=9, color=QUIET,
-        )  # fmt: skip
+    bottom = min(low, *(0.3 * value for _, value, _, _ in levels))
+    for order, (name, value, text, side) in enumerate(levels):
+        axes.axhspan(bottom, value, color=_BANDS[name], zorder=-1 + order, label=name, lw=0)
+        if words:
+            axes.text(
+                0.98, value * (0.97 if side == "top" else 1.03), text, ha="right", va=side,
+                transform=axes.get_yaxis_transform(), fontsize=9, color=QUIET,
+            )  # fmt: skip
+    axes.set_ylim(bottom, max(1.3 * high, *(3.0 * value for _, value, _, _ in levels)))
+
+
+def _shift_words(known: Conditioning) -> str:
+    """Return what the floor of a chart is."""
+    return f"shift of {known.shift:g} µm ends so far off"
 
 
 def _crosses(strip: Axes, result: WorkPrecision) -> None:

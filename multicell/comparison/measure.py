@@ -11,7 +11,7 @@ from typing import Any, final
 
 from multicell.comparison.files import DONE, FAILED, SKIPPED, Row
 from multicell.comparison.ladders import Method, weighted_cost
-from multicell.comparison.norms import errors, no_errors, observe
+from multicell.comparison.norms import WORST_CELL, errors, no_errors, observe
 from multicell.comparison.reference import Reference
 from multicell.comparison.replay import Problem, Trajectory, replay, without_compiling
 from multicell.mechanics.motion import Work
@@ -147,7 +147,7 @@ def _measured(
     return _row(
         method, setting, DONE, wall=timed.wall, cpu=timed.cpu, spent=found.wall,
         cost=weighted_cost(found.work), **vars(found.work),
-        **_columns(errors(problem, observe(problem, found), exact.observed)),
+        **_columns(errors(problem, observe(problem, found), exact.observed), exact),
     )  # fmt: skip
 
 
@@ -158,5 +158,13 @@ def _row(method: Method, setting: float, status: str, **known: Any) -> Row:
     return {**first, "status": status, "words": "", **dict.fromkeys(unknown, math.nan), **known}
 
 
-def _columns(errors: Mapping[str, float]) -> dict[str, float]:
-    return {f"error_{norm}": value for norm, value in errors.items()}
+def _columns(errors: Mapping[str, float], exact: Reference | None = None) -> dict[str, float]:
+    """Return the errors as columns; that of the worst cell in mean radii, in µm and in shifts."""
+    radius = math.nan if exact is None else exact.problem.mean_radius
+    known = None if exact is None else exact.conditioning
+    floor = math.nan if known is None else known.floor["worst_cell_median"]
+    return {
+        **{f"error_{norm}": value for norm, value in errors.items()},
+        **{column: radius * errors[norm] for norm, column in WORST_CELL.items()},
+        "worst_cell_over_shift": errors["worst_cell_median"] / (floor or math.nan),
+    }

@@ -3,12 +3,13 @@
 Positions of single cells are the sharpest measure, but in a cluster where contacts form and
 break single cells diverge below any tolerance; energy, size and pair distances then still tell
 whether the population is right. The median over time is not decided by one cell that
-settled elsewhere shortly before the end.
+settled elsewhere shortly before the end. The root mean square over the cells hides a single cell
+that went astray: the error of the worst cell stands beside it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final, final
 
@@ -146,12 +147,41 @@ def _rms(position: FloatArray, other: FloatArray) -> float:
     return float(np.sqrt(np.square(position - other).sum(axis=1).mean()))
 
 
-def _position(over: Callable[[FloatArray], float]) -> Callable[[Observed, Observed, float], float]:
-    """Return the error of positions: root mean square over the cells, then ``over`` the times."""
+def _worst(position: FloatArray, other: FloatArray) -> float:
+    """Return the largest distance of a cell from its other place, µm."""
+    return float(np.sqrt(np.square(position - other).sum(axis=1).max()))
+
+
+def apart(
+    positions: Sequence[FloatArray], others: Sequence[FloatArray]
+) -> tuple[FloatArray, FloatArray]:
+    """Return how far cells are from other places at each of m times.
+
+    Parameters
+    ----------
+    positions, others
+        (n, 3) µm each, m of them; n may differ from time to time.
+
+    Returns
+    -------
+    (m,) µm
+        Root mean square over the cells.
+    (m,) µm
+        The worst cell.
+    """
+    pairs = list(zip(positions, others, strict=True))
+    return np.array([_rms(a, b) for a, b in pairs]), np.array([_worst(a, b) for a, b in pairs])
+
+
+def _position(
+    over: Callable[[FloatArray], float],
+    of: Callable[[FloatArray, FloatArray], float] = _rms,
+) -> Callable[[Observed, Observed, float], float]:
+    """Return the error of positions: ``of`` the cells of one time, then ``over`` the times."""
 
     def measure(found: Observed, exact: Observed, radius: float) -> float:
         pairs = zip(found.positions, exact.positions, strict=True)
-        return float(over(np.array([_rms(a, b) for a, b in pairs]))) / radius
+        return float(over(np.array([of(a, b) for a, b in pairs]))) / radius
 
     return measure
 
@@ -180,6 +210,14 @@ NORMS: Final = {
         Norm("position", "positions", "worst", "mean radius", _position(np.max)),
         Norm("position_median", "positions", "median", "mean radius", _position(np.median)),
         Norm("position_final", "positions", "last", "mean radius", _position(lambda x: x[-1])),
+        Norm("worst_cell", "worst cell", "worst", "mean radius", _position(np.max, _worst)),
+        Norm(
+            "worst_cell_median",
+            "worst cell",
+            "median",
+            "mean radius",
+            _position(np.median, _worst),
+        ),
         Norm("energy", "contact energy", "worst", "its largest value", _energy),
         Norm("gyration", "radius of gyration", "worst", "itself", _gyration),
         Norm(
@@ -188,3 +226,6 @@ NORMS: Final = {
     )
 }
 """Name of each norm -> the norm. Of positions: root mean square over the cells."""
+
+WORST_CELL: Final = {"worst_cell": "worst_cell_um", "worst_cell_median": "worst_cell_median_um"}
+"""Norm of the worst cell -> the column that holds it in µm."""

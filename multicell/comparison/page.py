@@ -5,13 +5,22 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
+
 from multicell.comparison.files import CLOCKS
 from multicell.report.plots.style import time_unit
 
 if TYPE_CHECKING:
     from multicell.comparison.result import WorkPrecision
 
-VERDICT_NORMS: Final = ("position", "position_median", "energy", "gyration")
+VERDICT_NORMS: Final = (
+    "position",
+    "position_median",
+    "worst_cell",
+    "worst_cell_median",
+    "energy",
+    "gyration",
+)
 """Norms in which the page gives the time to reach an error."""
 
 TARGETS: Final = (1e-1, 1e-2, 1e-3, 1e-4, 1e-6)
@@ -20,6 +29,7 @@ TARGETS: Final = (1e-1, 1e-2, 1e-3, 1e-4, 1e-6)
 CAPTIONS: Final = {
     "workprecision.png": "Error over cost; lower and further left is better. Each point is one "
     "tolerance or step, a cross is a solve that failed, placed at the time it had taken.",
+    "worst-cell.png": "The same solves, judged by the one cell that is furthest from its place.",
     "norms.png": "The same solves in every norm. Where single cells settle in another pocket the "
     "positions differ, while size, energy and pair distances may still be right.",
 }
@@ -41,6 +51,28 @@ def context(result: WorkPrecision) -> dict[str, Any]:
             result.norms[norm]: f"{value:.2e}" for norm, value in result.uncertainty.items()
         },
         "orders": _orders(result),
+        "conditioning": _conditioning(result),
+        "below": [(row["method"], row["setting"]) for row in result.below_floor()],
+    }
+
+
+def _conditioning(result: WorkPrecision) -> dict[str, str]:
+    """Return what a shift of all positions does to the ends of the steps; nothing of a run."""
+    known = result.conditioning
+    if known is None:
+        return {}
+    worst, rms = known.worst_cell, known.rms
+    radius = result.facts["mean_radius"]
+    return {
+        "shift of each coordinate, root mean square": f"{known.shift:g} µm",
+        "end, root mean square over the cells, median step": f"{np.median(rms):.2g} µm",
+        "end, worst cell, median step": f"{np.median(worst):.2g} µm",
+        "end, worst cell, worst step": f"{worst.max():.2g} µm",
+        "worst cell / shift, median step": f"{np.median(known.amplification):.2g}",
+        "steps in which a cell ends off by more than 1 % of a radius": (
+            f"{int((worst > 0.01 * radius).sum())} of {len(worst)}"
+        ),
+        **{result.norms[norm]: f"{value:.1e}" for norm, value in known.floor.items()},
     }
 
 
@@ -59,6 +91,10 @@ def _subtitle(result: WorkPrecision) -> str:
 def _tiles(result: WorkPrecision) -> dict[str, str]:
     facts = result.facts
     first, last = facts["cells"]
+    known = result.conditioning
+    shift = {} if known is None else {
+        f"worst cell after a shift of {known.shift:g} µm": f"{np.median(known.worst_cell):.2g} µm"
+    }  # fmt: skip
     return {
         "cells": f"{last:,}" if first == last else f"{first:,} → {last:,}",
         "simulated time": time_unit(facts["time"]).text(facts["time"]),
@@ -66,6 +102,8 @@ def _tiles(result: WorkPrecision) -> dict[str, str]:
         "solves that failed": f"{len(result.failures())} of {len(result.table)}",
         "largest decay rate × time": f"{facts['largest_decay_rate'] * facts['time']:,.0f}",
         "uncertainty of positions": f"{result.uncertainty['position']:.1e}",
+        "uncertainty of the worst cell": f"{result.uncertainty['worst_cell']:.1e}",
+        **shift,
     }
 
 

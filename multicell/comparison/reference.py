@@ -2,7 +2,8 @@
 
 The solution is computed twice, by two methods or with two tolerances. The difference of the two,
 in every norm, is the uncertainty of the reference: what a method is off by less than that says
-nothing about the method.
+nothing about the method. Of single coupling steps the conditioning is part of the reference too
+(:mod:`multicell.comparison.conditioning`).
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import Any, Final, final
 
 from multicell.cells import Cells
 from multicell.comparison import cache as reference_cache
+from multicell.comparison.conditioning import SHIFT, Conditioning, measured, shifted
 from multicell.comparison.ladders import Method, named
 from multicell.comparison.norms import Observed, errors, observe
 from multicell.comparison.record import record
@@ -50,6 +52,9 @@ class Reference:
         How the two were computed.
     cached : bool
         Whether it comes from the cache.
+    conditioning : Conditioning or None
+        What a shift at the beginning of each coupling step does to its end; None of a whole run,
+        or if it was not asked for.
     """
 
     problem: Problem
@@ -59,6 +64,7 @@ class Reference:
     wall: float
     words: str
     cached: bool
+    conditioning: Conditioning | None = None
 
 
 def reference(
@@ -66,6 +72,7 @@ def reference(
     *,
     pair: Pair | None = None,
     stepwise: int | None = None,
+    shift: float = SHIFT,
     cells: Cells | None = None,
     cache: str | Path | bool = True,
     threads: int | None = None,
@@ -85,6 +92,9 @@ def reference(
         Number of coupling steps to compare, each from its own recorded state
         (:mod:`multicell.comparison.record`); None for the whole run. The states are those that
         ``cvode`` leads to with a tolerance of a hundredth of a cell radius.
+    shift
+        Size in µm of the shift that shows the conditioning of single steps, root mean square of
+        each coordinate; 0 to leave it out.
     cells
         Cells to start from instead of the scene's initial ones.
     cache
@@ -104,30 +114,31 @@ def reference(
     """
     tell = progress or (lambda _: None)
     unsolved = blank(scene, cells, threads)
+    shift = 0.0 if stepwise is None else shift
     recording = {"samples": stepwise, "cells": cells, "threads": threads}
     sampled: tuple[Problem, Trajectory] | None = None
     pairs = default_pairs(scene, unsolved, stepwise) if pair is None else [pair]
     for k, chosen in enumerate(pairs):
-        path = _path(cache, scene, cells, chosen, stepwise)
+        path = _path(cache, scene, cells, chosen, stepwise, shift)
         held = None if path is None else reference_cache.load(path, unsolved)
         if held is not None:
             problem, ends, about = held
             tell("reference: from the cache")
+            about["conditioning"] = Conditioning.from_dict(about["conditioning"])
             return Reference(problem, ends, observe(problem, ends), **about, cached=True)
         try:
             if stepwise is not None and sampled is None:
                 name, tolerance = _RECORDED
                 leading = named(name, scene, unsolved.mean_radius)
                 sampled = _recorded(unsolved, leading, tolerance, recording, tell)
-            solved = _solve(unsolved, chosen, sampled, recording, tell)
+            solved = _solve(unsolved, chosen, sampled, shift, recording, tell)
         except StepFailed as error:
             if k + 1 == len(pairs):
                 raise
             tell(f"reference: {error}")
             continue
         if path is not None:
-            about = {name: getattr(solved, name) for name in ("uncertainty", "wall", "words")}
-            reference_cache.save(path, solved.problem, solved.trajectory, about)
+            reference_cache.save(path, solved.problem, solved.trajectory, _about(solved))
         return solved
     raise AssertionError("there is always a pair")
 
@@ -152,6 +163,13 @@ def default_pairs(scene: Scene, unsolved: Problem, stepwise: int | None = None) 
     return [((named("scipy-dop853", scene, radius), _TIGHT), check), *pairs]
 
 
+def _about(solved: Reference) -> dict[str, Any]:
+    """Return what the cache holds beside the problem and its solution, as JSON can hold it."""
+    about = {name: getattr(solved, name) for name in ("uncertainty", "wall", "words")}
+    known = solved.conditioning
+    return about | {"conditioning": None if known is None else known.to_dict()}
+
+
 def paired(
     methods: Sequence[tuple[str, float] | tuple[Method, float]], scene: Scene, radius: float
 ) -> Pair:
@@ -162,10 +180,16 @@ def paired(
     return first, second
 
 
-def key(scene: Scene, cells: Cells | None, pair: Pair, stepwise: int | None = None) -> str:
+def key(
+    scene: Scene,
+    cells: Cells | None,
+    pair: Pair,
+    stepwise: int | None = None,
+    shift: float = SHIFT,
+) -> str:
     """Return what a reference depends on as one hash (:func:`multicell.comparison.cache.key`)."""
     solved_by = [(method.name, method.control, setting) for method, setting in pair]
-    recorded = None if stepwise is None else [stepwise, *_RECORDED]
+    recorded = None if stepwise is None else [stepwise, *_RECORDED, shift]
     return reference_cache.key(scene, cells, [solved_by, recorded])
 
 
@@ -187,18 +211,24 @@ def _expected(scene: Scene, count: int) -> float:
 
 
 def _path(
-    cache: str | Path | bool, scene: Scene, cells: Cells | None, pair: Pair, stepwise: int | None
+    cache: str | Path | bool,
+    scene: Scene,
+    cells: Cells | None,
+    pair: Pair,
+    stepwise: int | None,
+    shift: float,
 ) -> Path | None:
     if cache is False:
         return None
     folder = reference_cache.cache_folder() if cache is True else Path(cache)
-    return folder / f"{key(scene, cells, pair, stepwise)}.npz"
+    return folder / f"{key(scene, cells, pair, stepwise, shift)}.npz"
 
 
 def _solve(
     unsolved: Problem,
     pair: Pair,
     sampled: tuple[Problem, Trajectory] | None,
+    shift: float,
     recording: dict[str, Any],
     tell: Callable[[str], None],
 ) -> Reference:
@@ -214,8 +244,15 @@ def _solve(
     observed = observe(problem, found)
     check = _replayed(problem, checking, other, "check of the reference", tell)
     uncertainty = errors(problem, observe(problem, check), observed)
+    conditioning = None
+    if shift > 0.0:
+        moved = shifted(problem, shift)
+        ends = _replayed(moved, method, setting, f"reference after a shift of {shift:g} um", tell)
+        conditioning = measured(problem, shift, observe(problem, ends), observed)
     text = f"{method.name} at {setting:g}, checked by {checking.name} at {other:g}"
-    return Reference(problem, found, observed, uncertainty, wall, text, cached=False)
+    return Reference(
+        problem, found, observed, uncertainty, wall, text, cached=False, conditioning=conditioning
+    )
 
 
 def _recorded(

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
+from multicell.comparison.conditioning import Conditioning
 from multicell.comparison.files import DONE, FAILED, Row, to_csv, write
-from multicell.comparison.norms import NORMS
+from multicell.comparison.norms import NORMS, WORST_CELL
 from multicell.results.folder import to_json
 from multicell.scene.scene import Scene
 
@@ -23,11 +24,13 @@ if TYPE_CHECKING:
 FILES: Final = (
     "workprecision.csv",
     "workprecision.json",
+    "conditioning.csv",
     "workprecision.png",
+    "worst-cell.png",
     "norms.png",
     "report.html",
 )
-"""What a comparison writes into its folder."""
+"""What a comparison writes into its folder; of a whole run there is no ``conditioning.csv``."""
 
 
 @final
@@ -44,7 +47,10 @@ class WorkPrecision:
         ``"failed"``, or ``"skipped"`` where it would have taken too long), ``words`` (of a
         failure), ``wall`` and ``cpu`` (s on the wall and of the processors, the minimum of several
         solves), ``spent`` (s, the one solve that the errors are of, also of a failure),
-        ``error_...`` in every norm of :data:`multicell.comparison.norms.NORMS`, ``cost``
+        ``error_...`` in every norm of :data:`multicell.comparison.norms.NORMS`, dimensionless,
+        ``worst_cell_um`` and ``worst_cell_median_um`` (the worst cell's error in µm),
+        ``worst_cell_over_shift`` (its median over the steps, over that after a shift of all
+        positions), ``cost``
         (evaluations, with linearisations and Jacobian products by their weights), the counts of
         :class:`multicell.mechanics.motion.Work`, and ``mode`` (``"whole run"``, or how many of the
         coupling steps were compared one by one). What a failed or skipped solve lacks is NaN.
@@ -54,6 +60,9 @@ class WorkPrecision:
         About the problem and the reference.
     clock : "wall" or "cpu"
         The time that judges.
+    conditioning : Conditioning or None
+        Of single coupling steps: the floor below which a difference of trajectories tells nothing
+        of a method (:mod:`multicell.comparison.conditioning`).
     """
 
     scene: Scene
@@ -61,6 +70,7 @@ class WorkPrecision:
     uncertainty: dict[str, float]
     facts: dict[str, Any]
     clock: str = "wall"
+    conditioning: Conditioning | None = None
 
     @classmethod
     def from_json(cls, text: str) -> WorkPrecision:
@@ -72,12 +82,18 @@ class WorkPrecision:
             If the text is something else.
         """
         held = json.loads(text)
+        # a file of an earlier version lacks norms that came later
+        late = (*(f"error_{norm}" for norm in NORMS), *WORST_CELL.values(), "worst_cell_over_shift")
+        unknown = dict.fromkeys(late)
         table = [
-            {name: math.nan if value is None else value for name, value in row.items()}
+            {name: math.nan if v is None else v for name, v in (row | unknown | row).items()}
             for row in held["table"]
         ]
         scene = Scene.from_dict(held["scene"])
-        return cls(scene, table, held["uncertainty"], held["facts"], held["clock"])
+        known = {n: math.nan if v is None else v for n, v in held["uncertainty"].items()}
+        uncertainty = dict.fromkeys(NORMS, math.nan) | known
+        conditioning = Conditioning.from_dict(held.get("conditioning"))
+        return cls(scene, table, uncertainty, held["facts"], held["clock"], conditioning)
 
     @property
     def stepwise(self) -> bool:
@@ -130,6 +146,18 @@ class WorkPrecision:
                 if best is None or row[self.clock] < best[self.clock]:
                     reached[row["method"]] = row
         return dict(sorted(reached.items(), key=lambda item: item[1][self.clock]))
+
+    def below_floor(self, norm: str = "worst_cell_median") -> list[Row]:
+        """Return the rows whose error is not above what a shift of all positions does.
+
+        Of these the difference of trajectories says nothing: the step changes a shift of that
+        size by more. Without conditioning there are none.
+        """
+        self._check(norm)
+        if self.conditioning is None:
+            return []
+        floor = self.conditioning.floor[norm]
+        return [r for r in self.table if r["status"] == DONE and r[f"error_{norm}"] <= floor]
 
     def fastest(self, error: float = 0.01, norm: str = "position") -> Row | None:
         """Return the row of least time that reaches an error, or None (:meth:`within`)."""
@@ -187,6 +215,7 @@ class WorkPrecision:
                 "uncertainty": self.uncertainty,
                 "norms": self.norms,
                 "clock": self.clock,
+                "conditioning": None if self.conditioning is None else self.conditioning.to_dict(),
                 "facts": self.facts,
                 "table": self.table,
             }
@@ -202,10 +231,13 @@ class WorkPrecision:
         """
         from multicell.comparison.page import CAPTIONS, context
 
-        csv, document, chart, norms, _ = FILES
+        csv, document, steps, chart, worst, norms, _ = FILES
         texts = {csv: self.to_csv(), document: self.to_json() + "\n"}
+        if self.conditioning is not None:
+            texts[steps] = to_csv(self.conditioning.rows())
         drawings = {
             chart: (self.figure, CAPTIONS[chart]),
+            worst: (lambda: self.figure("worst_cell"), CAPTIONS[worst]),
             norms: (self.norms_figure, CAPTIONS[norms]),
         }
         return write(folder, self.scene, texts, drawings, "compare.html", **context(self))

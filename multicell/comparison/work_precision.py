@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from multicell.cells import Cells
+from multicell.comparison.conditioning import SHIFT
 from multicell.comparison.files import CLOCKS, Row, prepare
 from multicell.comparison.ladders import Ladder, Method, able, listed, looks, settings, stiffness
 from multicell.comparison.measure import Effort, Timed, climb, time_again
@@ -18,6 +19,7 @@ from multicell.integrators.base import Integrator
 from multicell.results.folder import versions
 from multicell.scene.scene import Scene, load_scene
 from multicell.schema import near_miss
+from multicell.units import to_base
 
 
 def compare(
@@ -27,6 +29,7 @@ def compare(
     output: str | Path | None = None,
     *,
     stepwise: bool | int = False,
+    shift: float | str = SHIFT,
     clock: str = "wall",
     cells: Cells | None = None,
     references: Sequence[tuple[str, float] | tuple[Method, float]] | None = None,
@@ -63,6 +66,10 @@ def compare(
     stepwise
         True to compare 24 of the run's coupling steps, or their number, each from its own
         recorded state; cost is the sum over them. False to compare the whole run.
+    shift
+        Size of the random shift of all positions that shows how well-conditioned single steps
+        are (:mod:`multicell.comparison.conditioning`): root mean square of each coordinate, in
+        µm or with a unit; 0 to leave it out. A whole run has none.
     clock
         Which time judges: ``"wall"``, or ``"cpu"`` for that of the processors, which other load
         on the machine disturbs less. Both are measured.
@@ -105,6 +112,9 @@ def compare(
     count = sample_size(stepwise)
     if clock not in CLOCKS:
         raise SceneError("clock", f"is {clock!r}, must be {' or '.join(map(repr, CLOCKS))}")
+    moved = to_base(shift, "um", "shift")
+    if moved < 0.0:
+        raise SceneError("shift", f"is {shift!r}, must be 0 um or more")
     tell = progress or (lambda _: None)
     radius = blank(described, cells, threads).mean_radius
     asked = able(described) if methods is None else methods
@@ -113,8 +123,8 @@ def compare(
     _check_ladder(chosen, ladder)
     prepare(output, FILES, overwrite)
     exact = reference(
-        described, pair=pair, stepwise=count, cells=cells, cache=cache, threads=threads,
-        progress=tell,
+        described, pair=pair, stepwise=count, shift=moved, cells=cells, cache=cache,
+        threads=threads, progress=tell,
     )  # fmt: skip
     decay = stiffness(exact.problem, exact.trajectory)
     left = max(60.0, 10.0 * exact.wall) if budget is None else budget
@@ -130,7 +140,7 @@ def compare(
     tell("timing again, all methods in turns")
     time_again(again, exact.problem, repeats)
     facts = {**_facts(exact, decay), "looks": looks(chosen)}
-    result = WorkPrecision(described, table, exact.uncertainty, facts, clock)
+    result = WorkPrecision(described, table, exact.uncertainty, facts, clock, exact.conditioning)
     if output is not None:
         result.save(output)
     return result

@@ -1,0 +1,129 @@
+"""The conditioning of single coupling steps: what a random shift of all positions does to the end.
+
+Fresh daughters and contacts that form are unstable: there a coupling step amplifies whatever
+is wrong at its beginning, whatever the method, and now and then a cell falls into another pocket.
+Elsewhere the step forgets a shift. So the error of a method is judged beside the change that a
+shift of the tolerance's size makes to the end, solved by the method of the reference. Below that
+floor the difference of two trajectories tells nothing about a method.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Final, final
+
+import numpy as np
+
+from multicell.cells import FloatArray
+from multicell.comparison.files import Row
+from multicell.comparison.norms import Observed, apart, errors
+from multicell.comparison.replay import Problem
+from multicell.random import Purpose, normal
+
+SHIFT: Final = 0.01
+"""Root mean square of the shift of each coordinate, µm, unless another one is asked for."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Conditioning:
+    """How far a random shift of all positions moves the end of each of m coupling steps.
+
+    Attributes
+    ----------
+    shift : float, µm
+        Root mean square of the shift of each coordinate at the beginning.
+    begin : (m,) float64, s
+        When each step begins.
+    rms : (m,) float64, µm
+        Displacement at the end of each step, root mean square over the cells.
+    worst_cell : (m,) float64, µm
+        The same of the worst cell.
+    floor : norm -> float
+        The change in every norm of :data:`multicell.comparison.norms.NORMS`, dimensionless.
+    """
+
+    shift: float
+    begin: FloatArray
+    rms: FloatArray
+    worst_cell: FloatArray
+    floor: dict[str, float]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return numbers and lists, with the unit in the name of what has one."""
+        return {
+            "shift_um": self.shift,
+            "begin_s": self.begin.tolist(),
+            "rms_um": self.rms.tolist(),
+            "worst_cell_um": self.worst_cell.tolist(),
+            "floor": self.floor,
+        }
+
+    @classmethod
+    def from_dict(cls, held: Mapping[str, Any] | None) -> Conditioning | None:
+        """Return what :meth:`to_dict` has given; None for None.
+
+        Raises
+        ------
+        KeyError
+            If something is missing.
+        """
+        if held is None:
+            return None
+        names = ("begin_s", "rms_um", "worst_cell_um")
+        begin, rms, worst = (np.array(held[name], dtype=float) for name in names)
+        return cls(held["shift_um"], begin, rms, worst, dict(held["floor"]))
+
+    @property
+    def amplification(self) -> FloatArray:
+        """Displacement of the worst cell at each end over the shift of a coordinate, (m,)."""
+        return np.asarray(self.worst_cell / self.shift)
+
+    def rows(self) -> list[Row]:
+        """Return the steps as rows of a table; columns of a quantity end in its unit."""
+        held = self.to_dict()
+        columns = ("begin_s", "rms_um", "worst_cell_um")
+        return [
+            {"step": k, "shift_um": self.shift, **{name: held[name][k] for name in columns}}
+            for k in range(len(self.begin))
+        ]
+
+
+def shifted(problem: Problem, shift: float) -> Problem:
+    """Return a step-wise problem whose steps start from shifted positions.
+
+    Each coordinate is moved by ``shift`` µm times a standard normal number, which depends on the
+    scene's seed, the step's index and the cell's place in the array alone; cells of a plane stay
+    in it.
+    """
+    if problem.starts is None:
+        raise ValueError("only single coupling steps start from positions that can be shifted")
+    free = np.arange(3) < problem.scene.dimensions
+    starts = [
+        start + shift * free * _noise(problem.scene.seed, k, len(start))
+        for k, start in enumerate(problem.starts)
+    ]
+    return replace(problem, starts=starts)
+
+
+def measured(problem: Problem, shift: float, found: Observed, exact: Observed) -> Conditioning:
+    """Return the conditioning of the steps of a problem.
+
+    Parameters
+    ----------
+    problem
+        The step-wise problem.
+    shift
+        See :func:`shifted`.
+    found, exact
+        What is compared of the ends from shifted positions, and of those of the reference.
+    """
+    begin = np.array([step.motion.begin for step in problem.steps])
+    rms, worst = apart(found.positions, exact.positions)
+    return Conditioning(shift, begin, rms, worst, errors(problem, found, exact))
+
+
+def _noise(seed: int, step: int, n: int) -> FloatArray:
+    """Return standard normal numbers, (n, 3)."""
+    return normal(seed, Purpose.CONDITIONING, step, np.arange(n), 3)

@@ -1,0 +1,271 @@
+"""The worst cell as a norm, and how a random shift of all positions changes the end of a step."""
+
+import csv
+import io
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import two_cells
+from click.testing import CliRunner
+from formulas import dense_jacobian
+from scipy.linalg import expm
+from strategies import cluster, mechanics
+from two_cells import PAIR, RADIUS, PlantedInSteps, parted, step_method
+
+from multicell import Hertz, SceneError
+from multicell.cli.main import main
+from multicell.comparison.conditioning import measured, shifted
+from multicell.comparison.ladders import named
+from multicell.comparison.norms import NORMS, apart, observe
+from multicell.comparison.page import VERDICT_NORMS
+from multicell.comparison.reference import key, paired, reference
+from multicell.comparison.replay import Problem, Step, replay
+from multicell.comparison.result import FILES, WorkPrecision
+from multicell.mechanics.growth_rate import largest_growth_rate
+
+EXACT = step_method(lambda _: PlantedInSteps(), "exact")
+BOTH_EXACT = [(EXACT, 1.0), (EXACT, 1.0)]
+
+
+def compared(methods, ladder, scene=PAIR, **options):
+    return two_cells.compared(
+        methods, ladder, scene, **{"references": BOTH_EXACT, "stepwise": True, **options}
+    )
+
+
+# the worst cell
+
+
+def test_the_worst_cell_of_each_time_is_that_with_the_largest_displacement():
+    """By hand: 3-4-5 and 6-8-10 triangles among cells that stay."""
+    first, second = np.zeros((4, 3)), np.zeros((2, 3))
+    moved, other = first.copy(), second.copy()
+    moved[2] = (3.0, 4.0, 0.0)
+    moved[3] = (0.0, 0.0, 1.0)
+    other[0] = (6.0, 0.0, 8.0)
+    rms, worst = apart([moved, other], [first, second])
+    np.testing.assert_allclose(worst, [5.0, 10.0], rtol=1e-15)
+    np.testing.assert_allclose(rms, [math.sqrt(26.0 / 4.0), math.sqrt(50.0)], rtol=1e-15)
+
+
+class OneAstray:
+    """The exact end of a step, but for the second cell, which lies 0.1 µm a minute further off."""
+
+    def integrate(self, system, position):
+        outcome = PlantedInSteps().integrate(system, position)
+        outcome.position[1, 2] += system.motion.end / 600.0
+        return outcome
+
+
+def test_the_worst_cell_is_a_norm_in_radii_and_a_column_in_um():
+    """Five steps end after 1 ... 5 min: the second of two cells is off by 0.1 ... 0.5 µm."""
+    result = compared([step_method(lambda _: OneAstray(), "astray")], [1.0])
+    (row,) = result.table
+    assert row["worst_cell_um"] == pytest.approx(0.5, rel=1e-6)
+    assert row["worst_cell_median_um"] == pytest.approx(0.3, rel=1e-6)
+    assert row["error_worst_cell"] == pytest.approx(0.5 / RADIUS, rel=1e-6)
+    assert row["error_worst_cell_median"] == pytest.approx(0.3 / RADIUS, rel=1e-6)
+    # beside it the mean square over two cells
+    assert row["error_position"] == pytest.approx(0.5 / RADIUS / math.sqrt(2.0), rel=1e-6)
+    assert "worst_cell_um" in result.to_csv().splitlines()[0].split(",")
+
+
+def test_what_an_earlier_version_wrote_is_read_without_the_norms_that_it_lacks():
+    result = compared([EXACT], [1.0])
+    held = json.loads(result.to_json())
+    late = [name for name in held["table"][0] if "worst_cell" in name]
+    assert len(late) == 5
+    for name in late:
+        del held["table"][0][name]
+    del held["uncertainty"]["worst_cell"]
+    again = WorkPrecision.from_json(json.dumps(held))
+    assert math.isnan(again.table[0]["error_worst_cell"])
+    assert math.isnan(again.uncertainty["worst_cell"])
+    assert again.within(0.1).keys() == result.within(0.1).keys()
+    assert again.within(0.1, "worst_cell") == {}
+    assert len(again.norms_figure().axes) == len(NORMS)
+    twice = WorkPrecision.from_json(again.to_json())
+    assert math.isnan(twice.uncertainty["worst_cell"])
+
+
+# conditioning
+
+
+def test_the_shift_of_two_hertz_cells_decays_as_the_closed_form_has_it():
+    """Along the line of centres the derivative of the end by the distance is (h_end / h)^1.5."""
+    found = reference(PAIR, pair=paired(BOTH_EXACT, PAIR, RADIUS), stepwise=5, cache=False)
+    problem, known = found.problem, found.conditioning
+    moved = shifted(problem, 0.01)
+    for k, (start, other) in enumerate(zip(problem.starts, moved.starts, strict=True)):
+        ends = [parted(x, 60.0) for x in (start, other)]
+        off = np.linalg.norm(ends[1] - ends[0], axis=1)
+        assert known.worst_cell[k] == pytest.approx(off.max(), rel=1e-9)
+        assert known.rms[k] == pytest.approx(math.sqrt((off**2).mean()), rel=1e-9)
+    # the factor itself, for a shift along the line alone
+    start = problem.starts[0]
+    axis = (start[1] - start[0]) / np.linalg.norm(start[1] - start[0])
+    small = 1e-6 * np.stack([-axis, axis])
+    gap = [2.0 * RADIUS - np.linalg.norm(x[1] - x[0]) for x in (start, parted(start, 60.0))]
+    solver = named("dopri5", PAIR, RADIUS).make(1e-12)
+    one, two = (
+        replay(replace(problem, steps=problem.steps[:1], starts=[x]), solver).positions[0]
+        for x in (start, start + small)
+    )
+    decay = np.linalg.norm(two - one, axis=1) / np.linalg.norm(small, axis=1)
+    assert gap[1] < gap[0]
+    np.testing.assert_allclose(decay, (gap[1] / gap[0]) ** 1.5, rtol=1e-4)
+
+
+def held(length):
+    """Return a step-wise problem of one step in which forces from outside hold a cluster still.
+
+    Two of its cells have just divided: the equilibrium is unstable.
+    """
+    position, radius, young = cluster(12, 2, spacing=0.95)
+    position = np.vstack([position, position[0] + (0.9, 1.2, 0.0)])
+    position[0] -= (0.9, 1.2, 0.0)
+    radius, young = np.append(radius, radius[0]), np.append(young, 1.0)
+    system = mechanics(radius, young, Hertz(), duration=length)
+    push = np.hstack([-system.force(0.0, position), np.zeros_like(position)])
+    motion = replace(system.motion, push=push)
+    system.begin(motion)
+    problem = Problem(PAIR, system, position, radius, [Step(motion)], [position], 1)
+    return problem, system, position
+
+
+def test_a_small_shift_of_an_unstable_state_ends_as_exp_jt_has_it():
+    _, system, position = held(1.0)
+    jacobian = dense_jacobian(system, position)
+    rate = largest_growth_rate(system, 0.0, position, products=100).rate
+    length = 4.0 / rate
+    problem, *_ = held(length)
+    solver = named("dopri5", PAIR, RADIUS).make(1e-12)
+    found, exact = (observe(p, replay(p, solver)) for p in (shifted(problem, 1e-6), problem))
+    np.testing.assert_allclose(exact.positions[0], position, rtol=0, atol=1e-10)
+    known = measured(problem, 1e-6, found, exact)
+    begin = shifted(problem, 1e-6).starts[0] - position
+    end = (expm(length * jacobian) @ begin.ravel()).reshape(-1, 3)
+    off = np.linalg.norm(end, axis=1)
+    assert known.worst_cell[0] == pytest.approx(off.max(), rel=1e-3)
+    assert known.rms[0] == pytest.approx(math.sqrt((off**2).mean()), rel=1e-3)
+    # e⁴ = 55 for the part along one of its 39 directions
+    assert known.amplification[0] > 5.0
+    assert known.floor["worst_cell"] == pytest.approx(off.max() / problem.mean_radius, rel=1e-3)
+
+
+def test_the_same_seed_gives_the_same_bits_and_another_one_does_not():
+    pair = paired(BOTH_EXACT, PAIR, RADIUS)
+    problem = reference(PAIR, pair=pair, stepwise=3, cache=False).problem
+    first, second = (shifted(problem, 0.01).starts for _ in range(2))
+    np.testing.assert_array_equal(first, second)
+    other = shifted(replace(problem, scene=replace(problem.scene, seed=99)), 0.01).starts
+    assert not np.array_equal(first, other)
+    # and every step has numbers of its own
+    moves = [a - b for a, b in zip(first, problem.starts, strict=True)]
+    assert np.abs(moves[0] - moves[1]).max() > 1e-3
+
+
+def test_cells_of_a_plane_stay_in_it_and_a_whole_run_has_no_conditioning():
+    flat = PAIR.with_changes({"dimensions": 2})
+    pair = paired([("dopri5", 1e-6), ("dopri5", 1e-5)], flat, RADIUS)
+    problem = reference(flat, pair=pair, stepwise=2, cache=False).problem
+    for start, other in zip(problem.starts, shifted(problem, 0.01).starts, strict=True):
+        np.testing.assert_array_equal(start[:, 2], other[:, 2])
+        assert (start[:, :2] != other[:, :2]).all()
+    whole = reference(PAIR, pair=paired(BOTH_EXACT, PAIR, RADIUS), cache=False)
+    assert whole.conditioning is None
+    with pytest.raises(ValueError, match="single coupling steps"):
+        shifted(whole.problem, 0.01)
+
+
+def test_the_cache_keeps_it_and_knows_the_shift(tmp_path):
+    pair = paired(BOTH_EXACT, PAIR, RADIUS)
+    first, second = (reference(PAIR, pair=pair, stepwise=3, cache=tmp_path) for _ in range(2))
+    assert (first.cached, second.cached) == (False, True)
+    assert second.conditioning.to_dict() == first.conditioning.to_dict()
+    other = reference(PAIR, pair=pair, stepwise=3, shift=0.1, cache=tmp_path)
+    assert not other.cached
+    ratio = other.conditioning.worst_cell / first.conditioning.worst_cell
+    np.testing.assert_allclose(ratio, 10.0, rtol=0.05)
+    none = reference(PAIR, pair=pair, stepwise=3, shift=0.0, cache=tmp_path)
+    assert (none.cached, none.conditioning) == (False, None)
+    assert len({key(PAIR, None, pair, 3, shift) for shift in (0.0, 0.01, 0.1)}) == 3
+
+
+# chart, page and files
+
+
+@pytest.fixture(scope="module")
+def judged():
+    """Return a comparison with one solve far above the floor, and one below it."""
+    off = step_method(lambda s: PlantedInSteps(shift=s * RADIUS), "off")
+    return compared([EXACT, off], [0.1, 1e-5])
+
+
+def test_an_error_is_judged_by_what_a_shift_does(judged):
+    known = judged.conditioning
+    below = [(row["method"], row["setting"]) for row in judged.below_floor()]
+    assert below == [("exact", 0.1), ("exact", 1e-5), ("off", 1e-5)]
+    (row,) = [r for r in judged.rows("off") if r["setting"] == 0.1]
+    over = 0.1 * RADIUS / np.median(known.worst_cell)
+    assert row["worst_cell_over_shift"] == pytest.approx(over, rel=1e-6)
+    bare = compared([EXACT], [1.0], shift=0)
+    assert bare.conditioning is None
+    assert bare.below_floor() == []
+    assert math.isnan(bare.table[0]["worst_cell_over_shift"])
+
+
+def test_the_chart_draws_the_floor_with_its_words(judged):
+    for norm in ("position", "worst_cell", "worst_cell_median"):
+        figure = judged.figure(norm)
+        for axes in (a for a in figure.axes if a.get_label() in (f"{norm} wall", f"{norm} cost")):
+            (band,) = (p for p in axes.patches if p.get_label() == "_floor")
+            corners = band.get_path().transformed(band.get_patch_transform()).vertices
+            assert max(corners[:, 1]) == pytest.approx(judged.conditioning.floor[norm])
+        texts = [text.get_text() for axes in figure.axes for text in axes.texts]
+        assert "shift of 0.01 µm ends so far off" in texts
+    whole = compared([EXACT], [1.0], stepwise=False).figure()
+    assert not any(p.get_label() == "_floor" for axes in whole.axes for p in axes.patches)
+
+
+def test_page_csv_and_json_hold_it_with_units(judged, tmp_path):
+    page = judged.save(tmp_path).read_text(encoding="utf-8")
+    assert {path.name for path in tmp_path.iterdir()} == set(FILES)
+    assert "the difference of trajectories means nothing" in page
+    assert page.count("below the floor</small>") == 3
+    for norm in VERDICT_NORMS:
+        assert f"ends off by {judged.conditioning.floor[norm]:.1e}: smaller errors" in page
+    rows = list(csv.DictReader(io.StringIO((tmp_path / "conditioning.csv").read_text())))
+    assert list(rows[0]) == ["step", "shift_um", "begin_s", "rms_um", "worst_cell_um"]
+    assert [float(row["begin_s"]) for row in rows] == [0.0, 60.0, 120.0, 180.0, 240.0]
+    worst = [float(row["worst_cell_um"]) for row in rows]
+    assert worst == judged.conditioning.worst_cell.tolist()
+    held = json.loads((tmp_path / "workprecision.json").read_text())["conditioning"]
+    assert held == judged.conditioning.to_dict()
+    again = WorkPrecision.from_json(judged.to_json())
+    assert again.conditioning.to_dict() == held
+    whole = compared([EXACT], [1.0], stepwise=False)
+    text = whole.save(tmp_path / "whole").read_text(encoding="utf-8")
+    assert "the difference of trajectories means nothing" not in text
+    assert not (tmp_path / "whole" / "conditioning.csv").exists()
+
+
+@pytest.mark.parametrize("wrong", [-1.0, "3 s", math.nan])
+def test_a_shift_that_is_none_is_refused(wrong):
+    with pytest.raises(SceneError, match="shift"):
+        compared([EXACT], [1.0], shift=wrong)
+
+
+def test_the_command_takes_the_shift(tmp_path, monkeypatch):
+    monkeypatch.setenv("MULTICELL_CACHE", str(tmp_path / "cache"))
+    scene = tmp_path / "pair.toml"
+    scene.write_text(PAIR.to_toml())
+    arguments = ["compare", str(scene), "--stepwise", "2", "--shift", "0.1", "--methods", "rkc2"]
+    options = ["--repeats", "1", "-o", str(tmp_path / "out"), "--quiet"]
+    done = CliRunner().invoke(main, [*arguments, *options])
+    assert done.exit_code == 0, done.output
+    rows = list(csv.DictReader(io.StringIO((tmp_path / "out/conditioning.csv").read_text())))
+    assert [float(row["shift_um"]) for row in rows] == [0.1, 0.1]
