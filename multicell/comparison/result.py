@@ -43,7 +43,8 @@ class WorkPrecision:
         (``"tolerance"`` in mean radii, or ``"step"`` in s), ``setting``, ``status`` (``"done"``,
         ``"failed"``, or ``"skipped"`` where it would have taken too long), ``words`` (of a
         failure), ``wall`` and ``cpu`` (s on the wall and of the processors, the minimum of several
-        solves), ``spent`` (s, the one solve that the errors are of, also of a failure),
+        solves; ``wall_median``, ``wall_longest`` and the same of ``cpu`` tell how they spread),
+        ``spent`` (s, the one solve that the errors are of, also of a failure),
         ``error_...`` in every norm of :data:`multicell.comparison.norms.NORMS`, ``cost``
         (evaluations, with linearisations and Jacobian products by their weights), the counts of
         :class:`multicell.mechanics.system.Work`, and ``mode`` (``"whole run"``, or how many of the
