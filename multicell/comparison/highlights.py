@@ -72,7 +72,7 @@ def in_colour(result: WorkPrecision, norm: str) -> list[str]:
     """Return the at most eight methods that a chart shows in colour.
 
     First those on the Pareto front of error over the time that judges, then those that the user
-    named, then the front of error over evaluations, the scene's own method and ``auto``, then the
+    named, the scene's own method and ``auto``, the front of error over evaluations, and then the
     others: outside references, and those without a point in the chart, last. Of a front of more
     than eight methods those stay that hold most decades of error.
     """
@@ -81,7 +81,7 @@ def in_colour(result: WorkPrecision, norm: str) -> list[str]:
     drawn = {point.method for point in points(result, norm, result.clock)}
     others = sorted(result.methods, key=lambda name: (name not in drawn, _outside(name)))
     fronts = (_holders(result, norm, cost) for cost in (result.clock, "cost"))
-    ranked = dict.fromkeys([*next(fronts), *named, *next(fronts), *own, *others])
+    ranked = dict.fromkeys([*next(fronts), *named, *own, *next(fronts), *others])
     return [name for name in ranked if name in result.methods][:MOST]
 
 
