@@ -15,6 +15,7 @@ from multicell.comparison.measure import Timed, time_again
 from multicell.comparison.norms import NORMS
 from multicell.comparison.replay import Trajectory
 from multicell.comparison.result import WorkPrecision
+from multicell.comparison.stability_limits.result import StabilityMap
 from multicell.integrators.registry import METHODS
 from multicell.report.plots.colour_vision import (
     APART,
@@ -298,3 +299,25 @@ def test_marks_lie_where_the_points_were_drawn():
         assert mark.wide * figure.get_figwidth() == pytest.approx(
             mark.high * figure.get_figheight()
         )
+
+
+# stability
+
+
+def test_sweeps_of_stability_have_the_same_colours_and_names_under_the_pointer():
+    names = [f"method {k}" for k in range(11)]
+    start = {"cells": 2, "rate": 1.0, "control": "step", "words": "", "kind": "stable"}
+    table = [
+        {"sweep": sweep, "value": value, "method": name, "setting": 1.0 + k, "theory": 1.0 + k}
+        | {**start, "of_theory": 1.0, "of_euler": 1.0}
+        for k, name in enumerate(names)
+        for sweep, value in (("", math.nan), ("drag.viscosity", 1.0), ("drag.viscosity", 9.0))
+    ]
+    figure = StabilityMap(PAIR, table, {}).sweeps_figure()
+    axes = figure.axes[0]
+    colours = {name: to_hex(line.get_markeredgecolor()) for name, line in series(axes).items()}
+    assert [name for name, colour in colours.items() if colour == PALE] == names[MOST:]
+    apart = {*colours.values()}
+    assert all(distance(a, b) >= APART for a, b in itertools.combinations(apart, 2))
+    assert {mark.name for mark in marks(figure)} == set(names)
+    assert {text.get_text() for text in figure.legends[0].get_texts()} == set(names)

@@ -14,6 +14,7 @@ from matplotlib.patches import Patch
 from multicell.comparison.charts import Look, looks_apart
 from multicell.comparison.highlights import MOST
 from multicell.comparison.stability_limits.trial import BLOW_UP, STABLE, STALL, WRONG
+from multicell.report.plots.marks import NAMED
 from multicell.report.plots.style import INK, QUIET, blank, cell_count, styled
 
 if TYPE_CHECKING:
@@ -159,6 +160,7 @@ def _limits(axes: Axes, rows: Sequence[Row], colour: str, size: float) -> None:
             axes.plot(
                 row["value"], row["limit"], "^" if open_end else "o", ms=size, mew=1.5, mec=colour,
                 mfc="white" if open_end else COLOURS[row["kind"]], ls="",
+                gid=NAMED + row["method"],
             )  # fmt: skip
 
 
