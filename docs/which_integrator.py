@@ -115,7 +115,7 @@ class SundialsDefaults:
         return Outcome(motion.end, np.array(result.y).reshape(-1, 3), problem)
 
 
-LOOKS = MethodInfo("sundials-defaults", implicit=True, colour="#7aa37a", marker="H", outside=True)
+LOOKS = MethodInfo("sundials-defaults", implicit=True, colour="#6d8441", marker="H", outside=True)
 
 
 def sundials_defaults(radius: float) -> Method:

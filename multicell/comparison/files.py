@@ -13,6 +13,7 @@ from multicell.results.folder import file_errors, make_folder, remove, write_tex
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from multicell.report.plots.marks import Mark
     from multicell.scene.scene import Scene
 
 Row = dict[str, Any]
@@ -84,6 +85,7 @@ def write(
         If the folder cannot be written to.
     """
     from multicell.report.html import write_page
+    from multicell.report.plots.marks import marks
     from multicell.report.plots.style import save
 
     folder = Path(folder)
@@ -91,7 +93,12 @@ def write(
         folder.mkdir(parents=True, exist_ok=True)
     for name, text in texts.items():
         write_text(folder / name, text)
+    places: dict[Path, list[Mark]] = {}
     for name, (draw, _) in drawings.items():
-        save(draw(), folder / name)
+        figure = draw()
+        save(figure, folder / name)
+        places[folder / name] = marks(figure)
     pictures = {folder / name: caption for name, (_, caption) in drawings.items()}
-    return write_page(folder / "report.html", template, scene=scene, pictures=pictures, **context)
+    return write_page(
+        folder / "report.html", template, scene=scene, pictures=pictures, marks=places, **context
+    )

@@ -7,6 +7,7 @@ import time as clock
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from statistics import median
 from typing import Any, final
 
 from multicell.comparison.files import DONE, FAILED, SKIPPED, Row
@@ -55,12 +56,16 @@ class Effort:
 @final
 @dataclass
 class Timed:
-    """A point that was solved and is to be timed again; ``spent`` is the wall time that took."""
+    """A point that was solved and is to be timed again; ``spent`` is the wall time that took.
+
+    ``repeats`` holds wall and processor time in s of every timed solve so far.
+    """
 
     row: Row
     method: Method
     share: float
     spent: float
+    repeats: list[tuple[float, float]]
 
 
 def climb(
@@ -98,7 +103,7 @@ def climb(
         rows.append(_measured(method, setting, found, exact, effort))
         if found.done:
             wall = rows[-1]["wall"]
-            again.append(Timed(rows[-1], method, effort.share, wall))
+            again.append(Timed(rows[-1], method, effort.share, wall, [(wall, rows[-1]["cpu"])]))
             aside += min((effort.repeats - 1) * wall, effort.share)
         finer = ladder[k] / ladder[k + 1] if k + 1 < len(ladder) else 1.0
         # half the step takes twice as long; a tolerance costs less the higher the order
@@ -114,7 +119,7 @@ def climb(
 
 
 def time_again(points: Sequence[Timed], problem: Problem, repeats: int) -> None:
-    """Time points of all methods in turns, and keep the minimum of each in its row.
+    """Time points of all methods in turns, and keep minimum, median and maximum of each.
 
     A machine is slower for minutes at a time. In turns all methods meet the same minutes, and
     the ratios of their times are those of the methods.
@@ -129,8 +134,8 @@ def time_again(points: Sequence[Timed], problem: Problem, repeats: int) -> None:
                 replay(problem, solver)
             found = replay(problem, solver)
             point.spent += found.wall
-            point.row["wall"] = min(point.row["wall"], found.wall)
-            point.row["cpu"] = min(point.row["cpu"], found.cpu)
+            point.repeats.append((found.wall, found.cpu))
+            point.row.update(_times(point.repeats))
 
 
 def _measured(
@@ -145,7 +150,7 @@ def _measured(
         replay(problem, solver)
     timed = replay(problem, solver)
     return _row(
-        method, setting, DONE, wall=timed.wall, cpu=timed.cpu, spent=found.wall,
+        method, setting, DONE, **_times([(timed.wall, timed.cpu)]), spent=found.wall,
         cost=weighted_cost(found.work), **vars(found.work),
         **_columns(errors(problem, observe(problem, found), exact.observed), exact),
     )  # fmt: skip
@@ -153,9 +158,17 @@ def _measured(
 
 def _row(method: Method, setting: float, status: str, **known: Any) -> Row:
     """Return one row of the table; what is not known is NaN."""
-    unknown = ("wall", "cpu", "spent", *_columns(no_errors()), "cost", *vars(Work()))
+    unknown = (*_times([(0.0, 0.0)]), "spent", *_columns(no_errors()), "cost", *vars(Work()))
     first = {"method": method.name, "control": method.control, "setting": setting}
     return {**first, "status": status, "words": "", **dict.fromkeys(unknown, math.nan), **known}
+
+
+def _times(repeats: Sequence[tuple[float, float]]) -> dict[str, float]:
+    """Return the columns of the times of some solves: wall and processor time in s of each."""
+    found = dict(zip(("wall", "cpu"), zip(*repeats, strict=True), strict=True))
+    middle = {f"{clock}_median": median(times) for clock, times in found.items()}
+    longest = {f"{clock}_longest": max(times) for clock, times in found.items()}
+    return {clock: min(times) for clock, times in found.items()} | middle | longest
 
 
 def _columns(errors: Mapping[str, float], exact: Reference | None = None) -> dict[str, float]:

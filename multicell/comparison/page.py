@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from multicell.comparison.charts import appearance
 from multicell.comparison.files import CLOCKS
+from multicell.report.plots.colour_vision import PALE
 from multicell.report.plots.style import time_unit
 
 if TYPE_CHECKING:
@@ -28,7 +30,8 @@ TARGETS: Final = (1e-1, 1e-2, 1e-3, 1e-4, 1e-6)
 
 CAPTIONS: Final = {
     "workprecision.png": "Error over cost; lower and further left is better. Each point is one "
-    "tolerance or step, a cross is a solve that failed, placed at the time it had taken.",
+    "tolerance or step, a cross is a solve that failed, placed at the time it had taken. "
+    "Time is the median of the repeats, with a thin bar from the shortest to the longest.",
     "worst-cell.png": "The same solves, judged by the one cell that is furthest from its place.",
     "norms.png": "The same solves in every norm. Where single cells settle in another pocket the "
     "positions differ, while size, energy and pair distances may still be right.",
@@ -51,6 +54,8 @@ def context(result: WorkPrecision) -> dict[str, Any]:
             result.norms[norm]: f"{value:.2e}" for norm, value in result.uncertainty.items()
         },
         "orders": _orders(result),
+        "looks": appearance(result),
+        "pale": PALE,
         "conditioning": _conditioning(result),
         "below": [(row["method"], row["setting"]) for row in result.below_floor()],
     }

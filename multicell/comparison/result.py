@@ -46,7 +46,8 @@ class WorkPrecision:
         (``"tolerance"`` in mean radii, or ``"step"`` in s), ``setting``, ``status`` (``"done"``,
         ``"failed"``, or ``"skipped"`` where it would have taken too long), ``words`` (of a
         failure), ``wall`` and ``cpu`` (s on the wall and of the processors, the minimum of several
-        solves), ``spent`` (s, the one solve that the errors are of, also of a failure),
+        solves; ``wall_median``, ``wall_longest`` and the same of ``cpu`` tell how they spread),
+        ``spent`` (s, the one solve that the errors are of, also of a failure),
         ``error_...`` in every norm of :data:`multicell.comparison.norms.NORMS`, dimensionless,
         ``worst_cell_um`` and ``worst_cell_median_um`` (the worst cell's error in µm),
         ``worst_cell_over_shift`` (its median over the steps, over that after a shift of all

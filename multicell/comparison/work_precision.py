@@ -139,7 +139,8 @@ def compare(
         left -= spent
     tell("timing again, all methods in turns")
     time_again(again, exact.problem, repeats)
-    facts = {**_facts(exact, decay), "looks": looks(chosen)}
+    named = [] if methods is None else [method.name for method in chosen]
+    facts = {**_facts(exact, decay), "looks": looks(chosen), "named": named}
     result = WorkPrecision(described, table, exact.uncertainty, facts, clock, exact.conditioning)
     if output is not None:
         result.save(output)

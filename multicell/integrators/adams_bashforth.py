@@ -23,7 +23,7 @@ class AdamsBashforth2(EqualSteps):
 
     info: ClassVar[MethodInfo] = MethodInfo(
         "ab2", "explicit Adams-Bashforth of order 2 with a fixed step", "step", order=2,
-        stable=1.0, remembers=True, colour="#9a7fd1", marker="D",
+        stable=1.0, remembers=True, colour="#957bd2", marker="D",
     )  # fmt: skip
 
     def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
@@ -50,7 +50,7 @@ class AdaptiveAdams(ErrorControl):
 
     info: ClassVar[MethodInfo] = MethodInfo(
         "ab2-adaptive", "explicit Adams-Bashforth of order 2 under error control", "tolerance",
-        order=2, remembers=True, colour="#d0a9e8", marker="p",
+        order=2, remembers=True, colour="#d4a8d6", marker="p",
     )  # fmt: skip
 
     patience: int = 0

@@ -134,7 +134,7 @@ class RungeKutta4(_Fixed):
 
     info: ClassVar[MethodInfo] = MethodInfo(
         "rk4", "explicit Runge-Kutta of order 4 with a fixed step", "step", order=4, stable=2.785,
-        colour="#c44fa0", marker="v",
+        colour="#943180", marker="v",
     )  # fmt: skip
     tableau: ClassVar[Tableau] = RUNGE_KUTTA_4
 

@@ -33,18 +33,18 @@ _INFOS = {
     ),
     "LSODA": MethodInfo(
         "scipy-lsoda", "outside reference: SciPy's LSODA, up to 1000 cells", implicit=True,
-        colour="#a98467", marker="^", friction=False, most_cells=1000,
+        colour="#a78473", marker="^", friction=False, most_cells=1000,
         why_no_more="its Jacobian is a full matrix of 9 n² numbers",
     ),
     "Radau": MethodInfo(
         "scipy-radau", "outside reference: SciPy's Radau, up to 3000 cells", order=5,
-        implicit=True, stable=math.inf, colour="#b0b5ba", marker="D", friction=False,
+        implicit=True, stable=math.inf, colour="#abb3b4", marker="D", friction=False,
         most_cells=3000,
         why_no_more="it factorises a real and a complex matrix with a growing fill",
     ),
     "BDF": MethodInfo(
         "scipy-bdf", "outside reference: SciPy's BDF, up to 6000 cells", implicit=True,
-        stable=math.inf, colour="#7d6b5d", marker="v", friction=False, most_cells=6000,
+        stable=math.inf, colour="#685632", marker="v", friction=False, most_cells=6000,
         why_no_more="its factors would fill the memory",
     ),
 }  # fmt: skip

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import base64
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import cache
 from pathlib import Path
@@ -20,6 +20,7 @@ from multicell.results.quantities import known_unit
 if TYPE_CHECKING:
     from jinja2 import Environment
 
+    from multicell.report.plots.marks import Mark
     from multicell.scene.scene import Scene
 
 _LABELS: Final = {
@@ -37,6 +38,7 @@ def write_page(
     subtitle: str,
     tiles: Mapping[str, str],
     pictures: Mapping[Path, str],
+    marks: Mapping[Path, Sequence[Mark]] | None = None,
     **context: Any,
 ) -> Path:
     """Write one page and return its path.
@@ -55,6 +57,8 @@ def write_page(
         Key figures: name -> value in words.
     pictures
         Path of a PNG file that is there -> caption.
+    marks
+        Path of a picture -> its places that have a name, shown under the pointer.
     **context
         What else the template asks for.
 
@@ -68,7 +72,10 @@ def write_page(
         title=title,
         subtitle=subtitle,
         tiles=dict(tiles),
-        pictures=[_embedded(picture, caption) for picture, caption in pictures.items()],
+        pictures=[
+            _embedded(picture, caption, (marks or {}).get(picture, ()))
+            for picture, caption in pictures.items()
+        ],
         blocks=list(_blocks(scene, "run")),
         version=package_version(),
         **context,
@@ -107,9 +114,10 @@ def _environment() -> Environment:
     return environment
 
 
-def _embedded(path: Path, caption: str) -> dict[str, str]:
+def _embedded(path: Path, caption: str, marks: Sequence[Mark]) -> dict[str, Any]:
     with file_errors("read", path):
-        return {"caption": caption, "data": base64.b64encode(path.read_bytes()).decode("ascii")}
+        data = base64.b64encode(path.read_bytes()).decode("ascii")
+    return {"caption": caption, "data": data, "marks": marks}
 
 
 def _blocks(part: Any, title: str) -> Iterator[tuple[str, list[dict[str, str]]]]:

@@ -228,7 +228,7 @@ def planted_walls(monkeypatch, walls):
 
     def planted(problem, integrator, limit=math.inf):
         found = replay(problem, integrator)
-        return Trajectory(found.positions, found.work, left.pop(0), found.problem)
+        return Trajectory(found.positions, found.work, left.pop(0), problem=found.problem)
 
     monkeypatch.setattr(measure, "replay", planted)
     return left

@@ -52,7 +52,7 @@ def test_a_template_that_lacks_a_value_is_refused(tmp_path):
     with pytest.raises(UndefinedError, match="result"):
         write_page(
             tmp_path / "page.html", "compare.html", scene=BARE, title="", subtitle="", tiles={},
-            pictures={}, judge="", verdicts={},
+            pictures={}, judge="", verdicts={}, looks={}, pale="",
         )  # fmt: skip
     assert not (tmp_path / "page.html").exists()
 

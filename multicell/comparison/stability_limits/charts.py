@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from multicell.comparison.charts import look
+from multicell.comparison.charts import Look, looks_apart
+from multicell.comparison.highlights import MOST
 from multicell.comparison.stability_limits.trial import BLOW_UP, STABLE, STALL, WRONG
+from multicell.report.plots.marks import NAMED
 from multicell.report.plots.style import INK, QUIET, blank, cell_count, styled
 
 if TYPE_CHECKING:
@@ -117,6 +119,7 @@ def sweeps(result: StabilityMap) -> Figure:
         "beyond it; triangle: no limit found",
     )
     stepping = [m for m in result.methods if _control(result, m) == "step"]
+    looks = looks_apart(stepping, stepping[:MOST], result.facts)
     limits = {
         sweep: [row for row in result.limits(sweep) if row["control"] == "step"]
         for sweep in result.sweeps()
@@ -133,7 +136,7 @@ def sweeps(result: StabilityMap) -> Figure:
             # where limits coincide the first one stays visible around the later ones
             size = 9.0 - 4.5 * level / len(stepping)
             own = [row for row in rows if row["method"] == method]
-            _limits(axes, own, look(method, result)[0], size)
+            _limits(axes, own, looks[method][0], size)
         name, scale = _TITLES.get(sweep, (sweep, _scale(result.sweeps()[sweep])))
         axes.set_xscale(scale)
         axes.set_yscale("log")
@@ -142,7 +145,7 @@ def sweeps(result: StabilityMap) -> Figure:
         if column == 0:
             axes.set_ylabel("step (s)", fontsize=10.5)
     shown = [row for rows in limits.values() for row in rows]
-    _sweeps_legend(figure, result, shown, (0.7, 0.46) if many else (0.81, 0.85))
+    _sweeps_legend(figure, looks, shown, (0.7, 0.46) if many else (0.81, 0.85))
     return figure
 
 
@@ -157,15 +160,16 @@ def _limits(axes: Axes, rows: Sequence[Row], colour: str, size: float) -> None:
             axes.plot(
                 row["value"], row["limit"], "^" if open_end else "o", ms=size, mew=1.5, mec=colour,
                 mfc="white" if open_end else COLOURS[row["kind"]], ls="",
+                gid=NAMED + row["method"],
             )  # fmt: skip
 
 
 def _sweeps_legend(
-    figure: Figure, result: StabilityMap, rows: Sequence[Row], place: tuple[float, float]
+    figure: Figure, looks: Mapping[str, Look], rows: Sequence[Row], place: tuple[float, float]
 ) -> None:
     kinds = {row["kind"] for row in rows} - {STABLE}
     handles: list[Any] = [
-        Line2D([], [], color=look(method, result)[0], lw=1.8, label=method)
+        Line2D([], [], color=looks[method][0], lw=1.8, label=method)
         for method in dict.fromkeys(row["method"] for row in rows)
     ]
     handles += [

@@ -118,13 +118,14 @@ def styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
     return drawn
 
 
-def blank(title: str, subtitle: str) -> Figure:
-    """Return an empty figure with its heading."""
-    figure = Figure(figsize=SIZE, dpi=DPI)
+def blank(title: str, subtitle: str, size: tuple[float, float] = SIZE) -> Figure:
+    """Return an empty figure of a size in inches with its heading."""
+    figure = Figure(figsize=size, dpi=DPI)
+    first, second = (1.0 - inches / size[1] for inches in (0.3125, 0.59375))
     # a dollar sign in a title is not a formula
     shown = title if len(title) <= 70 else title[:69] + "…"
-    figure.text(0.04, 0.95, shown, fontsize=16, weight="bold", va="center", parse_math=False)
-    figure.text(0.04, 0.905, subtitle, fontsize=12, color=QUIET, va="center", parse_math=False)
+    figure.text(0.04, first, shown, fontsize=16, weight="bold", va="center", parse_math=False)
+    figure.text(0.04, second, subtitle, fontsize=12, color=QUIET, va="center", parse_math=False)
     return figure
 
 

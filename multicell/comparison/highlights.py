@@ -1,0 +1,100 @@
+"""Which methods a chart shows in colour: those that a reader looks for, and at most eight."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from multicell.comparison.files import Row
+from multicell.integrators.base import MethodInfo
+from multicell.integrators.registry import find
+
+if TYPE_CHECKING:
+    from multicell.comparison.result import WorkPrecision
+
+MOST: Final = 8
+"""Most series in colour; with more, neither colours nor a legend can be followed."""
+
+
+class Point(NamedTuple):
+    """One solve in a chart.
+
+    The cost is the median of the repeats, between the shortest and the longest of them; `error`
+    is dimensionless.
+    """
+
+    method: str
+    cost: float
+    error: float
+    shortest: float
+    longest: float
+
+
+def points(result: WorkPrecision, norm: str, cost: str, method: str = "") -> list[Point]:
+    """Return the solves of a method, or of all, that have a place on logarithmic axes.
+
+    Parameters
+    ----------
+    result
+        The comparison.
+    norm
+        One of :data:`multicell.comparison.norms.NORMS`.
+    cost
+        ``"wall"``, ``"cpu"`` or ``"cost"``.
+    method
+        Name of a method; empty for all.
+    """
+    methods = [method] if method else result.methods
+    found = [_point(row, norm, cost) for name in methods for row in result.rows(name)]
+    # an error of exactly zero has no place on a logarithmic axis
+    return [p for p in found if p.cost > 0.0 and p.error > 0.0]
+
+
+def _point(row: Row, norm: str, cost: str) -> Point:
+    # results of earlier versions know the shortest repeat only
+    shortest = row[cost]
+    middle, longest = (row.get(f"{cost}_{which}", math.nan) for which in ("median", "longest"))
+    known = math.isfinite(middle) and math.isfinite(longest)
+    spread = (middle, shortest, longest) if known else (shortest, shortest, shortest)
+    return Point(row["method"], spread[0], row[f"error_{norm}"], *spread[1:])
+
+
+def pareto_front(solves: list[Point]) -> list[Point]:
+    """Return the solves that none at the same or less cost beats in error, the cheapest first."""
+    front: list[Point] = []
+    for point in sorted(solves, key=lambda p: (p.cost, p.error)):
+        if not front or point.error < front[-1].error:
+            front.append(point)
+    return front
+
+
+def in_colour(result: WorkPrecision, norm: str) -> list[str]:
+    """Return the at most eight methods that a chart shows in colour.
+
+    First those on the Pareto front of error over the time that judges, then those that the user
+    named, the scene's own method and ``auto``, the front of error over evaluations, and then the
+    others: outside references, and those without a point in the chart, last. Of a front of more
+    than eight methods those stay that hold most decades of error.
+    """
+    named = result.facts.get("named", [])
+    own = [result.scene.integrator.method, "auto"]
+    drawn = {point.method for point in points(result, norm, result.clock)}
+    others = sorted(result.methods, key=lambda name: (name not in drawn, _outside(name)))
+    fronts = (_holders(result, norm, cost) for cost in (result.clock, "cost"))
+    ranked = dict.fromkeys([*next(fronts), *named, *own, *next(fronts), *others])
+    return [name for name in ranked if name in result.methods][:MOST]
+
+
+def _outside(name: str) -> bool:
+    return (find(name) or MethodInfo(name)).outside
+
+
+def _holders(result: WorkPrecision, norm: str, cost: str) -> list[str]:
+    """Return the methods on the Pareto front, those first that hold most decades of error."""
+    front = pareto_front(points(result, norm, cost))
+    held: dict[str, float] = {}
+    above = front[0].error * 10.0 if front else 1.0
+    for point in front:
+        held[point.method] = held.get(point.method, 0.0) + math.log10(above / point.error)
+        above = point.error
+    return sorted(held, key=lambda name: -held[name])
