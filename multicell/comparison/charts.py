@@ -206,10 +206,17 @@ def _bands(axes: Axes, result: WorkPrecision, norm: str, *, words: bool = False)
     if known is not None:
         levels.insert(0, ("_floor", known.floor[norm]))
     for order, (name, value) in enumerate(levels):
-        if not (math.isfinite(value) and value > low):
+        if not (math.isfinite(value) and value > 0.0):
             continue
-        axes.axhspan(low, min(value, high), color=_BANDS[name], zorder=-1 + order, label=name, lw=0)
-        if words and known is not None and name == "_floor":
+        axes.axhspan(
+            min(low, 0.1 * value),
+            min(value, high),
+            color=_BANDS[name],
+            zorder=-1 + order,
+            label=name,
+            lw=0,
+        )
+        if words and known is not None and name == "_floor" and value > low:
             axes.text(
                 0.98, min(value, high), _shift_words(known), ha="right", va="top", fontsize=9,
                 transform=axes.get_yaxis_transform(), color=QUIET,

@@ -12,7 +12,7 @@ from two_cells import EXACT, PAIR, Planted, compared, step_method
 from multicell.comparison.charts import appearance
 from multicell.comparison.highlights import MOST, Point, in_colour, pareto_front, points
 from multicell.comparison.measure import Timed, time_again
-from multicell.comparison.norms import NORMS
+from multicell.comparison.norms import NORMS, WORST_CELL
 from multicell.comparison.replay import Trajectory
 from multicell.comparison.result import WorkPrecision
 from multicell.comparison.stability_limits.result import StabilityMap
@@ -30,7 +30,8 @@ from multicell.report.plots.marks import NAMED, marks
 
 def result_of(solves, failed=(), *, named=(), uncertainty=1e-9, scene=PAIR):
     """Return a comparison with solves (method, wall, error) and failures (method, spent)."""
-    unknown = dict.fromkeys((*(f"error_{norm}" for norm in NORMS), "cpu", "cost"), math.nan)
+    errors = (f"error_{norm}" for norm in NORMS)
+    unknown = dict.fromkeys((*errors, *WORST_CELL.values(), "cpu", "cost"), math.nan)
     counts = dict.fromkeys(
         ("evaluations", "linearisations", "jacobian_products", "steps"), math.nan
     )
@@ -278,7 +279,8 @@ def test_every_pale_series_is_named_in_the_page_and_under_the_pointer(tmp_path):
     }
     titles = re.findall(r"<title>([^<]+)</title></ellipse>", page)
     for name in result.methods:
-        assert titles.count(name) == 3 * (2 + len(NORMS))
+        # two panels for the mean, two for the worst cell, one for each norm
+        assert titles.count(name) == 3 * (4 + len(NORMS))
     assert "<script" not in page
 
 
