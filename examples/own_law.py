@@ -9,6 +9,8 @@ Command   python examples/own_law.py
           multicell compare settle --law examples/own_law.py:Sticky -o chart
 """
 
+import math
+
 import multicell as mc
 from multicell.schema import quantity
 
@@ -22,18 +24,18 @@ def Square(overlap, modulus, radius, p):  # noqa: N802 - a law is a class
 @mc.pair_law(
     parameters={"surface_energy": quantity("nN/um", default=0.1, at_least=0.0)},
     stiffness=lambda overlap, modulus, radius, p, adhesion: (
-        1.5 * modulus * (radius * overlap) ** 0.5
-        - 0.75 * adhesion * (modulus * radius**1.5 * overlap**-0.5) ** 0.5
+        1.5 * modulus * math.sqrt(radius * overlap)
+        - 0.75 * adhesion * math.sqrt(modulus * radius * math.sqrt(radius / overlap))
     ),
     energy=lambda overlap, modulus, radius, p, adhesion: (
-        0.4 * modulus * radius**0.5 * overlap**2.5
-        - 4.0 / 7.0 * adhesion * (modulus * radius**1.5) ** 0.5 * overlap**1.75
+        0.4 * modulus * overlap * overlap * math.sqrt(radius * overlap)
+        - 4.0 / 7.0 * adhesion * math.sqrt(modulus * radius * math.sqrt(radius)) * overlap**1.75
     ),
 )
 def Sticky(overlap, modulus, radius, p, adhesion):  # noqa: N802 - a law is a class
-    """Approximate JKR once more (eq. 3.6), with its derivative and its integral."""
-    elastic = modulus * overlap * (radius * overlap) ** 0.5
-    return elastic - adhesion * (modulus * (radius * overlap) ** 1.5) ** 0.5
+    """Approximate JKR once more (eq. 3.6): powers would take twice the time."""
+    q = math.sqrt(radius * overlap)
+    return modulus * overlap * q - adhesion * q * math.sqrt(modulus * q)
 
 
 def main():
