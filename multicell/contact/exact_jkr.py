@@ -22,7 +22,7 @@ is stable at prescribed distance. :func:`beyond_turning` solves the quartic on i
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, ClassVar, final
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -125,7 +125,6 @@ class ExactJKR(PairLaw):
     force -(3/2) π w r is that of :class:`~multicell.contact.jkr.JKR` with the same number.
     """
 
-    remembers: ClassVar[bool] = True
     surface_energy: float = quantity(
         "nN/um", default=0.1, at_least=0.0, doc="Work of adhesion w of a contact"
     )

@@ -14,7 +14,7 @@ it is for arrays of any shape. See :mod:`multicell.contact.constants` for its ar
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -50,9 +50,6 @@ class PairLaw(ABC):
     ``radius`` r_ij in µm (eq. 3.4). ``rest`` is r_i + r_j in µm, which only some laws need, and
     ``touching`` says whether the pair was in contact before, which only laws with a memory ask.
     """
-
-    remembers: ClassVar[bool] = False
-    """Whether it matters if a pair was in contact before."""
 
     @abstractmethod
     def constants(self) -> Any:
@@ -95,7 +92,7 @@ class PairLaw(ABC):
 
         Only a law that ``remembers`` is asked. ``adhesion`` is √(6πσ_ij) of the pairs.
         """
-        raise NotImplementedError(f"{type(self).__name__} does not remember contacts")
+        raise TypeError(f"{type(self).__name__} has no memory of contacts")
 
     @property
     def adhesion(self) -> float:
@@ -177,6 +174,11 @@ class PairLaw(ABC):
         columns = [np.asarray(column, dtype=float) for column in arrays]
         force, stiffness, energy = np.frompyfunc(one, len(columns), 3)(*columns)
         return _floats(force), _floats(stiffness), _floats(energy)
+
+    @property
+    def remembers(self) -> bool:
+        """Whether it matters if a pair was in contact before: the function asks for an onset."""
+        return "onset" in function_of(self.constants()).further
 
     @property
     def needs_rest(self) -> bool:

@@ -35,7 +35,7 @@ class Laws(Mapping[str, "type[PairLaw]"]):
         self._latest[source] = name
 
     def __getitem__(self, name: str) -> type[PairLaw]:
-        return {**self._own, **self._ours}[self._latest.get(name, name)]
+        return self._ours[name] if name in self._ours else self._own[self._latest.get(name, name)]
 
     def __contains__(self, name: object) -> bool:
         return name in self._ours or name in self._own or name in self._latest

@@ -88,6 +88,15 @@ _CubicConstants = constants_of(cubic, "stiffness", "cutoff")
 _GeneralisedConstants = constants_of(generalised_linear, "stiffness", "cutoff", "decay")
 
 
+def _stiffness() -> Any:
+    return quantity("nN/um", default=1.0, above=0.0, doc="Spring stiffness μ at rest")
+
+
+def _cutoff(**least: Any) -> Any:
+    words = "Largest distance at which the law acts / rest distance"
+    return number(default=1.5, at_most=10.0, doc=words, **least)
+
+
 class Spring(PairLaw):
     """What the spring laws share: they are zero beyond their cutoff and in equilibrium at rest.
 
@@ -133,15 +142,8 @@ class Linear(Spring):
     μ H, as it does in CBMOS, and so it is not for integrators that need a continuous force.
     """
 
-    stiffness_at_rest: float = quantity(
-        "nN/um", default=1.0, above=0.0, doc="Spring stiffness μ at rest"
-    )
-    cutoff: float = number(
-        default=1.5,
-        at_least=1.0,
-        at_most=10.0,
-        doc="Largest distance at which the law acts / rest distance",
-    )
+    stiffness_at_rest: float = _stiffness()
+    cutoff: float = _cutoff(at_least=1.0)
 
     def constants(self) -> Any:
         """Return the constants of :func:`linear`."""
@@ -153,15 +155,8 @@ class Linear(Spring):
 class Cubic(Spring):
     """The cubic law of CBMOS, F = μ h (1 + h / H)²: force and slope end in zero at the cutoff."""
 
-    stiffness_at_rest: float = quantity(
-        "nN/um", default=1.0, above=0.0, doc="Spring stiffness μ at rest"
-    )
-    cutoff: float = number(
-        default=1.5,
-        above=1.0,
-        at_most=10.0,
-        doc="Largest distance at which the law acts / rest distance",
-    )
+    stiffness_at_rest: float = _stiffness()
+    cutoff: float = _cutoff(above=1.0)
 
     def constants(self) -> Any:
         """Return the constants of :func:`cubic`."""
@@ -174,18 +169,11 @@ class GeneralisedLinear(Spring):
     """Chaste's law for nodes: logarithmic repulsion, attraction that fades exponentially.
 
     The force grows without bound as the centres come together (h → s), slower than a power, and
-    is infinite where they coincide. At the cutoff it jumps by μ H e^{-α H / s}.
+    stays finite in double precision. At the cutoff it jumps by μ H e^{-α H / s}.
     """
 
-    stiffness_at_rest: float = quantity(
-        "nN/um", default=1.0, above=0.0, doc="Spring stiffness μ at rest"
-    )
-    cutoff: float = number(
-        default=1.5,
-        at_least=1.0,
-        at_most=10.0,
-        doc="Largest distance at which the law acts / rest distance",
-    )
+    stiffness_at_rest: float = _stiffness()
+    cutoff: float = _cutoff(at_least=1.0)
     decay: float = number(
         default=5.0, above=0.0, at_most=1e3, doc="α: how fast the attraction fades"
     )

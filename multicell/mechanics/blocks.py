@@ -4,8 +4,21 @@ from __future__ import annotations
 
 from numba import njit
 
+from multicell.mechanics.pairs import INLINED
+
 NEARLY_SINGULAR = 1e7
 """Ratio of eigenvalues from which on cofactors of a block have no digits left."""
+
+
+@njit(**INLINED)
+def add_block(out, i, k, t, nx, ny, nz):
+    """Add k n nᵀ + t I to the block of cell i."""
+    out[i, 0] += k * nx * nx + t
+    out[i, 1] += k * ny * ny + t
+    out[i, 2] += k * nz * nz + t
+    out[i, 3] += k * nx * ny
+    out[i, 4] += k * nx * nz
+    out[i, 5] += k * ny * nz
 
 
 @njit(cache=True)
@@ -24,12 +37,7 @@ def diagonal_blocks(pairs, normal, along, across, out):
             nx, ny, nz = normal[p, 0], normal[p, 1], normal[p, 2]
             for side in range(2 if p < pairs.inner_end[c] else 1):
                 i = pairs.first[p] if side == 0 else pairs.second[p]
-                out[i, 0] += k * nx * nx + t
-                out[i, 1] += k * ny * ny + t
-                out[i, 2] += k * nz * nz + t
-                out[i, 3] += k * nx * ny
-                out[i, 4] += k * nx * nz
-                out[i, 5] += k * ny * nz
+                add_block(out, i, k, t, nx, ny, nz)
 
 
 @njit(cache=True)

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Protocol, final
 import numpy as np
 from numba import njit, prange
 
-from multicell.mechanics.blocks import NEARLY_SINGULAR, invert_by_pivots
+from multicell.mechanics.blocks import NEARLY_SINGULAR, add_block, invert_by_pivots
 from multicell.threads import two_drivers
 
 if TYPE_CHECKING:
@@ -90,12 +90,7 @@ def _collect_chunk(
         i, j = first[p], second[p]
         for side in range(2 if p < inner_end[c] else 1):
             k = i if side == 0 else j
-            blocks[k, 0] += w * nx * nx + s
-            blocks[k, 1] += w * ny * ny + s
-            blocks[k, 2] += w * nz * nz + s
-            blocks[k, 3] += w * nx * ny
-            blocks[k, 4] += w * nx * nz
-            blocks[k, 5] += w * ny * nz
+            add_block(blocks, k, w, s, nx, ny, nz)
         if p < inner_end[c]:
             if begin[i, 1] == 0:
                 begin[i, 0] = at
