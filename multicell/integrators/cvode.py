@@ -59,6 +59,9 @@ class Cvode(ErrorControl):
         Begin with difference quotients for products and no preconditioner, which costs least
         while steps are mild, and go over to the settings above as soon as the evaluations of
         the last steps say that they are not. False for the settings above from the start.
+    each_cell
+        Hold the tolerance for single cells. False for SUNDIALS's own norm, a mean over all
+        coordinates, in which one cell among many may be wrong by many tolerances.
     """
 
     info: ClassVar[MethodInfo] = MethodInfo(
@@ -77,13 +80,17 @@ class Cvode(ErrorControl):
     softening: float = 0.5
     formula: str = "BDF"
     light: bool = True
+    each_cell: bool = True
 
     def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
         """Integrate over the coupling step of ``system``; see :class:`Integrator`."""
         from multicell.integrators.cvode_solver import Krylov, Light
         from multicell.integrators.restarts import Run
 
-        run = Run(system, np.array(position), self.max_steps, self.max_displacement, self.atol)
+        run = Run(
+            system, np.array(position), self.max_steps, self.max_displacement, self.atol, self.rtol,
+            each_cell=self.each_cell,
+        )  # fmt: skip
         mild = self.light
 
         def start(run: Run, ceiling: float) -> Krylov | Light:

@@ -75,8 +75,8 @@ class Light:
         self.solver = CVODE(
             self._predictor.velocity,
             method=method.formula,
-            rtol=method.rtol,
-            atol=method.atol,
+            rtol=run.share * method.rtol,
+            atol=run.share * method.atol,
             max_order=method.max_order,
             max_nonlin_iters=method.newton,
             linsolver=method.linear,
@@ -171,8 +171,8 @@ class Krylov:
         self.solver = CVODE(
             self._predictor.velocity,
             method=method.formula,
-            rtol=method.rtol,
-            atol=method.atol,
+            rtol=run.share * method.rtol,
+            atol=run.share * method.atol,
             max_step=ceiling,
             max_order=method.max_order,
             max_nonlin_iters=method.newton,

@@ -58,7 +58,10 @@ class CvodeSparse(ErrorControl):
         from multicell.integrators.restarts import Run
 
         hold(self.info, system)
-        run = Run(system, np.array(position), self.max_steps, self.max_displacement, self.atol)
+        run = Run(
+            system, np.array(position), self.max_steps, self.max_displacement, self.atol, self.rtol,
+            each_cell=True,
+        )  # fmt: skip
         return run.integrate(lambda run, ceiling: _Direct(self, run, ceiling))
 
 
@@ -82,8 +85,8 @@ class _Direct:
             self.solver = CVODE(
                 self._predictor.velocity,
                 method="BDF",
-                rtol=method.rtol,
-                atol=method.atol,
+                rtol=run.share * method.rtol,
+                atol=run.share * method.atol,
                 max_step=ceiling,
                 linsolver="sparse",
                 sparsity=self.pattern.matrix(np.ones(len(self.pattern.index))),

@@ -3,6 +3,13 @@
 A solver with its own error control may accept a step that throws a cell away, or give up on
 a state that has no meaning. Its internal step cannot be taken back, so a new solver is
 started at the last good state, with a ceiling on its steps, which is lifted again bit by bit.
+
+SUNDIALS holds the mean square of all coordinates' errors against the tolerance: one daughter among
+thousands of cells at rest may then be wrong by many tolerances in a single step, and end in another
+pocket, where the true course leads to none but one. Tissue that grows is like that all the time. So
+SUNDIALS is given a share of the tolerance, and a step in which a single cell's estimated error is
+too large for all that is refused and taken with a smaller share. It costs far less than to bound
+h times the largest positive eigenvalue, and errors became as small (see docs/which-integrator.md).
 """
 
 from __future__ import annotations
@@ -22,6 +29,13 @@ from multicell.mechanics.system import Mechanics
 
 _MOST_REFUSALS = 30
 _STEPS_BEFORE_LIFT = 8
+_SHARE = 0.1
+"""Share of the tolerance that a norm over many cells gets; few cells get 1/√(3n), with which the
+norm bounds each of them."""
+_MOST_ERROR = 3.0
+"""Estimated error of a cell in a step that is refused, in tolerances."""
+_SMALLER = 0.25
+"""By how much the share is made smaller then."""
 
 
 class StepImpossible(Exception):  # noqa: N818 - what happened to a solver, not a fault
@@ -72,6 +86,11 @@ class Run:
         Time of the last evaluation, on the present solver's clock.
     local_error : float
         The largest estimated error of a cell in an accepted step, µm; NaN while none is known.
+    share : float
+        Part of the tolerances that a solver gets whose norm is a mean over all coordinates.
+
+    With ``each_cell`` the tolerance, ``atol`` + ``rtol`` times the mean radius, is held by single
+    cells, too, as far as solvers tell the errors of their steps.
     """
 
     def __init__(
@@ -81,12 +100,19 @@ class Run:
         max_steps: int,
         max_displacement: float,
         atol: float = 0.0,
+        rtol: float = 0.0,
+        *,
+        each_cell: bool = False,
     ) -> None:
         self.system = system
         self.position = position
         self.max_steps = max_steps
         self.max_displacement = max_displacement
         self.atol = atol
+        self.share, self._most_error = 1.0, math.inf
+        if each_cell and len(system):
+            self.share = max(_SHARE, 1.0 / math.sqrt(3.0 * len(system)))
+            self._most_error = _MOST_ERROR * (atol + rtol * float(system.motion.radius.mean()))
         self.length = system.motion.end - system.motion.begin
         self.elapsed = 0.0
         self.offset = 0.0
@@ -174,6 +200,11 @@ class Run:
             reached, moved_to, expected = solver.step()
         except (StateRejected, StepImpossible) as error:
             raise _Refused(str(error), self.latest - before) from error
+        if expected > self._most_error:
+            # with a share of 1/√(3n) the norm excludes it: this ends after a few times
+            self.share *= _SMALLER
+            self.system.work.rejections += 1
+            raise Restart
         cell, moved = furthest_moved(self.position, moved_to, self.system.motion.radius)
         # a move that is no number is the largest
         if not moved <= self.max_displacement:

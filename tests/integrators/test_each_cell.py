@@ -1,0 +1,96 @@
+"""The tolerance is held by single cells, not only in the mean over thousands."""
+
+import functools
+
+import numpy as np
+import pytest
+from formulas import end_of
+from strategies import mechanics
+
+from multicell.contact.jkr import JKR
+from multicell.integrators.auto import Auto
+from multicell.integrators.cvode import Cvode, CvodeAdams
+from multicell.integrators.cvode_sparse import CvodeSparse
+
+VISCOSITY, DURATION = 0.05, 60.0
+SEEDS = range(5)
+
+
+def divided(n, seed, share=0.1):
+    """Return centres and radii of a settled ball in which some cells have just divided."""
+    rng = np.random.default_rng(seed)
+    lattice = np.stack(np.meshgrid(*3 * [np.arange(-5.0, 6.0)]), axis=-1).reshape(-1, 3)
+    position = 7.6 * lattice[np.argsort((lattice**2).sum(axis=1), kind="stable")[:n]]
+    position += rng.normal(0.0, 0.3, position.shape)
+    radius = np.full(n, 4.5)
+    settled = mechanics(radius, np.ones(n), duration=3600.0)
+    position = Auto(1e-6, 1e-3).integrate(settled, position).position
+    mothers = rng.choice(n, max(1, int(share * n)), replace=False)
+    daughter = 4.5 * 2.0 ** (-1.0 / 3.0)
+    axis = rng.normal(size=(len(mothers), 3))
+    apart = 0.5 * daughter * axis / np.linalg.norm(axis, axis=1)[:, None]
+    position = np.concatenate([position, position[mothers] - apart])
+    position[mothers] += apart
+    radius[mothers] = daughter
+    return position, np.concatenate([radius, np.full(len(mothers), daughter)])
+
+
+def system(radius):
+    return mechanics(radius, np.ones(len(radius)), duration=DURATION, viscosity=VISCOSITY)
+
+
+@pytest.mark.parametrize(
+    ("method", "n"), [(Cvode, 300), (Cvode, 1300), (CvodeAdams, 1300), (CvodeSparse, 300)]
+)
+def test_no_step_is_accepted_in_which_one_cell_is_wrong_by_many_tolerances(method, n):
+    position, radius = divided(n, 1, share=0.004)
+    used = system(radius)
+    outcome = method(atol=1e-2).integrate(used, position)
+    assert outcome.done
+    assert outcome.local_error <= 3.0 * (1e-2 + 1e-6 * 5.0)
+    # a share of a tenth is enough for few cells
+    assert used.work.rejections > 0 or n < 1000
+
+
+def test_the_norm_of_sundials_lets_a_cell_be_wrong_by_many_tolerances():
+    position, radius = divided(300, 1, share=0.004)
+    outcome = Cvode(atol=1e-2, each_cell=False).integrate(system(radius), position)
+    assert outcome.done
+    assert outcome.local_error > 10.0 * 1e-2
+
+
+@pytest.mark.parametrize(("n", "share"), [(1, 1.0 / 3.0**0.5), (2, 1.0 / 6.0**0.5), (1000, 0.1)])
+def test_few_cells_get_the_share_that_bounds_each_of_them(n, share):
+    from multicell.integrators.restarts import Run
+
+    used = mechanics(np.full(n, 5.0), np.ones(n))
+    position = np.arange(3.0 * n).reshape(-1, 3)
+    assert Run(used, position, 10, 0.5, 1e-2, each_cell=True).share == pytest.approx(share)
+    assert Run(used, position, 10, 0.5, 1e-2).share == 1.0
+
+
+@functools.cache
+def _exact(seed, shift=0.0):
+    """Return where DOP853 at 1e-12 leads the cells, from places that may be shifted at random."""
+    position, radius = divided(16, seed)
+    position = position + shift * np.random.default_rng(seed).normal(size=position.shape)
+    young = np.ones(len(radius))
+    law = JKR(surface_energy=0.1)
+    return end_of(position, radius, young, law, DURATION, viscosity=VISCOSITY)
+
+
+def _worst(end, seed):
+    return np.linalg.norm(end - _exact(seed), axis=1).max()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", [Cvode(atol=1e-2), Auto(atol=1e-2), Auto(atol=1e-1)])
+def test_fresh_daughters_are_no_further_off_than_a_shift_by_the_tolerance_moves_them(method):
+    ours, shifted = [], []
+    for seed in SEEDS:
+        position, radius = divided(16, seed)
+        outcome = method.integrate(system(radius), position)
+        assert outcome.done
+        ours.append(_worst(outcome.position, seed))
+        shifted.append(_worst(_exact(seed, method.atol), seed))
+    assert np.median(ours) <= 3.0 * np.median(shifted)
