@@ -7,7 +7,7 @@ Question  which method reaches an error of 1 % and of 0.1 % of a radius at least
           luck (docs/phase_problems.py, docs/phase_race.py)
 Cost      printed at the beginning; one thread, so that two processes at once (--share 1/2 and
           --share 2/2) take half of the time
-Command   python docs/phase_diagram.py           (--states, --cells, --stiffness, --seeds, --methods)
+Command   python docs/phase_diagram.py     (--states, --cells, --stiffness, --seeds, --methods)
 
 What is done is kept in docs/chart-data and not computed again; only methods that are missing are.
 With --tables or --picture nothing is computed; both also merge what shares have written.

@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final, final
+from typing import Any, Final, final
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import bootstrap
 
 from multicell.cells import FloatArray
@@ -54,9 +55,10 @@ def mean_ratio(ratios: FloatArray, *, seed: int = 0) -> Interval:
     ValueError
         If there are none, or one is not positive.
     """
-    logs = np.log(np.asarray(ratios, dtype=float))
-    if not len(logs) or not np.isfinite(logs).all():
+    ratios = np.asarray(ratios, dtype=float)
+    if not len(ratios) or not (np.isfinite(ratios) & (ratios > 0.0)).all():
         raise ValueError("ratios must be positive numbers, at least one")
+    logs = np.log(ratios)
     value = math.exp(logs.mean())
     if len(logs) < 2:
         return Interval(value, 0.0, math.inf, len(logs))
@@ -116,8 +118,8 @@ def mean_crossing(place: FloatArray, ratios: FloatArray, *, seed: int = 0) -> In
     logs = np.log(np.asarray(ratios, dtype=float))
     n = len(logs)
 
-    def of(chosen: FloatArray) -> float:
-        drawn = logs[np.asarray(chosen, dtype=int)]
+    def of(chosen: NDArray[Any]) -> float:
+        drawn = logs[chosen]
         known = np.isfinite(drawn)
         count = known.sum(axis=0)
         total = np.where(known, drawn, 0.0).sum(axis=0)
