@@ -23,7 +23,7 @@ _COLOURS: Final = LinearSegmentedColormap.from_list(
 )
 _MOST: Final = 20.0  # ratio at which the colours end
 _SIZE: Final = (13.0, 6.4)
-_PER: Final = "%"
+_HATCH: Final = "#b4bec6"
 _SHORT: Final = {"ab2-adaptive": "ab2", "backward-euler": "b-euler"}
 
 
@@ -34,7 +34,7 @@ def draw(rows: Sequence[Row], accuracy: float) -> Figure:
     seeds = max((p.ratio.samples for p in found), default=0)
     figure = blank(
         "Implicit or explicit?",
-        f"Cheapest method for an error of {100 * accuracy:g} {_PER} of a radius over one coupling "
+        f"Cheapest method for an error of {100 * accuracy:g} % of a radius over one coupling "
         f"step; up to {seeds} seeds, one thread, all costs counted",
         _SIZE,
     )
@@ -72,7 +72,7 @@ def _panel(axes: Any, found: Sequence[Point], xs: Sequence[int], ys: Sequence[fl
     """Draw the tiles of a state."""
     x, y = _edges(xs), _edges(ys)
     axes.set(xscale="log", yscale="log", xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
-    axes.set_xticks(xs, [f"{x:,}" for x in xs])
+    axes.set_xticks(xs, [_power(x) for x in xs])
     axes.set_yticks(ys, [_power(y) for y in ys])
     axes.minorticks_off()
     axes.grid(False)
@@ -86,7 +86,7 @@ def _panel(axes: Any, found: Sequence[Point], xs: Sequence[int], ys: Sequence[fl
         place = (x[i], y[j], x[i + 1] - x[i], y[j + 1] - y[j])
         axes.add_patch(_tile(place, facecolor=colour, edgecolor="white", linewidth=1.5))
         if p.ill > 0.5:
-            axes.add_patch(_tile(place, fill=False, hatch="///", edgecolor="#ffffff", linewidth=0))
+            axes.add_patch(_tile(place, fill=False, hatch="////", edgecolor=_HATCH, linewidth=0))
         _words(axes, p, xs[i], ys[j], _dark(colour))
 
 
@@ -134,18 +134,26 @@ def _line(
     ys: Sequence[float],
 ) -> None:
     """Draw the stiffness above which implicit methods are cheaper, with its interval."""
-    low, high = _edges(ys)[[0, -1]]
+    low, tops = _edges(ys)[0], _edges(ys)[1:]
+    known_to = {
+        x: max(r["stiffness"] for r in rows if (r["state"], r["cells"]) == (state, x))
+        for x in {int(r["cells"]) for r in rows if r["state"] == state}
+    }
     known = [(x, crossing(rows, accuracy, state, x)) for x in xs]
     places = [(x, c) for x, c in known if c is not None and not math.isnan(c.value)]
     if not places:
         return
     at = np.array([x for x, _ in places], dtype=float)
+    # what lies beyond the tiles that were tried ends at their border
+    high = np.array([tops[ys.index(known_to[x])] for x, _ in places])
     value, lower, upper = (
         np.clip([getattr(c, name) for _, c in places], low, high)
         for name in ("value", "low", "high")
     )
     axes.fill_between(at, lower, upper, color=INK, alpha=0.14, linewidth=0, zorder=2)
-    axes.plot(at, value, color=INK, linewidth=2.0, zorder=3, marker="o", markersize=4)
+    axes.plot(at, value, color=INK, linewidth=2.0, zorder=3)
+    within = (value > low) & (value < high)
+    axes.plot(at[within], value[within], "o", color=INK, markersize=4, zorder=3)
 
 
 def _norm() -> LogNorm:
@@ -173,8 +181,8 @@ def _legend(figure: Figure) -> None:
     handles = [
         Line2D([], [], color=INK, linewidth=2.0, marker="o", markersize=4, label="equal cost"),
         Patch(color=INK, alpha=0.14, linewidth=0, label="its 95 % interval"),
-        Patch(facecolor="#c5cdd3", hatch="///", edgecolor="white", linewidth=0,
-              label="single cells hang on luck: observables judge"),
+        Patch(facecolor="white", hatch="////", edgecolor=_HATCH, linewidth=0,
+              label="ill-conditioned for single cells: judged by observables"),
         Patch(facecolor="#d3d9de", label="no method gets there"),
     ]  # fmt: skip
     figure.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.065, 0.045), ncols=4,

@@ -38,7 +38,8 @@ class Point:
     ill : float
         Part of the seeds in which the step is too ill-conditioned for single cells to be judged.
     best : str
-        Method, mixed ones left out, that is the cheapest in most seeds; empty if none gets there.
+        Method of the cheaper kind that is the best of its kind in most seeds; empty if none gets
+        there.
     costs : method -> median CPU time in s; of those that reached the accuracy in most seeds
     """
 
@@ -100,13 +101,18 @@ def points(rows: Sequence[Row], accuracy: float) -> list[Point]:
         bounds = [bound for _, bound in pairs]
         bound = next((b for b in (-1, 1) if bounds.count(b) > 0.5 * len(bounds)), 0)
         ill = float(np.mean([of[0]["judged_by"] == "observable" for of in seeds]))
-        best = Counter(_cheapest(of) for of in seeds).most_common(1)[0][0]
+        winning = int(ratio.value > 1.0)
+        best = Counter(_cheapest(of, winning) for of in seeds).most_common(1)[0][0]
         found.append(Point(state, cells, stiffness, ratio, bound, ill, best, _costs(seeds)))
     return found
 
 
-def _cheapest(rows: Sequence[Row]) -> str:
-    there = [r for r in rows if r["status"] == REACHED and r["method"] not in MIXED]
+def _cheapest(rows: Sequence[Row], implicit: int) -> str:
+    there = [
+        row
+        for row in rows
+        if row["status"] == REACHED and row["implicit"] == implicit and row["method"] not in MIXED
+    ]
     return str(min(there, key=lambda row: row["cost_s"])["method"]) if there else ""
 
 
@@ -154,10 +160,11 @@ def points_table(found: Sequence[Point]) -> str:
 def crossings_table(rows: Sequence[Row], accuracy: float) -> str:
     """Return the table of the stiffness above which implicit methods are cheaper."""
     lines = ["| state | cells | implicit cheaper above λΔt (95 %) | seeds |", "|---|---|---|---|"]
-    largest = max(row["stiffness"] for row in rows)
     for state, cells in dict.fromkeys((r["state"], int(r["cells"])) for r in rows):
         found = crossing(rows, accuracy, state, cells)
         if found is not None:
+            here = [r for r in rows if (r["state"], r["cells"]) == (state, cells)]
+            largest = max(row["stiffness"] for row in here)
             low, high = limit_text(found.low, largest), limit_text(found.high, largest)
             value = limit_text(found.value, largest)
             lines.append(f"| {state} | {cells:,} | {value} ({low} to {high}) | {found.samples} |")
