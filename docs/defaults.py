@@ -35,7 +35,7 @@ from multicell.integrators import registry
 
 HERE = Path(__file__).parent
 NAME = "defaults"
-SEEDS = 5
+SEEDS = 8
 REFERENCE = ("auto", 0.001)
 CANDIDATES = (
     ("auto", 1.0), ("auto", 0.3), ("auto", 0.1), ("auto", 0.03), ("auto", 0.01),
@@ -62,21 +62,21 @@ def _growing(viscosity: float, seconds: float) -> Case:
 
 
 CASES = (
-    Case("doublet", "doublet", {}, 1.5),
+    Case("doublet", "doublet", {}, 1.4),
     Case("doublet-settle", "doublet-settle", {}, 0.1),
-    Case("settle", "settle", {}, 0.2),
-    Case("settle-1000", "settle-1000", {}, 0.6),
-    Case("stiff-inclusions", "stiff-inclusions", {}, 1.5),
-    Case("division-shock", "division-shock", {}, 0.2),
-    Case("growth, 3.5 d", "growth", {"duration": "3.5 d"}, 1.5),
-    _growing(5.0, 2.0),
-    _growing(0.5, 4.0),
-    _growing(0.05, 9.0),
-    Case("sorting, 3 h", "sorting", {"duration": "3 h"}, 3.0),
+    Case("settle", "settle", {}, 0.1),
+    Case("settle-1000", "settle-1000", {}, 0.1),
+    Case("stiff-inclusions", "stiff-inclusions", {}, 0.1),
+    Case("division-shock", "division-shock", {}, 0.1),
+    Case("growth, 3.5 d", "growth", {"duration": "3.5 d"}, 0.5),
+    _growing(5.0, 1.0),
+    _growing(0.5, 2.6),
+    _growing(0.05, 4.7),
+    Case("sorting, 3 h", "sorting", {"duration": "3 h"}, 0.9),
     Case("sorting-cams, 3 h, sticky from the start", "sorting-cams",
-         {"duration": "3 h", "types.sticky.receptor": 4.0, "types.sticky.ligand": 4.0}, 3.0),
-    Case("chemotaxis, 3 h", "chemotaxis", {"duration": "3 h"}, 2.0),
-    Case("spheroid, 5 d", "spheroid", {"duration": "5 d"}, 5.0),
+         {"duration": "3 h", "types.sticky.receptor": 4.0, "types.sticky.ligand": 4.0}, 0.7),
+    Case("chemotaxis, 3 h", "chemotaxis", {"duration": "3 h"}, 0.4),
+    Case("spheroid, 5 d", "spheroid", {"duration": "5 d"}, 2.6),
     Case("emt6, 12 h", "emt6", {"duration": "12 h"}, 5.0),
     Case("treatment, 2 d", "treatment", {"duration": "2 d"}, 3.0),
     Case("monolayer, 4 d", "monolayer", {"duration": "4 d"}, 3.0),

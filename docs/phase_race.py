@@ -28,7 +28,7 @@ from multicell.comparison.replay import Problem, replay
 
 BUDGET: Final = 5.0
 """Cost of a solve in units of the fastest found at which a method is given up."""
-TOLERANCES: Final = tuple(10.0 ** (-0.5 * k) for k in range(1, 9))
+TOLERANCES: Final = tuple(10.0 ** (-0.5 * k) for k in range(1, 11))
 """Absolute tolerances that are tried, µm."""
 STEPS: Final = 14
 """Number of step lengths that methods with a fixed step try: the coupling step, halved again."""
