@@ -143,7 +143,7 @@ def _climb(
 
 def _limit(accuracy: float, step: Solved, least: dict[float, float]) -> float:
     # before anyone is there: the reference is much more exact than what is asked for
-    return BUDGET * least[accuracy] if accuracy in least else 2.0 * step.cost
+    return BUDGET * least[accuracy] if accuracy in least else step.cost
 
 
 def _foreseen(one: Climber, step: Solved) -> float:
