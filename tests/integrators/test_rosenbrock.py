@@ -102,9 +102,6 @@ def test_a_very_stiff_pair_relaxes_without_oscillation():
     overlaps = []
     step = Walk._step
 
-    class Noted(Exception):
-        pass
-
     walk = Walk(Rosenbrock(), system, position.copy())
     walk._step = lambda length: noted(step(walk, length))
 
@@ -145,7 +142,7 @@ def chain(count, disturbance, duration, viscosity=5.0):
 
 @pytest.mark.parametrize(
     ("disturbance", "duration", "viscosity"),
-    [(1e-4, 6000.0, 5.0), (1e-8, 12_000.0, 5.0), (1e-4, 60.0, 0.05), (0.05, 1500.0, 5.0)],
+    [(1e-4, 6000.0, 5.0), (1e-8, 12_000.0, 5.0), (1e-4, 60.0, 0.05), (0.01, 3500.0, 5.0)],
 )
 def test_buckling_grows_as_it_does_in_truth(disturbance, duration, viscosity):
     """Also while it is far below the tolerance, where error control sees nothing."""
@@ -200,8 +197,7 @@ def test_conjugate_gradients_tell_how_fast_a_disturbance_grows():
     resolvent.linearise(0.0, position)
     resolvent.setup(0.3 / rate)
     with pytest.raises(rosenbrock_solver.Refused, match="disturbances grow at a rate of") as seen:
-        for _ in range(5):
-            resolvent.setup(1.0 / rate)
+        resolvent.setup(1.0 / rate)
     assert 0.1 <= seen.value.factor <= 0.5
     told = float(str(seen.value).split()[-2])
     assert 0.5 * rate < told <= 1.001 * rate
