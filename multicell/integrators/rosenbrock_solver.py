@@ -171,14 +171,20 @@ class Resolvent:
         if self._age > _AGE or step > _LONGER * self._probed:
             self._probe()
 
-    def solve(self, right: FloatArray, guess: FloatArray | None, allowed: float) -> FloatArray:
+    def solve(
+        self,
+        right: FloatArray,
+        guess: FloatArray | None,
+        allowed: float,
+        share: float = _SHARE,
+    ) -> FloatArray:
         """Return x with (I - γA) x = b, (n, 3).
 
-        No row of the residual is longer than ``allowed``, nor than a tenth of the longest row of
-        b: what moves less than the tolerance moves too, and may grow.
+        No row of the residual is longer than ``allowed``, nor than a ``share`` of the longest row
+        of b: what moves less than the tolerance moves too, and may grow.
         """
         radius, gamma = self.system.motion.radius, _D * self.step
-        allowed = min(allowed, _SHARE * largest_length(right))
+        allowed = min(allowed, share * largest_length(right))
         if guess is None:
             solution = np.zeros_like(right)
             self._left[:] = right
@@ -351,7 +357,7 @@ class Walk:
         system.velocity(end, trial, self._end)
         right = self._end - _E * (second - self._middle) - 2.0 * (first - self.velocity) + drift
         # only the estimate depends on it, by a sixth
-        self._last = solve(right, second, 4.0 * allowed)
+        self._last = solve(right, second, 4.0 * allowed, 1.0)
         return trial, (step / 6.0) * (first - 2.0 * second + self._last)
 
     def _drift(self, begin: float, step: float) -> FloatArray | float:

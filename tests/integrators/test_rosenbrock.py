@@ -26,7 +26,7 @@ def equal_steps(system, position, steps, **options):
     walk._tolerances = math.inf
     length = walk.length / steps
     # linear systems are solved to rounding
-    walk._resolvent.solve = lambda right, _, __, inner=walk._resolvent: solved(inner, right)
+    walk._resolvent.solve = lambda right, *_: solved(walk._resolvent, right)
     system.velocity(system.motion.begin, walk.position, walk.velocity)
     for _ in range(steps):
         walk._step(min(length, walk.length - walk.elapsed))
