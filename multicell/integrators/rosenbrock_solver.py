@@ -54,7 +54,7 @@ _SHARE = 0.1
 """Of its right-hand side that the residual of a linear system may have."""
 _FIRST = 0.5
 """Tolerances that the fastest cell moves in the first step."""
-_HINT = "Choose a shorter coupling_step, or the method 'rkc2'"
+_HINT = "Choose a shorter coupling_step or a tighter integrator.atol"
 
 
 class Refused(Exception):  # noqa: N818 - what happened to a step, not a fault
