@@ -15,6 +15,7 @@ from multicell.integrators import (
     cvode,
     cvode_sparse,
     rkc,
+    rosenbrock,
     runge_kutta,
     scipy,
 )
@@ -32,6 +33,7 @@ _FAMILIES = (
     runge_kutta,
     adams_bashforth,
     rkc,
+    rosenbrock,
     scipy,
 )
 

@@ -12,7 +12,16 @@ from multicell.integrators.registry import make
 from multicell.integrators.restarts import Run
 from multicell.scene.parts import IntegratorOptions
 
-ESTIMATING = ["cvode", "cvode-adams", "cvode-sparse", "ab2-adaptive", "dopri5", "rkc2", "auto"]
+ESTIMATING = [
+    "cvode",
+    "cvode-adams",
+    "cvode-sparse",
+    "ab2-adaptive",
+    "dopri5",
+    "rkc2",
+    "auto",
+    "rosenbrock",
+]
 
 
 @pytest.mark.parametrize("method", ESTIMATING)
