@@ -52,11 +52,15 @@ if TYPE_CHECKING:
 _MOST_SHORT_STEPS = 16
 _OCTAVES = 24
 """Bounds between fast and slow cells that are tried, each half of the one before."""
-_PARTIAL, _GROUPED = 2.5, 0.3
+_PARTIAL, _GROUPED = 1.6, 0.15
 """Cost of evaluating a fast cell over that of a cell in an evaluation of all, where most pairs
 serve two cells; cost of a grouped step beyond its evaluations, in evaluations."""
 _GAIN = 0.9
 """A grouping is changed where that costs less than this times the present cost."""
+
+
+_AGE = 4
+"""Accepted steps after which the grouping is chosen anew; after a refused one it is at once."""
 
 
 class Part(NamedTuple):
@@ -187,9 +191,7 @@ def _offsets_of(offsets, member, fast, place):
             at = offsets.begin[member[k]] + e
             other[begin[k] + e] = place[offsets.other[at]]
             value[begin[k] + e], rate[begin[k] + e] = offsets.value[at], offsets.rate[at]
-    return forces.OffsetData(
-        begin, other, value, rate, offsets.sticky, offsets.unit, offsets.onset
-    )
+    return forces.OffsetData(begin, other, value, rate, offsets.sticky, offsets.unit, offsets.onset)
 
 
 def _part(source, pairs, is_fast):
@@ -256,16 +258,17 @@ def _take(part, velocity):
 def _short_steps(source, pairs, part, is_fast, position, slope, elapsed, step, ratio, trial, new):
     """Carry all cells over a step, the fast ones in ``ratio`` short steps, to ``trial``.
 
-    Returns how it went, the list of pairs and the part, which is made anew with the list.
+    Returns how it went, the list of pairs, the part, which is made anew with the list, and what
+    share of an evaluation of all cells it has taken.
     """
-    short, partial = step / ratio, 0.0
+    short, spent = step / ratio, 0.0
     copy(position, trial)
     _take(part, slope)
     for k in range(ratio):
         _carry(part, slope, k * short, short, trial)
         if k + 1 == ratio:
             break
-        partial += part.share
+        spent += part.share
         at = elapsed + (k + 1) * short
         if forces.forces(
             part.cells, part.pairs, part.offsets, source.law, part.position, at, True, part.rows,
@@ -276,12 +279,11 @@ def _short_steps(source, pairs, part, is_fast, position, slope, elapsed, step, r
             _finish(is_fast, (k + 1) * short, slope, whole)
             status, pairs = evaluate(source, pairs, at, whole, new)
             if status != DONE:
-                return status, pairs, part
+                return status, pairs, part, spent
             part = _part(source, pairs, is_fast)
             _take(part, new)
-    source.counts[EVALUATIONS] += int(math.ceil(partial))
     _finish(is_fast, step, slope, trial)
-    return DONE, pairs, part
+    return DONE, pairs, part, spent
 
 
 @njit(cache=True)
@@ -353,7 +355,7 @@ def adaptive_multirate(source, pairs, position, length, radius, counts, control)
     trial, error = np.empty_like(position), np.empty_like(position)
     most = _most_short_steps(source)
     is_fast, ratio, built = np.zeros(radius.size, np.bool_), 1, -1
-    cell, moved = -1, 0.0
+    cell, moved, spent, age = -1, 0.0, 0.0, 0
     status, pairs = evaluate(source, pairs, 0.0, position, slope)
     if status != DONE:
         return Report(status, 0.0, 0.0, -1, math.inf, math.nan), pairs
@@ -373,9 +375,12 @@ def adaptive_multirate(source, pairs, position, length, radius, counts, control)
         else:
             if built != counts[LIST_BUILDS]:
                 part = _part(source, pairs, is_fast)
-            status, pairs, part = _short_steps(
+            status, pairs, part, share = _short_steps(
                 source, pairs, part, is_fast, position, slope, elapsed, step, ratio, trial, new
             )
+            spent += share
+            counts[EVALUATIONS] += int(spent)
+            spent -= int(spent)
             built = counts[LIST_BUILDS]
         if status == DONE:
             status, pairs = evaluate(source, pairs, elapsed + step, trial, new)
@@ -385,6 +390,9 @@ def adaptive_multirate(source, pairs, position, length, radius, counts, control)
         _estimate(is_fast, step, ratio, slope, new, error)
         if accepted(walk, counts, control, length, position, trial, error, 0.2, 5.0, False):
             copy(new, slope)
+            age += 1
+            if age % _AGE:
+                continue
         ratio, factor = _grouped(error, is_fast, ratio, most)
         if factor != 1.0:
             walk[STEP] *= min(factor, 5.0)
