@@ -487,7 +487,7 @@ def _let_the_method_hold(scene):
 def _let_steps_be_few(scene, options):
     """Ask no more of a method than it does in a moment: order 1 takes 1 / tolerance steps."""
     radius = base(scene.get("cells", {}).get("division_radius", 5.0))
-    first = options.get("method") == "euler-adaptive"
+    first = options.get("method") in ("euler-adaptive", "multirate-euler")
     least = (2e-2 if first else 1e-5) * radius
     options["atol"] = min(max(base(options.get("atol", 0.01)), least), 0.1 * radius)
     options["rtol"] = max(options.get("rtol", 1e-6), 1e-4 if first else 1e-9)

@@ -22,7 +22,7 @@ STEPS = {
     "rkc2-5": [8.0, 4.0, 2.0, 1.0],
 }
 # its steps grow in number like 1 / tolerance
-FINEST = {"euler-adaptive": 5}
+FINEST = {"euler-adaptive": 5, "multirate-euler": 5}
 FIXED = [*(name for name, info in METHODS.items() if info.control == "step"), "rkc2-5"]
 ADAPTIVE = [name for name, info in METHODS.items() if info.control == "tolerance"]
 law_names = ["hertz", "jkr"]

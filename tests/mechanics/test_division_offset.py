@@ -296,7 +296,7 @@ def test_distance_of_sisters_against_scipy():
 @pytest.mark.parametrize("method", METHODS)
 def test_all_methods_agree(method):
     """Offset stays while lists are built anew, inside compiled loops too."""
-    first = method in ("euler", "euler-adaptive", "backward-euler")
+    first = method in ("euler", "euler-adaptive", "multirate-euler", "backward-euler")
     options = load_scene("growth").with_changes(
         {
             "integrator.method": method,
