@@ -22,7 +22,7 @@ from multicell.biology.active_forces import push
 from multicell.biology.cycle import parting
 from multicell.biology.initial import initial_cells
 from multicell.biology.pace import Pace, end_of_step, first_pace, next_pace
-from multicell.biology.splitting import StepError, held, step_error
+from multicell.biology.splitting import StepError, held, jumps, step_error
 from multicell.biology.step import aged, bind, decide, divide_and_remove, grow
 from multicell.cells import Cells, FloatArray
 from multicell.errors import NutrientFailed, StepFailed
@@ -308,19 +308,21 @@ class Simulation:
         with self._phase("biology"):
             self._decide(end - begin)
             if before is not None:
-                self._estimate(before, first, end - begin)
+                self._estimate(before, first, begin, end)
 
-    def _estimate(self, before: Held, first: int, dt: float) -> None:
+    def _estimate(self, before: Held, first: int, begin: float, end: float) -> None:
         """Estimate the error of the step that has ended, and choose the length of the next."""
         scene, cells = self.scene, self.cells
+        dt, jumped = end - begin, jumps(scene, end)
         now = held(scene, cells, self.concentrations)
-        self.step_error = error = step_error(scene, before, now, cells, first, dt)
+        self.step_error = error = step_error(scene, before, now, cells, first, dt, jumped=jumped)
         self.splitting = (self.splitting or 0.0) + error.volume / max(len(cells), 1)
         if self.pace is not None:
             uptake = 0.0
             if self._feeding is not None:
                 uptake = self._feeding.uptake_error(scene, dt)
-            self.pace = next_pace(scene, self.pace, error, uptake, dt)
+            pace = first_pace(scene) if jumped else self.pace
+            self.pace = next_pace(scene, pace, error, uptake, dt)
 
     def _kept(self) -> dict[str, Any]:
         """Return what :meth:`_take_back` needs to undo a step.

@@ -11,6 +11,9 @@ are known anyway, so that the estimate needs no second solution of anything.
 Without phases a mother grows beyond the division volume until the step ends, as one cell where two
 daughters would have grown: what she has grown beyond it is missing. (With phases what is left of a
 step counts for both daughters, and nothing is missing.)
+
+Where a medium changes at once just when a step ends, and its field is steady, that step has rightly
+held the surroundings of before, and the next one holds those of after: the change is no error.
 """
 
 from __future__ import annotations
@@ -25,6 +28,7 @@ from numpy.typing import NDArray
 from multicell.biology.cycle import may_grow
 from multicell.biology.growth import birth_volume, growth_factor
 from multicell.cells import DEAD, Cells, FloatArray, State
+from multicell.scene.scales import regime
 
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
@@ -74,8 +78,9 @@ def held(scene: Scene, cells: Cells, concentrations: Mapping[str, FloatArray]) -
 
 
 def step_error(
-    scene: Scene, before: Held, now: Held, cells: Cells, next_id: int, dt: float
-) -> StepError:
+    scene: Scene, before: Held, now: Held, cells: Cells, next_id: int, dt: float,
+    *, jumped: bool = False,
+) -> StepError:  # fmt: skip
     """Return the error of a coupling step that has just ended.
 
     Parameters
@@ -90,6 +95,8 @@ def step_error(
         First identity that was free at the step's beginning: cells from it on are daughters.
     dt
         Length of the step, s.
+    jumped
+        Whether the surroundings have changed at once at the step's end, which is no error.
     """
     assert scene.growth is not None
     if len(cells) == 0 or dt <= 0.0:
@@ -99,7 +106,7 @@ def step_error(
     rate = birth / cells.cycle_time
     if scene.growth.phases:
         rate[~may_grow(scene, cells)] = 0.0
-    began = _inherited(before, now, cells)
+    began = now.factor if jumped else _inherited(before, now, cells)
     change = 0.5 * rate * (began - now.factor)
     error = dt * change
     if not scene.growth.phases:
@@ -120,6 +127,16 @@ def step_error(
         float(change[~switched].sum()) / free if free > 0.0 else 0.0,
         float(np.abs(change[switched]).sum()) / free if free > 0.0 else 0.0,
         0.5 * math.log(2.0) * float(np.dot(rate, now.factor)) / (birth * count),
+    )
+
+
+def jumps(scene: Scene, time: float) -> bool:
+    """Return whether the medium of a steady field changes at once at this moment, s."""
+    return any(
+        any(moment == time for moment, _ in field.media or ())
+        and field.media_change != "linear"
+        and regime(scene, name) == "steady"
+        for name, field in scene.nutrients.items()
     )
 
 

@@ -336,15 +336,15 @@ def _fit_domain(scene, flat):
 
 
 def _fit_coupling(scene):
-    """Let a run choose its steps only where it may, and give a tolerance only where it does."""
-    if scene.get("coupling_step") == "auto":
-        sees_all = "growth" in scene and scene.get("contact", {}).get("law") != "exact-jkr"
-        for name in ("motility", "chemotaxis", "haptotaxis", "pull"):
-            sees_all = sees_all and name not in scene
-        if not sees_all:
-            scene["coupling_step"] = 600.0
+    """Leave out what keeps a run from choosing its steps, or the tolerance where it does not."""
     if scene.get("coupling_step") != "auto":
         scene.pop("coupling_tolerance", None)
+        return
+    scene.setdefault("growth", {})
+    for name in ("motility", "chemotaxis", "haptotaxis", "pull"):
+        scene.pop(name, None)
+    if scene.get("contact", {}).get("law") == "exact-jkr":
+        del scene["contact"]
 
 
 def _fit_growth(scene):
