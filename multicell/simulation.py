@@ -22,7 +22,7 @@ from multicell.biology.active_forces import push
 from multicell.biology.cycle import parting
 from multicell.biology.initial import initial_cells
 from multicell.biology.pace import Pace, end_of_step, first_pace, next_pace
-from multicell.biology.splitting import StepError, held, jumps, step_error
+from multicell.biology.splitting import StepError, columns, held, jumps, step_error
 from multicell.biology.step import aged, bind, decide, divide_and_remove, grow
 from multicell.cells import Cells, FloatArray
 from multicell.errors import NutrientFailed, StepFailed
@@ -36,7 +36,7 @@ from multicell.results.frame import Field, Frame, Progress
 from multicell.results.lineage import Lineage
 from multicell.results.observables import contact_rows
 from multicell.scene import start
-from multicell.scene.coupling import fixed_step
+from multicell.scene.coupling import fixed_step, longest_step
 from multicell.scene.domain import check_inside, check_start
 from multicell.scene.ranges import check_memory
 from multicell.threads import thread_count
@@ -101,10 +101,8 @@ class Simulation:
         The largest error that the integrator expects to have made with a cell in one of its steps
         so far; None before the first step, and with a method that makes no estimate.
     splitting : float or None, µm³
-        The error that coupling steps have made with the volume of all cells so far, over the
-        number of cells: it multiplies as they do. None without growth.
-    step_error : StepError
-        What of it the last step has made.
+        The error that coupling steps have made so far with the volume of all cells, over their
+        number; None without growth. What the last step has made of it is ``step_error``.
     pace : Pace or None
         What chooses the next coupling step; None where the scene fixes it.
     wall : phase -> s
@@ -222,30 +220,21 @@ class Simulation:
         """Simulated time, s: whole coupling steps from the start or a prolonged end, or the end."""
         step, time = self._origin
         if self.pace is None:
-            time += (self.step_index - step) * self._fixed_step
+            time += (self.step_index - step) * longest_step(self.scene)
         return min(time, self.scene.duration)
-
-    @property
-    def _fixed_step(self) -> float:
-        step = fixed_step(self.scene)
-        assert step is not None
-        return step
 
     @property
     def _next_time(self) -> float:
         """The end of the next coupling step, s."""
         if self.pace is not None:
             return end_of_step(self.scene, self.pace, self.time)
-        return min(self.time + self._fixed_step, self.scene.duration)
+        return min(self.time + longest_step(self.scene), self.scene.duration)
 
     @property
     def steps(self) -> int:
-        """Number of coupling steps from the start to the scene's end.
-
-        Where the run chooses its steps, the number that it would be at the present length.
-        """
+        """Number of coupling steps to the scene's end, chosen ones all as long as the next."""
         step, time = self._origin
-        length = self._fixed_step if self.pace is None else self.pace.step
+        length = longest_step(self.scene) if self.pace is None else self.pace.step
         ahead = (self.scene.duration - time) / length
         return max(1, step + math.ceil(ahead * (1.0 - 1e-12)))
 
@@ -254,10 +243,8 @@ class Simulation:
         """Whether the duration or the number of cells is reached, or all are pulled apart."""
         enough = self.scene.stop_cells
         grown = enough is not None and len(self.cells) >= enough
-        if self.pace is None:
-            over = self.step_index >= self.steps
-        else:
-            over = self.time >= self.scene.duration
+        chosen = self.pace is not None
+        over = self.time >= self.scene.duration if chosen else self.step_index >= self.steps
         return over or grown or self.separation is not None
 
     @property
@@ -290,7 +277,7 @@ class Simulation:
         with self._phase("biology"):
             grown = grow(scene, self.cells, self.concentrations, end - begin)
             before = None if scene.growth is None else held(scene, self.cells, self.concentrations)
-            first, start = self.next_id, self.cells
+            first, began = self.next_id, self.cells
         with self._phase("mechanics"):
             position, pressure = self._move(begin, end, grown.radius)
         with self._phase("events"):
@@ -304,7 +291,8 @@ class Simulation:
             self._sort()
         with self._phase("nutrient"):
             if self._feeding is not None:
-                self._feeding.advance(self.cells, begin, end, before=start)
+                earlier = None if before is None else began
+                self._feeding.advance(self.cells, begin, end, before=earlier)
         with self._phase("biology"):
             self._decide(end - begin)
             if before is not None:
@@ -318,9 +306,7 @@ class Simulation:
         self.step_error = error = step_error(scene, before, now, cells, first, dt, jumped=jumped)
         self.splitting = (self.splitting or 0.0) + error.volume / max(len(cells), 1)
         if self.pace is not None:
-            uptake = 0.0
-            if self._feeding is not None:
-                uptake = self._feeding.uptake_error(scene, dt)
+            uptake = 0.0 if self._feeding is None else self._feeding.uptake_error(scene, dt)
             pace = first_pace(scene) if jumped else self.pace
             self.pace = next_pace(scene, pace, error, uptake, dt)
 
@@ -369,13 +355,8 @@ class Simulation:
         if round_fields and self.scene.dimensions == 3:
             extra["departure_from_a_ball"] = _departure(self.cells)
         if self.scene.growth is not None:
-            volume, error = float(self.cells.volume.sum()), self.step_error
-            extra["splitting_volume_error"] = error.volume / volume if volume > 0.0 else 0.0
-            extra["splitting_cell_error"] = error.rms
-            extra["splitting_worst_cell_error"] = error.worst
-            feeding = self._feeding
-            for name, amiss in (feeding.content_errors if feeding is not None else {}).items():
-                extra[f"splitting_content_error_{name}"] = amiss
+            fields = {} if self._feeding is None else self._feeding.content_errors
+            extra |= columns(self.step_error, self.cells, fields)
         return summary.history_row(self.scene, self._view(), **extra)
 
     def energy(self) -> float:

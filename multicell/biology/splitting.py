@@ -130,6 +130,17 @@ def step_error(
     )
 
 
+def columns(error: StepError, cells: Cells, contents: Mapping[str, float]) -> dict[str, float]:
+    """Return what the history tells of a step's error; ``contents`` are those of fields."""
+    volume = float(cells.volume.sum())
+    return {
+        "splitting_volume_error": error.volume / volume if volume > 0.0 else 0.0,
+        "splitting_cell_error": error.rms,
+        "splitting_worst_cell_error": error.worst,
+        **{f"splitting_content_error_{name}": amiss for name, amiss in contents.items()},
+    }
+
+
 def jumps(scene: Scene, time: float) -> bool:
     """Return whether the medium of a steady field changes at once at this moment, s."""
     return any(
