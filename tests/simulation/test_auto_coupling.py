@@ -137,13 +137,11 @@ def test_the_pace_doubles_at_most_and_halves_as_often_as_it_must():
     assert pace_after(pace, rough).step == 56.25
     assert pace_after(pace, calm, uptake=1e-2).step == 56.25
     # a part that births get wrong is held at just below the tolerance
-    for births in (1e-6, 4e-6, 1e-5):
+    for births in (2e-6, 4e-6, 1e-5):
         steady = Pace(3600.0)
         for _ in range(3):
             steady = pace_after(steady, StepError(births=births))
-        assert 0.5 * coupling.TOLERANCE < births * steady.step <= coupling.TOLERANCE or (
-            steady.step == 3600.0
-        )
+        assert 0.5 * coupling.TOLERANCE < births * steady.step <= coupling.TOLERANCE
 
 
 def test_a_drift_to_and_fro_is_no_error_but_switching_to_and_fro_is():

@@ -147,8 +147,8 @@ def _run(scene: Scene) -> list[Number]:
     words = f"of {step:g} s each" if step is not None else _chosen_words(scene)
     # frames are saved between coupling steps, so that there are no more than those and one
     frames = math.floor(scene.duration / scene.output.every * (1.0 + 1e-12)) + 1
-    if step is not None:
-        frames = min(frames, steps + 1)
+    most = math.ceil(scene.duration / shortest_step(scene) * (1.0 - 1e-12))
+    frames = min(frames, most + 1)
     return [
         Number("duration", scene.duration, "s", f"simulated time: {hours(scene.duration)}"),
         Number("coupling steps", steps, "", words),
