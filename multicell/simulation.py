@@ -21,6 +21,8 @@ from multicell.biology import adhesion
 from multicell.biology.active_forces import push
 from multicell.biology.cycle import parting
 from multicell.biology.initial import initial_cells
+from multicell.biology.pace import Pace, end_of_step, first_pace, next_pace
+from multicell.biology.splitting import StepError, columns, held, jumps, step_error
 from multicell.biology.step import aged, bind, decide, divide_and_remove, grow
 from multicell.cells import Cells, FloatArray
 from multicell.errors import NutrientFailed, StepFailed
@@ -34,11 +36,13 @@ from multicell.results.frame import Field, Frame, Progress
 from multicell.results.lineage import Lineage
 from multicell.results.observables import contact_rows
 from multicell.scene import start
+from multicell.scene.coupling import fixed_step, longest_step
 from multicell.scene.domain import check_inside, check_start
 from multicell.scene.ranges import check_memory
 from multicell.threads import thread_count
 
 if TYPE_CHECKING:
+    from multicell.biology.splitting import Held
     from multicell.integrators.base import Integrator
     from multicell.nutrient.fields import Feeding
     from multicell.scene.scene import Scene
@@ -49,10 +53,11 @@ PHASES = ("nutrient", "biology", "mechanics", "events", "record")
 
 _NOTED = (
     "divisions", "removals", "released", "separation", "local_error", "next_id", "unsorted",
+    "splitting",
 )  # fmt: skip
 """What a run notes beside its cells; a frame's progress has entries of the same names."""
 
-_STATE = ("cells", "step_index", "contacts", *_NOTED)
+_STATE = ("cells", "step_index", "contacts", "step_error", "pace", "_origin", *_NOTED)
 """What a coupling step changes, beside fields, logs and counts of work."""
 
 _STALE_ORDER = 0.05
@@ -95,6 +100,11 @@ class Simulation:
     local_error : float or None, µm
         The largest error that the integrator expects to have made with a cell in one of its steps
         so far; None before the first step, and with a method that makes no estimate.
+    splitting : float or None, µm³
+        The error that coupling steps have made so far with the volume of all cells, over their
+        number; None without growth. What the last step has made of it is ``step_error``.
+    pace : Pace or None
+        What chooses the next coupling step; None where the scene fixes it.
     wall : phase -> s
         Wall time of each phase of the loop.
 
@@ -122,6 +132,9 @@ class Simulation:
         self._origin = (0, 0.0)
         self.released = 0.0
         self.local_error: float | None = None
+        self.splitting: float | None = None if scene.growth is None else 0.0
+        self.step_error = StepError()
+        self.pace = None if fixed_step(scene) else first_pace(scene)
         self._mechanics = start.mechanics(scene, thread_count(threads))
         # identities of the pairs in contact, (m, 2): what exact JKR remembers, and others count
         self.contacts = np.empty((0, 2), dtype=np.int64)
@@ -161,9 +174,12 @@ class Simulation:
         if known is None:
             raise ValueError("this frame does not hold what a run needs to go on")
         self.step_index = frame.step
-        if frame.time != frame.step * self.scene.coupling_step:
+        step = fixed_step(self.scene)
+        if step is None or frame.time != frame.step * step:
             # a run whose last step was a shorter one has been prolonged: count from here
             self._origin = (frame.step, frame.time)
+        if step is None:
+            self.pace = Pace.of(known.pace) or self.pace
         self.cells = frame.cells.copy()
         check_start(self.scene, self.cells)
         self.contacts = np.array(frame.contacts)
@@ -181,6 +197,7 @@ class Simulation:
             ledger={} if feeding is None else {n: asdict(x) for n, x in feeding.ledger.items()},
             rates={} if feeding is None else {n: asdict(x) for n, x in feeding.reports.items()},
             work=asdict(self._mechanics.work),
+            pace=None if self.pace is None else self.pace._asdict(),
         )
 
     def _count(self, work: Mapping[str, int]) -> None:
@@ -202,18 +219,23 @@ class Simulation:
     def time(self) -> float:
         """Simulated time, s: whole coupling steps from the start or a prolonged end, or the end."""
         step, time = self._origin
-        return min(time + (self.step_index - step) * self.scene.coupling_step, self.scene.duration)
+        if self.pace is None:
+            time += (self.step_index - step) * longest_step(self.scene)
+        return min(time, self.scene.duration)
 
     @property
     def _next_time(self) -> float:
         """The end of the next coupling step, s."""
-        return min(self.time + self.scene.coupling_step, self.scene.duration)
+        if self.pace is not None:
+            return end_of_step(self.scene, self.pace, self.time)
+        return min(self.time + longest_step(self.scene), self.scene.duration)
 
     @property
     def steps(self) -> int:
-        """Number of coupling steps from the start to the scene's end."""
+        """Number of coupling steps to the scene's end, chosen ones all as long as the next."""
         step, time = self._origin
-        ahead = (self.scene.duration - time) / self.scene.coupling_step
+        length = longest_step(self.scene) if self.pace is None else self.pace.step
+        ahead = (self.scene.duration - time) / length
         return max(1, step + math.ceil(ahead * (1.0 - 1e-12)))
 
     @property
@@ -221,7 +243,9 @@ class Simulation:
         """Whether the duration or the number of cells is reached, or all are pulled apart."""
         enough = self.scene.stop_cells
         grown = enough is not None and len(self.cells) >= enough
-        return self.step_index >= self.steps or grown or self.separation is not None
+        chosen = self.pace is not None
+        over = self.time >= self.scene.duration if chosen else self.step_index >= self.steps
+        return over or grown or self.separation is not None
 
     @property
     def fields(self) -> dict[str, Field]:
@@ -252,6 +276,8 @@ class Simulation:
         scene, begin, end = self.scene, self.time, self._next_time
         with self._phase("biology"):
             grown = grow(scene, self.cells, self.concentrations, end - begin)
+            before = None if scene.growth is None else held(scene, self.cells, self.concentrations)
+            first, began = self.next_id, self.cells
         with self._phase("mechanics"):
             position, pressure = self._move(begin, end, grown.radius)
         with self._phase("events"):
@@ -259,13 +285,30 @@ class Simulation:
             self.cells.position, self.cells.pressure = position, pressure
             self.released += lost
             self.step_index += 1
+            if self.pace is not None:
+                self._origin = (self.step_index, end)
             self._divide_and_remove()
             self._sort()
         with self._phase("nutrient"):
             if self._feeding is not None:
-                self._feeding.advance(self.cells, begin, end)
+                earlier = None if before is None else began
+                self._feeding.advance(self.cells, begin, end, before=earlier)
         with self._phase("biology"):
             self._decide(end - begin)
+            if before is not None:
+                self._estimate(before, first, begin, end)
+
+    def _estimate(self, before: Held, first: int, begin: float, end: float) -> None:
+        """Estimate the error of the step that has ended, and choose the length of the next."""
+        scene, cells = self.scene, self.cells
+        dt, jumped = end - begin, jumps(scene, end)
+        now = held(scene, cells, self.concentrations)
+        self.step_error = error = step_error(scene, before, now, cells, first, dt, jumped=jumped)
+        self.splitting = (self.splitting or 0.0) + error.volume / max(len(cells), 1)
+        if self.pace is not None:
+            uptake = 0.0 if self._feeding is None else self._feeding.uptake_error(scene, dt)
+            pace = first_pace(scene) if jumped else self.pace
+            self.pace = next_pace(scene, pace, error, uptake, dt)
 
     def _kept(self) -> dict[str, Any]:
         """Return what :meth:`_take_back` needs to undo a step.
@@ -311,6 +354,9 @@ class Simulation:
         round_fields = any(part.geometry != "box" for part in self.scene.nutrients.values())
         if round_fields and self.scene.dimensions == 3:
             extra["departure_from_a_ball"] = _departure(self.cells)
+        if self.scene.growth is not None:
+            fields = {} if self._feeding is None else self._feeding.content_errors
+            extra |= columns(self.step_error, self.cells, fields)
         return summary.history_row(self.scene, self._view(), **extra)
 
     def energy(self) -> float:

@@ -283,6 +283,11 @@ def _length_of(
     return np.asarray(lengths[np.arange(len(index)), phase - Phase.G1])
 
 
+def may_grow(scene: Scene, cells: Cells) -> NDArray[np.bool_]:
+    """Return which cells are in a phase in which they grow, or rest in G0 and would grow, (n,)."""
+    return np.asarray(_grows(scene)[cells.phase] | (cells.phase == Phase.G0))
+
+
 def _grows(scene: Scene) -> NDArray[np.bool_]:
     """Return for each :class:`Phase` whether cells grow in it."""
     assert scene.growth is not None

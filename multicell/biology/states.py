@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from multicell.biology.death import apoptotic, necrotic
 from multicell.cells import DEAD, Cells, FloatArray, State
+from multicell.scene.coupling import fixed_step
 
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
@@ -47,7 +48,7 @@ def update_states(
     Parameters
     ----------
     scene
-        Gives the thresholds, ``cells.reaction_time`` and ``coupling_step``.
+        Gives the thresholds and ``cells.reaction_time``.
     cells
         The population, n cells; its states, pressures, ages and identities are read.
     concentrations : mapping of (n,), mM
@@ -85,7 +86,7 @@ def update_states(
     if not restricted(scene):
         resting = unfavourable(scene, cells, concentrations)
         wanted = np.where(resting, State.QUIESCENT, State.PROLIFERATING)
-        due = deciding(cells, scene.coupling_step, scene.cells.reaction_time)
+        due = deciding(cells, fixed_step(scene) or dt, scene.cells.reaction_time)
         living = np.where(due, wanted, cells.state)
     living = np.where(dies | (cells.state == State.APOPTOTIC), State.APOPTOTIC, living)
     dead &= living != State.APOPTOTIC

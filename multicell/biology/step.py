@@ -18,6 +18,7 @@ from multicell.biology.division import divide
 from multicell.biology.growth import growth_factor, volumes_after
 from multicell.biology.states import deciding, restricted, unfavourable, update_states
 from multicell.cells import DEAD, SPHERE, Cells, FloatArray
+from multicell.scene.coupling import fixed_step
 from multicell.scene.domain import check_inside
 
 if TYPE_CHECKING:
@@ -114,7 +115,7 @@ def decide(
     before = cells.state
     cells.state = update_states(scene, cells, concentrations, step, dt, time)
     if restricted(scene):
-        due = deciding(cells, scene.coupling_step, scene.cells.reaction_time)
+        due = deciding(cells, fixed_step(scene) or dt, scene.cells.reaction_time)
         well = ~unfavourable(scene, cells, concentrations)
         leave_rest(scene, cells, due & well)
     dead = (cells.state != before) & np.isin(cells.state, DEAD)

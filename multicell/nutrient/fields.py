@@ -43,6 +43,10 @@ class Feeding:
     ledger : name -> Ledger
     concentrations : name -> (n,) float64, mM
         At the cells of the last call.
+    content_errors : name -> float
+        Error of the content of each transient field that the last coupling step has made, over
+        the most that the field ever held. The step took up what the cells of its end would have,
+        and they changed on the way: half of the difference is wrong, to leading order.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -58,6 +62,9 @@ class Feeding:
         self.concentrations: dict[str, FloatArray] = {}
         self.reports: dict[str, FieldReport] = {}
         self._uptake: dict[str, FloatArray] = {}
+        self._transient = [name for name in self._order if name not in self._steady]
+        self.content_errors = dict.fromkeys(self._transient, 0.0)
+        self._turnover: dict[str, tuple[float, float]] = {}
 
     def begin(self, cells: Cells, time: float) -> None:
         """Solve for the fields at the start of a run.
@@ -78,15 +85,21 @@ class Feeding:
             self.ledger[name].add(0.0, 0.0, content=field.stored())
             self._sample(name, cells, capacity)
 
-    def advance(self, cells: Cells, begin: float, end: float) -> None:
+    def advance(
+        self, cells: Cells, begin: float, end: float, *, before: Cells | None = None
+    ) -> None:
         """Bring the fields from ``begin`` to ``end`` (s), with the cells as they are at the end.
 
         What a steady field exchanged in this time is what its solution of ``begin`` said.
+        ``before`` are the cells at the beginning: what they would take up rates transient fields.
 
         Raises
         ------
         NutrientFailed
         """
+        demand = {}
+        if before is not None:
+            demand = {name: float(self._capacity(name, before).sum()) for name in self._transient}
         for name in self._order:
             capacity, production = self._demand(name, cells)
             field, ledger = self.fields[name], self.ledger[name]
@@ -101,7 +114,7 @@ class Feeding:
                 self.reports[name] = field.solve(cells.position, capacity, time=end, **with_cells)
                 ledger.add(0.0, 0.0, content=field.stored())
             else:
-                before = field.stored()
+                content = field.stored()
                 march = field.advance(cells.position, capacity, begin=begin, end=end, **with_cells)
                 ledger.add(
                     march.inflow,
@@ -110,9 +123,11 @@ class Feeding:
                     decayed=march.decayed,
                     relaid=march.relaid,
                     washed=march.washed,
-                    stored=(now := field.stored()) - before,
+                    stored=(now := field.stored()) - content,
                     content=now,
                 )
+                if before is not None:
+                    self._rate(name, demand[name], float(capacity.sum()), march.uptake)
             self._sample(name, cells, capacity)
 
     def kept(self) -> dict[str, Any]:
@@ -123,6 +138,7 @@ class Feeding:
             "concentrations": dict(self.concentrations),
             "reports": dict(self.reports),
             "uptake": dict(self._uptake),
+            "errors": (dict(self.content_errors), dict(self._turnover)),
         }
 
     def take_back(self, kept: Mapping[str, Any]) -> None:
@@ -131,6 +147,7 @@ class Feeding:
             field.take_back(kept["fields"][name])
         self.ledger, self.concentrations = kept["ledger"], kept["concentrations"]
         self.reports, self._uptake = kept["reports"], kept["uptake"]
+        self.content_errors, self._turnover = kept["errors"]
 
     def gradients(self, position: FloatArray, names: Iterable[str]) -> dict[str, FloatArray]:
         """Return the gradients of fields at positions, name -> (n, 3) mM/µm."""
@@ -213,6 +230,39 @@ class Feeding:
                 f"reach to it, and the layer is {found:.3g} um instead of {wanted:.3g} um."
             )
 
+    def _rate(self, name: str, began: float, ended: float, uptake: float) -> None:
+        """Note the error of a march in which the largest uptake went from one rate to another."""
+        content = self.ledger[name].content
+        amiss = 0.5 * uptake * (1.0 - began / ended) if ended > 0.0 else 0.0
+        self.content_errors[name] = -amiss / content if content > 0.0 else 0.0
+        self._turnover[name] = (amiss, uptake)
+
+    def uptake_error(self, scene: Scene, dt: float) -> float:
+        """Return the part of uptake that the last step of ``dt`` s got wrong, over its length, 1/s.
+
+        Of the transient field of which it is most. Where less is taken up in a cycle of the cells
+        than the field holds, of that content.
+        """
+        if scene.growth is None:
+            return 0.0
+        found = [0.0]
+        for name, (amiss, uptake) in self._turnover.items():
+            most = max(uptake, self.ledger[name].content * dt / scene.growth.mean_cycle)
+            found.append(abs(amiss) / most / dt if most > 0.0 else 0.0)
+        return max(found)
+
+    def _active(self, nutrient: Nutrient, cells: Cells) -> FloatArray:
+        """Return uptake and secretion of each cell over those of a proliferating one, (n,)."""
+        active = activity(nutrient)[cells.state]
+        return active if self._scales is None else active * self._scales[cells.kind]
+
+    def _capacity(self, name: str, cells: Cells) -> FloatArray:
+        """Return each cell's largest uptake, (n,) amol/s."""
+        nutrient = self._nutrients[name]
+        active = self._active(nutrient, cells)
+        factor = dependence(nutrient, self.concentrations, len(cells))
+        return np.asarray(nutrient.uptake * active * factor)
+
     def _sample(self, name: str, cells: Cells, capacity: FloatArray) -> None:
         """Keep what the cells find and take up of a field."""
         field = self.fields[name]
@@ -223,13 +273,10 @@ class Feeding:
     def _demand(self, name: str, cells: Cells) -> tuple[FloatArray, FloatArray | None]:
         """Return each cell's largest uptake and its secretion, (n,) amol/s."""
         nutrient = self._nutrients[name]
-        active = activity(nutrient)[cells.state]
-        if self._scales is not None:
-            active = active * self._scales[cells.kind]
-        capacity = nutrient.uptake * active * dependence(nutrient, self.concentrations, len(cells))
+        capacity = self._capacity(name, cells)
         if nutrient.secretion == 0.0 and not nutrient.secretion_from:
             return capacity, None
-        production = nutrient.secretion * active
+        production = nutrient.secretion * self._active(nutrient, cells)
         for other, share in (nutrient.secretion_from or {}).items():
             production = production + share * self._uptake[other]
         return capacity, production

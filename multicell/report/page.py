@@ -99,6 +99,12 @@ def measures(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         value = summary.get(key)
         if value is not None and value == value:  # a rim without a core does not exist
             yield name, shown(value)
+    splitting = summary.get("splitting") or {}
+    amiss = splitting.get("relative_volume_error")
+    if amiss is not None:
+        yield "volume changed by coupling steps", f"about {100.0 * amiss:+.2g} %"
+    if "mean_step" in splitting:
+        yield "mean coupling step", clock(splitting["mean_step"])
     total = (summary.get("wall") or {}).get("total")
     if total is not None:
         yield "wall time", clock(total)

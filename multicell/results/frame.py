@@ -94,6 +94,11 @@ class Progress:
         What the integration has cost.
     local_error : float or None, µm
         The largest estimated error of a cell in a step of the integration, where there is one.
+    splitting : float or None, µm³
+        The error that coupling steps have made with the volume of all cells, over their number;
+        None without growth.
+    pace : name -> float, or None
+        What chooses the next coupling step, where that is not fixed.
     """
 
     next_id: int
@@ -106,6 +111,8 @@ class Progress:
     rates: Mapping[str, Mapping[str, float]]
     work: Mapping[str, int]
     local_error: float | None = None
+    splitting: float | None = None
+    pace: Mapping[str, float] | None = None
 
 
 @final

@@ -9,6 +9,7 @@ from multicell.results import observables
 from multicell.results.folder import versions
 from multicell.results.observables import known
 from multicell.results.quantities import units_of
+from multicell.scene.coupling import fixed_step
 
 if TYPE_CHECKING:
     from multicell.results.frame import Frame
@@ -77,6 +78,7 @@ def run_summary(
         **own,
         **{name: known(value) for name, value in _held_back(scene, frame).items()},
         **{name: known(value) for name, value in _mixing(scene, frame).items()},
+        **_splitting(scene, frame),
         "title": scene.title,
         "seed": scene.seed,
         "steps": frame.step,
@@ -113,6 +115,20 @@ def _held_back(scene: Scene, frame: Frame) -> dict[str, float]:
     if growth is None or growth.critical_pressure is None:
         return {}
     return dict(observables.pressure_summary(frame.cells, growth.critical_pressure))
+
+
+def _splitting(scene: Scene, frame: Frame) -> dict[str, Any]:
+    """Return the error that coupling steps have made with the volume of all cells, with growth."""
+    progress = frame.progress
+    if progress is None or progress.splitting is None:
+        return {}
+    volume, error = float(frame.cells.volume.sum()), progress.splitting * len(frame.cells)
+    entries = {"volume_error": error}
+    if volume > 0.0:
+        entries["relative_volume_error"] = error / volume
+    if fixed_step(scene) is None and frame.step:
+        entries["mean_step"] = frame.time / frame.step
+    return {"splitting": entries}
 
 
 def _hypoxic(scene: Scene, frame: Frame) -> dict[str, float]:

@@ -152,6 +152,10 @@ def _choice(spec: Parameter) -> Schema:
 
 _KINDS: Final[Mapping[str, Callable[[Parameter, dict[str, Schema]], Schema]]] = {
     "quantity": lambda spec, _: _amount(spec.unit, spec.bounds),
+    "quantity_or_name": lambda spec, _: {
+        "anyOf": [*_amount(spec.unit, spec.bounds)["anyOf"], {"enum": list(spec.options)}],
+        "x-unit": spec.unit,
+    },
     "number": lambda spec, _: _number(spec.bounds),
     "count": lambda spec, _: _number(spec.bounds, "integer"),
     "choice": lambda spec, _: _choice(spec),

@@ -16,6 +16,12 @@ from typing import TYPE_CHECKING, Any, Final
 from multicell.contact.law import effective_modulus, effective_radius
 from multicell.errors import SceneError
 from multicell.integrators.registry import METHODS
+from multicell.scene.coupling import (
+    check_coupling,
+    longest_step,
+    quickest_cycle,
+    shortest_step,
+)
 from multicell.schema import Bounds, Parameter, leaves
 from multicell.units import RANGES
 
@@ -50,7 +56,9 @@ def check_sizes(scene: Scene) -> None:
 
 def _numbers(value: Any, spec: Parameter) -> Iterator[tuple[float, str, Bounds | None]]:
     """Yield number, unit and bounds: of a value itself, or the two of each point of a curve."""
-    if spec.kind in ("quantity", "number", "quantities"):
+    if isinstance(value, str):
+        return
+    if spec.kind in ("quantity", "quantity_or_name", "number", "quantities"):
         yield value, spec.unit, spec.bounds
     elif spec.kind in ("course", "schedule", "responses"):
         first, second = (spec.unit, "") if spec.kind == "responses" else ("s", spec.unit)
@@ -74,9 +82,10 @@ def _check_size(path: str, value: float, unit: str, ends: Bounds | None) -> None
 
 def _check_steps(scene: Scene) -> None:
     """Raise ``SceneError`` for steps so short or so long that no run could use them."""
-    step = scene.coupling_step
-    if scene.duration / step > MOST_STEPS:
-        problem = f"is {step:g} s, must be at least {scene.duration / MOST_STEPS:g} s"
+    check_coupling(scene)
+    step, shortest = longest_step(scene), shortest_step(scene)
+    if scene.duration / shortest > MOST_STEPS:
+        problem = f"is {shortest:g} s, must be at least {scene.duration / MOST_STEPS:g} s"
         hint = f"The run would take more than {MOST_STEPS:g} coupling steps."
         raise SceneError("coupling_step", problem, hint)
     fixed = scene.integrator
@@ -89,8 +98,7 @@ def _check_steps(scene: Scene) -> None:
     if scene.growth is None:
         return
     # a cell divides once in a coupling step at most: a shorter cycle would only make it larger
-    quickest = min((kind.cycle_scale for kind in scene.types.values()), default=1.0)
-    cycle = quickest * scene.growth.mean_cycle
+    cycle = quickest_cycle(scene)
     if min(step, scene.duration) > cycle:
         problem = f"is {step:g} s, must be at most a cycle of the cells, {cycle:g} s"
         hint = "Cells divide between coupling steps; take about a twentieth of the cycle."

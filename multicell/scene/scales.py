@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, final
 
 from multicell.cells import SPHERE
 from multicell.scene import domain as box
+from multicell.scene.coupling import usual_step
 
 if TYPE_CHECKING:
     from multicell.scene.nutrient import Nutrient, Side
@@ -132,13 +133,13 @@ def _typical_radius(scene: Scene) -> float:
 def regime(scene: Scene, name: str) -> str:
     """Return ``"steady"`` or ``"transient"``, whichever a field is solved as.
 
-    ``auto`` takes the steady state where diffusion settles within a coupling step, and where
-    there is a steady state at all.
+    ``auto`` takes the steady state where diffusion settles within a coupling step (ten minutes
+    where the run chooses its steps), and where there is a steady state at all.
     """
     nutrient = scene.nutrients[name]
     if nutrient.regime != "auto":
         return nutrient.regime
-    settles = scales(scene, name).time <= _SETTLED * scene.coupling_step
+    settles = scales(scene, name).time <= _SETTLED * usual_step(scene)
     fixed = level_fixed(nutrient, scene.dimensions)
     return "steady" if settles and fixed else "transient"
 

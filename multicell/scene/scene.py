@@ -21,6 +21,7 @@ from multicell.contact.registry import LAWS
 from multicell.errors import SceneError
 from multicell.plugins import OWN_OBJECT
 from multicell.scene.checks import check_integrator, check_nutrients, check_types
+from multicell.scene.coupling import AUTO, USUAL
 from multicell.scene.domain import check_domain
 from multicell.scene.nutrient import Nutrient
 from multicell.scene.parts import (
@@ -47,9 +48,11 @@ from multicell.schema import (
     count,
     leaves,
     near_miss,
+    number,
     parameters,
     plain,
     quantity,
+    quantity_or_name,
     specs,
     table,
     tables,
@@ -70,7 +73,11 @@ class Scene:
     Attributes
     ----------
     title : str
-    duration, coupling_step : float, s
+    duration : float, s
+    coupling_step : float, s, or "auto"
+    coupling_tolerance : float or None
+        Part of growth that the splitting into coupling steps may get wrong where the run chooses
+        them; None for the usual one.
     seed : int
         The same seed gives the same run.
     stop_cells : int or None
@@ -92,7 +99,14 @@ class Scene:
     title: str = text(default="", doc="one line about the scene")
     duration: float = quantity("s", above=0, doc="Simulated time, for example duration = '11 d'.")
     seed: int = count(default=0, at_least=0, at_most=2**63 - 1, doc="of the random numbers")
-    coupling_step: float = quantity("s", default=600.0, above=0, doc="between exchanges of parts")
+    coupling_step: float | str = quantity_or_name(
+        "s", (AUTO,), default=USUAL, above=0,
+        doc="between exchanges of parts; 'auto': as long as coupling_tolerance allows",
+    )  # fmt: skip
+    coupling_tolerance: float | None = number(
+        default=None, above=0, at_most=0.1,
+        doc="part of growth that 'auto' steps may get wrong; absent: 0.005",
+    )  # fmt: skip
     dimensions: int = count(default=3, at_least=2, at_most=3, doc="2: all cells in one plane")
     stop_cells: int | None = count(default=None, at_least=1, doc="the run ends at so many cells")
     initial: Initial = table(Initial, default_factory=Initial, doc="the cells at the start")
@@ -314,6 +328,8 @@ def _with_units(scene: Scene, toml: str) -> str:
         unit = units.get((*table, *_keys(tomllib.loads(f"{key[0]}0"))), "") if key else ""
         if unit.startswith("[") and not line.endswith("["):
             unit = ""  # a course that is one number
+        if line.endswith('"'):
+            unit = ""  # a name in place of a quantity
         lines.append(f"{line}  # {unit}" if unit else line)
     return "\n".join(lines) + "\n"
 

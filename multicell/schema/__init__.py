@@ -24,6 +24,7 @@ from multicell.schema.declarations import (
     parameters,
     quantities,
     quantity,
+    quantity_or_name,
     responses,
     schedule,
     table,
@@ -45,5 +46,6 @@ from multicell.schema.part import (
 __all__ = [
     "Bounds", "Parameter", "Tables", "build", "choice", "chosen", "count", "course", "flag",
     "interval", "leaves", "names", "near_miss", "number", "parameters", "plain", "quantities",
-    "quantity", "responses", "schedule", "specs", "table", "tables", "text", "variant",
+    "quantity", "quantity_or_name", "responses", "schedule", "specs", "table", "tables", "text",
+    "variant",
 ]  # fmt: skip

@@ -48,6 +48,35 @@ def quantity(
     )  # fmt: skip
 
 
+def quantity_or_name(
+    unit: str,
+    options: Iterable[str],
+    *,
+    default: Any = MISSING,
+    above: float | None = None,
+    doc: str = "",
+) -> Any:
+    """Declare a quantity in whose place one of some names may stand."""
+    bounds, known = Bounds(above=above), tuple(options)
+    read = reader(unit, bounds)
+
+    def convert(value: object, path: str) -> float | str:
+        if isinstance(value, str) and value in known:
+            return value
+        try:
+            return read(value, path)
+        except SceneError as error:
+            also = f"Allowed in its place: {', '.join(map(repr, known))}."
+            hint = " ".join(filter(None, (error.hint, also)))
+            raise SceneError(path, error.problem, hint) from None
+
+    allowed = " or ".join([bounds.words(unit), *map(repr, known)])
+    return declared(
+        "quantity_or_name", convert, default, unit=unit, allowed=allowed, doc=doc, bounds=bounds,
+        options=known,
+    )  # fmt: skip
+
+
 def number(
     *,
     default: Any = MISSING,
@@ -339,8 +368,8 @@ def tables(
     frozen_default=True,
     kw_only_default=True,
     field_specifiers=(
-        quantity, number, count, choice, text, flag, names, interval, course, schedule, responses,
-        quantities, table, variant, tables,
+        quantity, quantity_or_name, number, count, choice, text, flag, names, interval, course,
+        schedule, responses, quantities, table, variant, tables,
     ),
 )  # fmt: skip
 def parameters(cls: type[T]) -> type[T]:

@@ -156,6 +156,11 @@ class Drawer:
     def _quantity(self, spec, field, path):
         return self.written(self.size(spec, spec.unit, field.default), spec.unit)
 
+    def _quantity_or_name(self, spec, field, path):
+        if self.chance(0.3):
+            return self.one_of(spec.options)
+        return self._quantity(spec, field, path)
+
     def _number(self, spec, field, path):
         return self.size(spec, "", field.default)
 
@@ -286,6 +291,7 @@ def base(value):
 def fitted(entries):
     """Return a scene's entries without what does not fit to the rest (the checks of a scene)."""
     scene = copy.deepcopy(entries)
+    _fit_coupling(scene)
     flat = scene.get("dimensions", 3) == 2
     fields, types = scene.get("nutrients", {}), scene.get("types", {})
     _fit_cells(scene)
@@ -329,6 +335,18 @@ def _fit_domain(scene, flat):
         domain[axis] = [sign * unit * count for sign, count in zip((-1, 1), ends, strict=True)]
 
 
+def _fit_coupling(scene):
+    """Leave out what keeps a run from choosing its steps, or the tolerance where it does not."""
+    if scene.get("coupling_step") != "auto":
+        scene.pop("coupling_tolerance", None)
+        return
+    scene.setdefault("growth", {})
+    for name in ("motility", "chemotaxis", "haptotaxis", "pull"):
+        scene.pop(name, None)
+    if scene.get("contact", {}).get("law") == "exact-jkr":
+        del scene["contact"]
+
+
 def _fit_growth(scene):
     growth = scene.get("growth")
     if growth is None:
@@ -349,7 +367,8 @@ def _fit_growth(scene):
         cycle = base(growth.get("cycle_time", 54000.0))
     scales = [kind.get("cycle_scale", 1.0) for kind in scene.get("types", {}).values()]
     cycle *= min(scales, default=1.0)
-    if base(scene.get("coupling_step", 600.0)) > cycle:
+    step = scene.get("coupling_step", 600.0)
+    if step != "auto" and base(step) > cycle:
         scene["growth"], scene["coupling_step"] = {}, 600.0
         for kind in scene.get("types", {}).values():
             kind.pop("cycle_scale", None)
@@ -444,7 +463,7 @@ def plausible(draw, extreme=0.004, small=True):
     scene = drawer.part(Scene, "")
     if small:
         step = drawer.one_of([1.0, 10.0, 60.0, 600.0, 1800.0])
-        scene["coupling_step"] = step
+        scene["coupling_step"] = "auto" if drawer.chance(0.1) else step
         scene.setdefault("initial", {})["count"] = drawer.one_of([1, 2, 3, 5, 8, 12, 20])
         near = scene["initial"].get("spacing", 0.9)
         scene["initial"]["spacing"] = near if drawer.chance(0.1) else min(max(near, 0.8), 1.3)
@@ -470,7 +489,9 @@ def plausible(draw, extreme=0.004, small=True):
         _loosen(scene)
         for field in scene.get("nutrients", {}).values():
             field["margin"] = min(base(field["margin"]), 12.0 * base(field["spacing"]))
-        scene["duration"] = scene["coupling_step"] * drawer.one_of([1.0, 2.0, 2.5, 3.0])
+        step = scene["coupling_step"]
+        step = 60.0 if step == "auto" else step
+        scene["duration"] = step * drawer.one_of([1.0, 2.0, 2.5, 3.0])
     return scene
 
 

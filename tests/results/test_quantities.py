@@ -33,7 +33,7 @@ SCENES = {
         },
     },
     "a plane with a field": {
-        **SHORT, "dimensions": 2, "initial": {"count": 30},
+        **SHORT, "dimensions": 2, "initial": {"count": 30}, "coupling_step": "auto",
         "growth": {"critical_pressure": 0.02}, "death": {},
         "nutrients": {"oxygen": {"quiescence": 0.06, "necrosis": 0.05, "uptake": 500.0}},
         "integrator": {"method": "auto"},

@@ -139,7 +139,7 @@ def quantities(entries, part=Scene):
         elif spec.kind in ("course", "schedule"):
             if isinstance(value, list):
                 yield f"[s, {spec.unit or 'number'}]"
-        elif spec.unit:
+        elif spec.unit and value not in spec.options:
             yield spec.unit
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 from multicell.report.explain.items import Number, Part, hours, part
 from multicell.scene import checks, scales
 from multicell.scene import domain as box
+from multicell.scene.coupling import fixed_step, usual_step
 
 if TYPE_CHECKING:
     from multicell.scene.nutrient import Nutrient
@@ -107,7 +108,7 @@ def _numbers(scene: Scene, name: str) -> list[Number]:
     numbers = [
         Number(
             f"{name}: diffusion time", found.time, "s",
-            f"to settle over {found.length:.3g} um; a coupling step is {scene.coupling_step:g} s",
+            f"to settle over {found.length:.3g} um; {_step_words(scene)}",
         )
     ]  # fmt: skip
     if not (math.isfinite(found.depth) and found.depth > 0.0):
@@ -135,6 +136,14 @@ def _numbers(scene: Scene, name: str) -> list[Number]:
     return numbers
 
 
+def _step_words(scene: Scene) -> str:
+    """Say how long a coupling step is, or what a field is compared with where they vary."""
+    step = fixed_step(scene)
+    if step is not None:
+        return f"a coupling step is {step:g} s"
+    return f"regime = 'auto' takes {usual_step(scene):g} s as coupling step"
+
+
 def nutrient_notes(scene: Scene) -> list[str]:
     """Return remarks on settings of fields that are allowed but may not be meant."""
     notes = []
@@ -155,7 +164,7 @@ def nutrient_notes(scene: Scene) -> list[str]:
             notes.append(
                 f"Changes of the medium of {name} from {hours(late[0])} on come after the end."
             )
-        if nutrient.regime == "steady" and scales.scales(scene, name).time > scene.coupling_step:
+        if nutrient.regime == "steady" and scales.scales(scene, name).time > usual_step(scene):
             notes.append(
                 f"{name} settles in {hours(scales.scales(scene, name).time)}, later than a "
                 "coupling step, but is solved as steady: regime = 'auto' would make it transient."

@@ -1,0 +1,97 @@
+"""How long the next coupling step is where the scene lets the run choose.
+
+A step of length h gets a part of growth wrong that is proportional to h to leading order, as
+:mod:`multicell.biology.splitting` estimates it. The next step is the longest one of the ladder (an
+hour halved some times) whose part is below the tolerance, and at most twice as long as the last
+one. No step is taken back: what a sudden change costs is the error of the one step in which it
+comes, and steps end where a medium changes. The estimates of single steps are averaged over the
+last few, since states change cell by cell, and pressures flicker after every division.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, NamedTuple, final
+
+from multicell.scene.coupling import longest_step, shortest_step, tolerance
+
+if TYPE_CHECKING:
+    from multicell.biology.splitting import StepError
+    from multicell.scene.scene import Scene
+
+_AVERAGED = 8.0
+"""Number of steps over which estimates are averaged, though not over more than the longest one."""
+
+_NEAR = 1e-6
+"""Part of a step that is too short to be a step of its own."""
+
+
+@final
+class Pace(NamedTuple):
+    """How fast a run goes ahead.
+
+    Attributes
+    ----------
+    step : float, s
+        Length of the next step, unless something ends it early.
+    drift, states, uptake : float, 1/s
+        Averages over time of what :class:`multicell.biology.splitting.StepError` calls so, and of
+        the part of the uptake from transient fields that a step gets wrong, over its length.
+    """
+
+    step: float
+    drift: float = 0.0
+    states: float = 0.0
+    uptake: float = 0.0
+
+    @classmethod
+    def of(cls, noted: Mapping[str, float] | None) -> Pace | None:
+        """Return the pace that a frame's progress noted."""
+        return None if noted is None else cls(**noted)
+
+
+def first_pace(scene: Scene) -> Pace:
+    """Return the pace at the start of a run: nothing is known yet."""
+    return Pace(shortest_step(scene))
+
+
+def next_pace(scene: Scene, pace: Pace, error: StepError, uptake: float, dt: float) -> Pace:
+    """Return the pace after a step.
+
+    Parameters
+    ----------
+    scene
+    pace
+        That of the step.
+    error
+        Of the step.
+    uptake
+        Part of the uptake from a transient field that the step got wrong, over its length, 1/s.
+    dt
+        Its length, s; shorter than ``pace.step`` if something ended it early.
+    """
+    longest = longest_step(scene)
+    weight = -math.expm1(-dt / min(_AVERAGED * pace.step, longest))
+    drift = pace.drift + weight * (error.drift - pace.drift)
+    states = pace.states + weight * (error.states - pace.states)
+    uptake = pace.uptake + weight * (uptake - pace.uptake)
+    wrong = max(abs(drift) + states + error.births, uptake)
+    most = min(2.0 * pace.step, longest)
+    shortest = shortest_step(scene)
+    step = longest
+    while step > most or (step > shortest and step * wrong > tolerance(scene)):
+        step *= 0.5
+    return Pace(step, drift, states, uptake)
+
+
+def end_of_step(scene: Scene, pace: Pace, time: float) -> float:
+    """Return when the step that begins at ``time`` ends, s.
+
+    At the next multiple of its length, where a medium changes, or with the run.
+    """
+    whole = math.floor(time / pace.step + _NEAR) + 1
+    end = whole * pace.step
+    after = time + _NEAR * pace.step
+    changes = [t for field in scene.nutrients.values() for t in field.switches(after, end)]
+    return min([end, *changes, scene.duration])

@@ -1,0 +1,163 @@
+"""The error that coupling steps make with growth, estimated from what they hold fixed.
+
+Within a coupling step concentrations, pressures and states are those of its beginning, and a
+division waits for its end. So growth is integrated by Euler's method: a cell that grows at the
+rate g₀ at the beginning of a step and at g₁ after it has gained Δt g₀, where the trapezoidal rule
+gives Δt (g₀ + g₁)/2. The difference, Δt (g₀ - g₁)/2, is the error of the step to leading order. It
+is also what step doubling gives: one step of 2Δt with the rates of its beginning gains 2Δt g₀, two
+of Δt gain Δt (g₀ + g₁), and half of their difference is the error of one of the two. Both rates
+are known anyway, so that the estimate needs no second solution of anything.
+
+Without phases a mother grows beyond the division volume until the step ends, as one cell where two
+daughters would have grown: what she has grown beyond it is missing. (With phases what is left of a
+step counts for both daughters, and nothing is missing.)
+
+Where a medium changes at once just when a step ends, and its field is steady, that step has rightly
+held the surroundings of before, and the next one holds those of after: the change is no error.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, NamedTuple, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multicell.biology.cycle import may_grow
+from multicell.biology.growth import birth_volume, growth_factor
+from multicell.cells import DEAD, Cells, FloatArray, State
+from multicell.scene.scales import regime
+
+if TYPE_CHECKING:
+    from multicell.scene.scene import Scene
+
+
+@final
+class Held(NamedTuple):
+    """What a coupling step holds fixed of the growth of its cells.
+
+    ``id`` is (n,), ``factor`` the part of unlimited growth at which each cell grows, (n,): that of
+    its surroundings, and 0 where its state keeps it from growing.
+    """
+
+    id: NDArray[np.int64]
+    factor: FloatArray
+
+
+@final
+class StepError(NamedTuple):
+    """The error that the splitting has made in a coupling step, simulated minus true.
+
+    Attributes
+    ----------
+    volume : float, µm³
+        Of all cells together.
+    rms, worst : float
+        Size of the error of a single living cell over its volume.
+    drift, states, births : float, 1/s
+        Parts of growth that a step gets wrong, over its length, for
+        :mod:`multicell.biology.pace`: because the surroundings of cells changed (signed), because
+        cells went over to another state, and because divisions wait for the step's end.
+    """
+
+    volume: float = 0.0
+    rms: float = 0.0
+    worst: float = 0.0
+    drift: float = 0.0
+    states: float = 0.0
+    births: float = 0.0
+
+
+def held(scene: Scene, cells: Cells, concentrations: Mapping[str, FloatArray]) -> Held:
+    """Return what a coupling step that begins now holds fixed."""
+    factor = growth_factor(scene, concentrations, cells.pressure)
+    factor[cells.state != State.PROLIFERATING] = 0.0
+    return Held(cells.id, factor)
+
+
+def step_error(
+    scene: Scene, before: Held, now: Held, cells: Cells, next_id: int, dt: float,
+    *, jumped: bool = False,
+) -> StepError:  # fmt: skip
+    """Return the error of a coupling step that has just ended.
+
+    Parameters
+    ----------
+    scene
+        With growth.
+    before, now
+        What the step held fixed, and what the next one will.
+    cells
+        The population after the step, n cells, in the order of ``now``.
+    next_id
+        First identity that was free at the step's beginning: cells from it on are daughters.
+    dt
+        Length of the step, s.
+    jumped
+        Whether the surroundings have changed at once at the step's end, which is no error.
+    """
+    assert scene.growth is not None
+    if len(cells) == 0 or dt <= 0.0:
+        return StepError()
+    birth = birth_volume(scene)
+    # what each cell would gain in a second where nothing limits it, µm³/s
+    rate = birth / cells.cycle_time
+    if scene.growth.phases:
+        rate[~may_grow(scene, cells)] = 0.0
+    began = now.factor if jumped else _inherited(before, now, cells)
+    change = 0.5 * rate * (began - now.factor)
+    error = dt * change
+    if not scene.growth.phases:
+        born = cells.id >= next_id
+        error[born] -= cells.volume[born] - birth
+    living = ~np.isin(cells.state, DEAD)
+    if not living.any():
+        return StepError(float(error.sum()))
+    relative = error[living] / cells.volume[living]
+    switched = (began == 0.0) != (now.factor == 0.0)
+    # those that have just died could have grown at the beginning
+    free = dt * float(rate[living | switched].sum())
+    count = int(np.count_nonzero(living))
+    return StepError(
+        float(error.sum()),
+        math.sqrt(float(np.dot(relative, relative)) / count),
+        float(np.abs(relative).max()),
+        float(change[~switched].sum()) / free if free > 0.0 else 0.0,
+        float(np.abs(change[switched]).sum()) / free if free > 0.0 else 0.0,
+        0.5 * math.log(2.0) * float(np.dot(rate, now.factor)) / (birth * count),
+    )
+
+
+def columns(error: StepError, cells: Cells, contents: Mapping[str, float]) -> dict[str, float]:
+    """Return what the history tells of a step's error; ``contents`` are those of fields."""
+    volume = float(cells.volume.sum())
+    return {
+        "splitting_volume_error": error.volume / volume if volume > 0.0 else 0.0,
+        "splitting_cell_error": error.rms,
+        "splitting_worst_cell_error": error.worst,
+        **{f"splitting_content_error_{name}": amiss for name, amiss in contents.items()},
+    }
+
+
+def jumps(scene: Scene, time: float) -> bool:
+    """Return whether the medium of a steady field changes at once at this moment, s."""
+    return any(
+        any(moment == time for moment, _ in field.media or ())
+        and field.media_change != "linear"
+        and regime(scene, name) == "steady"
+        for name, field in scene.nutrients.items()
+    )
+
+
+def _inherited(before: Held, now: Held, cells: Cells) -> FloatArray:
+    """Return the factors of a step's beginning for the cells at its end; daughters have hers."""
+    if np.array_equal(before.id, now.id):
+        return before.factor
+    order = np.argsort(before.id)
+    known = before.id[order]
+    place = np.minimum(np.searchsorted(known, cells.id), len(known) - 1)
+    born = known[place] != cells.id
+    place[born] = np.searchsorted(known, cells.parent[born])
+    return np.asarray(before.factor[order[place]])
