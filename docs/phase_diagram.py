@@ -42,7 +42,7 @@ FEW_SEEDS = {100_000: 2}
 """Number of cells -> number of seeds, where five would take too long."""
 MOST = {100_000: 1e3}
 """Number of cells -> largest λΔt that is tried by default."""
-METHODS = ("auto", "cvode", "rkc2", "ab2-adaptive", "dopri5")
+METHODS = ("auto", "cvode", "rosenbrock", "rkc2", "ab2-adaptive", "dopri5")
 WORDS = ("state", "method", "judged_by", "status", "control")
 
 
