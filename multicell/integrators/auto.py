@@ -8,22 +8,28 @@ goes over the coupling step from its beginning.
 
 The choice depends on the state at the beginning of the coupling step and on the options, on
 nothing else: a run that is resumed chooses as the uninterrupted one. Costs are counted in
-evaluations of the velocity, calibrated with ``tests/benchmarks/calibrate_auto.py`` (15 scenes
-of 100 to 5000 cells, z = λΔt from 9 to 2·10⁶, tolerances of 0.01 and 0.0001 µm). With
-θ = (atol + rtol r) / 0.01 µm and n cells:
+evaluations of the velocity, calibrated with ``tests/benchmarks/calibrate_auto.py``: coupling
+steps of 20 to 1,350 cells at rest, growing, freshly divided and some minutes after, z = λΔt from
+17 to 10⁶, tolerances from 0.001 to 0.3 µm. With θ = (atol + rtol r) / 0.01 µm, n cells, and δ the
+way that fast modes carry the fastest cell, its speed over λ, in tolerances:
 
 - ``ab2-adaptive``: as many as it expects itself, if those are fewer than the least that RKC2 gets
   by with, √(8 z) + 15. Else stability holds its steps down, and a first estimate made among the
   short steps of its start is several times too high: 1.2 z, or 0.3 of what it expects if that is
-  more;
+  more, times 1.3, since lists are built more often for modes at the edge of stability;
 - ``dopri5``: 6 max(12 θ^-0.1, z / 3), 2.5 times that where stability limits the step at a loose
   tolerance: modes at the edge of stability then rattle, and lists are built at every step. At a
   loose tolerance its order does not pay where contacts form and break;
-- ``rkc2``: a (√(1 + 1.54 z / a) + 3) with a = 22 z^0.17 θ^-0.4 steps;
-- ``cvode``: a ((6 + 2.5 lg z) θ^0.1 + 2000 / n) with a = 8 z^0.22 θ^-0.25 steps; the last term is
-  the cost of calling Python. Here θ is a hundredth: on the stiff scenes of the calibration and of
-  ``docs/which_integrator.py`` the error of ``cvode`` at a tolerance is that of ``rkc2`` at a
-  hundred times as much or more, since stability keeps the steps of explicit methods short.
+- ``rkc2``: a (√(1 + 1.54 z / a) + 3) + 6 with a = 4 z^0.14 θ^-0.07 n^0.14 (1 + δ)^0.37 steps;
+- ``rosenbrock``: p (1.2 + 110 / n) + 2900 / n with p products, at a tenth of the tolerances, since
+  implicit methods are further off at the same ones. With the δ and θ of those, where there are
+  fast modes to follow (δ > 0.3), p is the product of 3 z^0.11 n^0.22 (1 + δ)^0.3 steps and
+  6 z^0.07 in each; where there are none (δ < 0.001), of 1 + 0.6 z^0.02 θ^-0.17 n^0.17 and
+  8.5 z^0.18 n^0.08 θ^-0.19; the geometric mean between. Steady tissue that grows takes a few steps,
+  however stiff it is, one with fresh daughters nearly as many as an explicit method. All that
+  times 1.25: what an implicit method is off by differs more;
+- ``cvode``, where friction between cells rules that out: a ((6 + 2.5 lg z) θ^0.1 + 2000 / n) with
+  a = 8 z^0.22 θ^-0.25 steps, also at a tenth of the tolerances.
 
 What runs through Python at every evaluation costs the explicit methods 700 / n evaluations more.
 """
@@ -40,6 +46,7 @@ from multicell.integrators.adams_bashforth import AdaptiveAdams
 from multicell.integrators.base import ErrorControl, Integrator, MethodInfo, Outcome
 from multicell.integrators.cvode import Cvode
 from multicell.integrators.rkc import Rkc2
+from multicell.integrators.rosenbrock import Rosenbrock
 from multicell.integrators.runge_kutta import Dopri5
 
 if TYPE_CHECKING:
@@ -53,10 +60,18 @@ _TIGHT = 0.03
 """θ up to which a method of order 5 may cost less than Adams-Bashforth."""
 _CALL = 2.0e3
 """Evaluations times cells that the calls of Python in a step of CVODE cost."""
+_PRODUCT = 110.0
+"""The same of a product in the Rosenbrock method."""
+_START = 2900.0
+"""The same of its start."""
 _STAGE = 700.0
 """The same for an evaluation of an explicit method that goes through Python."""
-_AS_EXACT = 0.01
-"""Tolerance at which CVODE is as exact as RKC2, over that of RKC2."""
+_AS_EXACT = 0.1
+"""Tolerance at which implicit methods are about as exact as RKC2, over that of RKC2."""
+_CAUTION = 1.25
+"""By how much an implicit method has to be cheaper: what it is off by differs more."""
+_QUIET, _SHAKEN = 1e-3, 0.3
+"""δ up to which there are no fast modes to follow, and from which on there are."""
 
 
 @final
@@ -67,7 +82,7 @@ class Choice:
     Attributes
     ----------
     method : str
-        ``"ab2-adaptive"``, ``"dopri5"``, ``"rkc2"`` or ``"cvode"``.
+        ``"ab2-adaptive"``, ``"dopri5"``, ``"rkc2"``, ``"rosenbrock"`` or ``"cvode"``.
     rate : float
         Estimate of the largest decay rate λ, 1/s.
     stiffness : float
@@ -99,7 +114,7 @@ class Choice:
 @final
 @dataclass(frozen=True)
 class Auto(ErrorControl):
-    """Chooses for each coupling step between Adams-Bashforth, Dormand-Prince, RKC2 and CVODE.
+    """Chooses for each coupling step between explicit methods, RKC2 and an implicit method.
 
     The steps by each method are counted in ``Work``. If a method cannot go on, the next
     one starts from the beginning of the coupling step. Parameters as for
@@ -107,8 +122,8 @@ class Auto(ErrorControl):
     """
 
     info: ClassVar[MethodInfo] = MethodInfo(
-        "auto", "ab2-adaptive, dopri5, rkc2 or cvode, chosen for each coupling step", "tolerance",
-        remembers=True, colour="#22303c", marker="*",
+        "auto", "ab2-adaptive, dopri5, rkc2 or an implicit method, chosen for each coupling step",
+        "tolerance", remembers=True, colour="#22303c", marker="*",
     )  # fmt: skip
 
     def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
@@ -138,15 +153,16 @@ class Auto(ErrorControl):
         return found
 
     def method(self, name: str) -> Integrator:
-        """Return a candidate with these options."""
+        """Return a candidate with these options; an implicit one with finer tolerances."""
         kind = CANDIDATES[name]
-        return kind(self.rtol, self.atol, self.max_steps, self.max_displacement)
+        finer = _AS_EXACT if kind.info.implicit else 1.0
+        return kind(finer * self.rtol, finer * self.atol, self.max_steps, self.max_displacement)
 
 
 METHODS = (Auto,)
-CANDIDATES: dict[str, type[AdaptiveAdams] | type[Dopri5] | type[Rkc2] | type[Cvode]] = {
-    kind.info.name: kind for kind in (AdaptiveAdams, Dopri5, Rkc2, Cvode)
-}
+CANDIDATES: dict[
+    str, type[AdaptiveAdams] | type[Dopri5] | type[Rkc2] | type[Rosenbrock] | type[Cvode]
+] = {kind.info.name: kind for kind in (AdaptiveAdams, Dopri5, Rkc2, Rosenbrock, Cvode)}
 """What is chosen from."""
 MILD = AdaptiveAdams.info.name
 """What every coupling step is begun by."""
@@ -173,25 +189,72 @@ def choose(
     rate = decay_rate(system, position)
     z = max(rate * (motion.end - motion.begin), 1.0)
     n = max(len(system), 1)
-    theta = (atol + rtol * float(motion.radius.mean() if len(system) else 1.0)) / 0.01
+    tolerance = atol + rtol * float(motion.radius.mean() if len(system) else 1.0)
+    theta = tolerance / 0.01
     called = _STAGE / n if needs_python(system) else 0.0
+    fast = _fastest(system, position) / rate / tolerance if rate > 0.0 else 0.0
+    friction = Rosenbrock.info.refusal(n, friction=max(system.friction) > 0.0) is not None
+    costs = predicted(n, z, theta, fast, expected, called=called, friction=friction)
+    return Choice(min(costs, key=lambda name: costs[name]), rate, z, costs)
 
+
+def predicted(
+    n: int, z: float, theta: float, fast: float, expected: float = 0.0,
+    *, called: float = 0.0, friction: bool = False,
+) -> dict[str, float]:  # fmt: skip
+    """Return what each candidate is expected to cost, in evaluations.
+
+    Parameters
+    ----------
+    n, z, theta, fast
+        n, z, θ and δ of the module's description.
+    expected
+        What ``ab2-adaptive`` expects; zero where it is no candidate.
+    called
+        Share by which an evaluation through Python costs an explicit method more.
+    friction
+        Whether friction between cells rules the Rosenbrock method out.
+    """
     accurate, stable = 12.0 * theta**-0.1, z / 3.0
     rattle = 2.5 if stable > accurate and theta > _TIGHT else 1.0
     dopri5 = 6.0 * max(accurate, stable) * rattle
-    steps = 22.0 * z**0.17 * theta**-0.4
-    rkc2 = steps * (math.sqrt(1.0 + 1.54 * z / steps) + 3.0)
+    steps = 4.0 * z**0.14 * theta**-0.07 * n**0.14 * (1.0 + fast) ** 0.37
+    rkc2 = steps * (math.sqrt(1.0 + 1.54 * z / steps) + 3.0) + 6.0
     explicit = {"dopri5": dopri5, "rkc2": rkc2}
     if expected > 0.0:
         mild = expected < math.sqrt(8.0 * z) + 15.0
-        explicit["ab2-adaptive"] = expected if mild else max(1.2 * z, 0.3 * expected)
+        explicit["ab2-adaptive"] = expected if mild else max(1.6 * z, 0.4 * expected)
         if theta > _TIGHT:
             explicit["dopri5"] = max(dopri5, 1.01 * explicit["ab2-adaptive"])
-    finer = _AS_EXACT * theta
-    steps = 8.0 * z**0.22 * finer**-0.25
     costs = {name: cost * (1.0 + called) for name, cost in explicit.items()}
-    costs["cvode"] = steps * ((6.0 + 2.5 * math.log10(z)) * finer**0.1 + _CALL / n)
-    return Choice(min(costs, key=lambda name: costs[name]), rate, z, costs)
+    finer = _AS_EXACT * theta
+    if friction:
+        steps = 8.0 * z**0.22 * finer**-0.25
+        costs["cvode"] = steps * ((6.0 + 2.5 * math.log10(z)) * finer**0.1 + _CALL / n)
+    else:
+        costs["rosenbrock"] = _CAUTION * _rosenbrock(n, z, finer, fast / _AS_EXACT)
+    return costs
+
+
+def _rosenbrock(n: int, z: float, theta: float, fast: float) -> float:
+    """Return the evaluations that the Rosenbrock method is expected to cost."""
+    span = math.log(_SHAKEN / _QUIET)
+    shaken = min(max(math.log(max(fast, 1e-99) / _QUIET) / span, 0.0), 1.0)
+    products = 3.0 * z**0.11 * n**0.22 * (1.0 + fast) ** 0.3 * 6.0 * z**0.07
+    quiet = (1.0 + 0.6 * z**0.02 * theta**-0.17 * n**0.17) * 8.5 * z**0.18 * n**0.08 * theta**-0.19
+    return float(products**shaken * quiet ** (1.0 - shaken) * (1.2 + _PRODUCT / n) + _START / n)
+
+
+def _fastest(system: Mechanics, position: FloatArray) -> float:
+    """Return the speed of the fastest cell, µm/s; zero where it cannot be told."""
+    from multicell.mechanics.motion import StateRejected
+
+    velocity = np.empty_like(position)
+    try:
+        system.velocity(system.motion.begin, position, velocity)
+    except StateRejected:
+        return 0.0
+    return float(np.sqrt(np.square(velocity).sum(axis=1).max())) if len(position) else 0.0
 
 
 def decay_rate(system: Mechanics, position: FloatArray) -> float:

@@ -33,6 +33,7 @@ class Work:
     steps_ab2_adaptive: int = 0
     steps_dopri5: int = 0
     steps_rkc2: int = 0
+    steps_rosenbrock: int = 0
     steps_cvode: int = 0
     friction_iterations: int = 0
 

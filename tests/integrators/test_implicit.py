@@ -19,6 +19,7 @@ from multicell.integrators.cvode import Cvode
 from multicell.integrators.cvode_sparse import CvodeSparse
 from multicell.integrators.registry import make
 from multicell.integrators.restarts import Run, StepImpossible
+from multicell.integrators.rosenbrock import Rosenbrock
 from multicell.integrators.scipy import Scipy
 from multicell.mechanics.jacobian import Pattern, limited, sparse_jacobian
 from multicell.mechanics.neighbours import spatial_order
@@ -445,10 +446,10 @@ def test_auto_chooses_by_stiffness_and_says_why():
     position, radius, young = cluster(400, 2, spacing=0.9)
     soft = choose(mechanics(radius, young, duration=60.0), position, 1e-6, 1e-2)
     stiff = choose(mechanics(radius, young, duration=6e4, viscosity=0.05), position, 1e-6, 1e-2)
-    assert (soft.method, stiff.method) == ("dopri5", "cvode")
+    assert (soft.method, stiff.method) == ("dopri5", "rosenbrock")
     assert stiff.stiffness > 1e4 * soft.stiffness
     assert f"{stiff.rate:.3g}/s" in stiff.reason
-    assert stiff.order[0] == "cvode"
+    assert stiff.order[0] == "rosenbrock"
     again = choose(mechanics(radius, young, duration=60.0), position, 1e-6, 1e-2)
     assert again == soft
 
@@ -468,12 +469,13 @@ def test_auto_goes_over_to_an_implicit_method_where_adams_would_take_long():
     assert outcome.done
     assert outcome.time == 6e5
     work = system.work
-    assert work.steps_cvode > 0
+    assert work.steps_rosenbrock > 0
     # what was tried in vain is counted too, and was little
     assert 0 < work.steps_ab2_adaptive < 50
-    assert work.steps == work.steps_cvode + work.steps_ab2_adaptive
+    assert work.steps == work.steps_rosenbrock + work.steps_ab2_adaptive
     fresh = mechanics(radius, young, duration=6e5, viscosity=0.05)
-    alone = Cvode().integrate(fresh, position)
+    # implicit methods are further off at the same tolerances
+    alone = Rosenbrock(0.1 * Auto().rtol, 0.1 * Auto().atol).integrate(fresh, position)
     assert outcome.position.tobytes() == alone.position.tobytes()
 
 
@@ -486,13 +488,14 @@ def test_what_adams_expects_decides_where_it_is_low():
     assert expected.costs["ab2-adaptive"] == 10.0
     # held down by stability: what the start expects is too much, what stability asks for is not
     held = choose(soft, position, 1e-6, 1e-2, 40.0)
-    assert held.costs["ab2-adaptive"] == max(1.2 * held.stiffness, 0.3 * 40.0)
+    assert held.costs["ab2-adaptive"] == max(1.6 * held.stiffness, 0.4 * 40.0)
     stiff = mechanics(radius, young, duration=6e4, viscosity=0.05)
     assert choose(stiff, position, 1e-6, 1e-2, 2e5).method != "ab2-adaptive"
 
 
 @pytest.mark.parametrize(
-    ("viscosity", "choice"), [(5.0, "ab2-adaptive, since it needs"), (1e-4, "cvode, since at fi")]
+    ("viscosity", "choice"),
+    [(5.0, "ab2-adaptive, since it needs"), (1e-4, "rosenbrock, since at fi")],
 )
 def test_explain_tells_what_auto_chooses_and_why(viscosity, choice):
     """The method that is told is the one that the first coupling step is then done by."""
@@ -506,10 +509,10 @@ def test_explain_tells_what_auto_chooses_and_why(viscosity, choice):
     simulation = Simulation(scene, threads=1)
     simulation.step()
     work = simulation.summary()["integrator"]
-    counter = "steps_cvode" if choice.startswith("cvode") else "steps_ab2_adaptive"
+    counter = "steps_rosenbrock" if choice.startswith("rosenbrock") else "steps_ab2_adaptive"
     assert work[counter] > 0
     if choice.startswith("ab2"):
-        assert work["steps_cvode"] == 0
+        assert work["steps_rosenbrock"] == 0
         assert f"needs {work['evaluations']} evaluations" in told
     other = scene.with_changes({"integrator.method": "cvode"})
     (told,) = [part["what"] for part in explain(other)["parts"] if part["part"] == "integrator"]
