@@ -42,15 +42,10 @@ from multicell.integrators.stepping import (
 
 DAMPING = 2.0 / 13.0
 _SAFETY = 1.1
-_COLD, _WARM = 6, 3
-"""Products for an estimate from nothing, and for a refreshed one."""
-_AGE = 25
-"""Accepted steps after which the estimate is refreshed, as in the code of Sommeijer et al."""
-_FIXED_AGE = 10
-"""The same with equal steps, where no error control sees a stiffness that has grown."""
-_SPARE = 0.5
-"""Share of the stable length up to which a step goes on with an old estimate: on from there, where
-few more contacts would make it unstable, its age counts."""
+_COLD, _WARM = 10, 3
+"""Products for an estimate from nothing, or after a refusal, and for a refreshed one."""
+_AGE = 10
+"""Steps after which the estimate is refreshed."""
 _PROBE = 1e-5
 """Root mean square displacement of a difference quotient, in mean radii."""
 
@@ -266,7 +261,7 @@ def fixed_chebyshev(
     for k in range(steps):
         elapsed = k * step
         status, pairs = evaluate(source, pairs, elapsed, position, slope)
-        if stages == 0 and status == DONE and k % _FIXED_AGE == 0:
+        if stages == 0 and status == DONE and k % _AGE == 0:
             _mix(radius, vector, slope)
             rate, pairs = spectral_radius(
                 source, pairs, elapsed, position, slope, radius, vector,
@@ -332,9 +327,8 @@ def adaptive_chebyshev(source, pairs, position, length, radius, counts, control,
         if good:
             copy(work[1], slope)
             age += 1
-            near = step * rate > _SPARE * stable_length(stages)
-            products = _WARM if near and age >= _AGE else 0
+            products = _WARM if age == _AGE else 0
         else:
             # refused twice in a row: the rate is known here already
-            products = _WARM if age > 0 else 0
+            products = _COLD if age > 0 else 0
     return Report(DONE, length, walk[STEP], -1, 0.0, walk[WORST]), pairs
