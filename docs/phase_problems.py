@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -31,7 +32,6 @@ from multicell.integrators.auto import Auto
 from multicell.integrators.runge_kutta import Euler
 from multicell.mechanics.system import Mechanics
 from multicell.random import Purpose, normal
-from multicell.results.folder import replacing
 
 STATES: Final = ("rest", "growing", "divided")
 ACCURACIES: Final = (0.01, 0.001)
@@ -298,5 +298,7 @@ def _kept(path: Path) -> dict[str, Any] | None:
 
 def _keep(path: Path, arrays: dict[str, Any]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(path) as file:
-        np.savez(file, **arrays)
+    # two processes that share the work may build the same cluster
+    part = path.with_name(f"{path.stem}.{os.getpid()}.npz")
+    np.savez(part, **arrays)
+    part.replace(path)

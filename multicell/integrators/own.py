@@ -65,6 +65,9 @@ def chosen(method: Any, options: IntegratorOptions) -> tuple[IntegratorOptions, 
     own = made(info, options) if isinstance(found, type) else found
     shared = {f.name for f in fields(options)} - {"method"}
     settings = {name: getattr(own, name) for name in shared if hasattr(own, name)}
+    if not settings.get("step", 1.0) > 0.0:
+        # no step: under error control
+        del settings["step"]
     named = replace(options, **settings)
     if info.name in METHODS and own == made(METHODS[info.name], named):
         return replace(named, method=info.name), own

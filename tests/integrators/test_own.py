@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import multicell as mc
+from multicell.integrators.registry import METHODS, make
 from multicell.integrators.runge_kutta import Heun
 from multicell.plugins import load_object
 
@@ -201,3 +202,12 @@ def test_the_example_runs_as_it_stands(tmp_path):
     assert done.returncode == 0, done.stderr
     assert "Midpoint keeps what runs rely on." in done.stdout
     assert f"recorded as {EXAMPLE}:Midpoint" in done.stdout
+
+
+@pytest.mark.parametrize("name", sorted(METHODS))
+def test_every_method_of_ours_can_be_handed_over_as_an_object(name):
+    """What a class calls a setting that is not used, such as no step, is none of the scene's."""
+    asked = scene(**{"initial.count": 3, "duration": "5 min", "integrator.method": name})
+    method = make(asked.integrator)
+    other = scene(**{"initial.count": 3, "duration": "5 min"})
+    assert mc.run(other, integrator=method).scene.integrator == asked.integrator
