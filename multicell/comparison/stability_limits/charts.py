@@ -13,7 +13,7 @@ from matplotlib.patches import Patch
 
 from multicell.comparison.charts import Look, looks_apart
 from multicell.comparison.highlights import MOST
-from multicell.comparison.stability_limits.trial import BLOW_UP, STABLE, STALL, WRONG
+from multicell.comparison.stability_limits.trial import BLOW_UP, DAMPED, STABLE, STALL, WRONG
 from multicell.report.plots.marks import NAMED
 from multicell.report.plots.style import INK, QUIET, blank, cell_count, styled
 
@@ -25,7 +25,13 @@ if TYPE_CHECKING:
 
 
 # told apart by lightness as well as by hue (Okabe & Ito, darkened where white text is near)
-COLOURS: Final = {STABLE: "#cfe8dc", BLOW_UP: "#8f1d14", STALL: "#5c6166", WRONG: "#e69f00"}
+COLOURS: Final = {
+    STABLE: "#cfe8dc",
+    BLOW_UP: "#8f1d14",
+    STALL: "#5c6166",
+    WRONG: "#e69f00",
+    DAMPED: "#1565c0",
+}
 """Kind of end -> its colour."""
 
 _TITLES: Final = {
