@@ -48,10 +48,12 @@ _MARGIN = 1.35
 def stability_map(result: StabilityMap) -> Figure:
     """Draw one strip for each method, coloured by what happens at each step or tolerance."""
     cells, rate = result.table[0]["cells"], result.table[0]["rate"]
-    title = result.scene.title or "Untitled scene"
+    growth = result.table[0]["growth_rate"]
+    grows = f" · μ = {growth:.3g}/s" if growth > 0.0 else ""
     figure = blank(
-        f"{title}: stability",
-        f"{cell_count(cells)} · λmax = {rate:.3g}/s, Euler's limit 2/λmax = {2.0 / rate:.3g} s",
+        f"{result.title}: stability",
+        f"{cell_count(cells)} · λmax = {rate:.3g}/s, Euler's limit 2/λmax = {2.0 / rate:.3g} s"
+        + grows,
     )
     groups = [
         (control, [m for m in result.methods if _control(result, m) == control])
@@ -118,9 +120,8 @@ def _kinds_legend(figure: Figure, kinds: Sequence[str], theory: bool) -> None:
 def sweeps(result: StabilityMap) -> Figure:
     """Draw the largest stable step of each method along every sweep, over the theory's."""
     cells = result.table[0]["cells"]
-    title = result.scene.title or "Untitled scene"
     figure = blank(
-        f"{title}: largest stable step",
+        f"{result.title}: largest stable step",
         f"{cell_count(cells)} · line: theory, marker: measured, in the colour of the failure "
         "beyond it; triangle: no limit found",
     )

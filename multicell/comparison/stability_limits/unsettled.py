@@ -16,6 +16,7 @@ from typing import Final
 import numpy as np
 
 from multicell.cells import HALF, FloatArray
+from multicell.comparison.conditioning import SHIFT
 from multicell.comparison.stability_limits.decay import largest_decay
 from multicell.comparison.stability_limits.instability import unstable_modes
 from multicell.comparison.stability_limits.state import (
@@ -49,7 +50,7 @@ the turning point from first contact."""
 _EVERY = 10  # one cell of so many divides
 _GROWTH = 1.25  # of the number of cells, until a coupling step is taken
 _LEAST = 200.0  # length of a trial at least, times the largest decay rate
-_MARGIN = 1.0 / 3.0  # what twins are shifted by at the snap, over what is left to it
+_MARGIN = 0.1  # what twins are shifted by at the snap, over what is left to it
 
 
 def state_of(kind: str, scene: Scene, threads: int | None = None) -> State:
@@ -189,7 +190,8 @@ def completed(state: State, length: float, shift: float | None = None) -> State:
     length
         Shortest length of a trial, s.
     shift
-        What the cells of twins are displaced by, µm; by default 0.02 mean radii.
+        What the cells of twins are displaced by, µm, root mean square over the cells; by default
+        each coordinate by :data:`multicell.comparison.conditioning.SHIFT`.
     """
     flat = state.scene.dimensions == 2
     state = replace(state, length=length, noticed=UNNOTICED * state.radius, known=[])
@@ -206,7 +208,7 @@ def completed(state: State, length: float, shift: float | None = None) -> State:
         rise=float((energy - np.minimum.accumulate(energy)).max()),
         unstable=unstable_modes(state.system(0.0, 1.0), state.start, flat, 1.0 / state.length),
     )
-    return replace(state, twins=twins_of(state, shift))
+    return replace(state, twins=twins_of(state, math.sqrt(3.0) * SHIFT if shift is None else shift))
 
 
 def _rates(state: State, flat: bool) -> list[float]:
