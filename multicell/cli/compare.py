@@ -127,7 +127,7 @@ def compare(
 @click.option("--no-sweeps", is_flag=True, help="Only the scene as it is.")
 @click.option(
     "--state",
-    metavar="NAME",
+    metavar="STATE",
     default="settled",
     show_default=True,
     help="What the cells start from: settled, growing, compressed, divided, or snap (exact JKR).",

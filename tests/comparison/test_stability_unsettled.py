@@ -133,6 +133,12 @@ def test_short_steps_follow_what_grows(chain, name):
     assert (verdict.kind, verdict.words) == (STABLE, "")
 
 
+@pytest.mark.parametrize(("tolerance", "kind"), [(1e-4, STABLE), (0.03, DAMPED)])
+def test_cvode_damps_it_where_its_tolerance_hides_the_disturbance(chain, tolerance, kind):
+    method = named("cvode", chain.scene, RADIUS)
+    assert judge(chain, watch(chain, method, tolerance)).kind == kind
+
+
 def test_an_end_that_is_wrong_in_spite_of_growth_is_a_wrong_state(chain):
     """A method that stops where the motion is not linear any more has not damped its growth."""
     method = named("backward-euler", chain.scene, RADIUS)

@@ -193,7 +193,8 @@ def watch(state: State, method: Method, setting: float, patience: float = 20.0) 
             trace.problem = too_late(patience)
         if trace.problem or trace.out_of_bounds:
             break
-        touching = system.contacts(end, position)
+        if trace.late:
+            touching = system.contacts(end, position)
     trace.wall = clock.perf_counter() - begin
     trace.implicit = method.info.implicit or system.work.newton_iterations > 0
     return trace
@@ -239,11 +240,16 @@ def turned_pairs(before: FloatArray, after: FloatArray, pairs: IntArray) -> IntA
 def _turns(
     state: State, trace: Trace, end: float, after: FloatArray, touching: IntArray, fixed: bool
 ) -> list[tuple[int, int, int]]:
-    """Return the pairs whose line turned until ``end``, other than by the true motion."""
-    pairs = {(int(i), int(j)) for i, j in turned_pairs(trace.positions[-1], after, touching)}
+    """Return the pairs whose line turned until ``end``, other than by the true motion.
+
+    It turned since the state that was looked at before; where each state is the end of a solve of
+    its own, since the start.
+    """
+    k = len(trace.times) - 1 if trace.late else 0
+    pairs = {(int(i), int(j)) for i, j in turned_pairs(trace.positions[k], after, touching)}
     if pairs and not (fixed and state.settled):
         # a coupling step may be long enough for the true motion to turn a pair
-        true = [state.at(time) for time in (trace.times[-1], end)]
+        true = [state.at(time) for time in (trace.times[k], end)]
         really = turned_pairs(true[0], true[1], np.array(sorted(pairs)))
         pairs -= {(int(i), int(j)) for i, j in really}
     return [(len(trace.times) - 1, i, j) for i, j in sorted(pairs)]

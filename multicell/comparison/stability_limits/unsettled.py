@@ -85,7 +85,7 @@ def check(kind: str, scene: Scene) -> None:
         raise SceneError(
             "contact.law",
             "is not exact-jkr: only under exact JKR contacts snap at a turning point",
-            "Use --law exact-jkr, or another --state",
+            "Use --set contact.law=exact-jkr, or another state",
         )
     if kind == "growing" and scene.growth is None:
         raise SceneError(
