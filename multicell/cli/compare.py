@@ -125,6 +125,13 @@ def compare(
 @click.command()
 @_comparing
 @click.option("--no-sweeps", is_flag=True, help="Only the scene as it is.")
+@click.option(
+    "--state",
+    metavar="STATE",
+    default="settled",
+    show_default=True,
+    help="What the cells start from: settled, growing, compressed, divided, or snap (exact JKR).",
+)
 def stability(
     scene: str,
     law: str | None,
@@ -136,7 +143,9 @@ def stability(
 ) -> None:
     """Find the largest stable step of each method on a SCENE, and how it fails beyond.
 
-    Parameters of the scene are swept one at a time; limits stand beside theory.
+    Parameters of the scene are swept one at a time; limits stand beside theory. From another
+    --state than settled each method goes over one coupling step, and a method that keeps cells
+    where the true motion truly grows is said to damp a real instability.
     """
     described = scene_of(scene, changes, law)
     from multicell import comparison

@@ -13,7 +13,7 @@ from matplotlib.patches import Patch
 
 from multicell.comparison.charts import Look, looks_apart
 from multicell.comparison.highlights import MOST
-from multicell.comparison.stability_limits.trial import BLOW_UP, STABLE, STALL, WRONG
+from multicell.comparison.stability_limits.trial import BLOW_UP, DAMPED, STABLE, STALL, WRONG
 from multicell.report.plots.marks import NAMED
 from multicell.report.plots.style import INK, QUIET, blank, cell_count, styled
 
@@ -25,7 +25,13 @@ if TYPE_CHECKING:
 
 
 # told apart by lightness as well as by hue (Okabe & Ito, darkened where white text is near)
-COLOURS: Final = {STABLE: "#cfe8dc", BLOW_UP: "#8f1d14", STALL: "#5c6166", WRONG: "#e69f00"}
+COLOURS: Final = {
+    STABLE: "#cfe8dc",
+    BLOW_UP: "#8f1d14",
+    STALL: "#5c6166",
+    WRONG: "#e69f00",
+    DAMPED: "#1565c0",
+}
 """Kind of end -> its colour."""
 
 _TITLES: Final = {
@@ -42,10 +48,12 @@ _MARGIN = 1.35
 def stability_map(result: StabilityMap) -> Figure:
     """Draw one strip for each method, coloured by what happens at each step or tolerance."""
     cells, rate = result.table[0]["cells"], result.table[0]["rate"]
-    title = result.scene.title or "Untitled scene"
+    growth = result.table[0]["growth_rate"]
+    grows = f" · μ = {growth:.3g}/s" if growth > 0.0 else ""
     figure = blank(
-        f"{title}: stability",
-        f"{cell_count(cells)} · λmax = {rate:.3g}/s, Euler's limit 2/λmax = {2.0 / rate:.3g} s",
+        f"{result.title}: stability",
+        f"{cell_count(cells)} · λmax = {rate:.3g}/s, Euler's limit 2/λmax = {2.0 / rate:.3g} s"
+        + grows,
     )
     groups = [
         (control, [m for m in result.methods if _control(result, m) == control])
@@ -112,9 +120,8 @@ def _kinds_legend(figure: Figure, kinds: Sequence[str], theory: bool) -> None:
 def sweeps(result: StabilityMap) -> Figure:
     """Draw the largest stable step of each method along every sweep, over the theory's."""
     cells = result.table[0]["cells"]
-    title = result.scene.title or "Untitled scene"
     figure = blank(
-        f"{title}: largest stable step",
+        f"{result.title}: largest stable step",
         f"{cell_count(cells)} · line: theory, marker: measured, in the colour of the failure "
         "beyond it; triangle: no limit found",
     )

@@ -38,6 +38,22 @@ def largest_decay(
     SceneError
         If nothing decays: no cells touch.
     """
+    product, weight = scaled_decay(system, position, flat)
+    symmetric = max(system.friction) == 0.0
+    value, mode = (_by_all if len(position) < dense else _by_lanczos)(
+        product, position.size, symmetric
+    )
+    if not value > 0.0:
+        raise SceneError("", "no cells touch: there is no motion whose stability can be lost")
+    free = np.array([True, True, not flat])
+    return value, np.where(free, (mode / weight).reshape(-1, 3), 0.0)
+
+
+def scaled_decay(system: Mechanics, position: FloatArray, flat: bool) -> tuple[Product, FloatArray]:
+    """Return v -> -Γ^½ J Γ^-½ v at the beginning of a step, and Γ^½ but for a factor, both (3 n,).
+
+    Motion out of the plane is left out of the image if ``flat``.
+    """
     system.linearise(system.motion.begin, position)
     weight = np.repeat(np.sqrt(system.motion.radius), 3)
     free = np.tile([True, True, not flat], len(position))
@@ -48,13 +64,7 @@ def largest_decay(
         system.jacobian_product(moved.reshape(-1, 3), image)
         return np.asarray(np.where(free, -weight * image.ravel(), 0.0))
 
-    symmetric = max(system.friction) == 0.0
-    value, mode = (_by_all if len(position) < dense else _by_lanczos)(
-        product, len(weight), symmetric
-    )
-    if not value > 0.0:
-        raise SceneError("", "no cells touch: there is no motion whose stability can be lost")
-    return value, np.where(free, mode / weight, 0.0).reshape(-1, 3)
+    return product, weight
 
 
 def _by_all(product: Product, size: int, symmetric: bool) -> tuple[float, FloatArray]:

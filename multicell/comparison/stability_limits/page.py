@@ -6,9 +6,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 from multicell.comparison.stability_limits.charts import COLOURS
 from multicell.comparison.stability_limits.trial import KINDS, STABLE
+from multicell.comparison.stability_limits.unsettled import STATES
 from multicell.report.html import clock
 
 if TYPE_CHECKING:
+    from multicell.comparison.files import Row
     from multicell.comparison.stability_limits.result import StabilityMap
 
 CAPTIONS: Final = {
@@ -25,13 +27,14 @@ def context(result: StabilityMap) -> dict[str, Any]:
     failures = sum(row["kind"] != STABLE for row in result.table)
     own = [row for method in result.methods for row in result.rows(method)]
     return {
-        "title": f"{result.scene.title or 'Untitled scene'}: stability",
-        "subtitle": "The cells settle, are pushed a little along their stiffest mode, and must "
-        "come to rest again.",
+        "title": f"{result.title}: stability",
+        "subtitle": STATES[first["state"]],
         "tiles": {
+            "state": first["state"],
             "cells": f"{first['cells']:,}",
             "largest decay rate λmax": f"{first['rate']:.3g}/s",
             "Euler's limit 2/λmax": f"{2.0 / first['rate']:.3g} s",
+            **_unsettled_tiles(first),
             "methods": f"{len(result.methods)}",
             "trials that failed": f"{failures} of {len(result.table):,}",
             "wall time": clock(result.facts["wall"]),
@@ -40,4 +43,15 @@ def context(result: StabilityMap) -> dict[str, Any]:
         "colours": COLOURS,
         "kinds": KINDS,
         "failed": [row for row in own if row["kind"] != STABLE],
+    }
+
+
+def _unsettled_tiles(row: Row) -> dict[str, str]:
+    """Return what there is to say of a state that is not settled."""
+    if row["state"] == "settled":
+        return {}
+    return {
+        "2/λmax at the end": f"{2.0 / row['end_rate']:.3g} s" if row["end_rate"] else "no contacts",
+        "largest growth rate μ": f"{row['growth_rate']:.3g}/s",
+        "length of a trial": f"{row['length']:.4g} s",
     }

@@ -16,6 +16,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+_CALLED: Final = {
+    "growing": "growing",
+    "compressed": "compressed",
+    "divided": "freshly divided",
+    "snap": "at the snap",
+}
+
 FILES: Final = ("stability.csv", "limits.csv", "stability.png", "sweeps.png", "report.html")
 """What a study of stability writes into its folder."""
 
@@ -29,22 +36,32 @@ class StabilityMap:
     ----------
     scene : Scene
     table : list of dict
-        One row for each trial: ``sweep`` (empty for the scene itself) and ``value``, ``cells``,
-        ``rate`` (λ_max, 1/s), ``method``, ``control`` (``"tolerance"`` in mean radii or ``"step"``
-        in s), ``setting``, ``theory`` (largest stable step, s; infinite for implicit methods, NaN
+        One row for each trial: ``sweep`` (empty for the scene itself) and ``value``, ``state`` (a
+        key of :data:`multicell.comparison.stability_limits.unsettled.STATES`), ``cells``, ``rate``
+        (λ_max, 1/s; of a state that is not settled the largest on the way), ``end_rate`` (λ_max at
+        the end), ``growth_rate`` (μ at the start, 1/s; NaN from a settled state), ``length`` (of a
+        trial, s; NaN from a settled state), ``method``, ``control`` (``"tolerance"`` in mean
+        radii or ``"step"`` in s), ``setting``, ``theory`` (largest stable step, s; infinite for
+        implicit methods, NaN
         where there is none), ``of_theory``, ``of_euler`` (mean step over 2/λ_max), ``kind`` (a key
         of :data:`multicell.comparison.stability_limits.trial.KINDS`), ``words`` (what was seen),
         ``also`` (what else), ``climb`` (largest rise of the energy over what is noticed),
         ``deviation`` (largest error of a pair distance at the end, mean radii), ``steps``,
         ``wall`` (s).
     facts : dict
-        ``precision`` of the bisection, ``wall`` (s), ``skipped`` (points of a sweep that could
-        not be settled, with words), ``versions``.
+        ``state``, ``precision`` of the bisection, ``wall`` (s), ``skipped`` (points of a sweep
+        that could not be settled, with words), ``versions``.
     """
 
     scene: Scene
     table: list[Row]
     facts: dict[str, Any]
+
+    @property
+    def title(self) -> str:
+        """The scene's title, and its state unless that is the settled one."""
+        title, state = self.scene.title or "Untitled scene", self.table[0]["state"]
+        return title if state == "settled" else f"{title}, {_CALLED[state]}"
 
     @property
     def methods(self) -> list[str]:
@@ -80,11 +97,12 @@ class StabilityMap:
         Returns
         -------
         list of dict
-            ``sweep``, ``value``, ``rate``, ``method``, ``control``, ``limit`` (largest setting that
-            is stable with all smaller ones that were tried; NaN if none is), ``beyond`` (smallest
-            that is not; infinite if all are stable), ``theory``, ``of_theory``, ``of_euler`` (mean
-            step at the limit over 2/λ_max), ``kind`` (of the failure at ``beyond``, or
-            ``"stable"``), ``kinds`` (of all failures, from small to large settings).
+            ``sweep``, ``value``, ``state``, ``rate``, ``method``, ``control``, ``limit`` (largest
+            setting that is stable with all smaller ones that were tried; NaN if none is),
+            ``beyond`` (smallest that is not; infinite if all are stable), ``theory``,
+            ``of_theory``, ``of_euler`` (mean step at the limit over 2/λ_max), ``kind`` (of the
+            failure at ``beyond``, or ``"stable"``), ``kinds`` (of all failures, from small to
+            large settings).
         """
         values = self.sweeps()[sweep] if sweep else [math.nan]
         found = (self.rows(method, sweep, value) for value in values for method in self.methods)
@@ -138,7 +156,9 @@ def _limit(rows: Sequence[Row]) -> Row:
     failed = first < len(rows)
     last = rows[first - 1] if first else None
     return {
-        **{name: rows[0][name] for name in ("sweep", "value", "rate", "method", "control")},
+        **{
+            name: rows[0][name] for name in ("sweep", "value", "state", "rate", "method", "control")
+        },
         "limit": last["setting"] if last else math.nan,
         "beyond": rows[first]["setting"] if failed else math.inf,
         "theory": rows[0]["theory"],

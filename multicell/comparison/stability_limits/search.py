@@ -15,6 +15,7 @@ from multicell.comparison.replay import without_compiling
 from multicell.comparison.stability_limits.result import FILES, StabilityMap
 from multicell.comparison.stability_limits.state import State, divided, settled
 from multicell.comparison.stability_limits.trial import STABLE, judge, watch
+from multicell.comparison.stability_limits.unsettled import check, state_of
 from multicell.contact.law import effective_modulus
 from multicell.errors import SceneError, StepFailed
 from multicell.integrators.base import Integrator
@@ -54,6 +55,7 @@ def stability(
     patience: float = 20.0,
     threads: int | None = None,
     overwrite: bool = False,
+    state: str = "settled",
 ) -> StabilityMap:
     """Find the largest step, or the loosest tolerance, at which each method stays stable.
 
@@ -61,7 +63,9 @@ def stability(
     fastest, and each method must let them come to rest again: a fixed step for 200 steps, a
     method under error control for 2000 / λ_max. The limit is found by bisection and set beside
     the theory; how a method fails beyond is named
-    (:data:`multicell.comparison.stability_limits.trial.KINDS`).
+    (:data:`multicell.comparison.stability_limits.trial.KINDS`). With ``state`` the cells start
+    from something else than rest, each method goes over one coupling step, and the theory takes
+    the stiffest moment of the true course.
 
     Parameters
     ----------
@@ -75,8 +79,8 @@ def stability(
         Dotted key -> values that it takes one after the other, the other parameters being those
         of the scene; ``"overlap at division"`` (overlap of the daughters over the sum of their
         radii, just after the innermost cell has divided) and ``"ratio of moduli"`` (factor on the
-        moduli of two neighbours) count as keys. Empty for none; by default
-        :func:`default_sweeps`.
+        moduli of two neighbours) count as keys, of the settled state only. Empty for none; by
+        default :func:`default_sweeps`.
     output
         Folder for the files of :meth:`StabilityMap.save`.
     progress
@@ -92,6 +96,13 @@ def stability(
         Number of threads, by default all.
     overwrite
         Whether the folder may hold something: files of an earlier map are replaced.
+    state
+        What the cells start from, a key of
+        :data:`multicell.comparison.stability_limits.unsettled.STATES`: ``"settled"``,
+        ``"growing"`` (a coupling step of the growing tissue right after a division),
+        ``"compressed"`` (settled, positions scaled by 0.9), ``"divided"`` (settled, every tenth
+        cell just divided) or ``"snap"`` (settled, pulled until a contact of exact JKR is near its
+        turning point).
 
     Raises
     ------
@@ -105,8 +116,9 @@ def stability(
     tell = progress or (lambda _: None)
     chosen = _chosen(methods, described)
     taking_part = _taking_part(sweep_methods, chosen)
-    asked = default_sweeps(described) if sweeps is None else sweeps
-    points = list(_points(described, asked, threads))
+    check(state, described)
+    asked = _default_sweeps(described, state) if sweeps is None else sweeps
+    points = list(_points(described, asked, threads, state))
     prepare(output, FILES, overwrite)
     begin = clock.perf_counter()
     table: list[Row] = []
@@ -114,7 +126,7 @@ def stability(
     for sweep, value, make in points:
         tell(f"{sweep} = {value:.4g}: settling" if sweep else "settling")
         try:
-            state = make()
+            begun = make()
         except (StepFailed, SceneError) as error:
             if not sweep:
                 raise
@@ -122,8 +134,9 @@ def stability(
             continue
         for method in taking_part if sweep else chosen:
             tell(f"{sweep} = {value:.4g}: {method.name}" if sweep else method.name)
-            table += _measured(state, method, sweep, value, precision, patience)
+            table += _measured(begun, method, sweep, value, precision, patience)
     facts = {
+        "state": state,
         "precision": precision,
         "wall": clock.perf_counter() - begin,
         "skipped": skipped,
@@ -156,6 +169,12 @@ def default_sweeps(scene: Scene) -> dict[str, list[float]]:
     return {name: values for name, values in sweeps.items() if values}
 
 
+def _default_sweeps(scene: Scene, state: str) -> dict[str, list[float]]:
+    """Return the default sweeps, from an unsettled state those over parameters of the scene."""
+    own = () if state == "settled" else (OVERLAP, RATIO)
+    return {name: values for name, values in default_sweeps(scene).items() if name not in own}
+
+
 def _holds(scene: Scene, changes: Mapping[str, float]) -> bool:
     """Return whether only neighbours of a packing touch at rest."""
     try:
@@ -185,6 +204,9 @@ def _measured(
     theory = limit_in_theory(method, state.rate)
 
     def stable(setting: float) -> bool:
+        if method.control == "step" and not state.settled:
+            # whole steps make up the trial
+            setting = state.length / math.ceil(state.length / setting * (1.0 - 1e-9))
         if setting not in rows:
             rows[setting] = _row(state, method, setting, theory, patience)
         return bool(rows[setting]["kind"] == STABLE)
@@ -195,6 +217,8 @@ def _measured(
     else:
         # the search starts well below Euler's limit and knows nothing of the theory
         ceiling = _MOST_STEP * state.stiff_limit
+        if not state.settled:
+            ceiling = min(ceiling, state.length)
         limit = bracket(stable, _FIRST * state.stiff_limit, ceiling, precision)
         more = [f * limit for f in _BEYOND if f * limit <= ceiling]
     if not sweep:
@@ -202,7 +226,17 @@ def _measured(
             # next to a setting of the search there is nothing new
             if not any(abs(math.log(setting / tried)) < 0.1 for tried in rows):
                 stable(setting)
-    place = {"sweep": sweep, "value": value, "cells": len(state.start), "rate": state.rate}
+    unstable = state.unstable
+    place = {
+        "sweep": sweep,
+        "value": value,
+        "state": state.kind,
+        "cells": len(state.start),
+        "rate": state.rate,
+        "end_rate": state.rate if state.settled else state.end_rate,
+        "growth_rate": math.nan if unstable is None else unstable.rate,
+        "length": state.length,
+    }
     return [{**place, **rows[setting]} for setting in sorted(rows)]
 
 
@@ -261,17 +295,19 @@ def _row(state: State, method: Method, setting: float, theory: float, patience: 
         "words": verdict.words,
         "climb": verdict.climb,
         "deviation": verdict.deviation,
-        "steps": len(trace.times) - 1 if fixed else trace.steps,
+        "steps": len(trace.times) - 1 if fixed and state.settled else trace.steps,
         "wall": trace.wall,
     }
 
 
 def _points(
-    scene: Scene, sweeps: Mapping[str, Sequence[float]], threads: int | None
+    scene: Scene, sweeps: Mapping[str, Sequence[float]], threads: int | None, state: str
 ) -> Iterator[tuple[str, float, Callable[[], State]]]:
     """Yield name, value and maker of the state of each point, the scene itself first."""
-    yield "", math.nan, partial(settled, scene, threads)
+    yield "", math.nan, partial(state_of, state, scene, threads)
     for sweep, values in sweeps.items():
+        if sweep in (OVERLAP, RATIO) and state != "settled":
+            raise SceneError(f"sweeps.{sweep}", f"makes a state of its own, not {state!r}")
         for value in map(float, values):
             if not (math.isfinite(value) and value >= 0.0):
                 raise SceneError(f"sweeps.{sweep}", f"is {value!r}, must be a number from 0 on")
@@ -282,7 +318,9 @@ def _points(
             elif sweep == RATIO:
                 make = partial(settled, scene, threads, value)
             else:
-                make = partial(settled, scene.with_changes({sweep: value}), threads)
+                changed = scene.with_changes({sweep: value})
+                check(state, changed)
+                make = partial(state_of, state, changed, threads)
             yield sweep, value, make
 
 

@@ -1,7 +1,7 @@
 """Where stability is measured: a state of the cells, its largest decay rate, its true course.
 
-Radii are constant and nothing but contacts acts, so that the energy can only fall: a method
-under which it rises is wrong.
+Nothing but contacts (and walls) acts, and radii are constant unless the state is that of a growing
+tissue, so that the energy can only fall: a method under which it rises is wrong.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 
 from multicell.cells import HALF, FloatArray, IntArray
 from multicell.comparison.stability_limits.decay import largest_decay
+from multicell.comparison.stability_limits.instability import Unstable
 from multicell.errors import SceneError, StepFailed
 from multicell.integrators.cvode import Cvode
 from multicell.mechanics.motion import Motion, Work
@@ -33,6 +34,7 @@ UNNOTICED: Final = 0.02
 """Displacement of cells that have divided that must not matter, in radii."""
 
 _TWINS = 3
+_HALVINGS = 15  # of the length of a trial, to the first moment at which it is looked at
 
 _AT_REST = 1e-10  # speed of a cluster at rest, in radii times the largest decay rate
 _DOUBLINGS = 16
@@ -65,6 +67,18 @@ class State:
         or another: what differs among the true courses of twins is no failure of a method.
     known : list of (time, positions)
         What has been computed of the true course, by CVODE at a tight tolerance.
+    kind : str
+        A key of :data:`multicell.comparison.stability_limits.unsettled.STATES`.
+    length : float, s
+        Length of a trial of a state that is not settled; NaN where it follows from the setting
+        of the method, for states that are close to rest.
+    unstable : Unstable or None
+        The modes that grow at the start of a state that is not settled.
+    end_rate : float, 1/s
+        Largest decay rate at the end of the trial of such a state; ``rate`` is then the largest
+        on the way.
+    rise : float, fJ
+        Largest rise of the energy along the true course, which is none while radii are constant.
     """
 
     scene: Scene
@@ -76,6 +90,21 @@ class State:
     share: float
     twins: tuple[State, ...] = ()
     known: list[tuple[float, FloatArray]] = field(default_factory=list)
+    kind: str = "settled"
+    length: float = math.nan
+    unstable: Unstable | None = None
+    end_rate: float = math.nan
+    rise: float = 0.0
+
+    @property
+    def settled(self) -> bool:
+        """Whether the cells start near rest, and a trial is as long as its steps ask for."""
+        return math.isnan(self.length)
+
+    @property
+    def looks(self) -> list[float]:
+        """Times in s at which the true course of an unsettled state is known: halves of halves."""
+        return [self.length * 0.5**k for k in range(_HALVINGS, -1, -1)]
 
     @property
     def radius(self) -> float:
@@ -106,6 +135,10 @@ class State:
         ``touching`` are the pairs in contact at the first, where the law asks for them.
         """
         motion = replace(self.motion, begin=begin, end=end)
+        if not self.settled:
+            # a trial is one coupling step: contacts are remembered from its start
+            touching = None
+            motion = moved_on(motion, begin)
         if motion.touching is not None and touching is not None:
             motion = replace(motion, touching=touching)
         system.begin(motion)
@@ -155,14 +188,14 @@ def settled(scene: Scene, threads: int | None = None, ratio: float = 1.0) -> Sta
     StepFailed
         If the reference method cannot settle them.
     """
-    template, motion, position = _first_cells(scene, threads)
+    template, motion, position = first_cells(scene, threads)
     if ratio != 1.0:
         young = motion.young.copy()
-        young[_innermost(position)[:2]] *= ratio
+        young[innermost(position)[:2]] *= ratio
         motion = replace(motion, young=young)
     share = (NOTICED / PUSH) ** 2
     blank = State(scene, template, motion, position, math.nan, math.nan, share)
-    rest = _at_rest(blank)
+    rest = at_rest(blank)
     rate, mode = largest_decay(blank.system(0.0, 1.0), rest, scene.dimensions == 2)
     overlap = _strained(blank, rest, mode)
     mode *= PUSH * overlap / np.sqrt(np.square(mode).sum(axis=1)).max()
@@ -179,9 +212,9 @@ def divided(scene: Scene, overlap: float, threads: int | None = None) -> State:
     overlap
         Overlap of the two daughters over the sum of their radii.
     """
-    template, motion, position = _first_cells(scene, threads)
-    rest = _at_rest(State(scene, template, motion, position, math.nan, math.nan, math.nan))
-    inner = int(_innermost(rest)[0])
+    template, motion, position = first_cells(scene, threads)
+    rest = at_rest(State(scene, template, motion, position, math.nan, math.nan, math.nan))
+    inner = int(innermost(rest)[0])
     source = np.append(np.arange(len(rest)), inner)
     radius = motion.radius[source]
     radius[[inner, -1]] *= HALF
@@ -190,19 +223,22 @@ def divided(scene: Scene, overlap: float, threads: int | None = None) -> State:
     axis = np.array([0.8, 0.6, 0.0]) if scene.dimensions == 2 else np.array([0.48, 0.64, 0.6])
     start[inner] += (1.0 - overlap) * radius[inner] * axis
     start[-1] -= (1.0 - overlap) * radius[inner] * axis
-    motion = _taken(motion, source, radius)
+    motion = taken(motion, source, radius)
     state = State(scene, template, motion, start, math.nan, math.nan, UNNOTICED)
     rate, _ = largest_decay(state.system(0.0, 1.0), start, scene.dimensions == 2)
     state = replace(state, rate=rate, noticed=UNNOTICED * state.radius, known=[])
-    return replace(state, twins=_twins(state), known=[])
+    return replace(state, twins=twins_of(state), known=[])
 
 
-def _twins(state: State) -> tuple[State, ...]:
-    """Return states whose cells are displaced at random by what must not matter."""
+def twins_of(state: State, shift: float | None = None) -> tuple[State, ...]:
+    """Return states whose cells are displaced at random by what must not matter, or ``shift`` µm.
+
+    That is the root mean square of a cell's displacement.
+    """
     random = np.random.default_rng(0)
     free = np.array([1.0, 1.0, float(state.scene.dimensions == 3)])
     shifts = [random.normal(size=state.start.shape) * free for _ in range(_TWINS)]
-    size = state.noticed / math.sqrt(3.0)
+    size = (state.noticed if shift is None else shift) / math.sqrt(3.0)
     return tuple(replace(state, start=state.start + size * shift, known=[]) for shift in shifts)
 
 
@@ -217,7 +253,7 @@ def _strained(state: State, position: FloatArray, mode: FloatArray) -> float:
     return float(max(overlap, 1e-4 * state.radius))
 
 
-def _first_cells(scene: Scene, threads: int | None) -> tuple[Mechanics, Motion, FloatArray]:
+def first_cells(scene: Scene, threads: int | None) -> tuple[Mechanics, Motion, FloatArray]:
     """Return mechanics, motion and positions of the cells that a scene starts with."""
     if scene.initial.count < 2:
         raise SceneError(
@@ -232,13 +268,13 @@ def _first_cells(scene: Scene, threads: int | None) -> tuple[Mechanics, Motion, 
     return simulation._mechanics, motion, cells.position
 
 
-def _innermost(position: FloatArray) -> IntArray:
+def innermost(position: FloatArray) -> IntArray:
     """Return the cells by distance from the one that is nearest to the centroid."""
     middle = np.square(position - position.mean(axis=0)).sum(axis=1).argmin()
     return np.argsort(np.square(position - position[middle]).sum(axis=1), kind="stable")
 
 
-def _at_rest(state: State) -> FloatArray:
+def at_rest(state: State) -> FloatArray:
     """Return where the cells of a state come to rest, or where they are after a long time."""
     position = state.start
     length = 10.0 / _bound(state, position)
@@ -272,8 +308,20 @@ def _carried(system: Mechanics, position: FloatArray) -> FloatArray:
     return outcome.position
 
 
-def _taken(motion: Motion, source: IntArray, radius: FloatArray) -> Motion:
+def taken(motion: Motion, source: IntArray, radius: FloatArray) -> Motion:
     """Return the motion of cells that descend from those at ``source``."""
     columns = {name: getattr(motion, name) for name in ("young", "poisson", "bonds", "kind")}
     taken: dict[str, Any] = {n: None if x is None else x[source] for n, x in columns.items()}
     return replace(motion, radius=radius, radius_rate=np.zeros(len(radius)), **taken)
+
+
+def moved_on(motion: Motion, time: float) -> Motion:
+    """Return a motion whose values at time 0 are given with those at another time, s."""
+    bonds, offset = motion.bonds, motion.offset
+    if bonds is not None:
+        bonds = np.hstack([bonds[:, :2] + time * bonds[:, 2:], bonds[:, 2:]])
+    if offset is not None:
+        value = np.maximum(offset[:, 0] + time * offset[:, 1], 0.0)
+        offset = np.stack([value, np.where(value > 0.0, offset[:, 1], 0.0)], axis=1)
+    radius = motion.radius + time * motion.radius_rate
+    return replace(motion, radius=radius, bonds=bonds, offset=offset)

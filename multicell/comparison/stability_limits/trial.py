@@ -1,15 +1,18 @@
 """One trial of a method: it is watched step by step, and how it fails is named.
 
-There are three kinds of failure. A *blow-up* and a *stall* end a trial; a *wrong state* is one that
-the true motion does not come to, whether it was seen on the way or at the end.
+There are four kinds of failure. A *blow-up* and a *stall* end a trial; a *wrong state* is one that
+the true motion does not come to, whether it was seen on the way or at the end. Where that came
+about because cells did not follow a motion that truly grows, the method *damps a real instability*;
+:func:`damped` says when.
 """
 
 from __future__ import annotations
 
+import math
 import re
 import time as clock
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final, final
 
 import numpy as np
@@ -25,6 +28,7 @@ STABLE: Final = "stable"
 BLOW_UP: Final = "blow-up"
 WRONG: Final = "wrong state"
 STALL: Final = "stall"
+DAMPED: Final = "damps a real instability"
 
 KINDS: Final = {
     STABLE: "the energy only falls, and the end is that of the reference",
@@ -33,12 +37,23 @@ KINDS: Final = {
     STALL: "the end is not reached within the allowed steps, or nothing moves where it should",
     WRONG: "cells pass through each other, displacements alternate from step to step, the energy "
     "rises, or the end is not that of the reference",
+    DAMPED: "the end is not that of the reference, and earlier a cell did not follow a motion that "
+    "grows: when the true one left the neighbourhood of the start it had gone less than half of "
+    "that way, in steps longer than 1/μ of the growth",
 }
 """How a trial ends -> what that means.
 
-Where several apply, blow-up or stall counts first. After a division cells may take another pocket
-than in the reference: only a higher energy at the end is wrong there.
+Where several apply, blow-up or stall counts first, then damping. After a division cells may take
+another pocket than in the reference: only a higher energy at the end is wrong there. In other
+unsettled states they may where a small shift of the start has them take another pocket too.
 """
+
+LEFT: Final = 0.05
+"""Growing part of a cell's displacement, in mean radii, from which it has left the neighbourhood of
+the start, in which the motion is linear."""
+
+BELOW: Final = 0.5
+"""Part of the true growth of a cell below which a method has damped it."""
 
 STEPS: Final = 200
 """Steps that a method with a fixed step takes in a trial."""
@@ -49,6 +64,9 @@ _DISTANCE = 0.05  # pair distances off by more are wrong, in radii
 _SAFETY = 3.0  # on what differs among the true courses of twins
 _SHORT = 1e-3  # of a step, for what must not be timed
 _STILL = 0.01  # part of the true way that counts as no progress
+_SEEN = 200  # windows of a fixed step in a trial whose length is given
+_LAST = 3  # single steps at its end, in which displacements may alternate
+_SOON = 4.0  # after cells have left the neighbourhood, over the time until then
 
 
 @final
@@ -66,7 +84,8 @@ class Trace:
     end : float, s
         When it should end.
     turned : list of (k, i, j)
-        The line between cells i and j, which touched, turned by more than 90° in step k.
+        The line between cells i and j, which touched, turned by more than 90° from the state k
+        that was looked at to the next.
     problem : str
         Why it ended early, in words.
     out_of_bounds : bool
@@ -74,6 +93,15 @@ class Trace:
     steps : int
         Steps that the method took.
     wall : float, s
+    counts : list of int
+        Steps that it took from the start until each time.
+    late : int
+        Number of displacements at the end that are looked at for alternation; zero where every
+        state is the end of a solve of its own.
+    implicit : bool
+        Whether it solved equations in its steps.
+    step : float, s
+        The step, where it is fixed; else NaN.
     """
 
     times: list[float]
@@ -85,6 +113,10 @@ class Trace:
     out_of_bounds: bool = False
     steps: int = 0
     wall: float = 0.0
+    counts: list[int] = field(default_factory=lambda: [0])
+    late: int = 3
+    implicit: bool = False
+    step: float = math.nan
 
 
 @final
@@ -114,11 +146,14 @@ class Verdict:
 
 
 def watch(state: State, method: Method, setting: float, patience: float = 20.0) -> Trace:
-    """Let a method go from a state, and look at every step.
+    """Let a method go from a state, and look at its steps.
 
-    A method with a fixed step takes :data:`STEPS` steps, one at a time. A method that looks back
-    at earlier steps goes from the start again for every state that is looked at. Methods under
-    error control are looked at eight times in 2000 / λ_max, at the ends of coupling steps.
+    From a settled state a method with a fixed step takes :data:`STEPS` steps, one at a time; one
+    that looks back at earlier steps goes from the start again for every state that is looked at.
+    Methods under error control are looked at eight times in 2000 / λ_max, at the ends of coupling
+    steps. From other states both go over the length of the state's trial: a fixed step is looked
+    at 200 times at most; methods under error control, and those that look back, go from the start
+    again for each of few moments, as one coupling step to its end.
 
     Parameters
     ----------
@@ -128,36 +163,60 @@ def watch(state: State, method: Method, setting: float, patience: float = 20.0) 
         Wall time in s after which a trial counts as a stall.
     """
     fixed = method.control == "step"
-    count = STEPS if fixed else _WINDOWS
-    length = setting if fixed else _LENGTH / (_WINDOWS * state.rate)
+    times = _times(state, method, setting)
+    again = method.info.remembers if fixed else not state.settled
     integrator = method.make(setting)
     # loaded before the clock runs, however short the patience
-    advance(state.system(0.0, _SHORT * length), integrator, state.start)
+    advance(state.system(0.0, _SHORT * times[0]), integrator, state.start)
     begin = clock.perf_counter()
-    system = state.system(0.0, length)
+    system = state.system(0.0, times[0])
     touching = at_start = system.contacts(0.0, state.start)
     energy = system.energy(0.0, state.start)
-    trace = Trace([0.0], [state.start], [energy], count * length, [])
-    for k in range(count):
-        first = 0 if fixed and method.info.remembers else k
-        before, end = system.work.steps, (k + 1) * length
-        state.ready(system, first * length, end, touching if first else at_start)
+    late = max(3, len(times) // 4) if state.settled else _LAST * fixed
+    trace = Trace([0.0], [state.start], [energy], times[-1], [], late=late)
+    trace.step = setting if fixed else math.nan
+    for k, end in enumerate(times):
+        first = 0 if again else k
+        before = system.work.steps
+        state.ready(system, trace.times[first], end, touching if first else at_start)
         trace.problem, position = advance(system, integrator, trace.positions[first])
-        trace.steps += system.work.steps - before
+        trace.steps = trace.counts[first] + system.work.steps - before
         if trace.problem:
             break
-        trace.turned += _turns(state, k, length, trace.positions[-1], position, touching, fixed)
+        trace.turned += _turns(state, trace, end, position, touching, fixed)
         trace.times.append(end)
         trace.positions.append(position)
+        trace.counts.append(trace.steps)
         trace.energy.append(_energy(state, system, end, position))
         trace.out_of_bounds = not trace.energy[-1] <= max(state.energy_unit, energy)
-        if clock.perf_counter() - begin > patience and k + 1 < count:
+        if clock.perf_counter() - begin > patience and k + 1 < len(times):
             trace.problem = too_late(patience)
         if trace.problem or trace.out_of_bounds:
             break
-        touching = system.contacts(end, position)
+        if trace.late:
+            touching = system.contacts(end, position)
     trace.wall = clock.perf_counter() - begin
+    trace.implicit = method.info.implicit or system.work.newton_iterations > 0
     return trace
+
+
+def _times(state: State, method: Method, setting: float) -> list[float]:
+    """Return the moments at which a trial is looked at, s; the last one is its end."""
+    fixed = method.control == "step"
+    if state.settled:
+        count = STEPS if fixed else _WINDOWS
+        length = setting if fixed else _LENGTH / (_WINDOWS * state.rate)
+        return [(k + 1) * length for k in range(count)]
+    if not fixed:
+        return state.looks
+    count = max(1, round(state.length / setting))
+    if method.info.remembers:
+        seen = [math.ceil(time / setting * (1.0 - 1e-9)) for time in state.looks]
+    else:
+        windows = -(-count // -(-count // _SEEN))
+        seen = [-(-count * (k + 1) // windows) for k in range(windows)]
+    last = range(max(1, count - _LAST), count + 1)
+    return [state.length * k / count for k in sorted({*(min(k, count) for k in seen), *last})]
 
 
 def _energy(state: State, system: Mechanics, time: float, position: FloatArray) -> float:
@@ -179,29 +238,28 @@ def turned_pairs(before: FloatArray, after: FloatArray, pairs: IntArray) -> IntA
 
 
 def _turns(
-    state: State,
-    k: int,
-    length: float,
-    before: FloatArray,
-    after: FloatArray,
-    touching: IntArray,
-    fixed: bool,
+    state: State, trace: Trace, end: float, after: FloatArray, touching: IntArray, fixed: bool
 ) -> list[tuple[int, int, int]]:
-    """Return the pairs whose line turned in step ``k``, other than by the true motion."""
-    pairs = {(int(i), int(j)) for i, j in turned_pairs(before, after, touching)}
-    if pairs and not fixed:
+    """Return the pairs whose line turned until ``end``, other than by the true motion.
+
+    It turned since the state that was looked at before; where each state is the end of a solve of
+    its own, since the start.
+    """
+    k = len(trace.times) - 1 if trace.late else 0
+    pairs = {(int(i), int(j)) for i, j in turned_pairs(trace.positions[k], after, touching)}
+    if pairs and not (fixed and state.settled):
         # a coupling step may be long enough for the true motion to turn a pair
-        true = [state.at((k + m) * length) for m in (0, 1)]
+        true = [state.at(time) for time in (trace.times[k], end)]
         really = turned_pairs(true[0], true[1], np.array(sorted(pairs)))
         pairs -= {(int(i), int(j)) for i, j in really}
-    return [(k, i, j) for i, j in sorted(pairs)]
+    return [(len(trace.times) - 1, i, j) for i, j in sorted(pairs)]
 
 
 def judge(state: State, trace: Trace) -> Verdict:
     """Say how a trial went, by comparing it with the reference."""
     problem = trace.problem
     noticed, true_end, rest = _expected(state, trace)
-    climb = _climb(trace.energy) / noticed
+    climb = max(_climb(trace.energy) - state.rise, 0.0) / noticed if trace.late else 0.0
     if trace.out_of_bounds or _THROWN.search(problem):
         found = [(BLOW_UP, problem or "positions or energy left all bounds")]
     else:
@@ -209,19 +267,22 @@ def judge(state: State, trace: Trace) -> Verdict:
         found = [(STALL, stalled)] if stalled else []
     if trace.turned:
         k, i, j = trace.turned[0]
-        found.append((WRONG, f"cells {i} and {j} changed sides in step {k + 1}"))
+        when = f"in step {k + 1}" if state.settled else f"before {trace.times[k + 1]:.3g} s"
+        found.append((WRONG, f"cells {i} and {j} changed sides {when}"))
     deviation = np.nan
     if not problem and not trace.out_of_bounds:
-        deviation = pair_deviation(state, trace.positions[-1], true_end)
+        deviation = pair_deviation(state, trace.positions[-1], true_end, trace.end)
         excess = (trace.energy[-1] - rest) / noticed
-        found += [(WRONG, words) for words in _wrong(state, trace, climb, excess, deviation)]
+        wrong = list(_wrong(state, trace, climb, excess, deviation))
+        words = damped(state, trace) if wrong else ""
+        found = [(DAMPED, words)] * bool(words) + found + [(WRONG, said) for said in wrong]
     kind, words = found[0] if found else (STABLE, "")
     return Verdict(kind, words, tuple(words for _, words in found[1:]), climb, deviation)
 
 
-def pair_deviation(state: State, position: FloatArray, true: FloatArray) -> float:
+def pair_deviation(state: State, position: FloatArray, true: FloatArray, time: float) -> float:
     """Return the largest error of the distance of a pair that truly touches, in mean radii."""
-    pairs = state.system(0.0, 1.0).contacts(0.0, true)
+    pairs = state.system(time, time + 1.0).contacts(time, true)
     if len(pairs) == 0:
         return 0.0
     error = np.abs(_distances(position, pairs) - _distances(true, pairs))
@@ -231,9 +292,11 @@ def pair_deviation(state: State, position: FloatArray, true: FloatArray) -> floa
 def _expected(state: State, trace: Trace) -> tuple[float, FloatArray, float]:
     """Return the rise of energy that is noticed, fJ, and true positions and energy at the end."""
     true_end = state.at(trace.end)
-    rest = state.energy(0.0, true_end)
-    released = max(trace.energy[0] - rest, 0.0)
-    others = [state.energy(0.0, twin.at(trace.end)) for twin in state.twins]
+    rest = state.energy(trace.end, true_end)
+    # growth may feed in more energy than motion releases
+    released = trace.energy[0] - rest if state.rise == 0.0 else abs(trace.energy[0] - rest)
+    released = max(released, state.rise, 0.0)
+    others = [state.energy(trace.end, twin.at(trace.end)) for twin in state.twins]
     spread = max((abs(energy - rest) for energy in others), default=0.0)
     noticed = max(state.share * released, 1e-12 * state.energy_unit)
     return noticed + _SAFETY * spread, true_end, rest
@@ -259,8 +322,7 @@ def _wrong(
     alternates, size = _alternation(state, trace)
     if alternates:
         yield f"displacements of {size:.2g} radii alternate"
-    # where cells have been pressed apart, a pocket of no higher energy is as good
-    if excess > 1.0 or (deviation > _DISTANCE and not state.twins):
+    if excess > 1.0 or deviation > _tolerated(state, trace.end):
         side = "above" if excess > 0.0 else "below"
         yield (
             f"the energy ends {abs(excess):.3g} times what is noticed {side} the reference; "
@@ -270,10 +332,83 @@ def _wrong(
         yield "the energy rose"
 
 
+def _tolerated(state: State, end: float) -> float:
+    """Return the error of pair distances at the end that is not wrong, in mean radii.
+
+    Just after a division a pocket of no higher energy is as good. Elsewhere the true courses of
+    twins tell what a small shift of the start changes.
+    """
+    if state.settled:
+        return math.inf if state.twins else _DISTANCE
+    true = state.at(end)
+    apart = (pair_deviation(state, twin.at(end), true, end) for twin in state.twins)
+    return max(_DISTANCE, _SAFETY * max(apart, default=0.0))
+
+
+def damped(state: State, trace: Trace) -> str:
+    """Return the words for real growth that a method has damped, or none.
+
+    At a moment that is looked at let h be the method's mean step since half that time, and P the
+    projection on the modes of the start with hμ > 1. The true course has *left* if the part P Δx
+    of some cell's displacement is 0.05 mean radii or more, and had not left a quarter of that time
+    before. The method has *damped* its growth if the size of that cell's P Δx is less than half
+    the true one, while it is half of it or more in the true courses of all twins: then the growth
+    hangs on no detail of the start. It is the size that counts, since which way cells buckle does
+    hang on such details. Explicit methods lag behind growth but do not damp it: only methods that
+    solve equations are asked.
+    """
+    unstable = state.unstable
+    if unstable is None or not trace.implicit:
+        return ""
+    for k in _indices(trace.times, state.looks):
+        time, step = trace.times[k], _mean_step(trace, k)
+        if not (unstable.rates * step > 1.0).any():
+            continue
+
+        def part(course: FloatArray, start: FloatArray, least: float = 1.0 / step) -> FloatArray:
+            return unstable.growing_part(course - start, least) / state.radius
+
+        true = part(state.at(time), state.start)
+        left = np.flatnonzero(true >= LEFT)
+        if len(left) == 0:
+            continue
+        sooner = max((t for t in state.looks if t * _SOON <= time), default=0.0)
+        if (part(state.at(sooner), state.start) >= LEFT).any():
+            break
+        own = part(trace.positions[k], state.start)
+        least = np.min([true, *(part(twin.at(time), twin.start) for twin in state.twins)], axis=0)
+        held = left[(own[left] < BELOW * true[left]) & (least[left] >= BELOW * true[left])]
+        if len(held):
+            cell = int(held[true[held].argmax()])
+            return (
+                f"cell {cell} has grown by {own[cell]:.2g} radii along unstable modes after "
+                f"{time:.3g} s, truly by {true[cell]:.2g}, in steps of {step:.3g} s with hμ up to "
+                f"{step * unstable.rates.max():.3g}"
+            )
+    return ""
+
+
+def _indices(times: list[float], looks: list[float]) -> list[int]:
+    """Return the indices of the first times that are not before given ones, none twice."""
+    places = np.searchsorted(times, np.array(looks) * (1.0 - 1e-9))
+    return [int(k) for k in np.unique(places) if 0 < k < len(times)]
+
+
+def _mean_step(trace: Trace, k: int) -> float:
+    """Return the mean step in s since half the time of the state ``k`` that was looked at."""
+    if not math.isnan(trace.step):
+        return trace.step
+    before = max(j for j in range(k) if trace.times[j] <= 0.5 * trace.times[k] or j == 0)
+    steps = max(trace.counts[k] - trace.counts[before], 1)
+    return (trace.times[k] - trace.times[before]) / steps
+
+
 def _alternation(state: State, trace: Trace) -> tuple[bool, float]:
-    """Return whether the last quarter of the displacements alternate, and their size in radii."""
+    """Return whether the last displacements alternate, and their size in radii."""
+    if not trace.late:
+        return False, 0.0
     moves = np.diff(np.array(trace.positions), axis=0)
-    late = moves[-max(3, len(moves) // 4) :]
+    late = moves[-trace.late :]
     size = float(np.sqrt(np.square(late).sum(axis=2)).max()) / state.radius
     flat = late.reshape(len(late), -1)
     product = np.einsum("ij,ij->i", flat[1:], flat[:-1])
