@@ -1,10 +1,12 @@
 """The method that should cost least for a coupling step, from its stiffness and tolerance.
 
-Most coupling steps are mild, and there any measurement of stiffness costs as much as the step
-itself. So every coupling step is begun by Adams-Bashforth of order 2 under error control, which
-needs one evaluation a step. Only where that would take more than ``PATIENCE`` evaluations, as its
-own steps show after a few of them, is the largest decay rate measured, and the cheapest method
-goes over the coupling step from its beginning.
+Most coupling steps are mild, and there a measurement of stiffness costs as much as the step
+itself. So most are begun by Adams-Bashforth of order 2 under error control, which needs one
+evaluation a step. Only where that would take more than ``PATIENCE`` evaluations, as its own steps
+show after a few of them, is the largest decay rate measured, and the cheapest method goes over
+the coupling step from its beginning. With many cells, or where evaluations are dear, a look at J v
+(:func:`at_a_glance`) may tell beforehand that the attempt would be in vain; with few a choice would
+cost more than a method that is not the best, and Adams-Bashforth's own steps decide.
 
 The choice depends on the state at the beginning of the coupling step and on the options, on
 nothing else: a run that is resumed chooses as the uninterrupted one. Costs are counted in
@@ -31,7 +33,7 @@ way that fast modes carry the fastest cell, its speed over λ, in tolerances:
 - ``cvode``, where friction between cells rules that out: a ((6 + 2.5 lg z) θ^0.1 + 2000 / n) with
   a = 8 z^0.22 θ^-0.25 steps, also at a tenth of the tolerances.
 
-What runs through Python at every evaluation costs the explicit methods 700 / n evaluations more.
+What runs through Python at every evaluation costs the explicit methods 300 / n evaluations more.
 """
 
 from __future__ import annotations
@@ -55,7 +57,13 @@ if TYPE_CHECKING:
 
 _ITERATIONS = 6
 PATIENCE = 150
-"""Evaluations up to which nothing but Adams-Bashforth is tried."""
+"""Evaluations up to which nothing but Adams-Bashforth is tried, by many cells."""
+_CHOICE = 5.0e3
+"""Evaluations times cells that a choice by the measured decay rate costs."""
+_LOOK_FROM = 200
+"""Cells from which on a look at J v is cheaper than an attempt in vain."""
+_TENS = 10.0
+"""δ of a tissue of which nothing is known but that it is stiff."""
 _TIGHT = 0.03
 """θ up to which a method of order 5 may cost less than Adams-Bashforth."""
 _CALL = 2.0e3
@@ -64,7 +72,7 @@ _PRODUCT = 110.0
 """The same of a product in the Rosenbrock method."""
 _START = 2900.0
 """The same of its start."""
-_STAGE = 700.0
+_STAGE = 300.0
 """The same for an evaluation of an explicit method that goes through Python."""
 _AS_EXACT = 0.1
 """Tolerance at which implicit methods are about as exact as RKC2, over that of RKC2."""
@@ -81,8 +89,6 @@ class Choice:
 
     Attributes
     ----------
-    method : str
-        ``"ab2-adaptive"``, ``"dopri5"``, ``"rkc2"``, ``"rosenbrock"`` or ``"cvode"``.
     rate : float
         Estimate of the largest decay rate λ, 1/s.
     stiffness : float
@@ -91,10 +97,14 @@ class Choice:
         Predicted cost of each candidate, in evaluations.
     """
 
-    method: str
     rate: float
     stiffness: float
     costs: dict[str, float]
+
+    @property
+    def method(self) -> str:
+        """The cheapest of the candidates."""
+        return self.order[0]
 
     @property
     def order(self) -> list[str]:
@@ -128,15 +138,10 @@ class Auto(ErrorControl):
 
     def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
         """Integrate over the coupling step of ``system``; see :class:`Integrator`."""
-        from multicell.integrators.limits import beyond
-
-        refused = beyond(system, position, self.atol)
-        if refused is not None:
-            return refused
-        outcome, expected = self.try_mild(system, position)
-        if outcome.done:
+        outcome, choice = self.begin(system, position)
+        if choice is None:
             return outcome
-        for name in choose(system, position, self.rtol, self.atol, expected).order:
+        for name in choice.order:
             before = system.work.steps
             outcome = self.method(name).integrate(system, position)
             _count(system, name, before)
@@ -144,13 +149,35 @@ class Auto(ErrorControl):
                 break
         return outcome
 
-    def try_mild(self, system: Mechanics, position: FloatArray) -> tuple[Outcome, float]:
-        """Try the method for mild problems; return how many evaluations it expected."""
+    def begin(self, system: Mechanics, position: FloatArray) -> tuple[Outcome, Choice | None]:
+        """Go over a mild coupling step; of another one return what to do instead."""
+        from multicell.integrators.driver import needs_python
+
+        n = max(len(system), 1)
+        dear = needs_python(system)
+        if n >= _LOOK_FROM or dear:
+            choice = at_a_glance(system, position, self.rtol, self.atol)
+            if choice.method not in (MILD, Dopri5.info.name):
+                if n >= _LOOK_FROM:
+                    choice = choose(system, position, self.rtol, self.atol)
+                return Outcome(system.motion.begin, position, "it is not mild"), choice
         before = system.work.steps
-        first = AdaptiveAdams(self.rtol, self.atol, self.max_steps, self.max_displacement, PATIENCE)
-        found = first.attempt(system, position)
+        patience = PATIENCE + _CHOICE / n
+        first = AdaptiveAdams(
+            self.rtol, self.atol, self.max_steps, self.max_displacement, int(patience)
+        )
+        outcome, expected = first.attempt(system, position)
         _count(system, MILD, before)
-        return found
+        if outcome.done:
+            return outcome, None
+        if expected > 0.0 and not dear:
+            # stability holds Adams-Bashforth down, and its steps tell z, from above
+            theta = (self.atol + self.rtol * float(system.motion.radius.mean())) / 0.01
+            z = expected / 1.2
+            costs = predicted(n, z, theta, _TENS, expected)
+            if min(costs.values()) < _CHOICE / n:
+                return outcome, Choice(z / (system.motion.end - system.motion.begin), z, costs)
+        return outcome, choose(system, position, self.rtol, self.atol, expected)
 
     def method(self, name: str) -> Integrator:
         """Return a candidate with these options; an implicit one with finer tolerances."""
@@ -195,7 +222,34 @@ def choose(
     fast = _fastest(system, position) / rate / tolerance if rate > 0.0 else 0.0
     friction = Rosenbrock.info.refusal(n, friction=max(system.friction) > 0.0) is not None
     costs = predicted(n, z, theta, fast, expected, called=called, friction=friction)
-    return Choice(min(costs, key=lambda name: costs[name]), rate, z, costs)
+    return Choice(rate, z, costs)
+
+
+def at_a_glance(system: Mechanics, position: FloatArray, rtol: float, atol: float) -> Choice:
+    """Return what :func:`choose` would if |J v| / |v| were the largest decay rate.
+
+    With fresh daughters it is, since nothing else moves; in quiet tissue it is far below.
+    """
+    from multicell.integrators.driver import needs_python
+    from multicell.mechanics.motion import StateRejected
+
+    motion = system.motion
+    n, length = max(len(system), 1), motion.end - motion.begin
+    velocity, image = np.zeros_like(position), np.zeros_like(position)
+    try:
+        system.velocity(motion.begin, position, velocity)
+        system.linearise(motion.begin, position)
+        system.jacobian_product(velocity, image)
+    except StateRejected:
+        velocity[:] = 0.0
+    speed = np.sqrt(np.square(velocity).sum(axis=1).max(initial=0.0))
+    rate = float(np.sqrt(np.square(image).sum(axis=1).max(initial=0.0)) / speed) if speed else 0.0
+    z = max(rate * length, 1.0)
+    tolerance = atol + rtol * float(motion.radius.mean() if len(system) else 1.0)
+    fast = float(speed) / rate / tolerance if rate > 0.0 else 0.0
+    called = _STAGE / n if needs_python(system) else 0.0
+    costs = predicted(n, z, tolerance / 0.01, fast, max(4.0 * z, 1.0), called=called)
+    return Choice(rate, z, costs)
 
 
 def predicted(

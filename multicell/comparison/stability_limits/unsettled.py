@@ -36,6 +36,7 @@ from multicell.integrators.auto import Auto
 from multicell.mechanics.motion import Motion
 from multicell.mechanics.system import Mechanics
 from multicell.random import Purpose, directions
+from multicell.scene.coupling import usual_step
 from multicell.scene.scene import Scene
 from multicell.schema import near_miss
 from multicell.simulation import Simulation
@@ -132,7 +133,7 @@ def compressed(scene: Scene, threads: int | None = None) -> State:
     rest = _rest(scene, threads)
     middle = rest.start.mean(axis=0)
     start = middle + COMPRESSED * (rest.start - middle)
-    return completed(_touching(replace(rest, start=start, kind="compressed")), scene.coupling_step)
+    return completed(_touching(replace(rest, start=start, kind="compressed")), usual_step(scene))
 
 
 def just_divided(scene: Scene, threads: int | None = None) -> State:
@@ -153,7 +154,7 @@ def just_divided(scene: Scene, threads: int | None = None) -> State:
         start[daughters] += sign * offset
     motion = taken(rest.motion, source, radius)
     state = replace(rest, motion=motion, start=start, kind="divided")
-    return completed(_touching(state), scene.coupling_step)
+    return completed(_touching(state), usual_step(scene))
 
 
 def snap(scene: Scene, threads: int | None = None) -> State:
@@ -177,7 +178,7 @@ def snap(scene: Scene, threads: int | None = None) -> State:
     middle = position.mean(axis=0)
     start = middle + float((allowed / distance).min()) * (position - middle)
     state = replace(rest, start=start, kind="snap")
-    return completed(state, scene.coupling_step, _MARGIN * SNAP * float(turning.min()))
+    return completed(state, usual_step(scene), _MARGIN * SNAP * float(turning.min()))
 
 
 def completed(state: State, length: float, shift: float | None = None) -> State:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from multicell.integrators.auto import MILD, PATIENCE, Auto, choose
+from multicell.integrators.auto import MILD, Auto, choose
 
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
@@ -22,16 +22,14 @@ def explained(scene: Scene) -> str:
     auto = Auto(options.rtol, options.atol, options.max_steps, options.max_displacement)
     start = Simulation(scene, threads=1)
     system, position = start.prepared(), start.cells.position
-    outcome, expected = auto.try_mild(system, position)
+    _, choice = auto.begin(system, position)
     evaluations = system.work.evaluations
-    found = choose(system, position, options.rtol, options.atol, expected)
     where = f"in the first coupling step, with {len(position):,} cell(s),"
-    if outcome.done:
-        stiffness = found.rate * (system.motion.end - system.motion.begin)
+    if choice is None:
+        rate = choose(system, position, options.rtol, options.atol).rate
+        stiffness = rate * (system.motion.end - system.motion.begin)
         return (
-            f"{where} {MILD}, since it needs {evaluations} evaluations, below the "
-            f"{PATIENCE} up to which nothing else is tried; stiffness λΔt is {stiffness:.3g} "
-            f"(λ = {found.rate:.3g}/s)"
+            f"{where} {MILD}, since it needs {evaluations} evaluations, too few for anything else "
+            f"to be tried; stiffness λΔt is {stiffness:.3g} (λ = {rate:.3g}/s)"
         )
-    why = f"would take about {expected:.0f} evaluations" if expected else "cannot go on"
-    return f"{where} {found.method}, since at first {MILD} {why}; {found.reason}"
+    return f"{where} {choice.method}: {choice.reason}"
