@@ -18,7 +18,7 @@ way that fast modes carry the fastest cell, its speed over λ, in tolerances:
 - ``ab2-adaptive``: as many as it expects itself, if those are fewer than the least that RKC2 gets
   by with, √(8 z) + 15. Else stability holds its steps down, and a first estimate made among the
   short steps of its start is several times too high: 1.2 z, or 0.3 of what it expects if that is
-  more, times 1.3, since lists are built more often for modes at the edge of stability;
+  more, times 1.8, since lists are built more often for modes at the edge of stability;
 - ``dopri5``: 6 max(12 θ^-0.1, z / 3), 2.5 times that where stability limits the step at a loose
   tolerance: modes at the edge of stability then rattle, and lists are built at every step. At a
   loose tolerance its order does not pay where contacts form and break;
@@ -62,6 +62,8 @@ _CHOICE = 5.0e3
 """Evaluations times cells that a choice by the measured decay rate costs."""
 _LOOK_FROM = 200
 """Cells from which on a look at J v is cheaper than an attempt in vain."""
+_SUSPECT = 60.0
+"""λΔt, by the order of magnitude of λ, from which on such a look is worth while."""
 _TENS = 10.0
 """δ of a tissue of which nothing is known but that it is stiff."""
 _TIGHT = 0.03
@@ -152,10 +154,13 @@ class Auto(ErrorControl):
     def begin(self, system: Mechanics, position: FloatArray) -> tuple[Outcome, Choice | None]:
         """Go over a mild coupling step; of another one return what to do instead."""
         from multicell.integrators.driver import needs_python
+        from multicell.integrators.limits import stiffness_scale
 
         n = max(len(system), 1)
         dear = needs_python(system)
-        if n >= _LOOK_FROM or dear:
+        length = system.motion.end - system.motion.begin
+        suspect = stiffness_scale(system) * length > _SUSPECT
+        if suspect and (n >= _LOOK_FROM or dear):
             choice = at_a_glance(system, position, self.rtol, self.atol)
             if choice.method not in (MILD, Dopri5.info.name):
                 if n >= _LOOK_FROM:
@@ -176,7 +181,7 @@ class Auto(ErrorControl):
             z = expected / 1.2
             costs = predicted(n, z, theta, _TENS, expected)
             if min(costs.values()) < _CHOICE / n:
-                return outcome, Choice(z / (system.motion.end - system.motion.begin), z, costs)
+                return outcome, Choice(z / length, z, costs)
         return outcome, choose(system, position, self.rtol, self.atol, expected)
 
     def method(self, name: str) -> Integrator:
@@ -248,7 +253,7 @@ def at_a_glance(system: Mechanics, position: FloatArray, rtol: float, atol: floa
     tolerance = atol + rtol * float(motion.radius.mean() if len(system) else 1.0)
     fast = float(speed) / rate / tolerance if rate > 0.0 else 0.0
     called = _STAGE / n if needs_python(system) else 0.0
-    costs = predicted(n, z, tolerance / 0.01, fast, max(4.0 * z, 1.0), called=called)
+    costs = predicted(n, z, tolerance / 0.01, fast, 4.4 * z, called=called)
     return Choice(rate, z, costs)
 
 
@@ -277,7 +282,7 @@ def predicted(
     explicit = {"dopri5": dopri5, "rkc2": rkc2}
     if expected > 0.0:
         mild = expected < math.sqrt(8.0 * z) + 15.0
-        explicit["ab2-adaptive"] = expected if mild else max(1.6 * z, 0.4 * expected)
+        explicit["ab2-adaptive"] = expected if mild else max(2.2 * z, 0.5 * expected)
         if theta > _TIGHT:
             explicit["dopri5"] = max(dopri5, 1.01 * explicit["ab2-adaptive"])
     costs = {name: cost * (1.0 + called) for name, cost in explicit.items()}
