@@ -183,7 +183,7 @@ def _legend(figure: Figure) -> None:
         Patch(color=INK, alpha=0.14, linewidth=0, label="its 95 % interval"),
         Patch(facecolor="white", hatch="////", edgecolor=_HATCH, linewidth=0,
               label="ill-conditioned for single cells: judged by observables"),
-        Patch(facecolor="#d3d9de", label="no method gets there"),
+        Patch(facecolor="#d3d9de", label="not measured, or reached by no method"),
     ]  # fmt: skip
     figure.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.065, 0.045), ncols=4,
                   fontsize=10.5, columnspacing=1.6, handlelength=1.8)  # fmt: skip

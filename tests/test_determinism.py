@@ -36,8 +36,9 @@ def test_any_number_of_threads_gives_the_same_bits(group):
         together, shared = digests(group, threads)
         assert all(shared.values()), "the threads had nothing to do"
         assert together == alone
-    # a digest that sees nothing would be the same for all; 'auto' may choose ab2-adaptive
-    assert len(set(alone.values())) >= len(alone) - 1
+    # a digest that sees nothing would be the same for all; 'auto' may choose ab2-adaptive, and
+    # multirate Euler with all cells in one group is adaptive Euler
+    assert len(set(alone.values())) >= len(alone) - 2
 
 
 @pytest.mark.slow

@@ -50,7 +50,7 @@ def test_a_run_leaves_scene_frames_summary_and_report(folder):
     assert summary["cells"] == 20
     assert summary["time"] == 1800.0
     assert summary["ledger"]["relative_remainder"] <= 1e-6
-    assert summary["integrator"]["method"] == "cvode"
+    assert summary["integrator"]["method"] == "auto"
     assert sum(summary["states"].values()) == 20
     assert "interrupted" not in summary
 

@@ -87,12 +87,17 @@ def schema(as_json: bool) -> None:
 @click.argument("scene")
 @law_option
 @changes_option
+@click.option(
+    "--first-step", is_flag=True, help="Also tell what `auto` chooses for the first coupling step."
+)
 @as_json_option
-def explain(scene: str, law: str | None, changes: Sequence[str], as_json: bool) -> None:
+def explain(
+    scene: str, law: str | None, changes: Sequence[str], first_step: bool, as_json: bool
+) -> None:
     """Tell what a SCENE uses and why, without running it."""
     from multicell.report.explain.scene import explain as explained
 
-    facts = explained(scene_of(scene, changes, law))
+    facts = explained(scene_of(scene, changes, law), first_step=first_step)
     if as_json:
         print_json({"scene": scene, **facts})
     else:

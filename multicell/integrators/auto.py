@@ -23,15 +23,15 @@ way that fast modes carry the fastest cell, its speed over λ, in tolerances:
   tolerance: modes at the edge of stability then rattle, and lists are built at every step. At a
   loose tolerance its order does not pay where contacts form and break;
 - ``rkc2``: a (√(1 + 1.54 z / a) + 3) + 6 with a = 4 z^0.14 θ^-0.07 n^0.14 (1 + δ)^0.37 steps;
-- ``rosenbrock``: p (1.2 + 110 / n) + 2900 / n with p products, at a tenth of the tolerances, since
-  implicit methods are further off at the same ones. With the δ and θ of those, where there are
-  fast modes to follow (δ > 0.3), p is the product of 3 z^0.11 n^0.22 (1 + δ)^0.3 steps and
-  6 z^0.07 in each; where there are none (δ < 0.001), of 1 + 0.6 z^0.02 θ^-0.17 n^0.17 and
-  8.5 z^0.18 n^0.08 θ^-0.19; the geometric mean between. Steady tissue that grows takes a few steps,
-  however stiff it is, one with fresh daughters nearly as many as an explicit method. All that
-  times 1.25: what an implicit method is off by differs more;
+- ``rosenbrock``: p (1.2 + 110 / n) + 2900 / n with p products. Where there are fast modes to follow
+  (δ > 0.3) an implicit method is further off at the same tolerances and gets a tenth of them; where
+  there are none (δ < 0.001) the whole. With the δ and θ of those p is in the first case the product
+  of 3 z^0.11 n^0.22 (1 + δ)^0.3 steps and 6 z^0.07 in each, in the second that of
+  1 + 0.6 z^0.02 θ^-0.17 n^0.17 and 8.5 z^0.18 n^0.08 θ^-0.19; geometric means between. Steady
+  tissue that grows takes a few steps, however stiff it is, one with fresh daughters nearly as many
+  as an explicit method. All that times 1.25: what an implicit method is off by differs more;
 - ``cvode``, where friction between cells rules that out: a ((6 + 2.5 lg z) θ^0.1 + 2000 / n) with
-  a = 8 z^0.22 θ^-0.25 steps, also at a tenth of the tolerances.
+  a = 8 z^0.22 θ^-0.25 steps, at the same part of the tolerances.
 
 What runs through Python at every evaluation costs the explicit methods 300 / n evaluations more.
 """
@@ -77,7 +77,8 @@ _START = 2900.0
 _STAGE = 300.0
 """The same for an evaluation of an explicit method that goes through Python."""
 _AS_EXACT = 0.1
-"""Tolerance at which implicit methods are about as exact as RKC2, over that of RKC2."""
+"""Tolerance at which implicit methods are about as exact as RKC2 where there are fast modes to
+follow, over that of RKC2."""
 _CAUTION = 1.25
 """By how much an implicit method has to be cheaper: what it is off by differs more."""
 _QUIET, _SHAKEN = 1e-3, 0.3
@@ -97,11 +98,14 @@ class Choice:
         λ times the length of the coupling step.
     costs : name -> float
         Predicted cost of each candidate, in evaluations.
+    finer : float
+        Part of the tolerances that an implicit method is given.
     """
 
     rate: float
     stiffness: float
     costs: dict[str, float]
+    finer: float = 1.0
 
     @property
     def method(self) -> str:
@@ -112,6 +116,12 @@ class Choice:
     def order(self) -> list[str]:
         """The candidates, the cheapest first."""
         return sorted(self.costs, key=lambda name: self.costs[name])
+
+    @property
+    def clear(self) -> bool:
+        """Whether the best costs less than half of any other."""
+        first, second, *_ = sorted(self.costs.values())
+        return 2.0 * first < second
 
     @property
     def reason(self) -> str:
@@ -145,7 +155,7 @@ class Auto(ErrorControl):
             return outcome
         for name in choice.order:
             before = system.work.steps
-            outcome = self.method(name).integrate(system, position)
+            outcome = self.method(name, choice.finer).integrate(system, position)
             _count(system, name, before)
             if outcome.done:
                 break
@@ -163,7 +173,7 @@ class Auto(ErrorControl):
         if suspect and (n >= _LOOK_FROM or dear):
             choice = at_a_glance(system, position, self.rtol, self.atol)
             if choice.method not in (MILD, Dopri5.info.name):
-                if n >= _LOOK_FROM:
+                if n >= _LOOK_FROM and not choice.clear:
                     choice = choose(system, position, self.rtol, self.atol)
                 return Outcome(system.motion.begin, position, "it is not mild"), choice
         before = system.work.steps
@@ -181,13 +191,13 @@ class Auto(ErrorControl):
             z = expected / 1.2
             costs = predicted(n, z, theta, _TENS, expected)
             if min(costs.values()) < _CHOICE / n:
-                return outcome, Choice(z / length, z, costs)
+                return outcome, Choice(z / length, z, costs, _finer(_TENS))
         return outcome, choose(system, position, self.rtol, self.atol, expected)
 
-    def method(self, name: str) -> Integrator:
+    def method(self, name: str, finer: float = 1.0) -> Integrator:
         """Return a candidate with these options; an implicit one with finer tolerances."""
         kind = CANDIDATES[name]
-        finer = _AS_EXACT if kind.info.implicit else 1.0
+        finer = finer if kind.info.implicit else 1.0
         return kind(finer * self.rtol, finer * self.atol, self.max_steps, self.max_displacement)
 
 
@@ -227,7 +237,7 @@ def choose(
     fast = _fastest(system, position) / rate / tolerance if rate > 0.0 else 0.0
     friction = Rosenbrock.info.refusal(n, friction=max(system.friction) > 0.0) is not None
     costs = predicted(n, z, theta, fast, expected, called=called, friction=friction)
-    return Choice(rate, z, costs)
+    return Choice(rate, z, costs, _finer(fast))
 
 
 def at_a_glance(system: Mechanics, position: FloatArray, rtol: float, atol: float) -> Choice:
@@ -254,7 +264,7 @@ def at_a_glance(system: Mechanics, position: FloatArray, rtol: float, atol: floa
     fast = float(speed) / rate / tolerance if rate > 0.0 else 0.0
     called = _STAGE / n if needs_python(system) else 0.0
     costs = predicted(n, z, tolerance / 0.01, fast, 4.4 * z, called=called)
-    return Choice(rate, z, costs)
+    return Choice(rate, z, costs, _finer(fast))
 
 
 def predicted(
@@ -286,19 +296,30 @@ def predicted(
         if theta > _TIGHT:
             explicit["dopri5"] = max(dopri5, 1.01 * explicit["ab2-adaptive"])
     costs = {name: cost * (1.0 + called) for name, cost in explicit.items()}
-    finer = _AS_EXACT * theta
+    finer = _finer(fast)
     if friction:
-        steps = 8.0 * z**0.22 * finer**-0.25
-        costs["cvode"] = steps * ((6.0 + 2.5 * math.log10(z)) * finer**0.1 + _CALL / n)
+        theta *= finer
+        steps = 8.0 * z**0.22 * theta**-0.25
+        costs["cvode"] = steps * ((6.0 + 2.5 * math.log10(z)) * theta**0.1 + _CALL / n)
     else:
-        costs["rosenbrock"] = _CAUTION * _rosenbrock(n, z, finer, fast / _AS_EXACT)
+        costs["rosenbrock"] = _CAUTION * _rosenbrock(n, z, finer * theta, fast / finer)
     return costs
+
+
+def _shaken(fast: float) -> float:
+    """Return 0 where there are no fast modes to follow, 1 where there are, by δ."""
+    span = math.log(_SHAKEN / _QUIET)
+    return min(max(math.log(max(fast, 1e-99) / _QUIET) / span, 0.0), 1.0)
+
+
+def _finer(fast: float) -> float:
+    """Return the part of the tolerances at which an implicit method is as exact as RKC2."""
+    return float(_AS_EXACT ** _shaken(fast))
 
 
 def _rosenbrock(n: int, z: float, theta: float, fast: float) -> float:
     """Return the evaluations that the Rosenbrock method is expected to cost."""
-    span = math.log(_SHAKEN / _QUIET)
-    shaken = min(max(math.log(max(fast, 1e-99) / _QUIET) / span, 0.0), 1.0)
+    shaken = _shaken(fast)
     products = 3.0 * z**0.11 * n**0.22 * (1.0 + fast) ** 0.3 * 6.0 * z**0.07
     quiet = (1.0 + 0.6 * z**0.02 * theta**-0.17 * n**0.17) * 8.5 * z**0.18 * n**0.08 * theta**-0.19
     return float(products**shaken * quiet ** (1.0 - shaken) * (1.2 + _PRODUCT / n) + _START / n)

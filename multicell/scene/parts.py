@@ -231,13 +231,13 @@ class IntegratorOptions:
 
     method: str = choice(
         METHODS,
-        default="cvode",
+        default="auto",
         doc="name of the method; of a method of the user's own where it came from",
         other=recorded_object,
         further=OWN_OBJECT,
     )
     rtol: float = number(default=1e-6, at_least=1e-14, at_most=0.1, doc="relative tolerance")
-    atol: float = quantity("um", default=0.01, above=0, at_least=1e-15, doc="absolute tolerance")
+    atol: float = quantity("um", default=0.1, above=0, at_least=1e-15, doc="absolute tolerance")
     max_steps: int = count(default=10000, at_least=1, doc="most steps in one coupling step")
     step: float = quantity("s", default=10.0, above=0, doc="step of the methods with a fixed step")
     max_displacement: float = number(

@@ -388,7 +388,7 @@ def test_ctrl_c_while_modules_are_loaded():
 
 @pytest.mark.parametrize("error", [KeyError("x"), RecursionError("deep"), ValueError("a\nb")])
 def test_an_unexpected_error_is_one_line_that_says_what_to_do(error, monkeypatch):
-    def broken(*arguments):
+    def broken(*arguments, **options):
         raise error
 
     monkeypatch.setattr("multicell.report.explain.scene.explain", broken)

@@ -131,7 +131,8 @@ def test_after_the_front_come_the_default_and_auto_and_outside_references_last()
     names = [*METHODS, "my own"]
     solves = [("my own", 1e-3, 1e-6), *((name, 1.0, 1e-2) for name in METHODS)]
     kept = in_colour(result_of(solves), "position")
-    assert kept[:3] == ["my own", PAIR.integrator.method, "auto"]
+    assert PAIR.integrator.method == "auto"
+    assert kept[:2] == ["my own", "auto"]
     outside = [name for name in names if name in METHODS and METHODS[name].outside]
     assert outside
     assert not set(outside) & set(kept)
@@ -308,7 +309,8 @@ def test_marks_lie_where_the_points_were_drawn():
 
 def test_sweeps_of_stability_have_the_same_colours_and_names_under_the_pointer():
     names = [f"method {k}" for k in range(11)]
-    start = {"cells": 2, "rate": 1.0, "control": "step", "words": "", "kind": "stable"}
+    start = {"cells": 2, "rate": 1.0, "control": "step", "words": "", "kind": "stable",
+             "state": "settled"}  # fmt: skip
     table = [
         {"sweep": sweep, "value": value, "method": name, "setting": 1.0 + k, "theory": 1.0 + k}
         | {**start, "of_theory": 1.0, "of_euler": 1.0}

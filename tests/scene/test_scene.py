@@ -308,7 +308,7 @@ def test_defaults_are_those_of_the_documentation():
     assert (scene.growth, scene.death, scene.stop_cells) == (None, None, None)
     assert scene.contact == JKR(surface_energy="0.1 nN/um")
     assert (scene.drag.viscosity, scene.cells.division_radius) == (5.0, 5.0)
-    assert (scene.integrator.method, scene.integrator.rtol) == ("cvode", 1e-6)
+    assert (scene.integrator.method, scene.integrator.rtol) == ("auto", 1e-6)
     assert scene.output.every == 6 * 3600
 
 

@@ -29,8 +29,11 @@ _NEIGHBOURS: Final = 12  # of a cell in dense packing
 _MOST_TRIED: Final = 50_000  # cells up to which a coupling step is tried to tell what is chosen
 
 
-def explain(scene: Scene) -> dict[str, Any]:
+def explain(scene: Scene, *, first_step: bool = False) -> dict[str, Any]:
     """Return what a scene uses and the numbers that follow from it.
+
+    With ``first_step`` the cells are put in place, and what ``auto`` chooses for the first coupling
+    step is told with its reasons; that compiles and computes as much as the choice needs.
 
     Returns
     -------
@@ -43,13 +46,13 @@ def explain(scene: Scene) -> dict[str, Any]:
     numbers += nutrient_numbers(scene)
     return {
         "title": scene.title,
-        "parts": [asdict(part) for part in _parts(scene)],
+        "parts": [asdict(part) for part in _parts(scene, first_step)],
         "numbers": [asdict(number) for number in numbers],
         "notes": _notes(scene),
     }
 
 
-def _parts(scene: Scene) -> list[Part]:
+def _parts(scene: Scene, first_step: bool) -> list[Part]:
     """Return every part a scene can have, with the consequence of its presence or absence."""
     start = scene.initial
     shape = start.arrangement if scene.dimensions == 3 else "plane, where they stay"
@@ -61,7 +64,7 @@ def _parts(scene: Scene) -> list[Part]:
         *_taxis(scene),
         Part("domain", scene.domain is not None, _domain_words(scene)),
         *nutrient_parts(scene),
-        part("integrator", _integrator_words(scene)),
+        part("integrator", _integrator_words(scene, first_step)),
         part("output", f"a frame every {hours(scene.output.every)}"),
     ]
 
@@ -125,10 +128,10 @@ def _domain_words(scene: Scene) -> str:
     return f"{words}; its sides are elastic walls of {young:g} kPa"
 
 
-def _integrator_words(scene: Scene) -> str:
+def _integrator_words(scene: Scene, first_step: bool) -> str:
     method = scene.integrator.method
     words = f"{method}: {(METHODS.get(method) or MethodInfo(method)).words}"
-    if method != "auto":
+    if method != "auto" or not first_step:
         return words
     if scene.initial.count > _MOST_TRIED:
         return f"{words}; not tried here with so many cells"
