@@ -61,8 +61,7 @@ def load_case(entries):
         raise Fault(f"memory: {peak / 1e6:.0f} MB")
     if not isinstance(made, Scene):
         return "refused"
-    if made.integrator.method != "auto":  # which tries a step: a thing for runs
-        explained(made)
+    explained(made)
     return "loaded"
 
 
@@ -156,13 +155,13 @@ def _leads(path, node, part):
     return False
 
 
-def explained(scene):
+def explained(scene, **options):
     """Return what ``explain`` says, which must be plain and finite, or end by name."""
     from multicell.report.explain.scene import explain
 
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
-        told = explain(scene)
+        told = explain(scene, **options)
     json.dumps(told)
     for number in told["numbers"]:
         value = number["value"]

@@ -361,17 +361,33 @@ def _fit_growth(scene):
             if phase.get("distribution") == "normal":
                 phase["variation"] = min(phase.get("variation", 0.2), 0.5)
         growth["phases"] = {name: phases[name] for name in PHASES}
-        cycle = sum(base(phase["duration"]) for phase in phases.values())
     else:
         growth.pop("division", None)
-        cycle = base(growth.get("cycle_time", 54000.0))
-    scales = [kind.get("cycle_scale", 1.0) for kind in scene.get("types", {}).values()]
-    cycle *= min(scales, default=1.0)
     step = scene.get("coupling_step", 600.0)
-    if step != "auto" and base(step) > cycle:
+    if step != "auto" and base(step) > _quickest_cycle(scene):
         scene["growth"], scene["coupling_step"] = {}, 600.0
         for kind in scene.get("types", {}).values():
             kind.pop("cycle_scale", None)
+
+
+def _quickest_cycle(scene):
+    """Return the mean cycle of the quickest type, s."""
+    growth = scene["growth"]
+    phases = growth.get("phases", {}).values()
+    cycle = sum(base(phase["duration"]) for phase in phases)
+    if not phases:
+        cycle = base(growth.get("cycle_time", 54000.0))
+    scales = [kind.get("cycle_scale", 1.0) for kind in scene.get("types", {}).values()]
+    return cycle * min(scales, default=1.0)
+
+
+def _step_of_its_own(scene):
+    """Return about how long the steps are that a run of the scene would choose, s.
+
+    They follow any cycle and any reaction: a minute may be millions of them, and of cells.
+    """
+    reaction = base(scene.get("cells", {}).get("reaction_time", 7200.0))
+    return min(56.25, _quickest_cycle(scene) / 12.0, reaction / 2.0)
 
 
 def _fit_types(scene, types, fields):
@@ -490,7 +506,7 @@ def plausible(draw, extreme=0.004, small=True):
         for field in scene.get("nutrients", {}).values():
             field["margin"] = min(base(field["margin"]), 12.0 * base(field["spacing"]))
         step = scene["coupling_step"]
-        step = 60.0 if step == "auto" else step
+        step = _step_of_its_own(scene) if step == "auto" else step
         scene["duration"] = step * drawer.one_of([1.0, 2.0, 2.5, 3.0])
     return scene
 
