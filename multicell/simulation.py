@@ -350,19 +350,29 @@ class Simulation:
 
     def history_row(self) -> dict[str, float]:
         """Return the observables of the state (:func:`multicell.results.summary.history_row`)."""
-        extra: dict[str, float] = {}
+        extra = {}
         round_fields = any(part.geometry != "box" for part in self.scene.nutrients.values())
         if round_fields and self.scene.dimensions == 3:
-            extra["departure_from_a_ball"] = _departure(self.cells)
+            from multicell.nutrient.cartesian import departure
+
+            extra["departure_from_a_ball"] = departure(self.cells.position, self.cells.radius)
         if self.scene.growth is not None:
             fields = {} if self._feeding is None else self._feeding.content_errors
             extra |= columns(self.step_error, self.cells, fields)
+        if self.scene.output.instability:
+            extra["instability_rate"] = self._instability_rate()
         return summary.history_row(self.scene, self._view(), **extra)
 
     def energy(self) -> float:
         """Return the contact energy of the cells, fJ."""
         self._mechanics.begin(self._motion(self.time, self.time, self.cells.radius))
         return self._mechanics.energy(self.time, self.cells.position)
+
+    def _instability_rate(self) -> float:
+        from multicell.mechanics.growth_rate import recorded_rate
+
+        motion = self._motion(self.time, self.time + longest_step(self.scene), self.cells.radius)
+        return recorded_rate(self._mechanics, motion, self.cells.position, self.scene.dimensions)
 
     def summary(self) -> dict[str, Any]:
         """Return the numbers that describe the run so far; ``units`` names the units.
@@ -479,13 +489,6 @@ class Simulation:
         dead = decide(scene, cells, self.concentrations, self.step_index, dt, self.time)
         if dead.any():
             self.lineage.died(np.sort(cells.id[dead]), self.time)
-
-
-def _departure(cells: Cells) -> float:
-    """Return the departure of the tissue from a ball; only scenes with shells load it."""
-    from multicell.nutrient.cartesian import departure
-
-    return departure(cells.position, cells.radius)
 
 
 def _feeding(scene: Scene) -> Feeding | None:

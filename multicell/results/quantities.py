@@ -39,6 +39,7 @@ UNITS: Final[Mapping[str, str]] = {
     "heterotypic_fraction": "",
     "departure_from_a_ball": "",
     "pull": "nN",
+    "instability_rate": "1/s",
     "splitting_volume_error": "",
     "splitting_cell_error": "",
     "splitting_worst_cell_error": "",

@@ -21,7 +21,8 @@ def history_row(scene: Scene, frame: Frame, **extra: float) -> dict[str, float]:
 
     Added are ``contacts`` where the run counts them, ``heterotypic_fraction`` where there are
     types, ``hypoxic_radius_<field>`` (µm) where cells rest without a field, the ``pull`` (nN), and
-    ``pressure_factor`` and ``held_by_pressure`` where pressure limits growth.
+    ``pressure_factor`` and ``held_by_pressure`` where pressure limits growth, and what is given as
+    ``extra``.
     """
     own: dict[str, float] = {}
     if counts_contacts(scene):

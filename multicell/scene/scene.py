@@ -20,7 +20,7 @@ from multicell.contact.law import PairLaw
 from multicell.contact.registry import LAWS
 from multicell.errors import SceneError
 from multicell.plugins import OWN_OBJECT
-from multicell.scene.checks import check_integrator, check_nutrients, check_types
+from multicell.scene.checks import check_integrator, check_nutrients, check_output, check_types
 from multicell.scene.coupling import AUTO, USUAL
 from multicell.scene.domain import check_domain
 from multicell.scene.nutrient import Nutrient
@@ -143,6 +143,7 @@ class Scene:
         check_sizes(self)
         check_types(self)
         check_integrator(self)
+        check_output(self)
         smallest = 0.5 ** (1.0 / 3.0) * self.cells.division_radius
         smoothing = getattr(self.contact, "smoothing", 0.0)
         if smoothing > smallest:

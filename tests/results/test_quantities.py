@@ -44,7 +44,8 @@ SCENES = {
         "drag": {"viscosity": 0.5},
     },
     "bare mechanics": {
-        "duration": "10 min", "initial": {"count": 3}, "integrator": {"method": "euler"}
+        "duration": "10 min", "initial": {"count": 3}, "integrator": {"method": "euler"},
+        "output": {"instability": True},
     },
 }  # fmt: skip
 
