@@ -304,6 +304,8 @@ def fitted(entries):
     scene["chemotaxis"] = {n: x for n, x in scene.get("chemotaxis", {}).items() if n in fields}
     if flat and scene.get("haptotaxis", {}).get("axis") == "z":
         scene["haptotaxis"]["axis"] = "y"
+    if "friction" in scene:
+        scene.get("output", {}).pop("instability", None)
     return scene
 
 
