@@ -36,11 +36,12 @@ EVALUATIONS, LIST_BUILDS, STEPS, REJECTIONS = range(4)
 """Places in the array of counts."""
 ELAPSED, STEP, PREVIOUS, HELD, WORST = range(5)
 """Places in the state of error control: time since the beginning and next step, s; size of the last
-error; whether the last step was refused; largest error of a cell so far, µm."""
+error; steps refused since the last accepted one; largest error of a cell so far, µm."""
 
 _SHORTEST = 1e-13
 """Steps below this fraction of the interval are lost in rounding."""
-
+_MOST_REFUSALS = 200
+"""Refused steps in a row; a method that makes each shorter by a tenth has stalled long before."""
 
 _BLOCK = 1024
 """Numbers of an array that are worked on at a time."""
@@ -316,7 +317,8 @@ def ended(walk, counts, control, length):
     """Return why no step can be tried, or ``DONE``."""
     if counts[STEPS] == control.most_steps:
         return OUT_OF_STEPS
-    return STALLED if walk[STEP] < _SHORTEST * length else DONE
+    stuck = walk[STEP] < _SHORTEST * length or walk[HELD] > _MOST_REFUSALS
+    return STALLED if stuck else DONE
 
 
 @njit(cache=True)
@@ -325,7 +327,8 @@ def refused(walk, counts, control, status, moved):
     if status == DONE and not moved > control.max_displacement:
         return False
     counts[REJECTIONS] += 1
-    walk[STEP], walk[HELD] = shorter(walk[STEP], moved, control.max_displacement), 1.0
+    walk[STEP] = shorter(walk[STEP], moved, control.max_displacement)
+    walk[HELD] += 1.0
     return True
 
 
@@ -340,7 +343,8 @@ def accepted(walk, counts, control, length, position, trial, error, least, most,
     size = weighted_rms(error, position, trial, control.rtol, control.atol) / control.strictness
     if not size <= 1.0:
         counts[REJECTIONS] += 1
-        walk[STEP], walk[HELD] = again(step, size, control.order, least), 1.0
+        walk[STEP] = again(step, size, control.order, least)
+        walk[HELD] += 1.0
         return False
     walk[ELAPSED] = length if step == length - walk[ELAPSED] else walk[ELAPSED] + step
     copy(trial, position)

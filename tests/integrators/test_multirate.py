@@ -7,9 +7,10 @@ import pytest
 from oracles import four_cells, reference
 from strategies import cluster, mechanics
 
+import multicell as mc
 from multicell import JKR, Hertz
 from multicell.contact.exact_jkr import ExactJKR
-from multicell.integrators import driver
+from multicell.integrators import driver, stepping
 from multicell.integrators.loops import multirate
 from multicell.integrators.loops.multirate import _grouped, adaptive_multirate
 from multicell.integrators.multirate import MultirateEuler
@@ -141,6 +142,31 @@ def test_one_division_among_many_cells_costs_less_than_with_equal_steps(atol, di
     assert error < 1.5 * single
     assert work.evaluations < 0.7 * equal.evaluations
     assert work.steps < 0.6 * equal.steps
+
+
+def test_a_refused_step_is_not_made_longer_by_another_grouping():
+    """Stiff cells that a loose tolerance left unsettled; groupings took turns here for ever."""
+    simulation = mc.Simulation(mc.load_scene("stiff-inclusions"))
+    position = simulation.cells.position
+    for _ in range(2):
+        system = simulation.prepared()
+        outcome = MultirateEuler(1e-3, 0.397, max_steps=10_000).integrate(system, position)
+        assert outcome.done
+        position = outcome.position
+    assert system.work.rejections < 0.2 * system.work.steps
+
+
+def test_steps_that_are_refused_without_end_end_a_loop():
+    control = driver.control(MultirateEuler(), mechanics(np.ones(2), np.ones(2)), 2.0, lower=1)
+    walk, counts = stepping.begun(10.0), np.zeros(4, np.int64)
+    tried = 0
+    while stepping.ended(walk, counts, control, 600.0) == stepping.DONE:
+        assert stepping.refused(walk, counts, control, stepping.MOVED, 1.0)
+        walk[stepping.STEP] = 10.0
+        tried += 1
+        assert tried < 1000
+    assert counts[stepping.REJECTIONS] == tried > 100
+    assert stepping.ended(walk, counts, control, 600.0) == stepping.STALLED
 
 
 def test_threads_and_chunks_keep_the_result(divided):

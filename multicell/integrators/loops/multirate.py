@@ -393,8 +393,13 @@ def adaptive_multirate(source, pairs, position, length, radius, counts, control)
             age += 1
             if age % _AGE:
                 continue
+            longest = math.inf
+        else:
+            # errors of unstable steps tell little of another grouping: a step that was refused
+            # with the old one might otherwise be tried again for ever
+            longest = walk[STEP]
         ratio, factor = _grouped(error, is_fast, ratio, most)
         if factor != 1.0:
-            walk[STEP] *= min(factor, 5.0)
+            walk[STEP] = min(walk[STEP] * min(factor, 5.0), longest)
             built = -1
     return Report(DONE, length, walk[STEP], -1, 0.0, walk[WORST]), pairs
