@@ -32,8 +32,15 @@ def stiffness_scale(system: Mechanics) -> float:
     """Return the order of magnitude of the largest decay rate λ, 1/s, without any evaluation.
 
     That of packed cells of mean size and of the largest modulus, pressed together by half
-    their effective radius.
+    their effective radius. Found once for a coupling step, since with few cells it costs as much as
+    some evaluations.
     """
+    if system.stiffness_scale is None:
+        system.stiffness_scale = _stiffness_scale(system)
+    return system.stiffness_scale
+
+
+def _stiffness_scale(system: Mechanics) -> float:
     motion = system.motion
     if len(system) < 2:
         return 0.0

@@ -100,6 +100,8 @@ class Mechanics:
         self._pairs: neighbours.PairList | None = None
         self._linear: Linearisation | None = None
         self._pair_friction: PairFriction | None = None
+        # of the coupling step, once multicell.integrators.limits has found it, 1/s
+        self.stiffness_scale: float | None = None
 
     def begin(self, motion: Motion) -> None:
         """Take the radii and moduli for a coupling step; the old list is dropped.
@@ -110,6 +112,7 @@ class Mechanics:
             If the motion's pairs with an offset or their offsets have no meaning.
         """
         self.motion = motion
+        self.stiffness_scale = None
         n = len(motion.radius)
         bonded = motion.bonds is not None
         width = 7 if bonded else 5
