@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields
 from enum import IntEnum
+from functools import cache
 from typing import Any, final
 
 import numpy as np
@@ -44,10 +45,6 @@ class State(IntEnum):
     QUIESCENT = 1
     NECROTIC = 2
     APOPTOTIC = 3
-
-
-DEAD = (State.NECROTIC, State.APOPTOTIC)
-"""The states of cells that only lose volume until they are removed."""
 
 
 def _column(dtype: type, unit: str, *, width: int | None = None, optional: bool = False) -> Any:
@@ -119,11 +116,11 @@ class Cells:
 
     def __post_init__(self) -> None:
         n = len(self.id)
-        for name, column in self.columns():
-            spec = self.__dataclass_fields__[name].metadata
-            shape = (n,) if spec["width"] is None else (n, spec["width"])
+        for name, (dtype, width) in _layout().items():
+            column = getattr(self, name)
+            shape = (n,) if width is None else (n, width)
             column = np.zeros(shape) if column is None else column
-            array = np.ascontiguousarray(column, dtype=spec["dtype"])
+            array = np.ascontiguousarray(column, dtype=dtype)
             if array.shape != shape:
                 raise ValueError(f"cells.{name} has shape {array.shape}, expected {shape}")
             setattr(self, name, array)
@@ -136,10 +133,15 @@ class Cells:
         """Volume of each cell as a free sphere, (n,), µm³."""
         return np.asarray(SPHERE * self.radius**3)
 
+    @property
+    def dead(self) -> NDArray[np.bool_]:
+        """Which cells only lose volume until they are removed, (n,)."""
+        return np.asarray((self.state == State.NECROTIC) | (self.state == State.APOPTOTIC))
+
     def columns(self) -> Iterator[tuple[str, NDArray[Any]]]:
         """Yield the name and the array of every column, in the order of declaration."""
-        for spec in fields(self):
-            yield spec.name, getattr(self, spec.name)
+        for name in _layout():
+            yield name, getattr(self, name)
 
     def take(self, index: NDArray[Any]) -> Cells:
         """Return copies of the cells at ``index`` (integers or a mask), in that order."""
@@ -180,3 +182,9 @@ class Cells:
                 for name, s in cls.schema().items()
             }
         )
+
+
+@cache
+def _layout() -> dict[str, tuple[Any, int | None]]:
+    """Return element type and width of every column by name; to ask a dataclass takes longer."""
+    return {spec.name: (spec.metadata["dtype"], spec.metadata["width"]) for spec in fields(Cells)}

@@ -24,13 +24,6 @@ from multicell.errors import SceneError
 UIntArray = NDArray[np.uint64]
 
 _WORD = 2**64
-_MASK = _WORD - 1
-_LOW = np.uint64(0xFFFFFFFF)
-_HALF = np.uint64(32)
-# the multipliers and the key increments of the paper (golden ratio, sqrt(3) - 1)
-_MULTIPLIERS = (np.uint64(0xD2E7470EE14C6C93), np.uint64(0xCA5A826395121157))
-_WEYL = (0x9E3779B97F4A7C15, 0xBB67AE8584CAA73B)
-_ROUNDS = 10
 
 
 @final
@@ -52,15 +45,6 @@ class Purpose(IntEnum):
     EIGENVECTOR = 13
 
 
-def _product(a: np.uint64, b: UIntArray) -> tuple[UIntArray, UIntArray]:
-    """Return the high and the low word of the 128-bit product ``a * b``."""
-    a_high, a_low = a >> _HALF, a & _LOW
-    b_high, b_low = b >> _HALF, b & _LOW
-    middle = a_high * b_low + ((a_low * b_low) >> _HALF)
-    other = a_low * b_high + (middle & _LOW)
-    return a_high * b_high + (middle >> _HALF) + (other >> _HALF), a * b
-
-
 def philox(counter: UIntArray, key: tuple[int, int]) -> UIntArray:
     """Return the Philox4x64-10 block of each counter.
 
@@ -76,15 +60,13 @@ def philox(counter: UIntArray, key: tuple[int, int]) -> UIntArray:
     (4, ...) uint64
         Four random words a block, bit for bit those of ``numpy.random.Philox``.
     """
-    # at least one axis a word: NumPy warns of the intended overflow on bare numbers only
-    x0, x1, x2, x3 = counter.reshape(4, -1)
-    k0, k1 = key
-    for _ in range(_ROUNDS):
-        high0, low0 = _product(_MULTIPLIERS[0], x0)
-        high1, low1 = _product(_MULTIPLIERS[1], x2)
-        x0, x1, x2, x3 = high1 ^ x1 ^ np.uint64(k0), low1, high0 ^ x3 ^ np.uint64(k1), low0
-        k0, k1 = (k0 + _WEYL[0]) & _MASK, (k1 + _WEYL[1]) & _MASK
-    return np.stack([x0, x1, x2, x3]).reshape(counter.shape)
+    # numba is loaded by what draws numbers, not by what only names their purposes
+    from multicell.philox import blocks
+
+    words = np.ascontiguousarray(counter, dtype=np.uint64).reshape(4, -1)
+    out = np.empty_like(words)
+    blocks(words, np.uint64(key[0]), np.uint64(key[1]), out)
+    return out.reshape(counter.shape)
 
 
 def uniform(

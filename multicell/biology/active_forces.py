@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from multicell import random
-from multicell.cells import DEAD, Cells, FloatArray
+from multicell.cells import Cells, FloatArray
 from multicell.random import Purpose
 
 if TYPE_CHECKING:
@@ -119,7 +119,7 @@ def push(
         total[:, :3] += haptotactic_force(scene, cells)
     if scene.types:
         total *= np.array([part.motility_scale for part in scene.types.values()])[cells.kind, None]
-    total[np.isin(cells.state, DEAD)] = 0.0
+    total[cells.dead] = 0.0
     if scene.pull is not None:
         total += pulling_force(scene, cells, time)
     return total

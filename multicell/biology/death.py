@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from multicell import random
 from multicell.biology.growth import birth_volume
-from multicell.cells import DEAD, Cells
+from multicell.cells import Cells
 from multicell.random import Purpose
 
 if TYPE_CHECKING:
@@ -94,6 +94,6 @@ def remove_lysed(scene: Scene, cells: Cells) -> tuple[Cells, int]:
     if scene.death is None:
         return cells, 0
     smallest = scene.death.removal_fraction * birth_volume(scene)
-    gone = np.isin(cells.state, DEAD) & (cells.volume < smallest)
+    gone = cells.dead & (cells.volume < smallest)
     removed = int(gone.sum())
     return (cells.take(~gone), removed) if removed else (cells, 0)

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from multicell.biology.cycle import may_grow
 from multicell.biology.growth import birth_volume, growth_factor
-from multicell.cells import DEAD, Cells, FloatArray, State
+from multicell.cells import Cells, FloatArray, State
 from multicell.scene.scales import regime
 
 if TYPE_CHECKING:
@@ -112,7 +112,7 @@ def step_error(
     if not scene.growth.phases:
         born = cells.id >= next_id
         error[born] -= cells.volume[born] - birth
-    living = ~np.isin(cells.state, DEAD)
+    living = ~cells.dead
     if not living.any():
         return StepError(float(error.sum()))
     relative = error[living] / cells.volume[living]

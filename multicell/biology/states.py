@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.biology.death import apoptotic, necrotic
-from multicell.cells import DEAD, Cells, FloatArray, State
+from multicell.cells import Cells, FloatArray, State
 from multicell.scene.coupling import fixed_step
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ def update_states(
         If a nutrient of the scene has no concentrations.
     """
     critical = None if scene.growth is None else scene.growth.critical_pressure
-    dies = apoptotic(scene, cells, time) & ~np.isin(cells.state, DEAD)
+    dies = apoptotic(scene, cells, time) & ~cells.dead
     if not scene.nutrients and critical is None:
         return np.where(dies, State.APOPTOTIC, cells.state).astype(np.int8)
     beyond = np.zeros(len(cells), dtype=bool)

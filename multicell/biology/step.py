@@ -17,7 +17,7 @@ from multicell.biology.death import remove_lysed
 from multicell.biology.division import divide
 from multicell.biology.growth import growth_factor, volumes_after
 from multicell.biology.states import deciding, restricted, unfavourable, update_states
-from multicell.cells import DEAD, SPHERE, Cells, FloatArray
+from multicell.cells import SPHERE, Cells, FloatArray
 from multicell.scene.coupling import fixed_step
 from multicell.scene.domain import check_inside
 
@@ -75,7 +75,7 @@ def aged(
         for name in ("state", "phase", "progress", "phase_length"):
             setattr(after, name, getattr(grown.cycling, name))
     bind(scene, after, cells, concentrations, end)
-    dead = np.isin(cells.state, DEAD)
+    dead = cells.dead
     # what the dead took up when they swelled counts against what they lose
     lost = cells.radius[dead] ** 3 - grown.radius[dead] ** 3
     return after, SPHERE * float(lost.sum())
@@ -118,6 +118,6 @@ def decide(
         due = deciding(cells, fixed_step(scene) or dt, scene.cells.reaction_time)
         well = ~unfavourable(scene, cells, concentrations)
         leave_rest(scene, cells, due & well)
-    dead = (cells.state != before) & np.isin(cells.state, DEAD)
+    dead = (cells.state != before) & cells.dead
     cells.age[dead] = 0.0
     return np.asarray(dead)

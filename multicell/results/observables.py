@@ -14,7 +14,7 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.cells import DEAD, Cells, FloatArray, IntArray, State
+from multicell.cells import Cells, FloatArray, IntArray, State
 from multicell.results.frame import Field, Frame
 
 Mask = NDArray[np.bool_]
@@ -166,7 +166,7 @@ def pressure_summary(cells: Cells, critical: float) -> dict[str, float | int]:
         rate of growth, over all living cells, NaN if none lives. ``held_by_pressure``: number of
         living cells in which it is 1/2 or less.
     """
-    living = cells.pressure[~np.isin(cells.state, DEAD)]
+    living = cells.pressure[~cells.dead]
     factor = np.clip(1.0 - living / critical, 0.0, 1.0)
     mean = float(factor.mean()) if len(factor) else float("nan")
     return {"pressure_factor": mean, "held_by_pressure": int((factor <= 0.5).sum())}
