@@ -2,7 +2,7 @@
 
 Problem   the scenes of the chart, each with all methods that can hold it, beside CVODE as
           scikit-sundae sets it up; growing and driven scenes are compared step by step
-Cost      about 40 minutes on 2 cores (the budgets are printed); --quick takes a tenth
+Cost      about half an hour on a core (the budgets are printed); --quick takes a tenth
 Command   python docs/which_integrator.py            (or with names of cases: settle-1000 ...)
 
 Each case that is finished is kept as CSV and JSON in docs/chart-data, and is not computed again
@@ -62,27 +62,45 @@ class Case:
 
 
 FLAT = {"dimensions": 2}
-LADDERS = {
+STEPWISE = {
     # step by step cells have moved little when a step ends: finer tolerances tell no more
-    "tolerance": [10.0 ** (-0.5 * k) for k in range(2, 11)],
-    # takes so long on these scenes that its budget must not go where it misses 1 %
-    "sundials-defaults": [1e-2, 1e-3, 1e-4, 1e-5],
+    "ladder": {
+        "tolerance": [10.0 ** (-0.5 * k) for k in range(2, 10)],
+        # takes so long on these scenes that its budget must not go where it misses 1 %
+        "sundials-defaults": [1e-2, 1e-3, 1e-4],
+    },
+    # tighter ones would take longer than all that is compared
+    "references": [("rkc2", 1e-6), ("dopri5", 1e-6)],
+    "repeats": 2,
 }
+"""How single steps are compared."""
+FEW = (
+    "auto", "cvode", "cvode-adams", "rosenbrock", "rkc2", "dopri5", "ab2-adaptive", "ab2", "euler",
+    "rk4", "multirate-euler",
+)  # fmt: skip
+"""Methods that are compared on single steps of large populations."""
+OTHERS = (
+    Case("growth at 1.5 kPa s", "growth", {"drag.viscosity": 1.5}, 150, 24),
+    Case("monolayer", "monolayer", {"duration": "6 d"}, 150, 24),
+    Case("emt6", "emt6", {"duration": "12 h"}, 200, 12),
+)
+"""Scenes by which nothing in `auto` was chosen."""
 CASES = (
-    Case("doublet", "doublet-settle", budget=30),
-    Case("doublet, released at first contact", "doublet-settle", {"initial.spacing": 1.0}, 30),
-    Case("division-shock", "division-shock", budget=60),
-    Case("settle-1000", "settle-1000", budget=75),
-    Case("stiff-inclusions", "stiff-inclusions", budget=120),
+    Case("doublet", "doublet-settle", budget=20),
+    Case("doublet, released at first contact", "doublet-settle", {"initial.spacing": 1.0}, 20),
+    Case("division-shock", "division-shock", budget=40),
+    Case("settle-1000", "settle-1000", budget=40),
+    Case("stiff-inclusions", "stiff-inclusions", budget=60),
     Case("grow-2000 at 5 kPa s", "grow-2000", {"drag.viscosity": 5.0}, 150, 24),
-    Case("grow-2000 at 0.5 kPa s", "grow-2000", {"drag.viscosity": 0.5}, 220, 24),
-    Case("grow-2000 at 0.05 kPa s", "grow-2000", {"drag.viscosity": 0.05}, 300, 12),
+    Case("grow-2000 at 0.5 kPa s", "grow-2000", {"drag.viscosity": 0.5}, 250, 24),
+    Case("grow-2000 at 0.05 kPa s", "grow-2000", {"drag.viscosity": 0.05}, 250, 12),
     Case("sorting", "sorting", {}, 200, 24),
     Case("spheroid to 5000 cells", "spheroid", {"stop_cells": 5000}, 200, 24),
-    Case("division-shock in 2D", "division-shock", FLAT, 40),
-    Case("settle-1000 in 2D", "settle-1000", FLAT, 60),
+    Case("division-shock in 2D", "division-shock", FLAT, 30),
+    Case("settle-1000 in 2D", "settle-1000", FLAT, 30),
     Case("sorting in 2D", "sorting", FLAT, 100, 24),
     Case("grow-2000 in 2D at 0.5 kPa s", "grow-2000", FLAT | {"drag.viscosity": 0.5}, 120, 24),
+    *OTHERS,
 )
 
 
@@ -135,15 +153,14 @@ def compared(
     radius = float(mc.Simulation(scene).cells.radius.mean())
     return mc.compare(
         scene,
-        [*METHODS, sundials_defaults(radius)],
-        LADDERS if case.stepwise else None,
+        [*(FEW if case.stepwise else METHODS), sundials_defaults(radius)],
         stepwise=case.stepwise or False,
         clock=clock,
         budget=share * case.budget,
         # a method that is hopeless here must not eat up the time of the others
         patience=share * case.budget / 15.0,
-        repeats=3 if case.stepwise else 5,
         progress=tell,
+        **(STEPWISE if case.stepwise else {"repeats": 5}),
     )
 
 
