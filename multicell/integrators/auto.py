@@ -31,7 +31,10 @@ way that fast modes carry the fastest cell, its speed over λ, in tolerances:
   tissue that grows takes a few steps, however stiff it is, one with fresh daughters nearly as many
   as an explicit method. All that times 1.25: what an implicit method is off by differs more;
 - ``cvode``, where friction between cells rules that out: a ((6 + 2.5 lg z) θ^0.1 + 2000 / n) with
-  a = 8 z^0.22 θ^-0.25 steps, at the same part of the tolerances.
+  a = 8 z^0.22 θ^-0.25 steps, at the same part of the tolerances;
+- ``cvode`` in place of ``rosenbrock`` also where there are no fast modes to follow (δ < 0.001):
+  (73 + 10600 / n) θ^-0.12, however stiff. Its order pays where motion is smooth: in growing tissue
+  of 1,000 cells it takes a half of the time and is no further off.
 
 What runs through Python at every evaluation costs the explicit methods 300 / n evaluations more.
 """
@@ -70,6 +73,8 @@ _TIGHT = 0.03
 """θ up to which a method of order 5 may cost less than Adams-Bashforth."""
 _CALL = 2.0e3
 """Evaluations times cells that the calls of Python in a step of CVODE cost."""
+_SMOOTH, _CALLS = 73.0, 1.06e4
+"""Evaluations that CVODE costs where there are no fast modes to follow, and those times cells."""
 _PRODUCT = 110.0
 """The same of a product in the Rosenbrock method."""
 _START = 2900.0
@@ -301,6 +306,8 @@ def predicted(
         theta *= finer
         steps = 8.0 * z**0.22 * theta**-0.25
         costs["cvode"] = steps * ((6.0 + 2.5 * math.log10(z)) * theta**0.1 + _CALL / n)
+    elif fast <= _QUIET:
+        costs["cvode"] = _CAUTION * (_SMOOTH + _CALLS / n) * theta**-0.12
     else:
         costs["rosenbrock"] = _CAUTION * _rosenbrock(n, z, finer * theta, fast / finer)
     return costs
