@@ -189,6 +189,7 @@ def _legend(figure: Figure) -> None:
                   fontsize=10.5, columnspacing=1.6, handlelength=1.8)  # fmt: skip
     figure.text(
         0.075, 0.03, "In each tile the best method and its lead over the other kind; bold: "
-        "the lead is significant over the seeds; ?: it is not",
+        "the lead is significant over the seeds; ?: it is not. Without a dot the line lies beyond "
+        "what was tried",
         fontsize=10, color=QUIET,
     )  # fmt: skip
