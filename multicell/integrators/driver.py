@@ -181,7 +181,7 @@ def _borrow(system: Mechanics, counts: Any) -> tuple[Any, forces.PairData]:
         pairs, reference = system._pair_data, np.array(system._cells.reference)
     cells = forces.CellData(
         system.chunk,
-        (0.5 * system._skin) ** 2,
+        system._margin,
         reference,
         motion.radius,
         motion.radius_rate,
@@ -191,8 +191,8 @@ def _borrow(system: Mechanics, counts: Any) -> tuple[Any, forces.PairData]:
     shared = system.threads > 1 and chunks >= system.shared_chunks
     kind = stepping.Shared if shared else stepping.Serial
     source = kind(
-        cells, system._offsets.data, system._law, system._list_radius, system._skin, system._rows,
-        counts,
+        cells, system._offsets.data, system._law, system._list_radius, system._least_margin,
+        system._rows, counts,
     )  # fmt: skip
     return source, pairs
 

@@ -48,13 +48,13 @@ _BLOCK = 1024
 
 
 class Serial(NamedTuple):
-    """What the kernels need besides the pairs; ``cells.reference`` is written here."""
+    """What the kernels need besides the pairs; ``cells.reference`` and ``.margin`` are written."""
 
     cells: forces.CellData
     offsets: forces.OffsetData | None
     law: Any
     reach: FloatArray
-    skin: float
+    least_margin: float
     rows: FloatArray
     counts: NDArray[np.int64]
 
@@ -66,7 +66,7 @@ class Shared(NamedTuple):
     offsets: forces.OffsetData | None
     law: Any
     reach: FloatArray
-    skin: float
+    least_margin: float
     rows: FloatArray
     counts: NDArray[np.int64]
 
@@ -169,12 +169,18 @@ def _evaluation(forces_at, rebuild):
             if not _is_finite(position):
                 return NOT_FINITE, pairs
             source.counts[LIST_BUILDS] += 1
+            cells = source.cells
+            reach = neighbours.widened(
+                position, cells.reference, source.reach, source.least_margin, cells.margin
+            )
             crowded, first, second, start, inner_end, outer_end = rebuild(
-                position, source.reach, source.skin, source.cells.chunk
+                position, reach, 0.0, cells.chunk
             )
             if crowded:
+                # the old list does not fit the new margins: the next state builds anew
+                cells.reference[:] = np.nan
                 return REJECTED, pairs
-            copy(position, source.cells.reference)
+            copy(position, cells.reference)
             pairs = forces.PairData(
                 first, second, start, inner_end, outer_end, pairs.sticky, pairs.unit, pairs.onset
             )

@@ -57,13 +57,13 @@ class OffsetData(NamedTuple):
 class CellData(NamedTuple):
     """What is known of the cells over a coupling step; times count from its beginning.
 
-    ``reference`` are the positions that the list was built at, ``limit`` the squared drift
-    that it allows. ``bonds`` is (n, 4) with receptor, ligand and their rates, ``push`` (n, 6)
+    ``reference`` are the positions that the list was built at, ``margin`` how far each cell may
+    drift from there, µm. ``bonds`` is (n, 4) with receptor, ligand and their rates, ``push`` (n, 6)
     with an external force and its rate, nN and nN/s; None where absent.
     """
 
     chunk: int
-    limit: float
+    margin: NDArray[np.float64]
     reference: NDArray[np.float64]
     radius: NDArray[np.float64]
     radius_rate: NDArray[np.float64]
@@ -130,7 +130,7 @@ def _bonded(bond, count, overlap, radius):
 def _pack_chunk(c, cells, position, elapsed, rows):
     """Fill the rows of one chunk at a time ``elapsed``; return 1 if a cell has drifted.
 
-    Drifted means further than √``limit`` from ``reference``, or not a number.
+    Drifted means further than its ``margin`` from ``reference``, or not a number.
     """
     drifted = 0
     begin, end = c * cells.chunk, min((c + 1) * cells.chunk, rows.shape[0])
@@ -143,7 +143,7 @@ def _pack_chunk(c, cells, position, elapsed, rows):
         x -= cells.reference[i, 0]
         y -= cells.reference[i, 1]
         z -= cells.reference[i, 2]
-        drifted |= not (x * x + y * y + z * z <= cells.limit)
+        drifted |= not (x * x + y * y + z * z <= cells.margin[i] * cells.margin[i])
     _pack_bonds(cells.bonds, begin, end, elapsed, rows)
     return drifted
 

@@ -66,7 +66,8 @@ class Mechanics:
     threads
         With more than one, chunks of cells are shared among threads; same bits.
     skin
-        Margin of the neighbour list as a fraction of the mean radius.
+        Least distance between surfaces over which the neighbour list holds pairs beyond what the
+        law asks for, as a fraction of the mean radius; it widens round cells that move far.
     chunk
         Cells that one thread works on at a time; it decides the order of the sums.
     shared_chunks
@@ -98,6 +99,7 @@ class Mechanics:
     def __post_init__(self) -> None:
         self.drag = stokes_drag(self.viscosity)
         self._pairs: neighbours.PairList | None = None
+        self._cells: forces.CellData
         self._linear: Linearisation | None = None
         self._pair_friction: PairFriction | None = None
         # of the coupling step, once multicell.integrators.limits has found it, 1/s
@@ -124,8 +126,9 @@ class Mechanics:
         self._rows = np.zeros((n, width))
         self._rows[:, 4] = compliance(motion.young, motion.poisson)
         largest = np.maximum(motion.radius, motion.end_radius)
-        self._skin = self.skin * float(largest.mean()) if n else 0.0
         self._list_radius = self._reaching(largest)
+        self._least_margin = 0.5 * self.skin * float(largest.mean()) if n else 0.0
+        self._margin = np.full(n, self._least_margin)
         self._pairs = self._linear = None
         self._offsets = Offsets.of(n, motion.offset_pairs, motion.offset, self._values_of)
         self._blocks = np.empty((n, 6))
@@ -343,16 +346,20 @@ class Mechanics:
             raise StateRejected("a position is not a number")
         self.work.list_builds += 1
         reference = np.array(position)
+        last = self._cells.reference if self._pairs is not None else np.full((len(self), 3), np.nan)
+        reach = neighbours.widened(
+            reference, last, self._list_radius, self._least_margin, self._margin
+        )
         try:
-            pairs = neighbours.build(
-                reference, self._list_radius, self._skin, self._list_threads(), self.chunk
-            )
+            pairs = neighbours.build(reference, reach, 0.0, self._list_threads(), self.chunk)
         except neighbours.TooManyPairsError as error:
+            # the old list does not fit the new margins
+            self._pairs = None
             raise StateRejected(f"cells lie on top of each other ({error})") from error
         motion = self.motion
         self._cells = forces.CellData(
             self.chunk,
-            (0.5 * self._skin) ** 2,
+            self._margin,
             reference,
             motion.radius,
             motion.radius_rate,

@@ -49,7 +49,9 @@ def test_overhead(benchmark, name, cells):
     plain = mechanics(radius, young, duration=60.0)
     plain.velocity(0.0, position, out)
     evaluation = fastest(lambda: plain.velocity(0.0, position, out), 50)
-    build = fastest(lambda: neighbours.build(position, plain._list_radius, plain._skin, 1), 10)
+    build = fastest(
+        lambda: neighbours.build(position, plain._list_radius + plain._margin, 0.0, 1), 10
+    )
     system = mechanics(radius, young, duration=60.0)
 
     def run():

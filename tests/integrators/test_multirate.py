@@ -181,7 +181,7 @@ def test_threads_and_chunks_keep_the_result(divided):
 def test_lists_are_built_anew_among_the_short_steps(divided):
     """With hardly any margin a fast cell leaves the list's reach within a long step."""
     place, radius, young, exact = divided
-    system = mechanics(radius, young, Hertz(), duration=60.0, skin=1e-3)
+    system = mechanics(radius, young, Hertz(), duration=60.0, skin=1e-5)
     outcome = MultirateEuler(1e-9, 1e-3, max_steps=10**6).integrate(system, place)
     assert np.abs(outcome.position - exact).max() < 1e-3
     assert system.work.list_builds > 3 * system.work.steps / 2

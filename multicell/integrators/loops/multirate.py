@@ -206,7 +206,7 @@ def _compiled_part(source, pairs, is_fast):
         room = np.empty((member.size, 3))
         cells = forces.CellData(
             member.size,
-            source.cells.limit,
+            _entries_of(source.cells.margin, member),
             _rows_of(source.cells.reference, member),
             _entries_of(source.cells.radius, member),
             _entries_of(source.cells.radius_rate, member),
