@@ -6,7 +6,8 @@ evaluation a step. Only where that would take more than ``PATIENCE`` evaluations
 show after a few of them, is the largest decay rate measured, and the cheapest method goes over
 the coupling step from its beginning. With many cells, or where evaluations are dear, a look at J v
 (:func:`at_a_glance`) may tell beforehand that the attempt would be in vain; with few a choice would
-cost more than a method that is not the best, and Adams-Bashforth's own steps decide.
+cost more than a method that is not the best, and Adams-Bashforth's own steps decide, unless λΔt is
+large by the order of magnitude of λ: then it is measured at once.
 
 The choice depends on the state at the beginning of the coupling step and on the options, on
 nothing else: a run that is resumed chooses as the uninterrupted one. Costs are counted in
@@ -67,6 +68,9 @@ _LOOK_FROM = 200
 """Cells from which on a look at J v is cheaper than an attempt in vain."""
 _SUSPECT = 60.0
 """λΔt, by the order of magnitude of λ, from which on such a look is worth while."""
+_IN_VAIN = 1.5
+"""λΔt over the patience from which on an attempt is in vain: Adams-Bashforth would take λΔt / 0.8
+evaluations, and λ itself is measured for less than is lost."""
 _TENS = 10.0
 """δ of a tissue of which nothing is known but that it is stiff."""
 _TIGHT = 0.03
@@ -174,15 +178,19 @@ class Auto(ErrorControl):
         n = max(len(system), 1)
         dear = needs_python(system)
         length = system.motion.end - system.motion.begin
-        suspect = stiffness_scale(system) * length > _SUSPECT
-        if suspect and (n >= _LOOK_FROM or dear):
+        patience = PATIENCE + _CHOICE / n
+        scale = stiffness_scale(system) * length
+        if n < _LOOK_FROM and scale > _IN_VAIN * patience and not dear:
+            choice = choose(system, position, self.rtol, self.atol)
+            if choice.stiffness > _IN_VAIN * patience:
+                return Outcome(system.motion.begin, position, "it is not mild"), choice
+        if scale > _SUSPECT and (n >= _LOOK_FROM or dear):
             choice = at_a_glance(system, position, self.rtol, self.atol)
             if choice.method not in (MILD, Dopri5.info.name):
                 if n >= _LOOK_FROM and not choice.clear:
                     choice = choose(system, position, self.rtol, self.atol)
                 return Outcome(system.motion.begin, position, "it is not mild"), choice
         before = system.work.steps
-        patience = PATIENCE + _CHOICE / n
         first = AdaptiveAdams(
             self.rtol, self.atol, self.max_steps, self.max_displacement, int(patience)
         )
