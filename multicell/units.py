@@ -21,6 +21,7 @@ BASE_UNITS = "um, s, nN, amol; hence kPa = nN/um^2, nN/um = mN/m, kPa s, mM = am
 
 _UNITS = {
     "um": (1e-6, 1e6, "a length", "5 um"),
+    "um^3": (1e-3, 1e18, "a volume", "1e8 um^3"),
     "s": (1e-6, 1e12, "a time", "15 h"),
     "kPa": (1e-9, 1e10, "a pressure or modulus", "1 kPa"),
     "nN": (1e-12, 1e9, "a force", "1 nN"),
@@ -39,8 +40,8 @@ _UNITS = {
 RANGES = {unit: entry[:2] for unit, entry in _UNITS.items()}
 """Smallest and largest size of a number other than zero that a scene may hold, by its unit.
 
-Far beyond any use: lengths from a picometre to a metre, times from a microsecond to thirty thousand
-years, moduli from a micropascal to beyond diamond, viscosities from half of air's to a
+Far beyond any use: lengths from a picometre to a metre, volumes to a cubic metre,
+times from a microsecond to thirty thousand years, moduli from a micropascal to beyond diamond, viscosities from half of air's to a
 thousand times that of glass at its transition, concentrations from a femtomole per litre to beyond
 any pure substance, diffusion up to a hundred times that in gases. Inside, a product of a dozen such
 numbers stays far from the ends of a float (1e-308 and 1e308), so that no formula overflows or loses

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import final
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Final, final
+
+if TYPE_CHECKING:
+    from multicell.nutrient.finite import Stirred
+
+_MEDIUM: Final = ("held", "level", "fresh", "discarded", "spoiled", "changes")
 
 
 @final
@@ -32,6 +37,16 @@ class Ledger:
         What the grid gained with medium that it came to enclose when it followed the tissue.
     stored
         What a transient field holds now beyond what it held at the start.
+    held : float or None
+        What the stirred part of a finite medium holds now; None where the medium is not finite.
+    level : float, mM
+        Its concentration.
+    fresh, discarded
+        What fresh medium brought to it, at the start and at changes, and what the old took along.
+    spoiled
+        What decayed in it.
+    changes
+        How many changes of the medium have been done.
     """
 
     inflow: float = 0.0
@@ -43,6 +58,26 @@ class Ledger:
     outflow: float = 0.0
     content: float = 0.0
     washed: float = 0.0
+    held: float | None = None
+    level: float = 0.0
+    fresh: float = 0.0
+    discarded: float = 0.0
+    spoiled: float = 0.0
+    changes: float = 0
+
+    def kept(self) -> dict[str, float]:
+        """Return what another ledger can be made from; without a medium that is not finite."""
+        return {
+            name: value
+            for name, value in asdict(self).items()
+            if name not in _MEDIUM or self.held is not None
+        }
+
+    def note(self, medium: Stirred) -> None:
+        """Take over the account of a finite medium."""
+        self.held, self.level = medium.amount, medium.concentration
+        self.fresh, self.discarded = medium.fresh, medium.discarded
+        self.spoiled, self.changes = medium.decayed, medium.changes
 
     def add(
         self,
@@ -89,7 +124,16 @@ class Ledger:
     def relative_remainder(self) -> float:
         """Size of the remainder over the larger of turnover and content; 0 where all is zero."""
         scale = max(self.turnover, self.content)
-        return abs(self.remainder) / scale if scale > 0.0 else 0.0
+        found = abs(self.remainder) / scale if scale > 0.0 else 0.0
+        if self.held is None or not self.fresh > 0.0:
+            return found
+        return max(found, abs(self.medium_remainder) / self.fresh)
+
+    @property
+    def medium_remainder(self) -> float:
+        """What fresh medium brought that went nowhere and is not there, amol."""
+        gone = self.discarded + self.spoiled + self.inflow + self.relaid
+        return self.fresh - gone - (self.held or 0.0)
 
     def summary(self) -> dict[str, float]:
         """Return totals in amol, and the remainder relative to turnover or content."""
@@ -105,4 +149,17 @@ class Ledger:
             "content": self.content,
             "remainder": self.remainder,
             "relative_remainder": self.relative_remainder,
+            **self._medium(),
+        }
+
+    def _medium(self) -> dict[str, float]:
+        """Return the account of a finite medium, amol."""
+        if self.held is None:
+            return {}
+        return {
+            "medium_held": self.held,
+            "medium_fresh": self.fresh,
+            "medium_discarded": self.discarded,
+            "medium_decayed": self.spoiled,
+            "medium_remainder": self.medium_remainder,
         }

@@ -56,7 +56,11 @@ class Feeding:
         self._order = solving_order(scene.nutrients)
         parameters = {name: FieldParameters.of(scene, name) for name in self._order}
         self._parameters = parameters
-        self._steady = [name for name in self._order if parameters[name].regime == "steady"]
+        # a steady field in a finite medium goes on with what that holds: it is marched
+        self._steady = [
+            name for name in self._order
+            if parameters[name].regime == "steady" and scene.nutrients[name].finite_medium is None
+        ]  # fmt: skip
         self.fields = {name: NutrientField(name, parameters[name]) for name in scene.nutrients}
         self.ledger = {name: Ledger() for name in scene.nutrients}
         self.concentrations: dict[str, FloatArray] = {}
@@ -76,13 +80,17 @@ class Feeding:
         for name in self._order:
             capacity, production = self._demand(name, cells)
             field = self.fields[name]
-            if name in self._steady or self._nutrients[name].initial == "steady":
+            steady = self._parameters[name].regime == "steady"
+            if steady or self._nutrients[name].initial == "steady":
                 self.reports[name] = field.solve(
                     cells.position, capacity, production=production, radius=cells.radius, time=time
                 )
             else:
                 field.fill(cells.position, radius=cells.radius, time=time)
             self.ledger[name].add(0.0, 0.0, content=field.stored())
+            if self._nutrients[name].finite_medium is not None:
+                field.pour()
+            self._note_medium(name)
             self._sample(name, cells, capacity)
 
     def advance(
@@ -128,6 +136,7 @@ class Feeding:
                 )
                 if before is not None:
                     self._rate(name, demand[name], float(capacity.sum()), march.uptake)
+                self._note_medium(name)
             self._sample(name, cells, capacity)
 
     def kept(self) -> dict[str, Any]:
@@ -157,9 +166,17 @@ class Feeding:
         """Take fields, concentrations and accounts from a frame."""
         assert frame.progress is not None
         for name, field in self.fields.items():
+            self.ledger[name] = ledger = Ledger(**frame.progress.ledger[name])
             field.restore(frame.fields[name], frame.time)
+            if ledger.held is not None:
+                field.pour()
+                assert field.stirred is not None
+                field.stirred = replace(
+                    field.stirred, amount=ledger.held, fresh=ledger.fresh,
+                    discarded=ledger.discarded, decayed=ledger.spoiled, changes=int(ledger.changes),
+                )  # fmt: skip
+                field.restore(frame.fields[name], frame.time)
             self.concentrations[name] = np.array(frame.concentrations[name])
-            self.ledger[name] = Ledger(**frame.progress.ledger[name])
         self.reports = {
             name: FieldReport(**report)  # type: ignore[arg-type]
             for name, report in frame.progress.rates.items()
@@ -189,6 +206,8 @@ class Feeding:
             shells = isinstance(field.layout, ShellLayout)
             kind = "shells" if shells else "squares" if parameters.dimensions == 2 else "cubes"
             fields[name] = {"geometry": kind, "spacing": field.layout.spacing}
+            if field.stirred is not None:
+                fields[name]["medium"] = field.stirred.concentration
             if parameters.nutrient.layer is not None and isinstance(field.layout, ShellLayout):
                 self._rate_layer(
                     name, field.layout, parameters.nutrient.layer, cells, fields, notes
@@ -262,6 +281,18 @@ class Feeding:
         active = self._active(nutrient, cells)
         factor = dependence(nutrient, self.concentrations, len(cells))
         return np.asarray(nutrient.uptake * active * factor)
+
+    def _note_medium(self, name: str) -> None:
+        """Note what a finite medium holds."""
+        medium = self.fields[name].stirred
+        if medium is not None:
+            self.ledger[name].note(medium)
+
+    @property
+    def media(self) -> dict[str, float]:
+        """Concentrations of the finite media now, name -> mM."""
+        found = {name: field.stirred for name, field in self.fields.items()}
+        return {name: x.concentration for name, x in found.items() if x is not None}
 
     def _sample(self, name: str, cells: Cells, capacity: FloatArray) -> None:
         """Keep what the cells find and take up of a field."""

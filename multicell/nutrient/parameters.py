@@ -56,11 +56,14 @@ class FieldParameters:
         """``"box"``, ``"radial"`` or ``"auto"``; always a box in two dimensions."""
         return self.nutrient.geometry if self.dimensions == 3 else "box"
 
-    def sides(self, time: float) -> dict[str, Side]:
-        """Return the condition on every face at a time, with the medium's value filled in."""
+    def sides(self, time: float, medium: float | None = None) -> dict[str, Side]:
+        """Return the condition on every face at a time, with the medium's value filled in.
+
+        That is ``medium`` (mM) where it is given, else what the scene says of the time (s).
+        """
         from dataclasses import replace
 
-        medium = self.nutrient.medium(time)
+        medium = self.nutrient.medium(time) if medium is None else medium
         faces = ("r+", *_faces(self.dimensions))
         found = {face: _side(self.nutrient, face) for face in faces}
         return {

@@ -10,7 +10,7 @@ from multicell.cells import Phase
 from multicell.errors import SceneError
 from multicell.integrators.registry import METHODS
 from multicell.scene import domain as box
-from multicell.scene.scales import MAX_NODES, level_fixed, spacing
+from multicell.scene.scales import MAX_NODES, level_fixed, spacing, touches_medium
 from multicell.schema import near_miss
 
 if TYPE_CHECKING:
@@ -109,6 +109,7 @@ def check_nutrients(scene: Scene) -> None:
         _check_spacing(scene, path, nutrient)
         _check_sides(scene, path, nutrient)
         _check_medium(path, nutrient)
+        _check_finite(scene, path, nutrient)
         _check_layer(path, nutrient)
         if scene.domain is not None:
             _check_in_domain(scene, name)
@@ -171,6 +172,33 @@ def _check_sides(scene: Scene, path: str, nutrient: Nutrient) -> None:
 def _check_medium(path: str, nutrient: Nutrient) -> None:
     if nutrient.media is not None and nutrient.media[0][0] < 0.0:
         raise SceneError(f"{path}.media", f"begins at {nutrient.media[0][0]:g} s, before the run")
+
+
+def _check_finite(scene: Scene, path: str, nutrient: Nutrient) -> None:
+    """Check that a finite medium is all that a field exchanges with, and that it does."""
+    finite = nutrient.finite_medium
+    if finite is None:
+        return
+    for face, side in nutrient.sides.items():
+        for key in ("value", "derivative"):
+            if getattr(side, key):
+                problem = "supplies from elsewhere, but the medium is finite: nothing would add up"
+                hint = "Leave it out (the medium's value), or let the side be a wall of slope 0."
+                raise SceneError(f"{path}.sides.{face}.{key}", problem, hint)
+    if nutrient.perfusion == 0.0 and not touches_medium(nutrient, scene.dimensions):
+        hint = "Let one side be of type 'value' or 'mixed', or give a perfusion."
+        raise SceneError(f"{path}.finite_medium", "touches no side: all are walls", hint)
+    if nutrient.media_change == "linear":
+        problem = "is 'linear', but a finite medium changes by itself and is replaced at times"
+        raise SceneError(f"{path}.media_change", problem, "Leave it out.")
+    if scene.domain is not None:
+        height = nutrient.height or 2.0 * scene.cells.division_radius
+        flat = height if scene.dimensions == 2 else 1.0
+        covered = math.prod(box.sides(scene.domain)) * flat
+        if not finite.volume > covered:
+            problem = f"is {finite.volume:g} um^3, no more than the domain ({covered:g} um^3) holds"
+            hint = "It is the volume of all medium, in the domain and beyond it."
+            raise SceneError(f"{path}.finite_medium.volume", problem, hint)
 
 
 def _check_layer(path: str, nutrient: Nutrient) -> None:

@@ -17,6 +17,7 @@ from multicell.schema import (
     quantities,
     quantity,
     schedule,
+    table,
     tables,
 )
 
@@ -97,6 +98,33 @@ class Dependence:
 
 @final
 @parameters
+class FiniteMedium:
+    """A stirred volume of medium that the cells use up, in place of one that never changes.
+
+    It begins with the concentration ``boundary``, and at the times of ``media`` fresh medium of the
+    concentrations there takes the place of a part of it.
+    """
+
+    volume: float = quantity(
+        "um^3",
+        above=0,
+        doc="of the medium in all, with what the field's grid covers",
+        hint="A microlitre is 1e9 um^3.",
+    )
+    unstirred: float | None = quantity(
+        "um",
+        default=None,
+        at_least=1e-3,
+        at_most=1e6,
+        doc="thickness of a layer on the sides of the grid that is not stirred; absent: none",
+    )
+    replaced: float = number(
+        default=1.0, above=0, at_most=1, doc="part of the stirred medium that a change replaces"
+    )
+
+
+@final
+@parameters
 class Nutrient:
     """A dissolved substance: diffusion, boundary, Michaelis-Menten uptake, effect on the cells."""
 
@@ -121,6 +149,9 @@ class Nutrient:
         at_least=0,
         at_most=MOST,
         doc="[time, concentration] of the medium from these times on",
+    )
+    finite_medium: FiniteMedium | None = table(
+        FiniteMedium, default=None, doc="absent: the cells do not change the medium"
     )
     media_change: str = choice(
         ["steps", "linear"], default="steps", doc="at the times of media, or all the way between"

@@ -41,6 +41,7 @@ NAMES = {
 
 USUAL = {
     "um": (1.0, 50.0),
+    "um^3": (1e9, 1e13),
     "s": (60.0, 1e5),
     "kPa": (0.3, 10.0),
     "nN": (1e-3, 1.0),
@@ -60,6 +61,7 @@ USUAL = {
 
 OTHER_UNITS = {
     "um": ("mm", "nm", "micrometer", "dm"),
+    "um^3": ("uL", "mm^3", "nL"),
     "s": ("h", "min", "d", "ms"),
     "kPa": ("Pa", "MPa", "nN/um**2", "nN um^-2"),
     "kPa s": ("Pa s", "kPa*s", "nN s/um^2"),
@@ -439,6 +441,8 @@ def _fit_field(scene, field, earlier, fields, flat):
     if field.get("geometry") != "radial":
         field.pop("layer", None)
     _fit_sides(field, flat)
+    if "finite_medium" in field:
+        _fit_medium(field)
     if "diffusion_medium" in field:
         inside = base(field.get("diffusion", 2000.0))
         field["diffusion_medium"] = min(
@@ -447,6 +451,17 @@ def _fit_field(scene, field, earlier, fields, flat):
     if "necrosis" in field and "quiescence" in field:
         low, high = sorted((base(field["necrosis"]), base(field["quiescence"])))
         field["necrosis"], field["quiescence"] = low, high if high > low else 2.0 * low + 1e-3
+
+
+def _fit_medium(field):
+    """Let a finite medium be all that a field exchanges with, and larger than any grid here."""
+    volume = base(field["finite_medium"]["volume"])
+    field["finite_medium"]["volume"] = max(volume, 1e12)
+    field.pop("media_change", None)
+    for side in field.get("sides", {}).values():
+        side.pop("value", None)
+        if side.get("type") == "derivative":
+            side["derivative"] = 0.0
 
 
 def _fit_sides(field, flat):

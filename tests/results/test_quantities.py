@@ -29,6 +29,7 @@ SCENES = {
         "nutrients": {
             "oxygen": {"quiescence": 0.068, "necrosis": 0.01, "geometry": "radial", "layer": 40.0,
                        "sides": {}},
+            "glucose": {"finite_medium": {"volume": 1e9}},
             "waste_2": {"uptake": 0.0, "secretion": 3.0, "boundary": 0.0, "regime": "transient"},
         },
     },
