@@ -33,6 +33,7 @@ _UNITS = {
     "mM": (1e-12, 1e5, "a concentration", "0.07 mM"),
     "mM/um": (1e-15, 1e6, "a gradient of concentration", "1e-4 mM/um"),
     "amol/s": (1e-12, 1e12, "an amount per time", "20 amol/s"),
+    "amol/s/um^2": (1e-15, 1e9, "an amount per time and area", "1e-3 amol/s/um^2"),
     "1/s": (1e-15, 1e6, "a rate", "1e-5 1/s"),
     "1/um": (1e-9, 1e6, "an inverse length", "0.01 1/um"),
     "": (1e-12, 1e12, "a number", "1"),
@@ -41,11 +42,11 @@ RANGES = {unit: entry[:2] for unit, entry in _UNITS.items()}
 """Smallest and largest size of a number other than zero that a scene may hold, by its unit.
 
 Far beyond any use: lengths from a picometre to a metre, volumes to a cubic metre,
-times from a microsecond to thirty thousand years, moduli from a micropascal to beyond diamond, viscosities from half of air's to a
-thousand times that of glass at its transition, concentrations from a femtomole per litre to beyond
-any pure substance, diffusion up to a hundred times that in gases. Inside, a product of a dozen such
-numbers stays far from the ends of a float (1e-308 and 1e308), so that no formula overflows or loses
-what it needs to an underflow.
+times from a microsecond to thirty thousand years, moduli from a micropascal to beyond diamond,
+viscosities from half of air's to a thousand times that of glass at its transition, concentrations
+from a femtomole per litre to beyond any pure substance, diffusion up to a hundred
+times that in gases. Inside, a product of a dozen such numbers stays far from the ends of a float
+(1e-308 and 1e308), so that no formula overflows or loses what it needs to an underflow.
 """
 
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)(.*)", re.DOTALL)

@@ -47,6 +47,8 @@ class Ledger:
         What decayed in it.
     changes
         How many changes of the medium have been done.
+    injected : float or None
+        By points and planes; None where there are none.
     """
 
     inflow: float = 0.0
@@ -64,13 +66,15 @@ class Ledger:
     discarded: float = 0.0
     spoiled: float = 0.0
     changes: float = 0
+    injected: float | None = None
 
     def kept(self) -> dict[str, float]:
         """Return what another ledger can be made from; without a medium that is not finite."""
         return {
             name: value
             for name, value in asdict(self).items()
-            if name not in _MEDIUM or self.held is not None
+            if (name not in _MEDIUM or self.held is not None)
+            and (name != "injected" or value is not None)
         }
 
     def note(self, medium: Stirred) -> None:
@@ -92,6 +96,7 @@ class Ledger:
         stored: float = 0.0,
         content: float = 0.0,
         washed: float = 0.0,
+        injected: float = 0.0,
     ) -> None:
         """Add rates (amol/s) that held for a time ``dt`` (s), or amounts where it is left out.
 
@@ -103,6 +108,8 @@ class Ledger:
         self.decayed += decayed * dt
         self.outflow += outflow * dt
         self.washed += washed * dt
+        if injected:
+            self.injected = (self.injected or 0.0) + injected * dt
         self.relaid += relaid
         self.stored += stored
         self.content = max(self.content, content)
@@ -110,13 +117,14 @@ class Ledger:
     @property
     def remainder(self) -> float:
         """What came in and was secreted but neither left nor is there, amol."""
-        gained = self.inflow + self.secreted + self.relaid
+        gained = self.inflow + self.secreted + self.relaid + (self.injected or 0.0)
         return gained - self.uptake - self.decayed - self.stored
 
     @property
     def turnover(self) -> float:
         """The larger of all that was gained and all that was spent, with what passed, amol."""
         gained = max(self.inflow, 0.0) + self.secreted + max(self.relaid, 0.0)
+        gained += self.injected or 0.0
         spent = self.uptake + self.decayed + max(-self.inflow, 0.0) + max(-self.relaid, 0.0)
         return max(gained, spent, abs(self.stored)) + self.outflow + self.washed
 
@@ -149,6 +157,7 @@ class Ledger:
             "content": self.content,
             "remainder": self.remainder,
             "relative_remainder": self.relative_remainder,
+            **({} if self.injected is None else {"injected": self.injected}),
             **self._medium(),
         }
 

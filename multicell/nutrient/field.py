@@ -350,6 +350,11 @@ class NutrientField:
     ) -> FloatArray | None:
         """Return what the nodes gain by secretion and perfusion, mM/s, or None."""
         brought = self.parameters.nutrient.perfusion * medium
+        if self.parameters.nutrient.sources:
+            from multicell.nutrient.sources import injected
+
+            fixed = injected(layout, self.parameters.nutrient.sources) + brought
+            return fixed if production is None else fixed + layout.scatter(position, production)
         if production is None:
             return layout.filled(brought) if brought > 0.0 else None
         return layout.scatter(position, production) + brought

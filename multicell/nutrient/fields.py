@@ -114,9 +114,10 @@ class Feeding:
             with_cells = {"production": production, "radius": cells.radius}
             if name in self._steady:
                 old = self.reports[name]
+                injected = self._injected(name)
                 ledger.add(
-                    old.inflow, old.uptake, end - begin,
-                    secreted=old.produced, decayed=old.decayed, outflow=old.outflow,
+                    old.inflow, old.uptake, end - begin, injected=injected,
+                    secreted=old.produced - injected, decayed=old.decayed, outflow=old.outflow,
                     washed=old.washed,
                 )  # fmt: skip
                 self.reports[name] = field.solve(cells.position, capacity, time=end, **with_cells)
@@ -131,6 +132,7 @@ class Feeding:
                     decayed=march.decayed,
                     relaid=march.relaid,
                     washed=march.washed,
+                    injected=self._injected(name) * (end - begin),
                     stored=(now := field.stored()) - content,
                     content=now,
                 )
@@ -281,6 +283,15 @@ class Feeding:
         active = self._active(nutrient, cells)
         factor = dependence(nutrient, self.concentrations, len(cells))
         return np.asarray(nutrient.uptake * active * factor)
+
+    def _injected(self, name: str) -> float:
+        """Return what the sources of a field give, amol/s; points and planes do not change it."""
+        sources = self._nutrients[name].sources
+        if not sources:
+            return 0.0
+        from multicell.nutrient.sources import rate
+
+        return rate(self.fields[name].layout, sources)
 
     def _note_medium(self, name: str) -> None:
         """Note what a finite medium holds."""

@@ -190,7 +190,7 @@ class _Exchange:
             layout, self.kept, position, radius, begin
         )
         self.sink = layout.scatter(position, capacity)
-        self.source = None if production is None else layout.scatter(position, production)
+        self.source = field._supply(layout, position, production, 0.0)
         self.produced = 0.0 if production is None else float(np.sum(production)) * (end - begin)
         self.done = March(Amounts())
         self.decayed = self.washed = self.brought = 0.0

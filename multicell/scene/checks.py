@@ -110,6 +110,7 @@ def check_nutrients(scene: Scene) -> None:
         _check_sides(scene, path, nutrient)
         _check_medium(path, nutrient)
         _check_finite(scene, path, nutrient)
+        _check_sources(scene, path, nutrient)
         _check_layer(path, nutrient)
         if scene.domain is not None:
             _check_in_domain(scene, name)
@@ -199,6 +200,30 @@ def _check_finite(scene: Scene, path: str, nutrient: Nutrient) -> None:
             problem = f"is {finite.volume:g} um^3, no more than the domain ({covered:g} um^3) holds"
             hint = "It is the volume of all medium, in the domain and beyond it."
             raise SceneError(f"{path}.finite_medium.volume", problem, hint)
+
+
+def _check_sources(scene: Scene, path: str, nutrient: Nutrient) -> None:
+    """Check that sources have a place in the scene's dimensions, and lie in its domain."""
+    axes = "xyz"[: scene.dimensions]
+    if nutrient.sources and nutrient.geometry != "box":
+        problem = f"need geometry = 'box': shells ('{nutrient.geometry}') know a distance only"
+        raise SceneError(f"{path}.sources", problem)
+    for name, source in nutrient.sources.items():
+        where = f"{path}.sources.{name}"
+        for axis in source.place:
+            if axis not in axes:
+                raise SceneError(f"{where}.{axis}", "does not exist in a scene of 2 dimensions")
+        if source.flux is not None and scene.domain is None:
+            problem = "is that of a plane, which needs a domain: other grids follow the cells"
+            raise SceneError(f"{where}.flux", problem, "Give [domain], or take a point.")
+        missing = [axis for axis in axes if axis not in source.place]
+        if source.strength is not None and missing:
+            raise SceneError(f"{where}.{missing[0]}", "is missing: a point has a place along it")
+        for axis, place in source.place.items():
+            low, high = getattr(scene.domain, axis, None) or (-math.inf, math.inf)
+            if not low <= place <= high:
+                problem = f"is {place:g} um, outside the domain: from {low:g} to {high:g} um"
+                raise SceneError(f"{where}.{axis}", problem)
 
 
 def _check_layer(path: str, nutrient: Nutrient) -> None:

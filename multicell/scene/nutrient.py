@@ -96,6 +96,42 @@ class Dependence:
     half: float = quantity("mM", above=0, at_most=MOST, doc="concentration g of half the effect")
 
 
+_place = partial(quantity, "um", default=None, at_least=-1e6, at_most=1e6)
+
+
+@final
+@parameters
+class Source:
+    """A point (``strength``) or a plane across an axis (``flux``) that gives off a substance.
+
+    A point has a place along all axes of the scene, a plane along the one that it lies across.
+    """
+
+    x: float | None = _place(doc="place; absent: a plane along this axis")
+    y: float | None = _place(doc="place; absent: a plane along this axis")
+    z: float | None = _place(doc="place; absent: a plane along this axis, or a scene in 2D")
+    strength: float | None = _flux(default=None, doc="of a point")
+    flux: float | None = quantity(
+        "amol/s/um^2", default=None, at_least=0, at_most=1e6, doc="of a plane, to both sides in all"
+    )
+
+    def check(self) -> None:
+        """Raise ``SceneError`` for what is neither a point nor a plane."""
+        if (self.strength is None) == (self.flux is None):
+            what = "neither" if self.flux is None else "both"
+            hint = "A point has a strength in amol/s, a plane a flux in amol/s/um^2."
+            raise SceneError("strength", f"and flux are given {what}, must be one of them", hint)
+        if self.flux is not None and len(self.place) != 1:
+            problem = f"is that of a plane, which needs one of x, y, z and has {len(self.place)}"
+            raise SceneError("flux", problem, "x = '10 um' is the plane through there across x.")
+
+    @property
+    def place(self) -> dict[str, float]:
+        """The coordinates that are given, by axis, µm."""
+        axes = {"x": self.x, "y": self.y, "z": self.z}
+        return {axis: value for axis, value in axes.items() if value is not None}
+
+
 @final
 @parameters
 class FiniteMedium:
@@ -182,6 +218,9 @@ class Nutrient:
         at_least=0,
         at_most=1e6,
         doc="amount secreted for each amount taken up of other fields, by name",
+    )
+    sources: Mapping[str, Source] = tables(
+        Source, default_factory=Tables, doc="points and planes that give it off, by name"
     )
     growth_half_saturation: float | None = _level_above_zero(
         default=None, doc="of half the largest growth (Monod); absent: no effect"

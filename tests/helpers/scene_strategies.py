@@ -36,6 +36,7 @@ NAMES = {
     "ligand_by_phase": tuple(Phase.__members__),
     "sides": FACES,
     "phases": PHASES,
+    "sources": ("pump", "dish"),
 }
 """Names of the entries of the tables that have named entries."""
 
@@ -53,6 +54,7 @@ USUAL = {
     "mM": (1e-3, 0.5),
     "mM/um": (1e-6, 1e-3),
     "amol/s": (0.1, 50.0),
+    "amol/s/um^2": (1e-5, 1e-2),
     "1/s": (1e-7, 1e-3),
     "1/um": (1e-3, 1.0),
     "": (0.1, 3.0),
@@ -441,6 +443,7 @@ def _fit_field(scene, field, earlier, fields, flat):
     if field.get("geometry") != "radial":
         field.pop("layer", None)
     _fit_sides(field, flat)
+    _fit_sources(scene, field, flat)
     if "finite_medium" in field:
         _fit_medium(field)
     if "diffusion_medium" in field:
@@ -451,6 +454,19 @@ def _fit_field(scene, field, earlier, fields, flat):
     if "necrosis" in field and "quiescence" in field:
         low, high = sorted((base(field["necrosis"]), base(field["quiescence"])))
         field["necrosis"], field["quiescence"] = low, high if high > low else 2.0 * low + 1e-3
+
+
+def _fit_sources(scene, field, flat):
+    """Let sources be points at the origin, or where there is a domain a plane through it."""
+    if field.get("geometry", "box") != "box":
+        field.pop("sources", None)
+    for source in field.get("sources", {}).values():
+        strength, flux = source.get("strength", 1.0), source.get("flux")
+        source.clear()
+        if flux is not None and "domain" in scene:
+            source |= {"y": 0.0, "flux": flux}
+        else:
+            source |= {"strength": strength, **dict.fromkeys("xy" if flat else "xyz", 0.0)}
 
 
 def _fit_medium(field):

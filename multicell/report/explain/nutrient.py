@@ -34,6 +34,8 @@ def _what(scene: Scene, name: str) -> str:
         _geometry(scene, nutrient, scales.spacing(scene, name)),
         _medium(nutrient),
     ]
+    if nutrient.sources:
+        parts.append(f"given off by {len(nutrient.sources)} source(s) that stand still")
     for other, law in nutrient.uptake_on.items():
         trend = "rises" if law.effect > 0.0 else "falls"
         parts.append(f"uptake {trend} where {other} is short of {law.half:g} mM")
