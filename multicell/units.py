@@ -118,6 +118,28 @@ def shown(value: object) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
+def oxygen_solubility(temperature: float) -> float:
+    """Return how much oxygen pure water dissolves at a partial pressure, mM/kPa.
+
+    Parameters
+    ----------
+    temperature : float, °C
+        From 0 to 60.
+
+    Notes
+    -----
+    ln x = -66.73538 + 87.47547/τ + 24.45264 ln τ, τ = T/(100 K), is the mole fraction at
+    101.325 kPa (Battino, Rettich & Tominaga 1983, J. Phys. Chem. Ref. Data 12, 163); it is
+    proportional to the pressure (Henry). The density is that of
+    McCutcheon et al. (1993). At 37 °C: 0.01052 mM/kPa = 1.403e-3 mM/mmHg.
+    """
+    t = (temperature + 273.15) / 100.0
+    fraction = math.exp(-66.73538 + 87.47547 / t + 24.45264 * math.log(t))
+    spread = (temperature + 288.9414) / (508929.2 * (temperature + 68.12963))
+    density = 1000.0 * (1.0 - spread * (temperature - 3.9863) ** 2)  # kg/m³
+    return fraction * density / 0.0180153 / 101.325
+
+
 def _from_text(text: str, unit: str, path: str) -> float:
     """Return the quantity that a string spells, in ``unit``."""
     match = _QUANTITY.fullmatch(text) if len(text) <= 100 else None

@@ -186,6 +186,12 @@ class Nutrient:
         at_most=MOST,
         doc="[time, concentration] of the medium from these times on",
     )
+    temperature: float = number(
+        default=37.0,
+        at_least=0,
+        at_most=60,
+        doc="°C, at which partial pressures of oxygen ('40 mmHg') become concentrations",
+    )
     finite_medium: FiniteMedium | None = table(
         FiniteMedium, default=None, doc="absent: the cells do not change the medium"
     )

@@ -177,10 +177,14 @@ def test_what_a_change_leaves_and_brings():
 # --- the account -------------------------------------------------------------------------------
 
 PLACES = {
-    "half a millimetre's well": {"domain": WELL},
+    "half a millimetre's well": {"domain": WELL, "coupling_step": "40 min"},
     "cubes that follow": {"growth": {"cycle_time": "8 h"}},
     "shells": {"nutrients.glucose.geometry": "radial", "growth": {"cycle_time": "8 h"}},
-    "a plane": {"dimensions": 2, "nutrients.glucose.finite_medium.volume": 5e7},
+    "a plane": {
+        "dimensions": 2,
+        "nutrients.glucose.finite_medium.volume": 5e7,
+        "coupling_step": "40 min",
+    },
 }
 
 
@@ -209,7 +213,7 @@ def test_medium_field_and_cells_hold_what_was_brought(place, regime):
 @pytest.mark.parametrize("regime", ["steady", "transient"])
 def test_the_account_holds_with_decay_perfusion_secretion_and_part_changes(regime):
     described = scene(
-        {"regime": regime, "decay": 1e-4, "perfusion": 1e-4, "secretion": 60.0,
+        {"regime": regime, "decay": 1e-4, "perfusion": 1e-4, "secretion": 60.0, "spacing": 20.0,
          "finite_medium": {"volume": 3e7, "replaced": 0.5, "unstirred": 15.0}},
         growth={"cycle_time": "8 h"}, death={},
     )  # fmt: skip
@@ -255,7 +259,7 @@ def test_a_medium_that_is_eaten_up_ends_at_nothing_and_not_below(regime):
 def test_every_change_is_done_once_whatever_rounding_makes_of_times():
     step = 0.7
     media = [[step * k, 1.0 + k] for k in (3, 6, 7, 12)]
-    described = scene({"media": media, "regime": "transient"}, coupling_step=step,
+    described = scene({"media": media, "regime": "steady", "spacing": 20.0}, coupling_step=step,
                       duration=20 * step)  # fmt: skip
     assert ran(described).ledger["glucose"].changes == 4
     assert ran(scene({"media": [[0.0, 2.0], ["1 h", 3.0]]})).ledger["glucose"].changes == 2
