@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from multicell.cells import Cells, FloatArray, State
+from multicell.cells import Cells, FloatArray, Phase, State
 from multicell.errors import NutrientFailed
 from multicell.nutrient.balance import Ledger
 from multicell.nutrient.cartesian import departure
@@ -51,8 +51,11 @@ class Feeding:
 
     def __init__(self, scene: Scene) -> None:
         self._nutrients = scene.nutrients
-        scales = [part.uptake_scale for part in scene.types.values()]
-        self._scales = np.array(scales) if any(s != 1.0 for s in scales) else None
+        self._factors = {
+            (what, name): factors(scene, what, name)
+            for name in scene.nutrients
+            for what in ("uptake", "secretion")
+        }
         self._order = solving_order(scene.nutrients)
         parameters = {name: FieldParameters.of(scene, name) for name in self._order}
         self._parameters = parameters
@@ -272,15 +275,18 @@ class Feeding:
             found.append(abs(amiss) / most / dt if most > 0.0 else 0.0)
         return max(found)
 
-    def _active(self, nutrient: Nutrient, cells: Cells) -> FloatArray:
-        """Return uptake and secretion of each cell over those of a proliferating one, (n,)."""
-        active = activity(nutrient)[cells.state]
-        return active if self._scales is None else active * self._scales[cells.kind]
+    def _active(self, what: str, name: str, cells: Cells) -> FloatArray:
+        """Return uptake or secretion of each cell over that of a proliferating one, (n,)."""
+        by_state, by_kind, by_phase = self._factors[what, name]
+        active = by_state[cells.state]
+        if by_kind is not None:
+            active = active * by_kind[cells.kind]
+        return active if by_phase is None else active * by_phase[cells.phase]
 
     def _capacity(self, name: str, cells: Cells) -> FloatArray:
         """Return each cell's largest uptake, (n,) amol/s."""
         nutrient = self._nutrients[name]
-        active = self._active(nutrient, cells)
+        active = self._active("uptake", name, cells)
         factor = dependence(nutrient, self.concentrations, len(cells))
         return np.asarray(nutrient.uptake * active * factor)
 
@@ -318,10 +324,38 @@ class Feeding:
         capacity = self._capacity(name, cells)
         if nutrient.secretion == 0.0 and not nutrient.secretion_from:
             return capacity, None
-        production = nutrient.secretion * self._active(nutrient, cells)
+        production = nutrient.secretion * self._active("secretion", name, cells)
         for other, share in (nutrient.secretion_from or {}).items():
             production = production + share * self._uptake[other]
         return capacity, production
+
+
+def factors(
+    scene: Scene, what: str, name: str
+) -> tuple[FloatArray, FloatArray | None, FloatArray | None]:
+    """Return factors on ``"uptake"`` or ``"secretion"`` of a field by state, by type and by phase.
+
+    None stands for a factor that is always one.
+    """
+    nutrient = scene.nutrients[name]
+    by_state = activity(nutrient)
+    if what == "secretion":
+        for state, factor in (nutrient.secretion_by_state or {}).items():
+            by_state[State[state.upper()]] = factor
+    by_kind = []
+    for kind in scene.types.values():
+        own = kind.uptake_scale
+        if what == "secretion" and kind.secretion_scale is not None:
+            own = kind.secretion_scale
+        of = kind.uptake_of if what == "uptake" else kind.secretion_of
+        by_kind.append(own * (of or {}).get(name, 1.0))
+    phases = nutrient.uptake_by_phase if what == "uptake" else nutrient.secretion_by_phase
+    by_phase = np.array([(phases or {}).get(phase.name, 1.0) for phase in Phase])
+    return by_state, _unless_one(np.array(by_kind)), _unless_one(by_phase)
+
+
+def _unless_one(found: FloatArray) -> FloatArray | None:
+    return found if (found != 1.0).any() else None
 
 
 def activity(nutrient: Nutrient) -> FloatArray:

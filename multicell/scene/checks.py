@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
-from multicell.cells import Phase
+from multicell.cells import Phase, State
 from multicell.errors import SceneError
 from multicell.integrators.registry import METHODS
 from multicell.scene import domain as box
@@ -88,12 +88,17 @@ def _check_responses(scene: Scene, path: str, kind: CellType) -> None:
     """Check that a programme of adhesion refers to phases and fields that there are."""
     for key in ("receptor_by_phase", "ligand_by_phase"):
         phases = getattr(kind, key)
-        check_names(phases, Phase.__members__, f"{path}.{key}", "a phase of the cycle")
-        if phases and (scene.growth is None or not scene.growth.phases):
-            hint = "growth.phases gives them."
-            raise SceneError(f"{path}.{key}", "has no effect: the scene has no phases", hint)
-    for key in ("receptor_by", "ligand_by"):
+        _check_phases(scene, f"{path}.{key}", phases)
+    for key in ("receptor_by", "ligand_by", "uptake_of", "secretion_of"):
         check_names(getattr(kind, key), scene.nutrients, f"{path}.{key}", _FIELD)
+
+
+def _check_phases(scene: Scene, path: str, phases: Mapping[str, float] | None) -> None:
+    """Check that factors by phase name phases, and that the scene has some."""
+    check_names(phases, Phase.__members__, path, "a phase of the cycle")
+    if phases and (scene.growth is None or not scene.growth.phases):
+        hint = "growth.phases gives them."
+        raise SceneError(path, "has no effect: the scene has no phases", hint)
 
 
 _FINEST = 0.001
@@ -121,6 +126,13 @@ def _check_names(scene: Scene, path: str, nutrient: Nutrient) -> None:
     """Check that fields which a field refers to exist."""
     for key in ("uptake_on", "secretion_from"):
         check_names(getattr(nutrient, key), scene.nutrients, f"{path}.{key}", _FIELD)
+    for key in ("uptake_by_phase", "secretion_by_phase"):
+        _check_phases(scene, f"{path}.{key}", getattr(nutrient, key))
+    states = [state.name.lower() for state in State]
+    check_names(nutrient.secretion_by_state, states, f"{path}.secretion_by_state", "a state")
+    for key in ("secretion_by_state", "secretion_by_phase"):
+        if getattr(nutrient, key) and nutrient.secretion == 0.0:
+            raise SceneError(f"{path}.{key}", "has no effect: secretion is zero")
     if nutrient.uptake_on and nutrient.uptake == 0.0:
         hint = "Give an uptake, or remove uptake_on."
         raise SceneError(f"{path}.uptake_on", "has no effect: uptake is zero", hint)

@@ -13,7 +13,7 @@ import math
 
 from hypothesis import strategies as st
 
-from multicell.cells import Phase
+from multicell.cells import Phase, State
 from multicell.integrators.registry import METHODS
 from multicell.scene.nutrient import FACES
 from multicell.scene.parts import PHASES
@@ -31,6 +31,11 @@ NAMES = {
     "secretion_from": FIELDS,
     "receptor_by": FIELDS,
     "ligand_by": FIELDS,
+    "uptake_of": FIELDS,
+    "secretion_of": FIELDS,
+    "secretion_by_state": tuple(state.name.lower() for state in State),
+    "uptake_by_phase": tuple(Phase.__members__),
+    "secretion_by_phase": tuple(Phase.__members__),
     "surface_energy": TYPES,
     "receptor_by_phase": tuple(Phase.__members__),
     "ligand_by_phase": tuple(Phase.__members__),
@@ -409,7 +414,7 @@ def _fit_types(scene, types, fields):
         for key in ("receptor_by_phase", "ligand_by_phase"):
             if not phases and kind.get(key):
                 del kind[key]
-        for key in ("receptor_by", "ligand_by"):
+        for key in ("receptor_by", "ligand_by", "uptake_of", "secretion_of"):
             if key in kind:
                 kind[key] = {name: x for name, x in kind[key].items() if name in fields}
         if "adhesion" not in scene:
@@ -431,6 +436,7 @@ def _fit_field(scene, field, earlier, fields, flat):
     for name in list(field.get("secretion_from", {})):
         if base(fields[name].get("uptake", 20.0)) == 0.0:
             del field["secretion_from"][name]
+    _fit_secretion(scene, field)
     radius = base(scene.get("cells", {}).get("division_radius", 5.0))
     if "spacing" in field and base(field["spacing"]) > 4.0 * radius:
         field["spacing"] = radius
@@ -454,6 +460,15 @@ def _fit_field(scene, field, earlier, fields, flat):
     if "necrosis" in field and "quiescence" in field:
         low, high = sorted((base(field["necrosis"]), base(field["quiescence"])))
         field["necrosis"], field["quiescence"] = low, high if high > low else 2.0 * low + 1e-3
+
+
+def _fit_secretion(scene, field):
+    """Leave out factors by phase without phases, and all on a secretion that is not there."""
+    phases = bool((scene.get("growth") or {}).get("phases"))
+    silent = base(field.get("secretion", 0.0)) == 0.0
+    for key in ("uptake_by_phase", "secretion_by_phase", "secretion_by_state"):
+        if (key.endswith("phase") and not phases) or (key.startswith("secretion") and silent):
+            field.pop(key, None)
 
 
 def _fit_sources(scene, field, flat):
