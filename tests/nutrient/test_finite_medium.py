@@ -256,6 +256,16 @@ def test_a_medium_that_is_eaten_up_ends_at_nothing_and_not_below(regime):
     assert ledger.uptake > 0.9 * (begin + ledger.fresh)
 
 
+@pytest.mark.parametrize("regime", ["steady", "transient"])
+def test_a_level_at_the_bound_of_scene_files_may_rise_beyond_it(regime):
+    described = scene(
+        {"regime": regime, "boundary": 1e5, "secretion": 1e3, "uptake": 0.0,
+         "media": [["1 s", 1e5]], "spacing": 20.0, "finite_medium": {"volume": 1e8}},
+        duration="20 min",
+    )  # fmt: skip
+    assert ran(described).history_row()["medium_glucose"] > 1e5
+
+
 def test_every_change_is_done_once_whatever_rounding_makes_of_times():
     step = 0.7
     media = [[step * k, 1.0 + k] for k in (3, 6, 7, 12)]
