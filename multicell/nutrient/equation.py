@@ -16,15 +16,13 @@ from typing import TYPE_CHECKING, Any, Protocol, final
 import numpy as np
 from pde.fields.collection import FieldCollection
 from pde.fields.scalar import ScalarField
-from pde.grids.cartesian import CartesianGrid
-from pde.grids.spherical import SphericalSymGrid
 from pde.pdes.base import PDEBase
 
 from multicell.cells import FloatArray
 from multicell.errors import SceneError
-from multicell.nutrient.cartesian import Box
+from multicell.nutrient.equation_grid import layout_on
 from multicell.nutrient.equation_term import Substance, Term
-from multicell.nutrient.grid import BoxLayout, Layout, ShellLayout
+from multicell.nutrient.grid import Layout
 from multicell.nutrient.implicit_solver import ImplicitFieldSolver
 from multicell.nutrient.steady_solver import SteadyFieldSolver
 from multicell.nutrient.uptake import uptake_and_slope
@@ -59,7 +57,7 @@ class Coupling(Protocol):
 
 
 @final
-class FieldEquation(PDEBase):
+class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
     """Diffusion, decay, perfusion, Michaelis-Menten uptake and secretion by cells.
 
     >>> grid = pde.CartesianGrid([(-100, 100)] * 3, 20)                   # doctest: +SKIP
@@ -142,7 +140,7 @@ class FieldEquation(PDEBase):
             fields.append(ScalarField(self.grid, data.reshape(self.grid.shape), label=name))
         if len(fields) == 1:
             return fields[0]
-        return FieldCollection(fields, labels=self.names)
+        return FieldCollection(fields, labels=list(self.terms))
 
     def evolution_rate(self, state: State, t: float = 0.0) -> State:  # type: ignore[override]
         """Return ∂c/∂t of all substances at a time in s, mM/s, by py-pde's own Laplacian.
@@ -165,7 +163,7 @@ class FieldEquation(PDEBase):
         result.data = np.array(rates).reshape(state.data.shape)
         return result
 
-    def make_evolution_rate(
+    def make_evolution_rate(  # type: ignore[override]
         self, state: State, backend: BackendBase[Any]
     ) -> Callable[[FloatArray, float], FloatArray]:
         """Return a function for py-pde's backends that evaluates ∂c/∂t, compiled by numba.
@@ -302,44 +300,8 @@ class FieldEquation(PDEBase):
             taken[name] = capacity * self.layout.gather(self.position, share)
         return demands
 
-    def _nodes(self, data: FloatArray) -> dict[str, FloatArray]:
+    def _nodes(self, data: Any) -> dict[str, FloatArray]:
         """Return the values of each substance as solvers have them."""
         shape = self.layout.filled(0.0).shape
         parts = np.ascontiguousarray(data, dtype=float).reshape(len(self.terms), *shape)
         return dict(zip(self.terms, parts, strict=True))
-
-
-def layout_on(grid: GridBase, *, height: float | None = None) -> Layout:
-    """Return where nodes of a grid of py-pde's lie for cells.
-
-    Parameters
-    ----------
-    grid
-        ``CartesianGrid`` in two or three dimensions, or ``SphericalSymGrid`` round the origin.
-    height : float, µm, optional
-        Of the layer that a plane stands for; absent: one spacing.
-
-    Raises
-    ------
-    SceneError
-        For other grids, periodic ones, a hollow ball, and spacings that differ between axes.
-    """
-    hint = "Cubes, squares and balls of shells are what fields of cells live on."
-    steps = grid.discretization
-    if isinstance(grid, SphericalSymGrid):
-        if grid.axes_bounds[0][0] != 0.0:
-            raise SceneError("grid", "is a hollow ball, must reach to its centre", hint)
-        return ShellLayout(np.zeros(3), float(steps[0]), grid.shape[0])
-    if not isinstance(grid, CartesianGrid) or grid.num_axes not in (2, 3):
-        problem = f"is {type(grid).__name__} with {grid.num_axes} axes"
-        raise SceneError("grid", f"{problem}, which cells have no place in", hint)
-    if any(grid.periodic):
-        raise SceneError("grid", "is periodic, must have sides with conditions", hint)
-    if not np.allclose(steps, steps[0], rtol=1e-9):
-        raise SceneError("grid", f"has spacings that differ: {steps} um", hint)
-    h = float(steps[0])
-    low = [float(bounds[0]) for bounds in grid.axes_bounds]
-    if grid.num_axes == 2:
-        origin, shape = (low[0], low[1], -0.5 * h), (*grid.shape, 1)
-        return BoxLayout(Box(origin, shape, h, height or h))
-    return BoxLayout(Box((low[0], low[1], low[2]), grid.shape, h))

@@ -7,7 +7,7 @@ keeps on disk. Arrays are reached by their address: as constants they would be c
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numba.extending import register_jitable
@@ -21,6 +21,11 @@ from multicell.nutrient.schedule import level
 from multicell.nutrient.stencil import imbalance
 
 Fill = Callable[[FloatArray, float, FloatArray], None]
+"""(c, t, where the rate is written)."""
+
+_F = TypeVar("_F", bound=Callable[..., Any])
+_jitable = cast(Callable[[_F], _F], register_jitable)
+_at = cast(Callable[[FloatArray], Callable[[], FloatArray]], make_array_constructor)
 
 
 def compiled_rate(
@@ -47,87 +52,87 @@ def _all(fills: list[Fill], first: int = 0) -> Fill:
     this, rest = fills[0], fills[1:]
     if not rest:
 
-        @register_jitable
+        @_jitable
         def last(c: FloatArray, t: float, out: FloatArray) -> None:
             this(c[first], t, out[first])
 
-        return last  # type: ignore[no-any-return]
+        return last
     others = _all(rest, first + 1)
 
-    @register_jitable
+    @_jitable
     def both(c: FloatArray, t: float, out: FloatArray) -> None:
         this(c[first], t, out[first])
         others(c, t, out)
 
-    return both  # type: ignore[no-any-return]
+    return both
 
 
 def _fill(term: Term) -> Fill:
     """Return a function that fills the rate of one term."""
     source, op = _source(term), term.operator
-    get_sink = make_array_constructor(term.sink)
+    get_sink = _at(term.sink)
     half, linear = float(term.substance.half_saturation), float(term.linear)
     if isinstance(op, Diffusion):
         weights, stiffness = _weights(op), float(op.stiffness)
-        get_ghost = make_array_constructor(op.ghost)
+        get_ghost = _at(op.ghost)
 
-        @register_jitable
+        @_jitable
         def box(c: FloatArray, t: float, out: FloatArray) -> None:
             imbalance(
                 c, get_sink(), source(t), half, stiffness, linear, get_ghost(), weights(), out,
                 np.empty_like(c),
             )  # fmt: skip
 
-        return box  # type: ignore[no-any-return]
+        return box
     outer = leak(op)
     get_conductance, get_volumes = (
-        make_array_constructor(op.conductance), make_array_constructor(op.volumes)
+        _at(op.conductance), _at(op.volumes)
     )  # fmt: skip
 
-    @register_jitable
+    @_jitable
     def shells(c: FloatArray, t: float, out: FloatArray) -> None:
         shell_imbalance(
             c, get_sink(), source(t), half, linear, get_conductance(), outer, get_volumes(), out,
             np.empty_like(c),
         )  # fmt: skip
 
-    return shells  # type: ignore[no-any-return]
+    return shells
 
 
 def _source(term: Term) -> Callable[[float], FloatArray]:
     """Return what nodes gain as a function of time."""
-    get_base = make_array_constructor(term.base)
+    get_base = _at(term.base)
     if term.per_level is None:
 
-        @register_jitable
+        @_jitable
         def constant(t: float) -> FloatArray:
             return get_base()
 
-        return constant  # type: ignore[no-any-return]
-    get_per_level = make_array_constructor(term.per_level)
+        return constant
+    get_per_level = _at(term.per_level)
     schedule = term.schedule
     times, start, slope = schedule.times, schedule.start, schedule.slope
 
-    @register_jitable
+    @_jitable
     def changing(t: float) -> FloatArray:
         return get_base() + level(times, start, slope, t) * get_per_level()
 
-    return changing  # type: ignore[no-any-return]
+    return changing
 
 
 def _weights(op: Diffusion) -> Callable[[], Any]:
     """Return the coefficients at the faces as a function, None where there is one everywhere."""
     if op.weights is None:
 
-        @register_jitable
+        @_jitable
         def none() -> None:
             return None
 
-        return none  # type: ignore[no-any-return]
-    get_x, get_y, get_z = (make_array_constructor(w) for w in op.weights)
+        return none
+    get_x, get_y, get_z = (_at(w) for w in op.weights)
 
-    @register_jitable
+    @_jitable
     def all_three() -> tuple[FloatArray, FloatArray, FloatArray]:
         return get_x(), get_y(), get_z()
 
-    return all_three  # type: ignore[no-any-return]
+    return all_three

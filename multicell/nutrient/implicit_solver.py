@@ -26,14 +26,13 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from pde.pdes.base import PDEBase
-    from pde.fields.base import FieldBase
 
 _SMALL = 1e-3
 """Part of a field's largest value below which errors are held absolutely."""
 
 
 @final
-class ImplicitFieldSolver(SolverBase):
+class ImplicitFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
     """BDF of orders 1 to 5 with error control, Newton's method and preconditioned GMRES.
 
     For any deterministic equation of py-pde's: ``equation.solve(state, t_range,
@@ -86,8 +85,8 @@ class ImplicitFieldSolver(SolverBase):
         self.max_steps = max_steps
 
     def make_stepper(
-        self, state: FieldBase, dt: float | None = None
-    ) -> Callable[[FieldBase, float, float], float]:
+        self, state: Any, dt: float | None = None
+    ) -> Callable[[Any, float, float], float]:
         """Return a function that brings a state from one time to another.
 
         ``dt`` is the first step; absent: chosen by SUNDIALS.
@@ -106,7 +105,7 @@ class ImplicitFieldSolver(SolverBase):
         hook = None if self.backend_name == "auto" else self._make_post_step_hook(state)
         march = _March(self, rate, inverse, len(labels(state)), dt, hook)
 
-        def stepper(state: FieldBase, t_start: float, t_end: float) -> float:
+        def stepper(state: Any, t_start: float, t_end: float) -> float:
             state.data[...] = march.advance(state.data, float(t_start), float(t_end))
             return t_end
 
@@ -143,11 +142,12 @@ class _March:
         NutrientFailed
             If SUNDIALS gives up, steps become too many, or rates are not finite.
         """
-        pde, self.shape = self.owner.pde, data.shape
-        if begin != self.reached or not np.array_equal(self.y, data.ravel()):
+        self.shape = data.shape
+        jumps = self._jumps(begin, end)
+        if begin != self.reached or begin in jumps or not np.array_equal(self.y, data.ravel()):
             self._start(np.array(data, dtype=float).ravel(), begin)
-        inner = pde.switches(begin, end) if isinstance(pde, Invertible) else []
         limit = self.info["steps"] + self.owner.max_steps
+        inner = [t for t in jumps if t > begin]
         for start, stop in itertools.pairwise([begin, *inner, end]):
             # what holds from a switch on holds for the next piece only
             self.last = float(np.nextafter(stop, -np.inf))
@@ -157,6 +157,12 @@ class _March:
                 self._step(stop, limit)
         return self.y.reshape(self.shape)
 
+    def _jumps(self, begin: float, end: float) -> list[float]:
+        """Return when the rates jump from ``begin`` on, itself included, up to ``end``."""
+        pde = self.owner.pde
+        before = float(np.nextafter(begin, -np.inf))
+        return pde.switches(before, end) if isinstance(pde, Invertible) else []
+
     def _start(self, y: FloatArray, begin: float) -> None:
         from sksundae.cvode import CVODE, CVODEPrecond
 
@@ -164,7 +170,8 @@ class _March:
         if self.inverse is not None:
             options["precond"] = CVODEPrecond(self.setup, self.precondition, side="right")
         self.begin = self.reached = begin
-        self.y, self.near = y, None
+        self.y = y
+        self.near: Inverse | None = None
         self.cvode = CVODE(self.velocity, method="BDF", linsolver="gmres", **options)
         self.cvode.init_step(0.0, y)
 

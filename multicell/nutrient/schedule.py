@@ -25,7 +25,7 @@ _jit = cast(Callable[[_F], _F], njit(cache=True))
 @_jit
 def level(times: FloatArray, start: FloatArray, slope: FloatArray, t: float) -> float:
     """Return the concentration at a time: that of the last piece that has begun, mM."""
-    piece = max(np.searchsorted(times, t, side="right") - 1, 0)
+    piece = max(int(np.searchsorted(times, t, side="right")) - 1, 0)
     if slope[piece] == 0.0:
         return float(start[piece])
     return float(start[piece] + slope[piece] * (t - times[piece]))

@@ -21,7 +21,6 @@ from multicell.nutrient.transforms import inverse_on
 
 if TYPE_CHECKING:
     from pde.pdes.base import PDEBase
-    from pde.fields.base import FieldBase
     from pde.solvers.base import SolverBase
 
 Rate = Callable[[FloatArray, float], FloatArray]
@@ -58,7 +57,7 @@ class Steady(Protocol):
         """Return the data of the steady state at a time, and what it took."""
 
 
-def refuse_unsuitable(pde: PDEBase, state: FieldBase) -> None:
+def refuse_unsuitable(pde: PDEBase, state: Any) -> None:
     """Refuse what our solvers cannot solve.
 
     Raises
@@ -74,7 +73,7 @@ def refuse_unsuitable(pde: PDEBase, state: FieldBase) -> None:
         pde.check(state)
 
 
-def rate_of(solver: SolverBase, state: FieldBase) -> Rate:
+def rate_of(solver: SolverBase, state: Any) -> Rate:
     """Return the rates of a solver's equation, by its backend; they are refused if not finite."""
     pde, names = solver.pde, labels(state)
     if isinstance(pde, Invertible) and solver.backend_name == "auto":
@@ -110,14 +109,14 @@ def _runaway(names: list[str], data: FloatArray, found: FloatArray, t: float) ->
     return f"{problem}, {largest}", "Look for a reaction that makes it grow without bound"
 
 
-def labels(state: FieldBase) -> list[str]:
+def labels(state: Any) -> list[str]:
     """Return a name for each field of a state."""
     fields = list(state) if isinstance(state, FieldCollection) else [state]
     return [field.label or f"field {i}" for i, field in enumerate(fields)]
 
 
 def inverse_of(
-    pde: PDEBase, state: FieldBase, diffusivity: Diffusivity, bc: Any
+    pde: PDEBase, state: Any, diffusivity: Diffusivity, bc: Any
 ) -> Callable[[FloatArray, float], Inverse] | None:
     """Return a function of a state's data and time that gives about (shift - J)⁻¹, or None.
 
@@ -156,7 +155,7 @@ def inverse_of(
     return lambda data, t: inverse
 
 
-def diffusivities(given: Any, state: FieldBase) -> list[float]:
+def diffusivities(given: Any, state: Any) -> list[float]:
     """Return the diffusivity of each field of a state.
 
     Raises

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from pde.pdes.base import PDEBase
-    from pde.fields.base import FieldBase
 
 _FIRST = 0.1  # relative change that the first step in pseudo-time may make
 _FASTER, _SLOWER = 10.0, 0.1
@@ -33,7 +32,7 @@ _DIFFERENCE = 1e-7  # relative, of difference quotients
 
 
 @final
-class SteadyFieldSolver(SolverBase):
+class SteadyFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
     """Steady states: of field equations by Newton's method, of others by pseudo-time.
 
     ``equation.solve(state, t_range, solver="multicell-steady")`` returns the state that rests with
@@ -77,8 +76,8 @@ class SteadyFieldSolver(SolverBase):
         self.diffusivity, self.bc = diffusivity, bc
 
     def make_stepper(
-        self, state: FieldBase, dt: float | None = None
-    ) -> Callable[[FieldBase, float, float], float]:
+        self, state: Any, dt: float | None = None
+    ) -> Callable[[Any, float, float], float]:
         """Return a function that brings a state to rest; ``dt`` is not used.
 
         Raises
@@ -90,7 +89,7 @@ class SteadyFieldSolver(SolverBase):
         self.info.update(dt=None, steps=0, stochastic=False)
         solve = self._own() if isinstance(self.pde, Steady) else self._continued(state)
 
-        def stepper(state: FieldBase, t_start: float, t_end: float) -> float:
+        def stepper(state: Any, t_start: float, t_end: float) -> float:
             state.data[...] = solve(np.array(state.data), float(t_end))
             return t_end
 
@@ -108,7 +107,7 @@ class SteadyFieldSolver(SolverBase):
 
         return solve
 
-    def _continued(self, state: FieldBase) -> Callable[[FloatArray, float], FloatArray]:
+    def _continued(self, state: Any) -> Callable[[FloatArray, float], FloatArray]:
         """Return Newton's method in pseudo-time."""
         inverse = inverse_of(self.pde, state, self.diffusivity, self.bc)
         if inverse is None:
