@@ -86,9 +86,7 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
     Raises
     ------
     SceneError
-        For a grid, numbers or arrays that do not fit.
-    ValueError
-        If a position lies outside the grid.
+        For a grid, numbers, arrays or conditions that do not fit, and a position outside.
     """
 
     def __init__(
@@ -293,8 +291,7 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
             if production is not None:
                 secreted = term.spread(self.position, production)
             demands[name] = term.spread(self.position, capacity), secreted
-            conditions = term.substance.conditions_at(term.schedule.at(t))
-            sides = conditions if isinstance(conditions, Mapping) else {"value": conditions}
+            sides = term.conditions_at(term.schedule.at(t))
             found[name] = self.layout.read(self.position, c, sides)
             share, _ = uptake_and_slope(1.0, c, term.substance.half_saturation)
             taken[name] = capacity * self.layout.gather(self.position, share)

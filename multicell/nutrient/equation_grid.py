@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pde.grids.cartesian import CartesianGrid
@@ -51,3 +52,51 @@ def layout_on(grid: GridBase, *, height: float | None = None) -> Layout:
         return BoxLayout(Box((low[0], low[1], -0.5 * h), (nx, ny, 1), h, height or h))
     nx, ny, nz = grid.shape
     return BoxLayout(Box((low[0], low[1], low[2]), (nx, ny, nz), h))
+
+
+def conditions_on(layout: Layout, given: Any) -> dict[str, Any]:
+    """Return a condition for every side of a box, or the one on the surface of a ball.
+
+    Parameters
+    ----------
+    layout
+    given
+        A concentration, one condition in py-pde's terms, or a mapping of sides to conditions, with
+        ``"x"`` for both sides of an axis and ``"*"`` for all others.
+
+    Raises
+    ------
+    SceneError
+        If a side has none, or a ball's is of another kind.
+    """
+    if not isinstance(given, Mapping):
+        given = {"value": _number(given)}
+    if given.keys() & {"value", "derivative", "type"}:
+        given = {"*": given}
+    if isinstance(layout, ShellLayout):
+        condition = _side(given, "r+")
+        known = ({"value"}, {"derivative"}, {"type", "value", "const"})
+        if not isinstance(condition, Mapping) or set(condition) not in known:
+            hint = "Take a value, a derivative, or a mixed condition, of numbers."
+            raise SceneError("conditions", f"have {condition!r} on the surface of a ball", hint)
+        return {key: x if key == "type" else _number(x) for key, x in condition.items()}
+    assert isinstance(layout, BoxLayout)
+    axes = "xyz" if layout.box.height is None else "xy"
+    return {axis + end: _side(given, axis + end) for axis in axes for end in "-+"}
+
+
+def _side(given: Mapping[str, Any], face: str) -> Any:
+    for key in (face, face[0], "*"):
+        if key in given:
+            return given[key]
+    raise SceneError("conditions", f"say nothing of the side {face!r}", "'*' stands for all others")
+
+
+def _number(given: Any) -> float:
+    try:
+        value = float(given)
+    except (TypeError, ValueError):
+        value = np.nan
+    if not np.isfinite(value):
+        raise SceneError("conditions", f"have {given!r}, expected a finite number")
+    return value

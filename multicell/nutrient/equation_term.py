@@ -12,6 +12,7 @@ from multicell.cells import FloatArray
 from multicell.errors import SceneError
 from multicell.nutrient import stencil
 from multicell.nutrient.diffusion import Diffusion
+from multicell.nutrient.equation_grid import conditions_on
 from multicell.nutrient.equation_kernels import shell_imbalance
 from multicell.nutrient.grid import BoxLayout, Layout
 from multicell.nutrient.schedule import Schedule
@@ -20,6 +21,8 @@ from multicell.nutrient.steady import SolveReport
 from multicell.nutrient.uptake import uptake_and_slope
 
 Conditions = Mapping[str, Any]
+
+_ROUNDING = 1e-9
 
 
 @final
@@ -32,9 +35,10 @@ class Substance:
     diffusion : float, µm²/s
     conditions
         On the sides of the grid, in py-pde's terms (``{"x-": {"value": 0.1}, "*":
-        {"derivative": 0}}``; of shells one condition), a concentration in mM on all sides, or a
-        function of the medium's concentration (mM) that returns them. What a condition brings
-        must be linear in that concentration. Never pass text from users: py-pde executes it.
+        {"derivative": 0}}``; of shells ``"r+"`` or one condition), a concentration in mM on all
+        sides, or a function of the medium's concentration (mM) that returns them. Values, slopes
+        and mixed conditions are known; what one brings must be linear in that concentration.
+        Never pass text from users: py-pde executes it.
     half_saturation : float, mM
     decay, perfusion : float, 1/s
     medium
@@ -80,10 +84,6 @@ class Substance:
         """The medium over time."""
         return self.medium if isinstance(self.medium, Schedule) else Schedule.steady(self.medium)
 
-    def conditions_at(self, level: float) -> float | Conditions:
-        """Return the conditions at a concentration of the medium in mM."""
-        return self.conditions(level) if callable(self.conditions) else self.conditions
-
 
 @final
 class Term:
@@ -124,18 +124,40 @@ class Term:
         given = substance.production
         self.secreted = self.spread(position, none if given is None else given)
         self.base = np.ascontiguousarray(self.faces + self.secreted + self.perfused)
+        self._refuse_other_conditions()
+
+    def conditions_at(self, level: float) -> Conditions:
+        """Return the conditions at a concentration of the medium in mM, for every side."""
+        given = self.substance.conditions
+        return conditions_on(self.layout, given(level) if callable(given) else given)
+
+    def _refuse_other_conditions(self) -> None:
+        """Refuse conditions that the solvers' kernels would take for others."""
+        rng = np.random.default_rng(0)
+        c = 1.0 + rng.random(self.shape)
+        ours, _ = self.rate(c, 0.0, self.sink)
+        theirs = self.reference_rate(c, 0.0, self.sink, self.secreted)
+        if not np.abs(ours - theirs).max() <= _ROUNDING * np.abs(theirs).max():
+            raise SceneError(
+                f"substances.{self.name}.conditions",
+                "are none that fields know: a value, a derivative or a mixed condition, with one "
+                "permeability all over a side",
+            )
 
     def spread(self, position: FloatArray, amount: FloatArray) -> FloatArray:
         """Return amounts of the cells, (n,) amol/s, as densities of the nodes, mM/s."""
         if len(amount) != len(position):
             problem = f"has {len(amount)} cells, but there are positions of {len(position)}"
             raise SceneError(f"substances.{self.name}", problem)
-        return self.layout.scatter(position, amount)
+        try:
+            return self.layout.scatter(position, amount)
+        except ValueError as trouble:
+            raise SceneError("position", str(trouble), "Lay the grid round all cells.") from None
 
     def operator_at(self, level: float) -> Diffusion | Shells:
         """Return diffusion with the conditions at a concentration of the medium in mM."""
         p, layout = self.substance, self.layout
-        conditions = p.conditions_at(level)
+        conditions = self.conditions_at(level)
         varied = None if p.varied is None else np.asarray(p.varied).reshape(self.shape)
         if isinstance(layout, BoxLayout):
             return Diffusion(

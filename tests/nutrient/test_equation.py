@@ -170,6 +170,37 @@ def test_pdes_explicit_solver_takes_the_same_course(kind):
         assert errors[1] < 3e-6 * 0.09
 
 
+@pytest.mark.parametrize(
+    ("solver", "backend", "order"),
+    [
+        ("euler", "numba", 1),
+        ("runge-kutta", "numpy", 4),
+        ("adams-bashforth", "numpy", 2),
+        ("implicit", "numpy", 1),
+        ("crank-nicolson", "numpy", 2),
+        ("scipy", "numpy", 4),
+    ],
+)
+def test_every_solver_of_pdes_solves_it(solver, backend, order):
+    equation = equation_of("shells")
+    rng = np.random.default_rng(8)
+    state = equation.state({"oxygen": 0.05 + 0.04 * rng.random(40)})
+    ours = equation.solve(state, 0.05, solver="multicell-implicit", rtol=1e-9, tracker=None)
+    settings = {
+        "implicit": {"maxerror": 1e-10},
+        "crank-nicolson": {"maxerror": 1e-10},
+        "scipy": {"rtol": 1e-9, "atol": 1e-11},
+    }
+    dt = None if solver == "scipy" else 2e-4
+    theirs = equation.solve(
+        state, 0.05, dt=dt, solver=solver, backend=backend, tracker=None, **settings.get(solver, {})
+    )
+    # steps of a fifth of the explicit limit, over noise that decays: what is left at the end
+    bound = {1: 1e-4, 2: 1e-5, 4: 1e-7}[order]
+    assert np.abs(theirs.data - ours.data).max() < bound
+    assert np.abs(ours.data - state.data).max() > 0.01
+
+
 def test_backward_euler_of_runs_agrees_within_its_tolerance():
     from multicell.nutrient.transient import Amounts, March, march
 
@@ -294,10 +325,39 @@ def test_numbers_that_make_no_sense_are_refused():
         FieldEquation(grid, {"oxygen": Substance(D, 0.07)}, np.zeros((3, 2)))
     with pytest.raises(mc.SceneError, match=r"oxygen: has 2 cells, but there are positions of 3"):
         FieldEquation(grid, {"oxygen": Substance(D, 0.07, capacity=np.ones(2))}, np.zeros((3, 3)))
-    with pytest.raises(ValueError, match="lies outside"):
+    with pytest.raises(mc.SceneError, match=r"position: .* lies outside"):
         FieldEquation(grid, {"oxygen": Substance(D, 0.07)}, np.array([[500.0, 0.0, 0.0]]))
     with pytest.raises(mc.SceneError, match="times that rise"):
         mc.Schedule.steps([(1.0, 0.1), (1.0, 0.2)])
+
+
+@pytest.mark.parametrize(
+    ("kind", "conditions", "words"),
+    [
+        ("squares", {"x": {"value": 1.0}}, "say nothing of the side 'y-'"),
+        ("squares", {"*": {"curvature": 1.0}}, "oxygen.conditions: are none that fields know"),
+        ("squares", "auto_periodic_neumann", "expected a finite number"),
+        ("shells", {"curvature": 1.0}, "say nothing of the side 'r\\+'"),
+        ("shells", {"r+": {"curvature": 1.0}}, "on the surface of a ball"),
+        ("shells", {"value": np.nan}, "have nan, expected a finite number"),
+    ],
+)
+def test_conditions_that_fields_do_not_know_are_refused(kind, conditions, words):
+    with pytest.raises(mc.SceneError, match=words):
+        FieldEquation(grid_of(kind), {"oxygen": Substance(D, conditions)})
+
+
+def test_conditions_may_be_said_in_several_ways():
+    for kind, ways in {
+        "squares": [0.07, {"value": 0.07}, {"*": {"value": 0.07}}],
+        "shells": [0.07, {"value": 0.07}, {"r+": {"value": 0.07}, "r-": WALL}],
+    }.items():
+        rates = []
+        for way in ways:
+            equation = FieldEquation(grid_of(kind), {"oxygen": Substance(D, way)})
+            rates.append(equation.evolution_rate(random_state(equation)).data)
+        np.testing.assert_array_equal(rates[1], rates[0])
+        np.testing.assert_array_equal(rates[2], rates[0])
 
 
 def test_states_of_something_else_are_refused():
