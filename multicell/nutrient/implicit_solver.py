@@ -97,13 +97,16 @@ class ImplicitFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
             For an equation or a state that it cannot solve.
         """
         refuse_unsuitable(self.pde, state)
+        fields = len(labels(state))
+        if self.atol is not None and np.size(self.atol) not in (1, fields):
+            raise SceneError("atol", f"has {np.size(self.atol)} numbers for {fields} fields")
         rate = rate_of(self, state)
         inverse = inverse_of(self.pde, state, self.diffusivity, self.bc)
         self.info.update(dt=dt, steps=0, evaluations=0, preconditioned=inverse is not None)
         self.info["stochastic"] = False
         # an equation with compiled rates of its own has no hook, and no backend for one
         hook = None if self.backend_name == "auto" else self._make_post_step_hook(state)
-        march = _March(self, rate, inverse, len(labels(state)), dt, hook)
+        march = _March(self, rate, inverse, fields, dt, hook)
 
         def stepper(state: Any, t_start: float, t_end: float) -> float:
             state.data[...] = march.advance(state.data, float(t_start), float(t_end))

@@ -258,6 +258,8 @@ def test_what_cannot_be_solved_is_said():
         solve(equation, state, 1.0, diffusivity=-1.0)
     with pytest.raises(mc.SceneError, match=r"rtol: is 0\.0, must be above zero"):
         solve(equation, state, 1.0, rtol=0.0)
+    with pytest.raises(mc.SceneError, match="atol: has 2 numbers for 1 fields"):
+        solve(equation, state, 1.0, atol=[1e-6, 1e-7])
     with pytest.raises(mc.SceneError, match="tolerance: is nan"):
         solve(equation, state, 1.0, "steady", tolerance=np.nan)
     with pytest.raises(mc.SceneError, match="has noise"):
