@@ -77,6 +77,7 @@ def test_rates_are_pdes_laplacian_and_the_sum_of_all_terms(kind):
     assert np.sum(volumes * height * sink) == pytest.approx(60 * 40.0, rel=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_numba_backend_has_the_same_rates_while_the_medium_changes(kind):
     steps = mc.Schedule.steps([(0.0, 0.07), (5.0, 0.02)])
