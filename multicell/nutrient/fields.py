@@ -254,6 +254,31 @@ class Feeding:
                 f"reach to it, and the layer is {found:.3g} um instead of {wanted:.3g} um."
             )
 
+    def demand(
+        self,
+        name: str,
+        cells: Cells,
+        concentrations: Mapping[str, FloatArray],
+        taken: Mapping[str, FloatArray],
+    ) -> tuple[FloatArray, FloatArray | None]:
+        """Return each cell's largest uptake and its secretion, (n,) amol/s, for other surroundings.
+
+        Parameters
+        ----------
+        name
+            Of the field.
+        cells
+            The population.
+        concentrations, taken : name -> (n,), mM and amol/s
+            What each cell finds of all fields, and takes up of those that others are made from.
+        """
+        kept = self.concentrations, self._uptake
+        self.concentrations, self._uptake = dict(concentrations), dict(taken)
+        try:
+            return self._demand(name, cells)
+        finally:
+            self.concentrations, self._uptake = kept
+
     def _rate(self, name: str, began: float, ended: float, uptake: float) -> None:
         """Note the error of a march in which the largest uptake went from one rate to another."""
         content = self.ledger[name].content
