@@ -236,8 +236,9 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
     def balance(self, state: State, t: float = 0.0) -> dict[str, dict[str, float]]:
         """Return what happens to each substance in all, amol/s.
 
-        ``inflow`` over the sides, ``perfused`` by the flow (both net), ``secreted``, ``taken``
-        up, ``decayed``, and ``stored``, which is the sum of them.
+        ``inflow`` over the sides, ``perfused`` by the flow (both net), ``secreted``,
+        ``supplied`` by what stands still, ``taken`` up, ``decayed``, and ``stored``, which is the
+        sum of them.
         """
         self.check(state)
         data = self._nodes(state.data)
@@ -248,6 +249,7 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
             parts = {
                 "perfused": p.perfusion * (level - c),
                 "secreted": secreted,
+                "supplied": term.supplied,
                 "taken": uptake_and_slope(sink, c, p.half_saturation)[0],
                 "decayed": p.decay * c,
                 "stored": term.reference_rate(c, t, sink, secreted),

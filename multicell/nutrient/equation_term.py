@@ -47,6 +47,8 @@ class Substance:
         Largest uptake and secretion of each cell.
     varied : shape of the grid, optional
         Coefficient of diffusion at the nodes over ``diffusion``.
+    supply : shape of the grid, mM/s, optional
+        What nodes gain besides, whatever the cells do: from points and planes that stand still.
 
     Raises
     ------
@@ -63,6 +65,7 @@ class Substance:
     capacity: FloatArray | None = None
     production: FloatArray | None = None
     varied: FloatArray | None = None
+    supply: FloatArray | None = None
 
     def __post_init__(self) -> None:
         for name in ("diffusion", "half_saturation", "decay", "perfusion"):
@@ -78,6 +81,8 @@ class Substance:
                 and not (np.isfinite(amounts) & (np.asarray(amounts) >= 0)).all()
             ):
                 raise SceneError(name, "of some cell is negative or not finite")
+        if self.supply is not None and not np.isfinite(self.supply).all():
+            raise SceneError("supply", "of some node is not finite")
 
     @property
     def schedule(self) -> Schedule:
@@ -95,8 +100,8 @@ class Term:
         Largest uptake per volume at each node; nodes as solvers have them, with three axes in a
         box and one on shells.
     base : mM/s
-        What nodes gain by secretion, over the sides and by perfusion, at a medium of 0 mM where
-        that changes.
+        What nodes gain by secretion, supply, over the sides and by perfusion, at a medium of 0 mM
+        where that changes.
     per_level : 1/s or None
         What they gain besides for each mM in a medium that changes.
     """
@@ -116,20 +121,31 @@ class Term:
         if not constant:
             per_level = _brought(self.operator_at(1.0)) - self.faces + substance.perfusion
             self.per_level = np.ascontiguousarray(per_level)
-        self.perfused = substance.perfusion * self._reference
+        self.supplied = self._supplied()
+        self.brought = self.supplied + substance.perfusion * self._reference
         none = np.zeros(len(position))
         self.sink = self.spread(
             position, none if substance.capacity is None else substance.capacity
         )
         given = substance.production
         self.secreted = self.spread(position, none if given is None else given)
-        self.base = np.ascontiguousarray(self.faces + self.secreted + self.perfused)
+        self.base = np.ascontiguousarray(self.faces + self.secreted + self.brought)
         self._refuse_other_conditions()
 
     def conditions_at(self, level: float) -> Conditions:
         """Return the conditions at a concentration of the medium in mM, for every side."""
         given = self.substance.conditions
         return conditions_on(self.layout, given(level) if callable(given) else given)
+
+    def _supplied(self) -> FloatArray:
+        """Return what nodes gain from what stands still, mM/s."""
+        supply = self.substance.supply
+        if supply is None:
+            return np.zeros(self.shape)
+        if np.size(supply) != np.prod(self.shape):
+            problem = f"has the shape {np.shape(supply)}, the grid has {self.grid.shape}"
+            raise SceneError(f"substances.{self.name}.supply", problem)
+        return np.asarray(supply, dtype=float).reshape(self.shape)
 
     def _refuse_other_conditions(self) -> None:
         """Refuse conditions that the solvers' kernels would take for others."""
@@ -168,7 +184,7 @@ class Term:
 
     def source(self, t: float, secreted: FloatArray | None = None) -> FloatArray:
         """Return what nodes gain at a time in s, mM/s; ``secreted`` in place of what cells do."""
-        base = self.base if secreted is None else self.faces + secreted + self.perfused
+        base = self.base if secreted is None else self.faces + secreted + self.brought
         return base if self.per_level is None else base + self.schedule.at(t) * self.per_level
 
     def rate(
@@ -199,7 +215,7 @@ class Term:
         op = self.operator
         spreads = op.divergence(c) if isinstance(op, Diffusion) else op.gain(c) / op.volumes
         taken, _ = uptake_and_slope(sink, c, self.substance.half_saturation)
-        gained = spreads + secreted + self.perfused
+        gained = spreads + secreted + self.brought
         if self.per_level is not None:
             gained = gained + self.schedule.at(t) * self.per_level
         return np.asarray(gained - taken - self.linear * c)
@@ -220,7 +236,7 @@ class Term:
             self.substance.half_saturation,
             np.ascontiguousarray(c, dtype=float).reshape(self.shape),
             linear=self.linear,
-            supply=secreted + self.substance.perfusion * level,
+            supply=secreted + self.supplied + self.substance.perfusion * level,
         )
 
     def inverse(self, r: FloatArray, shift: FloatArray) -> FloatArray:

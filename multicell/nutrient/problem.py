@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, final
 
 from multicell.cells import Cells, FloatArray
@@ -14,6 +14,7 @@ from multicell.nutrient.fields import Feeding
 from multicell.nutrient.grid import BoxLayout, Layout, ShellLayout, relative_diffusion, restored
 from multicell.nutrient.parameters import FieldParameters
 from multicell.nutrient.schedule import Schedule
+from multicell.nutrient.sources import injected
 from multicell.scene.checks import solving_order
 
 if TYPE_CHECKING:
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from pde.grids.base import GridBase
 
     from multicell.results.frame import Frame
+    from multicell.scene.nutrient import Nutrient
     from multicell.scene.scene import Scene
 
 
@@ -41,7 +43,8 @@ class FieldProblem:
     state : ScalarField or FieldCollection, mM
         The frame's own fields.
     time : float, s
-        Of the frame; the medium is that of the scene from there on.
+        Of the frame; the medium is that of the scene from there on. A finite medium stays as it is
+        in the frame.
     """
 
     equation: FieldEquation
@@ -77,7 +80,7 @@ def field_problem(scene: Scene, frame: Frame, fields: Iterable[str] | None = Non
     layout = layouts[names[0]][0]
     grid, cells = _grid(layout), frame.cells
     demands = _Demands(scene, frame, names)
-    substances = {name: _substance(scene, name, layout, demands) for name in names}
+    substances = {name: _substance(scene, frame, name, layout, demands) for name in names}
     equation = FieldEquation(
         grid, substances, cells.position, layout=layout,
         coupling=demands if demands.coupled else None,
@@ -132,16 +135,17 @@ def _grid(layout: Layout) -> GridBase:
     return SphericalSymGrid(layout.radius, layout.count)
 
 
-def _substance(scene: Scene, name: str, layout: Layout, demands: _Demands) -> Substance:
+def _substance(
+    scene: Scene, frame: Frame, name: str, layout: Layout, demands: _Demands
+) -> Substance:
     """Return what a field of a scene is made of."""
     parameters = FieldParameters.of(scene, name)
     nutrient, cells = parameters.nutrient, demands.cells
-    schedule = Schedule.of(nutrient)
 
     def conditions(level: float) -> dict[str, Any]:
-        still = replace(nutrient, media=None, boundary=level)
-        return layout.conditions(replace(parameters, nutrient=still).sides(0.0))
+        return layout.conditions(parameters.sides(0.0, level))
 
+    supply = injected(layout, nutrient.sources) if nutrient.sources else None
     varied, outside = None, nutrient.diffusion_medium
     if outside is not None and outside != nutrient.diffusion:
         varied = relative_diffusion(
@@ -150,8 +154,18 @@ def _substance(scene: Scene, name: str, layout: Layout, demands: _Demands) -> Su
     capacity, production = demands.of_frame(name)
     return Substance(
         nutrient.diffusion, conditions, nutrient.half_saturation, nutrient.decay,
-        nutrient.perfusion, schedule, capacity, production, varied,
+        nutrient.perfusion, _medium(nutrient, frame, name), capacity, production, varied, supply,
     )  # fmt: skip
+
+
+def _medium(nutrient: Nutrient, frame: Frame, name: str) -> Schedule:
+    """Return the medium over time; a finite one is what the frame says, and stays so."""
+    if nutrient.finite_medium is None:
+        return Schedule.of(nutrient)
+    account = None if frame.progress is None else frame.progress.ledger.get(name)
+    if account is None or "level" not in account:
+        raise SceneError("frame", f"does not say what the finite medium of {name} holds")
+    return Schedule.steady(account["level"])
 
 
 @final

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -40,6 +41,14 @@ def frames_of(scene):
             "nutrients.oxygen.secretion": "1 amol/s",
         },
         {"dimensions": 2},
+        {
+            "nutrients.oxygen.sources": {"pump": {"x": 5, "y": 0, "z": -8, "strength": 300.0}},
+            "nutrients.oxygen.perfusion": "0.01 1/s",
+        },
+        {
+            "nutrients.oxygen.finite_medium": {"volume": "1e7 um^3", "unstirred": "30 um"},
+            "nutrients.oxygen.media": [["10 min", "0.03 mM"]],
+        },
     ],
 )
 def test_a_steady_field_of_a_frame_is_at_rest_in_its_equation(changes):
@@ -62,6 +71,28 @@ def test_a_steady_field_of_a_frame_is_at_rest_in_its_equation(changes):
             tracker=None,
         )
         np.testing.assert_allclose(again.data, problem.state.data, atol=1e-9)
+
+
+def test_what_sources_give_and_a_finite_medium_holds_is_the_frame_s():
+    source = {"pump": {"x": 0, "y": 0, "z": 0, "strength": 250.0}}
+    finite = {"volume": "2e6 um^3"}
+    oxygen = AIR | {"sources": source, "finite_medium": finite}
+    scene = scene_with({"oxygen": oxygen})
+    first, *_, last = frames_of(scene)
+    levels = []
+    for frame in (first, last):
+        equation = mc.field_problem(scene, frame).equation
+        state = equation.state({"oxygen": 0.01})
+        account = equation.balance(state, frame.time)["oxygen"]
+        assert account["supplied"] == pytest.approx(250.0, rel=1e-12)
+        kinds = ("inflow", "perfused", "secreted", "supplied")
+        gained = sum(account[kind] for kind in kinds) - account["taken"] - account["decayed"]
+        assert account["stored"] == pytest.approx(gained, rel=1e-10)
+        levels.append(equation.terms["oxygen"].schedule.at(frame.time + 1e9))
+    assert levels[0] == pytest.approx(0.07)
+    assert levels[1] == frame.progress.ledger["oxygen"]["level"] < 0.06
+    with pytest.raises(mc.SceneError, match="does not say what the finite medium of oxygen holds"):
+        mc.field_problem(scene, replace(last, progress=None))
 
 
 def test_fields_that_depend_on_each_other_do_so_in_one_equation():
