@@ -24,6 +24,12 @@ if TYPE_CHECKING:
     from multicell.contact.jkr import JKR
     from multicell.integrators.base import Integrator, MethodInfo, Outcome
     from multicell.mechanics.motion import StateRejected
+    from multicell.nutrient.equation import FieldEquation
+    from multicell.nutrient.equation_term import Substance
+    from multicell.nutrient.implicit_solver import ImplicitFieldSolver
+    from multicell.nutrient.problem import FieldProblem, field_problem
+    from multicell.nutrient.schedule import Schedule
+    from multicell.nutrient.steady_solver import SteadyFieldSolver
     from multicell.ode import OdeProblem, ode_problem
     from multicell.report.export import export
     from multicell.report.result import Result, load_result
@@ -36,7 +42,10 @@ __version__ = "0.1.0"
 __all__ = [
     "JKR",
     "Cells",
+    "FieldEquation",
+    "FieldProblem",
     "Hertz",
+    "ImplicitFieldSolver",
     "Integrator",
     "MethodInfo",
     "MulticellError",
@@ -46,14 +55,18 @@ __all__ = [
     "Result",
     "Scene",
     "SceneError",
+    "Schedule",
     "Simulation",
     "StabilityMap",
     "State",
     "StateRejected",
+    "SteadyFieldSolver",
     "StepFailed",
+    "Substance",
     "WorkPrecision",
     "compare",
     "export",
+    "field_problem",
     "load_law",
     "load_result",
     "load_scene",
@@ -71,6 +84,13 @@ _LAZY = {
     "pair_law": "multicell.contact.custom",
     "Cells": "multicell.cells",
     "Hertz": "multicell.contact.hertz",
+    "FieldEquation": "multicell.nutrient.equation",
+    "FieldProblem": "multicell.nutrient.problem",
+    "field_problem": "multicell.nutrient.problem",
+    "ImplicitFieldSolver": "multicell.nutrient.implicit_solver",
+    "Schedule": "multicell.nutrient.schedule",
+    "SteadyFieldSolver": "multicell.nutrient.steady_solver",
+    "Substance": "multicell.nutrient.equation_term",
     "Integrator": "multicell.integrators.base",
     "MethodInfo": "multicell.integrators.base",
     "OdeProblem": "multicell.ode",

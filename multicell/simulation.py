@@ -194,7 +194,7 @@ class Simulation:
         feeding = self._feeding
         return Progress(
             **{name: getattr(self, name) for name in _NOTED},
-            ledger={} if feeding is None else {n: asdict(x) for n, x in feeding.ledger.items()},
+            ledger={} if feeding is None else {n: x.kept() for n, x in feeding.ledger.items()},
             rates={} if feeding is None else {n: asdict(x) for n, x in feeding.reports.items()},
             work=asdict(self._mechanics.work),
             pace=None if self.pace is None else self.pace._asdict(),
@@ -359,6 +359,8 @@ class Simulation:
         if self.scene.growth is not None:
             fields = {} if self._feeding is None else self._feeding.content_errors
             extra |= columns(self.step_error, self.cells, fields)
+        if self._feeding is not None:
+            extra |= {f"medium_{name}": level for name, level in self._feeding.media.items()}
         if self.scene.output.instability:
             extra["instability_rate"] = self._instability_rate()
         return summary.history_row(self.scene, self._view(), **extra)

@@ -21,6 +21,7 @@ BASE_UNITS = "um, s, nN, amol; hence kPa = nN/um^2, nN/um = mN/m, kPa s, mM = am
 
 _UNITS = {
     "um": (1e-6, 1e6, "a length", "5 um"),
+    "um^3": (1e-3, 1e18, "a volume", "1e8 um^3"),
     "s": (1e-6, 1e12, "a time", "15 h"),
     "kPa": (1e-9, 1e10, "a pressure or modulus", "1 kPa"),
     "nN": (1e-12, 1e9, "a force", "1 nN"),
@@ -32,6 +33,7 @@ _UNITS = {
     "mM": (1e-12, 1e5, "a concentration", "0.07 mM"),
     "mM/um": (1e-15, 1e6, "a gradient of concentration", "1e-4 mM/um"),
     "amol/s": (1e-12, 1e12, "an amount per time", "20 amol/s"),
+    "amol/s/um^2": (1e-15, 1e9, "an amount per time and area", "1e-3 amol/s/um^2"),
     "1/s": (1e-15, 1e6, "a rate", "1e-5 1/s"),
     "1/um": (1e-9, 1e6, "an inverse length", "0.01 1/um"),
     "": (1e-12, 1e12, "a number", "1"),
@@ -39,12 +41,12 @@ _UNITS = {
 RANGES = {unit: entry[:2] for unit, entry in _UNITS.items()}
 """Smallest and largest size of a number other than zero that a scene may hold, by its unit.
 
-Far beyond any use: lengths from a picometre to a metre, times from a microsecond to thirty thousand
-years, moduli from a micropascal to beyond diamond, viscosities from half of air's to a
-thousand times that of glass at its transition, concentrations from a femtomole per litre to beyond
-any pure substance, diffusion up to a hundred times that in gases. Inside, a product of a dozen such
-numbers stays far from the ends of a float (1e-308 and 1e308), so that no formula overflows or loses
-what it needs to an underflow.
+Far beyond any use: lengths from a picometre to a metre, volumes to a cubic metre,
+times from a microsecond to thirty thousand years, moduli from a micropascal to beyond diamond,
+viscosities from half of air's to a thousand times that of glass at its transition, concentrations
+from a femtomole per litre to beyond any pure substance, diffusion up to a hundred
+times that in gases. Inside, a product of a dozen such numbers stays far from the ends of a float
+(1e-308 and 1e308), so that no formula overflows or loses what it needs to an underflow.
 """
 
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)(.*)", re.DOTALL)
@@ -114,6 +116,28 @@ def shown(value: object) -> str:
     except (ValueError, RecursionError):  # integers of thousands of digits, deep nesting
         return f"an '{type(value).__name__}' too long to show"
     return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def oxygen_solubility(temperature: float) -> float:
+    """Return how much oxygen pure water dissolves at a partial pressure, mM/kPa.
+
+    Parameters
+    ----------
+    temperature : float, °C
+        From 0 to 60.
+
+    Notes
+    -----
+    ln x = -66.73538 + 87.47547/τ + 24.45264 ln τ, τ = T/(100 K), is the mole fraction at
+    101.325 kPa (Battino, Rettich & Tominaga 1983, J. Phys. Chem. Ref. Data 12, 163); it is
+    proportional to the pressure (Henry). The density is that of
+    McCutcheon et al. (1993). At 37 °C: 0.01052 mM/kPa = 1.403e-3 mM/mmHg.
+    """
+    t = (temperature + 273.15) / 100.0
+    fraction = math.exp(-66.73538 + 87.47547 / t + 24.45264 * math.log(t))
+    spread = (temperature + 288.9414) / (508929.2 * (temperature + 68.12963))
+    density = 1000.0 * (1.0 - spread * (temperature - 3.9863) ** 2)  # kg/m³
+    return fraction * density / 0.0180153 / 101.325
 
 
 def _from_text(text: str, unit: str, path: str) -> float:

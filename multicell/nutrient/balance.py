@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import final
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Final, final
+
+if TYPE_CHECKING:
+    from multicell.nutrient.finite import Stirred
+
+_MEDIUM: Final = ("held", "level", "fresh", "discarded", "spoiled", "changes")
 
 
 @final
@@ -32,6 +37,18 @@ class Ledger:
         What the grid gained with medium that it came to enclose when it followed the tissue.
     stored
         What a transient field holds now beyond what it held at the start.
+    held : float or None
+        What the stirred part of a finite medium holds now; None where the medium is not finite.
+    level : float, mM
+        Its concentration.
+    fresh, discarded
+        What fresh medium brought to it, at the start and at changes, and what the old took along.
+    spoiled
+        What decayed in it.
+    changes
+        How many changes of the medium have been done.
+    injected : float or None
+        By points and planes; None where there are none.
     """
 
     inflow: float = 0.0
@@ -43,6 +60,28 @@ class Ledger:
     outflow: float = 0.0
     content: float = 0.0
     washed: float = 0.0
+    held: float | None = None
+    level: float = 0.0
+    fresh: float = 0.0
+    discarded: float = 0.0
+    spoiled: float = 0.0
+    changes: float = 0
+    injected: float | None = None
+
+    def kept(self) -> dict[str, float]:
+        """Return what another ledger can be made from; without a medium that is not finite."""
+        return {
+            name: value
+            for name, value in asdict(self).items()
+            if (name not in _MEDIUM or self.held is not None)
+            and (name != "injected" or value is not None)
+        }
+
+    def note(self, medium: Stirred) -> None:
+        """Take over the account of a finite medium."""
+        self.held, self.level = medium.amount, medium.concentration
+        self.fresh, self.discarded = medium.fresh, medium.discarded
+        self.spoiled, self.changes = medium.decayed, medium.changes
 
     def add(
         self,
@@ -57,6 +96,7 @@ class Ledger:
         stored: float = 0.0,
         content: float = 0.0,
         washed: float = 0.0,
+        injected: float = 0.0,
     ) -> None:
         """Add rates (amol/s) that held for a time ``dt`` (s), or amounts where it is left out.
 
@@ -68,6 +108,8 @@ class Ledger:
         self.decayed += decayed * dt
         self.outflow += outflow * dt
         self.washed += washed * dt
+        if injected:
+            self.injected = (self.injected or 0.0) + injected * dt
         self.relaid += relaid
         self.stored += stored
         self.content = max(self.content, content)
@@ -75,13 +117,14 @@ class Ledger:
     @property
     def remainder(self) -> float:
         """What came in and was secreted but neither left nor is there, amol."""
-        gained = self.inflow + self.secreted + self.relaid
+        gained = self.inflow + self.secreted + self.relaid + (self.injected or 0.0)
         return gained - self.uptake - self.decayed - self.stored
 
     @property
     def turnover(self) -> float:
         """The larger of all that was gained and all that was spent, with what passed, amol."""
         gained = max(self.inflow, 0.0) + self.secreted + max(self.relaid, 0.0)
+        gained += self.injected or 0.0
         spent = self.uptake + self.decayed + max(-self.inflow, 0.0) + max(-self.relaid, 0.0)
         return max(gained, spent, abs(self.stored)) + self.outflow + self.washed
 
@@ -89,7 +132,16 @@ class Ledger:
     def relative_remainder(self) -> float:
         """Size of the remainder over the larger of turnover and content; 0 where all is zero."""
         scale = max(self.turnover, self.content)
-        return abs(self.remainder) / scale if scale > 0.0 else 0.0
+        found = abs(self.remainder) / scale if scale > 0.0 else 0.0
+        if self.held is None or not self.fresh > 0.0:
+            return found
+        return max(found, abs(self.medium_remainder) / self.fresh)
+
+    @property
+    def medium_remainder(self) -> float:
+        """What fresh medium brought that went nowhere and is not there, amol."""
+        gone = self.discarded + self.spoiled + self.inflow + self.relaid
+        return self.fresh - gone - (self.held or 0.0)
 
     def summary(self) -> dict[str, float]:
         """Return totals in amol, and the remainder relative to turnover or content."""
@@ -105,4 +157,18 @@ class Ledger:
             "content": self.content,
             "remainder": self.remainder,
             "relative_remainder": self.relative_remainder,
+            **({} if self.injected is None else {"injected": self.injected}),
+            **self._medium(),
+        }
+
+    def _medium(self) -> dict[str, float]:
+        """Return the account of a finite medium, amol."""
+        if self.held is None:
+            return {}
+        return {
+            "medium_held": self.held,
+            "medium_fresh": self.fresh,
+            "medium_discarded": self.discarded,
+            "medium_decayed": self.spoiled,
+            "medium_remainder": self.medium_remainder,
         }

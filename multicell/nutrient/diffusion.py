@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 # What diagonalises the second difference on n cell-centred nodes, by what stands at its two ends
 # (True: a value, False: a slope): the name and the type of SciPy's transform.
-_TRANSFORMS = {
+TRANSFORMS = {
     (True, True): ("dst", 2),
     (False, False): ("dct", 2),
     (True, False): ("dst", 4),
@@ -222,7 +222,7 @@ def _transform(
     else:
         kinds_of_axes = {(axis,): kind for axis, kind in enumerate(kinds) if y.shape[axis] > 1}
     for axes, kind in kinds_of_axes.items():
-        name, number = _TRANSFORMS[kind]
+        name, number = TRANSFORMS[kind]
         run = getattr(fft, f"i{name}n" if inverse else f"{name}n")
         y = run(y, type=number, axes=axes, norm="ortho", overwrite_x=True, workers=1)
     return y

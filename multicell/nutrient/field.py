@@ -17,6 +17,7 @@ from multicell.nutrient.transient import Amounts, March, TransientReport, march
 from multicell.nutrient.uptake import uptake
 
 if TYPE_CHECKING:
+    from multicell.nutrient.finite import Stirred
     from multicell.nutrient.parameters import FieldParameters
     from multicell.results.frame import Field
 
@@ -67,6 +68,7 @@ class NutrientField:
         self.name = name
         self.parameters = parameters
         self.layings = 0
+        self.stirred: Stirred | None = None  # of a finite medium, once poured
         self._layout: Layout | None = None
         self._operator: Operator | None = None
         self._conditions: dict[str, Any] = {}
@@ -134,7 +136,7 @@ class NutrientField:
         position, radius = _checked(position, capacity, production, radius)
         layout, kept = self._lay(position, radius)
         operator, conditions = self._operator_on(layout, kept, position, radius, time)
-        p, medium = self.parameters, self.parameters.nutrient.medium(time)
+        p, medium = self.parameters, self.level(time)
         if kept:
             start = self._values
         elif self._layout is None:
@@ -171,6 +173,10 @@ class NutrientField:
             As for :meth:`solve`; the field then still is the last one.
         """
         position, radius = _checked(position, capacity, production, radius)
+        if self.stirred is not None:
+            from multicell.nutrient import finite
+
+            return finite.advance(self, position, capacity, production, radius, begin, end)
         layout, kept = self._lay(position, radius)
         before = self.stored()
         c = self._values
@@ -216,8 +222,27 @@ class NutrientField:
         position, radius = _checked(position, np.zeros(len(position)), None, radius)
         layout, _ = self._lay(position, radius)
         operator, conditions = self._operator_on(layout, False, position, radius, time)
-        values = layout.filled(self.parameters.nutrient.medium(time))
+        values = layout.filled(self.level(time))
         self._take(layout, operator, conditions, values, False)
+
+    def pour(self) -> None:
+        """Let a finite medium lie round the grid, as it is at the start.
+
+        Raises
+        ------
+        NutrientFailed
+            If the grid covers all of it.
+        """
+        from multicell.nutrient.finite import poured, whole
+
+        covered = whole(self.layout, self._values)
+        self.stirred = poured(self.name, self.parameters.nutrient, covered)
+
+    def level(self, time: float) -> float:
+        """Return the concentration of the medium at a time in s, of a finite one now, mM."""
+        if self.stirred is not None:
+            return self.stirred.concentration
+        return self.parameters.nutrient.medium(time)
 
     def sample(self, position: FloatArray) -> FloatArray:
         """Return the concentration in mM at positions (n, 3) in µm, interpolated linearly.
@@ -267,15 +292,15 @@ class NutrientField:
         values.flags.writeable = False
         self._values = values
         self._operator = None
-        self._conditions = self._layout.conditions(self.parameters.sides(time))
+        self._conditions = self._layout.conditions(self.parameters.sides(time, self.level(time)))
 
     def kept(self) -> tuple[Any, ...]:
         """Return what :meth:`take_back` needs to undo a solve."""
-        return self._layout, self._values, self.layings
+        return self._layout, self._values, self.layings, self.stirred
 
     def take_back(self, kept: tuple[Any, ...]) -> None:
         """Make a solution that was kept the last one again."""
-        self._layout, self._values, self.layings = kept
+        self._layout, self._values, self.layings, self.stirred = kept
         # whose conditions may have been changed on the way
         self._operator, self._conditions = None, {}
 
@@ -303,7 +328,7 @@ class NutrientField:
     ) -> tuple[Operator, dict[str, Any]]:
         """Return the operator on a layout at a time, the last one if it still holds."""
         p = self.parameters
-        conditions = layout.conditions(p.sides(time))
+        conditions = layout.conditions(p.sides(time, self.level(time)))
         medium = p.nutrient.diffusion_medium
         if kept and self._operator is not None and medium is None:
             if conditions != self._conditions:
@@ -325,6 +350,11 @@ class NutrientField:
     ) -> FloatArray | None:
         """Return what the nodes gain by secretion and perfusion, mM/s, or None."""
         brought = self.parameters.nutrient.perfusion * medium
+        if self.parameters.nutrient.sources:
+            from multicell.nutrient.sources import injected
+
+            fixed = injected(layout, self.parameters.nutrient.sources) + brought
+            return fixed if production is None else fixed + layout.scatter(position, production)
         if production is None:
             return layout.filled(brought) if brought > 0.0 else None
         return layout.scatter(position, production) + brought

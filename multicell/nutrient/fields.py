@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from multicell.cells import Cells, FloatArray, State
+from multicell.cells import Cells, FloatArray, Phase, State
 from multicell.errors import NutrientFailed
 from multicell.nutrient.balance import Ledger
 from multicell.nutrient.cartesian import departure
@@ -51,12 +51,19 @@ class Feeding:
 
     def __init__(self, scene: Scene) -> None:
         self._nutrients = scene.nutrients
-        scales = [part.uptake_scale for part in scene.types.values()]
-        self._scales = np.array(scales) if any(s != 1.0 for s in scales) else None
+        self._factors = {
+            (what, name): factors(scene, what, name)
+            for name in scene.nutrients
+            for what in ("uptake", "secretion")
+        }
         self._order = solving_order(scene.nutrients)
         parameters = {name: FieldParameters.of(scene, name) for name in self._order}
         self._parameters = parameters
-        self._steady = [name for name in self._order if parameters[name].regime == "steady"]
+        # a steady field in a finite medium goes on with what that holds: it is marched
+        self._steady = [
+            name for name in self._order
+            if parameters[name].regime == "steady" and scene.nutrients[name].finite_medium is None
+        ]  # fmt: skip
         self.fields = {name: NutrientField(name, parameters[name]) for name in scene.nutrients}
         self.ledger = {name: Ledger() for name in scene.nutrients}
         self.concentrations: dict[str, FloatArray] = {}
@@ -76,13 +83,17 @@ class Feeding:
         for name in self._order:
             capacity, production = self._demand(name, cells)
             field = self.fields[name]
-            if name in self._steady or self._nutrients[name].initial == "steady":
+            steady = self._parameters[name].regime == "steady"
+            if steady or self._nutrients[name].initial == "steady":
                 self.reports[name] = field.solve(
                     cells.position, capacity, production=production, radius=cells.radius, time=time
                 )
             else:
                 field.fill(cells.position, radius=cells.radius, time=time)
             self.ledger[name].add(0.0, 0.0, content=field.stored())
+            if self._nutrients[name].finite_medium is not None:
+                field.pour()
+            self._note_medium(name)
             self._sample(name, cells, capacity)
 
     def advance(
@@ -106,9 +117,10 @@ class Feeding:
             with_cells = {"production": production, "radius": cells.radius}
             if name in self._steady:
                 old = self.reports[name]
+                injected = self._injected(name)
                 ledger.add(
-                    old.inflow, old.uptake, end - begin,
-                    secreted=old.produced, decayed=old.decayed, outflow=old.outflow,
+                    old.inflow, old.uptake, end - begin, injected=injected,
+                    secreted=old.produced - injected, decayed=old.decayed, outflow=old.outflow,
                     washed=old.washed,
                 )  # fmt: skip
                 self.reports[name] = field.solve(cells.position, capacity, time=end, **with_cells)
@@ -123,11 +135,13 @@ class Feeding:
                     decayed=march.decayed,
                     relaid=march.relaid,
                     washed=march.washed,
+                    injected=self._injected(name) * (end - begin),
                     stored=(now := field.stored()) - content,
                     content=now,
                 )
                 if before is not None:
                     self._rate(name, demand[name], float(capacity.sum()), march.uptake)
+                self._note_medium(name)
             self._sample(name, cells, capacity)
 
     def kept(self) -> dict[str, Any]:
@@ -157,9 +171,17 @@ class Feeding:
         """Take fields, concentrations and accounts from a frame."""
         assert frame.progress is not None
         for name, field in self.fields.items():
+            self.ledger[name] = ledger = Ledger(**frame.progress.ledger[name])
             field.restore(frame.fields[name], frame.time)
+            if ledger.held is not None:
+                field.pour()
+                assert field.stirred is not None
+                field.stirred = replace(
+                    field.stirred, amount=ledger.held, fresh=ledger.fresh,
+                    discarded=ledger.discarded, decayed=ledger.spoiled, changes=int(ledger.changes),
+                )  # fmt: skip
+                field.restore(frame.fields[name], frame.time)
             self.concentrations[name] = np.array(frame.concentrations[name])
-            self.ledger[name] = Ledger(**frame.progress.ledger[name])
         self.reports = {
             name: FieldReport(**report)  # type: ignore[arg-type]
             for name, report in frame.progress.rates.items()
@@ -189,6 +211,8 @@ class Feeding:
             shells = isinstance(field.layout, ShellLayout)
             kind = "shells" if shells else "squares" if parameters.dimensions == 2 else "cubes"
             fields[name] = {"geometry": kind, "spacing": field.layout.spacing}
+            if field.stirred is not None:
+                fields[name]["medium"] = field.stirred.concentration
             if parameters.nutrient.layer is not None and isinstance(field.layout, ShellLayout):
                 self._rate_layer(
                     name, field.layout, parameters.nutrient.layer, cells, fields, notes
@@ -230,6 +254,31 @@ class Feeding:
                 f"reach to it, and the layer is {found:.3g} um instead of {wanted:.3g} um."
             )
 
+    def demand(
+        self,
+        name: str,
+        cells: Cells,
+        concentrations: Mapping[str, FloatArray],
+        taken: Mapping[str, FloatArray],
+    ) -> tuple[FloatArray, FloatArray | None]:
+        """Return each cell's largest uptake and its secretion, (n,) amol/s, for other surroundings.
+
+        Parameters
+        ----------
+        name
+            Of the field.
+        cells
+            The population.
+        concentrations, taken : name -> (n,), mM and amol/s
+            What each cell finds of all fields, and takes up of those that others are made from.
+        """
+        kept = self.concentrations, self._uptake
+        self.concentrations, self._uptake = dict(concentrations), dict(taken)
+        try:
+            return self._demand(name, cells)
+        finally:
+            self.concentrations, self._uptake = kept
+
     def _rate(self, name: str, began: float, ended: float, uptake: float) -> None:
         """Note the error of a march in which the largest uptake went from one rate to another."""
         content = self.ledger[name].content
@@ -251,17 +300,41 @@ class Feeding:
             found.append(abs(amiss) / most / dt if most > 0.0 else 0.0)
         return max(found)
 
-    def _active(self, nutrient: Nutrient, cells: Cells) -> FloatArray:
-        """Return uptake and secretion of each cell over those of a proliferating one, (n,)."""
-        active = activity(nutrient)[cells.state]
-        return active if self._scales is None else active * self._scales[cells.kind]
+    def _active(self, what: str, name: str, cells: Cells) -> FloatArray:
+        """Return uptake or secretion of each cell over that of a proliferating one, (n,)."""
+        by_state, by_kind, by_phase = self._factors[what, name]
+        active = by_state[cells.state]
+        if by_kind is not None:
+            active = active * by_kind[cells.kind]
+        return active if by_phase is None else active * by_phase[cells.phase]
 
     def _capacity(self, name: str, cells: Cells) -> FloatArray:
         """Return each cell's largest uptake, (n,) amol/s."""
         nutrient = self._nutrients[name]
-        active = self._active(nutrient, cells)
+        active = self._active("uptake", name, cells)
         factor = dependence(nutrient, self.concentrations, len(cells))
         return np.asarray(nutrient.uptake * active * factor)
+
+    def _injected(self, name: str) -> float:
+        """Return what the sources of a field give, amol/s; points and planes do not change it."""
+        sources = self._nutrients[name].sources
+        if not sources:
+            return 0.0
+        from multicell.nutrient.sources import rate
+
+        return rate(self.fields[name].layout, sources)
+
+    def _note_medium(self, name: str) -> None:
+        """Note what a finite medium holds."""
+        medium = self.fields[name].stirred
+        if medium is not None:
+            self.ledger[name].note(medium)
+
+    @property
+    def media(self) -> dict[str, float]:
+        """Concentrations of the finite media now, name -> mM."""
+        found = {name: field.stirred for name, field in self.fields.items()}
+        return {name: x.concentration for name, x in found.items() if x is not None}
 
     def _sample(self, name: str, cells: Cells, capacity: FloatArray) -> None:
         """Keep what the cells find and take up of a field."""
@@ -276,10 +349,38 @@ class Feeding:
         capacity = self._capacity(name, cells)
         if nutrient.secretion == 0.0 and not nutrient.secretion_from:
             return capacity, None
-        production = nutrient.secretion * self._active(nutrient, cells)
+        production = nutrient.secretion * self._active("secretion", name, cells)
         for other, share in (nutrient.secretion_from or {}).items():
             production = production + share * self._uptake[other]
         return capacity, production
+
+
+def factors(
+    scene: Scene, what: str, name: str
+) -> tuple[FloatArray, FloatArray | None, FloatArray | None]:
+    """Return factors on ``"uptake"`` or ``"secretion"`` of a field by state, by type and by phase.
+
+    None stands for a factor that is always one.
+    """
+    nutrient = scene.nutrients[name]
+    by_state = activity(nutrient)
+    if what == "secretion":
+        for state, factor in (nutrient.secretion_by_state or {}).items():
+            by_state[State[state.upper()]] = factor
+    by_kind = []
+    for kind in scene.types.values():
+        own = kind.uptake_scale
+        if what == "secretion" and kind.secretion_scale is not None:
+            own = kind.secretion_scale
+        of = kind.uptake_of if what == "uptake" else kind.secretion_of
+        by_kind.append(own * (of or {}).get(name, 1.0))
+    phases = nutrient.uptake_by_phase if what == "uptake" else nutrient.secretion_by_phase
+    by_phase = np.array([(phases or {}).get(phase.name, 1.0) for phase in Phase])
+    return by_state, _unless_one(np.array(by_kind)), _unless_one(by_phase)
+
+
+def _unless_one(found: FloatArray) -> FloatArray | None:
+    return found if (found != 1.0).any() else None
 
 
 def activity(nutrient: Nutrient) -> FloatArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, final
 
@@ -56,16 +57,22 @@ class FieldParameters:
         """``"box"``, ``"radial"`` or ``"auto"``; always a box in two dimensions."""
         return self.nutrient.geometry if self.dimensions == 3 else "box"
 
-    def sides(self, time: float) -> dict[str, Side]:
-        """Return the condition on every face at a time, with the medium's value filled in."""
-        from dataclasses import replace
+    def sides(self, time: float, medium: float | None = None) -> dict[str, Side]:
+        """Return the condition on every face at a time, with the medium's value filled in.
 
-        medium = self.nutrient.medium(time)
+        That is ``medium`` (mM) where it is given, else what the scene says of the time (s).
+        """
+        medium = self.nutrient.medium(time) if medium is None else medium
         faces = ("r+", *_faces(self.dimensions))
         found = {face: _side(self.nutrient, face) for face in faces}
         return {
-            face: side
-            if side.type == "derivative" or side.value is not None
-            else replace(side, value=medium)
+            face: side if side.type == "derivative" or side.value is not None else _at(side, medium)
             for face, side in found.items()
         }
+
+
+def _at(side: Side, medium: float) -> Side:
+    """Return a side with the value of the medium, which no bounds of scene files hold any more."""
+    made = copy(side)
+    object.__setattr__(made, "value", medium)
+    return made

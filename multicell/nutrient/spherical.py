@@ -117,6 +117,20 @@ class Shells:
             "Check uptake, diffusion and half_saturation of the nutrient for sensible values",
         )
 
+    def solve_linear(self, taken: FloatArray, right: FloatArray) -> FloatArray:
+        """Solve for c of which ``taken`` and diffusion, in µm³/s, take ``right``, amol/s."""
+        from scipy.linalg import solveh_banded
+
+        g = self.conductance
+        diagonal = taken.copy()
+        diagonal[:-1] += g
+        diagonal[1:] += g
+        diagonal[-1] += self._outer * (1.0 - self._factor)
+        banded = np.zeros((2, self.count))
+        banded[0, 1:] = -g
+        banded[1] = diagonal
+        return np.asarray(solveh_banded(banded, right, check_finite=False))
+
 
 @final
 class _Balance:
@@ -143,7 +157,7 @@ class _Balance:
 
     def step(self, c: FloatArray, left: FloatArray) -> tuple[FloatArray, FloatArray, float]:
         """Return the state after a Newton step that lowers the energy, and its imbalance."""
-        correction = self._solve(self._slope, left)
+        correction = self.shells.solve_linear(self._slope, left)
         slope, share = float(left @ correction), 1.0
         for _ in range(_MAX_BACKTRACKS):
             trial = c + share * correction
@@ -164,21 +178,7 @@ class _Balance:
         taken = rate(self.most, np.maximum(c, 0.0), self.half) + self.linear * shells.volumes
         brought = self.supply.copy()
         brought[-1] += shells._outer * shells._const
-        return self._solve(taken, brought)
-
-    def _solve(self, taken: FloatArray, right: FloatArray) -> FloatArray:
-        """Solve for c of which ``taken`` and diffusion, in µm³/s, take ``right``, amol/s."""
-        from scipy.linalg import solveh_banded
-
-        g, shells = self.shells.conductance, self.shells
-        diagonal = taken.copy()
-        diagonal[:-1] += g
-        diagonal[1:] += g
-        diagonal[-1] += shells._outer * (1.0 - shells._factor)
-        banded = np.zeros((2, shells.count))
-        banded[0, 1:] = -g
-        banded[1] = diagonal
-        return np.asarray(solveh_banded(banded, right, check_finite=False))
+        return shells.solve_linear(taken, brought)
 
     def rounding(self, c: FloatArray) -> float:
         """Return the part of the imbalance that is rounding, amol/s."""

@@ -100,6 +100,7 @@ def march(
     tolerance: float,
     scale: float,
     done: March,
+    opening: float = 0.1,
 ) -> FloatArray:
     """Bring a field from ``begin`` to ``end`` (s).
 
@@ -116,6 +117,8 @@ def march(
     scale : mM
     done
         Counts and amounts, which are added to.
+    opening
+        First step over the whole time.
 
     Raises
     ------
@@ -123,7 +126,7 @@ def march(
         If steps become too many or too short, or one cannot be solved.
     """
     length = end - begin
-    elapsed, dt = 0.0, 0.1 * length
+    elapsed, dt = 0.0, opening * length
     while elapsed < length:
         dt = min(dt, length - elapsed)
         if length - elapsed - dt < 1e-9 * length:

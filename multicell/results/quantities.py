@@ -15,7 +15,8 @@ from typing import Any, Final
 _STATES: Final = ("proliferating", "quiescent", "necrotic", "apoptotic")
 _AMOUNTS: Final = (
     "inflow", "outflow", "uptake", "secreted", "decayed", "relaid", "stored", "remainder",
-    "content", "washed",
+    "content", "washed", "injected", "medium_held", "medium_fresh", "medium_discarded",
+    "medium_decayed", "medium_remainder",
 )  # fmt: skip
 _COUNTS: Final = (
     "evaluations", "linearisations", "jacobian_products", "preconditioner_setups",
@@ -45,6 +46,7 @@ UNITS: Final[Mapping[str, str]] = {
     "splitting_worst_cell_error": "",
     "splitting_content_error_*": "",
     "hypoxic_radius_*": "um",
+    "medium_*": "mM",
     **dict.fromkeys(_STATES, ""),
     # summary
     **{f"states.{name}": "" for name in _STATES},
@@ -65,6 +67,7 @@ UNITS: Final[Mapping[str, str]] = {
     "ledger.relative_remainder": "",
     "fields.*.spacing": "um",
     "fields.*.layer": "um",
+    "fields.*.medium": "mM",
     "fields.*.discretisation_error": "mM",
     "fields.*.departure_from_a_ball": "",
     "separation.time": "s",

@@ -6,11 +6,11 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
-from multicell.cells import Phase
+from multicell.cells import Phase, State
 from multicell.errors import SceneError
 from multicell.integrators.registry import METHODS
 from multicell.scene import domain as box
-from multicell.scene.scales import MAX_NODES, level_fixed, spacing
+from multicell.scene.scales import MAX_NODES, level_fixed, spacing, touches_medium
 from multicell.schema import near_miss
 
 if TYPE_CHECKING:
@@ -88,12 +88,17 @@ def _check_responses(scene: Scene, path: str, kind: CellType) -> None:
     """Check that a programme of adhesion refers to phases and fields that there are."""
     for key in ("receptor_by_phase", "ligand_by_phase"):
         phases = getattr(kind, key)
-        check_names(phases, Phase.__members__, f"{path}.{key}", "a phase of the cycle")
-        if phases and (scene.growth is None or not scene.growth.phases):
-            hint = "growth.phases gives them."
-            raise SceneError(f"{path}.{key}", "has no effect: the scene has no phases", hint)
-    for key in ("receptor_by", "ligand_by"):
+        _check_phases(scene, f"{path}.{key}", phases)
+    for key in ("receptor_by", "ligand_by", "uptake_of", "secretion_of"):
         check_names(getattr(kind, key), scene.nutrients, f"{path}.{key}", _FIELD)
+
+
+def _check_phases(scene: Scene, path: str, phases: Mapping[str, float] | None) -> None:
+    """Check that factors by phase name phases, and that the scene has some."""
+    check_names(phases, Phase.__members__, path, "a phase of the cycle")
+    if phases and (scene.growth is None or not scene.growth.phases):
+        hint = "growth.phases gives them."
+        raise SceneError(path, "has no effect: the scene has no phases", hint)
 
 
 _FINEST = 0.001
@@ -109,6 +114,8 @@ def check_nutrients(scene: Scene) -> None:
         _check_spacing(scene, path, nutrient)
         _check_sides(scene, path, nutrient)
         _check_medium(path, nutrient)
+        _check_finite(scene, path, nutrient)
+        _check_sources(scene, path, nutrient)
         _check_layer(path, nutrient)
         if scene.domain is not None:
             _check_in_domain(scene, name)
@@ -119,6 +126,13 @@ def _check_names(scene: Scene, path: str, nutrient: Nutrient) -> None:
     """Check that fields which a field refers to exist."""
     for key in ("uptake_on", "secretion_from"):
         check_names(getattr(nutrient, key), scene.nutrients, f"{path}.{key}", _FIELD)
+    for key in ("uptake_by_phase", "secretion_by_phase"):
+        _check_phases(scene, f"{path}.{key}", getattr(nutrient, key))
+    states = [state.name.lower() for state in State]
+    check_names(nutrient.secretion_by_state, states, f"{path}.secretion_by_state", "a state")
+    for key in ("secretion_by_state", "secretion_by_phase"):
+        if getattr(nutrient, key) and nutrient.secretion == 0.0:
+            raise SceneError(f"{path}.{key}", "has no effect: secretion is zero")
     if nutrient.uptake_on and nutrient.uptake == 0.0:
         hint = "Give an uptake, or remove uptake_on."
         raise SceneError(f"{path}.uptake_on", "has no effect: uptake is zero", hint)
@@ -171,6 +185,57 @@ def _check_sides(scene: Scene, path: str, nutrient: Nutrient) -> None:
 def _check_medium(path: str, nutrient: Nutrient) -> None:
     if nutrient.media is not None and nutrient.media[0][0] < 0.0:
         raise SceneError(f"{path}.media", f"begins at {nutrient.media[0][0]:g} s, before the run")
+
+
+def _check_finite(scene: Scene, path: str, nutrient: Nutrient) -> None:
+    """Check that a finite medium is all that a field exchanges with, and that it does."""
+    finite = nutrient.finite_medium
+    if finite is None:
+        return
+    for face, side in nutrient.sides.items():
+        for key in ("value", "derivative"):
+            if getattr(side, key):
+                problem = "supplies from elsewhere, but the medium is finite: nothing would add up"
+                hint = "Leave it out (the medium's value), or let the side be a wall of slope 0."
+                raise SceneError(f"{path}.sides.{face}.{key}", problem, hint)
+    if nutrient.perfusion == 0.0 and not touches_medium(nutrient, scene.dimensions):
+        hint = "Let one side be of type 'value' or 'mixed', or give a perfusion."
+        raise SceneError(f"{path}.finite_medium", "touches no side: all are walls", hint)
+    if nutrient.media_change == "linear":
+        problem = "is 'linear', but a finite medium changes by itself and is replaced at times"
+        raise SceneError(f"{path}.media_change", problem, "Leave it out.")
+    if scene.domain is not None:
+        height = nutrient.height or 2.0 * scene.cells.division_radius
+        flat = height if scene.dimensions == 2 else 1.0
+        covered = math.prod(box.sides(scene.domain)) * flat
+        if not finite.volume > covered:
+            problem = f"is {finite.volume:g} um^3, no more than the domain ({covered:g} um^3) holds"
+            hint = "It is the volume of all medium, in the domain and beyond it."
+            raise SceneError(f"{path}.finite_medium.volume", problem, hint)
+
+
+def _check_sources(scene: Scene, path: str, nutrient: Nutrient) -> None:
+    """Check that sources have a place in the scene's dimensions, and lie in its domain."""
+    axes = "xyz"[: scene.dimensions]
+    if nutrient.sources and nutrient.geometry != "box":
+        problem = f"need geometry = 'box': shells ('{nutrient.geometry}') know a distance only"
+        raise SceneError(f"{path}.sources", problem)
+    for name, source in nutrient.sources.items():
+        where = f"{path}.sources.{name}"
+        for axis in source.place:
+            if axis not in axes:
+                raise SceneError(f"{where}.{axis}", "does not exist in a scene of 2 dimensions")
+        if source.flux is not None and scene.domain is None:
+            problem = "is that of a plane, which needs a domain: other grids follow the cells"
+            raise SceneError(f"{where}.flux", problem, "Give [domain], or take a point.")
+        missing = [axis for axis in axes if axis not in source.place]
+        if source.strength is not None and missing:
+            raise SceneError(f"{where}.{missing[0]}", "is missing: a point has a place along it")
+        for axis, place in source.place.items():
+            low, high = getattr(scene.domain, axis, None) or (-math.inf, math.inf)
+            if not low <= place <= high:
+                problem = f"is {place:g} um, outside the domain: from {low:g} to {high:g} um"
+                raise SceneError(f"{where}.{axis}", problem)
 
 
 def _check_layer(path: str, nutrient: Nutrient) -> None:

@@ -17,6 +17,7 @@ from multicell.schema import (
     quantities,
     quantity,
     schedule,
+    table,
     tables,
 )
 
@@ -95,6 +96,69 @@ class Dependence:
     half: float = quantity("mM", above=0, at_most=MOST, doc="concentration g of half the effect")
 
 
+_place = partial(quantity, "um", default=None, at_least=-1e6, at_most=1e6)
+
+
+@final
+@parameters
+class Source:
+    """A point (``strength``) or a plane across an axis (``flux``) that gives off a substance.
+
+    A point has a place along all axes of the scene, a plane along the one that it lies across.
+    """
+
+    x: float | None = _place(doc="place; absent: a plane along this axis")
+    y: float | None = _place(doc="place; absent: a plane along this axis")
+    z: float | None = _place(doc="place; absent: a plane along this axis, or a scene in 2D")
+    strength: float | None = _flux(default=None, doc="of a point")
+    flux: float | None = quantity(
+        "amol/s/um^2", default=None, at_least=0, at_most=1e6, doc="of a plane, to both sides in all"
+    )
+
+    def check(self) -> None:
+        """Raise ``SceneError`` for what is neither a point nor a plane."""
+        if (self.strength is None) == (self.flux is None):
+            what = "neither" if self.flux is None else "both"
+            hint = "A point has a strength in amol/s, a plane a flux in amol/s/um^2."
+            raise SceneError("strength", f"and flux are given {what}, must be one of them", hint)
+        if self.flux is not None and len(self.place) != 1:
+            problem = f"is that of a plane, which needs one of x, y, z and has {len(self.place)}"
+            raise SceneError("flux", problem, "x = '10 um' is the plane through there across x.")
+
+    @property
+    def place(self) -> dict[str, float]:
+        """The coordinates that are given, by axis, µm."""
+        axes = {"x": self.x, "y": self.y, "z": self.z}
+        return {axis: value for axis, value in axes.items() if value is not None}
+
+
+@final
+@parameters
+class FiniteMedium:
+    """A stirred volume of medium that the cells use up, in place of one that never changes.
+
+    It begins with the concentration ``boundary``, and at the times of ``media`` fresh medium of the
+    concentrations there takes the place of a part of it.
+    """
+
+    volume: float = quantity(
+        "um^3",
+        above=0,
+        doc="of the medium in all, with what the field's grid covers",
+        hint="A microlitre is 1e9 um^3.",
+    )
+    unstirred: float | None = quantity(
+        "um",
+        default=None,
+        at_least=1e-3,
+        at_most=1e6,
+        doc="thickness of a layer on the sides of the grid that is not stirred; absent: none",
+    )
+    replaced: float = number(
+        default=1.0, above=0, at_most=1, doc="part of the stirred medium that a change replaces"
+    )
+
+
 @final
 @parameters
 class Nutrient:
@@ -122,6 +186,15 @@ class Nutrient:
         at_most=MOST,
         doc="[time, concentration] of the medium from these times on",
     )
+    temperature: float = number(
+        default=37.0,
+        at_least=0,
+        at_most=60,
+        doc="°C, at which partial pressures of oxygen ('40 mmHg') become concentrations",
+    )
+    finite_medium: FiniteMedium | None = table(
+        FiniteMedium, default=None, doc="absent: the cells do not change the medium"
+    )
     media_change: str = choice(
         ["steps", "linear"], default="steps", doc="at the times of media, or all the way between"
     )
@@ -146,11 +219,32 @@ class Nutrient:
         Dependence, default_factory=Tables, doc="how uptake depends on other fields, by name"
     )
     secretion: float = _flux(default=0.0, doc="of a proliferating cell; a quiescent one as uptake")
+    secretion_by_state: Mapping[str, float] | None = quantities(
+        "",
+        at_least=0,
+        at_most=1e6,
+        doc="secretion of cells in a state / secretion; absent states: as uptake",
+    )
+    uptake_by_phase: Mapping[str, float] | None = quantities(
+        "",
+        at_least=0,
+        at_most=1e6,
+        doc="factors on uptake by phase of the cycle; absent phases: 1",
+    )
+    secretion_by_phase: Mapping[str, float] | None = quantities(
+        "",
+        at_least=0,
+        at_most=1e6,
+        doc="factors on secretion by phase of the cycle; absent phases: 1",
+    )
     secretion_from: Mapping[str, float] | None = quantities(
         "",
         at_least=0,
         at_most=1e6,
         doc="amount secreted for each amount taken up of other fields, by name",
+    )
+    sources: Mapping[str, Source] = tables(
+        Source, default_factory=Tables, doc="points and planes that give it off, by name"
     )
     growth_half_saturation: float | None = _level_above_zero(
         default=None, doc="of half the largest growth (Monod); absent: no effect"

@@ -296,6 +296,15 @@ class CellType:
     uptake_scale: float = number(
         default=1.0, at_least=0, doc="uptake and secretion / those of the scene's fields"
     )
+    secretion_scale: float | None = number(
+        default=None, at_least=0, doc="secretion / that of the fields; absent: as uptake_scale"
+    )
+    uptake_of: Mapping[str, float] | None = quantities(
+        "", at_least=0, at_most=1e6, doc="further factors on the uptake of fields, by name"
+    )
+    secretion_of: Mapping[str, float] | None = quantities(
+        "", at_least=0, at_most=1e6, doc="further factors on the secretion of fields, by name"
+    )
     motility_scale: float = number(
         default=1.0, at_least=0, doc="active forces / those of the scene"
     )

@@ -32,6 +32,11 @@ def level_fixed(nutrient: Nutrient, dimensions: int = 3) -> bool:
     """
     if nutrient.perfusion > 0.0 or nutrient.decay > 0.0:
         return True
+    return touches_medium(nutrient, dimensions)
+
+
+def touches_medium(nutrient: Nutrient, dimensions: int = 3) -> bool:
+    """Return whether a side is no wall, on every geometry that a field may have."""
     shells = nutrient.geometry != "box" and dimensions == 3
     cubes = nutrient.geometry != "radial"
     fixed = [
@@ -50,10 +55,13 @@ def _side(nutrient: Nutrient, face: str) -> Side:
     """Return the condition on a face: its own, its axis', that of all, or the medium's value."""
     from multicell.scene.nutrient import Side
 
-    for key in (face, face[0], "*"):
-        if key in nutrient.sides:
-            return nutrient.sides[key]
-    return Side()
+    found = next((nutrient.sides[k] for k in (face, face[0], "*") if k in nutrient.sides), Side())
+    finite = nutrient.finite_medium
+    if finite is None or finite.unstirred is None or found.type == "derivative":
+        return found
+    # resistances in a row, in units of 1/D: of a membrane, if there is one, and of the layer
+    membrane = 0.0 if found.rate is None else 1.0 / found.rate
+    return Side(type="mixed", rate=1.0 / (membrane + finite.unstirred), value=found.value)
 
 
 @final

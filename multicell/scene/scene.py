@@ -24,6 +24,7 @@ from multicell.scene.checks import check_integrator, check_nutrients, check_outp
 from multicell.scene.coupling import AUTO, USUAL
 from multicell.scene.domain import check_domain
 from multicell.scene.nutrient import Nutrient
+from multicell.scene.oxygen import in_concentrations
 from multicell.scene.parts import (
     Adhesion,
     CellParameters,
@@ -131,7 +132,10 @@ class Scene:
     pull: Pull | None = table(Pull, default=None, doc="absent: no external force")
     domain: Domain | None = table(Domain, default=None, doc="absent: fields follow the cells")
     nutrients: Mapping[str, Nutrient] = tables(
-        Nutrient, default_factory=Tables, doc="absent: no cell ever starves"
+        Nutrient,
+        default_factory=Tables,
+        doc="absent: no cell ever starves",
+        prepare=in_concentrations,
     )
     integrator: IntegratorOptions = table(
         IntegratorOptions, default_factory=IntegratorOptions, shorthand="method", doc="the method"

@@ -338,9 +338,17 @@ def variant(
 
 
 def tables(
-    part: type[Any], *, default_factory: Any, names: Iterable[str] | None = None, doc: str = ""
+    part: type[Any],
+    *,
+    default_factory: Any,
+    names: Iterable[str] | None = None,
+    doc: str = "",
+    prepare: Callable[[str, Mapping[str, Any], str], Mapping[str, Any]] | None = None,
 ) -> Any:
-    """Declare a table of named tables, each of them a ``part``; ``names`` are all that may be."""
+    """Declare a table of named tables, each of them a ``part``; ``names`` are all that may be.
+
+    ``prepare`` is given name, table and path of each, and returns the table that is read.
+    """
     known = tuple(names or ())
 
     def convert(value: object, path: str) -> Tables[Any]:
@@ -355,7 +363,11 @@ def tables(
         return named(entries, path, one)
 
     def one(entry: object, path: str) -> Any:
-        return entry if isinstance(entry, part) else build(part, entry, path)
+        if isinstance(entry, part):
+            return entry
+        if prepare is not None:
+            entry = prepare(path.rpartition(".")[2], mapping(entry, path), path)
+        return build(part, entry, path)
 
     return declared(
         "tables", convert, MISSING, default_factory,

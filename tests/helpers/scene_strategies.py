@@ -13,7 +13,7 @@ import math
 
 from hypothesis import strategies as st
 
-from multicell.cells import Phase
+from multicell.cells import Phase, State
 from multicell.integrators.registry import METHODS
 from multicell.scene.nutrient import FACES
 from multicell.scene.parts import PHASES
@@ -31,16 +31,23 @@ NAMES = {
     "secretion_from": FIELDS,
     "receptor_by": FIELDS,
     "ligand_by": FIELDS,
+    "uptake_of": FIELDS,
+    "secretion_of": FIELDS,
+    "secretion_by_state": tuple(state.name.lower() for state in State),
+    "uptake_by_phase": tuple(Phase.__members__),
+    "secretion_by_phase": tuple(Phase.__members__),
     "surface_energy": TYPES,
     "receptor_by_phase": tuple(Phase.__members__),
     "ligand_by_phase": tuple(Phase.__members__),
     "sides": FACES,
     "phases": PHASES,
+    "sources": ("pump", "dish"),
 }
 """Names of the entries of the tables that have named entries."""
 
 USUAL = {
     "um": (1.0, 50.0),
+    "um^3": (1e9, 1e13),
     "s": (60.0, 1e5),
     "kPa": (0.3, 10.0),
     "nN": (1e-3, 1.0),
@@ -52,6 +59,7 @@ USUAL = {
     "mM": (1e-3, 0.5),
     "mM/um": (1e-6, 1e-3),
     "amol/s": (0.1, 50.0),
+    "amol/s/um^2": (1e-5, 1e-2),
     "1/s": (1e-7, 1e-3),
     "1/um": (1e-3, 1.0),
     "": (0.1, 3.0),
@@ -60,6 +68,7 @@ USUAL = {
 
 OTHER_UNITS = {
     "um": ("mm", "nm", "micrometer", "dm"),
+    "um^3": ("uL", "mm^3", "nL"),
     "s": ("h", "min", "d", "ms"),
     "kPa": ("Pa", "MPa", "nN/um**2", "nN um^-2"),
     "kPa s": ("Pa s", "kPa*s", "nN s/um^2"),
@@ -405,7 +414,7 @@ def _fit_types(scene, types, fields):
         for key in ("receptor_by_phase", "ligand_by_phase"):
             if not phases and kind.get(key):
                 del kind[key]
-        for key in ("receptor_by", "ligand_by"):
+        for key in ("receptor_by", "ligand_by", "uptake_of", "secretion_of"):
             if key in kind:
                 kind[key] = {name: x for name, x in kind[key].items() if name in fields}
         if "adhesion" not in scene:
@@ -427,6 +436,7 @@ def _fit_field(scene, field, earlier, fields, flat):
     for name in list(field.get("secretion_from", {})):
         if base(fields[name].get("uptake", 20.0)) == 0.0:
             del field["secretion_from"][name]
+    _fit_secretion(scene, field)
     radius = base(scene.get("cells", {}).get("division_radius", 5.0))
     if "spacing" in field and base(field["spacing"]) > 4.0 * radius:
         field["spacing"] = radius
@@ -439,6 +449,9 @@ def _fit_field(scene, field, earlier, fields, flat):
     if field.get("geometry") != "radial":
         field.pop("layer", None)
     _fit_sides(field, flat)
+    _fit_sources(scene, field, flat)
+    if "finite_medium" in field:
+        _fit_medium(field)
     if "diffusion_medium" in field:
         inside = base(field.get("diffusion", 2000.0))
         field["diffusion_medium"] = min(
@@ -447,6 +460,39 @@ def _fit_field(scene, field, earlier, fields, flat):
     if "necrosis" in field and "quiescence" in field:
         low, high = sorted((base(field["necrosis"]), base(field["quiescence"])))
         field["necrosis"], field["quiescence"] = low, high if high > low else 2.0 * low + 1e-3
+
+
+def _fit_secretion(scene, field):
+    """Leave out factors by phase without phases, and all on a secretion that is not there."""
+    phases = bool((scene.get("growth") or {}).get("phases"))
+    silent = base(field.get("secretion", 0.0)) == 0.0
+    for key in ("uptake_by_phase", "secretion_by_phase", "secretion_by_state"):
+        if (key.endswith("phase") and not phases) or (key.startswith("secretion") and silent):
+            field.pop(key, None)
+
+
+def _fit_sources(scene, field, flat):
+    """Let sources be points at the origin, or where there is a domain a plane through it."""
+    if field.get("geometry", "box") != "box":
+        field.pop("sources", None)
+    for source in field.get("sources", {}).values():
+        strength, flux = source.get("strength", 1.0), source.get("flux")
+        source.clear()
+        if flux is not None and "domain" in scene:
+            source |= {"y": 0.0, "flux": flux}
+        else:
+            source |= {"strength": strength, **dict.fromkeys("xy" if flat else "xyz", 0.0)}
+
+
+def _fit_medium(field):
+    """Let a finite medium be all that a field exchanges with, and larger than any grid here."""
+    volume = base(field["finite_medium"]["volume"])
+    field["finite_medium"]["volume"] = max(volume, 1e12)
+    field.pop("media_change", None)
+    for side in field.get("sides", {}).values():
+        side.pop("value", None)
+        if side.get("type") == "derivative":
+            side["derivative"] = 0.0
 
 
 def _fit_sides(field, flat):

@@ -29,7 +29,9 @@ SCENES = {
         "nutrients": {
             "oxygen": {"quiescence": 0.068, "necrosis": 0.01, "geometry": "radial", "layer": 40.0,
                        "sides": {}},
-            "waste_2": {"uptake": 0.0, "secretion": 3.0, "boundary": 0.0, "regime": "transient"},
+            "glucose": {"finite_medium": {"volume": 1e9}},
+            "waste_2": {"sources": {"pump": {"x": 0, "y": 0, "z": 0, "strength": 1.0}},
+                        "uptake": 0.0, "secretion": 3.0, "boundary": 0.0, "regime": "transient"},
         },
     },
     "a plane with a field": {

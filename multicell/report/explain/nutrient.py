@@ -34,6 +34,8 @@ def _what(scene: Scene, name: str) -> str:
         _geometry(scene, nutrient, scales.spacing(scene, name)),
         _medium(nutrient),
     ]
+    if nutrient.sources:
+        parts.append(f"given off by {len(nutrient.sources)} source(s) that stand still")
     for other, law in nutrient.uptake_on.items():
         trend = "rises" if law.effect > 0.0 else "falls"
         parts.append(f"uptake {trend} where {other} is short of {law.half:g} mM")
@@ -86,10 +88,24 @@ def _standing(scene: Scene, spacing: float) -> str:
 
 def _medium(nutrient: Nutrient) -> str:
     """Return the words for the medium's level."""
+    if nutrient.finite_medium is not None:
+        return _finite(nutrient)
     if nutrient.media is None:
         return f"{nutrient.boundary:g} mM in the medium"
     values = [nutrient.boundary, *(value for _, value in nutrient.media)]
     return f"medium of {min(values):g} to {max(values):g} mM, changed {len(nutrient.media)} time(s)"
+
+
+def _finite(nutrient: Nutrient) -> str:
+    """Return the words for a finite medium."""
+    finite = nutrient.finite_medium
+    assert finite is not None
+    words = f"{finite.volume:g} um^3 of medium that the cells use up, {nutrient.medium(0.0):g} mM"
+    if finite.unstirred is not None:
+        words += f" behind an unstirred layer of {finite.unstirred:g} um"
+    changes = sum(time > 0.0 for time, _ in nutrient.media or ())
+    part = "" if finite.replaced == 1.0 else f" by {100.0 * finite.replaced:g} %"
+    return f"{words}, replaced{part} {changes} time(s)" if changes else words
 
 
 def nutrient_numbers(scene: Scene) -> list[Number]:
@@ -111,6 +127,11 @@ def _numbers(scene: Scene, name: str) -> list[Number]:
             f"to settle over {found.length:.3g} um; {_step_words(scene)}",
         )
     ]  # fmt: skip
+    if nutrient.finite_medium is not None and nutrient.uptake > 0.0:
+        most = nutrient.uptake * scene.initial.count
+        lasts = nutrient.finite_medium.volume * nutrient.highest / most
+        meaning = "until the cells of the start would have used up a finite medium at full uptake"
+        numbers.append(Number(f"{name}: medium lasts", lasts, "s", meaning))
     if not (math.isfinite(found.depth) and found.depth > 0.0):
         return numbers
     critical = math.sqrt(3.0) * found.depth

@@ -69,13 +69,19 @@ def field_maps(frame: Frame, scene: Scene) -> Figure:
     draw_circles(windows[0], place, radius, cells.state[cut > 0.0], colours)
     for axes, name in zip(windows[1:], shown, strict=True):
         nutrient, field = scene.nutrients[name], frame.fields[name]
-        medium, viridis = nutrient.medium(frame.time), mpl.colormaps["viridis"]
+        medium, viridis = medium_at(frame, name, nutrient), mpl.colormaps["viridis"]
         shades, _ = draw_field(axes, field, float(middle[2]), nutrient, medium, None, viridis)
         bar = figure.colorbar(shades, cax=axes.inset_axes((1.03, 0.0, 0.05, 1.0)))
         bar.outline.set_visible(False)
         bar.ax.tick_params(labelsize=9)
         bar.ax.grid(False)
     return figure
+
+
+def medium_at(frame: Frame, name: str, nutrient: Nutrient) -> float:
+    """Return the concentration of the medium round a field, mM: of a finite one what was left."""
+    ledger = {} if frame.progress is None else frame.progress.ledger.get(name, {})
+    return float(ledger.get("level", nutrient.medium(frame.time)))
 
 
 def draw_hypoxic(axes: Axes, time: FloatArray, history: Mapping[str, FloatArray]) -> float:

@@ -1,0 +1,306 @@
+"""The fields' equation as one of py-pde's, for any solver of py-pde's, and for our own.
+
+    ∂c/∂t = ∇·(D ∇c) + k_p (c_medium − c) − k_d c − Q c/(K + c) + S
+
+for each substance, on a grid of py-pde's: ``CartesianGrid`` in two and three dimensions with equal
+spacings, or ``SphericalSymGrid``. Q and S are what cells take up at most and secrete, spread over
+the nodes around them. Below zero, where only a solver's error can bring c, uptake goes on along
+its tangent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Protocol, final
+
+import numpy as np
+from pde.fields.collection import FieldCollection
+from pde.fields.scalar import ScalarField
+from pde.pdes.base import PDEBase
+
+from multicell.cells import FloatArray
+from multicell.errors import SceneError
+from multicell.nutrient.equation_grid import layout_on
+from multicell.nutrient.equation_term import Substance, Term
+from multicell.nutrient.grid import Layout
+from multicell.nutrient.implicit_solver import ImplicitFieldSolver
+from multicell.nutrient.steady_solver import SteadyFieldSolver
+from multicell.nutrient.uptake import uptake_and_slope
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from pde.backends.base import BackendBase
+    from pde.grids.base import GridBase
+
+    State = ScalarField | FieldCollection
+
+SOLVERS = (ImplicitFieldSolver, SteadyFieldSolver)
+"""Solvers of ours, which py-pde knows by their names once this module is loaded."""
+
+
+class Coupling(Protocol):
+    """How uptake and secretion of a cell depend on what it finds of other substances."""
+
+    @property
+    def order(self) -> list[str]:
+        """Names of the substances, each after those that it depends on."""
+
+    def demand(
+        self, name: str, concentrations: Mapping[str, FloatArray], taken: Mapping[str, FloatArray]
+    ) -> tuple[FloatArray, FloatArray | None]:
+        """Return largest uptake and secretion of each cell, (n,) amol/s.
+
+        ``concentrations`` (mM) and ``taken`` (amol/s) are what each cell finds and takes up of
+        the substances before.
+        """
+
+
+@final
+class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
+    """Diffusion, decay, perfusion, Michaelis-Menten uptake and secretion by cells.
+
+    >>> grid = pde.CartesianGrid([(-100, 100)] * 3, 20)                   # doctest: +SKIP
+    >>> oxygen = mc.Substance(2000.0, 0.07, 0.005, capacity=20 * np.ones(5))  # doctest: +SKIP
+    >>> equation = mc.FieldEquation(grid, {"oxygen": oxygen}, position)   # doctest: +SKIP
+    >>> state = equation.state({"oxygen": 0.07})                          # doctest: +SKIP
+    >>> equation.solve(state, 60.0, solver="multicell-implicit")          # doctest: +SKIP
+
+    The state is a ``ScalarField`` for one substance and a ``FieldCollection`` for several, in
+    mM; times are in s and lengths in µm. Solvers of py-pde, ``"multicell-implicit"`` and
+    ``"multicell-steady"`` solve it. py-pde knows nothing of a medium that jumps: end an interval
+    where :meth:`switches` says that it does.
+
+    Parameters
+    ----------
+    grid
+        Not periodic; cubes or squares, or a ball of shells.
+    substances : name -> Substance
+    position : (n, 3), µm
+        Of the cells; in the frame of the grid, on shells relative to ``layout``'s centre.
+    layout
+        Where nodes are for the cells; absent: ``layout_on(grid)``.
+    coupling
+        How demands depend on other substances; absent: not at all.
+
+    Raises
+    ------
+    SceneError
+        For a grid, numbers, arrays or conditions that do not fit, and a position outside.
+    """
+
+    def __init__(
+        self,
+        grid: GridBase,
+        substances: Mapping[str, Substance],
+        position: FloatArray | None = None,
+        *,
+        layout: Layout | None = None,
+        coupling: Coupling | None = None,
+    ) -> None:
+        super().__init__()
+        if not substances:
+            raise SceneError("substances", "are none, but an equation has one or more")
+        self.grid, self.layout, self.coupling = grid, layout or layout_on(grid), coupling
+        self.position = np.zeros((0, 3)) if position is None else np.asarray(position, dtype=float)
+        if self.position.ndim != 2 or self.position.shape[1] != 3:
+            raise SceneError("position", f"has the shape {self.position.shape}, expected (n, 3)")
+        self.terms = {
+            name: Term(name, substance, self.layout, grid, self.position)
+            for name, substance in substances.items()
+        }
+        terms = self.terms.values()
+        self.explicit_time_dependence = not all(term.schedule.constant for term in terms)
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the substances in the order of the state's fields."""
+        return list(self.terms)
+
+    def state(self, values: Mapping[str, Any]) -> State:
+        """Return a state from an array of the grid's nodes or one number for each substance, mM.
+
+        Raises
+        ------
+        SceneError
+            If a substance is missing, unknown, or of another shape.
+        """
+        if set(values) != set(self.terms):
+            problem = f"are of {sorted(values)}, expected {sorted(self.terms)}"
+            raise SceneError("values", problem)
+        fields = []
+        for name in self.terms:
+            array = np.asarray(values[name], dtype=float)
+            if array.ndim and array.size != np.prod(self.grid.shape):
+                problem = f"has the shape {array.shape}, the grid has {self.grid.shape}"
+                raise SceneError(f"values.{name}", problem)
+            data = np.broadcast_to(array, self.grid.shape) if not array.ndim else array
+            fields.append(ScalarField(self.grid, data.reshape(self.grid.shape), label=name))
+        if len(fields) == 1:
+            return fields[0]
+        return FieldCollection(fields, labels=list(self.terms))
+
+    def evolution_rate(self, state: State, t: float = 0.0) -> State:  # type: ignore[override]
+        """Return ∂c/∂t of all substances at a time in s, mM/s, by py-pde's own Laplacian.
+
+        On shells, and where the coefficient of diffusion differs, by finite volumes of ours: the
+        flow between two nodes has the harmonic mean of their coefficients.
+
+        Raises
+        ------
+        SceneError
+            If the state has other fields or another grid.
+        """
+        self.check(state)
+        data = self._nodes(state.data)
+        demands = self.demands(data, t)
+        rates = [
+            term.reference_rate(data[name], t, *demands[name]) for name, term in self.terms.items()
+        ]
+        result = state.copy(label="evolution rate")
+        result.data = np.array(rates).reshape(state.data.shape)
+        return result
+
+    def make_evolution_rate(  # type: ignore[override]
+        self, state: State, backend: BackendBase[Any]
+    ) -> Callable[[FloatArray, float], FloatArray]:
+        """Return a function for py-pde's backends that evaluates ∂c/∂t, compiled by numba.
+
+        Raises
+        ------
+        NotImplementedError
+            For other backends, and where demands depend on other substances: there py-pde takes
+            :meth:`evolution_rate`.
+        """
+        from multicell.nutrient.equation_compiled import compiled_rate
+
+        if backend.implementation != "numba":
+            raise NotImplementedError("the backends of a field equation are numpy and numba")
+        if self.coupling is not None:
+            raise NotImplementedError("uptake that depends on other fields needs backend='numpy'")
+        self.check(state)
+        return compiled_rate(list(self.terms.values()), state.data.shape)
+
+    def rates(self, data: FloatArray, t: float) -> tuple[FloatArray, FloatArray]:
+        """Return ∂c/∂t (mM/s) and the derivative of all sinks (1/s), by the solvers' kernels.
+
+        ``data`` are a state's, in mM; the results have its shape.
+        """
+        nodes = self._nodes(data)
+        if self.coupling is None:
+            found = [term.rate(nodes[name], t, term.sink) for name, term in self.terms.items()]
+        else:
+            demands = self.demands(nodes, t)
+            found = [term.rate(nodes[name], t, *demands[name]) for name, term in self.terms.items()]
+        out, slope = (np.array(x).reshape(data.shape) for x in zip(*found, strict=True))
+        return out, slope
+
+    def shifted_inverse(
+        self, data: FloatArray, t: float
+    ) -> Callable[[FloatArray, float], FloatArray]:
+        """Return a function of r and a shift (1/s) that gives about (shift - J)⁻¹ r.
+
+        J is the derivative of the rates; how substances act on each other is left out.
+        """
+        _, slope = self.rates(data, t)
+        slopes = self._nodes(slope)
+
+        def inverse(r: FloatArray, shift: float) -> FloatArray:
+            parts = self._nodes(r)
+            found = [
+                term.inverse(parts[name], slopes[name] + shift) for name, term in self.terms.items()
+            ]
+            return np.array(found).reshape(r.shape)
+
+        return inverse
+
+    def steady_state(self, data: FloatArray, t: float) -> tuple[FloatArray, dict[str, Any]]:
+        """Return the state that rests with the conditions of a time in s, and what it took.
+
+        Substances are solved for in the order of their dependences: together they are the exact
+        solution.
+
+        Raises
+        ------
+        NutrientFailed
+            If a solve does not converge.
+        """
+        nodes = dict(self._nodes(data))
+        order = self.names if self.coupling is None else self.coupling.order
+        info: dict[str, Any] = {}
+        for name in order:
+            demand = self.demands(nodes, t)[name]
+            nodes[name], info[name] = self.terms[name].steady(nodes[name], t, *demand)
+        return np.array([nodes[name] for name in self.names]).reshape(data.shape), info
+
+    def balance(self, state: State, t: float = 0.0) -> dict[str, dict[str, float]]:
+        """Return what happens to each substance in all, amol/s.
+
+        ``inflow`` over the sides, ``perfused`` by the flow (both net), ``secreted``,
+        ``supplied`` by what stands still, ``taken`` up, ``decayed``, and ``stored``, which is the
+        sum of them.
+        """
+        self.check(state)
+        data = self._nodes(state.data)
+        demands, found = self.demands(data, t), {}
+        for name, term in self.terms.items():
+            c, (sink, secreted), p = data[name], demands[name], term.substance
+            volumes, level = self.layout.volumes, term.schedule.at(t)
+            parts = {
+                "perfused": p.perfusion * (level - c),
+                "secreted": secreted,
+                "supplied": term.supplied,
+                "taken": uptake_and_slope(sink, c, p.half_saturation)[0],
+                "decayed": p.decay * c,
+                "stored": term.reference_rate(c, t, sink, secreted),
+            }
+            sums = {key: float(np.sum(volumes * part)) for key, part in parts.items()}
+            sums["inflow"] = term.operator_at(level).inflow(c)
+            found[name] = sums
+        return found
+
+    def switches(self, begin: float, end: float) -> list[float]:
+        """Return the times strictly between two at which a medium jumps or bends, s."""
+        return sorted({t for x in self.terms.values() for t in x.schedule.switches(begin, end)})
+
+    def check(self, state: State) -> None:
+        """Refuse a state that is not one of this equation.
+
+        Raises
+        ------
+        SceneError
+        """
+        fields = [state] if isinstance(state, ScalarField) else list(state)
+        if len(fields) != len(self.terms) or any(not isinstance(f, ScalarField) for f in fields):
+            problem = f"has {len(fields)} fields, expected one scalar field for each of"
+            raise SceneError("state", f"{problem} {', '.join(self.names)}")
+        if not state.grid.compatible_with(self.grid):
+            raise SceneError("state", f"lives on {state.grid}, the equation on {self.grid}")
+
+    def demands(
+        self, nodes: Mapping[str, FloatArray], t: float
+    ) -> dict[str, tuple[FloatArray, FloatArray]]:
+        """Return largest uptake and secretion at the nodes for each substance, mM/s."""
+        if self.coupling is None:
+            return {name: (term.sink, term.secreted) for name, term in self.terms.items()}
+        found: dict[str, FloatArray] = {}
+        taken: dict[str, FloatArray] = {}
+        demands = {}
+        for name in self.coupling.order:
+            term, c = self.terms[name], nodes[name]
+            capacity, production = self.coupling.demand(name, found, taken)
+            secreted = np.zeros(term.shape)
+            if production is not None:
+                secreted = term.spread(self.position, production)
+            demands[name] = term.spread(self.position, capacity), secreted
+            sides = term.conditions_at(term.schedule.at(t))
+            found[name] = self.layout.read(self.position, c, sides)
+            share, _ = uptake_and_slope(1.0, c, term.substance.half_saturation)
+            taken[name] = capacity * self.layout.gather(self.position, share)
+        return demands
+
+    def _nodes(self, data: Any) -> dict[str, FloatArray]:
+        """Return the values of each substance as solvers have them."""
+        shape = self.layout.filled(0.0).shape
+        parts = np.ascontiguousarray(data, dtype=float).reshape(len(self.terms), *shape)
+        return dict(zip(self.terms, parts, strict=True))

@@ -1,0 +1,102 @@
+"""Which grids of py-pde's fields of cells live on, and where their nodes lie for the cells."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pde.grids.cartesian import CartesianGrid
+from pde.grids.spherical import SphericalSymGrid
+
+from multicell.errors import SceneError
+from multicell.nutrient.cartesian import Box
+from multicell.nutrient.grid import BoxLayout, Layout, ShellLayout
+
+if TYPE_CHECKING:
+    from pde.grids.base import GridBase
+
+
+def layout_on(grid: GridBase, *, height: float | None = None) -> Layout:
+    """Return where nodes of a grid of py-pde's lie for cells.
+
+    Parameters
+    ----------
+    grid
+        ``CartesianGrid`` in two or three dimensions, or ``SphericalSymGrid`` round the origin.
+    height : float, µm, optional
+        Of the layer that a plane stands for; absent: one spacing.
+
+    Raises
+    ------
+    SceneError
+        For other grids, periodic ones, a hollow ball, and spacings that differ between axes.
+    """
+    hint = "Cubes, squares and balls of shells are what fields of cells live on."
+    steps = grid.discretization
+    if isinstance(grid, SphericalSymGrid):
+        if grid.axes_bounds[0][0] != 0.0:
+            raise SceneError("grid", "is a hollow ball, must reach to its centre", hint)
+        return ShellLayout(np.zeros(3), float(steps[0]), grid.shape[0])
+    if not isinstance(grid, CartesianGrid) or grid.num_axes not in (2, 3):
+        problem = f"is {type(grid).__name__} with {grid.num_axes} axes"
+        raise SceneError("grid", f"{problem}, which cells have no place in", hint)
+    if any(grid.periodic):
+        raise SceneError("grid", "is periodic, must have sides with conditions", hint)
+    if not np.allclose(steps, steps[0], rtol=1e-9):
+        raise SceneError("grid", f"has spacings that differ: {steps} um", hint)
+    h = float(steps[0])
+    low = [float(bounds[0]) for bounds in grid.axes_bounds]
+    if grid.num_axes == 2:
+        nx, ny = grid.shape
+        return BoxLayout(Box((low[0], low[1], -0.5 * h), (nx, ny, 1), h, height or h))
+    nx, ny, nz = grid.shape
+    return BoxLayout(Box((low[0], low[1], low[2]), (nx, ny, nz), h))
+
+
+def conditions_on(layout: Layout, given: Any) -> dict[str, Any]:
+    """Return a condition for every side of a box, or the one on the surface of a ball.
+
+    Parameters
+    ----------
+    layout
+    given
+        A concentration, one condition in py-pde's terms, or a mapping of sides to conditions, with
+        ``"x"`` for both sides of an axis and ``"*"`` for all others.
+
+    Raises
+    ------
+    SceneError
+        If a side has none, or a ball's is of another kind.
+    """
+    if not isinstance(given, Mapping):
+        given = {"value": _number(given)}
+    if given.keys() & {"value", "derivative", "type"}:
+        given = {"*": given}
+    if isinstance(layout, ShellLayout):
+        condition = _side(given, "r+")
+        known = ({"value"}, {"derivative"}, {"type", "value", "const"})
+        if not isinstance(condition, Mapping) or set(condition) not in known:
+            hint = "Take a value, a derivative, or a mixed condition, of numbers."
+            raise SceneError("conditions", f"have {condition!r} on the surface of a ball", hint)
+        return {key: x if key == "type" else _number(x) for key, x in condition.items()}
+    assert isinstance(layout, BoxLayout)
+    axes = "xyz" if layout.box.height is None else "xy"
+    return {axis + end: _side(given, axis + end) for axis in axes for end in "-+"}
+
+
+def _side(given: Mapping[str, Any], face: str) -> Any:
+    for key in (face, face[0], "*"):
+        if key in given:
+            return given[key]
+    raise SceneError("conditions", f"say nothing of the side {face!r}", "'*' stands for all others")
+
+
+def _number(given: Any) -> float:
+    try:
+        value = float(given)
+    except (TypeError, ValueError):
+        value = np.nan
+    if not np.isfinite(value):
+        raise SceneError("conditions", f"have {given!r}, expected a finite number")
+    return value

@@ -1,0 +1,233 @@
+"""``multicell-implicit``: a transient solver for equations of py-pde's, by SUNDIALS CVODE."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import TYPE_CHECKING, Any, final
+
+import numpy as np
+from pde.solvers.base import SolverBase
+
+from multicell.cells import FloatArray
+from multicell.errors import NutrientFailed, SceneError
+from multicell.nutrient.solving import (
+    Diffusivity,
+    Inverse,
+    Invertible,
+    Rate,
+    inverse_of,
+    labels,
+    rate_of,
+    refuse_unsuitable,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from pde.pdes.base import PDEBase
+
+_SMALL = 1e-3
+"""Part of a field's largest value below which errors are held absolutely."""
+
+
+@final
+class ImplicitFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
+    """BDF of orders 1 to 5 with error control, Newton's method and preconditioned GMRES.
+
+    For any deterministic equation of py-pde's: ``equation.solve(state, t_range,
+    solver="multicell-implicit", diffusivity=...)``. The preconditioner is a fast inverse of
+    diffusion; without diffusivities GMRES goes without, as is right for equations that are mild.
+    BDF keeps no bounds: a field may fall below zero by about its tolerance.
+
+    Parameters
+    ----------
+    pde
+        The equation.
+    backend
+        py-pde's, for the rates.
+    rtol
+        Relative tolerance of a step's error, by the root of its mean square over all nodes.
+    atol
+        Absolute tolerance, one or one for each field; absent: ``rtol`` times a thousandth of each
+        field's largest value.
+    diffusivity
+        Of the fields, in the grid's length² over time: one number, one for each field, or a
+        mapping by label. Absent: the equation's ``diffusivity``, if it has one. It only makes
+        the solver fast.
+    bc
+        Conditions for it, in py-pde's terms; absent: the equation's ``bc``, else slopes.
+    max_order, krylov_dim, max_steps
+        Largest order; dimension of the Krylov space; most steps between two calls of trackers.
+    """
+
+    name = "multicell-implicit"
+
+    def __init__(
+        self,
+        pde: PDEBase,
+        *,
+        backend: Any = "auto",
+        rtol: float = 1e-5,
+        atol: float | list[float] | None = None,
+        diffusivity: Diffusivity = None,
+        bc: Any = None,
+        max_order: int = 5,
+        krylov_dim: int = 10,
+        max_steps: int = 100_000,
+    ) -> None:
+        super().__init__(pde, backend=backend)
+        for name, value in (("rtol", rtol), ("atol", atol)):
+            if value is not None and not (np.isfinite(value) & (np.asarray(value) > 0.0)).all():
+                raise SceneError(name, f"is {value!r}, must be above zero")
+        self.rtol, self.atol, self.diffusivity, self.bc = rtol, atol, diffusivity, bc
+        self.options = {"rtol": rtol, "max_order": max_order, "krylov_dim": krylov_dim}
+        self.max_steps = max_steps
+
+    def make_stepper(
+        self, state: Any, dt: float | None = None
+    ) -> Callable[[Any, float, float], float]:
+        """Return a function that brings a state from one time to another.
+
+        ``dt`` is the first step; absent: chosen by SUNDIALS.
+
+        Raises
+        ------
+        SceneError
+            For an equation or a state that it cannot solve.
+        """
+        refuse_unsuitable(self.pde, state)
+        fields = len(labels(state))
+        if self.atol is not None and np.size(self.atol) not in (1, fields):
+            raise SceneError("atol", f"has {np.size(self.atol)} numbers for {fields} fields")
+        rate = rate_of(self, state)
+        inverse = inverse_of(self.pde, state, self.diffusivity, self.bc)
+        self.info.update(dt=dt, steps=0, evaluations=0, preconditioned=inverse is not None)
+        self.info["stochastic"] = False
+        # an equation with compiled rates of its own has no hook, and no backend for one
+        hook = None if self.backend_name == "auto" else self._make_post_step_hook(state)
+        march = _March(self, rate, inverse, fields, dt, hook)
+
+        def stepper(state: Any, t_start: float, t_end: float) -> float:
+            state.data[...] = march.advance(state.data, float(t_start), float(t_end))
+            return t_end
+
+        return stepper
+
+
+@final
+class _March:
+    """CVODE under way; a new one is started where the state is not the one it left behind.
+
+    Its clock counts from its start: short steps would be lost on a clock that shows days.
+    """
+
+    def __init__(
+        self,
+        solver: ImplicitFieldSolver,
+        rate: Rate,
+        inverse: Callable[[FloatArray, float], Inverse] | None,
+        fields: int,
+        first: float | None,
+        hook: Any,
+    ) -> None:
+        self.owner, self.info = solver, solver.info
+        self.rate, self.inverse, self.fields = rate, inverse, fields
+        self.first, self.hook = first, hook
+        self.begin = self.reached = math.nan
+        self.y = np.empty(0)
+
+    def advance(self, data: FloatArray, begin: float, end: float) -> FloatArray:
+        """Return the data at ``end``.
+
+        Raises
+        ------
+        NutrientFailed
+            If SUNDIALS gives up, steps become too many, or rates are not finite.
+        """
+        self.shape = data.shape
+        jumps = self._jumps(begin, end)
+        if begin != self.reached or begin in jumps or not np.array_equal(self.y, data.ravel()):
+            self._start(np.array(data, dtype=float).ravel(), begin)
+        limit = self.info["steps"] + self.owner.max_steps
+        inner = [t for t in jumps if t > begin]
+        for start, stop in itertools.pairwise([begin, *inner, end]):
+            # what holds from a switch on holds for the next piece only
+            self.last = float(np.nextafter(stop, -np.inf))
+            if start > begin:
+                self._start(self.y, start)
+            while self.reached < stop:
+                self._step(stop, limit)
+        return self.y.reshape(self.shape)
+
+    def _jumps(self, begin: float, end: float) -> list[float]:
+        """Return when the rates jump from ``begin`` on, itself included, up to ``end``."""
+        pde = self.owner.pde
+        before = float(np.nextafter(begin, -np.inf))
+        return pde.switches(before, end) if isinstance(pde, Invertible) else []
+
+    def _start(self, y: FloatArray, begin: float) -> None:
+        from sksundae.cvode import CVODE, CVODEPrecond
+
+        options = dict(self.owner.options, atol=self._absolute(y), first_step=self.first or 0.0)
+        if self.inverse is not None:
+            options["precond"] = CVODEPrecond(self.setup, self.precondition, side="right")
+        self.begin = self.reached = begin
+        self.y = y
+        self.near: Inverse | None = None
+        self.cvode = CVODE(self.velocity, method="BDF", linsolver="gmres", **options)
+        self.cvode.init_step(0.0, y)
+
+    def _absolute(self, y: FloatArray) -> FloatArray:
+        """Return the absolute tolerance of each value."""
+        parts = np.abs(y).reshape(self.fields, -1)
+        if self.owner.atol is None:
+            largest = parts.max(axis=1)
+            largest[largest == 0.0] = largest.max() or 1.0
+            each = self.owner.rtol * _SMALL * largest
+        else:
+            each = np.broadcast_to(np.asarray(self.owner.atol, dtype=float), self.fields)
+        return np.repeat(each, parts.shape[1])
+
+    def _step(self, stop: float, limit: int) -> None:
+        """Take one step of CVODE's, up to ``stop`` at most."""
+        left = stop - self.begin
+        result = self.cvode.step(left, method="onestep", tstop=left)
+        if not result.success or self.info["steps"] >= limit:
+            why = "too many steps" if result.success else f"SUNDIALS: {result.message}"
+            raise NutrientFailed(
+                f"multicell-implicit stopped at t = {self.reached:.6g}: {why}",
+                "Raise rtol or max_steps, or look for rates that jump",
+            )
+        self.info["steps"] += 1
+        self.reached = stop if result.t >= left else self.begin + float(result.t)
+        self.y = np.array(result.y)
+        if self.hook is not None:
+            data = self.y.reshape(self.shape).copy()
+            changed, kept = self.hook(data, self.reached, self.info["post_step_data"])
+            self.info["post_step_data"] = kept
+            if not np.array_equal(changed.ravel(), self.y):
+                self._start(np.array(changed).ravel(), self.reached)
+
+    def velocity(self, t: float, y: FloatArray, yp: FloatArray) -> None:
+        """Write the rates at a time of the solver's clock."""
+        self.info["evaluations"] += 1
+        now = min(self.begin + t, self.last)
+        yp[:] = self.rate(np.array(y).reshape(self.shape), now).ravel()
+
+    def setup(
+        self, t: float, y: FloatArray, yp: FloatArray, jok: int, jnew: list[int], gamma: float
+    ) -> None:
+        """Make the preconditioner anew where SUNDIALS asks for it."""
+        jnew[0] = int(not jok or self.near is None)
+        if jnew[0] and self.inverse is not None:
+            now = min(self.begin + t, self.last)
+            self.near = self.inverse(np.array(y).reshape(self.shape), now)
+
+    def precondition(
+        self, t: float, y: FloatArray, yp: FloatArray, r: FloatArray, z: FloatArray,
+        gamma: float, delta: float, lr: int,
+    ) -> None:  # fmt: skip
+        """Solve about (I - γJ) z = r."""
+        assert self.near is not None
+        z[:] = self.near(np.array(r).reshape(self.shape) / gamma, 1.0 / gamma).ravel()

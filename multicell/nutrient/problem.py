@@ -1,0 +1,209 @@
+"""The fields' equation of a frame, for py-pde's solvers and for ours."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, final
+
+from multicell.cells import Cells, FloatArray
+from multicell.errors import SceneError
+from multicell.nutrient.equation import FieldEquation
+from multicell.nutrient.equation_term import Substance
+from multicell.nutrient.fields import Feeding
+from multicell.nutrient.grid import BoxLayout, Layout, ShellLayout, relative_diffusion, restored
+from multicell.nutrient.parameters import FieldParameters
+from multicell.nutrient.schedule import Schedule
+from multicell.nutrient.sources import injected
+from multicell.scene.checks import solving_order
+
+if TYPE_CHECKING:
+    from pde.fields.collection import FieldCollection
+    from pde.fields.scalar import ScalarField
+    from pde.grids.base import GridBase
+
+    from multicell.results.frame import Frame
+    from multicell.scene.nutrient import Nutrient
+    from multicell.scene.scene import Scene
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class FieldProblem:
+    """The fields of a frame that share a grid, as an equation and a state of py-pde's.
+
+    >>> problem = mc.field_problem(scene, frame)                               # doctest: +SKIP
+    >>> problem.equation.solve(problem.state, (problem.time, problem.time + 600.0),
+    ...                        solver="multicell-implicit")                     # doctest: +SKIP
+
+    Attributes
+    ----------
+    equation : FieldEquation
+        With the frame's cells where they are and as they are: they do not move, change or die.
+    state : ScalarField or FieldCollection, mM
+        The frame's own fields.
+    time : float, s
+        Of the frame; the medium is that of the scene from there on. A finite medium stays as it is
+        in the frame.
+    """
+
+    equation: FieldEquation
+    state: ScalarField | FieldCollection
+    time: float
+
+
+def field_problem(scene: Scene, frame: Frame, fields: Iterable[str] | None = None) -> FieldProblem:
+    """Return the equation and the state of the fields of a frame.
+
+    Uptake and secretion are those of the frame's cells. Where they depend on other fields they
+    follow those of the same problem, and for all others stay what the frame says.
+
+    Parameters
+    ----------
+    scene
+        That the frame comes from.
+    frame
+        Of any run of it; it may be one that was read from a file.
+    fields
+        Names of the fields that are wanted; absent: all. They must share a grid, as fields with
+        the same spacing, margin and geometry do.
+
+    Raises
+    ------
+    SceneError
+        If the scene has no fields, a name is not one of its fields, the frame does not hold it,
+        or fields live on different grids.
+    """
+    names = _chosen(scene, frame, fields)
+    layouts = {name: restored(frame.fields[name]) for name in names}
+    _refuse_several({name: layout for name, (layout, _) in layouts.items()})
+    layout = layouts[names[0]][0]
+    grid, cells = _grid(layout), frame.cells
+    demands = _Demands(scene, frame, names)
+    substances = {name: _substance(scene, frame, name, layout, demands) for name in names}
+    equation = FieldEquation(
+        grid, substances, cells.position, layout=layout,
+        coupling=demands if demands.coupled else None,
+    )  # fmt: skip
+    values = {name: values for name, (_, values) in layouts.items()}
+    return FieldProblem(equation, equation.state(values), frame.time)
+
+
+def _chosen(scene: Scene, frame: Frame, fields: Iterable[str] | None) -> list[str]:
+    """Return the names of the fields that are wanted, in the scene's order."""
+    if not scene.nutrients:
+        raise SceneError("nutrients", "are none: the scene has no fields, and so no equation")
+    wanted = list(scene.nutrients) if fields is None else list(fields)
+    if isinstance(fields, str) or not wanted:
+        raise SceneError("fields", f"is {fields!r}, expected a list of names")
+    for name in wanted:
+        if name not in scene.nutrients:
+            known = ", ".join(scene.nutrients)
+            raise SceneError("fields", f"has {name!r}, which is no field of the scene ({known})")
+        if name not in frame.fields or name not in frame.concentrations:
+            raise SceneError("frame", f"holds no field {name!r}", "Is it one of another scene?")
+    return [name for name in scene.nutrients if name in wanted]
+
+
+def _refuse_several(layouts: Mapping[str, Layout]) -> None:
+    """Refuse fields that live on different grids, and say which share one."""
+    groups: dict[Any, list[str]] = {}
+    for name, layout in layouts.items():
+        groups.setdefault(_key(layout), []).append(name)
+    if len(groups) > 1:
+        lists = " and ".join(str(group) for group in groups.values())
+        raise SceneError(
+            "fields",
+            f"live on different grids, and one equation has one grid: {lists}",
+            "Ask for one of these lists, or give the fields one spacing, margin and geometry.",
+        )
+
+
+def _key(layout: Layout) -> Any:
+    if isinstance(layout, ShellLayout):
+        return tuple(layout.centre), layout.spacing, layout.count
+    return layout
+
+
+def _grid(layout: Layout) -> GridBase:
+    """Return py-pde's grid of a layout."""
+    from pde.grids.spherical import SphericalSymGrid
+
+    if isinstance(layout, BoxLayout):
+        return layout.box.to_pde()
+    assert isinstance(layout, ShellLayout)
+    return SphericalSymGrid(layout.radius, layout.count)
+
+
+def _substance(
+    scene: Scene, frame: Frame, name: str, layout: Layout, demands: _Demands
+) -> Substance:
+    """Return what a field of a scene is made of."""
+    parameters = FieldParameters.of(scene, name)
+    nutrient, cells = parameters.nutrient, demands.cells
+
+    def conditions(level: float) -> dict[str, Any]:
+        return layout.conditions(parameters.sides(0.0, level))
+
+    supply = injected(layout, nutrient.sources) if nutrient.sources else None
+    varied, outside = None, nutrient.diffusion_medium
+    if outside is not None and outside != nutrient.diffusion:
+        varied = relative_diffusion(
+            layout, cells.position, cells.radius, outside, nutrient.diffusion
+        )
+    capacity, production = demands.of_frame(name)
+    return Substance(
+        nutrient.diffusion, conditions, nutrient.half_saturation, nutrient.decay,
+        nutrient.perfusion, _medium(nutrient, frame, name), capacity, production, varied, supply,
+    )  # fmt: skip
+
+
+def _medium(nutrient: Nutrient, frame: Frame, name: str) -> Schedule:
+    """Return the medium over time; a finite one is what the frame says, and stays so."""
+    if nutrient.finite_medium is None:
+        return Schedule.of(nutrient)
+    account = None if frame.progress is None else frame.progress.ledger.get(name)
+    if account is None or "level" not in account:
+        raise SceneError("frame", f"does not say what the finite medium of {name} holds")
+    return Schedule.steady(account["level"])
+
+
+@final
+class _Demands:
+    """What the cells of a frame take up and secrete, given what they find."""
+
+    def __init__(self, scene: Scene, frame: Frame, names: list[str]) -> None:
+        self.cells: Cells = frame.cells
+        self.order = [name for name in solving_order(scene.nutrients) if name in names]
+        self._feeding = Feeding(scene)
+        self._found = {name: frame.concentrations[name] for name in frame.concentrations}
+        self._taken: dict[str, FloatArray] = {}
+        nutrients = scene.nutrients
+        needs = {name: {*n.uptake_on, *(n.secretion_from or ())} for name, n in nutrients.items()}
+        self.coupled = any(needs[name] & set(names) for name in names)
+        self._take_up(scene, frame)
+
+    def _take_up(self, scene: Scene, frame: Frame) -> None:
+        """Find what each cell takes up of the frame's fields from which others are secreted."""
+        sources = {x for n in scene.nutrients.values() for x in (n.secretion_from or ())}
+        for name in solving_order(scene.nutrients):
+            if name not in sources:
+                continue
+            if name not in frame.fields:
+                raise SceneError("frame", f"holds no field {name!r}, from which others are made")
+            field = self._feeding.fields[name]
+            field.restore(frame.fields[name], frame.time)
+            capacity, _ = self.demand(name, {}, {})
+            self._taken[name] = field.uptake(self.cells.position, capacity)
+
+    def of_frame(self, name: str) -> tuple[FloatArray, FloatArray | None]:
+        """Return largest uptake and secretion of each cell as the frame's fields have it."""
+        return self.demand(name, {}, {})
+
+    def demand(
+        self, name: str, concentrations: Mapping[str, FloatArray], taken: Mapping[str, FloatArray]
+    ) -> tuple[FloatArray, FloatArray | None]:
+        """Return them with these concentrations and uptakes in place of the frame's."""
+        return self._feeding.demand(
+            name, self.cells, {**self._found, **concentrations}, {**self._taken, **taken}
+        )

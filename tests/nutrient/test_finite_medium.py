@@ -1,0 +1,362 @@
+"""A finite medium that the cells use up, against closed forms and its own account."""
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+from scipy.special import lambertw
+
+import multicell as mc
+from multicell.errors import SceneError, StepFailed
+from multicell.nutrient.field import NutrientField
+from multicell.nutrient.parameters import FieldParameters
+from multicell.report.explain.scene import explain
+from multicell.scene.nutrient import Nutrient
+from multicell.scene.scales import scales
+from multicell.scene.scene import Scene
+
+WALL = {"type": "derivative", "derivative": 0.0}
+WELL = {axis: [-250.0, 250.0] for axis in "xyz"}
+CHANGES = [["50 min", 4.0], ["100 min", 5.5], ["150 min", 3.0]]
+
+
+def scene(nutrient=None, **changes):
+    entries = {
+        "duration": "160 min",
+        "coupling_step": "20 min",
+        "initial": {"count": 60, "stage": "uniform"},
+        "contact": {"law": "hertz"},
+        "nutrients": {
+            "glucose": {
+                "diffusion": 600.0, "boundary": 5.0, "uptake": 200.0, "half_saturation": 0.05,
+                "finite_medium": {"volume": 2.5e8}, "media": CHANGES, **(nutrient or {}),
+            }
+        },
+    }  # fmt: skip
+    return Scene.from_dict(entries).with_changes(changes)
+
+
+def ran(described, each=lambda simulation: None):
+    simulation = mc.Simulation(described)
+    while not simulation.finished:
+        simulation.step()
+        each(simulation)
+    return simulation
+
+
+def closed(simulation, begin, name="glucose"):
+    """Return what is missing in field, medium and cells together, over all that was brought."""
+    ledger, held = simulation.ledger[name], content(simulation, name)
+    brought = begin + ledger.fresh + ledger.secreted
+    gone = ledger.discarded + ledger.spoiled + ledger.decayed + ledger.uptake
+    return abs(brought - gone - ledger.held - held) / (begin + ledger.fresh)
+
+
+def content(simulation, name="glucose"):
+    """Return what the field of the last frame holds, amol, by its own grid."""
+    field = simulation.fields[name]
+    if field.kind == "radial":
+        edges = np.arange(field.values.size + 1) * field.spacing
+        return float(np.sum(field.values.ravel() * np.diff(edges**3)) * 4.0 * np.pi / 3.0)
+    return float(field.values.sum()) * field.spacing**2 * (field.height or field.spacing)
+
+
+# --- closed forms ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("ratio", [0.3, 1.0, 5.0])
+def test_a_sphere_in_a_stirred_solution_of_limited_volume(ratio):
+    """Crank (1975), eqs. 6.30-6.32: what the sphere has taken up, over what it will."""
+    diffusion, margin = 500.0, 100.0
+    nutrient = Nutrient(
+        diffusion=diffusion, boundary=0.0, uptake=0.0, media=[(1.0, 2.0)], geometry="radial",
+        margin=margin, time_tolerance=1e-5, finite_medium={"volume": 1e12},
+    )  # fmt: skip
+    parameters = FieldParameters(nutrient, 1.0, 10.0, "transient", dimensions=3)
+    place, nothing = np.zeros((1, 3)), np.zeros(1)
+    probe = NutrientField("a", parameters)
+    probe.fill(place, radius=np.ones(1), time=0.0)
+    a = probe.layout.radius
+    sphere = 4.0 / 3.0 * np.pi * a**3
+    finite = {"volume": (1.0 + ratio) * sphere}
+    whole = Nutrient(**{**vars(nutrient), "finite_medium": finite})
+    field = NutrientField("a", FieldParameters(whole, 1.0, 10.0, "transient", dimensions=3))
+    field.fill(place, radius=np.ones(1), time=0.0)
+    field.pour()
+    assert field.stirred.volume == pytest.approx(ratio * sphere)
+    field.advance(place, nothing, radius=np.ones(1), begin=0.0, end=1.0)
+    assert field.stirred.concentration == 2.0
+    roots = [
+        brentq(lambda q: (3 + ratio * q * q) * np.sin(q) - 3 * q * np.cos(q), low, low + np.pi)
+        for low in np.pi * np.arange(1, 400)
+    ]
+    q, now = np.array(roots), 1.0
+    final = 2.0 * ratio * sphere / (1.0 + ratio)
+    for time in (0.5, 2.0, 6.0):
+        field.advance(place, nothing, radius=np.ones(1), begin=now, end=1.0 + time)
+        now = 1.0 + time
+        terms = 6 * ratio * (ratio + 1) * np.exp(-diffusion * q**2 * time / a**2)
+        exact = 1.0 - np.sum(terms / (9 + 9 * ratio + q**2 * ratio**2))
+        assert field.stored() / final == pytest.approx(exact, abs=2e-3)
+        assert field.stored() + field.stirred.amount == pytest.approx(2 * ratio * sphere, rel=1e-8)
+
+
+@pytest.mark.parametrize("regime", ["steady", "transient"])
+def test_a_mixed_medium_is_used_up_as_lambert_s_function_says(regime):
+    """V dc/dt = -n q c/(K + c) where diffusion is quick: c = K W(c_0/K exp((c_0 - n q t/V)/K))."""
+    nutrient = {
+        "diffusion": 1e7, "regime": regime, "half_saturation": 1.5,
+        "spacing": 20.0, "uptake": 3000.0,
+    }  # fmt: skip
+    changes = {"nutrients.glucose.media": None, "duration": "3 h", "coupling_step": "1 h"}
+    described = scene(nutrient).with_changes(changes)
+
+    def check(simulation):
+        time, k = simulation.time, 1.5
+        fallen = (5.0 - 60 * 3000.0 * time / 2.5e8) / k
+        exact = k * lambertw(5.0 / k * np.exp(fallen)).real
+        found = simulation.history_row()["medium_glucose"]
+        assert found == pytest.approx(exact, rel=2e-3)
+        np.testing.assert_allclose(simulation.concentrations["glucose"], exact, rtol=4e-3)
+
+    simulation = ran(described, check)
+    assert simulation.history_row()["medium_glucose"] < 2.5
+
+
+def test_an_unstirred_layer_lies_before_the_sides():
+    """Decay k between a wall and a layer δ, L² = D/k:
+
+    c = c_0 cosh(z/L) / (cosh(H/L) + δ/L sinh(H/L)).
+    """
+    sides = {"*": WALL, "z+": {}}
+    described = scene(
+        {
+            "decay": 0.05, "uptake": 0.0, "sides": sides, "regime": "steady", "spacing": 2.5,
+            "finite_medium": {"volume": 1e9, "unstirred": "80 um"},
+        },
+        domain={"x": [-50, 50], "y": [-50, 50], "z": [-50, 70]},
+        initial={"count": 20},
+    )  # fmt: skip
+    simulation = mc.Simulation(described)
+    length, height, layer = np.sqrt(600.0 / 0.05), 120.0, 80.0
+    z = simulation.cells.position[:, 2] + 50.0
+    whole = np.cosh(height / length) + layer / length * np.sinh(height / length)
+    exact = 5.0 * np.cosh(z / length) / whole
+    np.testing.assert_allclose(simulation.concentrations["glucose"], exact, rtol=2e-4)
+    assert scales(described, "glucose").length == pytest.approx((height + layer) / (np.pi / 2))
+
+
+def test_resistances_of_a_membrane_and_a_layer_add_up():
+    mixed = Nutrient(
+        sides={"*": {"type": "mixed", "rate": 0.05}},
+        finite_medium={"volume": 1e9, "unstirred": 30.0},
+    )
+    side = FieldParameters(mixed, 10.0, 10.0, "steady", dimensions=3).sides(0.0, 3.0)["x-"]
+    assert (side.type, side.value) == ("mixed", 3.0)
+    assert side.rate == pytest.approx(1.0 / 50.0)
+
+
+def test_what_a_change_leaves_and_brings():
+    described = scene(
+        {"uptake": 0.0, "regime": "transient", "spacing": 20.0,
+         "finite_medium": {"volume": 1.6e7, "replaced": 0.4}, "media": [["20 min", 0.0]]},
+        domain={axis: [-100.0, 100.0] for axis in "xyz"}, duration="60 min",
+        coupling_step="10 min",
+    )  # fmt: skip
+    simulation = mc.Simulation(described)
+    for _ in range(2):
+        simulation.step()
+    # at the moment of the change: the stirred half is 0.6 of what it was
+    assert simulation.history_row()["medium_glucose"] == pytest.approx(3.0)
+    assert simulation.ledger["glucose"].discarded == pytest.approx(0.4 * 5.0 * 0.8e7)
+    while not simulation.finished:
+        simulation.step()
+    # long after it: all of it is mixed
+    assert simulation.history_row()["medium_glucose"] == pytest.approx(4.0, rel=1e-3)
+
+
+# --- the account -------------------------------------------------------------------------------
+
+PLACES = {
+    "half a millimetre's well": {"domain": WELL, "coupling_step": "40 min"},
+    "cubes that follow": {"growth": {"cycle_time": "8 h"}},
+    "shells": {"nutrients.glucose.geometry": "radial", "growth": {"cycle_time": "8 h"}},
+    "a plane": {
+        "dimensions": 2,
+        "nutrients.glucose.finite_medium.volume": 5e7,
+        "coupling_step": "40 min",
+    },
+}
+
+
+@pytest.mark.parametrize("regime", ["steady", "transient"])
+@pytest.mark.parametrize("place", PLACES)
+def test_medium_field_and_cells_hold_what_was_brought(place, regime):
+    described = scene({"regime": regime, "spacing": 20.0}, **PLACES[place])
+    simulation = mc.Simulation(described)
+    begin, levels = content(simulation), []
+    while not simulation.finished:
+        simulation.step()
+        levels.append(simulation.history_row()["medium_glucose"])
+        assert closed(simulation, begin) <= 1e-8
+    ledger = simulation.ledger["glucose"]
+    assert ledger.changes == 3
+    assert ledger.relative_remainder <= 1e-8
+    assert ledger.uptake > 0.0
+    assert ledger.discarded > 0.0
+    assert np.diff(levels).min() < 0.0  # used up
+    summary = simulation.summary()
+    assert summary["fields"]["glucose"]["medium"] == levels[-1]
+    assert summary["ledger"]["glucose"]["medium_held"] == ledger.held
+    assert summary["units"]["ledger.glucose.medium_fresh"] == "amol"
+
+
+@pytest.mark.parametrize("regime", ["steady", "transient"])
+def test_the_account_holds_with_decay_perfusion_secretion_and_part_changes(regime):
+    described = scene(
+        {"regime": regime, "decay": 1e-4, "perfusion": 1e-4, "secretion": 60.0, "spacing": 20.0,
+         "finite_medium": {"volume": 3e7, "replaced": 0.5, "unstirred": 15.0}},
+        growth={"cycle_time": "8 h"}, death={},
+    )  # fmt: skip
+    simulation = mc.Simulation(described)
+    begin = content(simulation)
+    while not simulation.finished:
+        simulation.step()
+    ledger = simulation.ledger["glucose"]
+    assert closed(simulation, begin) <= 1e-8
+    assert ledger.relative_remainder <= 1e-8
+    assert min(ledger.spoiled, ledger.decayed, ledger.washed, ledger.secreted) > 0.0
+
+
+def test_a_true_imbalance_of_the_medium_shows():
+    ledger = ran(scene({"regime": "steady"})).ledger["glucose"]
+    assert ledger.relative_remainder < 1e-8
+    ledger.held *= 0.999
+    assert ledger.relative_remainder > 1e-5
+
+
+@pytest.mark.parametrize("regime", ["steady", "transient"])
+def test_a_medium_that_is_eaten_up_ends_at_nothing_and_not_below(regime):
+    described = scene(
+        {"regime": regime, "uptake": 2000.0, "half_saturation": 0.05, "spacing": 20.0,
+         "media": [["40 min", 1.0]], "finite_medium": {"volume": 1.6e7}},
+        domain={axis: [-80.0, 80.0] for axis in "xyz"}, duration="60 min",
+    )  # fmt: skip
+    least = []
+
+    def check(simulation):
+        least.append(min(simulation.fields["glucose"].values.min(),
+                         simulation.ledger["glucose"].held))  # fmt: skip
+
+    begin = content(mc.Simulation(described))
+    simulation = ran(described, check)
+    ledger = simulation.ledger["glucose"]
+    assert min(least) >= 0.0
+    assert closed(simulation, begin) <= 1e-8
+    assert simulation.history_row()["medium_glucose"] < 0.05
+    assert ledger.uptake > 0.9 * (begin + ledger.fresh)
+
+
+@pytest.mark.parametrize("regime", ["steady", "transient"])
+def test_a_level_at_the_bound_of_scene_files_may_rise_beyond_it(regime):
+    described = scene(
+        {"regime": regime, "boundary": 1e5, "secretion": 1e3, "uptake": 0.0,
+         "media": [["1 s", 1e5]], "spacing": 20.0, "finite_medium": {"volume": 1e8}},
+        duration="20 min",
+    )  # fmt: skip
+    assert ran(described).history_row()["medium_glucose"] > 1e5
+
+
+def test_every_change_is_done_once_whatever_rounding_makes_of_times():
+    step = 0.7
+    media = [[step * k, 1.0 + k] for k in (3, 6, 7, 12)]
+    described = scene({"media": media, "regime": "steady", "spacing": 20.0}, coupling_step=step,
+                      duration=20 * step)  # fmt: skip
+    assert ran(described).ledger["glucose"].changes == 4
+    assert ran(scene({"media": [[0.0, 2.0], ["1 h", 3.0]]})).ledger["glucose"].changes == 2
+
+
+@pytest.mark.parametrize("regime", ["steady", "transient"])
+def test_a_run_goes_on_from_a_frame_with_the_same_bits(regime):
+    described = scene({"regime": regime}, growth={"cycle_time": "8 h"}, duration="80 min")
+    result = mc.run(described.with_changes({"output.every": "20 min"}))
+    middle = result.frames[2]
+    again = mc.Simulation(result.scene, frame=middle, lineage=None)
+    while not again.finished:
+        again.step()
+    last = result.frames[-1]
+    assert np.array_equal(again.concentrations["glucose"], last.concentrations["glucose"])
+    assert again.ledger["glucose"].kept() == last.progress.ledger["glucose"]
+
+
+def test_a_step_that_fails_leaves_the_medium_as_it_was(monkeypatch):
+    simulation = mc.Simulation(scene({"regime": "transient"}))
+    simulation.step()
+    before = simulation.ledger["glucose"].kept()
+    level = simulation.history_row()["medium_glucose"]
+    real = simulation._decide
+
+    def fail(dt):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(simulation, "_decide", fail)
+    with pytest.raises(KeyboardInterrupt):
+        simulation.step()
+    assert simulation.ledger["glucose"].kept() == before
+    assert simulation.history_row()["medium_glucose"] == level
+    monkeypatch.setattr(simulation, "_decide", real)
+    simulation.step()
+    assert simulation.ledger["glucose"].relative_remainder <= 1e-8
+
+
+def test_a_medium_that_is_not_finite_has_no_such_account():
+    described = scene().with_changes({"nutrients.glucose.finite_medium": None, "duration": "1 h"})
+    simulation = ran(described)
+    assert not any(name.startswith("medium") for name in simulation.summary()["ledger"]["glucose"])
+    assert "medium_glucose" not in simulation.history_row()
+    kept = simulation.ledger["glucose"].kept()
+    assert not {"held", "level", "fresh", "discarded", "spoiled", "changes"} & set(kept)
+
+
+# --- words -------------------------------------------------------------------------------------
+
+
+def test_explain_tells_of_the_medium():
+    told = explain(
+        scene({"finite_medium": {"volume": "0.25 uL", "unstirred": 40, "replaced": 0.5}})
+    )
+    text = str(told["parts"])
+    assert "2.5e+08 um^3 of medium that the cells use up, 5 mM" in text
+    assert "unstirred layer of 40 um, replaced by 50 % 3 time(s)" in text
+    lasts = next(n for n in told["numbers"] if n["name"] == "glucose: medium lasts")
+    assert lasts["value"] == pytest.approx(2.5e8 * 5.5 / (60 * 200.0))
+
+
+REFUSED = {
+    "another supply": ({"sides": {"x-": {"value": 3.0}}}, "sides.x-.value", "elsewhere"),
+    "a slope": ({"sides": {"y": {"type": "derivative", "derivative": 1e-4}}},
+                "sides.y.derivative", "elsewhere"),
+    "walls": ({"sides": {"*": WALL}, "regime": "transient"}, "finite_medium", "touches no side"),
+    "a course": ({"media_change": "linear"}, "media_change", "finite medium"),
+    "no volume": ({"finite_medium": {}}, "finite_medium.volume", "missing"),
+    "nothing": ({"finite_medium": {"volume": 0}}, "finite_medium.volume", "above 0"),
+    "a length": ({"finite_medium": {"volume": "5 um"}}, "finite_medium.volume", "a volume"),
+    "too much": ({"finite_medium": {"volume": 1e9, "replaced": 1.5}}, "finite_medium.replaced",
+                 "at most 1"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_refused_in_words(case):
+    nutrient, path, words = REFUSED[case]
+    with pytest.raises(SceneError) as caught:
+        scene(nutrient)
+    assert caught.value.path == f"nutrients.glucose.{path}"
+    assert words in str(caught.value)
+
+
+def test_a_medium_smaller_than_its_grid_is_refused():
+    with pytest.raises(SceneError) as caught:
+        scene(domain=WELL, **{"nutrients.glucose.finite_medium.volume": 1.25e8})
+    assert "no more than the domain" in str(caught.value)
+    with pytest.raises(StepFailed, match="nothing is left that could be stirred"):
+        mc.Simulation(scene(**{"nutrients.glucose.finite_medium.volume": 1e5}))

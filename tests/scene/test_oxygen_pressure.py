@@ -1,0 +1,90 @@
+"""Partial pressures of oxygen, by tables that are not ours."""
+
+import pytest
+
+from multicell.errors import SceneError
+from multicell.scene.scene import Scene, load_scene
+from multicell.units import oxygen_solubility, to_base
+
+MMHG = 0.133322387  # kPa
+
+
+def scene(name="oxygen", **nutrient):
+    return Scene.from_dict({"duration": "1 h", "nutrients": {name: nutrient}})
+
+
+# mg/L in water in moist air of 101.325 kPa (Benson & Krause 1984), vapour pressure in kPa
+AIR = {10.0: (11.29, 1.228), 20.0: (9.09, 2.339), 25.0: (8.26, 3.170), 30.0: (7.56, 4.247),
+       35.0: (6.95, 5.629)}  # fmt: skip
+
+
+@pytest.mark.parametrize("temperature", AIR)
+def test_water_in_air_holds_what_the_tables_say(temperature):
+    dissolved, vapour = AIR[temperature]
+    found = oxygen_solubility(temperature) * 0.20946 * (101.325 - vapour)
+    assert found * 31.998 == pytest.approx(dissolved, rel=5e-3)
+
+
+def test_at_body_temperature_as_physiology_has_it():
+    """A Bunsen coefficient of 0.0239 (litres at 0 °C and 101.325 kPa in a litre of water)."""
+    bunsen = oxygen_solubility(37.0) * 101.325 * 22.392e-3
+    assert bunsen == pytest.approx(0.0239, rel=6e-3)
+    assert oxygen_solubility(37.0) * MMHG == pytest.approx(1.40e-3, rel=5e-3)
+
+
+@pytest.mark.parametrize("text", ["40 mmHg", "5.332896 kPa", "53.32896 mbar", "40 torr"])
+def test_a_pressure_becomes_a_concentration(text):
+    found = scene(boundary=text).nutrients["oxygen"].boundary
+    assert found == pytest.approx(40 * MMHG * oxygen_solubility(37.0), rel=1e-5)
+    cool = scene(boundary=text, temperature=20).nutrients["oxygen"].boundary
+    assert cool == pytest.approx(40 * MMHG * oxygen_solubility(20.0), rel=1e-5)
+    assert cool > 1.2 * found
+
+
+def test_wherever_a_concentration_stands():
+    half = MMHG * oxygen_solubility(37.0)
+    made = scene(
+        boundary="160 mmHg", half_saturation="2 mmHg", quiescence="8 mmHg", necrosis="1 mmHg",
+        growth_half_saturation="3 mmHg", media=[["1 h", "20 mmHg"], [7200.0, 0.1]],
+        sides={"x-": {"value": "7 mmHg"}, "x+": {"type": "mixed", "rate": 0.1}},
+    ).nutrients["oxygen"]  # fmt: skip
+    found = [made.boundary, made.half_saturation, made.quiescence, made.necrosis,
+             made.growth_half_saturation, made.media[0][1], made.sides["x-"].value]  # fmt: skip
+    assert found == pytest.approx([k * half for k in (160, 2, 8, 1, 3, 20, 7)], rel=1e-6)
+    assert made.media[1] == (7200.0, 0.1)
+
+
+def test_a_changed_and_a_written_scene(tmp_path):
+    changed = load_scene("spheroid").with_changes({"nutrients.oxygen.boundary": "100 mmHg"})
+    assert changed.nutrients["oxygen"].boundary == pytest.approx(0.1403, rel=5e-3)
+    file = tmp_path / "scene.toml"
+    file.write_text(changed.to_toml(), encoding="utf-8")
+    assert load_scene(file) == changed
+
+
+REFUSED = {
+    "another field": (("glucose", {"boundary": "40 mmHg"}), "glucose.boundary", "partial pressure"),
+    "of another one's medium": (("drug", {"media": [["1 h", "1 kPa"]]}), "drug.media", "pressure"),
+    "no pressure": (("oxygen", {"uptake": "3 mmHg"}), "oxygen.uptake", "an amount per time"),
+    "below nothing": (("oxygen", {"boundary": "-3 mmHg"}), "oxygen.boundary", "at least 0"),
+    "too warm": (("oxygen", {"boundary": "3 mmHg", "temperature": 90}), "oxygen.temperature",
+                 "at most 60"),
+    "no number": (("oxygen", {"boundary": "3 mmHg", "temperature": "warm"}), "oxygen.temperature",
+                  "number"),
+    "beyond any": (("oxygen", {"boundary": "3 mmHg", "temperature": -300.0}),
+                   "oxygen.temperature", "at least 0"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_refused_in_words(case):
+    (name, nutrient), path, words = REFUSED[case]
+    with pytest.raises(SceneError) as caught:
+        scene(name, **nutrient)
+    assert caught.value.path == f"nutrients.{path}"
+    assert words in str(caught.value)
+
+
+def test_a_concentration_stays_what_it_is():
+    assert scene(boundary="0.07 mM").nutrients["oxygen"].boundary == to_base("0.07 mM", "mM")
+    assert scene("glucose", boundary=0.07).nutrients["glucose"].boundary == 0.07
