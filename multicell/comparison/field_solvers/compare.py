@@ -1,0 +1,293 @@
+"""Error against cost of solvers of a scene's fields, and where each of them fails."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Final
+
+from multicell.comparison.field_solvers.measure import climb
+from multicell.comparison.field_solvers.problems import (
+    KINDS,
+    SHELLS,
+    TRANSIENT,
+    Case,
+    case,
+    geometries,
+    grids,
+    nodes_of,
+)
+from multicell.comparison.field_solvers.reference import GridError, of_grids, on_one_grid
+from multicell.comparison.field_solvers.result import FILES, FieldComparison
+from multicell.comparison.field_solvers.solvers import FieldSolver, chosen
+from multicell.comparison.field_solvers.stability import stability_rows
+from multicell.comparison.field_solvers.watched import BACKENDS
+from multicell.comparison.files import CLOCKS, Row, prepare
+from multicell.comparison.measure import Effort
+from multicell.errors import NutrientFailed, SceneError
+from multicell.nutrient.grid import Layout
+from multicell.results.folder import versions
+from multicell.results.frame import Frame
+from multicell.scene.scene import Scene, load_scene
+from multicell.schema import near_miss
+from multicell.simulation import Simulation
+from multicell.units import to_base
+
+SPACINGS: Final = 3
+MOST_NODES: Final = 60_000
+"""Nodes of a grid above which only its own error is looked at, not the solvers'."""
+
+_FEWEST = 20
+"""Nodes that the stability map is drawn for at least, where there are as many."""
+
+Tell = Callable[[str], None]
+
+
+def compare_fields(
+    scene: Scene | str | Path,
+    output: str | Path | None = None,
+    *,
+    solvers: Sequence[str] | None = None,
+    fields: Sequence[str] | None = None,
+    at: float | str | None = None,
+    frame: Frame | None = None,
+    spacings: int = SPACINGS,
+    backend: str = "kernels",
+    clock: str = "cpu",
+    repeats: int = 3,
+    patience: float = 5.0,
+    budget: float = 120.0,
+    stability: bool = True,
+    threads: int | None = None,
+    overwrite: bool = False,
+    progress: Tell | None = None,
+) -> FieldComparison:
+    """Measure error and cost of solvers of a scene's fields, each field alone.
+
+    Three problems with the cells as they are: the steady state; a transient from the medium's
+    concentration everywhere, over twice the time in which the slowest deviation falls to 1/e; and
+    a coupling step, once that time before whose end the medium falls to half. On cubes and, where
+    the tissue is a ball, on shells (squares in two dimensions), each at a ladder of spacings.
+    Errors are the largest at any node, over the highest concentration. The error of a solver is
+    against the same equation on the same grid, that of a grid against finer ones.
+
+    Parameters
+    ----------
+    scene
+        The scene, the name of a built-in one, or a TOML file.
+    output
+        Folder for the files of :meth:`FieldComparison.save`.
+    solvers
+        Names of :data:`multicell.comparison.field_solvers.solvers.SOLVERS`; absent: all.
+    fields
+        Names of fields; absent: all of the scene.
+    at
+        Time to which the scene is run first, s or with a unit; absent: its start.
+    frame
+        A frame of a run of the scene, in place of running it.
+    spacings
+        Number of nested grids: about twice the field's own spacing, its own, half of it, ...
+    backend
+        How rates are evaluated for py-pde's solvers (:data:`BACKENDS`). ``"numba"`` compiles for
+        seconds for every solver, step and grid, which is not part of the times.
+    clock
+        Which time judges: ``"cpu"`` or ``"wall"``. Both are measured.
+    repeats
+        Number of timed solves of each point, of which the median counts.
+    patience
+        Wall time in s that one solve may take.
+    budget
+        Wall time in s for all solvers, divided among what is left; finer settings than it allows
+        are skipped.
+    stability
+        Whether to find out where each solver fails, as steps and uptake grow.
+    threads
+        Number of threads of a run ``at`` a time.
+    overwrite
+        Whether the folder may hold something: files of an earlier comparison are replaced.
+    progress
+        Called with a line of words for everything that is begun.
+
+    Raises
+    ------
+    SceneError, OutputError
+        For input that cannot be used, before anything is computed.
+    StepFailed
+        If the run to ``at`` fails. Solvers that fail are rows of the table.
+    """
+    described = scene if isinstance(scene, Scene) else load_scene(scene)
+    names = _named(described, fields)
+    wanted = chosen(solvers)
+    _check(clock, backend, spacings)
+    tell = progress or (lambda _: None)
+    time = None if at is None else _time(at)
+    if at is not None and frame is not None:
+        raise SceneError("at", "is given beside a frame, which has a time of its own")
+    prepare(output, FILES, overwrite)
+    taken = frame or state_at(described, time, threads, tell)
+    notes: list[str] = []
+    ladders = list(_ladders(described, taken, names, spacings, notes))
+    table, grid_table = _race(
+        described, taken, ladders, wanted, backend, (repeats, patience, budget), tell, notes
+    )
+    failures: list[Row] = []
+    if stability:
+        smallest = _smallest(described, taken, ladders, notes)
+        if smallest is not None:
+            failures = stability_rows(smallest, wanted, backend, patience, tell)
+    facts = {
+        "cells": len(taken.cells), "time": taken.time, "backend": backend,
+        "backend_words": BACKENDS[backend], "notes": list(dict.fromkeys(notes)),
+        "solvers": {solver.name: solver.words for solver in wanted}, "versions": versions(),
+    }  # fmt: skip
+    result = FieldComparison(described, table, grid_table, failures, facts, clock)
+    if output is not None:
+        result.save(output)
+    return result
+
+
+def _named(scene: Scene, fields: Sequence[str] | None) -> list[str]:
+    """Return the fields that are wanted."""
+    if not scene.nutrients:
+        problem = "are none: the scene has no fields whose solvers could be compared"
+        raise SceneError("nutrients", problem)
+    if fields is None:
+        return list(scene.nutrients)
+    if isinstance(fields, str) or not fields:
+        raise SceneError("fields", f"is {fields!r}, expected a list of names")
+    for name in fields:
+        if name not in scene.nutrients:
+            hint = near_miss(name, scene.nutrients) or f"Has {', '.join(scene.nutrients)}."
+            raise SceneError("fields", f"has {name!r}, which is no field of the scene", hint)
+    return list(fields)
+
+
+def _check(clock: str, backend: str, spacings: int) -> None:
+    if clock not in CLOCKS:
+        raise SceneError("clock", f"is {clock!r}, must be {' or '.join(map(repr, CLOCKS))}")
+    if backend not in BACKENDS:
+        raise SceneError("backend", f"is {backend!r}, must be one of {', '.join(BACKENDS)}")
+    if not 1 <= spacings <= 6:
+        raise SceneError("spacings", f"is {spacings!r}, must be 1 to 6")
+
+
+def _time(at: float | str) -> float:
+    time = to_base(at, "s", "at")
+    if not (math.isfinite(time) and time >= 0.0):
+        raise SceneError("at", f"is {at!r}, must be a time of 0 s or more")
+    return time
+
+
+def state_at(scene: Scene, time: float | None, threads: int | None, tell: Tell) -> Frame:
+    """Return the frame of a scene at its start, or at the first coupling time from ``time`` on.
+
+    Raises
+    ------
+    SceneError
+        If the scene ends before.
+    StepFailed
+    """
+    longer = scene if not time or time <= scene.duration else None
+    if longer is None:
+        problem = f"is {time:g} s, after the end of the scene ({scene.duration:g} s)"
+        raise SceneError("at", problem, "Set a longer duration.")
+    simulation = Simulation(scene, threads=threads)
+    if time:
+        tell(f"running the scene to {time:g} s")
+    while time and simulation.time < time and not simulation.finished:
+        simulation.step()
+    return simulation.frame()
+
+
+def _ladders(
+    scene: Scene, frame: Frame, names: Sequence[str], spacings: int, notes: list[str]
+) -> Iterator[tuple[str, str, list[Layout]]]:
+    """Yield field, geometry and its grids."""
+    for name in names:
+        found = geometries(scene, frame, name)
+        if SHELLS not in found and scene.dimensions == 3:
+            notes.append(f"{name} has no shells here: the tissue is no ball, or its sides differ")
+        for geometry in found:
+            try:
+                yield name, geometry, grids(scene, frame, name, geometry, spacings)
+            except NutrientFailed as trouble:
+                notes.append(f"{name} has no {geometry}: {trouble}")
+
+
+def _race(
+    scene: Scene,
+    frame: Frame,
+    ladders: Sequence[tuple[str, str, list[Layout]]],
+    solvers: Sequence[FieldSolver],
+    backend: str,
+    effort: tuple[int, float, float],
+    tell: Tell,
+    notes: list[str],
+) -> tuple[list[Row], list[Row]]:
+    """Return the rows of all solvers on all problems, and those of the grids' own errors."""
+    table: list[Row] = []
+    grid_table: list[Row] = []
+    repeats, patience, left = effort
+    rivals = [(*ladder, kind) for ladder, kind in itertools.product(ladders, KINDS)]
+    series = sum(len(layouts) for _, _, layouts, _ in rivals) * len(solvers)
+    for name, geometry, layouts, kind in rivals:
+        tell(f"{name}, {kind}: errors of {geometry}")
+        try:
+            spatial = of_grids(scene, frame, name, kind, layouts)
+        except (NutrientFailed, SceneError) as trouble:
+            notes.append(f"{name}, {kind}, on {geometry} is left out: {trouble}")
+            series -= len(layouts) * len(solvers)
+            continue
+        for layout, error in zip(layouts, spatial, strict=True):
+            grid_table.append(_grid_row(name, geometry, kind, layout, error))
+            if nodes_of(layout) > MOST_NODES:
+                notes.append(f"grids of more than {MOST_NODES:,} nodes are not raced on")
+                series -= len(solvers)
+                continue
+            problem = case(scene, frame, name, kind, layout)
+            exact = on_one_grid(problem)
+            for solver in solvers:
+                share = Effort(repeats, patience, left / max(series, 1), 6)
+                rows, spent = climb(solver, problem, exact, backend, share, tell)
+                why = solver.refusal(problem)
+                if why and kind in why:
+                    notes.append(f"{solver.name}: {why}")
+                for row in rows:
+                    row["space_error"] = error.error
+                table += rows
+                left -= spent
+                series -= 1
+    if not table:
+        raise SceneError("nutrients", "; ".join(notes) or "have no problem that can be posed")
+    return table, grid_table
+
+
+def _grid_row(name: str, geometry: str, kind: str, layout: Layout, error: GridError) -> Row:
+    return {
+        "field": name, "geometry": geometry, "spacing": layout.spacing,
+        "nodes": nodes_of(layout), "problem": kind, "error": error.error,
+        "uncertainty": error.uncertainty,
+    }  # fmt: skip
+
+
+def _smallest(
+    scene: Scene,
+    frame: Frame,
+    ladders: Sequence[tuple[str, str, list[Layout]]],
+    notes: list[str],
+) -> Case | None:
+    """Return the transient with fewest nodes, of the first field that cells take up."""
+    eaten = [x for x in ladders if scene.nutrients[x[0]].uptake > 0.0]
+    if not eaten or not len(frame.cells):
+        notes.append("no stability map: no cell takes up any field")
+        return None
+    first = eaten[0][0]
+    layouts = [layout for name, _, found in eaten if name == first for layout in found]
+    smallest = min(layouts, key=lambda layout: (nodes_of(layout) < _FEWEST, nodes_of(layout)))
+    try:
+        return case(scene, frame, first, TRANSIENT, smallest)
+    except (NutrientFailed, SceneError) as trouble:
+        notes.append(f"no stability map: {trouble}")
+        return None
