@@ -28,6 +28,7 @@ from multicell.comparison.files import CLOCKS, Row, prepare
 from multicell.comparison.measure import Effort
 from multicell.errors import NutrientFailed, SceneError
 from multicell.nutrient.grid import Layout
+from multicell.nutrient.parameters import FieldParameters
 from multicell.results.folder import versions
 from multicell.results.frame import Frame
 from multicell.scene.scene import Scene, load_scene
@@ -41,6 +42,11 @@ MOST_NODES: Final = 60_000
 
 _FEWEST = 20
 """Nodes that the stability map is drawn for at least, where there are as many."""
+
+_TRIED = 0.5
+"""Wall time in s that a first point may take however short the budget is."""
+
+_POINTS = 6  # of a ladder, about
 
 Tell = Callable[[str], None]
 
@@ -58,7 +64,7 @@ def compare_fields(
     clock: str = "cpu",
     repeats: int = 3,
     patience: float = 5.0,
-    budget: float = 120.0,
+    budget: float = 240.0,
     stability: bool = True,
     threads: int | None = None,
     overwrite: bool = False,
@@ -140,6 +146,7 @@ def compare_fields(
     facts = {
         "cells": len(taken.cells), "time": taken.time, "backend": backend,
         "backend_words": BACKENDS[backend], "notes": list(dict.fromkeys(notes)),
+        "spacing": {name: FieldParameters.of(described, name).spacing for name in names},
         "solvers": {solver.name: solver.words for solver in wanted}, "versions": versions(),
     }  # fmt: skip
     result = FieldComparison(described, table, grid_table, failures, facts, clock)
@@ -249,8 +256,10 @@ def _race(
             problem = case(scene, frame, name, kind, layout)
             exact = on_one_grid(problem)
             for solver in solvers:
-                share = Effort(repeats, patience, left / max(series, 1), 6)
-                rows, spent = climb(solver, problem, exact, backend, share, tell)
+                share = left / max(series, 1)
+                longest = min(patience, max(_TRIED, 3.0 * share))
+                own = Effort(repeats, longest, share, _POINTS)
+                rows, spent = climb(solver, problem, exact, backend, own, tell)
                 why = solver.refusal(problem)
                 if why and kind in why:
                     notes.append(f"{solver.name}: {why}")

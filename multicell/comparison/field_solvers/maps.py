@@ -58,7 +58,7 @@ def stability_map(result: FieldComparison) -> Figure:
         for control in ("step", "tolerance")
     ]
     lines = [group[k : k + _COLUMNS] for group in groups for k in range(0, len(group), _COLUMNS)]
-    wide = 0.85 + _COLUMNS * (_WIDE + 0.28)
+    wide = max(0.85 + max(map(len, lines)) * (_WIDE + 0.28), 7.5)
     tall = 1.0 + len(lines) * (_HIGH + 0.95) + 0.85
     where = f"{first['nodes']:,} {first['geometry']} of {first['spacing']:.3g} µm"
     figure = blank(

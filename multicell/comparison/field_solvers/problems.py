@@ -39,7 +39,7 @@ SPAN: Final = 2.0
 """Length of a transient in times in which the slowest deviation falls to 1/e; a medium switches
 half of that before the end."""
 
-FEWEST: Final = 4
+FEWEST: Final = 6
 """Nodes along the longest axis of the coarsest grid, at least."""
 
 _LINEAR = 1e-3  # of the scale: a difference over which rates are linear

@@ -99,9 +99,10 @@ class FieldComparison:
         return [row for row in self.table if all(row[key] == x for key, x in where.items())]
 
     def own_spacing(self, field: str, geometry: str) -> float:
-        """Return the spacing next to the field's own: the second of the ladder, or the only one."""
-        found = sorted({r["spacing"] for r in self.rows(field=field, geometry=geometry)})
-        return float(found[max(0, len(found) - 2)])
+        """Return the spacing of the ladder that is nearest to the field's own, µm."""
+        wanted = self.facts["spacing"][field]
+        found = {row["spacing"] for row in self.rows(field=field, geometry=geometry)}
+        return float(min(found, key=lambda h: abs(math.log(h / wanted))))
 
     def cheapest(self, error: float, **where: Any) -> Row | None:
         """Return the row of least time that reaches an error, or None.

@@ -232,8 +232,7 @@ class Attempt:
         made = SolverBase.from_name(
             self.solver.pde, pde=watched, backend=backend, **self._options()
         )
-        name, equation = self.case.field, piece.equation
-        state = equation.state({name: self.case.start})
+        state = cast(Any, piece.equation.state({self.case.field: self.case.start}))
         stepper = made.make_stepper(state, self._first(piece))
 
         def advance(piece: Piece, data: FloatArray) -> FloatArray:
