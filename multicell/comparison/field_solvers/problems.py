@@ -309,13 +309,13 @@ def _slowest_time(equation: FieldEquation, start: FloatArray) -> float:
     """
     lengths = [high - low for low, high in equation.grid.axes_bounds]
     diffusion = next(iter(equation.terms.values())).substance.diffusion
-    longest = (max(lengths) / np.pi) ** 2 / diffusion
+    longest = float(max(lengths) / np.pi) ** 2 / diffusion
     inverse = equation.shifted_inverse(start, 0.0)
     shift, v = 1e-3 / longest, np.ones_like(start)
     size = longest
     for _ in range(10):
-        v = inverse(v / np.linalg.norm(v), shift)
-        size = float(np.linalg.norm(v))
+        v = inverse(v / _norm(v), shift)
+        size = _norm(v)
     rate = 1.0 / size - shift
     return 1.0 / rate if rate > 1e-3 / longest else longest
 
@@ -330,6 +330,11 @@ def fastest_rate(equation: FieldEquation, scale: float, start: FloatArray) -> fl
     for _ in range(_ITERATIONS):
         v *= step / np.abs(v).max()
         found = equation.rates(v, 0.0)[0] - rest
-        rate = float(np.linalg.norm(found) / np.linalg.norm(v))
+        rate = _norm(found) / _norm(v)
         v = found
     return rate
+
+
+def _norm(v: FloatArray) -> float:
+    # not by BLAS: its threads wait for each other where a machine is busy
+    return float(np.sqrt(np.square(v).sum()))
