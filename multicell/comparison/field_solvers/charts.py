@@ -303,7 +303,10 @@ def _sizes(result: FieldComparison, field: str) -> str:
     for geometry in _geometries(result, field):
         known = {row["spacing"] for row in result.rows(field=field, geometry=geometry)}
         steps = ", ".join(f"{h:.3g}" for h in sorted(known, reverse=True))
-        lines += [f"{geometry}, large to", f"small marker: {steps} µm"]
+        several = len(known) > 1
+        lines += [f"{geometry}, large to", f"small marker: {steps} µm"] if several else [
+            f"{geometry} of {steps} µm"
+        ]  # fmt: skip
     return "\n".join(lines)
 
 

@@ -21,7 +21,7 @@ from multicell.comparison.field_solvers.problems import (
 )
 from multicell.comparison.field_solvers.reference import GridError, of_grids, on_one_grid
 from multicell.comparison.field_solvers.result import FILES, FieldComparison
-from multicell.comparison.field_solvers.solvers import FieldSolver, chosen
+from multicell.comparison.field_solvers.solvers import DIRECT, FieldSolver, chosen
 from multicell.comparison.field_solvers.stability import stability_rows
 from multicell.comparison.field_solvers.watched import BACKENDS
 from multicell.comparison.files import CLOCKS, Row, prepare
@@ -128,7 +128,7 @@ def compare_fields(
     wanted = chosen(solvers)
     _check(clock, backend, spacings)
     tell = progress or (lambda _: None)
-    time = None if at is None else _time(at)
+    time = None if at is None else _time(at, described)
     if at is not None and frame is not None:
         raise SceneError("at", "is given beside a frame, which has a time of its own")
     prepare(output, FILES, overwrite)
@@ -180,10 +180,14 @@ def _check(clock: str, backend: str, spacings: int) -> None:
         raise SceneError("spacings", f"is {spacings!r}, must be 1 to 6")
 
 
-def _time(at: float | str) -> float:
+def _time(at: float | str, scene: Scene) -> float:
+    """Return a time within the scene's duration, s."""
     time = to_base(at, "s", "at")
     if not (math.isfinite(time) and time >= 0.0):
         raise SceneError("at", f"is {at!r}, must be a time of 0 s or more")
+    if time > scene.duration:
+        problem = f"is {time:g} s, after the end of the scene ({scene.duration:g} s)"
+        raise SceneError("at", problem, "Set a longer duration.")
     return time
 
 
@@ -192,14 +196,8 @@ def state_at(scene: Scene, time: float | None, threads: int | None, tell: Tell) 
 
     Raises
     ------
-    SceneError
-        If the scene ends before.
     StepFailed
     """
-    longer = scene if not time or time <= scene.duration else None
-    if longer is None:
-        problem = f"is {time:g} s, after the end of the scene ({scene.duration:g} s)"
-        raise SceneError("at", problem, "Set a longer duration.")
     simulation = Simulation(scene, threads=threads)
     if time:
         tell(f"running the scene to {time:g} s")
@@ -260,9 +258,8 @@ def _race(
                 longest = min(patience, max(_TRIED, 3.0 * share))
                 own = Effort(repeats, longest, share, _POINTS)
                 rows, spent = climb(solver, problem, exact, backend, own, tell)
-                why = solver.refusal(problem)
-                if why and kind in why:
-                    notes.append(f"{solver.name}: {why}")
+                if (why := solver.refusal(problem)) and solver.kind != DIRECT:
+                    notes.append(f"{solver.name} is left out of {problem.name}: {why}")
                 for row in rows:
                     row["space_error"] = error.error
                 table += rows

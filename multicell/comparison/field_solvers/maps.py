@@ -58,12 +58,12 @@ def stability_map(result: FieldComparison) -> Figure:
         for control in ("step", "tolerance")
     ]
     lines = [group[k : k + _COLUMNS] for group in groups for k in range(0, len(group), _COLUMNS)]
-    wide = max(0.85 + max(map(len, lines)) * (_WIDE + 0.28), 7.5)
+    wide = max(0.85 + max(map(len, lines)) * (_WIDE + 0.28), 10.0)
     tall = 1.0 + len(lines) * (_HIGH + 0.95) + 0.85
     where = f"{first['nodes']:,} {first['geometry']} of {first['spacing']:.3g} µm"
     figure = blank(
-        f"{result.scene.title or 'Untitled scene'} · where solvers fail"[:75],
-        f"{first['field']}, transient, {where}", (wide, tall),
+        result.scene.title or "Untitled scene",
+        f"{first['field']}: where solvers fail in a transient · {where}", (wide, tall),
     )  # fmt: skip
     for row, line in enumerate(lines):
         for column, name in enumerate(line):

@@ -6,13 +6,15 @@ from typing import TYPE_CHECKING, Any, Final
 
 from multicell.comparison.field_solvers.maps import COLOURS
 from multicell.comparison.field_solvers.measure import KINDS
-from multicell.comparison.field_solvers.result import TARGETS
 from multicell.comparison.files import CLOCKS, FAILED
 from multicell.report.plots.style import cell_count, time_unit
 
 if TYPE_CHECKING:
     from multicell.comparison.field_solvers.result import FieldComparison
     from multicell.comparison.files import Row
+
+TARGETS: Final = (1e-2, 1e-3)
+"""Errors for which the report names the cheapest solver."""
 
 CAPTIONS: Final = {
     "field-solvers.png": "Error of the solver over cost, against the same equation on the same "

@@ -27,9 +27,6 @@ FILES: Final = (
 )
 """What a comparison may write; of several fields each has pictures of its own, by number."""
 
-TARGETS: Final = (1e-2, 1e-3)
-"""Errors for which the report names the cheapest solver."""
-
 
 @final
 @dataclass(frozen=True, eq=False)
