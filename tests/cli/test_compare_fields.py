@@ -21,6 +21,7 @@ def _small_map(monkeypatch):
     monkeypatch.setattr(stability, "TOLERANCES", (1e-1, 1e-2))
 
 
+@pytest.mark.slow
 def test_it_names_the_cheapest_solver(tmp_path):
     done = CliRunner().invoke(main, [*SMALL, "-o", str(tmp_path / "out")])
     assert done.exit_code == 0, done.output
@@ -34,6 +35,7 @@ def test_it_names_the_cheapest_solver(tmp_path):
     assert "--overwrite" in again.stderr
 
 
+@pytest.mark.slow
 def test_it_prints_the_table_as_json_at_a_later_time(tmp_path):
     done = CliRunner().invoke(
         main, [*SMALL, "-o", str(tmp_path / "out"), "--json", "--quiet", "--at", "2 s"]

@@ -16,6 +16,7 @@ from multicell.comparison.field_solvers.measure import (
     RIGHT,
     RUNS_AWAY,
     TOO_SLOW,
+    _measured,
     attempted,
     judged,
 )
@@ -36,6 +37,7 @@ from multicell.comparison.field_solvers.problems import (
 from multicell.comparison.field_solvers.reference import of_grids, on_one_grid
 from multicell.comparison.field_solvers.solvers import SOLVERS, neighbours
 from multicell.comparison.files import DONE, FAILED
+from multicell.comparison.measure import Effort
 
 AIR = {"boundary": "0.07 mM", "uptake": "20 amol/s", "spacing": "15 um"}
 
@@ -138,6 +140,7 @@ def test_the_reference_is_known_far_better_than_solvers(kind, geometry):
     assert np.abs(exact.data - problem.start).max() > 0.03 * problem.scale
 
 
+@pytest.mark.slow
 def test_all_solvers_meet_the_closed_form_of_a_medium_that_switches():
     """Stirred between walls c follows k (medium - c), whatever the grid and the cells."""
     wall = {"*": {"type": "derivative", "derivative": 0}}
@@ -200,6 +203,23 @@ def test_the_error_of_shells_is_that_against_the_closed_form():
     assert found.uncertainty < 0.5 * error
 
 
+@pytest.mark.slow
+def test_backends_differ_by_rounding_only():
+    problem = problem_of(scene_with(), TRANSIENT, SHELLS, rung=0)
+    exact = on_one_grid(problem)
+    found = []
+    for backend in ("kernels", "numpy", "numba"):
+        effort = Effort(2, 60.0, 60.0, 1)
+        row = _measured(SOLVERS["euler"], problem, 0.9, exact, backend, effort)
+        assert row["status"] == DONE
+        assert (row["backend"], row["steps"] > 0.0) == (backend, True)
+        found.append(attempted(SOLVERS["euler"], problem, 0.9, backend, 60.0)[0])
+        # compilation takes seconds, and is no part of it
+        assert row["cpu"] < 1.0
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-12)
+    np.testing.assert_allclose(found[2], found[0], rtol=1e-12)
+
+
 # --- failures -------------------------------------------------------------------------------------
 
 
@@ -248,6 +268,7 @@ def test_the_map_of_stability_knows_the_limits(monkeypatch):
 # --- the whole ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_comparison_is_written_read_and_told(tmp_path, monkeypatch):
     monkeypatch.setattr(stability, "FACTORS", (1.0, 30.0))
     monkeypatch.setattr(stability, "STEPS", (0.5, 4.0))
