@@ -131,13 +131,19 @@ def test_neighbours_are_where_rates_depend_on_nodes():
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("geometry", [CUBES, SHELLS])
+@pytest.mark.parametrize("geometry", [CUBES, SHELLS, SQUARES])
 def test_the_reference_is_known_far_better_than_solvers(kind, geometry):
-    problem = problem_of(scene_with(), kind, geometry, rung=0)
+    scene = scene_with(dimensions=2) if geometry == SQUARES else scene_with()
+    problem = problem_of(scene, kind, geometry, rung=0)
     exact = on_one_grid(problem)
     assert exact.uncertainty < 1e-8
     assert exact.data.min() >= 0.0
     assert np.abs(exact.data - problem.start).max() > 0.03 * problem.scale
+    name = "multicell-steady" if kind == STEADY else "multicell-march"
+    data, attempt, found = attempted(SOLVERS[name], problem, 1e-3, "kernels", 60.0)
+    assert data is not None, found["words"]
+    assert judged(data, exact, problem.scale)[2] < 3e-3
+    assert attempt.steps > 0
 
 
 @pytest.mark.slow

@@ -5,8 +5,9 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Final, final
 
 from multicell.comparison.field_solvers.measure import climb
 from multicell.comparison.field_solvers.problems import (
@@ -135,9 +136,8 @@ def compare_fields(
     taken = frame or state_at(described, time, threads, tell)
     notes: list[str] = []
     ladders = list(_ladders(described, taken, names, spacings, notes))
-    table, grid_table = _race(
-        described, taken, ladders, wanted, backend, (repeats, patience, budget), tell, notes
-    )
+    race = _Race(described, taken, wanted, backend, repeats, patience, budget, tell, notes)
+    race.run(ladders)
     failures: list[Row] = []
     if stability:
         smallest = _smallest(described, taken, ladders, notes)
@@ -149,7 +149,7 @@ def compare_fields(
         "spacing": {name: FieldParameters.of(described, name).spacing for name in names},
         "solvers": {solver.name: solver.words for solver in wanted}, "versions": versions(),
     }  # fmt: skip
-    result = FieldComparison(described, table, grid_table, failures, facts, clock)
+    result = FieldComparison(described, race.table, race.grid_table, failures, facts, clock)
     if output is not None:
         result.save(output)
     return result
@@ -221,53 +221,80 @@ def _ladders(
                 notes.append(f"{name} has no {geometry}: {trouble}")
 
 
-def _race(
-    scene: Scene,
-    frame: Frame,
-    ladders: Sequence[tuple[str, str, list[Layout]]],
-    solvers: Sequence[FieldSolver],
-    backend: str,
-    effort: tuple[int, float, float],
-    tell: Tell,
-    notes: list[str],
-) -> tuple[list[Row], list[Row]]:
-    """Return the rows of all solvers on all problems, and those of the grids' own errors."""
-    table: list[Row] = []
-    grid_table: list[Row] = []
-    repeats, patience, left = effort
-    rivals = [(*ladder, kind) for ladder, kind in itertools.product(ladders, KINDS)]
-    series = sum(len(layouts) for _, _, layouts, _ in rivals) * len(solvers)
-    for name, geometry, layouts, kind in rivals:
-        tell(f"{name}, {kind}: errors of {geometry}")
+@final
+@dataclass
+class _Race:
+    """All solvers on all problems, and what is left of the time for them.
+
+    Attributes
+    ----------
+    series
+        Solvers on problems that are still to come.
+    left : float, s
+        Wall time for all of them.
+    table, grid_table
+        Rows of the solvers, and of the grids' own errors.
+    """
+
+    scene: Scene
+    frame: Frame
+    solvers: Sequence[FieldSolver]
+    backend: str
+    repeats: int
+    patience: float
+    left: float
+    tell: Tell
+    notes: list[str]
+    series: int = 0
+    table: list[Row] = field(default_factory=list)
+    grid_table: list[Row] = field(default_factory=list)
+
+    def run(self, ladders: Sequence[tuple[str, str, list[Layout]]]) -> None:
+        """Solve all problems.
+
+        Raises
+        ------
+        SceneError
+            If none can be posed.
+        """
+        rivals = [(*ladder, kind) for ladder, kind in itertools.product(ladders, KINDS)]
+        self.series = sum(len(layouts) for _, _, layouts, _ in rivals) * len(self.solvers)
+        for name, geometry, layouts, kind in rivals:
+            self._along(name, geometry, kind, layouts)
+        if not self.table:
+            problem = "; ".join(self.notes) or "have no problem that can be posed"
+            raise SceneError("nutrients", problem)
+
+    def _along(self, name: str, geometry: str, kind: str, layouts: list[Layout]) -> None:
+        """Solve one problem on a ladder of grids."""
+        self.tell(f"{name}, {kind}: errors of {geometry}")
         try:
-            spatial = of_grids(scene, frame, name, kind, layouts)
+            spatial = of_grids(self.scene, self.frame, name, kind, layouts)
         except (NutrientFailed, SceneError) as trouble:
-            notes.append(f"{name}, {kind}, on {geometry} is left out: {trouble}")
-            series -= len(layouts) * len(solvers)
-            continue
+            self.notes.append(f"{name}, {kind}, on {geometry} is left out: {trouble}")
+            self.series -= len(layouts) * len(self.solvers)
+            return
         for layout, error in zip(layouts, spatial, strict=True):
-            grid_table.append(_grid_row(name, geometry, kind, layout, error))
+            self.grid_table.append(_grid_row(name, geometry, kind, layout, error))
             if nodes_of(layout) > MOST_NODES:
-                notes.append(f"grids of more than {MOST_NODES:,} nodes are not raced on")
-                series -= len(solvers)
+                self.notes.append(f"solvers are not compared on more than {MOST_NODES:,} nodes")
+                self.series -= len(self.solvers)
                 continue
-            problem = case(scene, frame, name, kind, layout)
-            exact = on_one_grid(problem)
-            for solver in solvers:
-                share = left / max(series, 1)
-                longest = min(patience, max(_TRIED, 3.0 * share))
-                own = Effort(repeats, longest, share, _POINTS)
-                rows, spent = climb(solver, problem, exact, backend, own, tell)
-                if (why := solver.refusal(problem)) and solver.kind != DIRECT:
-                    notes.append(f"{solver.name} is left out of {problem.name}: {why}")
-                for row in rows:
-                    row["space_error"] = error.error
-                table += rows
-                left -= spent
-                series -= 1
-    if not table:
-        raise SceneError("nutrients", "; ".join(notes) or "have no problem that can be posed")
-    return table, grid_table
+            self._on(case(self.scene, self.frame, name, kind, layout), error)
+
+    def _on(self, problem: Case, error: GridError) -> None:
+        """Let all solvers try one problem on one grid."""
+        exact = on_one_grid(problem)
+        for solver in self.solvers:
+            share = self.left / max(self.series, 1)
+            longest = min(self.patience, max(_TRIED, 3.0 * share))
+            effort = Effort(self.repeats, longest, share, _POINTS)
+            rows, spent = climb(solver, problem, exact, self.backend, effort, self.tell)
+            if (why := solver.refusal(problem)) and solver.kind != DIRECT:
+                self.notes.append(f"{solver.name} is left out of {problem.name}: {why}")
+            self.table += [{**row, "space_error": error.error} for row in rows]
+            self.left -= spent
+            self.series -= 1
 
 
 def _grid_row(name: str, geometry: str, kind: str, layout: Layout, error: GridError) -> Row:
