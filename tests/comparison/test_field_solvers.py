@@ -194,19 +194,30 @@ def test_the_error_of_shells_is_that_against_the_closed_form():
 
     inside = brentq(lambda c: outwards(c)[0] - 0.07, 1e-9, 0.07, xtol=1e-15)
     begins, a, b = (np.array(x) for x in zip(*outwards(inside)[1], strict=True))
-    faces = np.linspace(0.0, layouts[1].radius, layouts[1].count + 1)
+    faces = np.linspace(0.0, layouts[0].radius, layouts[0].count + 1)
     right = []
     for low, high in itertools.pairwise(faces):
         x = np.linspace(low, high, 4001)[:-1] + (high - low) / 8000.0
         piece = np.searchsorted(begins, x, side="right") - 1
         right.append(np.average(a[piece] + b[piece] / x, weights=x**2))
     # the reference by ever finer grids leaves no more open than it says
-    found = of_grids(scene, frame, "oxygen", STEADY, layouts)[1]
-    steady, _ = middle.whole.steady_state(middle.start, 0.0)
-    error = np.abs(steady - np.array(right)).max() / middle.scale
-    assert error > 1e-4
-    assert abs(found.error - error) <= found.uncertainty
-    assert found.uncertainty < 0.5 * error
+    for k, found in enumerate(of_grids(scene, frame, "oxygen", STEADY, layouts)):
+        problem = case(scene, frame, "oxygen", STEADY, layouts[k])
+        steady = means(problem.whole.steady_state(problem.start, 0.0)[0], layouts[k], 2**k)
+        error = np.abs(steady - np.array(right)).max() / problem.scale
+        assert error > 1e-4
+        assert abs(found.error - error) <= found.uncertainty
+        assert found.uncertainty < 0.5 * error
+
+
+@pytest.mark.parametrize("geometry", [CUBES, SHELLS])
+def test_errors_of_grids_fall_with_the_square_of_the_spacing(geometry):
+    scene = scene_with({"uptake": "60 amol/s"})
+    frame = comparing.state_at(scene, None, 1, print)
+    layouts = grids(scene, frame, "oxygen", geometry, 3)
+    errors = [found.error for found in of_grids(scene, frame, "oxygen", STEADY, layouts)]
+    for coarse, fine in itertools.pairwise(errors):
+        assert 2.5 < coarse / fine < 7.0
 
 
 @pytest.mark.slow

@@ -23,7 +23,7 @@ from multicell.comparison.field_solvers.problems import (
 from multicell.comparison.field_solvers.reference import GridError, of_grids, on_one_grid
 from multicell.comparison.field_solvers.result import FILES, FieldComparison
 from multicell.comparison.field_solvers.solvers import DIRECT, FieldSolver, chosen
-from multicell.comparison.field_solvers.stability import stability_rows
+from multicell.comparison.field_solvers.stability import TRIAL_PATIENCE, stability_rows
 from multicell.comparison.field_solvers.watched import BACKENDS
 from multicell.comparison.files import CLOCKS, Row, prepare
 from multicell.comparison.measure import Effort
@@ -146,6 +146,7 @@ def compare_fields(
     facts = {
         "cells": len(taken.cells), "time": taken.time, "backend": backend,
         "backend_words": BACKENDS[backend], "notes": list(dict.fromkeys(notes)),
+        "trial_patience": TRIAL_PATIENCE * patience,
         "spacing": {name: FieldParameters.of(described, name).spacing for name in names},
         "solvers": {solver.name: solver.words for solver in wanted}, "versions": versions(),
     }  # fmt: skip

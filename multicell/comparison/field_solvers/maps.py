@@ -128,7 +128,9 @@ def _edges(values: Sequence[float]) -> Any:
 def _legend(figure: Figure, result: FieldComparison) -> None:
     seen = {row["kind"] for row in result.failures}
     handles: list[Any] = [
-        Patch(color=colour, label=kind) for kind, colour in COLOURS.items() if kind in seen
+        Patch(color=colour, label=kind if kind != TOO_SLOW else _too_slow(result))
+        for kind, colour in COLOURS.items()
+        if kind in seen
     ]
     stepping = any(row["control"] == "step" and math.isfinite(row["limit"])
                    for row in result.failures)  # fmt: skip
@@ -139,3 +141,7 @@ def _legend(figure: Figure, result: FieldComparison) -> None:
         handles=handles, loc="lower left", bbox_to_anchor=(0.06, 0.01), ncols=5, fontsize=10,
         columnspacing=1.5, handlelength=1.4,
     )  # fmt: skip
+
+
+def _too_slow(result: FieldComparison) -> str:
+    return f"{TOO_SLOW} (over {result.facts['trial_patience']:.2g} s)"

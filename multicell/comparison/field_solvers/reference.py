@@ -3,13 +3,15 @@
 On one grid transients come from SciPy's DOP853 with tight tolerances, and states at rest from
 Newton steps of ours that SciPy's GMRES corrects with py-pde's own Laplacian; how far
 ``multicell-implicit`` ends from the one, and how much the last correction of the other was, is
-what the reference leaves open. What a grid itself gets wrong is seen on finer ones, by means over
-whole nodes, with the extrapolation of second order between the two finest. A start that a quiet
-time has forgotten is not followed: there the reference begins with the state at rest.
+what the reference leaves open. What a grid itself gets wrong is seen on finer ones, with the
+extrapolation of second order between the two finest, by means over the nodes of the coarsest: cells
+are points, round which concentrations fall without end as spacings do, but not their means. A start
+that a quiet time has forgotten is not followed: there the reference begins with the state at rest.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -172,23 +174,23 @@ def of_grids(
     while nodes_of(finer := refined(layouts[-1], 2)) <= most and len(layouts) < len(grids) + 2:
         layouts.append(finer)
     solved = [_solution(case(scene, frame, field, kind, layout)) for layout in layouts]
-    if len(layouts) == 1:
+    scale = solved[-1][1]
+    # all by means over the coarsest nodes: nearer to a cell there is no limit
+    found = [means(values, layouts[k], 2**k) for k, (values, _) in enumerate(solved)]
+    if len(found) == 1:
         return [GridError(math.nan, math.nan)]
-    (values, scale), (before, _) = solved[-1], solved[-2]
-    # on the last but one grid: c_h - c = (c_2h - c) / 4, where the scheme is of second order
-    fine = means(values, layouts[-1], 2)
-    limit = fine + (fine - before) / 3.0
-    # of first order it would be as much as the last refinement has changed
-    left_open = float(np.abs(fine - before).max()) / scale
-    found = []
-    for k in range(len(grids)):
-        if k == len(layouts) - 1:
-            found.append(GridError(left_open, left_open))
-            continue
-        factor = 2 ** (len(layouts) - 2 - k)
-        right = limit if factor == 1 else means(limit, layouts[-2], factor)
-        found.append(GridError(float(np.abs(solved[k][0] - right).max()) / scale, left_open))
-    return found
+    change = [float(np.abs(b - a).max()) / scale for a, b in itertools.pairwise(found)]
+    limit = found[-1] + (found[-1] - found[-2]) / 3.0
+    left_open = change[-1] / (2.0 ** _order(change) - 1.0)
+    errors = [float(np.abs(values - limit).max()) / scale for values in found[: len(grids)]]
+    return [GridError(error, left_open) for error in errors]
+
+
+def _order(change: Sequence[float]) -> float:
+    """Return the order at which grids converge as their last changes show it, 1 to 2."""
+    if len(change) < 2 or not change[-1] > 0.0:
+        return 1.0
+    return min(2.0, max(1.0, math.log2(change[-2] / change[-1])))
 
 
 def _solution(problem: Case) -> tuple[FloatArray, float]:

@@ -26,7 +26,8 @@ FACTORS: Final = tuple(10.0**k for k in np.arange(-1.0, 3.51, 0.9))
 STEPS: Final = tuple(2.0**k for k in range(-4, 6))
 """Steps over the largest stable one of explicit Euler without uptake."""
 
-_PATIENCE = 0.2  # of one trial / of a solve of the comparison
+TRIAL_PATIENCE: Final = 0.2
+"""Longest trial over the longest solve of the comparison."""
 
 TOLERANCES: Final = tuple(10.0**-k for k in range(1, 7))
 """Tolerances over the scale."""
@@ -57,7 +58,7 @@ def stability_rows(
                 continue
             tell(f"stability: {solver.name} at a Thiele modulus of {modulus:.2g}")
             for setting in TOLERANCES if solver.kind == CONTROLLED else STEPS:
-                row = _trial(solver, stiff, setting, backend, _PATIENCE * patience, exact)
+                row = _trial(solver, stiff, setting, backend, TRIAL_PATIENCE * patience, exact)
                 about = {"factor": factor, "thiele": modulus, "limit": limit / diffusive}
                 rows.append({**row, **about, "explicit_limit": diffusive})
     return rows
