@@ -69,10 +69,8 @@ def _page(
     wide = max(_LEFT + columns * (_SIDE + _GAP) + _LEGEND, 8.0)
     tall = max(_TOP + rows * pitch, _TOP + legend)
     facts = result.facts
-    moment = facts["time"]
-    when = "at the start" if moment == 0.0 else f"after {time_unit(moment).text(moment)}"
     heading = f"{result.scene.title or 'Untitled scene'}"
-    figure = blank(heading, f"{title} · {cell_count(facts['cells'])} {when}", (wide, tall))
+    figure = blank(heading, f"{title} · {state(facts)}", (wide, tall))
     said = f"{words} · {facts['backend_words']}"
     figure.text(0.04, 1.0 - 0.815 / tall, said, fontsize=9.5, color=QUIET, va="center")
 
@@ -83,6 +81,13 @@ def _page(
         return left / wide, (base + _SIDE * strip) / tall, _SIDE / wide, height / tall
 
     return figure, place
+
+
+def state(facts: Mapping[str, Any]) -> str:
+    """Return how many cells there are, and when."""
+    moment = facts["time"]
+    when = "at the start" if moment == 0.0 else f"after {time_unit(moment).text(moment)}"
+    return f"{cell_count(facts['cells'])} {when}"
 
 
 def _panel(

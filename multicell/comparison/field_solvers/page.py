@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
+from multicell.comparison.field_solvers.charts import state
 from multicell.comparison.field_solvers.maps import COLOURS
 from multicell.comparison.field_solvers.measure import KINDS
 from multicell.comparison.files import CLOCKS, FAILED
-from multicell.report.plots.style import cell_count, time_unit
 
 if TYPE_CHECKING:
     from multicell.comparison.field_solvers.result import FieldComparison
@@ -32,10 +32,9 @@ CAPTIONS: Final = {
 def context(result: FieldComparison) -> dict[str, Any]:
     """Return what ``fields.html`` asks for."""
     facts = result.facts
-    moment = time_unit(facts["time"]).text(facts["time"])
     return {
         "title": f"{result.scene.title or 'Untitled scene'}: solvers of fields",
-        "subtitle": f"{cell_count(facts['cells'])} after {moment} · {facts['backend_words']}",
+        "subtitle": f"{state(facts)} · {facts['backend_words']}",
         "tiles": {
             "fields": ", ".join(result.fields),
             "solvers": f"{len(result.solvers)}",
