@@ -204,7 +204,7 @@ def _looks(result: FieldComparison, front: Sequence[str]) -> dict[str, Look]:
     ours = [name for name in result.solvers if SOLVERS[name].ours]
     first = [name for name in result.solvers if SOLVERS[name].colour]
     best = [name for name in front if name not in ours]
-    ranked = list(dict.fromkeys([*ours, *best[:2], *first, *result.solvers]))[:MOST]
+    ranked = list(dict.fromkeys([*ours, *best[:3], *first, *result.solvers]))[:MOST]
     own = told_apart({name: SOLVERS[name].colour for name in ranked})
     return {
         name: (

@@ -117,7 +117,7 @@ SOLVERS: Final = {
                     "runge-kutta", "Runge-Kutta-Fehlberg 4(5)", {"adaptive": True}),
         FieldSolver("adams-bashforth", STEPPING, False, "", "p", 0.5, "adams-bashforth",
                     "Adams-Bashforth of order 2"),
-        FieldSolver("implicit", STEPPING, False, "#cc79a7", "X", 0.5, "implicit",
+        FieldSolver("implicit", STEPPING, False, "", "X", 0.5, "implicit",
                     "backward Euler by fixed-point iteration"),
         FieldSolver("crank-nicolson", STEPPING, False, "#4b3a5e", "P", 1.0, "crank-nicolson",
                     "Crank-Nicolson by fixed-point iteration"),
