@@ -98,7 +98,8 @@ def compare_fields(
         Number of nested grids: about twice the field's own spacing, its own, half of it, ...
     backend
         How rates are evaluated for py-pde's solvers (:data:`BACKENDS`). ``"numba"`` compiles for
-        seconds for every solver, step and grid, which is not part of the times.
+        seconds for every solver, step and grid, which is not part of the times, and its solves
+        cannot be stopped by ``patience``.
     clock
         Which time judges: ``"cpu"`` or ``"wall"``. Both are measured.
     repeats
