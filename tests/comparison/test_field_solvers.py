@@ -317,6 +317,7 @@ def test_a_comparison_is_written_read_and_told(tmp_path, monkeypatch):
     assert json.loads(again.to_json()) == json.loads(result.to_json())
     assert "within 0.1 %: multicell-steady" in result.text()
     assert "does not converge: crank-nicolson" in result.text()
+    assert "Note: crank-nicolson: py-pde judges the iteration in a loop" in result.text()
     for figure in (result.figure(), result.spacings_figure(), result.stability_figure()):
         assert figure.axes
     panels = [axes for axes in result.figure().axes if not axes.get_label().endswith(" x")]

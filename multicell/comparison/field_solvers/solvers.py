@@ -74,6 +74,11 @@ class FieldSolver:
     words: str
     options: dict[str, Any] = field(default_factory=dict)
 
+    @property
+    def iterates(self) -> bool:
+        """Whether it is one of py-pde's implicit solvers, which are fixed-point iterations."""
+        return self.pde in ("implicit", "crank-nicolson")
+
     def control(self, case: Case) -> str:
         """Return what its setting means in a problem."""
         if self.kind == DIRECT:
@@ -253,7 +258,7 @@ class Attempt:
     def _options(self) -> dict[str, Any]:
         """Return the options of py-pde's solver."""
         solver, scale, options = self.solver, self.case.scale, dict(self.solver.options)
-        if solver.name in ("implicit", "crank-nicolson"):
+        if solver.iterates:
             return {"maxerror": _ITERATED * scale, **options}
         if solver.kind != CONTROLLED:
             return options
