@@ -326,6 +326,20 @@ def test_a_comparison_is_written_read_and_told(tmp_path, monkeypatch):
         assert axes.get_window_extent().width == pytest.approx(axes.get_window_extent().height)
 
 
+def test_pictures_of_an_earlier_comparison_do_not_stay(tmp_path):
+    folder = tmp_path / "out"
+    folder.mkdir()
+    for name in ("field-solvers-2.png", "field-stability.csv", "notes.txt"):
+        (folder / name).write_text("old")
+    mc.compare_fields(
+        scene_with(coupling_step="2 s"), folder, solvers=["multicell-steady"], spacings=1,
+        repeats=1, stability=False, overwrite=True,
+    )  # fmt: skip
+    left = {path.name for path in folder.iterdir()}
+    assert {"notes.txt", "field-solvers.png"} <= left
+    assert not left & {"field-solvers-2.png", "field-stability.csv"}
+
+
 def test_what_cannot_be_compared_is_said(tmp_path):
     scene = scene_with()
     without = mc.load_scene("settle").with_changes({"initial.count": 3})

@@ -21,7 +21,7 @@ from multicell.comparison.field_solvers.problems import (
     nodes_of,
 )
 from multicell.comparison.field_solvers.reference import GridError, of_grids, on_one_grid
-from multicell.comparison.field_solvers.result import FILES, FieldComparison
+from multicell.comparison.field_solvers.result import FieldComparison, all_files
 from multicell.comparison.field_solvers.solvers import DIRECT, FieldSolver, chosen
 from multicell.comparison.field_solvers.stability import TRIAL_PATIENCE, stability_rows
 from multicell.comparison.field_solvers.watched import BACKENDS
@@ -138,7 +138,7 @@ def compare_fields(
     time = None if at is None else _time(at, described)
     if at is not None and frame is not None:
         raise SceneError("at", "is given beside a frame, which has a time of its own")
-    prepare(output, FILES, overwrite)
+    prepare(output, all_files(), overwrite)
     taken = frame or state_at(described, time, threads, tell)
     looping = [solver.name for solver in wanted if solver.iterates]
     notes = [f"{' and '.join(looping)}: {_LOOPING}"] if looping and backend != "numba" else []

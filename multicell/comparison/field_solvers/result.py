@@ -25,7 +25,21 @@ FILES: Final = (
     "field-stability.png",
     "report.html",
 )
-"""What a comparison may write; of several fields each has pictures of its own, by number."""
+"""What a comparison writes; of several fields each later one has pictures of its own."""
+
+_OF_FIELDS: Final = ("field-solvers.png", "field-spacings.png")
+_MOST_FIELDS = 50
+
+
+def numbered(name: str, k: int) -> str:
+    """Return the name of a picture of the k-th field, from 0 on."""
+    return name if k == 0 else name.replace(".png", f"-{k + 1}.png")
+
+
+def all_files() -> list[str]:
+    """Return the names of everything that an earlier comparison may have written."""
+    more = [numbered(name, k) for name in _OF_FIELDS for k in range(1, _MOST_FIELDS)]
+    return [*FILES, *more]
 
 
 @final
@@ -175,8 +189,10 @@ class FieldComparison:
         drawings: dict[str, Any] = {}
         for k, field in enumerate(self.fields):
             for name, draw in ((chart, self.figure), (spacings, self.spacings_figure)):
-                own = name if k == 0 else name.replace(".png", f"-{k + 1}.png")
-                drawings[own] = (lambda draw=draw, field=field: draw(field), CAPTIONS[name])
+                drawings[numbered(name, k)] = (
+                    lambda draw=draw, field=field: draw(field),
+                    CAPTIONS[name],
+                )
         if self.failures:
             texts[failures] = to_csv(self.failures)
             drawings[stability] = (self.stability_figure, CAPTIONS[stability])
