@@ -190,10 +190,7 @@ class FieldComparison:
         drawings: dict[str, Any] = {}
         for k, field in enumerate(self.fields):
             for name, draw in ((chart, self.figure), (spacings, self.spacings_figure)):
-                drawings[numbered(name, k)] = (
-                    lambda draw=draw, field=field: draw(field),
-                    CAPTIONS[name],
-                )
+                drawings[numbered(name, k)] = (partial(draw, field), CAPTIONS[name])
         if self.failures:
             texts[failures] = to_csv(self.failures)
             drawings[stability] = (self.stability_figure, CAPTIONS[stability])
