@@ -15,6 +15,8 @@ from multicell.errors import MulticellError, OutputError, SceneError, StepFailed
 if TYPE_CHECKING:
     from multicell import testing
     from multicell.cells import Cells, State
+    from multicell.comparison.field_solvers.compare import compare_fields
+    from multicell.comparison.field_solvers.result import FieldComparison
     from multicell.comparison.result import WorkPrecision
     from multicell.comparison.stability_limits.result import StabilityMap
     from multicell.comparison.stability_limits.search import stability
@@ -42,6 +44,7 @@ __version__ = "0.1.0"
 __all__ = [
     "JKR",
     "Cells",
+    "FieldComparison",
     "FieldEquation",
     "FieldProblem",
     "Hertz",
@@ -65,6 +68,7 @@ __all__ = [
     "Substance",
     "WorkPrecision",
     "compare",
+    "compare_fields",
     "export",
     "field_problem",
     "load_law",
@@ -107,6 +111,8 @@ _LAZY = {
     "WorkPrecision": "multicell.comparison.result",
     "StabilityMap": "multicell.comparison.stability_limits.result",
     "compare": "multicell.comparison.work_precision",
+    "compare_fields": "multicell.comparison.field_solvers.compare",
+    "FieldComparison": "multicell.comparison.field_solvers.result",
     "export": "multicell.report.export",
     "resume": "multicell.runner",
     "run": "multicell.runner",

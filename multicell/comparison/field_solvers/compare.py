@@ -1,0 +1,334 @@
+"""Error against cost of solvers of a scene's fields, and where each of them fails."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final, final
+
+from multicell.comparison.field_solvers.measure import climb
+from multicell.comparison.field_solvers.problems import (
+    KINDS,
+    SHELLS,
+    TRANSIENT,
+    Case,
+    case,
+    geometries,
+    grids,
+    nodes_of,
+)
+from multicell.comparison.field_solvers.reference import GridError, of_grids, on_one_grid
+from multicell.comparison.field_solvers.result import FieldComparison, all_files
+from multicell.comparison.field_solvers.solvers import DIRECT, FieldSolver, chosen
+from multicell.comparison.field_solvers.stability import TRIAL_PATIENCE, stability_rows
+from multicell.comparison.field_solvers.watched import BACKENDS
+from multicell.comparison.files import CLOCKS, Row, prepare
+from multicell.comparison.measure import Effort
+from multicell.errors import NutrientFailed, SceneError
+from multicell.nutrient.grid import Layout
+from multicell.nutrient.parameters import FieldParameters
+from multicell.results.folder import versions
+from multicell.results.frame import Frame
+from multicell.scene.scene import Scene, load_scene
+from multicell.schema import near_miss
+from multicell.simulation import Simulation
+from multicell.units import to_base
+
+SPACINGS: Final = 3
+MOST_NODES: Final = 60_000
+"""Nodes of a grid above which only its own error is looked at, not the solvers'."""
+
+_FEWEST = 20
+"""Nodes that the stability map is drawn for at least, where there are as many."""
+
+_TRIED = 0.5
+"""Wall time in s that a first point may take however short the budget is."""
+
+_POINTS = 6  # of a ladder, about
+
+_LOOPING = (
+    "py-pde judges the iteration in a loop over the nodes, which is tens of times faster with "
+    "--backend numba"
+)
+
+Tell = Callable[[str], None]
+
+
+def compare_fields(
+    scene: Scene | str | Path,
+    output: str | Path | None = None,
+    *,
+    solvers: Sequence[str] | None = None,
+    fields: Sequence[str] | None = None,
+    at: float | str | None = None,
+    frame: Frame | None = None,
+    spacings: int = SPACINGS,
+    backend: str = "kernels",
+    clock: str = "cpu",
+    repeats: int = 3,
+    patience: float = 5.0,
+    budget: float = 240.0,
+    stability: bool = True,
+    threads: int | None = None,
+    overwrite: bool = False,
+    progress: Tell | None = None,
+) -> FieldComparison:
+    """Measure error and cost of solvers of a scene's fields, each field alone.
+
+    Three problems with the cells as they are: the steady state; a transient from the medium's
+    concentration everywhere, over twice the time in which the slowest deviation falls to 1/e; and
+    a coupling step, once that time before whose end the medium falls to half. On cubes and, where
+    the tissue is a ball, on shells (squares in two dimensions), each at a ladder of spacings.
+    Errors are the largest at any node, over the highest concentration. The error of a solver is
+    against the same equation on the same grid, that of a grid against finer ones.
+
+    Parameters
+    ----------
+    scene
+        The scene, the name of a built-in one, or a TOML file.
+    output
+        Folder for the files of :meth:`FieldComparison.save`.
+    solvers
+        Names of :data:`multicell.comparison.field_solvers.solvers.SOLVERS`; absent: all.
+    fields
+        Names of fields; absent: all of the scene.
+    at
+        Time to which the scene is run first, s or with a unit; absent: its start.
+    frame
+        A frame of a run of the scene, in place of running it.
+    spacings
+        Number of nested grids: about twice the field's own spacing, its own, half of it, ...
+    backend
+        How rates are evaluated for py-pde's solvers (:data:`BACKENDS`). ``"numba"`` compiles for
+        seconds for every solver, step and grid, which is not part of the times, and its solves
+        cannot be stopped by ``patience``.
+    clock
+        Which time judges: ``"cpu"`` or ``"wall"``. Both are measured.
+    repeats
+        Number of timed solves of each point, of which the median counts.
+    patience
+        Wall time in s that one solve may take.
+    budget
+        Wall time in s for all solvers, divided among what is left; finer settings than it allows
+        are skipped.
+    stability
+        Whether to find out where each solver fails, as steps and uptake grow.
+    threads
+        Number of threads of a run ``at`` a time.
+    overwrite
+        Whether the folder may hold something: files of an earlier comparison are replaced.
+    progress
+        Called with a line of words for everything that is begun.
+
+    Raises
+    ------
+    SceneError, OutputError
+        For input that cannot be used, before anything is computed.
+    StepFailed
+        If the run to ``at`` fails. Solvers that fail are rows of the table.
+    """
+    described = scene if isinstance(scene, Scene) else load_scene(scene)
+    names = _named(described, fields)
+    wanted = chosen(solvers)
+    _check(clock, backend, spacings)
+    tell = progress or (lambda _: None)
+    time = None if at is None else _time(at, described)
+    if at is not None and frame is not None:
+        raise SceneError("at", "is given beside a frame, which has a time of its own")
+    prepare(output, all_files(), overwrite)
+    taken = frame or state_at(described, time, threads, tell)
+    looping = [solver.name for solver in wanted if solver.iterates]
+    notes = [f"{' and '.join(looping)}: {_LOOPING}"] if looping and backend != "numba" else []
+    ladders = list(_ladders(described, taken, names, spacings, notes))
+    race = _Race(described, taken, wanted, backend, repeats, patience, budget, tell, notes)
+    race.run(ladders)
+    failures: list[Row] = []
+    if stability:
+        smallest = _smallest(described, taken, ladders, notes)
+        if smallest is not None:
+            failures = stability_rows(smallest, wanted, backend, patience, tell)
+    facts = {
+        "cells": len(taken.cells), "time": taken.time, "backend": backend,
+        "backend_words": BACKENDS[backend], "notes": list(dict.fromkeys(notes)),
+        "trial_patience": TRIAL_PATIENCE * patience,
+        "spacing": {name: FieldParameters.of(described, name).spacing for name in names},
+        "solvers": {solver.name: solver.words for solver in wanted}, "versions": versions(),
+    }  # fmt: skip
+    result = FieldComparison(described, race.table, race.grid_table, failures, facts, clock)
+    if output is not None:
+        result.save(output)
+    return result
+
+
+def _named(scene: Scene, fields: Sequence[str] | None) -> list[str]:
+    """Return the fields that are wanted."""
+    if not scene.nutrients:
+        problem = "are none: the scene has no fields whose solvers could be compared"
+        raise SceneError("nutrients", problem)
+    if fields is None:
+        return list(scene.nutrients)
+    if isinstance(fields, str) or not fields:
+        raise SceneError("fields", f"is {fields!r}, expected a list of names")
+    for name in fields:
+        if name not in scene.nutrients:
+            hint = near_miss(name, scene.nutrients) or f"Has {', '.join(scene.nutrients)}."
+            raise SceneError("fields", f"has {name!r}, which is no field of the scene", hint)
+    return list(fields)
+
+
+def _check(clock: str, backend: str, spacings: int) -> None:
+    if clock not in CLOCKS:
+        raise SceneError("clock", f"is {clock!r}, must be {' or '.join(map(repr, CLOCKS))}")
+    if backend not in BACKENDS:
+        raise SceneError("backend", f"is {backend!r}, must be one of {', '.join(BACKENDS)}")
+    if not 1 <= spacings <= 6:
+        raise SceneError("spacings", f"is {spacings!r}, must be 1 to 6")
+
+
+def _time(at: float | str, scene: Scene) -> float:
+    """Return a time within the scene's duration, s."""
+    time = to_base(at, "s", "at")
+    if not (math.isfinite(time) and time >= 0.0):
+        raise SceneError("at", f"is {at!r}, must be a time of 0 s or more")
+    if time > scene.duration:
+        problem = f"is {time:g} s, after the end of the scene ({scene.duration:g} s)"
+        raise SceneError("at", problem, "Set a longer duration.")
+    return time
+
+
+def state_at(scene: Scene, time: float | None, threads: int | None, tell: Tell) -> Frame:
+    """Return the frame of a scene at its start, or at the first coupling time from ``time`` on.
+
+    Raises
+    ------
+    StepFailed
+    """
+    simulation = Simulation(scene, threads=threads)
+    if time:
+        tell(f"running the scene to {time:g} s")
+    while time and simulation.time < time and not simulation.finished:
+        simulation.step()
+    return simulation.frame()
+
+
+def _ladders(
+    scene: Scene, frame: Frame, names: Sequence[str], spacings: int, notes: list[str]
+) -> Iterator[tuple[str, str, list[Layout]]]:
+    """Yield field, geometry and its grids."""
+    for name in names:
+        found = geometries(scene, frame, name)
+        if SHELLS not in found and scene.dimensions == 3:
+            notes.append(f"{name} has no shells here: the tissue is no ball, or its sides differ")
+        for geometry in found:
+            try:
+                yield name, geometry, grids(scene, frame, name, geometry, spacings)
+            except NutrientFailed as trouble:
+                notes.append(f"{name} has no {geometry}: {trouble}")
+
+
+@final
+@dataclass
+class _Race:
+    """All solvers on all problems, and what is left of the time for them.
+
+    Attributes
+    ----------
+    series
+        Solvers on problems that are still to come.
+    left : float, s
+        Wall time for all of them.
+    table, grid_table
+        Rows of the solvers, and of the grids' own errors.
+    """
+
+    scene: Scene
+    frame: Frame
+    solvers: Sequence[FieldSolver]
+    backend: str
+    repeats: int
+    patience: float
+    left: float
+    tell: Tell
+    notes: list[str]
+    series: int = 0
+    table: list[Row] = field(default_factory=list)
+    grid_table: list[Row] = field(default_factory=list)
+
+    def run(self, ladders: Sequence[tuple[str, str, list[Layout]]]) -> None:
+        """Solve all problems.
+
+        Raises
+        ------
+        SceneError
+            If none can be posed.
+        """
+        rivals = [(*ladder, kind) for ladder, kind in itertools.product(ladders, KINDS)]
+        self.series = sum(len(layouts) for _, _, layouts, _ in rivals) * len(self.solvers)
+        for name, geometry, layouts, kind in rivals:
+            self._along(name, geometry, kind, layouts)
+        if not self.table:
+            problem = "; ".join(self.notes) or "have no problem that can be posed"
+            raise SceneError("nutrients", problem)
+
+    def _along(self, name: str, geometry: str, kind: str, layouts: list[Layout]) -> None:
+        """Solve one problem on a ladder of grids."""
+        self.tell(f"{name}, {kind}: errors of {geometry}")
+        try:
+            spatial = of_grids(self.scene, self.frame, name, kind, layouts)
+        except (NutrientFailed, SceneError) as trouble:
+            self.notes.append(f"{name}, {kind}, on {geometry} is left out: {trouble}")
+            self.series -= len(layouts) * len(self.solvers)
+            return
+        for layout, error in zip(layouts, spatial, strict=True):
+            self.grid_table.append(_grid_row(name, geometry, kind, layout, error))
+            if nodes_of(layout) > MOST_NODES:
+                self.notes.append(f"solvers are not compared on more than {MOST_NODES:,} nodes")
+                self.series -= len(self.solvers)
+                continue
+            self._on(case(self.scene, self.frame, name, kind, layout), error)
+
+    def _on(self, problem: Case, error: GridError) -> None:
+        """Let all solvers try one problem on one grid."""
+        exact = on_one_grid(problem)
+        for solver in self.solvers:
+            share = self.left / max(self.series, 1)
+            longest = min(self.patience, max(_TRIED, 3.0 * share))
+            effort = Effort(self.repeats, longest, share, _POINTS)
+            rows, spent = climb(solver, problem, exact, self.backend, effort, self.tell)
+            if (why := solver.refusal(problem)) and solver.kind != DIRECT:
+                self.notes.append(f"{solver.name} is left out of {problem.name}: {why}")
+            self.table += [{**row, "space_error": error.error} for row in rows]
+            self.left -= spent
+            self.series -= 1
+
+
+def _grid_row(name: str, geometry: str, kind: str, layout: Layout, error: GridError) -> Row:
+    return {
+        "field": name, "geometry": geometry, "spacing": layout.spacing,
+        "nodes": nodes_of(layout), "problem": kind, "error": error.error,
+        "uncertainty": error.uncertainty,
+    }  # fmt: skip
+
+
+def _smallest(
+    scene: Scene,
+    frame: Frame,
+    ladders: Sequence[tuple[str, str, list[Layout]]],
+    notes: list[str],
+) -> Case | None:
+    """Return the transient with fewest nodes, of the first field that cells take up."""
+    eaten = [x for x in ladders if scene.nutrients[x[0]].uptake > 0.0]
+    if not eaten or not len(frame.cells):
+        notes.append("no stability map: no cell takes up any field")
+        return None
+    first = eaten[0][0]
+    layouts = [layout for name, _, found in eaten if name == first for layout in found]
+    smallest = min(layouts, key=lambda layout: (nodes_of(layout) < _FEWEST, nodes_of(layout)))
+    try:
+        return case(scene, frame, first, TRANSIENT, smallest)
+    except (NutrientFailed, SceneError) as trouble:
+        notes.append(f"no stability map: {trouble}")
+        return None
