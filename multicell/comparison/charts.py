@@ -45,6 +45,7 @@ _NOTHING: Final = "no error above zero"
 _NOTE: Final[dict[str, Any]] = {"fontsize": 9, "color": QUIET, "ha": "center", "va": "center"}
 _MARGIN: Final = 0.12  # decades between the data and the end of an axis
 _SHORTEST: Final = 0.8  # decades of an axis at least
+_SLIMMEST: Final = 0.42  # width of a panel over its height at least
 _LEFT, _GAP, _LEGEND, _BOTTOM, _STRIP = 0.95, 0.4, 2.1, 0.75, 0.5  # inches
 _WIDTH, _TALLEST, _DECADE = 10.0, 6.2, 1.7  # inches: figure, tallest panel, longest decade
 
@@ -53,8 +54,9 @@ _WIDTH, _TALLEST, _DECADE = 10.0, 6.2, 1.7  # inches: figure, tallest panel, lon
 def workprecision(result: WorkPrecision, norm: str) -> Figure:
     """Draw error in one norm over time and over evaluations."""
     costs = (result.clock, "cost")
-    spans = [_range(_costs(result, norm, cost)) for cost in costs]
     errors = _range(point.error for point in points(result, norm, result.clock))
+    least = _SLIMMEST * _decades(errors)
+    spans = [_range(_costs(result, norm, cost), least) for cost in costs]
     room = _WIDTH - _LEFT - _GAP - _LEGEND
     decade = min(room / sum(map(_decades, spans)), _TALLEST / _decades(errors), _DECADE)
     strip = _STRIP if result.failures() else 0.0
@@ -141,11 +143,14 @@ def _costs(result: WorkPrecision, norm: str, cost: str) -> list[float]:
     return found
 
 
-def _range(values: Iterable[float]) -> Range:
-    """Return the ends of a logarithmic axis: those of the data, with a margin."""
+def _range(values: Iterable[float], least: float = _SHORTEST) -> Range:
+    """Return the ends of a logarithmic axis: those of the data, with a margin.
+
+    It has at least so many decades.
+    """
     logs = [math.log10(value) for value in values] or [-0.5, 0.5]
     low, high = min(logs) - _MARGIN, max(logs) + _MARGIN
-    missing = max(0.0, _SHORTEST - (high - low)) / 2.0
+    missing = max(0.0, _SHORTEST - (high - low), least - (high - low)) / 2.0
     return 10.0 ** (low - missing), 10.0 ** (high + missing)
 
 
