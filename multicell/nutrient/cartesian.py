@@ -67,11 +67,9 @@ class Box:
 
     def to_pde(self) -> CartesianGrid:
         """Return py-pde's grid of this box, with two axes where it is flat."""
-        from pde.grids.cartesian import CartesianGrid
+        from multicell.results.pde_fields import box_grid
 
-        axes = 3 if self.height is None else 2
-        bounds = list(zip(self.origin, self.upper, strict=True))
-        return CartesianGrid(bounds[:axes], self.shape[:axes])
+        return box_grid(self.origin, self.shape, self.spacing, flat=self.height is not None)
 
 
 def extent(position: FloatArray, margin: float) -> tuple[FloatArray, FloatArray]:

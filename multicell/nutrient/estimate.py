@@ -1,0 +1,224 @@
+"""What cells would find of a field on other grids, and the errors that follow from it.
+
+All estimates solve for a copy of the field; the field itself is not changed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final, final
+
+import numpy as np
+
+from multicell.errors import NutrientFailed
+from multicell.nutrient.field import NutrientField
+from multicell.nutrient.own_dip import own_dip
+from multicell.scene.scales import MAX_NODES
+
+if TYPE_CHECKING:
+    from multicell.cells import FloatArray
+    from multicell.nutrient.parameters import FieldParameters
+
+
+_LEAST_RATIO: Final = 1.5
+"""Ratio of two spacings below which their solutions say nothing on the error."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Load:
+    """What the cells ask of a field, and when.
+
+    Attributes
+    ----------
+    position : (n, 3), µm
+    radius : (n,), µm
+    capacity : (n,), amol/s
+        Largest uptake.
+    production : (n,), amol/s, or None
+        Secretion.
+    begin, end : float, s
+        Of the coupling step.
+    """
+
+    position: FloatArray
+    radius: FloatArray
+    capacity: FloatArray
+    production: FloatArray | None
+    begin: float
+    end: float
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """A field as it would be on another grid.
+
+    Attributes
+    ----------
+    spacing : float, µm
+        Of its grid; at most what was asked for.
+    nodes : int
+    iterations : int
+        Of conjugate gradients; of shells, which are solved directly, Newton's.
+    around : (n,), mM
+        What each cell finds, without the dip that it makes itself.
+    """
+
+    spacing: float
+    nodes: int
+    iterations: int
+    around: FloatArray
+
+
+def on_grid(parameters: FieldParameters, geometry: str, spacing: float) -> FieldParameters:
+    """Return the parameters of a field with a geometry, ``"box"`` or ``"radial"``, and spacing."""
+    # cubes do not have the side of shells
+    sides = parameters.nutrient.sides
+    there = {face: x for face, x in sides.items() if face != "r+" or geometry == "radial"}
+    nutrient = replace(parameters.nutrient, geometry=geometry, sides=there)
+    return replace(parameters, nutrient=nutrient, spacing=spacing)
+
+
+def trial(field: NutrientField, geometry: str, spacing: float, load: Load) -> Trial:
+    """Solve for a copy of a field on another grid.
+
+    A steady field is solved for at the end of the step. A transient one takes one implicit step
+    from what it is at the beginning (before the first solve, the medium).
+
+    Raises
+    ------
+    NutrientFailed
+        As for :meth:`NutrientField.solve`.
+    """
+    other = _copied(field, on_grid(field.parameters, geometry, spacing), load)
+    if other.parameters.regime == "steady":
+        iterations = _solved(other, load)
+    else:
+        iterations = _stepped(other, load)
+    return Trial(other.layout.spacing, _nodes(other), iterations, _around(other, load))
+
+
+def _copied(field: NutrientField, parameters: FieldParameters, load: Load) -> NutrientField:
+    other = NutrientField(field.name, parameters)
+    other.stirred = field.stirred
+    if field.laid:
+        other.restore(field.field(), load.begin)
+    return other
+
+
+def _nodes(field: NutrientField) -> int:
+    return int(field.field().values.size)
+
+
+def _around(field: NutrientField, load: Load) -> FloatArray:
+    """Return what each cell finds without its own dip, (n,) mM."""
+    taken = field.uptake(load.position, load.capacity)
+    if load.production is not None:
+        taken = taken - load.production
+    diffusion = field.parameters.nutrient.diffusion
+    dip = own_dip(field.layout, load.position, taken, diffusion)
+    return np.asarray(field.sample(load.position) + dip)
+
+
+def _solved(field: NutrientField, load: Load) -> int:
+    report = field.solve(
+        load.position, load.capacity, production=load.production, radius=load.radius,
+        time=load.end,
+    )  # fmt: skip
+    return max(report.cg, report.newton)
+
+
+def _stepped(field: NutrientField, load: Load) -> int:
+    """Take one implicit step over the whole coupling step."""
+    if not field.laid:
+        field.fill(load.position, radius=load.radius, time=load.begin)
+    report = field.leap(
+        load.position, load.capacity, production=load.production, radius=load.radius,
+        begin=load.begin, end=load.end,
+    )  # fmt: skip
+    return max(report.cg, report.newton)
+
+
+def spacing_error(
+    field: NutrientField, geometry: str, spacing: float, load: Load
+) -> tuple[float, Trial]:
+    """Estimate the error at the cells that a spacing makes.
+
+    The scheme is of second order: from a second solution with about twice the spacing, or half of
+    it where a grid has too few nodes to be coarser, the error is |c_h - c_H| / ((H/h)² - 1)
+    (Richardson). Own dips of cells are left out: see :mod:`multicell.nutrient.own_dip`.
+
+    Returns
+    -------
+    error : float, mM
+        The largest at any cell.
+    Trial
+        With the spacing.
+
+    Raises
+    ------
+    NutrientFailed
+        As for :func:`trial`.
+    """
+    fine = trial(field, geometry, spacing, load)
+    coarse = trial(field, geometry, 2.0 * fine.spacing, load)
+    ratio = coarse.spacing / fine.spacing
+    if ratio >= _LEAST_RATIO:
+        return _apart(fine, coarse) / (ratio**2 - 1.0), fine
+    finer = trial(field, geometry, 0.5 * fine.spacing, load)
+    ratio = fine.spacing / finer.spacing
+    if ratio < _LEAST_RATIO:
+        raise NutrientFailed(f"no grid of {field.name} is half as fine as that of {spacing:g} um")
+    return _apart(fine, finer) * ratio**2 / (ratio**2 - 1.0), fine
+
+
+def _apart(one: Trial, other: Trial) -> float:
+    return float(np.abs(one.around - other.around).max(initial=0.0))
+
+
+def geometry_error(shells: Trial, cubes: Trial) -> float:
+    """Return by how much cells on shells find something else than in cubes, mM, at most."""
+    return _apart(shells, cubes)
+
+
+def lag(field: NutrientField, geometry: str, spacing: float, load: Load) -> float:
+    """Return how far a field is from its steady state at the end of a coupling step, mM.
+
+    Largest difference at any cell between the field marched through the step, under error control
+    in time, and the steady state at its end, both on the same grid. Before the first solve the
+    march begins with the medium everywhere.
+
+    Raises
+    ------
+    NutrientFailed
+        As for :meth:`NutrientField.advance`.
+    """
+    parameters = on_grid(field.parameters, geometry, spacing)
+    found = []
+    for regime in ("transient", "steady"):
+        other = _copied(field, replace(parameters, regime=regime), load)
+        if regime == "steady":
+            _solved(other, load)
+        else:
+            if not other.laid:
+                other.fill(load.position, radius=load.radius, time=load.begin)
+            other.advance(
+                load.position, load.capacity, production=load.production, radius=load.radius,
+                begin=load.begin, end=load.end,
+            )  # fmt: skip
+        found.append(other.sample(load.position))
+    return float(np.abs(found[0] - found[1]).max(initial=0.0))
+
+
+def finest_grid(trial: Trial, axes: int) -> float:
+    """Return the spacing at which a grid like that of a trial has the most nodes allowed, µm.
+
+    Parameters
+    ----------
+    trial
+    axes
+        Number of axes of the grid: 1 of shells, 2 or 3.
+    """
+    # counts of nodes are rounded up to sizes that suit the transforms, by up to a tenth an axis
+    return 1.1 * trial.spacing * float(trial.nodes / MAX_NODES) ** (1.0 / axes)
