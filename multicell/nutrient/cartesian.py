@@ -226,7 +226,7 @@ def _refuse_too_far(low: FloatArray, high: FloatArray, spacing: float) -> None:
         )
 
 
-_FEW = 20
+FEW = 20
 """Cells up to which a cluster is never taken as round: its field costs nothing anyway."""
 
 _BACK = 0.7
@@ -263,7 +263,7 @@ def round_enough(
     It depends on the state and on the present geometry only: what is radial stays so up to the
     limit, and what is not goes back well below it, so that it does not change all the time.
     """
-    if len(position) <= _FEW:
+    if len(position) <= FEW:
         return False
     return departure(position, radius) <= (limit if now_radial else _BACK * limit)
 

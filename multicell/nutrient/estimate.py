@@ -80,8 +80,8 @@ def on_grid(parameters: FieldParameters, geometry: str, spacing: float) -> Field
     return replace(parameters, nutrient=nutrient, spacing=spacing)
 
 
-def trial(field: NutrientField, geometry: str, spacing: float, load: Load) -> Trial:
-    """Solve for a copy of a field on another grid.
+def trial(field: NutrientField, parameters: FieldParameters, load: Load) -> Trial:
+    """Solve for a copy of a field with other parameters, such as :func:`on_grid` gives.
 
     A steady field is solved for at the end of the step. A transient one takes one implicit step
     from what it is at the beginning (before the first solve, the medium).
@@ -91,7 +91,7 @@ def trial(field: NutrientField, geometry: str, spacing: float, load: Load) -> Tr
     NutrientFailed
         As for :meth:`NutrientField.solve`.
     """
-    other = _copied(field, on_grid(field.parameters, geometry, spacing), load)
+    other = _copied(field, parameters, load)
     if other.parameters.regime == "steady":
         iterations = _solved(other, load)
     else:
@@ -141,9 +141,9 @@ def _stepped(field: NutrientField, load: Load) -> int:
 
 
 def spacing_error(
-    field: NutrientField, geometry: str, spacing: float, load: Load
+    field: NutrientField, parameters: FieldParameters, load: Load
 ) -> tuple[float, Trial]:
-    """Estimate the error at the cells that a spacing makes.
+    """Estimate the error at the cells that the spacing of some parameters makes.
 
     The scheme is of second order: from a second solution with about twice the spacing, or half of
     it where a grid has too few nodes to be coarser, the error is |c_h - c_H| / ((H/h)² - 1)
@@ -161,28 +161,27 @@ def spacing_error(
     NutrientFailed
         As for :func:`trial`.
     """
-    fine = trial(field, geometry, spacing, load)
-    coarse = trial(field, geometry, 2.0 * fine.spacing, load)
+    fine = trial(field, parameters, load)
+    coarse = trial(field, replace(parameters, spacing=2.0 * fine.spacing), load)
     ratio = coarse.spacing / fine.spacing
     if ratio >= _LEAST_RATIO:
-        return _apart(fine, coarse) / (ratio**2 - 1.0), fine
-    finer = trial(field, geometry, 0.5 * fine.spacing, load)
+        return apart(fine, coarse) / (ratio**2 - 1.0), fine
+    finer = trial(field, replace(parameters, spacing=0.5 * fine.spacing), load)
     ratio = fine.spacing / finer.spacing
     if ratio < _LEAST_RATIO:
-        raise NutrientFailed(f"no grid of {field.name} is half as fine as that of {spacing:g} um")
-    return _apart(fine, finer) * ratio**2 / (ratio**2 - 1.0), fine
+        raise NutrientFailed(
+            f"no grid of {field.name} has half the spacing of {fine.spacing:g} um",
+            "Give the field a spacing in place of a tolerance",
+        )
+    return apart(fine, finer) * ratio**2 / (ratio**2 - 1.0), fine
 
 
-def _apart(one: Trial, other: Trial) -> float:
+def apart(one: Trial, other: Trial) -> float:
+    """Return by how much at most a cell finds something else on one grid than on another, mM."""
     return float(np.abs(one.around - other.around).max(initial=0.0))
 
 
-def geometry_error(shells: Trial, cubes: Trial) -> float:
-    """Return by how much cells on shells find something else than in cubes, mM, at most."""
-    return _apart(shells, cubes)
-
-
-def lag(field: NutrientField, geometry: str, spacing: float, load: Load) -> float:
+def lag(field: NutrientField, parameters: FieldParameters, load: Load) -> float:
     """Return how far a field is from its steady state at the end of a coupling step, mM.
 
     Largest difference at any cell between the field marched through the step, under error control
@@ -194,21 +193,28 @@ def lag(field: NutrientField, geometry: str, spacing: float, load: Load) -> floa
     NutrientFailed
         As for :meth:`NutrientField.advance`.
     """
-    parameters = on_grid(field.parameters, geometry, spacing)
-    found = []
-    for regime in ("transient", "steady"):
-        other = _copied(field, replace(parameters, regime=regime), load)
-        if regime == "steady":
+    found = [_at_end(field, replace(parameters, regime=x), load) for x in ("transient", "steady")]
+    return float(np.abs(found[0] - found[1]).max(initial=0.0))
+
+
+def _at_end(field: NutrientField, parameters: FieldParameters, load: Load) -> FloatArray:
+    """Return what cells find at the end of a coupling step, (n,) mM."""
+    other, steady = _copied(field, parameters, load), parameters.regime == "steady"
+    if steady and parameters.nutrient.finite_medium is None:
+        _solved(other, load)
+        return other.sample(load.position)
+    if not other.laid:
+        if steady:
             _solved(other, load)
         else:
-            if not other.laid:
-                other.fill(load.position, radius=load.radius, time=load.begin)
-            other.advance(
-                load.position, load.capacity, production=load.production, radius=load.radius,
-                begin=load.begin, end=load.end,
-            )  # fmt: skip
-        found.append(other.sample(load.position))
-    return float(np.abs(found[0] - found[1]).max(initial=0.0))
+            other.fill(load.position, radius=load.radius, time=load.begin)
+    if parameters.nutrient.finite_medium is not None and other.stirred is None:
+        other.pour()
+    other.advance(
+        load.position, load.capacity, production=load.production, radius=load.radius,
+        begin=load.begin, end=load.end,
+    )  # fmt: skip
+    return other.sample(load.position)
 
 
 def finest_grid(trial: Trial, axes: int) -> float:
@@ -221,4 +227,5 @@ def finest_grid(trial: Trial, axes: int) -> float:
         Number of axes of the grid: 1 of shells, 2 or 3.
     """
     # counts of nodes are rounded up to sizes that suit the transforms, by up to a tenth an axis
-    return 1.1 * trial.spacing * float(trial.nodes / MAX_NODES) ** (1.0 / axes)
+    share: float = (trial.nodes / MAX_NODES) ** (1.0 / axes)
+    return 1.1 * trial.spacing * share

@@ -2,10 +2,10 @@
 
 A cell is a point that takes up u, and around a point the concentration falls like u/(4 pi D r).
 On a grid that ends at about the spacing h: the cell finds its own dip of g u/(D h), where g is a
-value of the Green's function of the lattice, weighted as the cell's uptake is spread and read. Cubes
-of two radii give about what a ball of the cell's size finds of its own (0.095 u/(D a), a uniform
-uptake read as its mean); finer ones give more and more. That is no error of the field in which the
-cell lies, and so estimates of errors leave it out.
+value of the Green's function of the lattice, weighted as the cell's uptake is spread and read.
+Cubes of one to two diameters give about what a ball of the cell's radius a finds of its own
+(0.095 u/(D a), a uniform uptake and the mean of the concentration); finer ones give more and more.
+That is no error of the field in which the cell lies, and so estimates of errors leave it out.
 """
 
 from __future__ import annotations
@@ -28,7 +28,9 @@ _INNERMOST: Final = 0.6
 """Spacings from the centre within which shells know no smaller distance: 6/pi²."""
 
 
-def own_dip(layout: Layout, position: FloatArray, taken: FloatArray, diffusion: float) -> FloatArray:
+def own_dip(
+    layout: Layout, position: FloatArray, taken: FloatArray, diffusion: float
+) -> FloatArray:
     """Return by how much each cell lowers what it finds by its own uptake, (n,) mM.
 
     In a plane up to a constant that is the same for all grids.

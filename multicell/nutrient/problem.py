@@ -74,15 +74,16 @@ def field_problem(scene: Scene, frame: Frame, fields: Iterable[str] | None = Non
         or fields live on different grids.
     """
     names = _chosen(scene, frame, fields)
-    state = frame.to_pde(names)
+    together = frame.to_pde(names)
     layout, cells = restored(frame.fields[names[0]])[0], frame.cells
     demands = _Demands(scene, frame, names)
     substances = {name: _substance(scene, frame, name, layout, demands) for name in names}
     equation = FieldEquation(
-        state.grid, substances, cells.position, layout=layout,
+        together.grid, substances, cells.position, layout=layout,
         coupling=demands if demands.coupled else None,
     )  # fmt: skip
-    return FieldProblem(equation, state if len(names) > 1 else state[0], frame.time)
+    state = together if len(names) > 1 else frame.fields[names[0]].to_pde()
+    return FieldProblem(equation, state, frame.time)
 
 
 def _chosen(scene: Scene, frame: Frame, fields: Iterable[str] | None) -> list[str]:

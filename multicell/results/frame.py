@@ -140,6 +140,8 @@ class Progress:
         None without growth.
     pace : name -> float, or None
         What chooses the next coupling step, where that is not fixed.
+    grids : nutrient -> name -> float
+        What is known of grids that the run chooses or changes by itself.
     """
 
     next_id: int
@@ -154,6 +156,7 @@ class Progress:
     local_error: float | None = None
     splitting: float | None = None
     pace: Mapping[str, float] | None = None
+    grids: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
 
 @final

@@ -1,4 +1,4 @@
-"""Fields of a frame as py-pde's grids and fields; py-pde is loaded with this file and not before."""
+"""Fields of a frame as py-pde's grids and fields; py-pde is loaded with this file only."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def grid_of(field: Field) -> GridBase:
     """Return py-pde's grid of a field."""
     if field.kind == "radial":
         return ball_grid(field.spacing, field.values.size)
-    return box_grid(field.origin, field.values.shape, field.spacing, flat=field.height > 0.0)
+    return box_grid(list(field.origin), field.values.shape, field.spacing, flat=field.height > 0.0)
 
 
 def scalar_field(field: Field) -> ScalarField:

@@ -12,7 +12,9 @@ from multicell.errors import SceneError
 from multicell.results.frame import Field, Frame
 
 GRIDS = {
-    "cubes": Field("a", "mM", np.array([-3.0, 4.0, 10.0]), 2.5, np.random.default_rng(1).random((4, 6, 5))),
+    "cubes": Field(
+        "a", "mM", np.array([-3.0, 4.0, 10.0]), 2.5, np.random.default_rng(1).random((4, 6, 5))
+    ),
     "squares": Field(
         "a", "mM", np.array([-3.0, 4.0, -1.25]), 2.5, np.random.default_rng(2).random((7, 6, 1)),
         height=10.0,
