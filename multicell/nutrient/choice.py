@@ -1,7 +1,8 @@
 """The grid and the regime of a field by a tolerance: no finer than needed.
 
 The choice is made for the cells at the start, and again whenever their number, the medium or what
-the field holds have changed by a twentieth. It depends on the state and on the last choice alone,
+the field holds have changed by a twentieth; of a transient field also as time goes on, less and
+less often until the medium changes again. It depends on the state and on the last choice alone,
 which frames keep: a run that goes on from a frame chooses as it would have.
 """
 
@@ -21,13 +22,14 @@ from multicell.nutrient.estimate import (
     finest_grid,
     lag,
     on_grid,
+    remembered,
     spacing_error,
 )
+from multicell.nutrient.field import NutrientField
 from multicell.nutrient.parameters import FieldParameters
 from multicell.scene.scales import MAX_NODES, level_fixed, spacing
 
 if TYPE_CHECKING:
-    from multicell.nutrient.field import NutrientField
     from multicell.scene.scene import Scene
 
 
@@ -36,6 +38,10 @@ AIM: Final = 0.5
 
 CHANGED: Final = 0.05
 """Relative change of cells, medium or content from which on a choice is looked at again."""
+
+LATER: Final = 1.25
+"""Time since the last change of the medium, over that of the last look, from which on the choice of
+a transient field is looked at again."""
 
 BACK: Final = 0.5
 """Part of the tolerance below which cubes go back to shells, and a field begins as steady."""
@@ -73,6 +79,8 @@ class Choice:
         Of the grid and of a solve then.
     cells, level, content
         Number of cells, concentration of the medium (mM) and content of the field (amol) then.
+    time, since : float, s
+        Of the last look, and of the last change of the medium before it.
     """
 
     radial: bool
@@ -84,6 +92,8 @@ class Choice:
     cells: int
     level: float
     content: float
+    time: float
+    since: float
 
     def kept(self) -> dict[str, float]:
         """Return it as numbers, from which :meth:`of` makes it again."""
@@ -141,10 +151,12 @@ class Chooser:
         self.fits: list[Fit] = []
         self.lagged: float | None = None
 
-    def due(self, now: Choice, cells: int, level: float, content: float) -> bool:
+    def due(self, now: Choice, cells: int, level: float, content: float, time: float) -> bool:
         """Return whether a choice must be looked at again, for what there is now."""
         pairs = ((now.cells, cells), (now.level, level), (now.content, content))
-        return any(abs(a - b) > CHANGED * max(abs(a), abs(b)) for a, b in pairs)
+        if any(_changed(a, b) for a, b in pairs):
+            return True
+        return not now.steady and time - now.since >= LATER * (now.time - now.since)
 
     def choose(
         self, field: NutrientField, load: Load, now: Choice | None, level: float, content: float
@@ -174,11 +186,26 @@ class Chooser:
         """
         steady = self._rests(field, load, now)
         parameters = replace(self._parameters, regime="steady" if steady else "transient")
-        best = self._grid(field, parameters, load, now)
+        since = now.since if now is not None and not _changed(now.level, level) else load.begin
+        if steady:
+            best = self._grid(field, parameters, load, now)
+        else:
+            best = self._grid(*self._long(field, load, now, since, parameters), now)
         return Choice(
             best.geometry == "radial", steady, best.spacing, best.error, best.trial.nodes,
             best.trial.iterations, len(load.position), level, content,
+            load.begin if now is None else load.end, since,
         )  # fmt: skip
+
+    def _long(
+        self, field: NutrientField, load: Load, now: Choice | None, since: float,
+        parameters: FieldParameters,
+    ) -> tuple[NutrientField, FieldParameters, Load]:  # fmt: skip
+        """Return a transient field and a step in which its errors since some time show."""
+        if now is None:  # there is no grid yet: any of the field's will do
+            field = NutrientField(self._name, parameters)
+        past, long = remembered(field, load, since)
+        return past, parameters, long
 
     def _rests(self, field: NutrientField, load: Load, now: Choice | None) -> bool:
         """Return whether the steady state is as good as the tolerance.
@@ -227,7 +254,8 @@ class Chooser:
         good: Fit | None = None
         failed = False
         for _ in range(_MOST):
-            error, found = spacing_error(field, on_grid(parameters, geometry, h), load)
+            trial = on_grid(parameters, geometry, h)
+            error, found = spacing_error(field, trial, load, self._coarsest)
             finest = min(max(finest, finest_grid(found, axes)), self._coarsest)
             last = Fit(geometry, h, error, found)
             want = h * math.sqrt(AIM * tolerance / max(error, 1e-300))
@@ -258,6 +286,10 @@ class Chooser:
             f"a grid would be {why}",
             f"Take {reach:g} mM or more.",
         )
+
+
+def _changed(before: float, after: float) -> bool:
+    return abs(before - after) > CHANGED * max(abs(before), abs(after))
 
 
 def _rounded_up(error: float) -> float:

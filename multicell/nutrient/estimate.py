@@ -24,6 +24,9 @@ _LEAST_RATIO: Final = 1.5
 """Ratio of two spacings below which their solutions say nothing on the error."""
 
 
+_NEARLY: Final = 1e-9
+
+
 @final
 @dataclass(frozen=True, eq=False)
 class Load:
@@ -84,7 +87,7 @@ def trial(field: NutrientField, parameters: FieldParameters, load: Load) -> Tria
     """Solve for a copy of a field with other parameters, such as :func:`on_grid` gives.
 
     A steady field is solved for at the end of the step. A transient one takes one implicit step
-    from what it is at the beginning (before the first solve, the medium).
+    from what it is at the beginning; see :func:`remembered`.
 
     Raises
     ------
@@ -95,7 +98,7 @@ def trial(field: NutrientField, parameters: FieldParameters, load: Load) -> Tria
     if other.parameters.regime == "steady":
         iterations = _solved(other, load)
     else:
-        iterations = _stepped(other, load)
+        iterations = _leapt(other, load)
     return Trial(other.layout.spacing, _nodes(other), iterations, _around(other, load))
 
 
@@ -129,10 +132,8 @@ def _solved(field: NutrientField, load: Load) -> int:
     return max(report.cg, report.newton)
 
 
-def _stepped(field: NutrientField, load: Load) -> int:
-    """Take one implicit step over the whole coupling step."""
-    if not field.laid:
-        field.fill(load.position, radius=load.radius, time=load.begin)
+def _leapt(field: NutrientField, load: Load) -> int:
+    """Take one implicit step over the whole time of a load."""
     report = field.leap(
         load.position, load.capacity, production=load.production, radius=load.radius,
         begin=load.begin, end=load.end,
@@ -140,14 +141,62 @@ def _stepped(field: NutrientField, load: Load) -> int:
     return max(report.cg, report.newton)
 
 
+def remembered(field: NutrientField, load: Load, since: float) -> tuple[NutrientField, Load]:
+    """Return a transient field from which one long step leads to where it is at a step's end.
+
+    The errors of a grid add up over the steps of a transient field, and one step of its own knows
+    of the last alone. With the rate s at the end of the step, a field c has c = a + T s with
+    a = c - T s: one implicit step from a, as long as the time T since the medium last changed. All
+    that a grid gets wrong in that time shows in it. T is shorter where a would be below zero.
+
+    Parameters
+    ----------
+    field
+        At the beginning of the step; before the first solve, the medium.
+    load
+        The step.
+    since : float, s
+
+    Returns
+    -------
+    field
+        A copy that holds a.
+    load
+        The long step.
+    """
+    other, dt = _copied(field, field.parameters, load), load.end - load.begin
+    if not other.laid:
+        other.fill(load.position, radius=load.radius, time=load.begin)
+    layout, before = other.layout, other._values
+    _leapt(other, load)
+    if other.layout is not layout:
+        before = other.layout.carried(before, layout, other.level(load.end))
+    after = other._values
+    rate = (after - before) / dt
+    rises = rate > 0.0
+    longest = float((after[rises] / rate[rises]).min(initial=np.inf))
+    length = max(dt, min(load.end - since, longest))
+    other._values = np.maximum(after - length * rate, 0.0)  # rounding alone is below zero
+    return other, replace(load, begin=load.end - length)
+
+
 def spacing_error(
-    field: NutrientField, parameters: FieldParameters, load: Load
+    field: NutrientField, parameters: FieldParameters, load: Load, coarsest: float
 ) -> tuple[float, Trial]:
     """Estimate the error at the cells that the spacing of some parameters makes.
 
     The scheme is of second order: from a second solution with about twice the spacing, or half of
-    it where a grid has too few nodes to be coarser, the error is |c_h - c_H| / ((H/h)² - 1)
-    (Richardson). Own dips of cells are left out: see :mod:`multicell.nutrient.own_dip`.
+    it where that would be coarser than ``coarsest``, the error follows by Richardson's
+    extrapolation: |c_h - c_H| / ((H/h)² - 1) on the finer of the two grids. Own dips of cells are
+    left out: see :mod:`multicell.nutrient.own_dip`.
+
+    Parameters
+    ----------
+    field, load
+    parameters
+        See :func:`on_grid`.
+    coarsest : float, µm
+        Spacing beyond which cells share cubes, and the scheme has no order.
 
     Returns
     -------
@@ -161,19 +210,20 @@ def spacing_error(
     NutrientFailed
         As for :func:`trial`.
     """
-    fine = trial(field, parameters, load)
-    coarse = trial(field, replace(parameters, spacing=2.0 * fine.spacing), load)
-    ratio = coarse.spacing / fine.spacing
-    if ratio >= _LEAST_RATIO:
-        return apart(fine, coarse) / (ratio**2 - 1.0), fine
-    finer = trial(field, replace(parameters, spacing=0.5 * fine.spacing), load)
-    ratio = fine.spacing / finer.spacing
+    found = trial(field, parameters, load)
+    if 2.0 * found.spacing <= coarsest * (1.0 + _NEARLY):
+        coarse = trial(field, replace(parameters, spacing=2.0 * found.spacing), load)
+        ratio = coarse.spacing / found.spacing
+        if ratio >= _LEAST_RATIO:
+            return apart(found, coarse) / (ratio**2 - 1.0), found
+    finer = trial(field, replace(parameters, spacing=0.5 * found.spacing), load)
+    ratio = found.spacing / finer.spacing
     if ratio < _LEAST_RATIO:
         raise NutrientFailed(
-            f"no grid of {field.name} has half the spacing of {fine.spacing:g} um",
+            f"no grid of {field.name} has half the spacing of {found.spacing:g} um",
             "Give the field a spacing in place of a tolerance",
         )
-    return apart(fine, finer) * ratio**2 / (ratio**2 - 1.0), fine
+    return apart(found, finer) * ratio**2 / (ratio**2 - 1.0), found
 
 
 def apart(one: Trial, other: Trial) -> float:

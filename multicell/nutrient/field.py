@@ -244,10 +244,10 @@ class NutrientField:
         """
         position, radius = _checked(position, capacity, production, radius)
         layout, kept = self._lay(position, radius)
-        p, medium = self.parameters, self.level(begin)
+        p, medium = self.parameters, self.level(end)
         c = self._values if kept else layout.carried(self._values, self.layout, medium)
         operator, conditions = self._operator_on(layout, kept, position, radius, end)
-        fixed = self._supply(layout, position, production, self.level(end))
+        fixed = self._supply(layout, position, production, medium)
         supply = c / (end - begin)
         values, report = operator.solve(
             layout.scatter(position, capacity), p.nutrient.half_saturation, c,

@@ -66,7 +66,7 @@ class Grids:
         """
         chooser, now = self.choosers[field.name], self.choices[field.name]
         level, content = field.level(end), field.stored()
-        if not chooser.due(now, len(cells), level, content):
+        if not chooser.due(now, len(cells), level, content, end):
             return
         load = _load(cells, capacity, production, begin, end)
         found = chooser.choose(field, load, now, level, content)

@@ -38,7 +38,7 @@ def _nodes(scene: Scene) -> float:
         if scene.domain is not None:
             lengths = box.sides(scene.domain)
         total += math.prod(length / (nutrient.spacing or radius) for length in lengths)
-    return total / 2**scene.dimensions
+    return float(total / 2**scene.dimensions)
 
 
 @lru_cache(maxsize=1)
