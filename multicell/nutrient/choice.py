@@ -184,7 +184,7 @@ class Chooser:
         NutrientFailed
             If a trial cannot be solved for.
         """
-        steady = self._rests(field, load, now)
+        steady = self._rests(field, load, now, level)
         parameters = replace(self._parameters, regime="steady" if steady else "transient")
         since = now.since if now is not None and not _changed(now.level, level) else load.begin
         if steady:
@@ -207,10 +207,11 @@ class Chooser:
         past, long = remembered(field, load, since)
         return past, parameters, long
 
-    def _rests(self, field: NutrientField, load: Load, now: Choice | None) -> bool:
+    def _rests(self, field: NutrientField, load: Load, now: Choice | None, level: float) -> bool:
         """Return whether the steady state is as good as the tolerance.
 
-        What has become transient stays so.
+        At the start for the largest change that the medium makes. What has become transient stays
+        so.
         """
         self.lagged = None
         if not self._regime_free:
@@ -222,7 +223,11 @@ class Chooser:
         loose = max(parameters.nutrient.time_tolerance, LOOSE)
         nutrient = replace(parameters.nutrient, time_tolerance=loose)
         parameters = replace(parameters, nutrient=nutrient)
-        self.lagged = lag(field, parameters, load)
+        levels = (level, level)
+        if now is None and nutrient.media is not None:
+            known = [level, nutrient.boundary, *(value for _, value in nutrient.media)]
+            levels = (min(known), max(known))
+        self.lagged = lag(field, parameters, load, levels)
         return self.lagged <= self._tolerance * (BACK if now is None else 1.0)
 
     def _grid(

@@ -231,40 +231,48 @@ def apart(one: Trial, other: Trial) -> float:
     return float(np.abs(one.around - other.around).max(initial=0.0))
 
 
-def lag(field: NutrientField, parameters: FieldParameters, load: Load) -> float:
-    """Return how far a field is from its steady state at the end of a coupling step, mM.
+def lag(
+    field: NutrientField, parameters: FieldParameters, load: Load, levels: tuple[float, float]
+) -> float:
+    """Return how far a field is from its steady state one coupling step after a change, mM.
 
-    Largest difference at any cell between the field marched through the step, under error control
-    in time, and the steady state at its end, both on the same grid. Before the first solve the
-    march begins with the medium everywhere.
+    Largest difference at any cell between the field marched for as long as the step, under error
+    control in time, and its steady state, both on the same grid and in a medium that does not
+    change.
+
+    Parameters
+    ----------
+    field
+        From which the march begins; before the first solve from the first of ``levels`` everywhere.
+    parameters, load
+        See :func:`trial`.
+    levels : mM
+        Of the field before the first solve, and of the medium.
 
     Raises
     ------
     NutrientFailed
         As for :meth:`NutrientField.advance`.
     """
-    found = [_at_end(field, replace(parameters, regime=x), load) for x in ("transient", "steady")]
-    return float(np.abs(found[0] - found[1]).max(initial=0.0))
-
-
-def _at_end(field: NutrientField, parameters: FieldParameters, load: Load) -> FloatArray:
-    """Return what cells find at the end of a coupling step, (n,) mM."""
-    other, steady = _copied(field, parameters, load), parameters.regime == "steady"
-    if steady and parameters.nutrient.finite_medium is None:
-        _solved(other, load)
-        return other.sample(load.position)
-    if not other.laid:
-        if steady:
+    start, level = levels
+    still = replace(parameters.nutrient, media=None)
+    object.__setattr__(still, "boundary", level)  # a finite medium's may be beyond the bounds
+    found = []
+    for regime in ("transient", "steady"):
+        other = _copied(field, replace(parameters, nutrient=still, regime=regime), load)
+        other.stirred = None
+        if regime == "steady":
             _solved(other, load)
         else:
-            other.fill(load.position, radius=load.radius, time=load.begin)
-    if parameters.nutrient.finite_medium is not None and other.stirred is None:
-        other.pour()
-    other.advance(
-        load.position, load.capacity, production=load.production, radius=load.radius,
-        begin=load.begin, end=load.end,
-    )  # fmt: skip
-    return other.sample(load.position)
+            if not other.laid:
+                other.fill(load.position, radius=load.radius, time=load.begin)
+                other._values = other.layout.filled(start)
+            other.advance(
+                load.position, load.capacity, production=load.production, radius=load.radius,
+                begin=load.begin, end=load.end,
+            )  # fmt: skip
+        found.append(other.sample(load.position))
+    return float(np.abs(found[0] - found[1]).max(initial=0.0))
 
 
 def finest_grid(trial: Trial, axes: int) -> float:

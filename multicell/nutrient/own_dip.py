@@ -3,8 +3,8 @@
 A cell is a point that takes up u, and around a point the concentration falls like u/(4 pi D r).
 On a grid that ends at about the spacing h: the cell finds its own dip of g u/(D h), where g is a
 value of the Green's function of the lattice, weighted as the cell's uptake is spread and read.
-Cubes of one to two diameters give about what a ball of the cell's radius a finds of its own
-(0.095 u/(D a), a uniform uptake and the mean of the concentration); finer ones give more and more.
+Cubes of 0.5 to 1.3 diameters give what a ball of the cell's radius a finds of its own, which is
+0.095 u/(D a) (uniform uptake, mean concentration); finer ones give more and more.
 That is no error of the field in which the cell lies, and so estimates of errors leave it out.
 """
 
