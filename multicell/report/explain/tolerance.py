@@ -19,8 +19,9 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 
+_MOST_CELLS: Final = 5000
 _MOST_NODES: Final = 40_000
-"""Nodes of all fields with the usual spacing up to which explain tries grids."""
+"""Cells, and nodes of all fields with the usual spacing, up to which explain tries grids."""
 
 
 def _nodes(scene: Scene) -> float:
@@ -44,8 +45,9 @@ def _nodes(scene: Scene) -> float:
 @lru_cache(maxsize=1)
 def _started(scene: Scene) -> Grids:
     """Return the choices at the start of a scene: its fields are solved for as in a run."""
-    feeding = Feeding(scene)
-    feeding.begin(separated(scene, initial_cells(scene)), 0.0)
+    feeding, cells = Feeding(scene), separated(scene, initial_cells(scene))
+    box.check_start(scene, cells)
+    feeding.begin(cells, 0.0)
     return feeding.grids
 
 
@@ -55,7 +57,7 @@ def chosen_words(scene: Scene, name: str) -> list[str]:
     Where that takes long, or no grid reaches the tolerance, they say so.
     """
     tolerance, flat = scene.nutrients[name].tolerance, scene.dimensions == 2
-    if _nodes(scene) > _MOST_NODES:
+    if scene.initial.count > _MOST_CELLS or _nodes(scene) > _MOST_NODES:
         words = f"regime and grid chosen by the tolerance of {tolerance:g} mM at the start of a run"
         return [f"{words}: to try that for cells and margin of this size takes longer than a look"]
     try:
