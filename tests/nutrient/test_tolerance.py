@@ -132,7 +132,8 @@ def test_cells_find_what_they_would_as_balls_on_a_much_finer_grid(nutrient, tole
     assert error <= tolerance
     assert choice.error <= tolerance
     # no finer than needed: the coarsest allowed, or not far below the tolerance
-    assert choice.spacing >= 19.9 or choice.error > 0.1 * tolerance
+    if choice.spacing < 19.9:
+        assert choice.error > 0.1 * tolerance
 
 
 @pytest.mark.parametrize("tolerance", [1e-3, 2e-4, 4e-5])
@@ -169,7 +170,8 @@ def test_shells_against_an_outside_solver(tolerance):
     distance = np.linalg.norm(place - field.layout.centre, axis=1)
     error = np.abs(field.sample(place) - exact.sol(distance)[0]).max()
     assert error <= tolerance
-    assert choice.spacing > 19.9 or choice.error > 0.1 * tolerance
+    if choice.spacing < 19.9:
+        assert choice.error > 0.1 * tolerance
 
 
 def test_a_transient_field_is_right_within_its_tolerance():

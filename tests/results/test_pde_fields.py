@@ -109,7 +109,7 @@ def test_py_pde_is_loaded_for_it_only():
         "field.to_pde()\n"
         "assert 'pde' in sys.modules\n"
     )
-    subprocess.run([sys.executable, "-c", code], check=True)
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 def test_fields_of_a_run_agree_with_what_its_cells_find():
