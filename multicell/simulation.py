@@ -198,6 +198,7 @@ class Simulation:
             rates={} if feeding is None else {n: asdict(x) for n, x in feeding.reports.items()},
             work=asdict(self._mechanics.work),
             pace=None if self.pace is None else self.pace._asdict(),
+            grids={} if feeding is None else feeding.grids.kept(),
         )
 
     def _count(self, work: Mapping[str, int]) -> None:
@@ -351,7 +352,7 @@ class Simulation:
     def history_row(self) -> dict[str, float]:
         """Return the observables of the state (:func:`multicell.results.summary.history_row`)."""
         extra = {}
-        round_fields = any(part.geometry != "box" for part in self.scene.nutrients.values())
+        round_fields = any(part.layout != "box" for part in self.scene.nutrients.values())
         if round_fields and self.scene.dimensions == 3:
             from multicell.nutrient.cartesian import departure
 
@@ -361,6 +362,7 @@ class Simulation:
             extra |= columns(self.step_error, self.cells, fields)
         if self._feeding is not None:
             extra |= {f"medium_{name}": level for name, level in self._feeding.media.items()}
+            extra |= self._feeding.grids.columns()
         if self.scene.output.instability:
             extra["instability_rate"] = self._instability_rate()
         return summary.history_row(self.scene, self._view(), **extra)

@@ -67,11 +67,9 @@ class Box:
 
     def to_pde(self) -> CartesianGrid:
         """Return py-pde's grid of this box, with two axes where it is flat."""
-        from pde.grids.cartesian import CartesianGrid
+        from multicell.results.pde_fields import box_grid
 
-        axes = 3 if self.height is None else 2
-        bounds = list(zip(self.origin, self.upper, strict=True))
-        return CartesianGrid(bounds[:axes], self.shape[:axes])
+        return box_grid(self.origin, self.shape, self.spacing, flat=self.height is not None)
 
 
 def extent(position: FloatArray, margin: float) -> tuple[FloatArray, FloatArray]:
@@ -228,7 +226,7 @@ def _refuse_too_far(low: FloatArray, high: FloatArray, spacing: float) -> None:
         )
 
 
-_FEW = 20
+FEW = 20
 """Cells up to which a cluster is never taken as round: its field costs nothing anyway."""
 
 _BACK = 0.7
@@ -265,7 +263,7 @@ def round_enough(
     It depends on the state and on the present geometry only: what is radial stays so up to the
     limit, and what is not goes back well below it, so that it does not change all the time.
     """
-    if len(position) <= _FEW:
+    if len(position) <= FEW:
         return False
     return departure(position, radius) <= (limit if now_radial else _BACK * limit)
 

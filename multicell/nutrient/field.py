@@ -88,6 +88,11 @@ class NutrientField:
         return self._layout
 
     @property
+    def laid(self) -> bool:
+        """Whether it has a grid, which is so from the first solve on."""
+        return self._layout is not None
+
+    @property
     def box(self) -> Box:
         """The grid of cubes or squares.
 
@@ -217,6 +222,41 @@ class NutrientField:
         self._take(layout, operator, conditions, c, kept)
         return self._summed(done, production, end - begin, relaid)
 
+    def leap(
+        self,
+        position: FloatArray,
+        capacity: FloatArray,
+        *,
+        production: FloatArray | None = None,
+        radius: FloatArray | None = None,
+        begin: float,
+        end: float,
+    ) -> SolveReport:
+        """Take one step of backward Euler from ``begin`` to ``end`` (s), without control of errors.
+
+        For estimates on other grids; a finite medium stays as it is. Parameters as for
+        :meth:`solve`.
+
+        Raises
+        ------
+        NutrientFailed, ValueError
+            As for :meth:`solve`; the field then still is the last one.
+        """
+        position, radius = _checked(position, capacity, production, radius)
+        layout, kept = self._lay(position, radius)
+        p, medium = self.parameters, self.level(end)
+        c = self._values if kept else layout.carried(self._values, self.layout, medium)
+        operator, conditions = self._operator_on(layout, kept, position, radius, end)
+        fixed = self._supply(layout, position, production, medium)
+        supply = c / (end - begin)
+        values, report = operator.solve(
+            layout.scatter(position, capacity), p.nutrient.half_saturation, c,
+            linear=p.nutrient.decay + p.nutrient.perfusion + 1.0 / (end - begin),
+            supply=supply if fixed is None else supply + fixed,
+        )  # fmt: skip
+        self._take(layout, operator, conditions, values, kept)
+        return report
+
     def fill(self, position: FloatArray, *, radius: FloatArray | None, time: float) -> None:
         """Begin with the medium's concentration everywhere."""
         position, radius = _checked(position, np.zeros(len(position)), None, radius)
@@ -296,11 +336,11 @@ class NutrientField:
 
     def kept(self) -> tuple[Any, ...]:
         """Return what :meth:`take_back` needs to undo a solve."""
-        return self._layout, self._values, self.layings, self.stirred
+        return self._layout, self._values, self.layings, self.stirred, self.parameters
 
     def take_back(self, kept: tuple[Any, ...]) -> None:
         """Make a solution that was kept the last one again."""
-        self._layout, self._values, self.layings, self.stirred = kept
+        self._layout, self._values, self.layings, self.stirred, self.parameters = kept
         # whose conditions may have been changed on the way
         self._operator, self._conditions = None, {}
 

@@ -19,6 +19,7 @@ from multicell.nutrient.balance import Ledger
 from multicell.nutrient.cartesian import departure
 from multicell.nutrient.field import FieldReport, NutrientField
 from multicell.nutrient.grid import ShellLayout, tissue_radius
+from multicell.nutrient.grids import Grids
 from multicell.nutrient.parameters import FieldParameters
 from multicell.scene.checks import solving_order
 
@@ -57,20 +58,17 @@ class Feeding:
             for what in ("uptake", "secretion")
         }
         self._order = solving_order(scene.nutrients)
-        parameters = {name: FieldParameters.of(scene, name) for name in self._order}
-        self._parameters = parameters
-        # a steady field in a finite medium goes on with what that holds: it is marched
-        self._steady = [
-            name for name in self._order
-            if parameters[name].regime == "steady" and scene.nutrients[name].finite_medium is None
-        ]  # fmt: skip
-        self.fields = {name: NutrientField(name, parameters[name]) for name in scene.nutrients}
+        self.fields = {
+            name: NutrientField(name, FieldParameters.of(scene, name)) for name in scene.nutrients
+        }
+        self.grids = Grids(scene)
         self.ledger = {name: Ledger() for name in scene.nutrients}
         self.concentrations: dict[str, FloatArray] = {}
         self.reports: dict[str, FieldReport] = {}
         self._uptake: dict[str, FloatArray] = {}
-        self._transient = [name for name in self._order if name not in self._steady]
-        self.content_errors = dict.fromkeys(self._transient, 0.0)
+        # a field whose regime the run chooses may become transient
+        may_move = [x for x in self._order if x in self.grids.choosers or not self._rests(x)]
+        self.content_errors = dict.fromkeys(may_move, 0.0)
         self._turnover: dict[str, tuple[float, float]] = {}
 
     def begin(self, cells: Cells, time: float) -> None:
@@ -83,7 +81,9 @@ class Feeding:
         for name in self._order:
             capacity, production = self._demand(name, cells)
             field = self.fields[name]
-            steady = self._parameters[name].regime == "steady"
+            if name in self.grids.choosers:
+                self.grids.begin(field, cells, capacity, production, time)
+            steady = field.parameters.regime == "steady"
             if steady or self._nutrients[name].initial == "steady":
                 self.reports[name] = field.solve(
                     cells.position, capacity, production=production, radius=cells.radius, time=time
@@ -95,6 +95,12 @@ class Feeding:
                 field.pour()
             self._note_medium(name)
             self._sample(name, cells, capacity)
+
+    def _rests(self, name: str) -> bool:
+        """Return whether a field is solved as steady, and not marched with a finite medium."""
+        # a steady field in a finite medium goes on with what that holds
+        finite = self._nutrients[name].finite_medium is not None
+        return self.fields[name].parameters.regime == "steady" and not finite
 
     def advance(
         self, cells: Cells, begin: float, end: float, *, before: Cells | None = None
@@ -110,19 +116,17 @@ class Feeding:
         """
         demand = {}
         if before is not None:
-            demand = {name: float(self._capacity(name, before).sum()) for name in self._transient}
+            marched = [name for name in self._order if not self._rests(name)]
+            demand = {name: float(self._capacity(name, before).sum()) for name in marched}
         for name in self._order:
             capacity, production = self._demand(name, cells)
             field, ledger = self.fields[name], self.ledger[name]
             with_cells = {"production": production, "radius": cells.radius}
-            if name in self._steady:
-                old = self.reports[name]
-                injected = self._injected(name)
-                ledger.add(
-                    old.inflow, old.uptake, end - begin, injected=injected,
-                    secreted=old.produced - injected, decayed=old.decayed, outflow=old.outflow,
-                    washed=old.washed,
-                )  # fmt: skip
+            rested, layout = self._rests(name), field.layout
+            if name in self.grids.choosers:
+                self.grids.look(field, cells, capacity, production, begin, end)
+            if rested and self._rests(name):
+                self._settle_account(name, end - begin)
                 self.reports[name] = field.solve(cells.position, capacity, time=end, **with_cells)
                 ledger.add(0.0, 0.0, content=field.stored())
             else:
@@ -139,10 +143,20 @@ class Feeding:
                     stored=(now := field.stored()) - content,
                     content=now,
                 )
-                if before is not None:
+                if name in demand:
                     self._rate(name, demand[name], float(capacity.sum()), march.uptake)
                 self._note_medium(name)
+            self.grids.note(field, layout, end)
             self._sample(name, cells, capacity)
+
+    def _settle_account(self, name: str, length: float) -> None:
+        """Note what a steady field has exchanged in a time in s, by its last solution."""
+        old, injected = self.reports[name], self._injected(name)
+        self.ledger[name].add(
+            old.inflow, old.uptake, length, injected=injected,
+            secreted=old.produced - injected, decayed=old.decayed, outflow=old.outflow,
+            washed=old.washed,
+        )  # fmt: skip
 
     def kept(self) -> dict[str, Any]:
         """Return what :meth:`take_back` needs to undo an :meth:`advance`."""
@@ -153,6 +167,7 @@ class Feeding:
             "reports": dict(self.reports),
             "uptake": dict(self._uptake),
             "errors": (dict(self.content_errors), dict(self._turnover)),
+            "grids": self.grids.kept(),
         }
 
     def take_back(self, kept: Mapping[str, Any]) -> None:
@@ -162,6 +177,7 @@ class Feeding:
         self.ledger, self.concentrations = kept["ledger"], kept["concentrations"]
         self.reports, self._uptake = kept["reports"], kept["uptake"]
         self.content_errors, self._turnover = kept["errors"]
+        self.grids.take(kept["grids"])
 
     def gradients(self, position: FloatArray, names: Iterable[str]) -> dict[str, FloatArray]:
         """Return the gradients of fields at positions, name -> (n, 3) mM/µm."""
@@ -170,7 +186,9 @@ class Feeding:
     def restore(self, frame: Frame) -> None:
         """Take fields, concentrations and accounts from a frame."""
         assert frame.progress is not None
+        self.grids.take(frame.progress.grids)
         for name, field in self.fields.items():
+            self.grids.apply(field)
             self.ledger[name] = ledger = Ledger(**frame.progress.ledger[name])
             field.restore(frame.fields[name], frame.time)
             if ledger.held is not None:
@@ -207,7 +225,8 @@ class Feeding:
         fields: dict[str, dict[str, Any]] = {}
         notes: list[str] = []
         for name in self._order:
-            field, parameters = self.fields[name], self._parameters[name]
+            field = self.fields[name]
+            parameters = field.parameters
             shells = isinstance(field.layout, ShellLayout)
             kind = "shells" if shells else "squares" if parameters.dimensions == 2 else "cubes"
             fields[name] = {"geometry": kind, "spacing": field.layout.spacing}
@@ -217,6 +236,10 @@ class Feeding:
                 self._rate_layer(
                     name, field.layout, parameters.nutrient.layer, cells, fields, notes
                 )
+            notes += self.grids.remarks(field)
+            if name in self.grids.choosers:
+                fields[name] |= self.grids.rated(field)
+                continue
             capacity, production = self._demand(name, cells)
             try:
                 error = discretisation_error(field, parameters, cells, capacity, production, time)

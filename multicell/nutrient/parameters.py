@@ -54,8 +54,9 @@ class FieldParameters:
 
     @property
     def geometry(self) -> str:
-        """``"box"``, ``"radial"`` or ``"auto"``; always a box in two dimensions."""
-        return self.nutrient.geometry if self.dimensions == 3 else "box"
+        """``"box"``, ``"radial"`` or ``"auto"``; a box in two dimensions and in a domain."""
+        fixed = self.dimensions == 2 or self.domain is not None
+        return "box" if fixed else self.nutrient.layout
 
     def sides(self, time: float, medium: float | None = None) -> dict[str, Side]:
         """Return the condition on every face at a time, with the medium's value filled in.

@@ -11,7 +11,7 @@ from multicell.errors import SceneError
 from multicell.nutrient.equation import FieldEquation
 from multicell.nutrient.equation_term import Substance
 from multicell.nutrient.fields import Feeding
-from multicell.nutrient.grid import BoxLayout, Layout, ShellLayout, relative_diffusion, restored
+from multicell.nutrient.grid import Layout, relative_diffusion, restored
 from multicell.nutrient.parameters import FieldParameters
 from multicell.nutrient.schedule import Schedule
 from multicell.nutrient.sources import injected
@@ -20,7 +20,6 @@ from multicell.scene.checks import solving_order
 if TYPE_CHECKING:
     from pde.fields.collection import FieldCollection
     from pde.fields.scalar import ScalarField
-    from pde.grids.base import GridBase
 
     from multicell.results.frame import Frame
     from multicell.scene.nutrient import Nutrient
@@ -75,18 +74,16 @@ def field_problem(scene: Scene, frame: Frame, fields: Iterable[str] | None = Non
         or fields live on different grids.
     """
     names = _chosen(scene, frame, fields)
-    layouts = {name: restored(frame.fields[name]) for name in names}
-    _refuse_several({name: layout for name, (layout, _) in layouts.items()})
-    layout = layouts[names[0]][0]
-    grid, cells = _grid(layout), frame.cells
+    together = frame.to_pde(names)
+    layout, cells = restored(frame.fields[names[0]])[0], frame.cells
     demands = _Demands(scene, frame, names)
     substances = {name: _substance(scene, frame, name, layout, demands) for name in names}
     equation = FieldEquation(
-        grid, substances, cells.position, layout=layout,
+        together.grid, substances, cells.position, layout=layout,
         coupling=demands if demands.coupled else None,
     )  # fmt: skip
-    values = {name: values for name, (_, values) in layouts.items()}
-    return FieldProblem(equation, equation.state(values), frame.time)
+    state = together if len(names) > 1 else frame.fields[names[0]].to_pde()
+    return FieldProblem(equation, state, frame.time)
 
 
 def _chosen(scene: Scene, frame: Frame, fields: Iterable[str] | None) -> list[str]:
@@ -103,36 +100,6 @@ def _chosen(scene: Scene, frame: Frame, fields: Iterable[str] | None) -> list[st
         if name not in frame.fields or name not in frame.concentrations:
             raise SceneError("frame", f"holds no field {name!r}", "Is it one of another scene?")
     return [name for name in scene.nutrients if name in wanted]
-
-
-def _refuse_several(layouts: Mapping[str, Layout]) -> None:
-    """Refuse fields that live on different grids, and say which share one."""
-    groups: dict[Any, list[str]] = {}
-    for name, layout in layouts.items():
-        groups.setdefault(_key(layout), []).append(name)
-    if len(groups) > 1:
-        lists = " and ".join(str(group) for group in groups.values())
-        raise SceneError(
-            "fields",
-            f"live on different grids, and one equation has one grid: {lists}",
-            "Ask for one of these lists, or give the fields one spacing, margin and geometry.",
-        )
-
-
-def _key(layout: Layout) -> Any:
-    if isinstance(layout, ShellLayout):
-        return tuple(layout.centre), layout.spacing, layout.count
-    return layout
-
-
-def _grid(layout: Layout) -> GridBase:
-    """Return py-pde's grid of a layout."""
-    from pde.grids.spherical import SphericalSymGrid
-
-    if isinstance(layout, BoxLayout):
-        return layout.box.to_pde()
-    assert isinstance(layout, ShellLayout)
-    return SphericalSymGrid(layout.radius, layout.count)
 
 
 def _substance(

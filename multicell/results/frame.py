@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import final
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from multicell.cells import Cells, FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from pde.fields.collection import FieldCollection
+    from pde.fields.scalar import ScalarField
 
 
 @final
@@ -35,6 +39,11 @@ class Field:
         ``"box"`` or ``"radial"``.
     height
         Of the layer in two dimensions, µm; else 0.
+
+    Notes
+    -----
+    :meth:`to_pde` gives it to py-pde. ``plot``, ``interpolate``, ``get_line_data`` and ``to_file``
+    are those of py-pde's field. py-pde is loaded at the first of these calls.
 
     Raises
     ------
@@ -74,6 +83,38 @@ class Field:
         count = self.values.shape[direction]
         return np.asarray(self.origin[direction] + (np.arange(count) + 0.5) * self.spacing)
 
+    def to_pde(self) -> ScalarField:
+        """Return a copy as py-pde's ``ScalarField``, with the name as label.
+
+        On a ``CartesianGrid`` in the coordinates of the cells (µm; x and y of a plane). Shells are
+        a ``SphericalSymGrid``, whose coordinate is the distance from ``origin``.
+        """
+        from multicell.results.pde_fields import scalar_field
+
+        return scalar_field(self)
+
+    def plot(self, *args: Any, **options: Any) -> Any:
+        """Draw it; see ``pde.ScalarField.plot``."""
+        return self.to_pde().plot(*args, **options)
+
+    def interpolate(self, point: FloatArray, **options: Any) -> Any:
+        """Return concentrations in mM at points; see ``pde.ScalarField.interpolate``.
+
+        Parameters
+        ----------
+        point : (..., 3), (..., 2) in a plane, (..., 1) on shells; µm
+            Coordinates of py-pde's grid.
+        """
+        return self.to_pde().interpolate(np.asarray(point, dtype=float), **options)
+
+    def get_line_data(self, *args: Any, **options: Any) -> dict[str, Any]:
+        """Return values along a line; see ``pde.ScalarField.get_line_data``."""
+        return dict(self.to_pde().get_line_data(*args, **options))
+
+    def to_file(self, filename: str, **options: Any) -> None:
+        """Write it to a file of py-pde's; see ``pde.ScalarField.to_file``."""
+        self.to_pde().to_file(filename, **options)
+
 
 @final
 @dataclass(frozen=True)
@@ -99,6 +140,8 @@ class Progress:
         None without growth.
     pace : name -> float, or None
         What chooses the next coupling step, where that is not fixed.
+    grids : nutrient -> name -> float
+        What is known of grids that the run chooses or changes by itself.
     """
 
     next_id: int
@@ -113,6 +156,7 @@ class Progress:
     local_error: float | None = None
     splitting: float | None = None
     pace: Mapping[str, float] | None = None
+    grids: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
 
 @final
@@ -146,3 +190,21 @@ class Frame:
     fields: Mapping[str, Field] = field(default_factory=dict)
     contacts: IntArray = field(default_factory=lambda: np.empty((0, 2), dtype=np.int64))
     progress: Progress | None = None
+
+    def to_pde(self, names: Iterable[str] | None = None) -> FieldCollection:
+        """Return fields that share a grid as a copy in py-pde's ``FieldCollection``.
+
+        Parameters
+        ----------
+        names
+            Of the fields; absent: all. Their labels in the collection.
+
+        Raises
+        ------
+        SceneError
+            If there are none, a name is none of theirs, or they live on different grids; which
+            share one is said.
+        """
+        from multicell.results.pde_fields import collection
+
+        return collection(self.fields, names)

@@ -47,6 +47,8 @@ UNITS: Final[Mapping[str, str]] = {
     "splitting_content_error_*": "",
     "hypoxic_radius_*": "um",
     "medium_*": "mM",
+    "spacing_*": "um",
+    "grid_error_*": "mM",
     **dict.fromkeys(_STATES, ""),
     # summary
     **{f"states.{name}": "" for name in _STATES},
@@ -70,6 +72,9 @@ UNITS: Final[Mapping[str, str]] = {
     "fields.*.medium": "mM",
     "fields.*.discretisation_error": "mM",
     "fields.*.departure_from_a_ball": "",
+    "fields.*.tolerance": "mM",
+    "fields.*.estimated_error": "mM",
+    "fields.*.nodes": "",
     "separation.time": "s",
     "separation.force": "nN",
     "wall.*": "s",

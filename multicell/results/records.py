@@ -177,6 +177,7 @@ def progress_of(text: bytes, nutrients: Iterable[str]) -> Progress | None:
         "work": lambda value: isinstance(value, dict) and all(map(_is_count, value.values())),
         "ledger": lambda value: _of_nutrients(value, known),
         "rates": lambda value: _of_nutrients(value, known),
+        "grids": lambda value: _of_nutrients(value, known),
     }
     for name, fits in checks.items():
         if not fits(entries[name]):

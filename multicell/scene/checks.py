@@ -175,7 +175,7 @@ def _check_sides(scene: Scene, path: str, nutrient: Nutrient) -> None:
             problem = "is 'steady', but the sides fix no level: there is no steady state"
             hint = "Start from 'medium', or give one side a value, or a perfusion."
             raise SceneError(f"{path}.initial", problem, hint)
-    shaped = {face for face in nutrient.sides if face not in ("*", "r+")}
+    shaped = nutrient.shaped_sides
     if nutrient.geometry == "auto" and shaped:
         hint = "Take geometry = 'box', or only '*'."
         face = min(shaped)
@@ -217,7 +217,7 @@ def _check_finite(scene: Scene, path: str, nutrient: Nutrient) -> None:
 def _check_sources(scene: Scene, path: str, nutrient: Nutrient) -> None:
     """Check that sources have a place in the scene's dimensions, and lie in its domain."""
     axes = "xyz"[: scene.dimensions]
-    if nutrient.sources and nutrient.geometry != "box":
+    if nutrient.sources and nutrient.layout != "box":
         problem = f"need geometry = 'box': shells ('{nutrient.geometry}') know a distance only"
         raise SceneError(f"{path}.sources", problem)
     for name, source in nutrient.sources.items():
@@ -241,7 +241,7 @@ def _check_sources(scene: Scene, path: str, nutrient: Nutrient) -> None:
 def _check_layer(path: str, nutrient: Nutrient) -> None:
     """Check that a layer lies round shells: only there it is as thick everywhere."""
     if nutrient.layer is not None and nutrient.geometry != "radial":
-        problem = f"has no meaning with geometry = '{nutrient.geometry}'"
+        problem = f"has no meaning with geometry = '{nutrient.layout}'"
         hint = (
             "The layer of a ball needs geometry = 'radial'; a grid of cubes has its faces at "
             "'margin' from the outermost centres, farther at the corners."
@@ -253,7 +253,7 @@ def _check_in_domain(scene: Scene, name: str) -> None:
     """Check that a field can live on the box that the scene fixes."""
     path, nutrient, domain = f"nutrients.{name}", scene.nutrients[name], scene.domain
     assert domain is not None
-    if nutrient.geometry != "box":
+    if nutrient.geometry not in (None, "box"):
         problem = f"is '{nutrient.geometry}' in a scene with a domain, which is a box"
         raise SceneError(f"{path}.geometry", problem, "Take geometry = 'box', or leave domain out.")
     wanted, lengths = spacing(scene, name), box.sides(domain)

@@ -268,16 +268,22 @@ class Nutrient:
     initial: str = choice(
         ["medium", "steady"], default="medium", doc="where a transient field starts from"
     )
-    geometry: str = choice(
+    geometry: str | None = choice(
         ["box", "radial", "auto"],
-        default="box",
-        doc="a grid of cubes, of spherical shells, or shells as long as the tissue is round",
+        default=None,
+        doc="a grid of cubes, of spherical shells, or shells as long as the tissue is round; "
+        "absent: cubes, or what tolerance asks for",
     )
     roundness_limit: float = number(
         default=0.1, above=0, below=1, doc="departure from a ball up to which shells are enough"
     )
     spacing: float | None = quantity(
-        "um", default=None, above=0, doc="of the grid; absent: by the diffusion length"
+        "um", default=None, above=0, doc="of the grid; absent: by tolerance or diffusion length"
+    )
+    tolerance: float | None = _level_above_zero(
+        default=None,
+        doc="error at the cells by which the run chooses spacing, geometry and regime",
+        hint=_DENSE,
     )
     margin: float = quantity(
         "um",
@@ -303,7 +309,10 @@ class Nutrient:
     )
 
     def check(self) -> None:
-        """Raise ``SceneError`` for thresholds or sides that do not fit together."""
+        """Raise ``SceneError`` for keys that do not fit together."""
+        if self.tolerance is not None and self.spacing is not None:
+            problem = "cannot stand beside a spacing, which it chooses"
+            raise SceneError("tolerance", problem, "Give one of them.")
         if self.necrosis is not None and self.quiescence is not None:
             self._check_order(self.necrosis, self.quiescence)
         if self.geometry == "radial":
@@ -311,7 +320,7 @@ class Nutrient:
                 if face not in ("*", "r+"):
                     hint = "Shells have one side, 'r+'."
                     raise SceneError(f"sides.{face}", "does not exist on a radial grid", hint)
-        elif "r+" in self.sides and self.geometry == "box":
+        elif "r+" in self.sides and self.layout == "box":
             raise SceneError("sides.r+", "does not exist on a grid of cubes", "Use 'x-' or '*'.")
 
     def _check_order(self, necrosis: float, quiescence: float) -> None:
@@ -321,6 +330,24 @@ class Nutrient:
                 "thresholds in the wrong order"
             )
             raise SceneError("necrosis", problem, "Starving cells first rest, then die.")
+
+    @property
+    def layout(self) -> str:
+        """What its grid may be: ``"box"``, ``"radial"``, or ``"auto"`` for either.
+
+        With a tolerance and no geometry it is either, unless sides or sources are not the same
+        all round.
+        """
+        if self.geometry is not None:
+            return self.geometry
+        if self.tolerance is None or self.sources or self.shaped_sides:
+            return "box"
+        return "auto"
+
+    @property
+    def shaped_sides(self) -> set[str]:
+        """Names of sides that only cubes have."""
+        return {face for face in self.sides if face not in ("*", "r+")}
 
     def medium(self, time: float) -> float:
         """Return the concentration of the medium at a time in s, mM."""

@@ -37,8 +37,8 @@ def level_fixed(nutrient: Nutrient, dimensions: int = 3) -> bool:
 
 def touches_medium(nutrient: Nutrient, dimensions: int = 3) -> bool:
     """Return whether a side is no wall, on every geometry that a field may have."""
-    shells = nutrient.geometry != "box" and dimensions == 3
-    cubes = nutrient.geometry != "radial"
+    shells = nutrient.layout != "box" and dimensions == 3
+    cubes = nutrient.layout != "radial"
     fixed = [
         any(_side(nutrient, face).type != "derivative" for face in faces)
         for faces, used in ((("r+",), shells), (_faces(dimensions), cubes))

@@ -438,6 +438,11 @@ def _fit_field(scene, field, earlier, fields, flat):
             del field["secretion_from"][name]
     _fit_secretion(scene, field)
     radius = base(scene.get("cells", {}).get("division_radius", 5.0))
+    if "tolerance" in field:
+        # what a grid can reach for most cells; it chooses the spacing
+        field.pop("spacing", None)
+        level = base(field.get("boundary", 0.07))
+        field["tolerance"] = max(base(field["tolerance"]), 0.3 * level)
     if "spacing" in field and base(field["spacing"]) > 4.0 * radius:
         field["spacing"] = radius
     if flat and field.get("geometry") == "radial":
@@ -552,7 +557,9 @@ def plausible(draw, extreme=0.004, small=True):
     if small:
         _loosen(scene)
         for field in scene.get("nutrients", {}).values():
-            field["margin"] = min(base(field["margin"]), 12.0 * base(field["spacing"]))
+            radius = base(scene.get("cells", {}).get("division_radius", 5.0))
+            across = base(field["spacing"]) if "spacing" in field else radius
+            field["margin"] = min(base(field["margin"]), 12.0 * across)
         step = scene["coupling_step"]
         step = _step_of_its_own(scene) if step == "auto" else step
         scene["duration"] = step * drawer.one_of([1.0, 2.0, 2.5, 3.0])

@@ -37,7 +37,10 @@ SCENES = {
     "a plane with a field": {
         **SHORT, "dimensions": 2, "initial": {"count": 30}, "coupling_step": "auto",
         "growth": {"critical_pressure": 0.02}, "death": {},
-        "nutrients": {"oxygen": {"quiescence": 0.06, "necrosis": 0.05, "uptake": 500.0}},
+        "nutrients": {
+            "oxygen": {"quiescence": 0.06, "necrosis": 0.05, "uptake": 500.0},
+            "drug": {"boundary": 0.01, "uptake": 1.0, "tolerance": 1e-3},
+        },
         "integrator": {"method": "auto"},
     },
     "a pull with memory": {

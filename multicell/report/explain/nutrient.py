@@ -29,11 +29,14 @@ def nutrient_parts(scene: Scene) -> list[Part]:
 def _what(scene: Scene, name: str) -> str:
     """Return one sentence on regime, geometry, medium and dependences of a field."""
     nutrient = scene.nutrients[name]
-    parts = [
-        f"{scales.regime(scene, name)} ({_regime_reason(scene, name)})",
-        _geometry(scene, nutrient, scales.spacing(scene, name)),
-        _medium(nutrient),
-    ]
+    if nutrient.tolerance is None:
+        regime = f"{scales.regime(scene, name)} ({_regime_reason(scene, name)})"
+        parts = [regime, _geometry(scene, nutrient, scales.spacing(scene, name))]
+    else:
+        from multicell.report.explain.tolerance import chosen_words
+
+        parts = chosen_words(scene, name)
+    parts.append(_medium(nutrient))
     if nutrient.sources:
         parts.append(f"given off by {len(nutrient.sources)} source(s) that stand still")
     for other, law in nutrient.uptake_on.items():
@@ -63,11 +66,11 @@ def _geometry(scene: Scene, nutrient: Nutrient, spacing: float) -> str:
         return _standing(scene, spacing)
     if scene.dimensions == 2:
         return f"squares of {spacing:g} um that follow the cells, since the scene is flat"
-    if nutrient.geometry == "radial":
+    if nutrient.layout == "radial":
         layer = nutrient.layer
         words = f"spherical shells of {spacing:g} um that follow the cells, as the scene says"
         return words if layer is None else f"{words}, in a layer of {layer:g} um round the tissue"
-    if nutrient.geometry == "auto":
+    if nutrient.layout == "auto":
         limit = nutrient.roundness_limit
         return (
             f"spherical shells of {spacing:g} um that follow the cells while the tissue is round "
@@ -150,7 +153,7 @@ def _numbers(scene: Scene, name: str) -> list[Number]:
             "uptake over diffusion at the largest size; above 6 a ball starves inside",
         ),
     ]  # fmt: skip
-    if nutrient.geometry == "box" or scene.dimensions == 2:
+    if nutrient.tolerance is None and (nutrient.layout == "box" or scene.dimensions == 2):
         memory = 8e-6 * _GRID_ARRAYS * points
         meaning = f"about, at that size: {points:,} points"
         numbers.append(Number(f"{name}: grid memory", memory, "MB", meaning))

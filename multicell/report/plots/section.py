@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 
 
 # white to a light blue: cells must stand out against it
+_GONE = 1e-9  # part of the highest concentration of a field below which it is not drawn
 _WATER: Final = ListedColormap(np.linspace(to_rgb("#ffffff"), to_rgb("#8fbce0"), 256))
 
 
@@ -204,8 +205,11 @@ def draw_field(
 
 
 def _draw_behind(figure: Figure, axes: Axes, field: Field, z: float, nutrient: Nutrient) -> None:
-    """Draw a field behind the cells of a section, and explain its shades and lines."""
-    if not max(float(field.values.max()), nutrient.boundary) > 0.0:
+    """Draw a field behind the cells of a section, and explain its shades and lines.
+
+    What is left of one that has been used up or has decayed is not: shades of it would be rounding.
+    """
+    if not max(float(field.values.max()), nutrient.boundary) > _GONE * nutrient.highest:
         return
     shades, inside = draw_field(axes, field, z, nutrient, nutrient.boundary, 0.0, _WATER)
     bar = figure.colorbar(shades, cax=figure.add_axes((0.73, 0.28, 0.018, 0.27)))

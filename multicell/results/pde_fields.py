@@ -1,0 +1,103 @@
+"""Fields of a frame as py-pde's grids and fields; py-pde is loaded with this file only."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from pde.fields.collection import FieldCollection
+from pde.fields.scalar import ScalarField
+from pde.grids.cartesian import CartesianGrid
+from pde.grids.spherical import SphericalSymGrid
+
+from multicell.errors import SceneError
+
+if TYPE_CHECKING:
+    from pde.grids.base import GridBase
+
+    from multicell.results.frame import Field
+
+
+def box_grid(
+    origin: Sequence[float], shape: Sequence[int], spacing: float, *, flat: bool
+) -> CartesianGrid:
+    """Return py-pde's grid of a box of cubes; of squares where it is flat.
+
+    Parameters
+    ----------
+    origin : (3,), µm
+        Corner with the smallest coordinates.
+    shape : (3,) int
+    spacing : float, µm
+    flat
+        Whether the third axis is left out.
+    """
+    axes = 2 if flat else 3
+    bounds = [
+        (float(low), float(low) + count * spacing) for low, count in zip(origin, shape, strict=True)
+    ]
+    return CartesianGrid(bounds[:axes], list(shape)[:axes])
+
+
+def ball_grid(spacing: float, count: int) -> SphericalSymGrid:
+    """Return py-pde's grid of ``count`` shells of a thickness in µm."""
+    return SphericalSymGrid(spacing * count, count)
+
+
+def grid_of(field: Field) -> GridBase:
+    """Return py-pde's grid of a field."""
+    if field.kind == "radial":
+        return ball_grid(field.spacing, field.values.size)
+    return box_grid(list(field.origin), field.values.shape, field.spacing, flat=field.height > 0.0)
+
+
+def scalar_field(field: Field) -> ScalarField:
+    """Return a field as py-pde's, with its name as label."""
+    grid = grid_of(field)
+    return ScalarField(grid, field.values.reshape(grid.shape), label=field.name)
+
+
+def groups(fields: Mapping[str, Field]) -> list[list[str]]:
+    """Return the names of fields, those that share a grid together."""
+    found: dict[Any, list[str]] = {}
+    for name, field in fields.items():
+        place = (field.kind, tuple(field.origin), field.spacing, field.values.shape, field.height)
+        found.setdefault(place, []).append(name)
+    return list(found.values())
+
+
+def refuse_several(fields: Mapping[str, Field]) -> None:
+    """Refuse fields that live on different grids, and say which share one.
+
+    Raises
+    ------
+    SceneError
+    """
+    found = groups(fields)
+    if len(found) > 1:
+        lists = " and ".join(str(group) for group in found)
+        raise SceneError(
+            "fields",
+            f"live on different grids, and one equation has one grid: {lists}",
+            "Ask for one of these lists, or give the fields one spacing, margin and geometry.",
+        )
+
+
+def collection(fields: Mapping[str, Field], names: Iterable[str] | None) -> FieldCollection:
+    """Return fields that share a grid as py-pde's collection, their names as labels.
+
+    Raises
+    ------
+    SceneError
+        If there are none, a name is none of theirs, or they live on different grids.
+    """
+    wanted = list(fields) if names is None else list(names)
+    if isinstance(names, str) or not wanted:
+        held = "the frame holds none" if names is None else f"are {names!r}"
+        raise SceneError("fields", f"{held}, expected a list of names")
+    for name in wanted:
+        if name not in fields:
+            raise SceneError("fields", f"has {name!r}, the frame holds {', '.join(fields)}")
+    chosen = {name: fields[name] for name in wanted}
+    refuse_several(chosen)
+    return FieldCollection([scalar_field(field) for field in chosen.values()])

@@ -1,0 +1,123 @@
+"""Fields of frames in py-pde's language: same values, same places, its tools work on them."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pde
+import pytest
+
+import multicell as mc
+from multicell.errors import SceneError
+from multicell.results.frame import Field, Frame
+
+GRIDS = {
+    "cubes": Field(
+        "a", "mM", np.array([-3.0, 4.0, 10.0]), 2.5, np.random.default_rng(1).random((4, 6, 5))
+    ),
+    "squares": Field(
+        "a", "mM", np.array([-3.0, 4.0, -1.25]), 2.5, np.random.default_rng(2).random((7, 6, 1)),
+        height=10.0,
+    ),
+    "shells": Field(
+        "a", "mM", np.array([1.0, 2.0, 3.0]), 2.5, np.random.default_rng(3).random((9, 1, 1)),
+        kind="radial",
+    ),
+}  # fmt: skip
+
+
+def places(field):
+    """Return the coordinates of a field's nodes as the field's own documentation has them."""
+    if field.kind == "radial":
+        return ((np.arange(field.values.size) + 0.5) * field.spacing)[:, None]
+    axes = [field.axis(i) for i in range(2 if field.height else 3)]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
+
+
+@pytest.mark.parametrize("kind", GRIDS)
+def test_values_and_coordinates_are_the_same(kind):
+    field = GRIDS[kind]
+    found = field.to_pde()
+    assert isinstance(found, pde.ScalarField)
+    assert isinstance(found.grid, pde.SphericalSymGrid if kind == "shells" else pde.CartesianGrid)
+    assert found.label == "a"
+    np.testing.assert_array_equal(found.data.ravel(), field.values.ravel())
+    ours = places(field)
+    np.testing.assert_allclose(found.grid.cell_coords.reshape(ours.shape), ours, rtol=1e-13)
+    np.testing.assert_allclose(field.interpolate(ours), field.values.ravel(), rtol=1e-12)
+    assert field.interpolate(ours[0]) == pytest.approx(field.values.flat[0])
+
+
+@pytest.mark.parametrize("kind", GRIDS)
+def test_its_tools_work(kind, tmp_path):
+    field = GRIDS[kind]
+    line = field.get_line_data()
+    assert np.isin(np.round(line["data_y"], 9), np.round(field.values, 9)).any()
+    assert field.plot() is not None
+    field.to_file(str(tmp_path / "field.hdf5"))
+    again = pde.ScalarField.from_file(str(tmp_path / "field.hdf5"))
+    assert again.grid == field.to_pde().grid
+    np.testing.assert_array_equal(again.data, field.to_pde().data)
+
+
+def test_a_copy_is_handed_out():
+    field = GRIDS["cubes"]
+    before = field.values.copy()
+    field.to_pde().data[...] = 7.0
+    np.testing.assert_array_equal(field.values, before)
+
+
+def frame_of(**fields):
+    cells = mc.Simulation(mc.load_scene("growth")).cells
+    return Frame(0.0, 0, cells, fields=fields)
+
+
+def test_fields_that_share_a_grid_are_a_collection():
+    a = GRIDS["cubes"]
+    b = Field("b", "mM", a.origin, a.spacing, 2.0 * a.values)
+    frame = frame_of(a=a, b=b, c=GRIDS["shells"])
+    found = frame.to_pde(["a", "b"])
+    assert isinstance(found, pde.FieldCollection)
+    assert list(found.labels) == ["a", "b"]
+    np.testing.assert_array_equal(found["b"].data, b.values)
+    assert len(frame_of(a=a, b=b).to_pde()) == 2
+    assert frame.to_pde(["c"])[0].grid.num_axes == 1
+
+
+@pytest.mark.parametrize(
+    ("fields", "names", "words"),
+    [
+        (GRIDS, None, r"\['cubes'\] and \['squares'\] and \['shells'\]"),
+        (GRIDS, ["cubes", "x"], "has 'x', the frame holds cubes, squares, shells"),
+        (GRIDS, "cubes", "expected a list of names"),
+        (GRIDS, [], "expected a list of names"),
+        ({}, None, "holds none"),
+    ],
+)
+def test_other_names_and_several_grids_are_refused(fields, names, words):
+    with pytest.raises(SceneError, match=words):
+        frame_of(**fields).to_pde(names)
+
+
+def test_py_pde_is_loaded_for_it_only():
+    code = (
+        "import sys, numpy as np\n"
+        "from multicell.results.frame import Field\n"
+        "field = Field('a', 'mM', np.zeros(3), 1.0, np.ones((2, 2, 2)))\n"
+        "field.axis(0)\n"
+        "assert 'pde' not in sys.modules\n"
+        "field.to_pde()\n"
+        "assert 'pde' in sys.modules\n"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_fields_of_a_run_agree_with_what_its_cells_find():
+    scene = mc.load_scene("growth").with_changes(
+        {"initial.count": 40, "duration": "10 min", "coupling_step": "10 min",
+         "nutrients.oxygen": {"spacing": "15 um"}}
+    )  # fmt: skip
+    frame = mc.run(scene).frames[-1]
+    found = frame.fields["oxygen"].interpolate(frame.cells.position)
+    np.testing.assert_allclose(found, frame.concentrations["oxygen"], rtol=1e-9)
+    assert frame.to_pde()["oxygen"].grid == frame.fields["oxygen"].to_pde().grid
