@@ -195,7 +195,7 @@ class Simulation:
         return Progress(
             **{name: getattr(self, name) for name in _NOTED},
             ledger={} if feeding is None else {n: x.kept() for n, x in feeding.ledger.items()},
-            rates={} if feeding is None else {n: asdict(x) for n, x in feeding.reports.items()},
+            rates={} if feeding is None else {n: x.kept() for n, x in feeding.reports.items()},
             work=asdict(self._mechanics.work),
             pace=None if self.pace is None else self.pace._asdict(),
         )

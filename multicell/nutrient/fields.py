@@ -23,6 +23,8 @@ from multicell.nutrient.parameters import FieldParameters
 from multicell.scene.checks import solving_order
 
 if TYPE_CHECKING:
+    from multicell.nutrient.reacting import Reacting
+    from multicell.nutrient.transient import TransientReport
     from multicell.results.frame import Field, Frame
     from multicell.scene.nutrient import Nutrient
     from multicell.scene.scene import Scene
@@ -56,7 +58,7 @@ class Feeding:
             for name in scene.nutrients
             for what in ("uptake", "secretion")
         }
-        self._order = solving_order(scene.nutrients)
+        self._order = solving_order(scene.nutrients, scene.reactions)
         parameters = {name: FieldParameters.of(scene, name) for name in self._order}
         self._parameters = parameters
         # a steady field in a finite medium goes on with what that holds: it is marched
@@ -65,6 +67,7 @@ class Feeding:
             if parameters[name].regime == "steady" and scene.nutrients[name].finite_medium is None
         ]  # fmt: skip
         self.fields = {name: NutrientField(name, parameters[name]) for name in scene.nutrients}
+        self._groups = _groups(scene, self.fields)
         self.ledger = {name: Ledger() for name in scene.nutrients}
         self.concentrations: dict[str, FloatArray] = {}
         self.reports: dict[str, FieldReport] = {}
@@ -80,21 +83,47 @@ class Feeding:
         ------
         NutrientFailed
         """
+        done: set[str] = set()
         for name in self._order:
-            capacity, production = self._demand(name, cells)
-            field = self.fields[name]
-            steady = self._parameters[name].regime == "steady"
-            if steady or self._nutrients[name].initial == "steady":
-                self.reports[name] = field.solve(
-                    cells.position, capacity, production=production, radius=cells.radius, time=time
-                )
-            else:
-                field.fill(cells.position, radius=cells.radius, time=time)
-            self.ledger[name].add(0.0, 0.0, content=field.stored())
-            if self._nutrients[name].finite_medium is not None:
-                field.pour()
-            self._note_medium(name)
-            self._sample(name, cells, capacity)
+            if name in self._groups:
+                if name not in done:
+                    self._begin_group(self._groups[name], cells, time)
+                    done |= {*self._groups[name].names}
+                continue
+            self._begin_one(name, cells, time)
+
+    def _begin_one(self, name: str, cells: Cells, time: float) -> None:
+        """Solve for a field at the start of a run."""
+        capacity, production = self._demand(name, cells)
+        field = self.fields[name]
+        if self._rests_first(name):
+            self.reports[name] = field.solve(
+                cells.position, capacity, production=production, radius=cells.radius, time=time
+            )
+        else:
+            field.fill(cells.position, radius=cells.radius, time=time)
+        self.ledger[name].add(0.0, 0.0, content=field.stored())
+        if self._nutrients[name].finite_medium is not None:
+            field.pour()
+        self._note_medium(name)
+        self._sample(name, cells, capacity)
+
+    def _begin_group(self, group: Reacting, cells: Cells, time: float) -> None:
+        """Solve for fields that react with each other at the start of a run."""
+        demand = {name: self._demand(name, cells) for name in group.names}
+        if self._rests_first(group.names[0]):
+            self.reports |= group.solve(cells.position, demand, radius=cells.radius, time=time)
+        else:
+            for name in group.names:
+                self.fields[name].fill(cells.position, radius=cells.radius, time=time)
+        for name in group.names:
+            self.ledger[name].add(0.0, 0.0, content=self.fields[name].stored())
+            self._sample(name, cells, demand[name][0])
+
+    def _rests_first(self, name: str) -> bool:
+        """Return whether a field begins as the steady one."""
+        steady = self._parameters[name].regime == "steady"
+        return steady or self._nutrients[name].initial == "steady"
 
     def advance(
         self, cells: Cells, begin: float, end: float, *, before: Cells | None = None
@@ -111,38 +140,90 @@ class Feeding:
         demand = {}
         if before is not None:
             demand = {name: float(self._capacity(name, before).sum()) for name in self._transient}
+        done: set[str] = set()
         for name in self._order:
-            capacity, production = self._demand(name, cells)
-            field, ledger = self.fields[name], self.ledger[name]
-            with_cells = {"production": production, "radius": cells.radius}
-            if name in self._steady:
-                old = self.reports[name]
-                injected = self._injected(name)
-                ledger.add(
-                    old.inflow, old.uptake, end - begin, injected=injected,
-                    secreted=old.produced - injected, decayed=old.decayed, outflow=old.outflow,
-                    washed=old.washed,
-                )  # fmt: skip
-                self.reports[name] = field.solve(cells.position, capacity, time=end, **with_cells)
-                ledger.add(0.0, 0.0, content=field.stored())
-            else:
-                content = field.stored()
-                march = field.advance(cells.position, capacity, begin=begin, end=end, **with_cells)
-                ledger.add(
-                    march.inflow,
-                    march.uptake,
-                    secreted=march.produced,
-                    decayed=march.decayed,
-                    relaid=march.relaid,
-                    washed=march.washed,
-                    injected=self._injected(name) * (end - begin),
-                    stored=(now := field.stored()) - content,
-                    content=now,
-                )
-                if before is not None:
-                    self._rate(name, demand[name], float(capacity.sum()), march.uptake)
-                self._note_medium(name)
-            self._sample(name, cells, capacity)
+            if name not in self._groups:
+                self._advance_one(name, cells, begin, end, demand.get(name))
+            elif name not in done:
+                self._advance_group(self._groups[name], cells, begin, end, demand)
+                done |= {*self._groups[name].names}
+
+    def _advance_one(
+        self, name: str, cells: Cells, begin: float, end: float, began: float | None
+    ) -> None:
+        """Bring a field to ``end``; ``began`` is the largest uptake of the cells of ``begin``."""
+        capacity, production = self._demand(name, cells)
+        field = self.fields[name]
+        with_cells = {"production": production, "radius": cells.radius}
+        if name in self._steady:
+            self._enter_rates(name, end - begin)
+            self.reports[name] = field.solve(cells.position, capacity, time=end, **with_cells)
+            self.ledger[name].add(0.0, 0.0, content=field.stored())
+        else:
+            content = field.stored()
+            march = field.advance(cells.position, capacity, begin=begin, end=end, **with_cells)
+            self._enter_march(name, march, content, end - begin)
+            if began is not None:
+                self._rate(name, began, float(capacity.sum()), march.uptake)
+            self._note_medium(name)
+        self._sample(name, cells, capacity)
+
+    def _advance_group(
+        self, group: Reacting, cells: Cells, begin: float, end: float, began: Mapping[str, float]
+    ) -> None:
+        """Bring fields that react with each other to ``end``."""
+        demand = {name: self._demand(name, cells) for name in group.names}
+        if group.names[0] in self._steady:
+            for name in group.names:
+                self._enter_rates(name, end - begin)
+            self.reports |= group.solve(cells.position, demand, radius=cells.radius, time=end)
+            for name in group.names:
+                self.ledger[name].add(0.0, 0.0, content=self.fields[name].stored())
+        else:
+            before = {name: self.fields[name].stored() for name in group.names}
+            marches = group.advance(
+                cells.position, demand, radius=cells.radius, begin=begin, end=end
+            )
+            for name, march in marches.items():
+                reacted = (march.made, march.used)
+                self._enter_march(name, march, before[name], end - begin, reacted)
+                if name in began:
+                    self._rate(name, began[name], float(demand[name][0].sum()), march.uptake)
+        for name in group.names:
+            self._sample(name, cells, demand[name][0])
+
+    def _enter_rates(self, name: str, length: float) -> None:
+        """Enter into the account of a steady field what its last solution exchanged for a time."""
+        old, injected = self.reports[name], self._injected(name)
+        self.ledger[name].add(
+            old.inflow, old.uptake, length, injected=injected,
+            secreted=old.produced - injected, decayed=old.decayed, outflow=old.outflow,
+            washed=old.washed, made=old.made, used=old.used,
+        )  # fmt: skip
+
+    def _enter_march(
+        self,
+        name: str,
+        march: TransientReport,
+        content: float,
+        length: float,
+        reacted: tuple[float | None, float | None] = (None, None),
+    ) -> None:
+        """Enter a march into the account of a field that held ``content`` before."""
+        now = self.fields[name].stored()
+        self.ledger[name].add(
+            march.inflow,
+            march.uptake,
+            secreted=march.produced,
+            decayed=march.decayed,
+            relaid=march.relaid,
+            washed=march.washed,
+            injected=self._injected(name) * length,
+            stored=now - content,
+            content=now,
+            made=reacted[0],
+            used=reacted[1],
+        )
 
     def kept(self) -> dict[str, Any]:
         """Return what :meth:`take_back` needs to undo an :meth:`advance`."""
@@ -218,11 +299,14 @@ class Feeding:
                     name, field.layout, parameters.nutrient.layer, cells, fields, notes
                 )
             capacity, production = self._demand(name, cells)
+            error = None
             try:
-                error = discretisation_error(field, parameters, cells, capacity, production, time)
+                if name not in self._groups:
+                    error = discretisation_error(
+                        field, parameters, cells, capacity, production, time
+                    )
             except NutrientFailed as trouble:
                 notes.append(f"The error that the grid of {name} makes is not known: {trouble}")
-                error = None
             if error is not None:
                 fields[name]["discretisation_error"] = error
             if not shells:
@@ -353,6 +437,22 @@ class Feeding:
         for other, share in (nutrient.secretion_from or {}).items():
             production = production + share * self._uptake[other]
         return capacity, production
+
+
+def _groups(scene: Scene, fields: Mapping[str, NutrientField]) -> dict[str, Reacting]:
+    """Return for each field that takes part in reactions those that are solved for together."""
+    if not scene.reactions:
+        return {}
+    from multicell.nutrient.kinetics import FixedForms
+    from multicell.nutrient.reacting import Reacting
+    from multicell.scene.reactions import groups
+
+    found: dict[str, Reacting] = {}
+    for names in groups(scene.nutrients, scene.reactions):
+        own = {n: r for n, r in scene.reactions.items() if r.fields[0] in names}
+        group = Reacting({name: fields[name] for name in names}, FixedForms(names, own))
+        found |= dict.fromkeys(names, group)
+    return found
 
 
 def factors(

@@ -15,7 +15,9 @@ import numpy as np
 from numba import njit
 
 from multicell.cells import FloatArray
+from multicell.errors import SceneError
 from multicell.scene.reactions import Reaction
+from multicell.schema import build, near_miss
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 _jit = cast(Callable[[_F], _F], njit(cache=True, error_model="numpy"))
@@ -53,6 +55,35 @@ class Kinetics(Protocol):
         (m, m, nodes), 1/s
             Of the rate of the first by the concentration of the second.
         """
+
+
+def kinetics_of(names: Sequence[str], reactions: Mapping[str, Any]) -> Kinetics:
+    """Return the rates of reactions that are given as parts of a scene, tables or functions.
+
+    Parameters
+    ----------
+    names
+        Of the fields.
+    reactions
+        Name -> :class:`~multicell.scene.reactions.Reaction`, a table of its keys, or a reaction of
+        the user's own.
+
+    Raises
+    ------
+    SceneError
+        For a field that is not one of these, and for what is no reaction.
+    """
+    fixed: dict[str, Reaction] = {}
+    for name, given in reactions.items():
+        path = f"reactions.{name}"
+        reaction = given if isinstance(given, Reaction) else build(Reaction, given, path)
+        for field in reaction.fields:
+            if field not in names:
+                raise SceneError(
+                    f"{path}.{field}", "is not one of the fields", near_miss(field, names)
+                )
+        fixed[name] = reaction
+    return FixedForms(names, fixed)
 
 
 @final

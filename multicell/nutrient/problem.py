@@ -11,7 +11,14 @@ from multicell.errors import SceneError
 from multicell.nutrient.equation import FieldEquation
 from multicell.nutrient.equation_term import Substance
 from multicell.nutrient.fields import Feeding
-from multicell.nutrient.grid import BoxLayout, Layout, ShellLayout, relative_diffusion, restored
+from multicell.nutrient.grid import (
+    BoxLayout,
+    Layout,
+    ShellLayout,
+    relative_diffusion,
+    restored,
+    tissue_share,
+)
 from multicell.nutrient.parameters import FieldParameters
 from multicell.nutrient.schedule import Schedule
 from multicell.nutrient.sources import injected
@@ -24,6 +31,7 @@ if TYPE_CHECKING:
 
     from multicell.results.frame import Frame
     from multicell.scene.nutrient import Nutrient
+    from multicell.scene.reactions import Reaction
     from multicell.scene.scene import Scene
 
 
@@ -66,24 +74,26 @@ def field_problem(scene: Scene, frame: Frame, fields: Iterable[str] | None = Non
         Of any run of it; it may be one that was read from a file.
     fields
         Names of the fields that are wanted; absent: all. They must share a grid, as fields with
-        the same spacing, margin and geometry do.
+        the same spacing, margin and geometry do, and hold all that one of them reacts with.
 
     Raises
     ------
     SceneError
         If the scene has no fields, a name is not one of its fields, the frame does not hold it,
-        or fields live on different grids.
+        fields live on different grids, or one is left out that others react with.
     """
     names = _chosen(scene, frame, fields)
     layouts = {name: restored(frame.fields[name]) for name in names}
     _refuse_several({name: layout for name, (layout, _) in layouts.items()})
+    reactions = _reactions(scene, names)
     layout = layouts[names[0]][0]
     grid, cells = _grid(layout), frame.cells
     demands = _Demands(scene, frame, names)
     substances = {name: _substance(scene, frame, name, layout, demands) for name in names}
     equation = FieldEquation(
         grid, substances, cells.position, layout=layout,
-        coupling=demands if demands.coupled else None,
+        coupling=demands if demands.coupled else None, reactions=reactions,
+        tissue=tissue_share(layout, cells.position, cells.radius) if reactions else None,
     )  # fmt: skip
     values = {name: values for name, (_, values) in layouts.items()}
     return FieldProblem(equation, equation.state(values), frame.time)
@@ -103,6 +113,20 @@ def _chosen(scene: Scene, frame: Frame, fields: Iterable[str] | None) -> list[st
         if name not in frame.fields or name not in frame.concentrations:
             raise SceneError("frame", f"holds no field {name!r}", "Is it one of another scene?")
     return [name for name in scene.nutrients if name in wanted]
+
+
+def _reactions(scene: Scene, names: list[str]) -> dict[str, Reaction]:
+    """Return the reactions between these fields."""
+    found = {}
+    for name, reaction in scene.reactions.items():
+        there = [field for field in reaction.fields if field in names]
+        missing = [field for field in reaction.fields if field not in names]
+        if there and missing:
+            problem = f"hold {there[0]} but not {missing[0]}, with which it reacts ('{name}')"
+            raise SceneError("fields", problem, "Ask for both.")
+        if there:
+            found[name] = reaction
+    return found
 
 
 def _refuse_several(layouts: Mapping[str, Layout]) -> None:
@@ -174,7 +198,9 @@ class _Demands:
 
     def __init__(self, scene: Scene, frame: Frame, names: list[str]) -> None:
         self.cells: Cells = frame.cells
-        self.order = [name for name in solving_order(scene.nutrients) if name in names]
+        self.order = [
+            name for name in solving_order(scene.nutrients, scene.reactions) if name in names
+        ]
         self._feeding = Feeding(scene)
         self._found = {name: frame.concentrations[name] for name in frame.concentrations}
         self._taken: dict[str, FloatArray] = {}
@@ -186,7 +212,7 @@ class _Demands:
     def _take_up(self, scene: Scene, frame: Frame) -> None:
         """Find what each cell takes up of the frame's fields from which others are secreted."""
         sources = {x for n in scene.nutrients.values() for x in (n.secretion_from or ())}
-        for name in solving_order(scene.nutrients):
+        for name in solving_order(scene.nutrients, scene.reactions):
             if name not in sources:
                 continue
             if name not in frame.fields:

@@ -45,7 +45,9 @@ def _check_fields(scene: Scene, path: str, reaction: Reaction) -> None:
         for field in getattr(reaction, key) or ():
             if field not in scene.nutrients:
                 problem = "is not a field of this scene"
-                raise SceneError(f"{path}.{key}.{field}", problem, near_miss(field, scene.nutrients))
+                raise SceneError(
+                    f"{path}.{key}.{field}", problem, near_miss(field, scene.nutrients)
+                )
 
 
 def _check_grid(scene: Scene, group: list[str]) -> None:

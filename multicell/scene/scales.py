@@ -142,8 +142,8 @@ def regime(scene: Scene, name: str) -> str:
     """Return ``"steady"`` or ``"transient"``, whichever a field is solved as.
 
     ``auto`` takes the steady state where diffusion settles within a coupling step (ten minutes
-    where the run chooses its steps), and where there is a steady state at all. Fields that take part
-    in reactions it takes as transient, however fast they diffuse: reactions may be slow.
+    where the run chooses its steps), and where there is a steady state at all. Fields that take
+    part in reactions it takes as transient, however fast they diffuse: reactions may be slow.
     """
     nutrient = scene.nutrients[name]
     group = _reacting(scene, name)

@@ -393,8 +393,8 @@ def tables(
     frozen_default=True,
     kw_only_default=True,
     field_specifiers=(
-        quantity, quantity_or_name, rate_constant, number, count, choice, text, flag, names, interval, course,
-        schedule, responses, quantities, table, variant, tables,
+        quantity, quantity_or_name, rate_constant, number, count, choice, text, flag, names,
+        interval, course, schedule, responses, quantities, table, variant, tables,
     ),
 )  # fmt: skip
 def parameters(cls: type[T]) -> type[T]:
