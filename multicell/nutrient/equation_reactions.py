@@ -12,7 +12,7 @@ from multicell.errors import SceneError
 from multicell.nutrient.coupled import Coupled, settle
 from multicell.nutrient.coupled_inverse import inverse_of_blocks
 from multicell.nutrient.equation_term import Term
-from multicell.nutrient.kinetics import growth_rate, kinetics_of
+from multicell.nutrient.kinetics import FixedForms, growth_rate, kinetics_of
 from multicell.nutrient.steady import SolveReport
 from multicell.scene.nutrient import MOST
 
@@ -45,7 +45,7 @@ class Reactions:
         self.terms = terms
         self.shape = terms[0].shape
         self.kinetics = kinetics_of([term.name for term in terms], reactions)
-        if self.kinetics.needs_tissue and tissue is None:
+        if isinstance(self.kinetics, FixedForms) and self.kinetics.needs_tissue and tissue is None:
             hint = "Give the part of each node that is tissue, 0 to 1."
             raise SceneError("tissue", "is missing: a reaction depends on it", hint)
         self.tissue = None

@@ -9,7 +9,7 @@ reaction would have taken too much comes back.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Protocol, TypeVar, cast, final
+from typing import Any, Protocol, TypeVar, cast, final, runtime_checkable
 
 import numpy as np
 from numba import njit
@@ -18,6 +18,7 @@ from multicell.cells import FloatArray
 from multicell.errors import SceneError
 from multicell.scene.reactions import Reaction
 from multicell.schema import build, near_miss
+from multicell.units import shown
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 _jit = cast(Callable[[_F], _F], njit(cache=True, error_model="numpy"))
@@ -74,16 +75,59 @@ def kinetics_of(names: Sequence[str], reactions: Mapping[str, Any]) -> Kinetics:
         For a field that is not one of these, and for what is no reaction.
     """
     fixed: dict[str, Reaction] = {}
+    own: list[Own] = []
     for name, given in reactions.items():
         path = f"reactions.{name}"
-        reaction = given if isinstance(given, Reaction) else build(Reaction, given, path)
+        reaction: Any = given
+        if isinstance(given, Mapping):
+            reaction = build(Reaction, given, path)
+        if not isinstance(reaction, Reaction | Own):
+            problem = f"is {shown(given)}, must be a reaction"
+            raise SceneError(path, problem, "A function becomes one by multicell.reaction.")
         for field in reaction.fields:
             if field not in names:
                 raise SceneError(
                     f"{path}.{field}", "is not one of the fields", near_miss(field, names)
                 )
-        fixed[name] = reaction
-    return FixedForms(names, fixed)
+        if isinstance(reaction, Reaction):
+            fixed[name] = reaction
+        else:
+            own.append(reaction)
+    forms = FixedForms(names, fixed)
+    return Together(forms, own) if own else forms
+
+
+@runtime_checkable
+class Own(Protocol):
+    """A reaction between some of the fields (:class:`multicell.nutrient.own_reaction`)."""
+
+    fields: tuple[str, ...]
+
+    def evaluate(
+        self, c: FloatArray, tissue: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return rates and their derivative for its own fields."""
+
+
+@final
+class Together:
+    """Reactions of fixed forms and others, added up."""
+
+    def __init__(self, forms: FixedForms, own: Sequence[Own]) -> None:
+        self.names, self._forms = forms.names, forms
+        self._own = [(each, [self.names.index(name) for name in each.fields]) for each in own]
+        self.needs_tissue = True
+
+    def evaluate(
+        self, c: FloatArray, tissue: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return rates and their derivative; see :class:`Kinetics`."""
+        out, slope = self._forms.evaluate(c, tissue)
+        for each, rows in self._own:
+            rates, derivative = each.evaluate(np.asarray(c)[rows], tissue)
+            out[rows] += rates
+            slope[np.ix_(rows, rows)] += derivative
+        return out, slope
 
 
 @final
