@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from multicell.cells import Cells, FloatArray, Phase, State
-from multicell.errors import NutrientFailed
+from multicell.errors import NutrientFailed, SceneError
 from multicell.nutrient.balance import Ledger
 from multicell.nutrient.cartesian import departure
 from multicell.nutrient.field import FieldReport, NutrientField
@@ -38,6 +38,8 @@ class Feeding:
     ----------
     scene
         With at least one nutrient.
+    reactions
+        Between its fields, of the user's own (:func:`multicell.reaction`).
 
     Attributes
     ----------
@@ -51,15 +53,18 @@ class Feeding:
         and they changed on the way: half of the difference is wrong, to leading order.
     """
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, reactions: Mapping[str, Any] | None = None) -> None:
+        known: dict[str, Any] = {**scene.reactions, **(reactions or {})}
         self._nutrients = scene.nutrients
         self._factors = {
             (what, name): factors(scene, what, name)
             for name in scene.nutrients
             for what in ("uptake", "secretion")
         }
-        self._order = solving_order(scene.nutrients, scene.reactions)
+        self._order = solving_order(scene.nutrients, known)
         parameters = {name: FieldParameters.of(scene, name) for name in self._order}
+        if reactions:
+            parameters |= _with_own(scene, parameters, reactions)
         self._parameters = parameters
         # a steady field in a finite medium goes on with what that holds: it is marched
         self._steady = [
@@ -67,7 +72,7 @@ class Feeding:
             if parameters[name].regime == "steady" and scene.nutrients[name].finite_medium is None
         ]  # fmt: skip
         self.fields = {name: NutrientField(name, parameters[name]) for name in scene.nutrients}
-        self._groups = _groups(scene, self.fields)
+        self._groups = _groups(self.fields, known) if known else {}
         self.ledger = {name: Ledger() for name in scene.nutrients}
         self.concentrations: dict[str, FloatArray] = {}
         self.reports: dict[str, FieldReport] = {}
@@ -117,7 +122,8 @@ class Feeding:
             for name in group.names:
                 self.fields[name].fill(cells.position, radius=cells.radius, time=time)
         for name in group.names:
-            self.ledger[name].add(0.0, 0.0, content=self.fields[name].stored())
+            content = self.fields[name].stored()
+            self.ledger[name].add(0.0, 0.0, content=content, made=0.0, used=0.0)
             self._sample(name, cells, demand[name][0])
 
     def _rests_first(self, name: str) -> bool:
@@ -253,6 +259,9 @@ class Feeding:
         assert frame.progress is not None
         for name, field in self.fields.items():
             self.ledger[name] = ledger = Ledger(**frame.progress.ledger[name])
+            if (ledger.made is None) == (name in self._groups):
+                problem = f"of the run that this frame is from are not the same for {name}"
+                raise SceneError("reactions", problem, "Give those that it was started with.")
             field.restore(frame.fields[name], frame.time)
             if ledger.held is not None:
                 field.pour()
@@ -439,18 +448,34 @@ class Feeding:
         return capacity, production
 
 
-def _groups(scene: Scene, fields: Mapping[str, NutrientField]) -> dict[str, Reacting]:
+def _with_own(
+    scene: Scene, parameters: Mapping[str, FieldParameters], reactions: Mapping[str, Any]
+) -> dict[str, FieldParameters]:
+    """Return the parameters of fields that reactions of the user's own join."""
+    from multicell.scene.reaction_checks import check_own
+    from multicell.scene.reactions import groups
+
+    check_own(scene, reactions)
+    found: dict[str, FieldParameters] = {}
+    for names in groups(scene.nutrients, {**scene.reactions, **reactions}):
+        given = [scene.nutrients[name].regime for name in names]
+        regime = next((x for x in given if x != "auto"), "transient")
+        found |= {name: replace(parameters[name], regime=regime) for name in names}
+    return found
+
+
+def _groups(
+    fields: Mapping[str, NutrientField], reactions: Mapping[str, Any]
+) -> dict[str, Reacting]:
     """Return for each field that takes part in reactions those that are solved for together."""
-    if not scene.reactions:
-        return {}
-    from multicell.nutrient.kinetics import FixedForms
+    from multicell.nutrient.kinetics import kinetics_of
     from multicell.nutrient.reacting import Reacting
     from multicell.scene.reactions import groups
 
     found: dict[str, Reacting] = {}
-    for names in groups(scene.nutrients, scene.reactions):
-        own = {n: r for n, r in scene.reactions.items() if r.fields[0] in names}
-        group = Reacting({name: fields[name] for name in names}, FixedForms(names, own))
+    for names in groups(fields, reactions):
+        own = {n: r for n, r in reactions.items() if r.fields[0] in names}
+        group = Reacting({name: fields[name] for name in names}, kinetics_of(names, own))
         found |= dict.fromkeys(names, group)
     return found
 

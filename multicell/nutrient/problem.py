@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
     from multicell.results.frame import Frame
     from multicell.scene.nutrient import Nutrient
-    from multicell.scene.reactions import Reaction
     from multicell.scene.scene import Scene
 
 
@@ -60,7 +59,13 @@ class FieldProblem:
     time: float
 
 
-def field_problem(scene: Scene, frame: Frame, fields: Iterable[str] | None = None) -> FieldProblem:
+def field_problem(
+    scene: Scene,
+    frame: Frame,
+    fields: Iterable[str] | None = None,
+    *,
+    reactions: Mapping[str, Any] | None = None,
+) -> FieldProblem:
     """Return the equation and the state of the fields of a frame.
 
     Uptake and secretion are those of the frame's cells. Where they depend on other fields they
@@ -75,6 +80,8 @@ def field_problem(scene: Scene, frame: Frame, fields: Iterable[str] | None = Non
     fields
         Names of the fields that are wanted; absent: all. They must share a grid, as fields with
         the same spacing, margin and geometry do, and hold all that one of them reacts with.
+    reactions
+        Of the user's own that the run was started with.
 
     Raises
     ------
@@ -85,15 +92,15 @@ def field_problem(scene: Scene, frame: Frame, fields: Iterable[str] | None = Non
     names = _chosen(scene, frame, fields)
     layouts = {name: restored(frame.fields[name]) for name in names}
     _refuse_several({name: layout for name, (layout, _) in layouts.items()})
-    reactions = _reactions(scene, names)
+    known = _reactions({**scene.reactions, **(reactions or {})}, names)
     layout = layouts[names[0]][0]
     grid, cells = _grid(layout), frame.cells
     demands = _Demands(scene, frame, names)
     substances = {name: _substance(scene, frame, name, layout, demands) for name in names}
     equation = FieldEquation(
         grid, substances, cells.position, layout=layout,
-        coupling=demands if demands.coupled else None, reactions=reactions,
-        tissue=tissue_share(layout, cells.position, cells.radius) if reactions else None,
+        coupling=demands if demands.coupled else None, reactions=known,
+        tissue=tissue_share(layout, cells.position, cells.radius) if known else None,
     )  # fmt: skip
     values = {name: values for name, (_, values) in layouts.items()}
     return FieldProblem(equation, equation.state(values), frame.time)
@@ -115,10 +122,10 @@ def _chosen(scene: Scene, frame: Frame, fields: Iterable[str] | None) -> list[st
     return [name for name in scene.nutrients if name in wanted]
 
 
-def _reactions(scene: Scene, names: list[str]) -> dict[str, Reaction]:
+def _reactions(reactions: Mapping[str, Any], names: list[str]) -> dict[str, Any]:
     """Return the reactions between these fields."""
     found = {}
-    for name, reaction in scene.reactions.items():
+    for name, reaction in reactions.items():
         there = [field for field in reaction.fields if field in names]
         missing = [field for field in reaction.fields if field not in names]
         if there and missing:

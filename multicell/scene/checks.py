@@ -16,7 +16,7 @@ from multicell.schema import near_miss
 if TYPE_CHECKING:
     from multicell.scene.nutrient import Nutrient
     from multicell.scene.parts import CellType
-    from multicell.scene.reactions import Reaction
+    from multicell.scene.reactions import Joining
     from multicell.scene.scene import Scene
 
 
@@ -280,7 +280,7 @@ def _check_in_domain(scene: Scene, name: str) -> None:
 
 
 def solving_order(
-    nutrients: Mapping[str, Nutrient], reactions: Mapping[str, Reaction] | None = None
+    nutrients: Mapping[str, Nutrient], reactions: Mapping[str, Joining] | None = None
 ) -> list[str]:
     """Return the names of the fields so that each comes after those that it depends on.
 
@@ -308,9 +308,7 @@ def solving_order(
         raise SceneError(f"nutrients.{circle[0]}", problem, hint) from None
 
 
-def _order_of_groups(
-    needs: Mapping[str, list[str]], reactions: Mapping[str, Reaction]
-) -> list[str]:
+def _order_of_groups(needs: Mapping[str, list[str]], reactions: Mapping[str, Joining]) -> list[str]:
     """Return the order of fields of which those that react with each other are taken as one."""
     from graphlib import TopologicalSorter
 

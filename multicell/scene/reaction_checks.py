@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -38,6 +39,22 @@ def check_reactions(scene: Scene) -> None:
         _check_dependences(scene, group)
     if scene.reactions:
         refuse_growth(scene)
+
+
+def check_own(scene: Scene, reactions: Mapping[str, Any]) -> None:
+    """Raise ``SceneError`` for reactions of the user's own that do not fit the scene's fields."""
+    for name, reaction in reactions.items():
+        path = f"reactions.{name}"
+        if name in scene.reactions:
+            raise SceneError(path, "is a reaction of the scene already", "Give it another name.")
+        for field in reaction.fields:
+            if field not in scene.nutrients:
+                problem = f"depends on {field}, which is not a field of this scene"
+                raise SceneError(path, problem, near_miss(field, scene.nutrients))
+    for group in groups(scene.nutrients, {**scene.reactions, **reactions}):
+        _check_grid(scene, group)
+        _check_regime(scene, group)
+        _check_dependences(scene, group)
 
 
 def _check_fields(scene: Scene, path: str, reaction: Reaction) -> None:

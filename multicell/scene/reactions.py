@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from typing import Any, final
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Protocol, final
 
 from multicell.errors import SceneError
 from multicell.scene.nutrient import MOST
@@ -142,7 +142,15 @@ class Reaction:
         return list(dict.fromkeys(name for table in named for name in table))
 
 
-def groups(names: Iterable[str], reactions: Mapping[str, Reaction]) -> list[list[str]]:
+class Joining(Protocol):
+    """What joins fields: a reaction of a scene, or one of the user's own."""
+
+    @property
+    def fields(self) -> Sequence[str]:
+        """Names of the fields that it changes or depends on."""
+
+
+def groups(names: Iterable[str], reactions: Mapping[str, Joining]) -> list[list[str]]:
     """Return the fields that react with each other, directly or over others, in their order."""
     order = list(names)
     found: list[set[str]] = []
@@ -154,7 +162,7 @@ def groups(names: Iterable[str], reactions: Mapping[str, Reaction]) -> list[list
     return sorted(lists, key=lambda group: order.index(group[0]))
 
 
-def group_of(name: str, reactions: Mapping[str, Reaction]) -> list[str]:
+def group_of(name: str, reactions: Mapping[str, Joining]) -> list[str]:
     """Return the fields that react with a field, itself included; none if it takes no part."""
     known = dict.fromkeys(field for x in reactions.values() for field in x.fields)
     for group in groups(known, reactions):

@@ -119,8 +119,7 @@ def other_arguments(c, cell):
 
 
 def not_numbers(concentrations, cell):
-    table = {"a": 1, 2: "b"}
-    return -concentrations[0] * len(table), 0.0
+    return -concentrations[0] * globals()["HALF"], 0.0
 
 
 def fine(concentrations, cell):
@@ -171,3 +170,56 @@ def test_compiled_code_is_found_again_in_another_process(tmp_path):
         )  # fmt: skip
         told.append(done.stdout.split())
     assert told == [["0", "-0.25"], ["1", "-0.25"], ["0", "-0.5"]]
+
+
+# --- in runs --------------------------------------------------------------------------------------
+
+WALLS = {"*": {"type": "derivative", "derivative": 0.0}}
+
+
+def scene(**changes):
+    fields = {
+        name: {"uptake": 0.0, "boundary": level, "sides": WALLS, "spacing": 20.0}
+        for name, level in (("a", 0.1), ("b", 0.05), ("c", 0.0))
+    }
+    box = {axis: [-50, 50] for axis in "xyz"}
+    entries = {"duration": 1200.0, "initial": {"count": 4}, "nutrients": fields, "domain": box}
+    return mc.Scene.from_dict({**entries, **changes})
+
+
+def test_a_run_with_an_own_reaction_is_that_with_the_same_of_fixed_form(tmp_path):
+    fixed = {"x": {"rate": 1.0, "consumes": {"a": 1, "b": 1}}}
+    theirs = mc.run(scene(reactions=fixed)).frames[-1]
+    ours = mc.run(scene(), reactions={"x": binding}, output=tmp_path / "run", report=False)
+    for name in "abc":
+        np.testing.assert_allclose(
+            ours.frames[-1].fields[name].values, theirs.fields[name].values, rtol=1e-9
+        )
+    ledger = ours.summary()["ledger"]
+    assert ledger["relative_remainder"] <= 1e-8
+    assert ledger["a"]["used"] == pytest.approx(ledger["b"]["used"], rel=1e-8)
+    problem = mc.field_problem(scene(), ours.frames[-1], reactions={"x": binding})
+    made = problem.equation.balance(problem.state, problem.time)["a"]["made"]
+    assert made < 0.0
+    with pytest.raises(SceneError, match=r"reactions: of the run .* are not the same for a"):
+        mc.resume(tmp_path / "run", frame=0, output=tmp_path / "again", report=False)
+    again = mc.resume(
+        tmp_path / "run", frame=0, output=tmp_path / "again", report=False,
+        reactions={"x": binding},
+    )  # fmt: skip
+    assert np.array_equal(
+        again.frames[-1].fields["a"].values, ours.frames[-1].fields["a"].values
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("changes", "reactions", "words"),
+    [
+        ({}, {"x": predation}, "depends on v, which is not a field"),
+        ({"nutrients.b.spacing": 10.0}, {"x": binding}, "share one grid"),
+        ({"nutrients": None, "domain": None}, {"x": binding}, "has no fields"),
+    ],
+)
+def test_own_reactions_that_do_not_fit_a_scene_are_refused(changes, reactions, words):
+    with pytest.raises(SceneError, match=words):
+        mc.Simulation(scene().with_changes(changes), reactions=reactions)
