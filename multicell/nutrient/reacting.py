@@ -21,7 +21,7 @@ from multicell.nutrient.coupled import Coupled, settle
 from multicell.nutrient.field import GONE, FieldReport, NutrientField, checked
 from multicell.nutrient.grid import tissue_share
 from multicell.nutrient.kinetics import growth_rate
-from multicell.nutrient.transient import March, TransientReport, controlled
+from multicell.nutrient.transient import March, StepRefused, TransientReport, controlled
 from multicell.scene.nutrient import MOST
 
 if TYPE_CHECKING:
@@ -174,7 +174,10 @@ class _Course:
         if field._layout == self.layout:
             return field._values
         carry = self.layout.guess if steady else self.layout.carried
-        return np.maximum(carry(field._values, field._layout, level), 0.0)
+        carried = carry(field._values, field._layout, level)
+        # on shells they are differences of contents, which rounding may leave below zero where
+        # there is nothing; what that adds is counted as relaid
+        return np.where(carried < 0.0, 0.0, carried)
 
     def masses(self) -> FloatArray:
         """Return what each field holds at first, (m,) amol."""
@@ -204,9 +207,8 @@ class _Course:
     ) -> FloatArray:
         """Bring the fields from one time to another, between which no medium jumps."""
         nutrients = [f.parameters.nutrient for f in self.fields]
-        floor = _TRACE * max(float(c.max()), *(n.medium(start) for n in nutrients))
-        scale = np.array([max(n.medium(start), GONE * n.highest, floor) for n in nutrients])
         last = float(np.nextafter(stop, -np.inf))
+        scale = self._scale(c, start, stop)
         known: dict[float, Coupled] = {}
         self.now, self.state = start, c
 
@@ -242,6 +244,22 @@ class _Course:
             )  # fmt: skip
         except NutrientFailed as failure:
             raise self._named(failure) from None
+
+    def _scale(self, c: FloatArray, start: float, stop: float) -> FloatArray:
+        """Return what errors of each field are compared with at least, (m,) mM.
+
+        For a field that is only being made, about the most that will be there at the end, by one
+        step through it all: errors relative to what is there would ask for steps as short as the
+        time that has passed since there was nothing.
+        """
+        nutrients = [f.parameters.nutrient for f in self.fields]
+        scale = np.array([max(n.medium(start), GONE * n.highest) for n in nutrients])
+        try:
+            ahead = self.at(start).step(c, c, stop - start).max(axis=1)
+        except StepRefused:
+            ahead = c.max(axis=1)
+        scale = np.maximum(scale, ahead)
+        return np.asarray(np.maximum(scale, _TRACE * scale.max()))
 
     def _named(self, failure: NutrientFailed) -> NutrientFailed:
         """Return a failure with the field that grows without bound, if one does."""
