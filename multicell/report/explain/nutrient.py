@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 
 _GRID_ARRAYS: Final = 12  # arrays of the size of the grid that a solve holds at once
+_BASIS: Final = 21  # and more of each of the fields that are solved for together
 
 
 def nutrient_parts(scene: Scene) -> list[Part]:
@@ -183,7 +184,9 @@ def _numbers(scene: Scene, name: str) -> list[Number]:
         ),
     ]  # fmt: skip
     if nutrient.geometry == "box" or scene.dimensions == 2:
-        memory = 8e-6 * _GRID_ARRAYS * points
+        reacting = len(group_of(name, scene.reactions))
+        arrays = _GRID_ARRAYS + (_BASIS + 3 * reacting if reacting else 0)
+        memory = 8e-6 * arrays * points
         meaning = f"about, at that size: {points:,} points"
         numbers.append(Number(f"{name}: grid memory", memory, "MB", meaning))
     return numbers
