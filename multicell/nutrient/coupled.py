@@ -43,7 +43,7 @@ from multicell.nutrient.uptake import uptake_and_slope
 if TYPE_CHECKING:
     from multicell.nutrient.kinetics import Kinetics
 
-TOLERANCE = 1e-10
+TOLERANCE = 1e-12
 """Bound on the sum of all nodes' imbalances of a field, relative to what happens to it."""
 
 _MAX_NEWTON = 30

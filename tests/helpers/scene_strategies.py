@@ -330,19 +330,20 @@ def fitted(entries):
 def _fit_reactions(scene, fields):
     """Keep reactions between fields that there are, and give these one grid and no circles."""
     kept = {}
-    for name, reaction in scene.get("reactions", {}).items():
+    for name, reaction in scene.get("reactions", {}).items() if fields else ():
         for key in ("consumes", "produces", "activated_by", "inhibited_by"):
-            reaction[key] = {n: x for n, x in reaction.get(key, {}).items() if n in fields}
+            entries = reaction.get(key, {}).items()
+            reaction[key] = {n if n in fields else next(iter(fields)): x for n, x in entries}
         # of whole numbers, and no more made than used: nothing grows without bound
         reaction["consumes"] = dict.fromkeys(reaction["consumes"], 1)
         made = list(reaction["produces"])[: max(len(reaction["consumes"]), 1)]
         reaction["produces"] = dict.fromkeys(made, 1)
-        if reaction.get("kind") == "hill":
+        hill = reaction["activated_by"] or reaction["inhibited_by"]
+        reaction["kind"] = "hill" if hill else "mass-action"
+        if hill:
             for field in reaction["consumes"]:
                 reaction["activated_by"].setdefault(field, {"half": 0.05})
-            if not reaction["activated_by"] and not reaction["inhibited_by"]:
-                reaction["kind"] = "mass-action"
-        if reaction.get("kind", "mass-action") == "mass-action":
+        else:
             del reaction["activated_by"], reaction["inhibited_by"]
         if reaction["consumes"].keys() != reaction["produces"].keys():
             kept[name] = reaction
@@ -350,12 +351,14 @@ def _fit_reactions(scene, fields):
     if not kept:
         return
     scene["reactions"] = kept
-    first = next(iter(fields.values()))
-    for field in fields.values():
-        for key in ("uptake_on", "secretion_from", "finite_medium", "geometry", "layer", "regime",
-                    "initial"):  # fmt: skip
+    keys = ("consumes", "produces", "activated_by", "inhibited_by")
+    joined = {name for x in kept.values() for key in keys for name in x.get(key, {})}
+    reacting = [field for name, field in fields.items() if name in joined]
+    first = reacting[0]
+    for field in reacting:
+        for key in ("uptake_on", "secretion_from", "finite_medium", "regime", "initial"):
             field.pop(key, None)
-        for key in ("margin", "roundness_limit", "height", "spacing"):
+        for key in ("margin", "roundness_limit", "height", "spacing", "geometry", "layer"):
             if key in first:
                 field[key] = first[key]
             else:

@@ -193,7 +193,8 @@ def test_a_scene_without_reactions_loads_nothing_of_them(tmp_path):
         "assert loaded == ['multicell.scene.reactions'], loaded\n"
         "assert 'made' not in sim.ledger['oxygen'].summary()\n"
     )
-    subprocess.run([sys.executable, "-c", code], check=True)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
 
 
 # --- growth without bound -------------------------------------------------------------------------
