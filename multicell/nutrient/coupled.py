@@ -49,6 +49,7 @@ TOLERANCE = 1e-12
 _MAX_NEWTON = 30
 _MAX_BACKTRACKS = 8
 _MAX_LIFTS = 8
+_POLISH = 2  # more steps where rounding would let a state pass whose sums are not exact
 _SWEEPS = 1000
 _FORCING = 1e-3
 _LARGEST = 1e12  # mM, beyond anything: where an iterate is lost
@@ -197,19 +198,27 @@ class _Newton:
     def __init__(self, coupled: Coupled, before: FloatArray, dt: float) -> None:
         self.coupled, self.before = coupled, before
         self.rate = 0.0 if math.isinf(dt) else 1.0 / dt
+        self.gained = coupled.supplies + self.rate * before
         self.sources = coupled.sources() + self.rate * before
         quick = [fastest(op) for op in coupled.operators]
         self.quick = np.array(quick) + coupled.linear + self.rate
 
     def solve(self, start: FloatArray) -> FloatArray:
-        c, lifts = np.array(start), 0
+        c, lifts, polished = np.array(start), 0, 0
         self._evaluate(c)
         for _ in range(_MAX_NEWTON):
             if not np.isfinite(self.sizes).all() or not float(np.abs(c).max()) < _LARGEST:
                 break
             if (self.sizes <= self.targets).all():
                 if c.min() >= 0.0:
-                    return c
+                    if polished == _POLISH or (self.sums <= self.exact).all():
+                        return c
+                    trial, polished = c + self._correction(c), polished + 1
+                    self._evaluate(trial)
+                    if not (self.sizes <= self.targets).all():
+                        return c
+                    c = trial
+                    continue
                 if lifts == _MAX_LIFTS:
                     break
                 c, lifts = self._lift(c), lifts + 1
@@ -219,17 +228,22 @@ class _Newton:
         raise StepRefused
 
     def _evaluate(self, c: FloatArray) -> None:
-        """Find the imbalances of a state, their sums, and what these may be, amol/s."""
+        """Find the imbalances of a state, their sums, and what these may be, amol/s.
+
+        ``sizes`` are sums of absolute values, of which rounding is a part, ``sums`` are not.
+        """
         coupled, v = self.coupled, self.coupled.volumes
         rate, self.slopes, made, self.derivative = coupled._balance(c, self.sources)
         self.residual = rate - self.rate * c
         self.sizes = np.sum(np.abs(self.residual) * v, axis=1)
-        # slopes times c: no less than uptake and decay; what sources bring is what these take
-        happening = np.abs(made) + (self.slopes + self.rate) * np.abs(c) + np.abs(self.sources)
+        # what passes a side to and fro is no measure: the net of it may be far less
+        happening = np.abs(made) + (self.slopes + self.rate) * np.abs(c) + self.gained
         gross = np.einsum("ijx,jx->ix", np.abs(self.derivative), np.abs(c))
         rounding = self.quick[:, None] * np.abs(c) + gross + np.abs(self.sources)
         floor = 16.0 * float(np.finfo(float).eps) * np.sum(rounding * v, axis=1)
-        self.targets = np.maximum(TOLERANCE * np.sum(happening * v, axis=1), floor)
+        self.exact = TOLERANCE * np.sum(happening * v, axis=1)
+        self.targets = np.maximum(self.exact, floor)
+        self.sums = np.abs(np.sum(self.residual * v, axis=1))
 
     def _improve(self, c: FloatArray) -> FloatArray:
         """Return a state with smaller imbalances."""

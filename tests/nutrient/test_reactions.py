@@ -107,6 +107,16 @@ def test_growing_tissue_accounts_for_every_molecule(geometry, regime, where):
     assert ledgers["c"].made > 0.0
 
 
+@pytest.mark.parametrize("geometry", ["box", "radial"])
+def test_what_passes_open_sides_to_and_fro_is_no_excuse(geometry):
+    """A slow loss of what diffuses fast: the net inflow is far less than the exchange."""
+    fields = {"a": {"uptake": 0.0, "boundary": 0.01, "geometry": geometry}}
+    slow = {"x": {"rate": "1e-6 1/s", "consumes": {"a": 1}}}
+    ledger = ran(scene(fields, slow, coupling_step=60.0, duration=1200.0)).ledger["a"]
+    assert ledger.used == pytest.approx(1e-6 * 1200.0 * ledger.content, rel=1e-2)
+    assert ledger.relative_remainder <= 1e-10
+
+
 def test_what_is_used_up_falls_to_zero_and_not_below():
     """Fast annihilation of two fields that meet in a front: each all but vanishes on one side."""
     sides = {name: {"type": "value", "value": 0.1} for name in ("x-", "x+")}
