@@ -64,7 +64,9 @@ class Feeding:
         self._order = solving_order(scene.nutrients, known)
         parameters = {name: FieldParameters.of(scene, name) for name in self._order}
         if reactions:
-            parameters |= _with_own(scene, parameters, reactions)
+            from multicell.nutrient.groups import joined
+
+            parameters |= joined(scene, parameters, reactions)
         self._parameters = parameters
         # a steady field in a finite medium goes on with what that holds: it is marched
         self._steady = [
@@ -72,7 +74,11 @@ class Feeding:
             if parameters[name].regime == "steady" and scene.nutrients[name].finite_medium is None
         ]  # fmt: skip
         self.fields = {name: NutrientField(name, parameters[name]) for name in scene.nutrients}
-        self._groups = _groups(self.fields, known) if known else {}
+        self._groups: dict[str, Reacting] = {}
+        if known:
+            from multicell.nutrient.groups import together
+
+            self._groups = together(self.fields, known)
         self.ledger = {name: Ledger() for name in scene.nutrients}
         self.concentrations: dict[str, FloatArray] = {}
         self.reports: dict[str, FieldReport] = {}
@@ -88,14 +94,12 @@ class Feeding:
         ------
         NutrientFailed
         """
-        done: set[str] = set()
         for name in self._order:
-            if name in self._groups:
-                if name not in done:
-                    self._begin_group(self._groups[name], cells, time)
-                    done |= {*self._groups[name].names}
-                continue
-            self._begin_one(name, cells, time)
+            group = self._groups.get(name)
+            if group is None:
+                self._begin_one(name, cells, time)
+            elif name == group.names[0]:
+                self._begin_group(group, cells, time)
 
     def _begin_one(self, name: str, cells: Cells, time: float) -> None:
         """Solve for a field at the start of a run."""
@@ -146,13 +150,12 @@ class Feeding:
         demand = {}
         if before is not None:
             demand = {name: float(self._capacity(name, before).sum()) for name in self._transient}
-        done: set[str] = set()
         for name in self._order:
-            if name not in self._groups:
+            group = self._groups.get(name)
+            if group is None:
                 self._advance_one(name, cells, begin, end, demand.get(name))
-            elif name not in done:
-                self._advance_group(self._groups[name], cells, begin, end, demand)
-                done |= {*self._groups[name].names}
+            elif name == group.names[0]:
+                self._advance_group(group, cells, begin, end, demand)
 
     def _advance_one(
         self, name: str, cells: Cells, begin: float, end: float, began: float | None
@@ -308,14 +311,12 @@ class Feeding:
                     name, field.layout, parameters.nutrient.layer, cells, fields, notes
                 )
             capacity, production = self._demand(name, cells)
-            error = None
+            about = field, parameters, cells, capacity, production, time
             try:
-                if name not in self._groups:
-                    error = discretisation_error(
-                        field, parameters, cells, capacity, production, time
-                    )
+                error = None if name in self._groups else discretisation_error(*about)
             except NutrientFailed as trouble:
                 notes.append(f"The error that the grid of {name} makes is not known: {trouble}")
+                error = None
             if error is not None:
                 fields[name]["discretisation_error"] = error
             if not shells:
@@ -446,38 +447,6 @@ class Feeding:
         for other, share in (nutrient.secretion_from or {}).items():
             production = production + share * self._uptake[other]
         return capacity, production
-
-
-def _with_own(
-    scene: Scene, parameters: Mapping[str, FieldParameters], reactions: Mapping[str, Any]
-) -> dict[str, FieldParameters]:
-    """Return the parameters of fields that reactions of the user's own join."""
-    from multicell.scene.reaction_checks import check_own
-    from multicell.scene.reactions import groups
-
-    check_own(scene, reactions)
-    found: dict[str, FieldParameters] = {}
-    for names in groups(scene.nutrients, {**scene.reactions, **reactions}):
-        given = [scene.nutrients[name].regime for name in names]
-        regime = next((x for x in given if x != "auto"), "transient")
-        found |= {name: replace(parameters[name], regime=regime) for name in names}
-    return found
-
-
-def _groups(
-    fields: Mapping[str, NutrientField], reactions: Mapping[str, Any]
-) -> dict[str, Reacting]:
-    """Return for each field that takes part in reactions those that are solved for together."""
-    from multicell.nutrient.kinetics import kinetics_of
-    from multicell.nutrient.reacting import Reacting
-    from multicell.scene.reactions import groups
-
-    found: dict[str, Reacting] = {}
-    for names in groups(fields, reactions):
-        own = {n: r for n, r in reactions.items() if r.fields[0] in names}
-        group = Reacting({name: fields[name] for name in names}, kinetics_of(names, own))
-        found |= dict.fromkeys(names, group)
-    return found
 
 
 def factors(
