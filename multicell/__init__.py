@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from multicell.nutrient.equation import FieldEquation
     from multicell.nutrient.equation_term import Substance
     from multicell.nutrient.implicit_solver import ImplicitFieldSolver
+    from multicell.nutrient.own_reaction import OwnReaction, reaction
     from multicell.nutrient.problem import FieldProblem, field_problem
     from multicell.nutrient.schedule import Schedule
     from multicell.nutrient.steady_solver import SteadyFieldSolver
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from multicell.report.export import export
     from multicell.report.result import Result, load_result
     from multicell.runner import resume, run
+    from multicell.scene.reactions import Reaction
     from multicell.scene.scene import Scene, load_scene, scene_names
     from multicell.simulation import Simulation
 
@@ -55,6 +57,8 @@ __all__ = [
     "OdeProblem",
     "Outcome",
     "OutputError",
+    "OwnReaction",
+    "Reaction",
     "Result",
     "Scene",
     "SceneError",
@@ -76,6 +80,7 @@ __all__ = [
     "load_scene",
     "ode_problem",
     "pair_law",
+    "reaction",
     "resume",
     "run",
     "scene_names",
@@ -92,6 +97,9 @@ _LAZY = {
     "FieldProblem": "multicell.nutrient.problem",
     "field_problem": "multicell.nutrient.problem",
     "ImplicitFieldSolver": "multicell.nutrient.implicit_solver",
+    "OwnReaction": "multicell.nutrient.own_reaction",
+    "Reaction": "multicell.scene.reactions",
+    "reaction": "multicell.nutrient.own_reaction",
     "Schedule": "multicell.nutrient.schedule",
     "SteadyFieldSolver": "multicell.nutrient.steady_solver",
     "Substance": "multicell.nutrient.equation_term",

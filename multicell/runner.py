@@ -34,6 +34,7 @@ from multicell.threads import thread_count
 
 if TYPE_CHECKING:
     from multicell.integrators.base import Integrator
+    from multicell.nutrient.own_reaction import OwnReaction
     from multicell.results.lineage import Lineage
     from multicell.results.reader import Contents
     from multicell.results.writer import Store
@@ -49,6 +50,7 @@ def run(
     threads: int | None = None,
     progress: Callable[[Simulation], None] | None = None,
     report: bool = True,
+    reactions: Mapping[str, OwnReaction] | None = None,
 ) -> Result:
     """Run a scene from its start to its end.
 
@@ -70,6 +72,9 @@ def run(
         Called after every coupling step.
     report
         Whether to write pictures and ``report.html``; only with a folder.
+    reactions
+        Name -> reaction of the user's own between fields (:func:`multicell.reaction`), besides
+        those of the scene. The folder does not hold them: to resume the run needs them again.
 
     Returns
     -------
@@ -99,7 +104,7 @@ def run(
         stack.enter_context(under_way())
         interrupt = stack.enter_context(between_steps())
         stack.callback(recorder.close)
-        simulation = Simulation(scene, threads=threads, integrator=own)
+        simulation = Simulation(scene, threads=threads, integrator=own, reactions=reactions)
         recorder.startup = clock.perf_counter() - begin
         recorder.record(simulation)
         go_on(simulation, recorder, interrupt, progress)
@@ -301,6 +306,7 @@ def resume(
     threads: int | None = None,
     progress: Callable[[Simulation], None] | None = None,
     report: bool = True,
+    reactions: Mapping[str, OwnReaction] | None = None,
 ) -> Result:
     """Go on with a run from a frame; without changes it becomes what it would have been.
 
@@ -325,6 +331,8 @@ def resume(
         Whether an earlier run in ``output`` may be replaced.
     threads, progress, report
         As for :func:`multicell.run`.
+    reactions
+        As for :func:`multicell.run`: those that the run was started with.
 
     Returns
     -------
@@ -355,7 +363,7 @@ def resume(
         _check_damage(contents, frame, here)
         scene, own = integrated_by(_changed(recorded_scene(contents), changes or {}), integrator)
         threads = thread_count(threads)
-        simulation = _simulation(scene, contents, place, threads, own)
+        simulation = _simulation(scene, contents, place, threads, own, reactions)
         rows = _rows(contents, simulation.step_index)
         interrupt = stack.enter_context(between_steps())
         if here:
@@ -392,7 +400,12 @@ def _check_damage(contents: Contents, frame: int, here: bool) -> None:
 
 
 def _simulation(
-    scene: Scene, contents: Contents, place: int, threads: int, own: Integrator | None
+    scene: Scene,
+    contents: Contents,
+    place: int,
+    threads: int,
+    own: Integrator | None,
+    reactions: Mapping[str, OwnReaction] | None,
 ) -> Simulation:
     """Return the simulation at a frame, or say why it cannot go on."""
     folder, start = contents.folder, contents.frame(place)
@@ -404,7 +417,9 @@ def _simulation(
     if problem:
         raise OutputError(f"no run can go on from the frame at {start.time:g} s: {problem}")
     lineage = contents.lineage(place)
-    simulation = Simulation(scene, threads=threads, frame=start, lineage=lineage, integrator=own)
+    simulation = Simulation(
+        scene, threads=threads, frame=start, lineage=lineage, integrator=own, reactions=reactions
+    )
     if simulation.finished and _complete(contents):
         raise OutputError(
             f"the run in '{folder}' ends with the frame at {start.time:g} s. "

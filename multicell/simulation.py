@@ -25,7 +25,7 @@ from multicell.biology.pace import Pace, end_of_step, first_pace, next_pace
 from multicell.biology.splitting import StepError, columns, held, jumps, step_error
 from multicell.biology.step import aged, bind, decide, divide_and_remove, grow
 from multicell.cells import Cells, FloatArray
-from multicell.errors import NutrientFailed, StepFailed
+from multicell.errors import NutrientFailed, SceneError, StepFailed
 from multicell.integrators import registry
 from multicell.mechanics import neighbours
 from multicell.mechanics.motion import Motion
@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from multicell.biology.splitting import Held
     from multicell.integrators.base import Integrator
     from multicell.nutrient.fields import Feeding
+    from multicell.nutrient.own_reaction import OwnReaction
     from multicell.scene.scene import Scene
 
 
@@ -83,6 +84,8 @@ class Simulation:
         Of the run that the frame is from.
     integrator
         A method of the user's own, in place of the one that the scene names.
+    reactions
+        Between fields, of the user's own (:func:`multicell.reaction`), besides those of the scene.
 
     Attributes
     ----------
@@ -111,7 +114,8 @@ class Simulation:
     Raises
     ------
     SceneError
-        If there are not as many threads, or a cell starts outside the scene's domain.
+        If there are not as many threads, a cell starts outside the scene's domain, or reactions do
+        not fit the fields, or are not those that the run of ``frame`` was started with.
     """
 
     def __init__(
@@ -123,6 +127,7 @@ class Simulation:
         frame: Frame | None = None,
         lineage: Lineage | None = None,
         integrator: Integrator | None = None,
+        reactions: Mapping[str, OwnReaction] | None = None,
     ) -> None:
         if cells is None and frame is None:
             check_memory(scene)
@@ -140,7 +145,7 @@ class Simulation:
         self.contacts = np.empty((0, 2), dtype=np.int64)
         self.separation: Mapping[str, float] | None = None
         self._integrator = integrator or registry.make(scene.integrator)
-        self._feeding = _feeding(scene)
+        self._feeding = _feeding(scene, reactions)
         self.lineage = Lineage() if lineage is None else lineage
         if frame is None:
             self._start(start.separated(scene, initial_cells(scene) if cells is None else cells))
@@ -195,7 +200,7 @@ class Simulation:
         return Progress(
             **{name: getattr(self, name) for name in _NOTED},
             ledger={} if feeding is None else {n: x.kept() for n, x in feeding.ledger.items()},
-            rates={} if feeding is None else {n: asdict(x) for n, x in feeding.reports.items()},
+            rates={} if feeding is None else {n: x.kept() for n, x in feeding.reports.items()},
             work=asdict(self._mechanics.work),
             pace=None if self.pace is None else self.pace._asdict(),
             grids={} if feeding is None else feeding.grids.kept(),
@@ -495,10 +500,12 @@ class Simulation:
             self.lineage.died(np.sort(cells.id[dead]), self.time)
 
 
-def _feeding(scene: Scene) -> Feeding | None:
+def _feeding(scene: Scene, reactions: Mapping[str, OwnReaction] | None) -> Feeding | None:
     """Return the scene's fields; a scene without nutrients does not load them."""
     if not scene.nutrients:
+        if reactions:
+            raise SceneError("reactions", "are given, but the scene has no fields that could react")
         return None
     from multicell.nutrient.fields import Feeding
 
-    return Feeding(scene)
+    return Feeding(scene, reactions)

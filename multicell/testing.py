@@ -7,7 +7,8 @@ on (:class:`multicell.Integrator`). It fits into any test suite:
 >>> def test_mine():
 ...     check_integrator(Midpoint)                                   # doctest: +SKIP
 
-:func:`check_pair_law` does the same for a pair law (:func:`multicell.pair_law`).
+:func:`check_pair_law` does the same for a pair law (:func:`multicell.pair_law`), and
+:func:`check_reaction` for a reaction between fields (:func:`multicell.reaction`).
 """
 
 from __future__ import annotations
@@ -38,6 +39,41 @@ TOLERANCES = (1e-3, 1e-4, 1e-5)
 _WORST = 100.0  # times its tolerance, for the error of the interval
 _ORDER = 0.3  # what a measured order may lack
 _ROUNDING = 1e-11  # µm, below which an error is none
+
+
+def check_reaction(reaction: Any) -> None:
+    """Raise ``AssertionError``, with what is wrong, unless a reaction keeps its promises.
+
+    At points over six decades of concentrations up to its ``upto``, and where one of its fields or
+    all are absent:
+
+    - rates are finite, and so is their derivative, given or found by differences;
+    - no field is consumed where there is none of it;
+    - the derivative, integrated along lines, is the change of the rates;
+    - compiled it has the rates of the Python function.
+
+    Parameters
+    ----------
+    reaction
+        Made by :func:`multicell.reaction`.
+    """
+    from multicell.nutrient.own_reaction import OwnReaction
+    from multicell.nutrient.own_reaction_kernels import Cell
+    from multicell.nutrient.reaction_check import problems
+
+    if not isinstance(reaction, OwnReaction):
+        raise AssertionError(f"{reaction!r} is not made by multicell.reaction")
+    name = getattr(reaction.rate, "__name__", "the reaction")
+    found = problems(reaction)
+    if found:
+        raise AssertionError(f"{name} {' '.join(found)}")
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        c, tissue = reaction.upto * rng.random(len(reaction.fields)), float(rng.random())
+        compiled = reaction.evaluate(c[:, None], np.array([tissue]))[0][:, 0]
+        plain = reaction([float(x) for x in c], Cell(tissue))
+        if not np.allclose(compiled, plain, rtol=1e-9, atol=0.0):
+            raise AssertionError(f"{name}, compiled, has the rates {compiled} at {c}, not {plain}")
 
 
 def check_integrator(method: Any) -> None:

@@ -35,6 +35,10 @@ _UNITS = {
     "amol/s": (1e-12, 1e12, "an amount per time", "20 amol/s"),
     "amol/s/um^2": (1e-15, 1e9, "an amount per time and area", "1e-3 amol/s/um^2"),
     "1/s": (1e-15, 1e6, "a rate", "1e-5 1/s"),
+    "mM/s": (1e-15, 1e12, "a change of concentration", "1e-3 mM/s"),
+    "1/mM/s": (1e-15, 1e12, "a rate constant of second order", "0.1 1/mM/s"),
+    "1/mM^2/s": (1e-15, 1e12, "a rate constant of third order", "1 1/mM^2/s"),
+    "1/mM^3/s": (1e-15, 1e12, "a rate constant of fourth order", "1 1/mM^3/s"),
     "1/um": (1e-9, 1e6, "an inverse length", "0.01 1/um"),
     "": (1e-12, 1e12, "a number", "1"),
 }

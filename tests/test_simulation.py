@@ -259,7 +259,8 @@ def test_public_names():
         "SceneError", "Simulation", "StabilityMap", "State", "StepFailed", "WorkPrecision",
         "compare", "export", "load_result", "load_scene", "resume", "run", "scene_names",
         "stability", "Integrator", "MethodInfo", "OdeProblem", "Outcome", "StateRejected",
-        "ode_problem", "testing", "load_law", "pair_law", "FieldEquation", "FieldProblem",
+        "ode_problem", "testing", "load_law", "pair_law", "OwnReaction",
+        "Reaction", "reaction", "FieldEquation", "FieldProblem",
         "ImplicitFieldSolver", "Schedule", "SteadyFieldSolver", "Substance", "field_problem",
     }  # fmt: skip
     assert all(hasattr(mc, name) for name in mc.__all__)

@@ -49,6 +49,9 @@ class Ledger:
         How many changes of the medium have been done.
     injected : float or None
         By points and planes; None where there are none.
+    made, used : float or None
+        By reactions with other fields, what they make of it and take from it at each place; None
+        where there are none.
     """
 
     inflow: float = 0.0
@@ -67,6 +70,8 @@ class Ledger:
     spoiled: float = 0.0
     changes: float = 0
     injected: float | None = None
+    made: float | None = None
+    used: float | None = None
 
     def kept(self) -> dict[str, float]:
         """Return what another ledger can be made from; without a medium that is not finite."""
@@ -74,7 +79,7 @@ class Ledger:
             name: value
             for name, value in asdict(self).items()
             if (name not in _MEDIUM or self.held is not None)
-            and (name != "injected" or value is not None)
+            and (name not in ("injected", "made", "used") or value is not None)
         }
 
     def note(self, medium: Stirred) -> None:
@@ -97,6 +102,8 @@ class Ledger:
         content: float = 0.0,
         washed: float = 0.0,
         injected: float = 0.0,
+        made: float | None = None,
+        used: float | None = None,
     ) -> None:
         """Add rates (amol/s) that held for a time ``dt`` (s), or amounts where it is left out.
 
@@ -110,6 +117,9 @@ class Ledger:
         self.washed += washed * dt
         if injected:
             self.injected = (self.injected or 0.0) + injected * dt
+        if made is not None and used is not None:
+            self.made = (self.made or 0.0) + made * dt
+            self.used = (self.used or 0.0) + used * dt
         self.relaid += relaid
         self.stored += stored
         self.content = max(self.content, content)
@@ -118,14 +128,16 @@ class Ledger:
     def remainder(self) -> float:
         """What came in and was secreted but neither left nor is there, amol."""
         gained = self.inflow + self.secreted + self.relaid + (self.injected or 0.0)
+        gained += (self.made or 0.0) - (self.used or 0.0)
         return gained - self.uptake - self.decayed - self.stored
 
     @property
     def turnover(self) -> float:
         """The larger of all that was gained and all that was spent, with what passed, amol."""
         gained = max(self.inflow, 0.0) + self.secreted + max(self.relaid, 0.0)
-        gained += self.injected or 0.0
+        gained += (self.injected or 0.0) + (self.made or 0.0)
         spent = self.uptake + self.decayed + max(-self.inflow, 0.0) + max(-self.relaid, 0.0)
+        spent += self.used or 0.0
         return max(gained, spent, abs(self.stored)) + self.outflow + self.washed
 
     @property
@@ -158,6 +170,7 @@ class Ledger:
             "remainder": self.remainder,
             "relative_remainder": self.relative_remainder,
             **({} if self.injected is None else {"injected": self.injected}),
+            **({} if self.made is None else {"made": self.made, "used": self.used or 0.0}),
             **self._medium(),
         }
 

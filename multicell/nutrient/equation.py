@@ -1,11 +1,11 @@
 """The fields' equation as one of py-pde's, for any solver of py-pde's, and for our own.
 
-    ∂c/∂t = ∇·(D ∇c) + k_p (c_medium − c) − k_d c − Q c/(K + c) + S
+    ∂c/∂t = ∇·(D ∇c) + k_p (c_medium − c) − k_d c − Q c/(K + c) + S + f
 
 for each substance, on a grid of py-pde's: ``CartesianGrid`` in two and three dimensions with equal
 spacings, or ``SphericalSymGrid``. Q and S are what cells take up at most and secrete, spread over
-the nodes around them. Below zero, where only a solver's error can bring c, uptake goes on along
-its tangent.
+the nodes around them; f is what reactions between substances make. Below zero, where only a
+solver's error can bring c, uptake and reactions go on along their tangent.
 """
 
 from __future__ import annotations
@@ -82,6 +82,11 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         Where nodes are for the cells; absent: ``layout_on(grid)``.
     coupling
         How demands depend on other substances; absent: not at all.
+    reactions : name -> Reaction
+        Between the substances: as a scene has them, as tables of the same keys, or functions of
+        the user's own (:func:`multicell.reaction`).
+    tissue : shape of the grid, optional
+        Part of each place that is tissue, 0 to 1, for reactions that ask for it.
 
     Raises
     ------
@@ -97,6 +102,8 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         *,
         layout: Layout | None = None,
         coupling: Coupling | None = None,
+        reactions: Mapping[str, Any] | None = None,
+        tissue: FloatArray | None = None,
     ) -> None:
         super().__init__()
         if not substances:
@@ -109,6 +116,11 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
             name: Term(name, substance, self.layout, grid, self.position)
             for name, substance in substances.items()
         }
+        self.reactions = None
+        if reactions:
+            from multicell.nutrient.equation_reactions import Reactions
+
+            self.reactions = Reactions(list(self.terms.values()), reactions, tissue)
         terms = self.terms.values()
         self.explicit_time_dependence = not all(term.schedule.constant for term in terms)
 
@@ -154,11 +166,13 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         self.check(state)
         data = self._nodes(state.data)
         demands = self.demands(data, t)
-        rates = [
+        rates = np.array([
             term.reference_rate(data[name], t, *demands[name]) for name, term in self.terms.items()
-        ]
+        ])  # fmt: skip
+        if self.reactions is not None:
+            rates += self.reactions.made(data)
         result = state.copy(label="evolution rate")
-        result.data = np.array(rates).reshape(state.data.shape)
+        result.data = rates.reshape(state.data.shape)
         return result
 
     def make_evolution_rate(  # type: ignore[override]
@@ -169,15 +183,15 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         Raises
         ------
         NotImplementedError
-            For other backends, and where demands depend on other substances: there py-pde takes
-            :meth:`evolution_rate`.
+            For other backends, and where demands depend on other substances or substances react:
+            there py-pde takes :meth:`evolution_rate`.
         """
         from multicell.nutrient.equation_compiled import compiled_rate
 
         if backend.implementation != "numba":
             raise NotImplementedError("the backends of a field equation are numpy and numba")
-        if self.coupling is not None:
-            raise NotImplementedError("uptake that depends on other fields needs backend='numpy'")
+        if self.coupling is not None or self.reactions is not None:
+            raise NotImplementedError("fields that depend on each other need backend='numpy'")
         self.check(state)
         return compiled_rate(list(self.terms.values()), state.data.shape)
 
@@ -192,17 +206,22 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         else:
             demands = self.demands(nodes, t)
             found = [term.rate(nodes[name], t, *demands[name]) for name, term in self.terms.items()]
-        out, slope = (np.array(x).reshape(data.shape) for x in zip(*found, strict=True))
-        return out, slope
+        out, slope = (np.array(x) for x in zip(*found, strict=True))
+        if self.reactions is not None:
+            out += self.reactions.made(nodes)
+        return out.reshape(data.shape), slope.reshape(data.shape)
 
     def shifted_inverse(
         self, data: FloatArray, t: float
     ) -> Callable[[FloatArray, float], FloatArray]:
         """Return a function of r and a shift (1/s) that gives about (shift - J)⁻¹ r.
 
-        J is the derivative of the rates; how substances act on each other is left out.
+        J is the derivative of the rates; how substances act on each other by what cells do is left
+        out, but not how they react.
         """
         _, slope = self.rates(data, t)
+        if self.reactions is not None:
+            return self.reactions.shifted_inverse(self._nodes(data), self._nodes(slope))
         slopes = self._nodes(slope)
 
         def inverse(r: FloatArray, shift: float) -> FloatArray:
@@ -218,14 +237,23 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         """Return the state that rests with the conditions of a time in s, and what it took.
 
         Substances are solved for in the order of their dependences: together they are the exact
-        solution.
+        solution. Those that react are solved for together.
 
         Raises
         ------
         NutrientFailed
             If a solve does not converge.
+        SceneError
+            For uptake that depends on other substances where substances react.
         """
         nodes = dict(self._nodes(data))
+        if self.reactions is not None:
+            if self.coupling is not None:
+                problem = "have reactions and uptake that depends on other fields"
+                hint = "Let 'multicell-implicit' run long enough."
+                raise SceneError("substances", f"{problem}: no steady solver knows both", hint)
+            found, reports = self.reactions.steady(nodes, t)
+            return found.reshape(data.shape), reports
         order = self.names if self.coupling is None else self.coupling.order
         info: dict[str, Any] = {}
         for name in order:
@@ -237,12 +265,15 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         """Return what happens to each substance in all, amol/s.
 
         ``inflow`` over the sides, ``perfused`` by the flow (both net), ``secreted``,
-        ``supplied`` by what stands still, ``taken`` up, ``decayed``, and ``stored``, which is the
-        sum of them.
+        ``supplied`` by what stands still, ``taken`` up, ``decayed``, ``made`` by reactions (net)
+        where there are any, and ``stored``, which is the sum of them.
         """
         self.check(state)
         data = self._nodes(state.data)
         demands, found = self.demands(data, t), {}
+        made = None
+        if self.reactions is not None:
+            made = dict(zip(self.names, self.reactions.made(data), strict=True))
         for name, term in self.terms.items():
             c, (sink, secreted), p = data[name], demands[name], term.substance
             volumes, level = self.layout.volumes, term.schedule.at(t)
@@ -256,8 +287,15 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
             }
             sums = {key: float(np.sum(volumes * part)) for key, part in parts.items()}
             sums["inflow"] = term.operator_at(level).inflow(c)
+            if made is not None:
+                sums["made"] = float(np.sum(volumes * made[name]))
+                sums["stored"] += sums["made"]
             found[name] = sums
         return found
+
+    def growing(self, data: FloatArray) -> str:
+        """Return in words which substance grows without bound and how fast; empty if none does."""
+        return "" if self.reactions is None else self.reactions.growing(self._nodes(data))
 
     def switches(self, begin: float, end: float) -> list[float]:
         """Return the times strictly between two at which a medium jumps or bends, s."""

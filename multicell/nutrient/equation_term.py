@@ -10,11 +10,10 @@ import numpy as np
 
 from multicell.cells import FloatArray
 from multicell.errors import SceneError
-from multicell.nutrient import stencil
 from multicell.nutrient.diffusion import Diffusion
 from multicell.nutrient.equation_grid import conditions_on
-from multicell.nutrient.equation_kernels import shell_imbalance
 from multicell.nutrient.grid import BoxLayout, Layout
+from multicell.nutrient.operators import brought, imbalance
 from multicell.nutrient.schedule import Schedule
 from multicell.nutrient.spherical import Shells
 from multicell.nutrient.steady import SolveReport
@@ -116,10 +115,10 @@ class Term:
         constant = self.schedule.constant
         self._reference = self.schedule.at(0.0) if constant else 0.0
         self.operator = self.operator_at(self._reference)
-        self.faces = _brought(self.operator)
+        self.faces = brought(self.operator)
         self.per_level: FloatArray | None = None
         if not constant:
-            per_level = _brought(self.operator_at(1.0)) - self.faces + substance.perfusion
+            per_level = brought(self.operator_at(1.0)) - self.faces + substance.perfusion
             self.per_level = np.ascontiguousarray(per_level)
         self.supplied = self._supplied()
         self.brought = self.supplied + substance.perfusion * self._reference
@@ -195,17 +194,8 @@ class Term:
         By the kernels of the solvers.
         """
         c = np.ascontiguousarray(c, dtype=float).reshape(self.shape)
-        out, slope, op = np.empty(self.shape), np.empty(self.shape), self.operator
         half, source = self.substance.half_saturation, self.source(t, secreted)
-        if isinstance(op, Diffusion):
-            stencil.imbalance(
-                c, sink, source, half, op.stiffness, self.linear, op.ghost, op.weights, out, slope
-            )
-        else:
-            shell_imbalance(
-                c, sink, source, half, self.linear, op.conductance, leak(op), op.volumes, out, slope
-            )
-        return out, slope
+        return imbalance(self.operator, c, sink, source, half, self.linear)
 
     def reference_rate(
         self, c: FloatArray, t: float, sink: FloatArray, secreted: FloatArray
@@ -245,18 +235,3 @@ class Term:
         if isinstance(op, Diffusion):
             return np.asarray(op.invert(r, float(shift.mean()))[0])
         return op.solve_linear(shift * op.volumes, r * op.volumes)
-
-
-def leak(shells: Shells) -> float:
-    """Return what leaves through the surface for each mM in the last shell, µm³/s."""
-    ends = np.zeros(shells.count)
-    without = shells.inflow(ends)
-    ends[-1] = 1.0
-    return without - shells.inflow(ends)
-
-
-def _brought(operator: Diffusion | Shells) -> FloatArray:
-    """Return what the sides bring to nodes at 0 mM, mM/s."""
-    if isinstance(operator, Diffusion):
-        return operator.stencil_source()
-    return np.asarray(operator.gain(np.zeros(operator.count)) / operator.volumes)

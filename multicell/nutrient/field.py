@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from multicell.results.frame import Field
 
 
-_GONE = 1e-6
+GONE = 1e-6
 """Part of the medium's highest concentration below which a field that fades is not followed any
 more with an error relative to itself: steps would stay as short as ever down to nothing."""
 
@@ -34,7 +34,8 @@ class FieldReport:
 
     ``inflow + produced - uptake - decayed`` is zero up to ``residual``. ``inflow`` includes what a
     perfusion brings and is net; ``outflow`` is what leaves through the faces, ``washed`` what a
-    perfusion takes.
+    perfusion takes. A field that takes part in reactions gains ``made`` besides and loses ``used``;
+    for others these are None.
     """
 
     newton: int
@@ -46,6 +47,12 @@ class FieldReport:
     decayed: float
     outflow: float = 0.0
     washed: float = 0.0
+    made: float | None = None
+    used: float | None = None
+
+    def kept(self) -> dict[str, float]:
+        """Return what another report can be made from."""
+        return {name: value for name, value in asdict(self).items() if value is not None}
 
 
 @final
@@ -138,7 +145,7 @@ class NutrientField:
         ValueError
             If shapes do not match or a capacity is negative or not finite.
         """
-        position, radius = _checked(position, capacity, production, radius)
+        position, radius = checked(position, capacity, production, radius)
         layout, kept = self._lay(position, radius)
         operator, conditions = self._operator_on(layout, kept, position, radius, time)
         p, medium = self.parameters, self.level(time)
@@ -177,7 +184,7 @@ class NutrientField:
         NutrientFailed, ValueError
             As for :meth:`solve`; the field then still is the last one.
         """
-        position, radius = _checked(position, capacity, production, radius)
+        position, radius = checked(position, capacity, production, radius)
         if self.stirred is not None:
             from multicell.nutrient import finite
 
@@ -214,7 +221,7 @@ class NutrientField:
                 )  # fmt: skip
                 return values, report, medium
 
-            scale = max(p.nutrient.medium(start), _GONE * p.nutrient.highest)
+            scale = max(p.nutrient.medium(start), GONE * p.nutrient.highest)
             c = march(
                 step, layout.volumes, c, start, stop,
                 tolerance=p.nutrient.time_tolerance, scale=scale, done=done,
@@ -242,7 +249,7 @@ class NutrientField:
         NutrientFailed, ValueError
             As for :meth:`solve`; the field then still is the last one.
         """
-        position, radius = _checked(position, capacity, production, radius)
+        position, radius = checked(position, capacity, production, radius)
         layout, kept = self._lay(position, radius)
         p, medium = self.parameters, self.level(end)
         c = self._values if kept else layout.carried(self._values, self.layout, medium)
@@ -259,7 +266,7 @@ class NutrientField:
 
     def fill(self, position: FloatArray, *, radius: FloatArray | None, time: float) -> None:
         """Begin with the medium's concentration everywhere."""
-        position, radius = _checked(position, np.zeros(len(position)), None, radius)
+        position, radius = checked(position, np.zeros(len(position)), None, radius)
         layout, _ = self._lay(position, radius)
         operator, conditions = self._operator_on(layout, False, position, radius, time)
         values = layout.filled(self.level(time))
@@ -431,7 +438,7 @@ class NutrientField:
         )
 
     def _summed(
-        self, done: March, production: FloatArray | None, length: float, relaid: float
+        self, done: March[Amounts], production: FloatArray | None, length: float, relaid: float
     ) -> TransientReport:
         """Return the balance of a march by what it was for."""
         p, amounts = self.parameters, done.amounts
@@ -452,7 +459,7 @@ class NutrientField:
         )
 
 
-def _checked(
+def checked(
     position: FloatArray,
     capacity: FloatArray,
     production: FloatArray | None,

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from multicell.cells import Cells, FloatArray, Phase, State
-from multicell.errors import NutrientFailed
+from multicell.errors import NutrientFailed, SceneError
 from multicell.nutrient.balance import Ledger
 from multicell.nutrient.cartesian import departure
 from multicell.nutrient.field import FieldReport, NutrientField
@@ -24,6 +24,8 @@ from multicell.nutrient.parameters import FieldParameters
 from multicell.scene.checks import solving_order
 
 if TYPE_CHECKING:
+    from multicell.nutrient.reacting import Reacting
+    from multicell.nutrient.transient import TransientReport
     from multicell.results.frame import Field, Frame
     from multicell.scene.nutrient import Nutrient
     from multicell.scene.scene import Scene
@@ -37,6 +39,8 @@ class Feeding:
     ----------
     scene
         With at least one nutrient.
+    reactions
+        Between its fields, of the user's own (:func:`multicell.reaction`).
 
     Attributes
     ----------
@@ -50,17 +54,26 @@ class Feeding:
         and they changed on the way: half of the difference is wrong, to leading order.
     """
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, reactions: Mapping[str, Any] | None = None) -> None:
+        known: dict[str, Any] = {**scene.reactions, **(reactions or {})}
         self._nutrients = scene.nutrients
         self._factors = {
             (what, name): factors(scene, what, name)
             for name in scene.nutrients
             for what in ("uptake", "secretion")
         }
-        self._order = solving_order(scene.nutrients)
-        self.fields = {
-            name: NutrientField(name, FieldParameters.of(scene, name)) for name in scene.nutrients
-        }
+        self._order = solving_order(scene.nutrients, known)
+        parameters = {name: FieldParameters.of(scene, name) for name in self._order}
+        if reactions:
+            from multicell.nutrient.groups import joined
+
+            parameters |= joined(scene, parameters, reactions)
+        self.fields = {name: NutrientField(name, parameters[name]) for name in scene.nutrients}
+        self._groups: dict[str, Reacting] = {}
+        if known:
+            from multicell.nutrient.groups import together
+
+            self._groups = together(self.fields, known)
         self.grids = Grids(scene)
         self.ledger = {name: Ledger() for name in scene.nutrients}
         self.concentrations: dict[str, FloatArray] = {}
@@ -79,22 +92,47 @@ class Feeding:
         NutrientFailed
         """
         for name in self._order:
-            capacity, production = self._demand(name, cells)
-            field = self.fields[name]
-            if name in self.grids.choosers:
-                self.grids.begin(field, cells, capacity, production, time)
-            steady = field.parameters.regime == "steady"
-            if steady or self._nutrients[name].initial == "steady":
-                self.reports[name] = field.solve(
-                    cells.position, capacity, production=production, radius=cells.radius, time=time
-                )
-            else:
-                field.fill(cells.position, radius=cells.radius, time=time)
-            self.ledger[name].add(0.0, 0.0, content=field.stored())
-            if self._nutrients[name].finite_medium is not None:
-                field.pour()
-            self._note_medium(name)
-            self._sample(name, cells, capacity)
+            group = self._groups.get(name)
+            if group is None:
+                self._begin_one(name, cells, time)
+            elif name == group.names[0]:
+                self._begin_group(group, cells, time)
+
+    def _begin_one(self, name: str, cells: Cells, time: float) -> None:
+        """Solve for a field at the start of a run."""
+        capacity, production = self._demand(name, cells)
+        field = self.fields[name]
+        if name in self.grids.choosers:
+            self.grids.begin(field, cells, capacity, production, time)
+        if self._rests_first(name):
+            self.reports[name] = field.solve(
+                cells.position, capacity, production=production, radius=cells.radius, time=time
+            )
+        else:
+            field.fill(cells.position, radius=cells.radius, time=time)
+        self.ledger[name].add(0.0, 0.0, content=field.stored())
+        if self._nutrients[name].finite_medium is not None:
+            field.pour()
+        self._note_medium(name)
+        self._sample(name, cells, capacity)
+
+    def _begin_group(self, group: Reacting, cells: Cells, time: float) -> None:
+        """Solve for fields that react with each other at the start of a run."""
+        demand = {name: self._demand(name, cells) for name in group.names}
+        if self._rests_first(group.names[0]):
+            self.reports |= group.solve(cells.position, demand, radius=cells.radius, time=time)
+        else:
+            for name in group.names:
+                self.fields[name].fill(cells.position, radius=cells.radius, time=time)
+        for name in group.names:
+            content = self.fields[name].stored()
+            self.ledger[name].add(0.0, 0.0, content=content, made=0.0, used=0.0)
+            self._sample(name, cells, demand[name][0])
+
+    def _rests_first(self, name: str) -> bool:
+        """Return whether a field begins as the steady one."""
+        steady = self.fields[name].parameters.regime == "steady"
+        return steady or self._nutrients[name].initial == "steady"
 
     def _rests(self, name: str) -> bool:
         """Return whether a field is solved as steady, and not marched with a finite medium."""
@@ -119,44 +157,94 @@ class Feeding:
             marched = [name for name in self._order if not self._rests(name)]
             demand = {name: float(self._capacity(name, before).sum()) for name in marched}
         for name in self._order:
-            capacity, production = self._demand(name, cells)
-            field, ledger = self.fields[name], self.ledger[name]
-            with_cells = {"production": production, "radius": cells.radius}
-            rested, layout = self._rests(name), field.layout
-            if name in self.grids.choosers:
-                self.grids.look(field, cells, capacity, production, begin, end)
-            if rested and self._rests(name):
-                self._settle_account(name, end - begin)
-                self.reports[name] = field.solve(cells.position, capacity, time=end, **with_cells)
-                ledger.add(0.0, 0.0, content=field.stored())
-            else:
-                content = field.stored()
-                march = field.advance(cells.position, capacity, begin=begin, end=end, **with_cells)
-                ledger.add(
-                    march.inflow,
-                    march.uptake,
-                    secreted=march.produced,
-                    decayed=march.decayed,
-                    relaid=march.relaid,
-                    washed=march.washed,
-                    injected=self._injected(name) * (end - begin),
-                    stored=(now := field.stored()) - content,
-                    content=now,
-                )
-                if name in demand:
-                    self._rate(name, demand[name], float(capacity.sum()), march.uptake)
-                self._note_medium(name)
-            self.grids.note(field, layout, end)
-            self._sample(name, cells, capacity)
+            group = self._groups.get(name)
+            if group is None:
+                self._advance_one(name, cells, begin, end, demand.get(name))
+            elif name == group.names[0]:
+                self._advance_group(group, cells, begin, end, demand)
 
-    def _settle_account(self, name: str, length: float) -> None:
-        """Note what a steady field has exchanged in a time in s, by its last solution."""
+    def _advance_one(
+        self, name: str, cells: Cells, begin: float, end: float, began: float | None
+    ) -> None:
+        """Bring a field to ``end``; ``began`` is the largest uptake of the cells of ``begin``."""
+        capacity, production = self._demand(name, cells)
+        field = self.fields[name]
+        with_cells = {"production": production, "radius": cells.radius}
+        rested, layout = self._rests(name), field.layout
+        if name in self.grids.choosers:
+            self.grids.look(field, cells, capacity, production, begin, end)
+        if rested and self._rests(name):
+            self._enter_rates(name, end - begin)
+            self.reports[name] = field.solve(cells.position, capacity, time=end, **with_cells)
+            self.ledger[name].add(0.0, 0.0, content=field.stored())
+        else:
+            content = field.stored()
+            march = field.advance(cells.position, capacity, begin=begin, end=end, **with_cells)
+            self._enter_march(name, march, content, end - begin)
+            if began is not None:
+                self._rate(name, began, float(capacity.sum()), march.uptake)
+            self._note_medium(name)
+        self.grids.note(field, layout, end)
+        self._sample(name, cells, capacity)
+
+    def _advance_group(
+        self, group: Reacting, cells: Cells, begin: float, end: float, began: Mapping[str, float]
+    ) -> None:
+        """Bring fields that react with each other to ``end``."""
+        demand = {name: self._demand(name, cells) for name in group.names}
+        layouts = {name: self.fields[name].layout for name in group.names}
+        if self._rests(group.names[0]):
+            for name in group.names:
+                self._enter_rates(name, end - begin)
+            self.reports |= group.solve(cells.position, demand, radius=cells.radius, time=end)
+            for name in group.names:
+                self.ledger[name].add(0.0, 0.0, content=self.fields[name].stored())
+        else:
+            before = {name: self.fields[name].stored() for name in group.names}
+            marches = group.advance(
+                cells.position, demand, radius=cells.radius, begin=begin, end=end
+            )
+            for name, march in marches.items():
+                reacted = (march.made, march.used)
+                self._enter_march(name, march, before[name], end - begin, reacted)
+                if name in began:
+                    self._rate(name, began[name], float(demand[name][0].sum()), march.uptake)
+        for name in group.names:
+            self.grids.note(self.fields[name], layouts[name], end)
+            self._sample(name, cells, demand[name][0])
+
+    def _enter_rates(self, name: str, length: float) -> None:
+        """Enter into the account of a steady field what its last solution exchanged for a time."""
         old, injected = self.reports[name], self._injected(name)
         self.ledger[name].add(
             old.inflow, old.uptake, length, injected=injected,
             secreted=old.produced - injected, decayed=old.decayed, outflow=old.outflow,
-            washed=old.washed,
+            washed=old.washed, made=old.made, used=old.used,
         )  # fmt: skip
+
+    def _enter_march(
+        self,
+        name: str,
+        march: TransientReport,
+        content: float,
+        length: float,
+        reacted: tuple[float | None, float | None] = (None, None),
+    ) -> None:
+        """Enter a march into the account of a field that held ``content`` before."""
+        now = self.fields[name].stored()
+        self.ledger[name].add(
+            march.inflow,
+            march.uptake,
+            secreted=march.produced,
+            decayed=march.decayed,
+            relaid=march.relaid,
+            washed=march.washed,
+            injected=self._injected(name) * length,
+            stored=now - content,
+            content=now,
+            made=reacted[0],
+            used=reacted[1],
+        )
 
     def kept(self) -> dict[str, Any]:
         """Return what :meth:`take_back` needs to undo an :meth:`advance`."""
@@ -190,6 +278,9 @@ class Feeding:
         for name, field in self.fields.items():
             self.grids.apply(field)
             self.ledger[name] = ledger = Ledger(**frame.progress.ledger[name])
+            if (ledger.made is None) == (name in self._groups):
+                problem = f"of the run that this frame is from are not the same for {name}"
+                raise SceneError("reactions", problem, "Give those that it was started with.")
             field.restore(frame.fields[name], frame.time)
             if ledger.held is not None:
                 field.pour()
@@ -241,8 +332,9 @@ class Feeding:
                 fields[name] |= self.grids.rated(field)
                 continue
             capacity, production = self._demand(name, cells)
+            about = field, parameters, cells, capacity, production, time
             try:
-                error = discretisation_error(field, parameters, cells, capacity, production, time)
+                error = None if name in self._groups else discretisation_error(*about)
             except NutrientFailed as trouble:
                 notes.append(f"The error that the grid of {name} makes is not known: {trouble}")
                 error = None

@@ -470,9 +470,14 @@ def relative_diffusion(
     A node is tissue where cells fill half of it or more; up to there the coefficient goes over
     linearly from that of the medium. (Packed tissue fills 0.6 to 0.9, counted as free spheres.)
     """
-    filling = layout.scatter(position, SPHERE * radius**3)
-    share = np.minimum(filling / _TISSUE, 1.0)
+    share = tissue_share(layout, position, radius)
     return np.asarray((medium + (tissue - medium) * share) / tissue)
+
+
+def tissue_share(layout: Layout, position: FloatArray, radius: FloatArray) -> FloatArray:
+    """Return the part of each node that counts as tissue: all of one that cells fill by half."""
+    filling = layout.scatter(position, SPHERE * radius**3)
+    return np.asarray(np.minimum(filling / _TISSUE, 1.0))
 
 
 def restored(field: Field) -> tuple[Layout, FloatArray]:

@@ -21,6 +21,7 @@ from multicell.nutrient.solving import (
     rate_of,
     refuse_unsuitable,
 )
+from multicell.scene.nutrient import MOST
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -158,7 +159,18 @@ class _March:
                 self._start(self.y, start)
             while self.reached < stop:
                 self._step(stop, limit)
+                self._refuse_growth()
         return self.y.reshape(self.shape)
+
+    def _refuse_growth(self) -> None:
+        """Refuse values beyond anything where reactions make them grow on: steps would only end."""
+        growing = getattr(self.owner.pde, "growing", None)
+        if growing is None or not float(self.y.max(initial=0.0)) > MOST:
+            return
+        words = growing(self.y.reshape(self.shape))
+        if words:
+            hint = "Look at the rates of the reactions that make it, or let them saturate."
+            raise NutrientFailed(f"at t = {self.reached:.6g} {words}", hint)
 
     def _jumps(self, begin: float, end: float) -> list[float]:
         """Return when the rates jump from ``begin`` on, itself included, up to ``end``."""

@@ -11,7 +11,7 @@ from multicell.errors import SceneError
 from multicell.nutrient.equation import FieldEquation
 from multicell.nutrient.equation_term import Substance
 from multicell.nutrient.fields import Feeding
-from multicell.nutrient.grid import Layout, relative_diffusion, restored
+from multicell.nutrient.grid import Layout, relative_diffusion, restored, tissue_share
 from multicell.nutrient.parameters import FieldParameters
 from multicell.nutrient.schedule import Schedule
 from multicell.nutrient.sources import injected
@@ -51,7 +51,13 @@ class FieldProblem:
     time: float
 
 
-def field_problem(scene: Scene, frame: Frame, fields: Iterable[str] | None = None) -> FieldProblem:
+def field_problem(
+    scene: Scene,
+    frame: Frame,
+    fields: Iterable[str] | None = None,
+    *,
+    reactions: Mapping[str, Any] | None = None,
+) -> FieldProblem:
     """Return the equation and the state of the fields of a frame.
 
     Uptake and secretion are those of the frame's cells. Where they depend on other fields they
@@ -65,22 +71,26 @@ def field_problem(scene: Scene, frame: Frame, fields: Iterable[str] | None = Non
         Of any run of it; it may be one that was read from a file.
     fields
         Names of the fields that are wanted; absent: all. They must share a grid, as fields with
-        the same spacing, margin and geometry do.
+        the same spacing, margin and geometry do, and hold all that one of them reacts with.
+    reactions
+        Of the user's own that the run was started with.
 
     Raises
     ------
     SceneError
         If the scene has no fields, a name is not one of its fields, the frame does not hold it,
-        or fields live on different grids.
+        fields live on different grids, or one is left out that others react with.
     """
     names = _chosen(scene, frame, fields)
     together = frame.to_pde(names)
+    known = _reactions({**scene.reactions, **(reactions or {})}, names)
     layout, cells = restored(frame.fields[names[0]])[0], frame.cells
     demands = _Demands(scene, frame, names)
     substances = {name: _substance(scene, frame, name, layout, demands) for name in names}
     equation = FieldEquation(
         together.grid, substances, cells.position, layout=layout,
-        coupling=demands if demands.coupled else None,
+        coupling=demands if demands.coupled else None, reactions=known,
+        tissue=tissue_share(layout, cells.position, cells.radius) if known else None,
     )  # fmt: skip
     state = together if len(names) > 1 else frame.fields[names[0]].to_pde()
     return FieldProblem(equation, state, frame.time)
@@ -100,6 +110,20 @@ def _chosen(scene: Scene, frame: Frame, fields: Iterable[str] | None) -> list[st
         if name not in frame.fields or name not in frame.concentrations:
             raise SceneError("frame", f"holds no field {name!r}", "Is it one of another scene?")
     return [name for name in scene.nutrients if name in wanted]
+
+
+def _reactions(reactions: Mapping[str, Any], names: list[str]) -> dict[str, Any]:
+    """Return the reactions between these fields."""
+    found = {}
+    for name, reaction in reactions.items():
+        there = [field for field in reaction.fields if field in names]
+        missing = [field for field in reaction.fields if field not in names]
+        if there and missing:
+            problem = f"hold {there[0]} but not {missing[0]}, with which it reacts ('{name}')"
+            raise SceneError("fields", problem, "Ask for both.")
+        if there:
+            found[name] = reaction
+    return found
 
 
 def _substance(
@@ -141,7 +165,9 @@ class _Demands:
 
     def __init__(self, scene: Scene, frame: Frame, names: list[str]) -> None:
         self.cells: Cells = frame.cells
-        self.order = [name for name in solving_order(scene.nutrients) if name in names]
+        self.order = [
+            name for name in solving_order(scene.nutrients, scene.reactions) if name in names
+        ]
         self._feeding = Feeding(scene)
         self._found = {name: frame.concentrations[name] for name in frame.concentrations}
         self._taken: dict[str, FloatArray] = {}
@@ -153,7 +179,7 @@ class _Demands:
     def _take_up(self, scene: Scene, frame: Frame) -> None:
         """Find what each cell takes up of the frame's fields from which others are secreted."""
         sources = {x for n in scene.nutrients.values() for x in (n.secretion_from or ())}
-        for name in solving_order(scene.nutrients):
+        for name in solving_order(scene.nutrients, scene.reactions):
             if name not in sources:
                 continue
             if name not in frame.fields:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import final
+from typing import Generic, Protocol, Self, TypeVar, final
 
 import numpy as np
 
@@ -25,6 +25,7 @@ the concentration of the medium then, mM."""
 
 _MOST_STEPS = 20_000
 _SHORTEST = 1e-9  # of the interval
+_REFUSED = 0.25  # of a step that was not solved, the next one tried
 
 
 @final
@@ -76,14 +77,30 @@ class TransientReport:
     first_order: int
     error: float
     washed: float = 0.0
+    made: float = 0.0
+    used: float = 0.0
+
+
+class Additive(Protocol):
+    """Amounts of a step, of which sums are taken."""
+
+    def plus(self, other: Self, share: float = 1.0) -> Self:
+        """Return these and a share of others."""
+
+
+A = TypeVar("A", bound=Additive)
+
+
+class StepRefused(Exception):  # noqa: N818 - a shorter step may do
+    """A step whose equations were not solved."""
 
 
 @final
 @dataclass
-class March:
+class March(Generic[A]):
     """The counts and amounts of a march under way."""
 
-    amounts: Amounts
+    amounts: A
     steps: int = 0
     rejections: int = 0
     first_order: int = 0
@@ -99,7 +116,7 @@ def march(
     *,
     tolerance: float,
     scale: float,
-    done: March,
+    done: March[Amounts],
     opening: float = 0.1,
 ) -> FloatArray:
     """Bring a field from ``begin`` to ``end`` (s).
@@ -125,8 +142,51 @@ def march(
     NutrientFailed
         If steps become too many or too short, or one cannot be solved.
     """
+
+    def step(c: FloatArray, dt: float, time: float) -> tuple[FloatArray, Amounts]:
+        return _step(solve, volumes, c, dt, time)
+
+    def error(halves: FloatArray, full: FloatArray) -> float:
+        largest = max(scale, float(np.abs(halves).max(initial=0.0)))
+        return float(np.abs(halves - full).max(initial=0.0)) / largest if largest > 0.0 else 0.0
+
+    return controlled(
+        step, error, c, begin, end, tolerance=tolerance, done=done, opening=opening * (end - begin)
+    )
+
+
+def controlled(
+    step: Callable[[FloatArray, float, float], tuple[FloatArray, A]],
+    error_of: Callable[[FloatArray, FloatArray], float],
+    c: FloatArray,
+    begin: float,
+    end: float,
+    *,
+    tolerance: float,
+    done: March[A],
+    opening: float,
+) -> FloatArray:
+    """Bring a state from ``begin`` to ``end`` (s) by steps of backward Euler and their halves.
+
+    Parameters
+    ----------
+    step
+        (state, length in s, time at its end) -> the state there and what happened. It may raise
+        :class:`StepRefused`: a shorter step is tried then.
+    error_of
+        (by halves, in full) -> their distance over what it may be compared with.
+    c, tolerance, done
+        As for :func:`march`.
+    opening : float, s
+        First step.
+
+    Raises
+    ------
+    NutrientFailed
+        If steps become too many or too short.
+    """
     length = end - begin
-    elapsed, dt = 0.0, opening * length
+    elapsed, dt = 0.0, opening
     while elapsed < length:
         dt = min(dt, length - elapsed)
         if length - elapsed - dt < 1e-9 * length:
@@ -137,11 +197,15 @@ def march(
                 "Raise time_tolerance, or let the field be steady",
             )
         t = begin + elapsed
-        full, once = _step(solve, volumes, c, dt, t + dt)
-        middle, first = _step(solve, volumes, c, 0.5 * dt, t + 0.5 * dt)
-        halves, second = _step(solve, volumes, middle, 0.5 * dt, t + dt)
-        largest = max(scale, float(np.abs(halves).max(initial=0.0)))
-        error = float(np.abs(halves - full).max(initial=0.0)) / largest if largest > 0.0 else 0.0
+        try:
+            full, once = step(c, dt, t + dt)
+            middle, first = step(c, 0.5 * dt, t + 0.5 * dt)
+            halves, second = step(middle, 0.5 * dt, t + dt)
+        except StepRefused:
+            done.rejections += 1
+            dt *= _REFUSED
+            continue
+        error = error_of(halves, full)
         factor = min(4.0, 0.9 * (tolerance / max(error, 1e-300)) ** 0.5)
         if error > tolerance:
             done.rejections += 1

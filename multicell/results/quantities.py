@@ -15,8 +15,8 @@ from typing import Any, Final
 _STATES: Final = ("proliferating", "quiescent", "necrotic", "apoptotic")
 _AMOUNTS: Final = (
     "inflow", "outflow", "uptake", "secreted", "decayed", "relaid", "stored", "remainder",
-    "content", "washed", "injected", "medium_held", "medium_fresh", "medium_discarded",
-    "medium_decayed", "medium_remainder",
+    "content", "washed", "injected", "made", "used", "medium_held", "medium_fresh",
+    "medium_discarded", "medium_decayed", "medium_remainder",
 )  # fmt: skip
 _COUNTS: Final = (
     "evaluations", "linearisations", "jacobian_products", "preconditioner_setups",

@@ -16,6 +16,7 @@ from multicell.schema import near_miss
 if TYPE_CHECKING:
     from multicell.scene.nutrient import Nutrient
     from multicell.scene.parts import CellType
+    from multicell.scene.reactions import Joining
     from multicell.scene.scene import Scene
 
 
@@ -119,7 +120,7 @@ def check_nutrients(scene: Scene) -> None:
         _check_layer(path, nutrient)
         if scene.domain is not None:
             _check_in_domain(scene, name)
-    solving_order(scene.nutrients)
+    solving_order(scene.nutrients, scene.reactions)
 
 
 def _check_names(scene: Scene, path: str, nutrient: Nutrient) -> None:
@@ -278,8 +279,12 @@ def _check_in_domain(scene: Scene, name: str) -> None:
         raise SceneError("domain", problem, hint)
 
 
-def solving_order(nutrients: Mapping[str, Nutrient]) -> list[str]:
+def solving_order(
+    nutrients: Mapping[str, Nutrient], reactions: Mapping[str, Joining] | None = None
+) -> list[str]:
     """Return the names of the fields so that each comes after those that it depends on.
+
+    Fields that react with each other come one after another.
 
     Raises
     ------
@@ -293,9 +298,27 @@ def solving_order(nutrients: Mapping[str, Nutrient]) -> list[str]:
         for name, nutrient in nutrients.items()
     }
     try:
+        if reactions:
+            return _order_of_groups(needs, reactions)
         return list(TopologicalSorter(needs).static_order())
     except CycleError as error:
         circle = list(reversed(error.args[1]))
         problem = f"depends on itself: {' needs '.join(circle)}"
         hint = "Fields are solved one after another; leave out the weakest dependence."
         raise SceneError(f"nutrients.{circle[0]}", problem, hint) from None
+
+
+def _order_of_groups(needs: Mapping[str, list[str]], reactions: Mapping[str, Joining]) -> list[str]:
+    """Return the order of fields of which those that react with each other are taken as one."""
+    from graphlib import TopologicalSorter
+
+    from multicell.scene.reactions import group_of
+
+    known = {name: group_of(name, reactions) or [name] for name in needs}
+    known = {name: [x for x in group if x in needs] for name, group in known.items()}
+    first = {name: group[0] for name, group in known.items()}
+    graph: dict[str, list[str]] = {head: [] for head in first.values()}
+    for name, others in needs.items():
+        outside = [first[other] for other in others if first[other] != first[name]]
+        graph[first[name]] += outside
+    return [name for head in TopologicalSorter(graph).static_order() for name in known[head]]

@@ -156,6 +156,9 @@ _KINDS: Final[Mapping[str, Callable[[Parameter, dict[str, Schema]], Schema]]] = 
         "anyOf": [*_amount(spec.unit, spec.bounds)["anyOf"], {"enum": list(spec.options)}],
         "x-unit": spec.unit,
     },
+    "rate_constant": lambda spec, _: {
+        "anyOf": [{"type": "number"}, {"type": "string", "pattern": _QUANTITY}],
+    },
     "number": lambda spec, _: _number(spec.bounds),
     "count": lambda spec, _: _number(spec.bounds, "integer"),
     "choice": lambda spec, _: _choice(spec),

@@ -102,12 +102,12 @@ def scales(scene: Scene, name: str) -> Scales:
     radius = tissue_radius(scene)
     length = min(depth, radius) + (nutrient.margin if nutrient.layer is None else nutrient.layer)
     if scene.domain is not None:
-        length = _slowest(nutrient, box.sides(scene.domain))
+        length = slowest(nutrient, box.sides(scene.domain))
     damkohler = demand * radius**2 / supply if supply > 0.0 else math.inf
     return Scales(demand, depth, length, length**2 / nutrient.diffusion, damkohler)
 
 
-def _slowest(nutrient: Nutrient, lengths: list[float]) -> float:
+def slowest(nutrient: Nutrient, lengths: list[float]) -> float:
     """Return the length 1/|k| of the slowest mode of diffusion in a box, µm.
 
     Along an axis of length L it has k = π/L between two values, π/2L between a value and a wall,
@@ -142,9 +142,14 @@ def regime(scene: Scene, name: str) -> str:
     """Return ``"steady"`` or ``"transient"``, whichever a field is solved as.
 
     ``auto`` takes the steady state where diffusion settles within a coupling step (ten minutes
-    where the run chooses its steps), and where there is a steady state at all.
+    where the run chooses its steps), and where there is a steady state at all. Fields that take
+    part in reactions it takes as transient, however fast they diffuse: reactions may be slow.
     """
     nutrient = scene.nutrients[name]
+    group = _reacting(scene, name)
+    if group:
+        given = [scene.nutrients[other].regime for other in group]
+        return next((x for x in given if x != "auto"), "transient")
     if nutrient.regime != "auto":
         return nutrient.regime
     settles = scales(scene, name).time <= _SETTLED * usual_step(scene)
@@ -152,14 +157,29 @@ def regime(scene: Scene, name: str) -> str:
     return "steady" if settles and fixed else "transient"
 
 
+def _reacting(scene: Scene, name: str) -> list[str]:
+    """Return the fields that a field reacts with, itself included; none if it does not react."""
+    if not scene.reactions:
+        return []
+    from multicell.scene.reactions import group_of
+
+    return group_of(name, scene.reactions)
+
+
 def spacing(scene: Scene, name: str) -> float:
     """Return the largest spacing of a field's grid, µm.
 
     Where the scene does not say: a fifth of the depth to which tissue is fed, but neither above
-    the diameter of a dividing cell nor below half of it, since cells are the sources.
+    the diameter of a dividing cell nor below half of it, since cells are the sources. Of fields
+    that react with each other those without a spacing have that of the others, or the smallest.
     """
-    nutrient = scene.nutrients[name]
-    if nutrient.spacing is not None:
-        return nutrient.spacing
+    group = [name, *_reacting(scene, name)]
+    given = [scene.nutrients[other].spacing for other in group]
+    stated = [x for x in given if x is not None]
+    return stated[0] if stated else min(_usual_spacing(scene, other) for other in group)
+
+
+def _usual_spacing(scene: Scene, name: str) -> float:
+    """Return the spacing of a field for which the scene gives none, µm."""
     diameter = 2.0 * scene.cells.division_radius
     return max(min(scales(scene, name).depth / _POINTS, diameter), 0.5 * diameter)

@@ -43,6 +43,7 @@ from multicell.scene.parts import (
     Pull,
 )
 from multicell.scene.ranges import check_sizes
+from multicell.scene.reactions import Reaction
 from multicell.schema import (
     Tables,
     build,
@@ -90,6 +91,7 @@ class Scene:
     types : mapping of name to CellType, read-only
         Empty where all cells are alike.
     nutrients : mapping of name to Nutrient, read-only
+    reactions : mapping of name to Reaction, read-only
 
     Raises
     ------
@@ -137,6 +139,9 @@ class Scene:
         doc="absent: no cell ever starves",
         prepare=in_concentrations,
     )
+    reactions: Mapping[str, Reaction] = tables(
+        Reaction, default_factory=Tables, doc="between fields; absent: none"
+    )
     integrator: IntegratorOptions = table(
         IntegratorOptions, default_factory=IntegratorOptions, shorthand="method", doc="the method"
     )
@@ -155,6 +160,10 @@ class Scene:
             raise SceneError("contact.smoothing", problem, "0 turns it off.")
         check_domain(self)
         check_nutrients(self)
+        if self.reactions:
+            from multicell.scene.reaction_checks import check_reactions
+
+            check_reactions(self)
         if self.dimensions == 2 and self.haptotaxis is not None and self.haptotaxis.axis == "z":
             raise SceneError("haptotaxis.axis", "is 'z' in a scene of 2 dimensions")
 

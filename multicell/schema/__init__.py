@@ -25,6 +25,7 @@ from multicell.schema.declarations import (
     quantities,
     quantity,
     quantity_or_name,
+    rate_constant,
     responses,
     schedule,
     table,
@@ -46,6 +47,6 @@ from multicell.schema.part import (
 __all__ = [
     "Bounds", "Parameter", "Tables", "build", "choice", "chosen", "count", "course", "flag",
     "interval", "leaves", "names", "near_miss", "number", "parameters", "plain", "quantities",
-    "quantity", "quantity_or_name", "responses", "schedule", "specs", "table", "tables", "text",
-    "variant",
+    "quantity", "quantity_or_name", "rate_constant", "responses", "schedule", "specs", "table",
+    "tables", "text", "variant",
 ]  # fmt: skip

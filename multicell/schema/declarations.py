@@ -20,7 +20,7 @@ from multicell.schema.part import (
     near_miss,
     plain,
 )
-from multicell.units import shown
+from multicell.units import finite, shown
 
 T = TypeVar("T")
 
@@ -75,6 +75,19 @@ def quantity_or_name(
         "quantity_or_name", convert, default, unit=unit, allowed=allowed, doc=doc, bounds=bounds,
         options=known,
     )  # fmt: skip
+
+
+def rate_constant(*, doc: str = "") -> Any:
+    """Declare a rate constant, whose unit other keys of its part decide: a number or text.
+
+    The part itself must turn text into a number where it checks its fields.
+    """
+
+    def convert(value: object, path: str) -> float | str:
+        wanted = "a number or a string with a unit"
+        return value if isinstance(value, str) else finite(value, path, wanted)
+
+    return declared("rate_constant", convert, MISSING, doc=doc)
 
 
 def number(
@@ -380,8 +393,8 @@ def tables(
     frozen_default=True,
     kw_only_default=True,
     field_specifiers=(
-        quantity, quantity_or_name, number, count, choice, text, flag, names, interval, course,
-        schedule, responses, quantities, table, variant, tables,
+        quantity, quantity_or_name, rate_constant, number, count, choice, text, flag, names,
+        interval, course, schedule, responses, quantities, table, variant, tables,
     ),
 )  # fmt: skip
 def parameters(cls: type[T]) -> type[T]:

@@ -42,6 +42,11 @@ NAMES = {
     "sides": FACES,
     "phases": PHASES,
     "sources": ("pump", "dish"),
+    "reactions": ("binding", "breakdown"),
+    "consumes": FIELDS,
+    "produces": FIELDS,
+    "activated_by": FIELDS,
+    "inhibited_by": FIELDS,
 }
 """Names of the entries of the tables that have named entries."""
 
@@ -172,6 +177,9 @@ class Drawer:
 
     def _number(self, spec, field, path):
         return self.size(spec, "", field.default)
+
+    def _rate_constant(self, spec, field, path):
+        return float(f"{10.0 ** self.draw(st.floats(-8.0, -3.0)):.4g}")
 
     def _count(self, spec, field, path):
         low, high = int(spec.bounds.at_least), int(spec.bounds.at_most)
@@ -307,6 +315,7 @@ def fitted(entries):
     _fit_domain(scene, flat)
     _fit_growth(scene)
     _fit_types(scene, types, fields)
+    _fit_reactions(scene, fields)
     for number, (name, field) in enumerate(fields.items()):
         _fit_field(scene, field, list(fields)[:number], fields, flat)
         assert name in fields
@@ -316,6 +325,44 @@ def fitted(entries):
     if "friction" in scene:
         scene.get("output", {}).pop("instability", None)
     return scene
+
+
+def _fit_reactions(scene, fields):
+    """Keep reactions between fields that there are, and give these one grid and no circles."""
+    kept = {}
+    for name, reaction in scene.get("reactions", {}).items() if fields else ():
+        for key in ("consumes", "produces", "activated_by", "inhibited_by"):
+            entries = reaction.get(key, {}).items()
+            reaction[key] = {n if n in fields else next(iter(fields)): x for n, x in entries}
+        # of whole numbers, and no more made than used: nothing grows without bound
+        reaction["consumes"] = dict.fromkeys(reaction["consumes"], 1)
+        made = list(reaction["produces"])[: max(len(reaction["consumes"]), 1)]
+        reaction["produces"] = dict.fromkeys(made, 1)
+        hill = reaction["activated_by"] or reaction["inhibited_by"]
+        reaction["kind"] = "hill" if hill else "mass-action"
+        if hill:
+            for field in reaction["consumes"]:
+                reaction["activated_by"].setdefault(field, {"half": 0.05})
+        else:
+            del reaction["activated_by"], reaction["inhibited_by"]
+        if reaction["consumes"].keys() != reaction["produces"].keys():
+            kept[name] = reaction
+    scene.pop("reactions", None)
+    if not kept:
+        return
+    scene["reactions"] = kept
+    keys = ("consumes", "produces", "activated_by", "inhibited_by")
+    joined = {name for x in kept.values() for key in keys for name in x.get(key, {})}
+    reacting = [field for name, field in fields.items() if name in joined]
+    first = reacting[0]
+    for field in reacting:
+        for key in ("uptake_on", "secretion_from", "finite_medium", "regime", "initial"):
+            field.pop(key, None)
+        for key in ("margin", "roundness_limit", "height", "spacing", "geometry", "layer"):
+            if key in first:
+                field[key] = first[key]
+            else:
+                field.pop(key, None)
 
 
 def _fit_cells(scene):

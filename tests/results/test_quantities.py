@@ -33,6 +33,7 @@ SCENES = {
             "waste_2": {"sources": {"pump": {"x": 0, "y": 0, "z": 0, "strength": 1.0}},
                         "uptake": 0.0, "secretion": 3.0, "boundary": 0.0, "regime": "transient"},
         },
+        "reactions": {"breakdown": {"rate": 1e-4, "consumes": {"waste_2": 1}}},
     },
     "a plane with a field": {
         **SHORT, "dimensions": 2, "initial": {"count": 30}, "coupling_step": "auto",

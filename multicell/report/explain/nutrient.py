@@ -3,27 +3,55 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Final
 
 from multicell.report.explain.items import Number, Part, hours, part
 from multicell.scene import checks, scales
 from multicell.scene import domain as box
 from multicell.scene.coupling import fixed_step, usual_step
+from multicell.scene.reactions import group_of
 
 if TYPE_CHECKING:
     from multicell.scene.nutrient import Nutrient
+    from multicell.scene.reactions import Reaction
     from multicell.scene.scene import Scene
 
 
 _GRID_ARRAYS: Final = 12  # arrays of the size of the grid that a solve holds at once
+_BASIS: Final = 21  # and more of each of the fields that are solved for together
 
 
 def nutrient_parts(scene: Scene) -> list[Part]:
     """Return what each field is solved as, and why, in the order in which they are solved."""
     if not scene.nutrients:
         return [part("nutrients", "")]
-    order = checks.solving_order(scene.nutrients)
-    return [part(f"nutrients.{name}", _what(scene, name)) for name in order]
+    order = checks.solving_order(scene.nutrients, scene.reactions)
+    fields = [part(f"nutrients.{name}", _what(scene, name)) for name in order]
+    known = scene.reactions.items()
+    return fields + [part(f"reactions.{name}", _reaction_words(r)) for name, r in known]
+
+
+def _reaction_words(reaction: Reaction) -> str:
+    """Return what a reaction makes of what, and how fast."""
+
+    def side(amounts: Mapping[str, float] | None) -> str:
+        words = [f"{n:g} {name}" if n > 1.0 else name for name, n in (amounts or {}).items()]
+        return " + ".join(words) or "nothing"
+
+    words = f"{side(reaction.consumes)} -> {side(reaction.produces)}"
+    if reaction.kind == "mass-action":
+        rate = f"mass action, {reaction.rate:g} {reaction.unit}"
+    else:
+        terms = [
+            f"more {name} (half at {t.half:g} mM)" for name, t in reaction.activated_by.items()
+        ]
+        terms += [
+            f"less {name} (half at {t.half:g} mM)" for name, t in reaction.inhibited_by.items()
+        ]
+        rate = f"{reaction.rate:g} mM/s at most, faster with {', '.join(terms)}"
+    place = "" if reaction.where == "everywhere" else f", in {reaction.where}"
+    return f"{words}: {rate}{place}"
 
 
 def _what(scene: Scene, name: str) -> str:
@@ -37,6 +65,9 @@ def _what(scene: Scene, name: str) -> str:
 
         parts = chosen_words(scene, name)
     parts.append(_medium(nutrient))
+    together = [other for other in group_of(name, scene.reactions) if other != name]
+    if together:
+        parts.append(f"solved together with {', '.join(together)}, with which it reacts")
     if nutrient.sources:
         parts.append(f"given off by {len(nutrient.sources)} source(s) that stand still")
     for other, law in nutrient.uptake_on.items():
@@ -52,6 +83,8 @@ def _regime_reason(scene: Scene, name: str) -> str:
     nutrient = scene.nutrients[name]
     if nutrient.regime != "auto":
         return "as the scene says"
+    if group_of(name, scene.reactions):
+        return "it takes part in reactions"
     if not scales.level_fixed(nutrient, scene.dimensions):
         return "nothing fixes its level"
     settles = hours(scales.scales(scene, name).time)
@@ -154,7 +187,9 @@ def _numbers(scene: Scene, name: str) -> list[Number]:
         ),
     ]  # fmt: skip
     if nutrient.tolerance is None and (nutrient.layout == "box" or scene.dimensions == 2):
-        memory = 8e-6 * _GRID_ARRAYS * points
+        reacting = len(group_of(name, scene.reactions))
+        arrays = _GRID_ARRAYS + (_BASIS + 3 * reacting if reacting else 0)
+        memory = 8e-6 * arrays * points
         meaning = f"about, at that size: {points:,} points"
         numbers.append(Number(f"{name}: grid memory", memory, "MB", meaning))
     return numbers
@@ -179,6 +214,8 @@ def nutrient_notes(scene: Scene) -> list[str]:
         read = [*scene.chemotaxis]
         for other in scene.nutrients.values():
             read += [*other.uptake_on, *(other.secretion_from or ())]
+        for reaction in scene.reactions.values():
+            read += reaction.fields
         for kind in scene.types.values():
             read += [*(kind.receptor_by or ()), *(kind.ligand_by or ())]
         if name not in read and all(getattr(nutrient, effect) is None for effect in effects):

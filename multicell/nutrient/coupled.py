@@ -1,0 +1,345 @@
+"""Fields that react with each other: one implicit step of all of them together, by Newton.
+
+For fields c_i on one grid, with the rates f of the reactions,
+
+    (c_i - b_i) / dt = ∇·(D_i ∇c_i) - m_i c_i - q_i c_i / (K_i + c_i) + s_i + f_i(c),
+
+where b is the state before; the steady state is that of dt = ∞. Newton's linear systems go to GMRES
+with the inverse of :mod:`multicell.nutrient.coupled_inverse`.
+
+**No concentration is negative.** A reaction takes nothing of what is not there, so that the exact
+solution of a step is not negative. A node that the solver's tolerance leaves below zero (as a rule
+at about -1e-13 of the field's largest value) is brought to its own balance, with the others as they
+are: its sinks are then zero or proportional to it, the equations of all such nodes are an M-matrix,
+and what they gain is not negative (:func:`multicell.nutrient.operators.lifted`). After that the
+balance of all is judged anew. Nothing is clipped: a step that does not come out is refused.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+
+from multicell.cells import FloatArray
+from multicell.errors import NutrientFailed
+from multicell.nutrient.coupled_inverse import apply_blocks, inverse_of_blocks
+from multicell.nutrient.diffusion import Diffusion
+from multicell.nutrient.krylov import gmres
+from multicell.nutrient.operators import (
+    AnyOperator,
+    brought,
+    fastest,
+    imbalance,
+    lifted,
+    linearised,
+    node_volumes,
+)
+from multicell.nutrient.transient import StepRefused
+from multicell.nutrient.uptake import uptake_and_slope
+
+if TYPE_CHECKING:
+    from multicell.nutrient.kinetics import Kinetics
+
+TOLERANCE = 1e-12
+"""Bound on the sum of all nodes' imbalances of a field, relative to what happens to it."""
+
+_MAX_NEWTON = 30
+_MAX_BACKTRACKS = 8
+_MAX_LIFTS = 8
+_POLISH = 2  # more steps where rounding would let a state pass whose sums are not exact
+_SWEEPS = 1000
+_FORCING = 1e-3
+_LARGEST = 1e12  # mM, beyond anything: where an iterate is lost
+
+
+@final
+@dataclass(frozen=True)
+class Account:
+    """One field in all, amol/s but for ``mass`` (amol).
+
+    ``inflow`` over the sides, net; ``uptake`` by cells; ``supplied``; ``outflow`` over the sides;
+    ``made`` and ``used`` by reactions, where in the sum of them one or the other prevails.
+    """
+
+    inflow: float
+    uptake: float
+    supplied: float
+    outflow: float
+    mass: float
+    made: float
+    used: float
+
+
+@final
+class Coupled:
+    """Fields on one grid with the reactions between them.
+
+    Parameters
+    ----------
+    operators
+        Diffusion of each field, with its conditions.
+    sinks, supplies : (m, nodes), mM/s
+        Largest uptake, and what nodes gain besides, not negative.
+    half : (m,), mM
+    linear : (m,), 1/s
+        Decay and perfusion.
+    kinetics
+        The reactions.
+    tissue : (nodes,), optional
+        Part of each place that is tissue.
+    """
+
+    def __init__(
+        self,
+        operators: list[AnyOperator],
+        sinks: FloatArray,
+        supplies: FloatArray,
+        half: FloatArray,
+        linear: FloatArray,
+        kinetics: Kinetics,
+        tissue: FloatArray | None = None,
+    ) -> None:
+        self.operators, self.kinetics, self.tissue = operators, kinetics, tissue
+        self.sinks, self.supplies, self.half, self.linear = sinks, supplies, half, linear
+        self.m, self.nodes = sinks.shape
+        first = operators[0]
+        self.shape: tuple[int, ...] = (
+            first.shape if isinstance(first, Diffusion) else (first.count,)
+        )
+        self.volumes = np.broadcast_to(np.ravel(node_volumes(first)), (self.nodes,))
+        self.newton = self.linear_steps = 0
+
+    def sources(self) -> FloatArray:
+        """Return what nodes gain by supply and over the sides, (m, nodes) mM/s."""
+        faces = np.array([brought(op).ravel() for op in self.operators])
+        return faces + self.supplies
+
+    def local_slopes(self, c: FloatArray) -> FloatArray:
+        """Return the derivative of all that is local with opposite sign, (m, m, nodes) 1/s."""
+        _, blocks = self.kinetics.evaluate(c, self.tissue)
+        np.negative(blocks, out=blocks)
+        for i in range(self.m):
+            _, slope = uptake_and_slope(self.sinks[i], c[i], self.half[i])
+            blocks[i, i] += slope + self.linear[i]
+        return blocks
+
+    def rates(self, c: FloatArray) -> FloatArray:
+        """Return ∂c/∂t, (m, nodes) mM/s."""
+        return self._balance(c, self.sources())[0]
+
+    def step(self, before: FloatArray, start: FloatArray, dt: float) -> FloatArray:
+        """Return the state a step of ``dt`` s later, or the steady state where that is infinite.
+
+        Parameters
+        ----------
+        before, start : (m, nodes), mM
+            State before, not negative, and first guess.
+
+        Raises
+        ------
+        StepRefused
+            If Newton's iterations do not converge to a state without negative values.
+        """
+        return _Newton(self, before, dt).solve(start)
+
+    def account(self, c: FloatArray) -> list[Account]:
+        """Return what happens to each field in all."""
+        made, _ = self.kinetics.evaluate(c, self.tissue)
+        found, v = [], self.volumes
+        for i, op in enumerate(self.operators):
+            nodes = c[i].reshape(self.shape)
+            inward, outward = _flows(op, nodes)
+            taken, _ = uptake_and_slope(self.sinks[i], c[i], self.half[i])
+            found.append(
+                Account(
+                    inward - outward,
+                    _total(v, taken),
+                    _total(v, self.supplies[i]),
+                    outward,
+                    _total(v, c[i]),
+                    _total(v, np.maximum(made[i], 0.0)),
+                    _total(v, np.maximum(-made[i], 0.0)),
+                )
+            )
+        return found
+
+    def _balance(
+        self, c: FloatArray, sources: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return ∂c/∂t, slopes of all sinks (m, nodes), and what reactions make with its slope."""
+        made, slope = self.kinetics.evaluate(c, self.tissue)
+        out, sinks = np.empty_like(c), np.empty_like(c)
+        for i, op in enumerate(self.operators):
+            nodes, sink, source = (x[i].reshape(self.shape) for x in (c, self.sinks, sources))
+            rate, each = imbalance(op, nodes, sink, source, self.half[i], self.linear[i])
+            out[i], sinks[i] = rate.ravel() + made[i], each.ravel()
+        return out, sinks, made, slope
+
+
+def _total(volumes: FloatArray, values: FloatArray) -> float:
+    return float(np.sum(volumes * values))
+
+
+def _flows(operator: AnyOperator, c: FloatArray) -> tuple[float, float]:
+    """Return what flows in and out over the sides, amol/s."""
+    if isinstance(operator, Diffusion):
+        return operator.flows(c)
+    found = operator.inflow(c)
+    return max(found, 0.0), max(-found, 0.0)
+
+
+@final
+class _Newton:
+    """The equations of one step, and their solution."""
+
+    def __init__(self, coupled: Coupled, before: FloatArray, dt: float) -> None:
+        self.coupled, self.before = coupled, before
+        self.rate = 0.0 if math.isinf(dt) else 1.0 / dt
+        self.gained = coupled.supplies + self.rate * before
+        self.sources = coupled.sources() + self.rate * before
+        quick = [fastest(op) for op in coupled.operators]
+        self.quick = np.array(quick) + coupled.linear + self.rate
+
+    def solve(self, start: FloatArray) -> FloatArray:
+        c, lifts, polished = np.array(start), 0, 0
+        self._evaluate(c)
+        for _ in range(_MAX_NEWTON):
+            if not np.isfinite(self.sizes).all() or not float(np.abs(c).max()) < _LARGEST:
+                break
+            if (self.sizes <= self.targets).all():
+                if c.min() >= 0.0:
+                    if polished == _POLISH or (self.sums <= self.exact).all():
+                        return c
+                    trial, polished = c + self._correction(c), polished + 1
+                    self._evaluate(trial)
+                    if not (self.sizes <= self.targets).all():
+                        return c
+                    c = trial
+                    continue
+                if lifts == _MAX_LIFTS:
+                    break
+                c, lifts = self._lift(c), lifts + 1
+                self._evaluate(c)
+                continue
+            c = self._improve(c)
+        raise StepRefused
+
+    def _evaluate(self, c: FloatArray) -> None:
+        """Find the imbalances of a state, their sums, and what these may be, amol/s.
+
+        ``sizes`` are sums of absolute values, of which rounding is a part, ``sums`` are not.
+        """
+        coupled, v = self.coupled, self.coupled.volumes
+        rate, self.slopes, made, self.derivative = coupled._balance(c, self.sources)
+        self.residual = rate - self.rate * c
+        self.sizes = np.sum(np.abs(self.residual) * v, axis=1)
+        # what passes a side to and fro is no measure: the net of it may be far less
+        happening = np.abs(made) + (self.slopes + self.rate) * np.abs(c) + self.gained
+        gross = np.einsum("ijx,jx->ix", np.abs(self.derivative), np.abs(c))
+        rounding = self.quick[:, None] * np.abs(c) + gross + np.abs(self.sources)
+        floor = 16.0 * float(np.finfo(float).eps) * np.sum(rounding * v, axis=1)
+        self.exact = TOLERANCE * np.sum(happening * v, axis=1)
+        self.targets = np.maximum(self.exact, floor)
+        self.sums = np.abs(np.sum(self.residual * v, axis=1))
+
+    def _improve(self, c: FloatArray) -> FloatArray:
+        """Return a state with smaller imbalances."""
+        correction = self._correction(c)
+        worst, share = self._measure(), 1.0
+        for _ in range(_MAX_BACKTRACKS):
+            trial = c + share * correction
+            self._evaluate(trial)
+            now = self._measure()
+            if now < worst * (1.0 - 1e-4 * share) or (self.sizes <= self.targets).all():
+                return trial
+            share *= 0.5
+        raise StepRefused
+
+    def _measure(self) -> float:
+        found = float((self.sizes / self.scale).max())
+        return found if math.isfinite(found) else math.inf
+
+    def _correction(self, c: FloatArray) -> FloatArray:
+        """Solve Newton's linear system."""
+        coupled, m, n = self.coupled, self.coupled.m, self.coupled.nodes
+        self.scale = np.where(self.targets > 0.0, self.targets, 1.0) / TOLERANCE
+        # each field in a unit of its own, so that none is lost beside the others
+        size = np.maximum(np.abs(c).max(axis=1), np.abs(self.residual).max(axis=1) / self.quick)
+        size = np.where(size > 0.0, size, float(size.max()) or 1.0)[:, None]
+        blocks = -self.derivative
+        for i in range(m):
+            blocks[i, i] += self.slopes[i] + self.rate
+        inverse = inverse_of_blocks(coupled.operators, blocks)
+        none = np.zeros(coupled.shape)
+
+        def product(x: FloatArray) -> FloatArray:
+            v = x.reshape(m, n) * size
+            out = apply_blocks(blocks, v)
+            for i, op in enumerate(coupled.operators):
+                out[i] += linearised(op, v[i].reshape(coupled.shape), none).ravel()
+            return (out / size).ravel()
+
+        def about(r: FloatArray) -> FloatArray:
+            return (inverse(r.reshape(m, n) * size) / size).ravel()
+
+        right = (self.residual / size).ravel()
+        x, taken = gmres(product, about, right, _FORCING)
+        coupled.linear_steps += taken
+        coupled.newton += 1
+        return x.reshape(m, n) * size
+
+    def _lift(self, c: FloatArray) -> FloatArray:
+        """Return the state with no node below zero, unless that takes too many sweeps."""
+        coupled = self.coupled
+        kept = np.maximum(c, 0.0)
+        made, _ = coupled.kinetics.evaluate(kept, coupled.tissue)
+        out = c.copy()
+        for i, op in enumerate(coupled.operators):
+            if not c[i].min() < 0.0:
+                continue
+            gain = np.maximum(made[i], 0.0) + self.sources[i]
+            loss = np.maximum(-made[i], 0.0) / np.where(kept[i] > 0.0, kept[i], 1.0)
+            nodes, sink, source, taken = (
+                x.reshape(coupled.shape) for x in (c[i], coupled.sinks[i], gain, loss)
+            )
+            linear = coupled.linear[i] + self.rate
+            found = lifted(op, nodes, sink, source, coupled.half[i], linear, taken, _SWEEPS)
+            out[i] = found.ravel()
+        return out
+
+
+def settle(coupled: Coupled, c: FloatArray, most: int = 200) -> FloatArray:
+    """Return the state in which fields rest, reached from ``c`` (m, nodes) in mM.
+
+    Steps of implicit Euler that lengthen from one to the next, the last one without end: from where
+    they start they follow the true course, and do not end in states that are unstable.
+
+    Raises
+    ------
+    NutrientFailed
+        If there is no such state, or it is not found.
+    """
+    rates = np.sum(np.abs(coupled.rates(c)) * coupled.volumes, axis=1)
+    held = np.sum(np.abs(c) * coupled.volumes, axis=1)
+    quick = float((rates / np.where(held > 0.0, held, held.max() or 1.0)).max())
+    dt = 0.1 / quick if quick > 0.0 else math.inf
+    for _ in range(most):
+        try:
+            after = coupled.step(c, c, dt)
+        except StepRefused:
+            dt *= 0.1
+            continue
+        if math.isinf(dt):
+            return after
+        size = np.abs(after).max(axis=1, keepdims=True)
+        change = float((np.abs(after - c) / np.where(size > 0.0, size, 1.0)).max())
+        c = after
+        # at rest to a part in a million, or still on the way
+        dt = math.inf if change < 1e-6 else dt * min(10.0, max(2.0, 0.3 / change))
+    raise NutrientFailed(
+        f"no steady state of {', '.join(coupled.kinetics.names)} was found",
+        "Perhaps there is none: let them be transient (regime = 'transient')",
+    )

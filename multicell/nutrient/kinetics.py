@@ -1,0 +1,298 @@
+"""Rates of reactions between fields, and their derivatives, at all nodes of a grid.
+
+A fixed form is ``rate`` times one factor for each field that it depends on: c^n of mass action,
+c^n / (K^n + c^n), or K^n / (K^n + c^n). Below zero, where only a solver's iterates and its error
+can be, rates go on along their tangent at zero: what is not there is then not consumed, and what a
+reaction would have taken too much comes back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Protocol, TypeVar, cast, final, runtime_checkable
+
+import numpy as np
+from numba import njit
+
+from multicell.cells import FloatArray
+from multicell.errors import SceneError
+from multicell.scene.reactions import Reaction
+from multicell.schema import build, near_miss
+from multicell.units import shown
+
+_F = TypeVar("_F", bound=Callable[..., Any])
+_jit = cast(Callable[[_F], _F], njit(cache=True, error_model="numpy"))
+
+POWER, RISING, FALLING = 0, 1, 2
+"""Forms of a factor."""
+_PLACES = {"everywhere": 0, "tissue": 1, "medium": 2}
+
+
+class Kinetics(Protocol):
+    """Rates of reactions between the fields of a grid."""
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the fields, in the order of the rows of all arrays."""
+
+    @property
+    def needs_tissue(self) -> bool:
+        """Whether rates depend on what cells fill of a place."""
+
+    def evaluate(
+        self, c: FloatArray, tissue: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return what reactions make of each field and the derivative of that.
+
+        Parameters
+        ----------
+        c : (m, nodes), mM
+        tissue : (nodes,)
+            Part of each place that is tissue, 0 to 1; needed where ``needs_tissue``.
+
+        Returns
+        -------
+        (m, nodes), mM/s
+        (m, m, nodes), 1/s
+            Of the rate of the first by the concentration of the second.
+        """
+
+
+def kinetics_of(names: Sequence[str], reactions: Mapping[str, Any]) -> Kinetics:
+    """Return the rates of reactions that are given as parts of a scene, tables or functions.
+
+    Parameters
+    ----------
+    names
+        Of the fields.
+    reactions
+        Name -> :class:`~multicell.scene.reactions.Reaction`, a table of its keys, or a reaction of
+        the user's own.
+
+    Raises
+    ------
+    SceneError
+        For a field that is not one of these, and for what is no reaction.
+    """
+    fixed: dict[str, Reaction] = {}
+    own: list[Own] = []
+    for name, given in reactions.items():
+        path = f"reactions.{name}"
+        reaction: Any = given
+        if isinstance(given, Mapping):
+            reaction = build(Reaction, given, path)
+        if not isinstance(reaction, Reaction | Own):
+            problem = f"is {shown(given)}, must be a reaction"
+            raise SceneError(path, problem, "A function becomes one by multicell.reaction.")
+        for field in reaction.fields:
+            if field not in names:
+                raise SceneError(
+                    f"{path}.{field}", "is not one of the fields", near_miss(field, names)
+                )
+        if isinstance(reaction, Reaction):
+            fixed[name] = reaction
+        else:
+            own.append(reaction)
+    forms = FixedForms(names, fixed)
+    return Together(forms, own) if own else forms
+
+
+@runtime_checkable
+class Own(Protocol):
+    """A reaction between some of the fields (:class:`multicell.nutrient.own_reaction`)."""
+
+    fields: tuple[str, ...]
+
+    def evaluate(
+        self, c: FloatArray, tissue: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return rates and their derivative for its own fields."""
+
+
+@final
+class Together:
+    """Reactions of fixed forms and others, added up."""
+
+    def __init__(self, forms: FixedForms, own: Sequence[Own]) -> None:
+        self.names, self._forms = forms.names, forms
+        self._own = [(each, [self.names.index(name) for name in each.fields]) for each in own]
+        self.needs_tissue = True
+
+    def evaluate(
+        self, c: FloatArray, tissue: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return rates and their derivative; see :class:`Kinetics`."""
+        out, slope = self._forms.evaluate(c, tissue)
+        for each, rows in self._own:
+            rates, derivative = each.evaluate(np.asarray(c)[rows], tissue)
+            out[rows] += rates
+            slope[np.ix_(rows, rows)] += derivative
+        return out, slope
+
+
+@final
+class FixedForms:
+    """Reactions as a scene has them.
+
+    Parameters
+    ----------
+    names
+        Of the fields, in the order of the rows.
+    reactions
+        Between these fields.
+    """
+
+    def __init__(self, names: Sequence[str], reactions: Mapping[str, Reaction]) -> None:
+        self.names = list(names)
+        self.reactions = dict(reactions)
+        listed = list(reactions.values())
+        self.needs_tissue = any(r.where != "everywhere" for r in listed)
+        factors = [_factors(reaction, self.names) for reaction in listed]
+        self._first = np.cumsum([0, *(len(found) for found in factors)])
+        flat = [factor for found in factors for factor in found]
+        self._field = np.array([f[0] for f in flat], dtype=np.int64)
+        self._form = np.array([f[1] for f in flat], dtype=np.int64)
+        self._half = np.array([f[2] for f in flat], dtype=np.float64)
+        self._power = np.array([f[3] for f in flat], dtype=np.float64)
+        self._rate = np.array([r.rate for r in listed], dtype=np.float64)
+        self._place = np.array([_PLACES[r.where] for r in listed], dtype=np.int64)
+        self._change = np.array(
+            [[r.changes.get(name, 0.0) for name in self.names] for r in listed], dtype=np.float64
+        ).reshape(len(listed), len(self.names))
+
+    def evaluate(
+        self, c: FloatArray, tissue: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return rates and their derivative; see :class:`Kinetics`."""
+        c = np.ascontiguousarray(c, dtype=np.float64)
+        m, nodes = c.shape
+        filled = np.zeros(nodes) if tissue is None else np.ascontiguousarray(tissue).ravel()
+        out, slope = np.empty((m, nodes)), np.empty((m, m, nodes))
+        react(
+            c, filled, self._rate, self._place, self._first, self._field, self._form, self._half,
+            self._power, self._change, out, slope,
+        )  # fmt: skip
+        return out, slope
+
+
+def _factors(reaction: Reaction, names: list[str]) -> list[tuple[int, int, float, float]]:
+    """Return field, form, half saturation and exponent of each factor of a rate."""
+    found = []
+    if reaction.kind == "mass-action":
+        for name, power in (reaction.consumes or {}).items():
+            found.append((names.index(name), POWER, 1.0, power))
+    for form, terms in ((RISING, reaction.activated_by), (FALLING, reaction.inhibited_by)):
+        for name, term in terms.items():
+            found.append((names.index(name), form, term.half, term.exponent))
+    return found
+
+
+@_jit
+def factor(form: int, c: float, half: float, n: float) -> tuple[float, float]:
+    """Return a factor of a rate and its derivative (1/mM) at a concentration not below zero."""
+    if form == POWER:
+        below = c ** (n - 1.0)
+        return c * below, n * below
+    ratio = c / half
+    if ratio <= 1.0:
+        below = ratio ** (n - 1.0)
+        power = ratio * below
+        rising, falling = power / (1.0 + power), 1.0 / (1.0 + power)
+        slope = n * below / half * falling * falling
+    else:
+        power = ratio**-n
+        rising, falling = 1.0 / (1.0 + power), power / (1.0 + power)
+        slope = n / c * rising * falling
+    if form == RISING:
+        return rising, slope
+    return falling, -slope
+
+
+@_jit
+def react(
+    c: FloatArray,
+    tissue: FloatArray,
+    rate: FloatArray,
+    place: Any,
+    first: Any,
+    field: Any,
+    form: Any,
+    half: FloatArray,
+    power: FloatArray,
+    change: FloatArray,
+    out: FloatArray,
+    slope: FloatArray,
+) -> None:
+    """Write what reactions make of each field (mM/s) and the derivative of that (1/s).
+
+    Parameters
+    ----------
+    c : (m, nodes), mM
+    tissue : (nodes,)
+        Part of each place that is tissue.
+    rate : (r,)
+        Of each reaction, mM^(1 - n)/s or mM/s.
+    place : (r,)
+        0 everywhere, 1 in proportion to tissue, 2 to what is none.
+    first : (r + 1,)
+        First factor of each reaction.
+    field, form, half, power : (factors,)
+        Row of the field that a factor depends on, its form, K (mM) and n.
+    change : (r, m)
+        How many of each field a reaction makes.
+    out : (m, nodes)
+    slope : (m, m, nodes)
+        Written.
+    """
+    m, nodes = c.shape
+    value, steep = np.empty(field.size), np.empty(field.size)
+    for x in range(nodes):
+        for i in range(m):
+            out[i, x] = 0.0
+            for j in range(m):
+                slope[i, j, x] = 0.0
+        for r in range(rate.size):
+            speed = rate[r]
+            if place[r] == 1:
+                speed *= tissue[x]
+            elif place[r] == 2:
+                speed *= 1.0 - tissue[x]
+            product = speed
+            for k in range(first[r], first[r + 1]):
+                value[k], steep[k] = factor(form[k], max(c[field[k], x], 0.0), half[k], power[k])
+                product *= value[k]
+            for i in range(m):
+                out[i, x] += change[r, i] * product
+            for k in range(first[r], first[r + 1]):
+                partial = speed * steep[k]
+                for other in range(first[r], first[r + 1]):
+                    if other != k:
+                        partial *= value[other]
+                for i in range(m):
+                    slope[i, field[k], x] += change[r, i] * partial
+        for j in range(m):
+            if c[j, x] < 0.0:
+                for i in range(m):
+                    out[i, x] += slope[i, j, x] * c[j, x]
+
+
+def growth_rate(derivative: FloatArray, losses: FloatArray) -> tuple[float, int]:
+    """Return how fast the fastest growing mixture of fields grows at a node, and of which most is.
+
+    Parameters
+    ----------
+    derivative : (m, m), 1/s
+        Of the reactions' rates.
+    losses : (m,), 1/s
+        What else takes each field, in proportion to it.
+
+    Returns
+    -------
+    float, 1/s
+        Largest real part of the eigenvalues; below zero nothing grows.
+    int
+        Row of the field that has the largest part in it.
+    """
+    values, vectors = np.linalg.eig(derivative - np.diag(losses))
+    worst = int(np.argmax(values.real))
+    return float(values[worst].real), int(np.argmax(np.abs(vectors[:, worst])))

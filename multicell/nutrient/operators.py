@@ -1,0 +1,110 @@
+"""What boxes and shells have in common for those who evaluate balances instead of solving them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from multicell.cells import FloatArray
+from multicell.nutrient import stencil
+from multicell.nutrient.diffusion import Diffusion
+from multicell.nutrient.equation_kernels import shell_imbalance
+from multicell.nutrient.spherical import Shells
+
+AnyOperator = Diffusion | Shells
+
+
+def leak(shells: Shells) -> float:
+    """Return what leaves through the surface for each mM in the last shell, µm³/s."""
+    ends = np.zeros(shells.count)
+    without = shells.inflow(ends)
+    ends[-1] = 1.0
+    return without - shells.inflow(ends)
+
+
+def brought(operator: AnyOperator) -> FloatArray:
+    """Return what the sides bring to nodes at 0 mM, mM/s."""
+    if isinstance(operator, Diffusion):
+        return operator.stencil_source()
+    return np.asarray(operator.gain(np.zeros(operator.count)) / operator.volumes)
+
+
+def node_volumes(operator: AnyOperator) -> FloatArray | float:
+    """Return the volumes of the nodes, µm³; one number where they are equal."""
+    return operator.volume if isinstance(operator, Diffusion) else operator.volumes
+
+
+def fastest(operator: AnyOperator) -> float:
+    """Return about the largest rate at which diffusion empties a node, 1/s."""
+    if isinstance(operator, Diffusion):
+        varied = 1.0 if operator.varied is None else float(operator.varied.max())
+        return 2.0 * operator.dimensions * operator.stiffness * max(varied, 1.0)
+    flow = np.append(operator.conductance, leak(operator))
+    return float(((flow + np.append(0.0, flow[:-1])) / operator.volumes).max())
+
+
+def imbalance(
+    operator: AnyOperator,
+    c: FloatArray,
+    sink: FloatArray,
+    source: FloatArray,
+    half: float,
+    linear: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Return sources less sinks of all nodes (mM/s), and the sinks' derivative (1/s).
+
+    Arguments as for :func:`multicell.nutrient.stencil.imbalance`; ``source`` holds what the sides
+    bring (:func:`brought`).
+    """
+    out, slope = np.empty_like(c), np.empty_like(c)
+    if isinstance(operator, Diffusion):
+        stencil.imbalance(
+            c, sink, source, half, operator.stiffness, linear, operator.ghost, operator.weights,
+            out, slope,
+        )  # fmt: skip
+    else:
+        shell_imbalance(
+            c, sink, source, half, linear, operator.conductance, leak(operator), operator.volumes,
+            out, slope,
+        )  # fmt: skip
+    return out, slope
+
+
+def linearised(operator: AnyOperator, v: FloatArray, rate: FloatArray) -> FloatArray:
+    """Return (-D L0 + rate) v, with ``rate`` (1/s) at the nodes."""
+    if isinstance(operator, Diffusion):
+        out = np.empty_like(v)
+        stencil.apply_operator(v, rate, operator.stiffness, operator.ghost, operator.weights, out)
+        return out
+    none = np.zeros_like(v)
+    spread, _ = imbalance(operator, v, none, none, 1.0, 0.0)
+    return np.asarray(rate * v - spread)
+
+
+def lifted(
+    operator: AnyOperator,
+    c: FloatArray,
+    sink: FloatArray,
+    source: FloatArray,
+    half: float,
+    linear: float,
+    loss: FloatArray,
+    most: int,
+) -> FloatArray:
+    """Return a state near its balance with no node below zero, unless ``most`` sweeps are too few.
+
+    ``source`` (mM/s) must not be negative, and ``loss`` (1/s) is what else takes a node's content.
+    In a box only nodes below zero are changed, each to its own balance; a ball is solved anew with
+    an M-matrix and a right-hand side that is not negative.
+    """
+    if not source.any():
+        return np.zeros_like(c)
+    if isinstance(operator, Diffusion):
+        c = c.copy()
+        # uptake's slope at zero is sink / half: so ``loss`` is exact where this is used
+        stencil.balance_negative(
+            c, sink + half * loss, source, half, operator.stiffness, linear, operator.ghost,
+            operator.weights, most,
+        )  # fmt: skip
+        return c
+    taken = (sink / (half + np.maximum(c, 0.0)) + linear + loss) * operator.volumes
+    return operator.solve_linear(taken, source * operator.volumes)

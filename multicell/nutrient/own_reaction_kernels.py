@@ -1,0 +1,132 @@
+"""How kernels reach the functions of reactions of the user's own.
+
+By the type of a NamedTuple whose name holds a fingerprint of the functions and of all that they
+read: where :func:`all_nodes` calls :func:`_at_node`, numba compiles what belongs to the type.
+Compiled code is kept on disk under it, and cannot be stale.
+"""
+
+from __future__ import annotations
+
+from collections import namedtuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit, types
+from numba.extending import overload, register_jitable
+from numba.np.unsafe.ndarray import to_fixed_tuple
+
+from multicell.contact.constants import fingerprint, helpers_of
+
+Rate = Callable[[tuple[float, ...], Any], Sequence[float]]
+
+_STEP = 1e-5  # of a difference quotient, relative: truncation and rounding about even
+_TINY = 1e-12  # mM, below which a difference quotient takes no shorter steps
+
+
+class Cell(NamedTuple):
+    """A place where a reaction goes on: a cell of the grid."""
+
+    tissue: float
+    """Part of it that is tissue, 0 to 1."""
+
+
+_TYPES: dict[str, Any] = {}
+_FUNCTIONS: dict[Any, tuple[Rate, Rate | None, int]] = {}
+
+
+def type_of(rate: Rate, jacobian: Rate | None, fields: Sequence[str]) -> Any:
+    """Return the type that stands for a reaction."""
+    marks = [fingerprint(f, modules=True) for f in (rate, jacobian) if f is not None]
+    made = _type("_".join(["Reaction", str(len(fields)), *marks]))
+    _FUNCTIONS[made] = rate, jacobian, len(fields)
+    return made
+
+
+def _type(name: str) -> Any:
+    if name not in _TYPES:
+        made = namedtuple(name, ["unit"])  # type: ignore[misc]
+        made.__module__ = __name__
+        _TYPES[name] = made
+    return _TYPES[name]
+
+
+def __getattr__(name: str) -> Any:
+    """Return a type: the index of compiled code on disk asks by name for them all."""
+    if name.startswith("Reaction_"):
+        return _type(name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def _at_node(p, c, tissue, out, slope):
+    """Write rates and derivative at one node, where no concentration is below zero."""
+    raise NotImplementedError
+
+
+@overload(_at_node, jit_options={"error_model": "numpy"})
+def _compiled_at_node(p, c, tissue, out, slope):
+    if not isinstance(p, types.BaseNamedTuple) or p.instance_class not in _FUNCTIONS:
+        return None
+    rate, jacobian, m = _FUNCTIONS[p.instance_class]
+    for function in filter(None, (rate, jacobian)):
+        for part in (*helpers_of(function), function):
+            register_jitable(error_model="numpy")(part)
+    return _by_differences(rate, m) if jacobian is None else _as_given(rate, jacobian, m)
+
+
+def _as_given(rate: Any, jacobian: Any, m: int) -> Any:
+    def at_node(p, c, tissue, out, slope):
+        here, cell = to_fixed_tuple(c, m), Cell(tissue)
+        found, rows = rate(here, cell), jacobian(here, cell)
+        for i in range(m):
+            out[i] = found[i]
+            for j in range(m):
+                slope[i, j] = rows[i][j]
+
+    return at_node
+
+
+def _by_differences(rate: Any, m: int) -> Any:
+    def at_node(p, c, tissue, out, slope):
+        cell = Cell(tissue)
+        found = rate(to_fixed_tuple(c, m), cell)
+        for i in range(m):
+            out[i] = found[i]
+        for j in range(m):
+            value = c[j]
+            h = _STEP * value
+            if h > _TINY:
+                c[j] = value + h
+                above = rate(to_fixed_tuple(c, m), cell)
+                c[j] = value - h
+                below = rate(to_fixed_tuple(c, m), cell)
+                for i in range(m):
+                    slope[i, j] = (above[i] - below[i]) / (2.0 * h)
+            else:  # none may be below zero: one-sided, of second order too
+                c[j] = value + _TINY
+                above = rate(to_fixed_tuple(c, m), cell)
+                c[j] = value + 2.0 * _TINY
+                farther = rate(to_fixed_tuple(c, m), cell)
+                for i in range(m):
+                    rise = 4.0 * above[i] - 3.0 * found[i] - farther[i]
+                    slope[i, j] = rise / (2.0 * _TINY)
+            c[j] = value
+
+    return at_node
+
+
+@njit(cache=True, error_model="numpy")
+def all_nodes(p, c, tissue, out, slope):
+    """Write rates and derivative at all nodes; below zero rates go on along their tangent."""
+    m, nodes = c.shape
+    here, rates, steep = np.empty(m), np.empty(m), np.empty((m, m))
+    for x in range(nodes):
+        for i in range(m):
+            here[i] = max(c[i, x], 0.0)
+        _at_node(p, here, tissue[x], rates, steep)
+        for i in range(m):
+            out[i, x] = rates[i]
+            for j in range(m):
+                slope[i, j, x] = steep[i, j]
+                if c[j, x] < 0.0:
+                    out[i, x] += steep[i, j] * c[j, x]

@@ -1,0 +1,100 @@
+"""What a reaction promises, tried at points over its range of concentrations."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from multicell.cells import FloatArray
+
+if TYPE_CHECKING:
+    from multicell.nutrient.own_reaction import OwnReaction
+
+_POINTS = 40
+_LINES, _ALONG = 12, 1500
+_LEAST = 1e-6  # of the range, where lines from nothing begin
+_AGREE = 2e-2  # what the integral of a derivative may lack of the change of a rate
+
+
+def problems(made: OwnReaction) -> list[str]:
+    """Return what is wrong with a reaction and what to do about it; nothing if all is well."""
+    for check in (_not_finite, _consumed_from_nothing, _derivative_of_another):
+        found = check(made)
+        if found:
+            return found
+    return []
+
+
+def _points(made: OwnReaction) -> tuple[FloatArray, FloatArray]:
+    """Return concentrations (m, points) over six decades, in all combinations with zero."""
+    rng = np.random.default_rng(1)
+    m = len(made.fields)
+    c = made.upto * 10.0 ** rng.uniform(-6.0, 0.0, (m, _POINTS))
+    c[:, 0], c[:, 1] = 0.0, made.upto
+    without = [np.where(np.arange(m)[:, None] == i, 0.0, c) for i in range(m)]
+    whole = np.concatenate([c, *without], axis=1)
+    return np.asarray(whole, dtype=np.float64), np.array(rng.uniform(0.0, 1.0, whole.shape[1]))
+
+
+def _not_finite(made: OwnReaction) -> list[str]:
+    c, tissue = _points(made)
+    rates, slope = made.evaluate(c, tissue)
+    bad = ~np.isfinite(rates).all(axis=0)
+    if bad.any():
+        return [f"is not finite at {_place(made, c[:, np.argmax(bad)])}"]
+    bad = ~np.isfinite(slope).all(axis=(0, 1))
+    if bad.any():
+        where = _place(made, c[:, np.argmax(bad)])
+        kind = "is not found" if made.jacobian is None else "is not finite"
+        return [f"has a derivative that {kind} at {where}", "Give jacobian, or a smooth rate."]
+    return []
+
+
+def _consumed_from_nothing(made: OwnReaction) -> list[str]:
+    c, tissue = _points(made)
+    rates, _ = made.evaluate(c, tissue)
+    least = -1e-12 * np.abs(rates).max(initial=0.0)
+    for i, name in enumerate(made.fields):
+        bad = (c[i] == 0.0) & (rates[i] < least)
+        if bad.any():
+            k = int(np.argmax(bad))
+            return [
+                f"takes {-rates[i, k]:.3g} mM/s of {name} where there is none "
+                f"({_place(made, c[:, k])})",
+                f"Its loss must end with {name}: concentrations would fall below zero.",
+            ]
+    return []
+
+
+def _derivative_of_another(made: OwnReaction) -> list[str]:
+    """Compare the integrals of the derivative along lines with the changes of the rates."""
+    rng = np.random.default_rng(2)
+    m = len(made.fields)
+    for line in range(_LINES):
+        begin = made.upto * _LEAST * rng.uniform(0.5, 1.0, m)
+        ratio = 10.0 ** rng.uniform(2.0, 6.0, m)
+        if line < m:  # along one axis
+            begin = np.where(np.arange(m) == line, begin, made.upto * rng.uniform(0.1, 1.0, m))
+            ratio = np.where(np.arange(m) == line, 1e6, 1.0)
+        way = np.linspace(0.0, 1.0, _ALONG)
+        c = np.minimum(begin[:, None] * ratio[:, None] ** way, made.upto)
+        rates, slope = made.evaluate(c, np.full(_ALONG, rng.uniform(0.0, 1.0)))
+        steps = np.diff(c, axis=1)
+        middle = 0.5 * (slope[:, :, 1:] + slope[:, :, :-1])
+        told = np.einsum("ijx,jx->ix", middle, steps)
+        missing = np.abs(np.diff(rates, axis=1) - told)
+        whole = np.abs(np.diff(rates, axis=1)).sum(axis=1)
+        amiss = missing.sum(axis=1) > _AGREE * whole + 1e-14 * np.abs(rates).max()
+        if amiss.any():
+            i = int(np.argmax(amiss))
+            where = _place(made, c[:, int(np.argmax(missing[i]))])
+            if made.jacobian is None:
+                problem = f"has no derivative that can be found: that of {made.fields[i]} jumps at"
+                return [f"{problem} {where}", "Give jacobian, or a rate without jumps."]
+            return [f"has a jacobian that is not its derivative, for {made.fields[i]} at {where}"]
+    return []
+
+
+def _place(made: OwnReaction, c: FloatArray) -> str:
+    return ", ".join(f"{name} = {x:.3g} mM" for name, x in zip(made.fields, c, strict=True))

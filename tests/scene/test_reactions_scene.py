@@ -1,0 +1,203 @@
+"""What a scene says of reactions: units, round trips, and what is refused with its place."""
+
+import pytest
+
+from multicell.errors import SceneError
+from multicell.report.explain.scene import explain
+from multicell.scene.checks import solving_order
+from multicell.scene.reactions import Reaction, groups
+from multicell.scene.scales import regime, spacing
+from multicell.scene.scene import Scene, load_scene
+
+WALLS = {"*": {"type": "derivative", "derivative": 0.0}}
+FIELD = {"uptake": 0.0}
+A_TO_B = {"rate": "1e-3 1/s", "consumes": {"a": 1}, "produces": {"b": 1}}
+
+
+def scene(reaction=None, *, fields=None, reactions=None, **changes):
+    fields = {name: {**FIELD, **((fields or {}).get(name, {}))} for name in "abc"}
+    known = reactions or {"x": {**A_TO_B, **(reaction or {})}}
+    return Scene.from_dict({"duration": 3600.0, "nutrients": fields, "reactions": known, **changes})
+
+
+@pytest.mark.parametrize(
+    ("consumes", "kind", "rate", "base", "unit"),
+    [
+        ({}, "mass-action", "36 uM/h", 1e-5, "mM/s"),
+        ({"a": 1}, "mass-action", "18 1/min", 0.3, "1/s"),
+        ({"a": 1, "b": 1}, "mass-action", "2e5 1/(M s)", 200.0, "1/mM/s"),
+        ({"a": 2, "b": 1}, "mass-action", "5 1/(mM^2 s)", 5.0, "1/mM^2/s"),
+        ({"a": 4}, "mass-action", "5 1/mM^3/s", 5.0, "1/mM^3/s"),
+        ({"a": 1}, "hill", "1 uM/s", 1e-3, "mM/s"),
+    ],
+)
+def test_the_unit_of_a_rate_is_that_of_its_order(consumes, kind, rate, base, unit):
+    terms = {"a": {"half": "10 uM"}} if kind == "hill" else {}
+    made = Reaction(
+        kind=kind, rate=rate, consumes=consumes, produces={"c": 1}, activated_by=terms
+    )  # fmt: skip
+    assert made.rate == pytest.approx(base, rel=1e-12)
+    assert made.unit == unit
+    # "for a mass-action of the wrong order" is no such rate
+    with pytest.raises(SceneError, match="rate: is '5 um', must be"):
+        Reaction(kind=kind, rate="5 um", consumes=consumes, produces={"c": 1}, activated_by=terms)
+
+
+def test_a_scene_with_reactions_is_written_and_read_back(tmp_path):
+    hill = {"kind": "hill", "rate": 1e-3, "consumes": {"c": 1}, "where": "tissue"}
+    hill["activated_by"] = {"c": {"half": 0.1, "exponent": 2}}
+    made = scene(reactions={"x": A_TO_B, "y": hill})
+    file = tmp_path / "scene.toml"
+    file.write_text(made.to_toml(), encoding="utf-8")
+    assert load_scene(file) == made
+    changed = made.with_changes({"reactions.x.rate": "2e-3 1/s"})
+    assert changed.reactions["x"].rate == 2e-3
+    assert made.with_changes({"reactions": None}).reactions == {}
+
+
+@pytest.mark.parametrize(
+    ("change", "path", "words"),
+    [
+        ({"rate": "1 mM/s"}, "rate", "order 1 has 1/s"),
+        ({"rate": "1 parsnip"}, "rate", "unknown unit"),
+        ({"rate": True}, "rate", "must be a number or a string"),
+        ({"rate": 0.0}, "rate", "must be from 1e-15"),
+        ({"rate": -1.0}, "rate", "must be from 1e-15"),
+        ({"consumes": {"a": 1.5}}, "consumes.a", "whole number"),
+        ({"consumes": {"a": 4, "b": 1}}, "consumes", "are 5 in all"),
+        ({"consumes": {"q": 1}}, "consumes.q", "not a field"),
+        ({"produces": {"a": 1}}, "consumes", "change nothing"),
+        ({"activated_by": {"a": {"half": 1}}}, "activated_by", "no meaning"),
+        ({"kind": "hill"}, "activated_by", "is missing"),
+        (
+            {"kind": "hill", "rate": 1.0, "activated_by": {"b": {"half": 1.0}}},
+            "activated_by.a", "does not end where there is none",
+        ),
+        (
+            {"kind": "hill", "rate": 1.0, "activated_by": {"a": {"half": 1.0, "exponent": 0.5}}},
+            "activated_by.a.exponent", "at least 1",
+        ),
+        ({"where": "nowhere"}, "where", "must be one of"),
+    ],
+)  # fmt: skip
+def test_what_is_no_reaction_is_refused_at_its_place(change, path, words):
+    with pytest.raises(SceneError, match=words) as caught:
+        scene(change)
+    assert caught.value.path == f"reactions.x.{path}"
+
+
+@pytest.mark.parametrize(
+    ("fields", "path", "words"),
+    [
+        ({"a": {"spacing": 8}, "b": {"spacing": 9}}, "b.spacing", "share one grid"),
+        ({"b": {"margin": 80}}, "b.margin", "is 80, but that of a is 50"),
+        ({"b": {"geometry": "radial"}}, "b.geometry", "is radial, but that of a is box"),
+        ({"a": {"regime": "steady"}, "b": {"regime": "transient"}}, "a.regime", "'transient'"),
+        (
+            {"a": {"regime": "steady", "decay": "1 1/h", "sides": WALLS}, "b": {"sides": WALLS}},
+            "a.regime", "fixes the level of b",
+        ),
+        ({"a": {"finite_medium": {"volume": "1 uL"}}}, "a.finite_medium", "not known"),
+        (
+            {"a": {"uptake": 1}, "b": {"secretion_from": {"a": 1}}},
+            "b.secretion_from.a", "reacts with",
+        ),
+        (
+            {
+                "c": {"uptake": 1, "uptake_on": {"b": {"effect": 1, "half": 1}}},
+                "a": {"uptake": 1, "uptake_on": {"c": {"effect": 1, "half": 1}}},
+            },
+            "a", "depends on itself",
+        ),
+    ],
+)  # fmt: skip
+def test_fields_that_cannot_react_are_refused_at_their_place(fields, path, words):
+    with pytest.raises(SceneError, match=words) as caught:
+        scene(fields=fields)
+    assert caught.value.path.startswith(f"nutrients.{path}")
+
+
+def test_fields_that_react_share_grid_and_regime_and_come_one_after_another():
+    made = scene(
+        fields={
+            "a": {"uptake": 100.0, "boundary": 0.01},
+            "c": {"uptake": 1.0, "uptake_on": {"a": {"effect": 1.0, "half": 0.1}}},
+        }
+    )
+    assert spacing(made, "a") == spacing(made, "b") < spacing(made, "c")
+    assert [regime(made, name) for name in "abc"] == ["transient", "transient", "steady"]
+    assert solving_order(made.nutrients, made.reactions) == ["a", "b", "c"]
+    given = made.with_changes({"nutrients.b.spacing": 9.0, "nutrients.b.regime": "steady"})
+    assert spacing(given, "a") == 9.0
+    assert regime(given, "a") == "steady"
+
+
+def test_fields_are_grouped_by_what_reacts_with_what():
+    def of(*fields):
+        return Reaction(rate=1.0, consumes=dict.fromkeys(fields, 1))
+
+    known = {"x": of("a", "c"), "y": of("d", "e"), "z": of("c", "d"), "w": of("f")}
+    assert groups("abcdefg", known) == [["a", "c", "d", "e"], ["f"]]
+
+
+CLOSED = {name: {"sides": WALLS} for name in "abc"}
+
+
+@pytest.mark.parametrize(
+    ("reactions", "fields", "growth"),
+    [
+        ({"x": {"rate": 1e-3, "consumes": {"a": 1}, "produces": {"a": 2}}}, CLOSED, 1e-3),
+        (  # by way of another: eigenvalues of [[-1, 1], [2, -1]] are -1 ± √2
+            {
+                "x": {"rate": 1.0, "consumes": {"a": 1}, "produces": {"b": 2}},
+                "y": {"rate": 1.0, "consumes": {"b": 1}, "produces": {"a": 1}},
+            },
+            CLOSED, 2**0.5 - 1.0,
+        ),
+        (  # of second order: the derivative k a is that at the medium's concentration
+            {"x": {"rate": 2.0, "consumes": {"a": 2}, "produces": {"a": 3}}},
+            {"a": {"sides": WALLS, "boundary": 0.05}}, 2.0 * 2.0 * 0.05,
+        ),
+        (  # more than decay takes
+            {"x": {"rate": 3e-3, "consumes": {"a": 1}, "produces": {"a": 2}}},
+            {"a": {"sides": WALLS, "decay": 1e-3}}, 2e-3,
+        ),
+    ],
+)  # fmt: skip
+def test_growth_without_bound_is_named_before_the_run(reactions, fields, growth):
+    with pytest.raises(SceneError, match="grow without bound") as caught:
+        scene(reactions=reactions, fields=fields)
+    assert caught.value.path == "reactions.x"
+    assert f"{growth:.3g} 1/s faster" in caught.value.problem
+
+
+@pytest.mark.parametrize(
+    ("reactions", "fields"),
+    [
+        # decay, or diffusion to the sides, takes it away faster
+        ({"x": {"rate": 1e-3, "consumes": {"a": 1}, "produces": {"a": 2}}},
+         {"a": {"sides": WALLS, "decay": 2e-3}}),
+        ({"x": {"rate": 1e-3, "consumes": {"a": 1}, "produces": {"a": 2}}}, {}),
+        # autocatalysis of what is used up for it (Gray & Scott)
+        ({"x": {"rate": 1e3, "consumes": {"a": 1, "b": 2}, "produces": {"b": 3}}}, CLOSED),
+        # two of one are one of another, there and back
+        ({"x": {"rate": 1.0, "consumes": {"a": 1}, "produces": {"b": 2}},
+          "y": {"rate": 1.0, "consumes": {"b": 2}, "produces": {"a": 1}}}, CLOSED),
+        # what saturates is bounded
+        ({"x": {"kind": "hill", "rate": 1.0, "produces": {"a": 1},
+                "activated_by": {"a": {"half": 0.1}}}}, CLOSED),
+    ],
+)  # fmt: skip
+def test_what_is_bounded_is_not_refused(reactions, fields):
+    assert scene(reactions=reactions, fields=fields).reactions
+
+
+def test_explain_tells_of_reactions():
+    hill = {"kind": "hill", "rate": 1e-3, "consumes": {"c": 1}, "where": "tissue"}
+    hill["activated_by"] = {"c": {"half": 0.1, "exponent": 2}}
+    told = explain(scene(reactions={"x": {**A_TO_B, "produces": {"b": 2}}, "y": hill}))
+    words = {part["part"]: part["what"] for part in told["parts"]}
+    assert words["reactions.x"] == "a -> 2 b: mass action, 0.001 1/s"
+    assert "c -> nothing: 0.001 mM/s at most" in words["reactions.y"]
+    assert "solved together with b" in words["nutrients.a"]
+    assert "it takes part in reactions" in words["nutrients.a"]
