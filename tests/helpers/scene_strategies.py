@@ -345,7 +345,9 @@ def _fit_reactions(scene, fields):
                 reaction["activated_by"].setdefault(field, {"half": 0.05})
         else:
             del reaction["activated_by"], reaction["inhibited_by"]
-        if reaction["consumes"].keys() != reaction["produces"].keys():
+        if reaction["consumes"].keys() == reaction["produces"].keys():
+            reaction["produces"] = {}
+        if reaction["consumes"] or reaction["produces"]:
             kept[name] = reaction
     scene.pop("reactions", None)
     if not kept:
@@ -356,7 +358,9 @@ def _fit_reactions(scene, fields):
     reacting = [field for name, field in fields.items() if name in joined]
     first = reacting[0]
     for field in reacting:
-        for key in ("uptake_on", "secretion_from", "finite_medium", "regime", "initial"):
+        for key in (
+            "uptake_on", "secretion_from", "finite_medium", "regime", "initial", "tolerance",
+        ):  # fmt: skip
             field.pop(key, None)
         for key in ("margin", "roundness_limit", "height", "spacing", "geometry", "layer"):
             if key in first:
