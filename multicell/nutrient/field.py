@@ -12,6 +12,7 @@ from multicell.cells import FloatArray
 from multicell.nutrient import grid as layouts
 from multicell.nutrient.cartesian import Box, round_enough
 from multicell.nutrient.grid import BoxLayout, Layout, Operator, ShellLayout
+from multicell.nutrient.regions import coefficients
 from multicell.nutrient.steady import SolveReport
 from multicell.nutrient.transient import Amounts, March, TransientReport, march
 from multicell.nutrient.uptake import uptake
@@ -376,16 +377,11 @@ class NutrientField:
         """Return the operator on a layout at a time, the last one if it still holds."""
         p = self.parameters
         conditions = layout.conditions(p.sides(time, self.level(time)))
-        medium = p.nutrient.diffusion_medium
-        if kept and self._operator is not None and medium is None:
+        if kept and self._operator is not None and p.nutrient.diffusion_medium is None:
             if conditions != self._conditions:
                 self._operator.set_boundary(conditions)
             return self._operator, conditions
-        varied = None
-        if medium is not None and medium != p.nutrient.diffusion:
-            varied = layouts.relative_diffusion(
-                layout, position, radius, medium, p.nutrient.diffusion
-            )
+        varied = coefficients(layout, position, radius, p.nutrient)
         return layout.operator(p.nutrient.diffusion, conditions, varied), conditions
 
     def _supply(

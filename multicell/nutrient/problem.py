@@ -11,8 +11,9 @@ from multicell.errors import SceneError
 from multicell.nutrient.equation import FieldEquation
 from multicell.nutrient.equation_term import Substance
 from multicell.nutrient.fields import Feeding
-from multicell.nutrient.grid import Layout, relative_diffusion, restored, tissue_share
+from multicell.nutrient.grid import Layout, restored, tissue_share
 from multicell.nutrient.parameters import FieldParameters
+from multicell.nutrient.regions import coefficients
 from multicell.nutrient.schedule import Schedule
 from multicell.nutrient.sources import injected
 from multicell.scene.checks import solving_order
@@ -137,11 +138,7 @@ def _substance(
         return layout.conditions(parameters.sides(0.0, level))
 
     supply = injected(layout, nutrient.sources) if nutrient.sources else None
-    varied, outside = None, nutrient.diffusion_medium
-    if outside is not None and outside != nutrient.diffusion:
-        varied = relative_diffusion(
-            layout, cells.position, cells.radius, outside, nutrient.diffusion
-        )
+    varied = coefficients(layout, cells.position, cells.radius, nutrient)
     capacity, production = demands.of_frame(name)
     return Substance(
         nutrient.diffusion, conditions, nutrient.half_saturation, nutrient.decay,

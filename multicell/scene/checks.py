@@ -117,6 +117,7 @@ def check_nutrients(scene: Scene) -> None:
         _check_medium(path, nutrient)
         _check_finite(scene, path, nutrient)
         _check_sources(scene, path, nutrient)
+        _check_regions(scene, path, nutrient)
         _check_layer(path, nutrient)
         if scene.domain is not None:
             _check_in_domain(scene, name)
@@ -236,6 +237,25 @@ def _check_sources(scene: Scene, path: str, nutrient: Nutrient) -> None:
             low, high = getattr(scene.domain, axis, None) or (-math.inf, math.inf)
             if not low <= place <= high:
                 problem = f"is {place:g} um, outside the domain: from {low:g} to {high:g} um"
+                raise SceneError(f"{where}.{axis}", problem)
+
+
+def _check_regions(scene: Scene, path: str, nutrient: Nutrient) -> None:
+    """Check that regions are boxes in the scene's dimensions, and lie in its domain."""
+    if nutrient.regions and nutrient.layout != "box":
+        problem = f"need geometry = 'box': shells ('{nutrient.geometry}') know a distance only"
+        raise SceneError(f"{path}.regions", problem)
+    for name, region in nutrient.regions.items():
+        where = f"{path}.regions.{name}"
+        for axis in "xyz":
+            ends = getattr(region, axis)
+            if ends is None:
+                continue
+            if axis not in "xyz"[: scene.dimensions]:
+                raise SceneError(f"{where}.{axis}", "does not exist in a scene of 2 dimensions")
+            low, high = getattr(scene.domain, axis, None) or (-math.inf, math.inf)
+            if ends[1] <= low or ends[0] >= high:
+                problem = f"lies outside the domain: from {low:g} to {high:g} um"
                 raise SceneError(f"{where}.{axis}", problem)
 
 

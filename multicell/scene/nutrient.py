@@ -12,6 +12,7 @@ from multicell.errors import SceneError
 from multicell.schema import (
     Tables,
     choice,
+    interval,
     number,
     parameters,
     quantities,
@@ -96,6 +97,7 @@ class Dependence:
     half: float = quantity("mM", above=0, at_most=MOST, doc="concentration g of half the effect")
 
 
+_ends = partial(interval, "um", at_least=-1e6, at_most=1e6)
 _place = partial(quantity, "um", default=None, at_least=-1e6, at_most=1e6)
 
 
@@ -130,6 +132,19 @@ class Source:
         """The coordinates that are given, by axis, µm."""
         axes = {"x": self.x, "y": self.y, "z": self.z}
         return {axis: value for axis, value in axes.items() if value is not None}
+
+
+@final
+@parameters
+class Region:
+    """A box with a diffusion coefficient of its own: a gel, a membrane, a wall."""
+
+    diffusion: float = quantity(
+        "um^2/s", at_least=1e-6, at_most=1e8, doc="diffusion coefficient in it, cells or not"
+    )
+    x: tuple[float, float] | None = _ends(doc="from and to; absent: all along this axis")
+    y: tuple[float, float] | None = _ends(doc="from and to; absent: all along this axis")
+    z: tuple[float, float] | None = _ends(doc="from and to; absent: all along this axis")
 
 
 @final
@@ -246,6 +261,9 @@ class Nutrient:
     sources: Mapping[str, Source] = tables(
         Source, default_factory=Tables, doc="points and planes that give it off, by name"
     )
+    regions: Mapping[str, Region] = tables(
+        Region, default_factory=Tables, doc="boxes where it diffuses otherwise, by name"
+    )
     growth_half_saturation: float | None = _level_above_zero(
         default=None, doc="of half the largest growth (Monod); absent: no effect"
     )
@@ -335,12 +353,12 @@ class Nutrient:
     def layout(self) -> str:
         """What its grid may be: ``"box"``, ``"radial"``, or ``"auto"`` for either.
 
-        With a tolerance and no geometry it is either, unless sides or sources are not the same
-        all round.
+        With a tolerance and no geometry it is either, unless sides, sources or regions are not the
+        same all round.
         """
         if self.geometry is not None:
             return self.geometry
-        if self.tolerance is None or self.sources or self.shaped_sides:
+        if self.tolerance is None or self.sources or self.regions or self.shaped_sides:
             return "box"
         return "auto"
 

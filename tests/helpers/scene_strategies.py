@@ -42,6 +42,7 @@ NAMES = {
     "sides": FACES,
     "phases": PHASES,
     "sources": ("pump", "dish"),
+    "regions": ("gel", "wall"),
     "reactions": ("binding", "breakdown"),
     "consumes": FIELDS,
     "produces": FIELDS,
@@ -502,10 +503,13 @@ def _fit_field(scene, field, earlier, fields, flat):
         field.pop("geometry", None)
         if "spacing" in field:
             field["spacing"] = radius
+    if "layer" in field and not flat and "domain" not in scene:
+        field["geometry"] = "radial"
     if field.get("geometry") != "radial":
         field.pop("layer", None)
     _fit_sides(field, flat)
     _fit_sources(scene, field, flat)
+    _fit_regions(scene, field, flat)
     if "finite_medium" in field:
         _fit_medium(field)
     if "diffusion_medium" in field:
@@ -538,6 +542,20 @@ def _fit_sources(scene, field, flat):
             source |= {"y": 0.0, "flux": flux}
         else:
             source |= {"strength": strength, **dict.fromkeys("xy" if flat else "xyz", 0.0)}
+
+
+def _fit_regions(scene, field, flat):
+    """Let regions lie in the middle, where any domain is, and differ as much as solvers follow."""
+    if field.get("geometry", "box") != "box":
+        field.pop("regions", None)
+    tissue = base(field.get("diffusion", 2000.0))
+    for region in field.get("regions", {}).values():
+        ratio = min(max(base(region["diffusion"]) / tissue, 1e-3), 1e3)
+        region["diffusion"] = ratio * tissue
+        for axis in [axis for axis in "xyz" if axis in region]:
+            region[axis] = [-2.0, 3.0]
+        if flat:
+            region.pop("z", None)
 
 
 def _fit_medium(field):

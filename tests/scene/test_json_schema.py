@@ -164,7 +164,7 @@ def test_every_quantity_of_a_written_scene_has_its_unit(name):
 def test_every_declared_quantity_is_written_with_its_unit():
     seen, units = set(), set()
 
-    @settings(max_examples=250, suppress_health_check=list(HealthCheck), deadline=None)
+    @settings(max_examples=600, suppress_health_check=list(HealthCheck), deadline=None)
     @given(entries=drawn.plausible(small=False))
     def look(entries):
         try:

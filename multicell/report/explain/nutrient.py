@@ -70,6 +70,9 @@ def _what(scene: Scene, name: str) -> str:
         parts.append(f"solved together with {', '.join(together)}, with which it reacts")
     if nutrient.sources:
         parts.append(f"given off by {len(nutrient.sources)} source(s) that stand still")
+    for key, region in nutrient.regions.items():
+        ratio = region.diffusion / nutrient.diffusion
+        parts.append(f"diffuses {ratio:.3g} times as fast in '{key}'")
     for other, law in nutrient.uptake_on.items():
         trend = "rises" if law.effect > 0.0 else "falls"
         parts.append(f"uptake {trend} where {other} is short of {law.half:g} mM")
