@@ -26,13 +26,13 @@ if TYPE_CHECKING:
     from multicell.contact.jkr import JKR
     from multicell.integrators.base import Integrator, MethodInfo, Outcome
     from multicell.mechanics.motion import StateRejected
-    from multicell.nutrient.equation import FieldEquation
-    from multicell.nutrient.equation_term import Substance
-    from multicell.nutrient.implicit_solver import ImplicitFieldSolver
-    from multicell.nutrient.own_reaction import OwnReaction, reaction
-    from multicell.nutrient.problem import FieldProblem, field_problem
-    from multicell.nutrient.schedule import Schedule
-    from multicell.nutrient.steady_solver import SteadyFieldSolver
+    from multicell.nutrient.equations.equation import FieldEquation
+    from multicell.nutrient.equations.implicit_solver import ImplicitFieldSolver
+    from multicell.nutrient.equations.problem import FieldProblem, field_problem
+    from multicell.nutrient.equations.schedule import Schedule
+    from multicell.nutrient.equations.steady_solver import SteadyFieldSolver
+    from multicell.nutrient.equations.term import Substance
+    from multicell.nutrient.reactions.own import OwnReaction, reaction
     from multicell.ode import OdeProblem, ode_problem
     from multicell.report.export import export
     from multicell.report.result import Result, load_result
@@ -93,16 +93,16 @@ _LAZY = {
     "pair_law": "multicell.contact.custom",
     "Cells": "multicell.cells",
     "Hertz": "multicell.contact.hertz",
-    "FieldEquation": "multicell.nutrient.equation",
-    "FieldProblem": "multicell.nutrient.problem",
-    "field_problem": "multicell.nutrient.problem",
-    "ImplicitFieldSolver": "multicell.nutrient.implicit_solver",
-    "OwnReaction": "multicell.nutrient.own_reaction",
+    "FieldEquation": "multicell.nutrient.equations.equation",
+    "FieldProblem": "multicell.nutrient.equations.problem",
+    "field_problem": "multicell.nutrient.equations.problem",
+    "ImplicitFieldSolver": "multicell.nutrient.equations.implicit_solver",
+    "OwnReaction": "multicell.nutrient.reactions.own",
     "Reaction": "multicell.scene.reactions",
-    "reaction": "multicell.nutrient.own_reaction",
-    "Schedule": "multicell.nutrient.schedule",
-    "SteadyFieldSolver": "multicell.nutrient.steady_solver",
-    "Substance": "multicell.nutrient.equation_term",
+    "reaction": "multicell.nutrient.reactions.own",
+    "Schedule": "multicell.nutrient.equations.schedule",
+    "SteadyFieldSolver": "multicell.nutrient.equations.steady_solver",
+    "Substance": "multicell.nutrient.equations.term",
     "Integrator": "multicell.integrators.base",
     "MethodInfo": "multicell.integrators.base",
     "OdeProblem": "multicell.ode",

@@ -34,7 +34,7 @@ from multicell.threads import thread_count
 
 if TYPE_CHECKING:
     from multicell.integrators.base import Integrator
-    from multicell.nutrient.own_reaction import OwnReaction
+    from multicell.nutrient.reactions.own import OwnReaction
     from multicell.results.lineage import Lineage
     from multicell.results.reader import Contents
     from multicell.results.writer import Store

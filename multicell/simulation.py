@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from multicell.biology.splitting import Held
     from multicell.integrators.base import Integrator
     from multicell.nutrient.fields import Feeding
-    from multicell.nutrient.own_reaction import OwnReaction
+    from multicell.nutrient.reactions.own import OwnReaction
     from multicell.scene.scene import Scene
 
 
@@ -391,7 +391,9 @@ class Simulation:
         fields: dict[str, dict[str, Any]] = {}
         remarks: list[str] = []
         if self._feeding is not None:
-            fields, remarks = self._feeding.fitness(self.cells, self.time)
+            from multicell.nutrient.fitness import fitness
+
+            fields, remarks = fitness(self._feeding, self.cells, self.time)
         ledgers = {name: ledger.summary() for name, ledger in self.ledger.items()}
         threads = self._mechanics.threads
         return summary.run_summary(

@@ -57,9 +57,9 @@ def check_reaction(reaction: Any) -> None:
     reaction
         Made by :func:`multicell.reaction`.
     """
-    from multicell.nutrient.own_reaction import OwnReaction
-    from multicell.nutrient.own_reaction_kernels import Cell
-    from multicell.nutrient.reaction_check import problems
+    from multicell.nutrient.reactions.check import problems
+    from multicell.nutrient.reactions.own import OwnReaction
+    from multicell.nutrient.reactions.own_kernels import Cell
 
     if not isinstance(reaction, OwnReaction):
         raise AssertionError(f"{reaction!r} is not made by multicell.reaction")

@@ -36,6 +36,17 @@ def thread_count(wanted: int | None) -> int:
     return wanted
 
 
+def launch() -> None:
+    """Start numba's threads, if they have not been started yet.
+
+    Numba starts them when it loads a parallel function from its disk cache, but not for a function
+    that was compiled together with a cached parallel one and calls it: that ends in a crash.
+    """
+    import numba
+
+    numba.get_num_threads()
+
+
 def two_drivers(body: Callable[..., Any]) -> tuple[Any, Any]:
     """Return a loop over chunks compiled twice: for one thread, and for all of them.
 

@@ -22,7 +22,7 @@ from numba import njit
 from numba.extending import overload, register_jitable
 from numpy.typing import NDArray
 
-from multicell.mechanics import forces, neighbours
+from multicell.mechanics import forces, margins, neighbours
 from multicell.mechanics.motion import StateRejected
 from multicell.mechanics.system import Mechanics
 
@@ -113,7 +113,10 @@ def compiled(function: Callable[..., Any]) -> Any:
     is compiled into it.
     """
     dispatcher = njit(cache=True)(function)
-    inside = [_index(other) for other in (forces.forces, neighbours.rebuild, copy, dispatcher)]
+    inside = [
+        _index(other)
+        for other in (forces.forces, neighbours.rebuild, margins.widened, copy, dispatcher)
+    ]
     if all(inside):
         inside[-1]._source_stamp = tuple(index._source_stamp for index in inside)
     return dispatcher
@@ -170,7 +173,7 @@ def _evaluation(forces_at, rebuild):
                 return NOT_FINITE, pairs
             source.counts[LIST_BUILDS] += 1
             cells = source.cells
-            reach = neighbours.widened(
+            reach = margins.widened(
                 position, cells.reference, source.reach, source.least_margin, cells.margin
             )
             crowded, first, second, start, inner_end, outer_end = rebuild(

@@ -14,7 +14,6 @@ made from the sorted coordinates instead, and memory stays proportional to cells
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple, final
 
@@ -39,10 +38,6 @@ _SPARE_BINS = 4096
 _SPARE_PAIRS = 4_000_000
 _BLOCK = 512
 """Candidates that are tested in one go."""
-_WIDEST = 8.0
-"""Largest margin of a cell over the least."""
-_FORESIGHT = 6.0
-"""How many times as far as since the last list a cell may move until the next one."""
 
 
 class TooManyPairsError(Exception):
@@ -149,43 +144,6 @@ def build(
     if crowded:
         raise TooManyPairsError(f"more than {500 * n + _SPARE_PAIRS} pairs among {n} cells")
     return PairList(first, second, start, inner_end, outer_end, chunk, n)
-
-
-@njit(cache=True)
-def widened(position, reference, reach, least, margin):
-    """Adapt the margins of the cells to how they move; return the radii to build a list with.
-
-    A list lasts until some cell has drifted by its margin. Where few cells move it is they for
-    whom it is built again and again, and room round them costs little: each cell's margin is a
-    multiple of its drift since the last list, but not below half of what it was.
-
-    Parameters
-    ----------
-    position, reference : (n, 3), µm
-        Now, and at the last list; not a number where there was none.
-    reach : (n,), µm
-        Half of the distance within which a pair matters.
-    least : float, µm
-        Smallest margin.
-    margin : (n,), µm
-        How far each cell may drift; changed in place.
-
-    Returns
-    -------
-    (n,), µm
-        ``reach`` + ``margin``.
-    """
-    wide = np.empty_like(reach)
-    for i in range(reach.size):
-        square = 0.0
-        for a in range(3):
-            square += (position[i, a] - reference[i, a]) ** 2
-        # not a number where there was no list: the margin stays
-        wanted = _FORESIGHT * math.sqrt(square)
-        if wanted == wanted:
-            margin[i] = max(least, min(max(wanted, 0.5 * margin[i]), _WIDEST * least))
-        wide[i] = reach[i] + margin[i]
-    return wide
 
 
 def spatial_order(position: FloatArray, width: float) -> OffsetArray:

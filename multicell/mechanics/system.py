@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from multicell.cells import SPHERE, FloatArray, stokes_drag
 from multicell.contact.law import PairLaw, compliance, effective_radius
 from multicell.contact.springs import Spring
-from multicell.mechanics import blocks, forces, neighbours
+from multicell.mechanics import blocks, forces, margins, neighbours
 from multicell.mechanics.division_offset import Offsets, PairValues
 from multicell.mechanics.motion import Motion, StateRejected, Work
+from multicell.threads import launch
 
 if TYPE_CHECKING:
     from multicell.mechanics.friction import PairFriction
@@ -97,6 +98,8 @@ class Mechanics:
     work: Work = field(default_factory=Work)
 
     def __post_init__(self) -> None:
+        if self.threads > 1:
+            launch()
         self.drag = stokes_drag(self.viscosity)
         self._pairs: neighbours.PairList | None = None
         self._cells: forces.CellData
@@ -347,7 +350,7 @@ class Mechanics:
         self.work.list_builds += 1
         reference = np.array(position)
         last = self._cells.reference if self._pairs is not None else np.full((len(self), 3), np.nan)
-        reach = neighbours.widened(
+        reach = margins.widened(
             reference, last, self._list_radius, self._least_margin, self._margin
         )
         try:

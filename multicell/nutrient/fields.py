@@ -14,17 +14,15 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from multicell.cells import Cells, FloatArray, Phase, State
-from multicell.errors import NutrientFailed, SceneError
+from multicell.errors import SceneError
 from multicell.nutrient.balance import Ledger
-from multicell.nutrient.cartesian import departure
+from multicell.nutrient.choosing.grids import Grids
 from multicell.nutrient.field import FieldReport, NutrientField
-from multicell.nutrient.grid import ShellLayout, tissue_radius
-from multicell.nutrient.grids import Grids
 from multicell.nutrient.parameters import FieldParameters
 from multicell.scene.checks import solving_order
 
 if TYPE_CHECKING:
-    from multicell.nutrient.reacting import Reacting
+    from multicell.nutrient.reactions.reacting import Reacting
     from multicell.nutrient.transient import TransientReport
     from multicell.results.frame import Field, Frame
     from multicell.scene.nutrient import Nutrient
@@ -62,16 +60,16 @@ class Feeding:
             for name in scene.nutrients
             for what in ("uptake", "secretion")
         }
-        self._order = solving_order(scene.nutrients, known)
-        parameters = {name: FieldParameters.of(scene, name) for name in self._order}
+        self.order = solving_order(scene.nutrients, known)
+        parameters = {name: FieldParameters.of(scene, name) for name in self.order}
         if reactions:
-            from multicell.nutrient.groups import joined
+            from multicell.nutrient.reactions.groups import joined
 
             parameters |= joined(scene, parameters, reactions)
         self.fields = {name: NutrientField(name, parameters[name]) for name in scene.nutrients}
         self._groups: dict[str, Reacting] = {}
         if known:
-            from multicell.nutrient.groups import together
+            from multicell.nutrient.reactions.groups import together
 
             self._groups = together(self.fields, known)
         self.grids = Grids(scene)
@@ -80,7 +78,7 @@ class Feeding:
         self.reports: dict[str, FieldReport] = {}
         self._uptake: dict[str, FloatArray] = {}
         # a field whose regime the run chooses may become transient
-        may_move = [x for x in self._order if x in self.grids.choosers or not self._rests(x)]
+        may_move = [x for x in self.order if x in self.grids.choosers or not self._rests(x)]
         self.content_errors = dict.fromkeys(may_move, 0.0)
         self._turnover: dict[str, tuple[float, float]] = {}
 
@@ -91,7 +89,7 @@ class Feeding:
         ------
         NutrientFailed
         """
-        for name in self._order:
+        for name in self.order:
             group = self._groups.get(name)
             if group is None:
                 self._begin_one(name, cells, time)
@@ -100,7 +98,7 @@ class Feeding:
 
     def _begin_one(self, name: str, cells: Cells, time: float) -> None:
         """Solve for a field at the start of a run."""
-        capacity, production = self._demand(name, cells)
+        capacity, production = self.demand_now(name, cells)
         field = self.fields[name]
         if name in self.grids.choosers:
             self.grids.begin(field, cells, capacity, production, time)
@@ -118,7 +116,7 @@ class Feeding:
 
     def _begin_group(self, group: Reacting, cells: Cells, time: float) -> None:
         """Solve for fields that react with each other at the start of a run."""
-        demand = {name: self._demand(name, cells) for name in group.names}
+        demand = {name: self.demand_now(name, cells) for name in group.names}
         if self._rests_first(group.names[0]):
             self.reports |= group.solve(cells.position, demand, radius=cells.radius, time=time)
         else:
@@ -133,6 +131,10 @@ class Feeding:
         """Return whether a field begins as the steady one."""
         steady = self.fields[name].parameters.regime == "steady"
         return steady or self._nutrients[name].initial == "steady"
+
+    def reacts(self, name: str) -> bool:
+        """Return whether a field is solved for together with others."""
+        return name in self._groups
 
     def _rests(self, name: str) -> bool:
         """Return whether a field is solved as steady, and not marched with a finite medium."""
@@ -154,9 +156,9 @@ class Feeding:
         """
         demand = {}
         if before is not None:
-            marched = [name for name in self._order if not self._rests(name)]
+            marched = [name for name in self.order if not self._rests(name)]
             demand = {name: float(self._capacity(name, before).sum()) for name in marched}
-        for name in self._order:
+        for name in self.order:
             group = self._groups.get(name)
             if group is None:
                 self._advance_one(name, cells, begin, end, demand.get(name))
@@ -167,7 +169,7 @@ class Feeding:
         self, name: str, cells: Cells, begin: float, end: float, began: float | None
     ) -> None:
         """Bring a field to ``end``; ``began`` is the largest uptake of the cells of ``begin``."""
-        capacity, production = self._demand(name, cells)
+        capacity, production = self.demand_now(name, cells)
         field = self.fields[name]
         with_cells = {"production": production, "radius": cells.radius}
         rested, layout = self._rests(name), field.layout
@@ -191,7 +193,7 @@ class Feeding:
         self, group: Reacting, cells: Cells, begin: float, end: float, began: Mapping[str, float]
     ) -> None:
         """Bring fields that react with each other to ``end``."""
-        demand = {name: self._demand(name, cells) for name in group.names}
+        demand = {name: self.demand_now(name, cells) for name in group.names}
         layouts = {name: self.fields[name].layout for name in group.names}
         if self._rests(group.names[0]):
             for name in group.names:
@@ -300,75 +302,6 @@ class Feeding:
         """Return the fields as they were last solved."""
         return {name: field.field() for name, field in self.fields.items()}
 
-    def fitness(self, cells: Cells, time: float) -> tuple[dict[str, dict[str, Any]], list[str]]:
-        """Return for each field what it lives on, and how well that fits the cells as they are.
-
-        Returns
-        -------
-        fields : name -> dict
-            ``geometry`` (cubes, squares or shells), ``spacing`` (µm), ``discretisation_error``
-            at the cells (mM) where it is known, and for shells ``departure_from_a_ball``.
-        notes
-            Remarks on fields that do not fit.
-        """
-        from multicell.nutrient.discretisation import discretisation_error
-
-        fields: dict[str, dict[str, Any]] = {}
-        notes: list[str] = []
-        for name in self._order:
-            field = self.fields[name]
-            parameters = field.parameters
-            shells = isinstance(field.layout, ShellLayout)
-            kind = "shells" if shells else "squares" if parameters.dimensions == 2 else "cubes"
-            fields[name] = {"geometry": kind, "spacing": field.layout.spacing}
-            if field.stirred is not None:
-                fields[name]["medium"] = field.stirred.concentration
-            if parameters.nutrient.layer is not None and isinstance(field.layout, ShellLayout):
-                self._rate_layer(
-                    name, field.layout, parameters.nutrient.layer, cells, fields, notes
-                )
-            notes += self.grids.remarks(field)
-            if name in self.grids.choosers:
-                fields[name] |= self.grids.rated(field)
-                continue
-            capacity, production = self._demand(name, cells)
-            about = field, parameters, cells, capacity, production, time
-            try:
-                error = None if name in self._groups else discretisation_error(*about)
-            except NutrientFailed as trouble:
-                notes.append(f"The error that the grid of {name} makes is not known: {trouble}")
-                error = None
-            if error is not None:
-                fields[name]["discretisation_error"] = error
-            if not shells:
-                continue
-            departed = departure(cells.position, cells.radius)
-            fields[name]["departure_from_a_ball"] = departed
-            limit = parameters.nutrient.roundness_limit
-            if departed > limit:
-                notes.append(
-                    f"{name} lives on spherical shells, but the tissue departs from a ball by "
-                    f"{departed:.2g}, more than roundness_limit = {limit:g}: "
-                    "geometry = 'auto' would go over to a grid of cubes."
-                )
-        return fields, notes
-
-    @staticmethod
-    def _rate_layer(
-        name: str, shells: ShellLayout, wanted: float, cells: Cells,
-        fields: dict[str, dict[str, Any]], notes: list[str],
-    ) -> None:  # fmt: skip
-        """Say how thick the layer round the tissue is, and whether a stray cell made it thicker."""
-        if len(cells) == 0:
-            return
-        found = shells.radius - tissue_radius(cells.position, cells.radius)
-        fields[name]["layer"] = found
-        if found > wanted * (1.0 + 1e-9):
-            notes.append(
-                f"A cell lies farther from the tissue than the layer of {name} is thick: shells "
-                f"reach to it, and the layer is {found:.3g} um instead of {wanted:.3g} um."
-            )
-
     def demand(
         self,
         name: str,
@@ -390,7 +323,7 @@ class Feeding:
         kept = self.concentrations, self._uptake
         self.concentrations, self._uptake = dict(concentrations), dict(taken)
         try:
-            return self._demand(name, cells)
+            return self.demand_now(name, cells)
         finally:
             self.concentrations, self._uptake = kept
 
@@ -458,7 +391,7 @@ class Feeding:
         if any(name in (n.secretion_from or ()) for n in self._nutrients.values()):
             self._uptake[name] = field.uptake(cells.position, capacity)
 
-    def _demand(self, name: str, cells: Cells) -> tuple[FloatArray, FloatArray | None]:
+    def demand_now(self, name: str, cells: Cells) -> tuple[FloatArray, FloatArray | None]:
         """Return each cell's largest uptake and its secretion, (n,) amol/s."""
         nutrient = self._nutrients[name]
         capacity = self._capacity(name, cells)

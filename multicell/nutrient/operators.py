@@ -7,7 +7,7 @@ import numpy as np
 from multicell.cells import FloatArray
 from multicell.nutrient import stencil
 from multicell.nutrient.diffusion import Diffusion
-from multicell.nutrient.equation_kernels import shell_imbalance
+from multicell.nutrient.shell_kernels import shell_imbalance
 from multicell.nutrient.spherical import Shells
 
 AnyOperator = Diffusion | Shells

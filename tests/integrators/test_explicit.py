@@ -19,6 +19,7 @@ from multicell.mechanics import forces as kernels
 from multicell.mechanics import neighbours
 from multicell.mechanics.motion import Motion
 from multicell.mechanics.system import Mechanics
+from multicell.threads import launch
 
 ALL = [
     Euler(2.0),
@@ -381,6 +382,7 @@ def test_rebuild_inside_numba_gives_the_list_of_build(scale, chunk):
     position, radius, _ = cluster(200, 3)
     position[:50] *= scale
     expected = neighbours.build(position, radius, 0.7, chunk=chunk)
+    launch()
     for run in (neighbours.rebuild, neighbours.rebuild_parallel):
         crowded, first, second, start, inner_end, outer_end = run(position, radius, 0.7, chunk)
         assert not crowded

@@ -6,6 +6,7 @@ from scipy.spatial import cKDTree
 from strategies import cluster
 
 from multicell.mechanics import neighbours
+from multicell.threads import launch
 
 
 def stray(position):
@@ -23,6 +24,7 @@ def test_compiled_and_called_lists_are_the_same(place, chunk, run):
     position, radius, _ = cluster(700, 3, variation=0.3)
     position = place(position)
     found = neighbours.build(position, radius, 0.5, 1, chunk)
+    launch()
     crowded, *arrays = getattr(neighbours, run)(position, radius, 0.5, chunk)
     assert not crowded
     compiled = neighbours.PairList(*arrays, chunk, len(position))

@@ -26,7 +26,7 @@ def demand(described):
     cells = mc.Simulation(described).cells.copy()
     cells.state = np.resize(np.array(State, dtype=cells.state.dtype), len(cells))
     cells.phase = np.resize(np.repeat(np.array(Phase, dtype=cells.phase.dtype), 7), len(cells))
-    return cells, *Feeding(described)._demand("a", cells)
+    return cells, *Feeding(described).demand_now("a", cells)
 
 
 def test_without_factors_secretion_goes_with_uptake():

@@ -13,7 +13,7 @@ from pde import (
 from scipy.integrate import solve_bvp
 
 import multicell as mc
-from multicell.nutrient.equation import FieldEquation, Substance
+from multicell.nutrient.equations.equation import FieldEquation, Substance
 
 D = 2000.0
 MIXED = {"type": "mixed", "value": 0.02, "const": 0.0014}

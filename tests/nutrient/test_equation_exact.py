@@ -9,7 +9,7 @@ import pytest
 from pde import CartesianGrid, SphericalSymGrid
 from scipy.integrate import solve_bvp
 
-from multicell.nutrient.equation import FieldEquation, Substance
+from multicell.nutrient.equations.equation import FieldEquation, Substance
 
 D, LEVEL, HALF, DEMAND = 2000.0, 0.07, 0.005, 0.03
 SIZE = {"cubes": 160.0, "squares": 180.0, "shells": 120.0}

@@ -14,7 +14,7 @@ from pde import (
 
 import multicell as mc
 from multicell.errors import NutrientFailed
-from multicell.nutrient.transforms import inverse_on
+from multicell.nutrient.equations.transforms import inverse_on
 
 OURS = {"implicit": mc.ImplicitFieldSolver, "steady": mc.SteadyFieldSolver}
 VALUE, WALL = {"value": 0.0}, {"derivative": 0.0}

@@ -12,7 +12,7 @@ from pde import CartesianGrid
 
 import multicell as mc
 from multicell.errors import SceneError
-from multicell.nutrient.own_reaction_kernels import Cell
+from multicell.nutrient.reactions.own_kernels import Cell
 from multicell.testing import check_reaction
 
 WALL = {"derivative": 0.0}
@@ -152,7 +152,7 @@ def test_what_breaks_a_promise_is_refused(rate, options, words):
 def test_compiled_code_is_found_again_in_another_process(tmp_path):
     source = """
         import multicell as mc
-        from multicell.nutrient.own_reaction_kernels import all_nodes
+        from multicell.nutrient.reactions.own_kernels import all_nodes
 
         @mc.reaction(fields=("a",))
         def fade(concentrations, cell):

@@ -7,10 +7,10 @@ from scipy.integrate import solve_bvp, solve_ivp
 
 import multicell as mc
 from multicell.errors import NutrientFailed, SceneError
-from multicell.nutrient.coupled_inverse import inverse_of_blocks
-from multicell.nutrient.kinetics import FixedForms, kinetics_of
-from multicell.nutrient.krylov import gmres
 from multicell.nutrient.operators import linearised
+from multicell.nutrient.reactions.inverse import inverse_of_blocks
+from multicell.nutrient.reactions.kinetics import FixedForms, kinetics_of
+from multicell.nutrient.reactions.krylov import gmres
 
 WALL = {"derivative": 0.0}
 BINDING = {

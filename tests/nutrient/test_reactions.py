@@ -5,7 +5,7 @@ import pytest
 
 import multicell as mc
 from multicell.errors import StepFailed
-from multicell.nutrient.equation import FieldEquation
+from multicell.nutrient.equations.equation import FieldEquation
 from multicell.scene.scene import Scene
 
 WALLS = {"*": {"type": "derivative", "derivative": 0.0}}

@@ -9,9 +9,9 @@ from scipy.special import ive
 
 import multicell as mc
 from multicell.errors import SceneError
-from multicell.nutrient import choice as choices
-from multicell.nutrient import own_dip
-from multicell.nutrient.estimate import Load, on_grid, spacing_error, trial
+from multicell.nutrient.choosing import choice as choices
+from multicell.nutrient.choosing import own_dip
+from multicell.nutrient.choosing.estimate import Load, on_grid, spacing_error, trial
 from multicell.nutrient.field import NutrientField
 from multicell.nutrient.fields import Feeding
 from multicell.nutrient.grid import BoxLayout
@@ -96,7 +96,7 @@ def balls(described, cells, spacing, points=150):
     feeding = Feeding(described)
     (name,) = feeding.fields
     feeding.begin(cells, 0.0)
-    capacity, _ = feeding._demand(name, cells)
+    capacity, _ = feeding.demand_now(name, cells)
     p = feeding.fields[name].parameters
     rng = np.random.default_rng(7)
     unit = rng.normal(size=(points, 3))
@@ -125,7 +125,7 @@ def test_cells_find_what_they_would_as_balls_on_a_much_finer_grid(nutrient, tole
     simulation = mc.Simulation(described)
     cells, field = simulation.cells, simulation._feeding.fields[name]
     choice = simulation._feeding.grids.choices[name]
-    capacity, _ = simulation._feeding._demand(name, cells)
+    capacity, _ = simulation._feeding.demand_now(name, cells)
     load = Load(cells.position, cells.radius, capacity, None, 0.0, 600.0)
     found = trial(field, field.parameters, load).around
     error = np.abs(found - balls(described, cells, 2.5)).max()
@@ -194,7 +194,7 @@ def test_a_transient_field_is_right_within_its_tolerance():
     around = []
     for simulation in (coarse, fine):
         field, cells = simulation._feeding.fields["sugar"], simulation.cells
-        capacity, _ = simulation._feeding._demand("sugar", cells)
+        capacity, _ = simulation._feeding.demand_now("sugar", cells)
         taken = field.uptake(cells.position, capacity)
         dip = own_dip.own_dip(field.layout, cells.position, taken, 20.0)
         around.append(field.sample(cells.position) + dip)
@@ -379,7 +379,7 @@ def test_a_tolerance_that_no_grid_reaches_names_the_one_that_can_be():
 def test_the_largest_grid_bounds_it_too(monkeypatch):
     described = scene({"oxygen": {**AIR, "geometry": "box", "tolerance": 1e-4}})
     assert chosen(described)[0].nodes > 10_000
-    monkeypatch.setattr("multicell.nutrient.estimate.MAX_NODES", 6000)
+    monkeypatch.setattr("multicell.nutrient.choosing.estimate.MAX_NODES", 6000)
     with pytest.raises(SceneError, match="more than 16777216 nodes") as caught:
         mc.Simulation(described)
     reach = float(caught.value.hint.split()[1])
@@ -436,7 +436,7 @@ def test_the_estimate_is_of_second_order():
     )
     simulation = mc.Simulation(described)
     field, cells = simulation._feeding.fields["glucose"], simulation.cells
-    capacity, _ = simulation._feeding._demand("glucose", cells)
+    capacity, _ = simulation._feeding.demand_now("glucose", cells)
     load = Load(cells.position, cells.radius, capacity, None, 0.0, 600.0)
     boxes = [on_grid(field.parameters, "box", h) for h in (16, 8)]
     errors = [spacing_error(field, box, load, 20.0)[0] for box in boxes]

@@ -17,11 +17,11 @@ import numpy as np
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed, SceneError
 from multicell.nutrient.cartesian import Box, round_enough
-from multicell.nutrient.equation import FieldEquation
+from multicell.nutrient.equations.equation import FieldEquation
+from multicell.nutrient.equations.problem import field_problem
+from multicell.nutrient.equations.schedule import Schedule
 from multicell.nutrient.grid import BoxLayout, Layout, ShellLayout
 from multicell.nutrient.parameters import FieldParameters
-from multicell.nutrient.problem import field_problem
-from multicell.nutrient.schedule import Schedule
 from multicell.scene.coupling import usual_step
 
 if TYPE_CHECKING:

@@ -30,7 +30,7 @@ from multicell.comparison.field_solvers.problems import (
 )
 from multicell.comparison.field_solvers.solvers import SOLVERS, Attempt
 from multicell.errors import NutrientFailed
-from multicell.nutrient.equation import FieldEquation
+from multicell.nutrient.equations.equation import FieldEquation
 from multicell.nutrient.grid import Layout
 
 if TYPE_CHECKING:

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, Final, final
 from pde.pdes.base import PDEBase
 
 from multicell.cells import FloatArray
-from multicell.nutrient.equation import FieldEquation
+from multicell.nutrient.equations.equation import FieldEquation
 
 if TYPE_CHECKING:
-    from multicell.nutrient.solving import Inverse
+    from multicell.nutrient.equations.solving import Inverse
 
 BACKENDS: Final = {
     "kernels": "py-pde's solvers in Python, the rates by our compiled kernels",

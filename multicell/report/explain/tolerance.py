@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Final
 
 from multicell.biology.initial import initial_cells
 from multicell.errors import NutrientFailed, SceneError
-from multicell.nutrient.choice import CHANGED
+from multicell.nutrient.choosing.choice import CHANGED
 from multicell.nutrient.fields import Feeding
 from multicell.scene import domain as box
 from multicell.scene.start import separated
 
 if TYPE_CHECKING:
-    from multicell.nutrient.choice import Choice, Fit
-    from multicell.nutrient.grids import Grids
+    from multicell.nutrient.choosing.choice import Choice, Fit
+    from multicell.nutrient.choosing.grids import Grids
     from multicell.scene.scene import Scene
 
 

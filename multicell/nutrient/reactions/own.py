@@ -20,7 +20,7 @@ import numpy as np
 
 from multicell.cells import FloatArray
 from multicell.errors import SceneError
-from multicell.nutrient.own_reaction_kernels import Cell, Rate, all_nodes, type_of
+from multicell.nutrient.reactions.own_kernels import Cell, Rate, all_nodes, type_of
 
 _ARGUMENTS = ("concentrations", "cell")
 
@@ -49,7 +49,7 @@ class OwnReaction:
     def evaluate(
         self, c: FloatArray, tissue: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Return rates and derivative, as :class:`multicell.nutrient.kinetics.Kinetics` does."""
+        """Return rates and derivative, as :class:`~.kinetics.Kinetics` does."""
         c = np.ascontiguousarray(c, dtype=np.float64)
         m, nodes = c.shape
         filled = np.zeros(nodes) if tissue is None else np.ascontiguousarray(tissue).ravel()
@@ -100,7 +100,7 @@ def reaction(
         _check_form(path, rate, jacobian, fields, upto)
         made = OwnReaction(tuple(fields), rate, jacobian, upto, type_of(rate, jacobian, fields))
         _compile(path, made)
-        from multicell.nutrient.reaction_check import problems
+        from multicell.nutrient.reactions.check import problems
 
         found = problems(made)
         if found:

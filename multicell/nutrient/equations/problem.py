@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any, final
 
 from multicell.cells import Cells, FloatArray
 from multicell.errors import SceneError
-from multicell.nutrient.equation import FieldEquation
-from multicell.nutrient.equation_term import Substance
+from multicell.nutrient.equations.equation import FieldEquation
+from multicell.nutrient.equations.schedule import Schedule
+from multicell.nutrient.equations.term import Substance
 from multicell.nutrient.fields import Feeding
 from multicell.nutrient.grid import Layout, restored, tissue_share
 from multicell.nutrient.parameters import FieldParameters
 from multicell.nutrient.regions import coefficients
-from multicell.nutrient.schedule import Schedule
 from multicell.nutrient.sources import injected
 from multicell.scene.checks import solving_order
 

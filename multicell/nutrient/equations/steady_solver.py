@@ -9,7 +9,7 @@ from pde.solvers.base import SolverBase
 
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed, SceneError
-from multicell.nutrient.solving import (
+from multicell.nutrient.equations.solving import (
     Diffusivity,
     Inverse,
     Rate,
@@ -52,7 +52,7 @@ class SteadyFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
     tolerance
         Largest last correction over the state's largest value (of other equations than ours).
     diffusivity, bc
-        As for :class:`~multicell.nutrient.implicit_solver.ImplicitFieldSolver`.
+        As for :class:`~multicell.nutrient.equations.implicit_solver.ImplicitFieldSolver`.
     max_steps
         Most steps in pseudo-time.
     """

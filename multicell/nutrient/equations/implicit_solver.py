@@ -11,7 +11,7 @@ from pde.solvers.base import SolverBase
 
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed, SceneError
-from multicell.nutrient.solving import (
+from multicell.nutrient.equations.solving import (
     Diffusivity,
     Inverse,
     Invertible,

@@ -1,9 +1,9 @@
 """Fields of a simulation that react with each other: solved for together, on one grid.
 
 Transient ones are marched as single fields are (:mod:`multicell.nutrient.transient`), each step
-being one of all of them (:mod:`multicell.nutrient.coupled`); steady ones are brought to rest. The
-account of a step is made of the same values as the step, so that what one field loses to a reaction
-the others gain to the tolerance of Newton's iterations.
+being one of all of them (:mod:`multicell.nutrient.reactions.coupled`); steady ones are brought to
+rest. The account of a step is made of the same values as the step, so that what one field loses to
+a reaction the others gain to the tolerance of Newton's iterations.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ import numpy as np
 
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed
-from multicell.nutrient.coupled import Coupled, settle
 from multicell.nutrient.field import GONE, FieldReport, NutrientField, checked
 from multicell.nutrient.grid import tissue_share
-from multicell.nutrient.kinetics import growth_rate
+from multicell.nutrient.reactions.coupled import Coupled, settle
+from multicell.nutrient.reactions.kinetics import growth_rate
 from multicell.nutrient.transient import March, StepRefused, TransientReport, controlled
 from multicell.scene.nutrient import MOST
 
 if TYPE_CHECKING:
     from multicell.nutrient.grid import Layout, Operator
-    from multicell.nutrient.kinetics import Kinetics
+    from multicell.nutrient.reactions.kinetics import Kinetics
 
 _TRACE = 1e-6
 """Part of the largest concentration of all fields below which the error of one is not followed."""

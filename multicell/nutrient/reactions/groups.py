@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from multicell.nutrient.kinetics import kinetics_of
-from multicell.nutrient.reacting import Reacting
+from multicell.nutrient.reactions.kinetics import kinetics_of
+from multicell.nutrient.reactions.reacting import Reacting
 from multicell.scene.reaction_checks import check_own
 from multicell.scene.reactions import groups
 

@@ -2,8 +2,8 @@
 
 py-pde's own implicit solvers are fixed-point iterations, which fail beyond about the largest step
 of an explicit one. Ours have Newton's method with Krylov iterations, preconditioned by an inverse
-of diffusion (:mod:`multicell.nutrient.transforms`). An equation that knows a better inverse, or its
-steady state, says so by methods: :class:`Invertible`, :class:`Steady`.
+of diffusion (:mod:`multicell.nutrient.equations.transforms`). An equation that knows a better
+inverse, or its steady state, says so by methods: :class:`Invertible`, :class:`Steady`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pde.fields.scalar import ScalarField
 
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed, SceneError
-from multicell.nutrient.transforms import inverse_on
+from multicell.nutrient.equations.transforms import inverse_on
 
 if TYPE_CHECKING:
     from pde.pdes.base import PDEBase

@@ -5,7 +5,7 @@ For fields c_i on one grid, with the rates f of the reactions,
     (c_i - b_i) / dt = ∇·(D_i ∇c_i) - m_i c_i - q_i c_i / (K_i + c_i) + s_i + f_i(c),
 
 where b is the state before; the steady state is that of dt = ∞. Newton's linear systems go to GMRES
-with the inverse of :mod:`multicell.nutrient.coupled_inverse`.
+with the inverse of :mod:`multicell.nutrient.reactions.inverse`.
 
 **No concentration is negative.** A reaction takes nothing of what is not there, so that the exact
 solution of a step is not negative. A node that the solver's tolerance leaves below zero (as a rule
@@ -25,9 +25,7 @@ import numpy as np
 
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed
-from multicell.nutrient.coupled_inverse import apply_blocks, inverse_of_blocks
 from multicell.nutrient.diffusion import Diffusion
-from multicell.nutrient.krylov import gmres
 from multicell.nutrient.operators import (
     AnyOperator,
     brought,
@@ -37,11 +35,13 @@ from multicell.nutrient.operators import (
     linearised,
     node_volumes,
 )
+from multicell.nutrient.reactions.inverse import apply_blocks, inverse_of_blocks
+from multicell.nutrient.reactions.krylov import gmres
 from multicell.nutrient.transient import StepRefused
 from multicell.nutrient.uptake import uptake_and_slope
 
 if TYPE_CHECKING:
-    from multicell.nutrient.kinetics import Kinetics
+    from multicell.nutrient.reactions.kinetics import Kinetics
 
 TOLERANCE = 1e-12
 """Bound on the sum of all nodes' imbalances of a field, relative to what happens to it."""

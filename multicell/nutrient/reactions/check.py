@@ -9,7 +9,7 @@ import numpy as np
 from multicell.cells import FloatArray
 
 if TYPE_CHECKING:
-    from multicell.nutrient.own_reaction import OwnReaction
+    from multicell.nutrient.reactions.own import OwnReaction
 
 _POINTS = 40
 _LINES, _ALONG = 12, 1500

@@ -20,11 +20,11 @@ from pde.pdes.base import PDEBase
 
 from multicell.cells import FloatArray
 from multicell.errors import SceneError
-from multicell.nutrient.equation_grid import layout_on
-from multicell.nutrient.equation_term import Substance, Term
+from multicell.nutrient.equations.grid import layout_on
+from multicell.nutrient.equations.implicit_solver import ImplicitFieldSolver
+from multicell.nutrient.equations.steady_solver import SteadyFieldSolver
+from multicell.nutrient.equations.term import Substance, Term
 from multicell.nutrient.grid import Layout
-from multicell.nutrient.implicit_solver import ImplicitFieldSolver
-from multicell.nutrient.steady_solver import SteadyFieldSolver
 from multicell.nutrient.uptake import uptake_and_slope
 
 if TYPE_CHECKING:
@@ -118,7 +118,7 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         }
         self.reactions = None
         if reactions:
-            from multicell.nutrient.equation_reactions import Reactions
+            from multicell.nutrient.equations.reactions import Reactions
 
             self.reactions = Reactions(list(self.terms.values()), reactions, tissue)
         terms = self.terms.values()
@@ -186,7 +186,7 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
             For other backends, and where demands depend on other substances or substances react:
             there py-pde takes :meth:`evolution_rate`.
         """
-        from multicell.nutrient.equation_compiled import compiled_rate
+        from multicell.nutrient.equations.compiled import compiled_rate
 
         if backend.implementation != "numba":
             raise NotImplementedError("the backends of a field equation are numpy and numba")

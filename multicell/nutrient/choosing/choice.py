@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, final
 
 from multicell.errors import NutrientFailed, SceneError
 from multicell.nutrient.cartesian import FEW
-from multicell.nutrient.estimate import (
+from multicell.nutrient.choosing.estimate import (
     Load,
     Trial,
     apart,

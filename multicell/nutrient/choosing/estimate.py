@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Final, final
 import numpy as np
 
 from multicell.errors import NutrientFailed
+from multicell.nutrient.choosing.own_dip import own_dip
 from multicell.nutrient.field import NutrientField
-from multicell.nutrient.own_dip import own_dip
 from multicell.scene.scales import MAX_NODES
 
 if TYPE_CHECKING:
@@ -188,7 +188,7 @@ def spacing_error(
     The scheme is of second order: from a second solution with about twice the spacing, or half of
     it where that would be coarser than ``coarsest``, the error follows by Richardson's
     extrapolation: |c_h - c_H| / ((H/h)² - 1) on the finer of the two grids. Own dips of cells are
-    left out: see :mod:`multicell.nutrient.own_dip`.
+    left out: see :mod:`multicell.nutrient.choosing.own_dip`.
 
     Parameters
     ----------

@@ -99,7 +99,7 @@ def kinetics_of(names: Sequence[str], reactions: Mapping[str, Any]) -> Kinetics:
 
 @runtime_checkable
 class Own(Protocol):
-    """A reaction between some of the fields (:class:`multicell.nutrient.own_reaction`)."""
+    """A reaction between some of the fields (:class:`multicell.nutrient.reactions.own`)."""
 
     fields: tuple[str, ...]
 

@@ -9,10 +9,10 @@ import numpy as np
 
 from multicell.cells import FloatArray
 from multicell.errors import SceneError
-from multicell.nutrient.coupled import Coupled, settle
-from multicell.nutrient.coupled_inverse import inverse_of_blocks
-from multicell.nutrient.equation_term import Term
-from multicell.nutrient.kinetics import FixedForms, growth_rate, kinetics_of
+from multicell.nutrient.equations.term import Term
+from multicell.nutrient.reactions.coupled import Coupled, settle
+from multicell.nutrient.reactions.inverse import inverse_of_blocks
+from multicell.nutrient.reactions.kinetics import FixedForms, growth_rate, kinetics_of
 from multicell.nutrient.steady import SolveReport
 from multicell.scene.nutrient import MOST
 

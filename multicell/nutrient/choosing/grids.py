@@ -10,8 +10,8 @@ from multicell.scene.coupling import usual_step
 
 if TYPE_CHECKING:
     from multicell.cells import Cells, FloatArray
-    from multicell.nutrient.choice import Choice, Chooser
-    from multicell.nutrient.estimate import Load
+    from multicell.nutrient.choosing.choice import Choice, Chooser
+    from multicell.nutrient.choosing.estimate import Load
     from multicell.nutrient.field import NutrientField
     from multicell.nutrient.grid import Layout
     from multicell.scene.scene import Scene
@@ -46,7 +46,7 @@ class Grids:
         Raises
         ------
         SceneError, NutrientFailed
-            See :meth:`multicell.nutrient.choice.Chooser.choose`.
+            See :meth:`multicell.nutrient.choosing.choice.Chooser.choose`.
         """
         load = _load(cells, capacity, production, time, time + self._step)
         level = field.level(time)
@@ -150,7 +150,7 @@ class Grids:
             name: entry["marched_at"] for name, entry in kept.items() if "marched_at" in entry
         }
         if self.choosers:
-            from multicell.nutrient.choice import Choice
+            from multicell.nutrient.choosing.choice import Choice
 
             self.choices = {name: Choice.of(kept[name]) for name in self.choosers}
 
@@ -160,7 +160,7 @@ def _choosers(scene: Scene) -> dict[str, Chooser]:
     names = [name for name, nutrient in scene.nutrients.items() if nutrient.tolerance is not None]
     if not names:
         return {}
-    from multicell.nutrient.choice import Chooser
+    from multicell.nutrient.choosing.choice import Chooser
 
     return {name: Chooser(scene, name) for name in names}
 
@@ -168,6 +168,6 @@ def _choosers(scene: Scene) -> dict[str, Chooser]:
 def _load(
     cells: Cells, capacity: FloatArray, production: FloatArray | None, begin: float, end: float
 ) -> Load:
-    from multicell.nutrient.estimate import Load
+    from multicell.nutrient.choosing.estimate import Load
 
     return Load(cells.position, cells.radius, capacity, production, begin, end)

@@ -15,10 +15,10 @@ from pde.backends.numba.utils import make_array_constructor
 
 from multicell.cells import FloatArray
 from multicell.nutrient.diffusion import Diffusion
-from multicell.nutrient.equation_kernels import shell_imbalance
-from multicell.nutrient.equation_term import Term
+from multicell.nutrient.equations.schedule import level
+from multicell.nutrient.equations.term import Term
 from multicell.nutrient.operators import leak
-from multicell.nutrient.schedule import level
+from multicell.nutrient.shell_kernels import shell_imbalance
 from multicell.nutrient.stencil import imbalance
 
 Fill = Callable[[FloatArray, float, FloatArray], None]

@@ -11,10 +11,10 @@ import numpy as np
 from multicell.cells import FloatArray
 from multicell.errors import SceneError
 from multicell.nutrient.diffusion import Diffusion
-from multicell.nutrient.equation_grid import conditions_on
+from multicell.nutrient.equations.grid import conditions_on
+from multicell.nutrient.equations.schedule import Schedule
 from multicell.nutrient.grid import BoxLayout, Layout
 from multicell.nutrient.operators import brought, imbalance
-from multicell.nutrient.schedule import Schedule
 from multicell.nutrient.spherical import Shells
 from multicell.nutrient.steady import SolveReport
 from multicell.nutrient.uptake import uptake_and_slope

@@ -1,0 +1,50 @@
+"""How much room the neighbour list leaves round each cell."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+_WIDEST = 8.0
+"""Largest margin of a cell over the least."""
+_FORESIGHT = 6.0
+"""How many times as far as since the last list a cell may move until the next one."""
+
+
+@njit(cache=True)
+def widened(position, reference, reach, least, margin):
+    """Adapt the margins of the cells to how they move; return the radii to build a list with.
+
+    A list lasts until some cell has drifted by its margin. Where few cells move it is they for
+    whom it is built again and again, and room round them costs little: each cell's margin is a
+    multiple of its drift since the last list, but not below half of what it was.
+
+    Parameters
+    ----------
+    position, reference : (n, 3), µm
+        Now, and at the last list; not a number where there was none.
+    reach : (n,), µm
+        Half of the distance within which a pair matters.
+    least : float, µm
+        Smallest margin.
+    margin : (n,), µm
+        How far each cell may drift; changed in place.
+
+    Returns
+    -------
+    (n,), µm
+        ``reach`` + ``margin``.
+    """
+    wide = np.empty_like(reach)
+    for i in range(reach.size):
+        square = 0.0
+        for a in range(3):
+            square += (position[i, a] - reference[i, a]) ** 2
+        # not a number where there was no list: the margin stays
+        wanted = _FORESIGHT * math.sqrt(square)
+        if wanted == wanted:
+            margin[i] = max(least, min(max(wanted, 0.5 * margin[i]), _WIDEST * least))
+        wide[i] = reach[i] + margin[i]
+    return wide

@@ -1,0 +1,1 @@
+"""Choosing grid, geometry and regime of a field by estimated errors."""

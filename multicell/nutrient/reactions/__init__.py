@@ -1,0 +1,1 @@
+"""Reactions between fields: kinetics, and solving for the fields together."""
