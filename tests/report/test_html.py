@@ -9,7 +9,9 @@ from synthetic import BARE
 
 from multicell.report.html import clock, write_page
 
-NAMES = ("base.html", "parts.html", "run.html", "compare.html", "stability.html", "style.css")
+NAMES = (
+    "base.html", "parts.html", "run.html", "compare.html", "fields.html", "stability.html", "style.css",
+)  # fmt: skip
 
 
 def test_the_templates_are_part_of_the_package():
