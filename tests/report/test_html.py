@@ -10,7 +10,8 @@ from synthetic import BARE
 from multicell.report.html import clock, write_page
 
 NAMES = (
-    "base.html", "parts.html", "run.html", "compare.html", "fields.html", "stability.html", "style.css",
+    "base.html", "parts.html", "run.html", "compare.html", "fields.html", "stability.html",
+    "style.css",
 )  # fmt: skip
 
 
