@@ -261,7 +261,8 @@ def test_public_names():
         "stability", "Integrator", "MethodInfo", "OdeProblem", "Outcome", "StateRejected",
         "ode_problem", "testing", "load_law", "pair_law", "OwnReaction",
         "Reaction", "reaction", "FieldEquation", "FieldProblem", "FieldComparison",
-        "compare_fields",         "ImplicitFieldSolver", "Schedule", "SteadyFieldSolver", "Substance", "field_problem",
+        "compare_fields", "ImplicitFieldSolver", "Schedule", "SteadyFieldSolver", "Substance",
+        "field_problem",
     }  # fmt: skip
     assert all(hasattr(mc, name) for name in mc.__all__)
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
