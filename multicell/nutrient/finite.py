@@ -218,23 +218,24 @@ class _Exchange:
         p, volume, before = self.nutrient, self.stirred.volume, self.done.amounts
         level = max(self.stirred.concentration, _FADED * p.highest)
         if self.steady:
+            # the second number is what the field holds: as a difference it would be rounding
             state = march(
-                self._step_steady, 1.0, np.array([self.total]), begin, end,
+                self._step_steady, np.array([0.0, 1.0]), np.array([self.total, self.content]),
+                begin, end,
                 tolerance=p.time_tolerance, scale=level * volume, done=self.done, opening=1.0,
             )  # fmt: skip
             self.total = float(state[0])
         else:
-            volumes = np.append(np.broadcast_to(self.layout.volumes, self.values.shape), volume)
+            volumes = np.append(np.broadcast_to(self.layout.volumes, self.values.shape), 0.0)
             state = march(
                 self._step, volumes, np.append(self.values, self.stirred.concentration), begin, end,
                 tolerance=p.time_tolerance, scale=level, done=self.done,
             )  # fmt: skip
             self.values = state[:-1].reshape(self.values.shape)
         found = self.done.amounts.plus(before, -1.0)
-        inside = found.mass - volume * found.level  # ∫ content dt of the field alone
         decayed = p.decay * volume * found.level
-        self.decayed += p.decay * inside
-        self.washed += p.perfusion * inside
+        self.decayed += p.decay * found.mass
+        self.washed += p.perfusion * found.mass
         self.brought += p.perfusion * self.whole * found.level
         amount = self.stirred.amount if self.steady else volume * float(state[-1])
         self.stirred = replace(self.stirred, amount=amount, decayed=self.stirred.decayed + decayed)
@@ -345,7 +346,7 @@ class _Exchange:
         assert report is not None
         if not after >= 0.0:
             after = self.content + volume * trial
-        return np.array([after]), report, trial
+        return np.array([after, self.content]), report, trial
 
     def _root(
         self, excess: Callable[[float], float], guess: float, slope: float

@@ -360,3 +360,18 @@ def test_a_medium_smaller_than_its_grid_is_refused():
     assert "no more than the domain" in str(caught.value)
     with pytest.raises(StepFailed, match="nothing is left that could be stirred"):
         mc.Simulation(scene(**{"nutrients.glucose.finite_medium.volume": 1e5}))
+
+
+@pytest.mark.parametrize("regime", ["steady", "transient"])
+def test_a_medium_far_larger_than_its_field_leaves_no_rounding_in_the_account(regime):
+    """What decays in the field, and what a flow takes, is not the difference of large numbers."""
+    changes = {
+        "nutrients.glucose.finite_medium": {"volume": 1e13, "unstirred": 10.0},
+        "nutrients.glucose.regime": regime, "nutrients.glucose.decay": 3e-4,
+        "nutrients.glucose.perfusion": 3e-3,
+    }  # fmt: skip
+    simulation = ran(scene().with_changes(changes))
+    ledger = simulation.ledger["glucose"]
+    assert ledger.relative_remainder <= 1e-8
+    assert ledger.washed > 0.0
+    assert ledger.decayed > 0.0
