@@ -1,4 +1,4 @@
-"""Diffusion on a cell-centred grid: py-pde's Laplacian, the flow through the faces, an inverse."""
+"""Diffusion on a cell-centred grid: the Laplacian, the flow through the faces, an inverse."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
 from multicell.nutrient import stencil
+from multicell.nutrient.cartesian import Box
+from multicell.nutrient.faces import ghost_terms
 from multicell.nutrient.steady import SolveReport, solve_steady
 
 if TYPE_CHECKING:
@@ -28,7 +30,10 @@ TRANSFORMS = {
 
 @final
 class Diffusion:
-    """The Laplacian of py-pde on a box with conditions on its faces, and an inverse.
+    """The Laplacian on a box with conditions on its faces, and an inverse.
+
+    Beyond each face one more node has the value ``ghost c + const``, c the value of the node at
+    the face: py-pde's convention, in which a value gives a ghost of -1 and a slope one of 1.
 
     In two dimensions nodes are prisms: squares in the plane, ``height`` across it. Arrays have
     three axes all the same, the last one of length 1.
@@ -36,20 +41,30 @@ class Diffusion:
     Parameters
     ----------
     grid
-        Cartesian grid of cubes in three dimensions or of squares in two, cell-centred, not
-        periodic.
+        A box, or py-pde's Cartesian grid of cubes in three dimensions or of squares in two,
+        cell-centred, not periodic.
     diffusion : float, µm²/s
         In tissue.
     boundary
-        Concentration in mM on all faces, or py-pde's description of its conditions
-        (``{"x-": {"value": array}, "x+": {"derivative": 0.0}, ...}``), of one kind on each
-        face. Never pass text from users: py-pde executes it.
+        Concentration in mM on all faces, or py-pde's description of its conditions. On a box each
+        face is named and its condition made of numbers (``{"x-": {"value": 0.1}, "x+":
+        {"derivative": 0.0}, ...}``); what py-pde knows besides, arrays too, holds on its own grid,
+        of one kind on each face. Never pass text from users: py-pde executes it.
     height : float, µm
         Of the layer in two dimensions.
     varied : (nx, ny, nz), optional
         Coefficient of diffusion at the nodes over that of tissue; absent: one everywhere. At
         faces between nodes it is the harmonic mean, for which the flow is continuous where the
         coefficient jumps.
+
+    Attributes
+    ----------
+    ghost : (6,)
+        Factors of the faces x-, x+, y-, y+, z-, z+.
+    const : six arrays (ny, nz), (ny, nz), (nx, nz), (nx, nz), (nx, ny), (nx, ny); mM
+        What the conditions add.
+    source : (nx, ny, nz), mM/s
+        What they bring to the nodes where the coefficient is that of tissue.
 
     Raises
     ------
@@ -59,23 +74,27 @@ class Diffusion:
 
     def __init__(
         self,
-        grid: CartesianGrid,
+        grid: CartesianGrid | Box,
         diffusion: float,
         boundary: float | Mapping[str, Any],
         *,
         height: float | None = None,
         varied: FloatArray | None = None,
     ) -> None:
-        if not np.allclose(grid.discretization, grid.discretization[0], rtol=1e-9):
-            raise ValueError(f"spacing differs between axes: {grid.discretization} um")
-        self.dimensions = len(grid.shape)
-        nx, ny, nz = (*grid.shape, 1)[:3]
-        self.shape = (nx, ny, nz)
-        self.spacing = float(grid.discretization[0])
+        self._grid = None if isinstance(grid, Box) else grid
+        if isinstance(grid, Box):
+            self.dimensions = 3 if grid.height is None else 2
+            self.shape, self.spacing = grid.shape, grid.spacing
+        else:
+            steps = grid.discretization
+            if not np.allclose(steps, steps[0], rtol=1e-9):
+                raise ValueError(f"spacing differs between axes: {steps} um")
+            self.dimensions = len(grid.shape)
+            nx, ny, nz = (*grid.shape, 1)[:3]
+            self.shape, self.spacing = (nx, ny, nz), float(steps[0])
         self.volume = self.spacing**2 * (height or self.spacing)
         self.diffusion = diffusion
         self.stiffness = diffusion / self.spacing**2
-        self._grid = grid
         self.set_boundary(boundary)
         # relative coefficients at the nodes and at the faces between them, None for one everywhere
         self.varied: FloatArray | None = None
@@ -87,15 +106,14 @@ class Diffusion:
 
     def set_boundary(self, boundary: float | Mapping[str, Any]) -> None:
         """Take other conditions on the faces."""
-        values = dict(boundary) if isinstance(boundary, Mapping) else {"value": float(boundary)}
-        self._conditions = self._grid.get_boundary_conditions(values, rank=0)
-        self._laplacian: Callable[[FloatArray], FloatArray] = self._grid.make_operator(
-            "laplace", bc=self._conditions, backend="scipy"
-        )
-        flat = self.shape[: self.dimensions]
-        self.source = self.diffusion * np.asarray(self._laplacian(np.zeros(flat)))
-        self.ghost = self._ghosts()
-        self.source = self.source.reshape(self.shape)
+        if self._grid is None:
+            self.ghost, self.const = self._named(boundary)
+        else:
+            self.ghost, self.const = self._by_pde(self._grid, boundary)
+        self.source = np.zeros(self.shape)
+        for face, const in enumerate(self.const[: 2 * self.dimensions]):
+            _layer(self.source, face)[...] += const
+        self.source *= self.stiffness
         self._kinds, leak = self._nearest()
         self._eigenvalues = [
             self.stiffness * eigenvalues(n, kind)
@@ -103,36 +121,63 @@ class Diffusion:
         ]
         self._leak = leak
 
+    def _named(self, boundary: float | Mapping[str, Any]) -> tuple[FloatArray, stencil.Faces]:
+        """Return factors and constants by conditions made of numbers."""
+        ghost, const = np.ones(6), []
+        for face in range(6):
+            value = 0.0
+            if face < 2 * self.dimensions:
+                name = "xyz"[face // 2] + "-+"[face % 2]
+                plain = {"value": boundary} if not isinstance(boundary, Mapping) else boundary[name]
+                value, ghost[face] = ghost_terms(plain, self.spacing)
+            const.append(np.full(_across(self.shape, face), value))
+        a, b, c, d, e, f = const
+        return ghost, (a, b, c, d, e, f)
+
+    def _by_pde(
+        self, grid: CartesianGrid, boundary: float | Mapping[str, Any]
+    ) -> tuple[FloatArray, stencil.Faces]:
+        """Return factors and constants by what py-pde makes of the conditions."""
+        values = dict(boundary) if isinstance(boundary, Mapping) else {"value": float(boundary)}
+        conditions = grid.get_boundary_conditions(values, rank=0)
+        self._laplacian: Callable[[FloatArray], FloatArray] = grid.make_operator(
+            "laplace", bc=conditions, backend="scipy"
+        )
+        padded = tuple(n + 2 for n in grid.shape)
+        ones, zeros = np.ones(padded), np.zeros(padded)
+        conditions.set_ghost_cells(ones)
+        conditions.set_ghost_cells(zeros)
+        ghost, const = np.ones(6), []
+        for face in range(6):
+            found = np.zeros(_across(self.shape, face))
+            if face < 2 * self.dimensions:
+                inner = (slice(1, -1),) * (self.dimensions - 1)
+                zero = _layer(zeros, face)[inner]
+                found[...] = zero.reshape(found.shape)
+                # one factor on a face: that of a node in its middle
+                middle = tuple(n // 2 for n in zero.shape)
+                ghost[face] = _layer(ones, face)[inner][middle] - zero[middle]
+            const.append(found)
+        a, b, c, d, e, f = const
+        return ghost, (a, b, c, d, e, f)
+
     def divergence(self, c: FloatArray) -> FloatArray:
         """Return D L c in mM/s, boundary values included.
 
-        By py-pde's operator where the coefficient is uniform, else by the solver's own stencil.
+        By py-pde's operator on its own grid where the coefficient is uniform, else by the solver's
+        stencil.
         """
-        if self.weights is None:
-            flat = c.reshape(self.shape[: self.dimensions])
-            return np.asarray(self.diffusion * self._laplacian(flat)).reshape(self.shape)
+        if self._grid is not None and self.weights is None:
+            spread = self.diffusion * self._laplacian(c.reshape(self._grid.shape))
+            return np.asarray(spread).reshape(self.shape)
         out = np.empty_like(c)
         zero = np.zeros_like(c)
         stencil.apply_operator(c, zero, self.stiffness, self.ghost, self.weights, out)
         return np.asarray(self.stencil_source() - out)
 
     def flows(self, c: FloatArray) -> tuple[float, float]:
-        """Return what flows in and out through the faces, amol/s, from py-pde's ghost values."""
-        flat = self.shape[: self.dimensions]
-        full = np.empty([n + 2 for n in flat])
-        inner = tuple(slice(1, -1) for _ in flat)
-        full[inner] = c.reshape(flat)
-        self._conditions.set_ghost_cells(full)
-        inward = outward = 0.0
-        for axis in range(self.dimensions):
-            layers = np.moveaxis(full, axis, 0)[(slice(None), *inner[1:])]
-            low, high = (
-                (1.0, 1.0) if self.weights is None
-                else _ends(self.weights[axis], axis, self.dimensions)
-            )  # fmt: skip
-            for step in (low * (layers[0] - layers[1]), high * (layers[-1] - layers[-2])):
-                inward += float(np.sum(step, where=step > 0.0))
-                outward -= float(np.sum(step, where=step < 0.0))
+        """Return what flows in and out through the faces, amol/s."""
+        inward, outward = stencil.flows(c, self.ghost, self.const, self.weights)
         scale = self.stiffness * self.volume
         return scale * inward, scale * outward
 
@@ -168,21 +213,6 @@ class Diffusion:
         """Return what the faces bring to the balance of the nodes, (nx, ny, nz) mM/s."""
         # a node at a face exchanges with it by its own coefficient
         return self.source if self.varied is None else self.source * self.varied
-
-    def _ghosts(self) -> FloatArray:
-        """Return the factor of each face's ghost value; the third axis of a plane has walls."""
-        shape = tuple(n + 2 for n in self.shape[: self.dimensions])
-        ones, zeros = np.ones(shape), np.zeros(shape)
-        self._conditions.set_ghost_cells(ones)
-        self._conditions.set_ghost_cells(zeros)
-        factors = np.ones(6)
-        middle = [n // 2 for n in shape]
-        for axis in range(self.dimensions):
-            for side, place in enumerate((0, shape[axis] - 1)):
-                at = list(middle)
-                at[axis] = place
-                factors[2 * axis + side] = ones[tuple(at)] - zeros[tuple(at)]
-        return factors
 
     def _nearest(self) -> tuple[list[tuple[bool, bool]], float]:
         """Return for each axis which ends are taken as values, and the mean leak of the others.
@@ -235,8 +265,12 @@ def _face_means(varied: FloatArray, axis: int) -> FloatArray:
     return np.ascontiguousarray(np.moveaxis(np.concatenate([v[:1], means, v[-1:]]), 0, axis))
 
 
-def _ends(w: FloatArray, axis: int, dimensions: int) -> tuple[Any, Any]:
-    """Return the coefficients at the two outer faces of an axis, without a plane's third axis."""
-    layers = np.moveaxis(w, axis, 0)
-    low, high = layers[0], layers[-1]
-    return (low[..., 0], high[..., 0]) if dimensions == 2 else (low, high)
+def _layer(values: NDArray[Any], face: int) -> NDArray[Any]:
+    """Return the nodes at a face, of x-, x+, y-, y+, z-, z+, as a view."""
+    at = -(face % 2)
+    return values[(slice(None),) * (face // 2) + (at,)]
+
+
+def _across(shape: tuple[int, int, int], face: int) -> tuple[int, ...]:
+    """Return the shape of the nodes at a face."""
+    return shape[: face // 2] + shape[face // 2 + 1 :]

@@ -257,7 +257,7 @@ class BoxLayout:
     ) -> Operator:
         """Return the operator on these nodes."""
         box = self.box
-        return Diffusion(box.to_pde(), diffusion, conditions, height=box.height, varied=varied)
+        return Diffusion(box, diffusion, conditions, height=box.height, varied=varied)
 
     def field(self, name: str, values: FloatArray) -> Field:
         """Return a field for frames."""

@@ -1,7 +1,7 @@
 """Quasi-steady diffusion with Michaelis-Menten uptake, by Newton and conjugate gradients.
 
-On the nodes of a cell-centred grid, with py-pde's Laplacian L (seven points, the conditions on the
-faces entering through ghost values), the steady state solves
+On the nodes of a cell-centred grid, with the Laplacian L (seven points, the conditions on the faces
+entering through ghost values: py-pde's, by a test), the steady state solves
 
     F(c) = -D L c + m c + q c / (K + c) - s = 0
 
@@ -41,7 +41,6 @@ import numpy as np
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed
 from multicell.nutrient import stencil
-from multicell.nutrient.uptake import uptake
 
 if TYPE_CHECKING:
     from multicell.nutrient.diffusion import Diffusion
@@ -76,8 +75,7 @@ class SolveReport:
     newton, cg : int
         Newton steps and, over all of them, conjugate-gradient steps.
     residual : float, amol/s
-        Sum of all nodes' absolute imbalances, by py-pde's own operator. It bounds the
-        difference of inflow and uptake.
+        Sum of all nodes' absolute imbalances. It bounds the difference of inflow and uptake.
     inflow : float, amol/s
         Net diffusion through the faces of the box.
     uptake : float, amol/s
@@ -260,26 +258,16 @@ class _State:
         return other
 
     def report(self, linear: _Linear) -> SolveReport:
-        """Return the balance, with the imbalance by py-pde's operator."""
+        """Return the balance."""
         problem, op = self.problem, self.problem.operator
-        taken = uptake(problem.sink, self.c, problem.half)
-        left = op.divergence(self.c) - taken - problem.linear * self.c
-        supplied = 0.0
-        if problem.supply is not None:
-            left += problem.supply
-            supplied = float(np.sum(problem.supply))
+        left, taken, content = stencil.account(self.c, problem.sink, problem.half, self.residual)
+        supplied = 0.0 if problem.supply is None else float(np.sum(problem.supply))
         v = op.volume
         inward, outward = op.flows(self.c)
         return SolveReport(
-            linear.newton,
-            linear.cg,
-            v * float(np.sum(np.abs(left))),
-            inward - outward,
-            v * float(np.sum(taken)),
-            v * problem.linear * float(np.sum(self.c)),
-            v * supplied,
-            outward,
-        )
+            linear.newton, linear.cg, v * left, inward - outward, v * taken,
+            v * problem.linear * content, v * supplied, outward,
+        )  # fmt: skip
 
 
 def _search(state: _State, trial: _State, correction: FloatArray) -> None:
