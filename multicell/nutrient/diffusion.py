@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
-from multicell.nutrient import stencil
+from multicell.nutrient import dense, stencil
 from multicell.nutrient.cartesian import Box
+from multicell.nutrient.dense import eigenvalues
 from multicell.nutrient.faces import ghost_terms
 from multicell.nutrient.steady import SolveReport, solve_steady
 
@@ -114,12 +115,13 @@ class Diffusion:
         for face, const in enumerate(self.const[: 2 * self.dimensions]):
             _layer(self.source, face)[...] += const
         self.source *= self.stiffness
-        self._kinds, leak = self._nearest()
-        self._eigenvalues = [
-            self.stiffness * eigenvalues(n, kind)
-            for n, kind in zip(self.shape, self._kinds, strict=True)
-        ]
-        self._leak = leak
+        self._kinds, self._leak = self._nearest()
+        axes = list(zip(self.shape, self._kinds, strict=True))
+        self._dense: list[Any] = []
+        if max(self.shape) <= dense.MOST and all(low == high for low, high in self._kinds):
+            found = [dense.halves(n, low) for n, (low, _) in axes]
+            self._dense = [f for f, _ in found] + [self.stiffness * a for _, a in found]
+        self._eigenvalues = [self.stiffness * eigenvalues(n, kind) for n, kind in axes]
 
     def _named(self, boundary: float | Mapping[str, Any]) -> tuple[FloatArray, stencil.Faces]:
         """Return factors and constants by conditions made of numbers."""
@@ -204,6 +206,9 @@ class Diffusion:
         L0 is the Laplacian with every face taken as the nearer one of a value and a slope, both
         zero, and a uniform coefficient. Returns u, which takes the memory of ``y``, and y . u.
         """
+        if self._dense and y.dtype == np.float32:
+            fx, fy, fz, ax, ay, az = self._dense
+            return y, dense.invert(y, fx, fy, fz, ax, ay, az, shift + self._leak)
         ax, ay, az = self._eigenvalues
         spectrum = _transform(y, self._kinds, inverse=False)
         product = stencil.divide_spectrum(spectrum, ax, ay, az, shift + self._leak)
@@ -229,16 +234,6 @@ class Diffusion:
                 leak += 0.0 if is_value else self.stiffness * (1.0 - factor) / n
             kinds.append((ends[0], ends[1]))
         return kinds, leak
-
-
-def eigenvalues(n: int, ends: tuple[bool, bool]) -> FloatArray:
-    """Return the n eigenvalues of minus the second difference between two ends.
-
-    With values at both ends the angles are kπ/n for k = 1 ... n, with slopes at both for
-    k = 0 ... n - 1, and with one of each (k + 1/2)π/n.
-    """
-    first = {(True, True): 1.0, (False, False): 0.0}.get(ends, 0.5)
-    return np.asarray(4.0 * np.sin(0.5 * np.pi * (np.arange(n) + first) / n) ** 2)
 
 
 def _transform(
