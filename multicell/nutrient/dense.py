@@ -200,4 +200,4 @@ def _divide(
             w = v / (base[c] + least)
             row[c] = w
             product[c] += v * w
-    return product.sum()
+    return float(product.sum())

@@ -160,11 +160,12 @@ def solve_steady(
 
 def _newton(state: _State, tolerance: float, linear: _Linear) -> tuple[_State, bool]:
     """Iterate from ``state``; return the last state and whether it is within the tolerance."""
-    trial, forcing = state.empty_copy(), FORCING
+    trial, forcing = None, FORCING
     for _ in range(MAX_NEWTON):
         target = state.target(tolerance)
-        if state.size <= target or not np.isfinite(state.size):
+        if state.size <= target or not math.isfinite(state.size):
             break
+        trial = trial or state.empty_copy()
         goal = max(forcing, 0.3 * target / state.size)
         correction = linear.solve(state.rate, state.residual, state.size, goal)
         _search(state, trial, correction)
