@@ -9,6 +9,7 @@ consistent: its concentrations are those of its own cells.
 from __future__ import annotations
 
 import math
+import operator
 import time as clock
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -20,6 +21,7 @@ import numpy as np
 from multicell.biology import adhesion
 from multicell.biology.active_forces import push
 from multicell.biology.cycle import parting
+from multicell.biology.growth import growth_factor
 from multicell.biology.initial import initial_cells
 from multicell.biology.pace import Pace, end_of_step, first_pace, next_pace
 from multicell.biology.splitting import StepError, columns, held, jumps, step_error
@@ -139,6 +141,7 @@ class Simulation:
         self.local_error: float | None = None
         self.splitting: float | None = None if scene.growth is None else 0.0
         self.step_error = StepError()
+        self._known_factor: tuple[tuple[FloatArray, ...], FloatArray] = ((), np.empty(0))
         self.pace = None if fixed_step(scene) else first_pace(scene)
         self._mechanics = start.mechanics(scene, thread_count(threads))
         # identities of the pairs in contact, (m, 2): what exact JKR remembers, and others count
@@ -281,8 +284,9 @@ class Simulation:
         """Do one coupling step; an exception leaves parts of it behind."""
         scene, begin, end = self.scene, self.time, self._next_time
         with self._phase("biology"):
-            grown = grow(scene, self.cells, self.concentrations, end - begin)
-            before = None if scene.growth is None else held(scene, self.cells, self.concentrations)
+            factor = self._growth_factor()
+            grown = grow(scene, self.cells, self.concentrations, factor, end - begin)
+            before = None if scene.growth is None else held(self.cells, factor)
             first, began = self.next_id, self.cells
         with self._phase("mechanics"):
             position, pressure = self._move(begin, end, grown.radius)
@@ -308,13 +312,23 @@ class Simulation:
         """Estimate the error of the step that has ended, and choose the length of the next."""
         scene, cells = self.scene, self.cells
         dt, jumped = end - begin, jumps(scene, end)
-        now = held(scene, cells, self.concentrations)
+        now = held(cells, self._growth_factor())
         self.step_error = error = step_error(scene, before, now, cells, first, dt, jumped=jumped)
         self.splitting = (self.splitting or 0.0) + error.volume / max(len(cells), 1)
         if self.pace is not None:
             uptake = 0.0 if self._feeding is None else self._feeding.uptake_error(scene, dt)
             pace = first_pace(scene) if jumped else self.pace
             self.pace = next_pace(scene, pace, error, uptake, dt)
+
+    def _growth_factor(self) -> FloatArray:
+        """Return how fast cells would grow where they are now, (n,)."""
+        # that of a step's end is that of the next one's beginning
+        surroundings = (self.cells.pressure, *self.concentrations.values())
+        known, factor = self._known_factor
+        if len(known) != len(surroundings) or any(map(operator.is_not, known, surroundings)):
+            factor = growth_factor(self.scene, self.concentrations, self.cells.pressure)
+            self._known_factor = surroundings, factor
+        return factor
 
     def _kept(self) -> dict[str, Any]:
         """Return what :meth:`_take_back` needs to undo a step.
@@ -324,7 +338,7 @@ class Simulation:
         """
         return {
             "lineage": self.lineage.counts(),
-            "work": asdict(self._mechanics.work),
+            "work": vars(self._mechanics.work).copy(),
             "feeding": None if self._feeding is None else self._feeding.kept(),
             "rest": {name: getattr(self, name) for name in _STATE},
         }
@@ -437,7 +451,8 @@ class Simulation:
     def prepared(self) -> Mechanics:
         """Return the mechanics made ready for the next coupling step, which is not taken."""
         begin, end = self.time, self._next_time
-        radius = grow(self.scene, self.cells, self.concentrations, end - begin).radius
+        factor = self._growth_factor()
+        radius = grow(self.scene, self.cells, self.concentrations, factor, end - begin).radius
         self._mechanics.begin(self._motion(begin, end, radius))
         return self._mechanics
 

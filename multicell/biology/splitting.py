@@ -26,12 +26,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.biology.cycle import may_grow
-from multicell.biology.growth import birth_volume, growth_factor
+from multicell.biology.growth import birth_volume
 from multicell.cells import Cells, FloatArray, State
 from multicell.scene.scales import regime
 
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
+
+
+_GROWING = int(State.PROLIFERATING)  # numbers compare with arrays faster than names do
 
 
 @final
@@ -70,11 +73,13 @@ class StepError(NamedTuple):
     births: float = 0.0
 
 
-def held(scene: Scene, cells: Cells, concentrations: Mapping[str, FloatArray]) -> Held:
-    """Return what a coupling step that begins now holds fixed."""
-    factor = growth_factor(scene, concentrations, cells.pressure)
-    factor[cells.state != State.PROLIFERATING] = 0.0
-    return Held(cells.id, factor)
+def held(cells: Cells, factor: FloatArray) -> Held:
+    """Return what a coupling step that begins now holds fixed.
+
+    ``factor`` is the part of unlimited growth that the surroundings allow, (n,); see
+    :func:`multicell.biology.growth.growth_factor`.
+    """
+    return Held(cells.id, np.where(cells.state == _GROWING, factor, 0.0))
 
 
 def step_error(
@@ -108,18 +113,18 @@ def step_error(
         rate[~may_grow(scene, cells)] = 0.0
     began = now.factor if jumped else _inherited(before, now, cells)
     change = 0.5 * rate * (began - now.factor)
-    error = dt * change
+    error, volume = dt * change, cells.volume
     if not scene.growth.phases:
         born = cells.id >= next_id
-        error[born] -= cells.volume[born] - birth
+        error[born] -= volume[born] - birth
     living = ~cells.dead
-    if not living.any():
+    count = int(np.count_nonzero(living))
+    if count == 0:
         return StepError(float(error.sum()))
-    relative = error[living] / cells.volume[living]
+    relative = error / volume if count == len(cells) else error[living] / volume[living]
     switched = (began == 0.0) != (now.factor == 0.0)
     # those that have just died could have grown at the beginning
     free = dt * float(rate[living | switched].sum())
-    count = int(np.count_nonzero(living))
     return StepError(
         float(error.sum()),
         math.sqrt(float(np.dot(relative, relative)) / count),
@@ -153,11 +158,11 @@ def jumps(scene: Scene, time: float) -> bool:
 
 def _inherited(before: Held, now: Held, cells: Cells) -> FloatArray:
     """Return the factors of a step's beginning for the cells at its end; daughters have hers."""
-    if np.array_equal(before.id, now.id):
+    if before.id is now.id or np.array_equal(before.id, now.id):
         return before.factor
-    order = np.argsort(before.id)
-    known = before.id[order]
-    place = np.minimum(np.searchsorted(known, cells.id), len(known) - 1)
-    born = known[place] != cells.id
-    place[born] = np.searchsorted(known, cells.parent[born])
-    return np.asarray(before.factor[order[place]])
+    row = np.full(int(max(before.id.max(), now.id.max())) + 1, -1)
+    row[before.id] = np.arange(len(before.id))
+    found = row[now.id]
+    born = found < 0
+    found[born] = row[cells.parent[born]]
+    return np.asarray(before.factor[found])

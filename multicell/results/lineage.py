@@ -55,10 +55,10 @@ class Lineage:
 
     def events(self, before: Cells, after: Cells, time: float) -> None:
         """Note what changed between two populations: births, divisions and removals."""
-        new = after.take(~np.isin(after.id, before.id))
-        gone = before.take(~np.isin(before.id, after.id))
+        new = after.take(_absent(after.id, before.id))
+        gone = before.take(_absent(before.id, after.id))
         self.born(new, time)
-        cause = np.where(np.isin(gone.id, new.parent), _DIVIDED, gone.state)
+        cause = np.where(_absent(gone.id, new.parent), gone.state, _DIVIDED)
         self._note("ends", (gone.id, np.full(len(gone), time), cause))
 
     def counts(self) -> dict[str, int]:
@@ -117,3 +117,10 @@ class Lineage:
     def _note(self, log: str, columns: tuple[NDArray[Any], ...]) -> None:
         for name, values in zip(COLUMNS[log], columns, strict=True):
             self.logs[log][name].extend(np.asarray(values).tolist())
+
+
+def _absent(ids: IntArray, among: IntArray) -> NDArray[np.bool_]:
+    """Return which identities are not among others (parents of the first cells are -1), (n,)."""
+    present = np.zeros(max(int(ids.max(initial=0)), int(among.max(initial=0))) + 1, dtype=bool)
+    present[among[among >= 0]] = True
+    return ~present[ids]
