@@ -425,8 +425,9 @@ class NutrientField:
 
     def _described(self, report: SolveReport, medium: float) -> FieldReport:
         """Return the balance of a steady solve by what it was for."""
-        p, mass = self.parameters, self.stored()
-        brought = 0.0
+        p, mass, brought = self.parameters, 0.0, 0.0
+        if p.nutrient.decay > 0.0 or p.nutrient.perfusion > 0.0:
+            mass = self.stored()
         if p.nutrient.perfusion > 0.0:
             whole = float(np.sum(np.broadcast_to(self.layout.volumes, self._values.shape)))
             brought = p.nutrient.perfusion * medium * whole

@@ -32,6 +32,7 @@ coefficient w D that differs from place to place.
 from __future__ import annotations
 
 import math
+import sys
 from copy import copy
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
@@ -222,7 +223,7 @@ class _State:
             self.c, problem.sink, problem.source, problem.half, op.stiffness, problem.linear,
             op.ghost, op.weights, self.residual, self.rate,
         )  # fmt: skip
-        self.size, self.norm = float(np.sqrt(squares)), float(np.sqrt(size))
+        self.size, self.norm = math.sqrt(squares), math.sqrt(size)
 
     def lift(self) -> bool:
         """Bring nodes left below zero to their own balance; return whether none is left."""
@@ -242,8 +243,8 @@ class _State:
         By Cauchy's inequality the absolute imbalances then sum to at most ``tolerance`` times the
         uptake. Below the rounding error of the imbalance itself nothing can be asked.
         """
-        rounding = 8.0 * float(np.finfo(float).eps) * self._largest_rate() * self.norm
-        return max(tolerance * self.total / float(np.sqrt(self.c.size)), rounding)
+        rounding = 8.0 * sys.float_info.epsilon * self._largest_rate() * self.norm
+        return max(tolerance * self.total / math.sqrt(self.c.size), rounding)
 
     def _largest_rate(self) -> float:
         """Return the largest rate of a node, 1/s, but for the uptake's."""
