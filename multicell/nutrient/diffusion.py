@@ -119,7 +119,8 @@ class Diffusion:
             layer += const
         self.source *= self.stiffness
         self._leak = self.stiffness * self._sides.leak
-        self._halves = [(f, self.stiffness * a) for f, a in self._sides.halves]
+        halves = self._sides.halves
+        self._dense = dense.Inverse(halves, self.stiffness) if halves else None
 
     def _numbers(
         self, boundary: float | Mapping[str, Any]
@@ -197,9 +198,8 @@ class Diffusion:
         L0 is the Laplacian with every face taken as the nearer one of a value and a slope, both
         zero, and a uniform coefficient. Returns u, which takes the memory of ``y``, and y . u.
         """
-        if self._halves and y.dtype == np.float32:
-            (fx, ax), (fy, ay), (fz, az) = self._halves
-            return y, dense.invert(y, fx, fy, fz, ax, ay, az, shift + self._leak)
+        if self._dense is not None and y.dtype == np.float32:
+            return y, self._dense.overwrite(y, shift + self._leak)
         ax, ay, az = self.eigenvalues
         spectrum = _transform(y, self.kinds, inverse=False)
         product = stencil.divide_spectrum(spectrum, ax, ay, az, shift + self._leak)
