@@ -11,8 +11,7 @@ from __future__ import annotations
 import math
 import operator
 import time as clock
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any, final
 
@@ -68,6 +67,20 @@ _STALE_ORDER = 0.05
 
 
 @final
+class _Phase:
+    """Adds the wall time of a block to that of a phase."""
+
+    def __init__(self, wall: dict[str, float], name: str) -> None:
+        self.wall, self.name = wall, name
+
+    def __enter__(self) -> None:
+        self.begin = clock.perf_counter()
+
+    def __exit__(self, *_: object) -> None:
+        self.wall[self.name] += clock.perf_counter() - self.begin
+
+
+@final
 class Simulation:
     """Cells of a scene, and what moves, feeds and divides them.
 
@@ -104,7 +117,7 @@ class Simulation:
         Volume that dead cells have lost, their remains at removal included.
     local_error : float or None, µm
         The largest error that the integrator expects to have made with a cell in one of its steps
-        so far; None before the first step, and with a method that makes no estimate.
+        so far; None before cells have moved, and with a method that makes no estimate.
     splitting : float or None, µm³
         The error that coupling steps have made so far with the volume of all cells, over their
         number; None without growth. What the last step has made of it is ``step_error``.
@@ -361,11 +374,14 @@ class Simulation:
             fields=self.fields,
         )
 
-    def _view(self) -> Frame:
-        """Return the state, without fields, as a frame that shares its arrays."""
+    def _view(self, *, whole: bool = True) -> Frame:
+        """Return the state, without fields, as a frame that shares its arrays.
+
+        Where it is not ``whole`` it lacks what only those need who go on from it.
+        """
         return Frame(
             self.time, self.step_index, self.cells, self.concentrations,
-            contacts=self.contacts, progress=self._progress(),
+            contacts=self.contacts, progress=self._progress() if whole else None,
         )  # fmt: skip
 
     def history_row(self) -> dict[str, float]:
@@ -384,7 +400,7 @@ class Simulation:
             extra |= self._feeding.grids.columns()
         if self.scene.output.instability:
             extra["instability_rate"] = self._instability_rate()
-        return summary.history_row(self.scene, self._view(), **extra)
+        return summary.history_row(self.scene, self._view(whole=False), **extra)
 
     def energy(self) -> float:
         """Return the contact energy of the cells, fJ."""
@@ -414,13 +430,8 @@ class Simulation:
             self.scene, self._view(), ledgers, fields, remarks, self.wall, threads
         )
 
-    @contextmanager
-    def _phase(self, name: str) -> Iterator[None]:
-        begin = clock.perf_counter()
-        try:
-            yield
-        finally:
-            self.wall[name] += clock.perf_counter() - begin
+    def _phase(self, name: str) -> _Phase:
+        return _Phase(self.wall, name)
 
     def _motion(self, begin: float, end: float, radius: FloatArray) -> Motion:
         """Return what mechanics must know of the cells between two times."""
@@ -460,8 +471,8 @@ class Simulation:
         """Integrate the positions; return them and the pressures at the end."""
         cells = self.cells
         self._mechanics.begin(self._motion(begin, end, radius))
-        if len(cells) == 0:
-            return cells.position, cells.pressure
+        if len(cells) == 0 or self._alone(self._mechanics.motion):
+            return cells.position.copy(), np.zeros(len(cells))
         outcome = self._integrator.integrate(self._mechanics, cells.position)
         if not outcome.done:
             cell = None if outcome.cell is None else int(cells.id[outcome.cell])
@@ -472,6 +483,10 @@ class Simulation:
         pressure = self._mechanics.pressure(end, outcome.position)
         self._note_contacts(end, outcome.position)
         return outcome.position, pressure
+
+    def _alone(self, motion: Motion) -> bool:
+        """Return whether there is one cell that nothing acts on: it stays where it is."""
+        return len(self.cells) == 1 and motion.push is None and self._mechanics.walls is None
 
     def _find_first_contacts(self) -> None:
         """Find the pairs that overlap at the start, before any of them has touched."""
@@ -500,7 +515,8 @@ class Simulation:
         self.unsorted += born + after.removals
         if born or after.removals:
             self.lineage.events(before, self.cells, self.time)
-            self.contacts = self.cells.id[contact_rows(self.cells, self.contacts)]
+            if len(self.contacts):
+                self.contacts = self.cells.id[contact_rows(self.cells, self.contacts)]
 
     def _sort(self) -> None:
         """Sort the cells in space when many are new: neighbours then share memory."""

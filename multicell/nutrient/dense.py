@@ -81,7 +81,7 @@ class Inverse:
         a, b = np.empty((2, nx * ny * nz), dtype=np.float32)
         self._given = (
             a.reshape(nx, -1), a.reshape(ny, -1), a.reshape(nz, -1), a.reshape(-1, nz),
-            b.reshape(nx, -1), b.reshape(ny, -1), b.reshape(nz, -1), b.reshape(-1, nz),
+            b.reshape(ny, -1), b.reshape(nz, -1),
             fx, fy, fz, stiffness * ax, stiffness * ay, stiffness * az,
         )  # fmt: skip
 
@@ -94,11 +94,14 @@ class Inverse:
 def _invert(
     u: Float32Array, shift: float,
     ax: Float32Array, ay: Float32Array, az: Float32Array, a: Float32Array,
-    bx: Float32Array, by: Float32Array, bz: Float32Array, b: Float32Array,
+    by: Float32Array, bz: Float32Array,
     fx: Float32Array, fy: Float32Array, fz: Float32Array,
     lx: FloatArray, ly: FloatArray, lz: FloatArray,
 ) -> float:  # fmt: skip
-    """Do it with the same memory as (nx, ny nz), (ny, nx nz), (nz, ny nx) and (ny nx, nz)."""
+    """Do it; ``ax``, ``ay``, ``az`` and ``a`` are the same memory, and ``by`` and ``bz`` are.
+
+    Their shapes are (nx, ny nz), (ny, nx nz), (nz, ny nx) and (ny nx, nz).
+    """
     _forward(fx, u, ax)
     _swap(ax, by)
     _forward(fy, by, ay)

@@ -299,9 +299,6 @@ class _Linear:
     def __init__(self, operator: Diffusion) -> None:
         self.operator = operator
         self.newton = self.cg = 0
-        nodes = math.prod(operator.shape)
-        self.x, self.r, self.p, self.q, self.scale = (np.empty(nodes) for _ in range(5))
-        self.single = np.empty(operator.shape, dtype=np.float32)
 
     def solve(self, rate: FloatArray, residual: FloatArray, size: float, goal: float) -> FloatArray:
         """Solve (-D L0 + rate) x = residual to ``goal``, a share of ``size``, the residual's norm.
@@ -310,14 +307,17 @@ class _Linear:
         and takes half the time. The result lives until the next solve.
         """
         op, shape = self.operator, self.operator.shape
-        x, r, p, q, scale = self.x, self.r, self.p, self.q, self.scale
+        if self.newton == 0:  # a field that is solved already needs no arrays
+            self._work = np.empty((5, math.prod(shape)))
+            self._single = np.empty(shape, dtype=np.float32)
+        x, r, p, q, scale = self._work
         varied = None if op.varied is None else op.varied.ravel()
         total = stencil.begin(
             rate.ravel(), residual.ravel(), varied, 0.5 / op.stiffness, size, x, r, p, scale,
-            self.single.ravel(),
+            self._single.ravel(),
         )  # fmt: skip
         shift = SHIFT * total / rate.size
-        u, rho = op.invert(self.single, shift)
+        u, rho = op.invert(self._single, shift)
         beta = 0.0
         for _ in range(MAX_CG):
             stencil.new_direction(p, u.ravel(), scale, beta)
