@@ -34,7 +34,7 @@ from __future__ import annotations
 import math
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, Protocol, final
 
 import numpy as np
 
@@ -61,6 +61,9 @@ FORCING = 0.03
 MAX_BACKTRACKS = 30
 
 MAX_SWEEPS = 1000  # over the nodes below zero; one to three are usual
+
+MANY = 50_000
+"""Nodes from which on multigrid takes the place of transforms; see :mod:`.multigrid`."""
 
 SHIFT = 1.0
 """The preconditioner's uniform uptake, relative to the mean of the linearised uptake."""
@@ -139,7 +142,7 @@ def solve_steady(
         If the iterations do not converge or meet values that are not finite.
     """
     problem = _Problem(operator, sink, half_saturation, linear, supply)
-    solver = _Linear(operator)
+    solver = _linear_solver(operator)
     if not problem.source.any():
         # nothing comes in: what iterations from elsewhere would leave is rounding, of either sign
         start = np.zeros_like(start, dtype=np.float64)
@@ -160,7 +163,7 @@ def solve_steady(
     return state.c, state.report(solver)
 
 
-def _newton(state: _State, tolerance: float, linear: _Linear) -> tuple[_State, bool]:
+def _newton(state: _State, tolerance: float, linear: LinearSolver) -> tuple[_State, bool]:
     """Iterate from ``state``; return the last state and whether it is within the tolerance."""
     trial, forcing = state.empty_copy(), FORCING
     for _ in range(MAX_NEWTON):
@@ -176,7 +179,7 @@ def _newton(state: _State, tolerance: float, linear: _Linear) -> tuple[_State, b
 
 
 def _descend(
-    problem: _Problem, start: FloatArray, tolerance: float, linear: _Linear
+    problem: _Problem, start: FloatArray, tolerance: float, linear: LinearSolver
 ) -> tuple[_State, bool]:
     """Solve with a large constant K first and then with ever smaller ones.
 
@@ -259,7 +262,7 @@ class _State:
         other.c, other.residual, other.rate = (np.empty_like(self.c) for _ in range(3))
         return other
 
-    def report(self, linear: _Linear) -> SolveReport:
+    def report(self, linear: LinearSolver) -> SolveReport:
         """Return the balance, with the imbalance by py-pde's operator."""
         problem, op = self.problem, self.problem.operator
         taken = uptake(problem.sink, self.c, problem.half)
@@ -300,6 +303,28 @@ def _search(state: _State, trial: _State, correction: FloatArray) -> None:
         if not there < -0.9 * slope:
             return
         share *= max(slope / (slope - there), 0.25)
+
+
+class LinearSolver(Protocol):
+    """Solves the linear systems of Newton's method, and counts them and its iterations."""
+
+    newton: int
+    cg: int
+
+    def solve(self, rate: FloatArray, residual: FloatArray, size: float, goal: float) -> FloatArray:
+        """Solve (-D L0 + rate) x = residual to ``goal``, a share of ``size``, the residual's norm.
+
+        The result lives until the next solve.
+        """
+
+
+def _linear_solver(operator: Diffusion) -> LinearSolver:
+    """Return the linear solver that is faster on the operator's grid."""
+    if math.prod(operator.shape) < MANY:
+        return _Linear(operator)
+    from multicell.nutrient.multigrid import MultigridSolver
+
+    return MultigridSolver(operator)
 
 
 @final

@@ -77,7 +77,7 @@ def test_iterations_do_not_grow_with_the_grid(sides):
         found.append(report.cg)
         balance = report.inflow - report.uptake
         assert abs(balance) <= 1e-8 * report.uptake
-    assert max(found) <= 1.3 * min(found) + 2
+    assert max(found) <= 1.3 * found[0] + 2  # by transforms there, by multigrid on most nodes
 
 
 def slab(n, sides, length=100.0):
