@@ -93,10 +93,7 @@ class Diffusion:
         self._laplacian: Callable[[FloatArray], FloatArray] = self._grid.make_operator(
             "laplace", bc=self._conditions, backend="scipy"
         )
-        flat = self.shape[: self.dimensions]
-        self.source = self.diffusion * np.asarray(self._laplacian(np.zeros(flat)))
-        self.ghost = self._ghosts()
-        self.source = self.source.reshape(self.shape)
+        self.source, self.ghost = self._faces()
         self._kinds, leak = self._nearest()
         self._eigenvalues = [
             self.stiffness * eigenvalues(n, kind)
@@ -120,18 +117,20 @@ class Diffusion:
     def flows(self, c: FloatArray) -> tuple[float, float]:
         """Return what flows in and out through the faces, amol/s, from py-pde's ghost values."""
         flat = self.shape[: self.dimensions]
-        full = np.empty([n + 2 for n in flat])
-        inner = tuple(slice(1, -1) for _ in flat)
-        full[inner] = c.reshape(flat)
+        full, c = np.empty([n + 2 for n in flat]), c.reshape(flat)
+        for axis in range(self.dimensions):  # ghost values need the outermost layers only
+            _, first, last, _ = _layers(full, axis)
+            nodes = np.moveaxis(c, axis, 0)
+            first[...], last[...] = nodes[0], nodes[-1]
         self._conditions.set_ghost_cells(full)
         inward = outward = 0.0
         for axis in range(self.dimensions):
-            layers = np.moveaxis(full, axis, 0)[(slice(None), *inner[1:])]
+            low_ghost, first, last, high_ghost = _layers(full, axis)
             low, high = (
                 (1.0, 1.0) if self.weights is None
                 else _ends(self.weights[axis], axis, self.dimensions)
             )  # fmt: skip
-            for step in (low * (layers[0] - layers[1]), high * (layers[-1] - layers[-2])):
+            for step in (low * (low_ghost - first), high * (high_ghost - last)):
                 inward += float(np.sum(step, where=step > 0.0))
                 outward -= float(np.sum(step, where=step < 0.0))
         scale = self.stiffness * self.volume
@@ -170,20 +169,34 @@ class Diffusion:
         # a node at a face exchanges with it by its own coefficient
         return self.source if self.varied is None else self.source * self.varied
 
-    def _ghosts(self) -> FloatArray:
-        """Return the factor of each face's ghost value; the third axis of a plane has walls."""
-        shape = tuple(n + 2 for n in self.shape[: self.dimensions])
-        ones, zeros = np.ones(shape), np.zeros(shape)
-        self._conditions.set_ghost_cells(ones)
-        self._conditions.set_ghost_cells(zeros)
-        factors = np.ones(6)
-        middle = [n // 2 for n in shape]
-        for axis in range(self.dimensions):
-            for side, place in enumerate((0, shape[axis] - 1)):
-                at = list(middle)
-                at[axis] = place
-                factors[2 * axis + side] = ones[tuple(at)] - zeros[tuple(at)]
-        return factors
+    def _faces(self) -> tuple[FloatArray, FloatArray]:
+        """Return what the faces bring to each node, mM/s, and the factor of their ghost values.
+
+        Both from py-pde's ghost values, of a field of zeros and of one of ones; only the layers at
+        the faces are looked at. The third axis of a plane has walls.
+        """
+        flat = self.shape[: self.dimensions]
+        field, source, factors = np.zeros([n + 2 for n in flat]), np.zeros(flat), np.ones(6)
+        self._conditions.set_ghost_cells(field)
+        scale = self._grid.discretization[0] ** -2
+        layers = [_layers(field, axis) for axis in range(self.dimensions)]
+        for axis, (low, _, _, high) in enumerate(layers):
+            ends = np.moveaxis(source, axis, 0)
+            if flat[axis] == 1:
+                ends[0] += scale * low + scale * high
+            else:
+                ends[0] += scale * low
+                ends[-1] += scale * high
+        source *= self.diffusion
+        middle = [tuple(n // 2 for n in layer[0].shape) for layer in layers]
+        zeros = [(low[m], high[m]) for (low, _, _, high), m in zip(layers, middle, strict=True)]
+        for _, first, last, _ in layers:
+            first[...] = last[...] = 1.0
+        self._conditions.set_ghost_cells(field)
+        for axis, ((low, _, _, high), m) in enumerate(zip(layers, middle, strict=True)):
+            factors[2 * axis] = low[m] - zeros[axis][0]
+            factors[2 * axis + 1] = high[m] - zeros[axis][1]
+        return source.reshape(self.shape), factors
 
     def _nearest(self) -> tuple[list[tuple[bool, bool]], float]:
         """Return for each axis which ends are taken as values, and the mean leak of the others.
@@ -234,6 +247,13 @@ def _face_means(varied: FloatArray, axis: int) -> FloatArray:
     v = np.moveaxis(varied, axis, 0)
     means = 2.0 * v[1:] * v[:-1] / (v[1:] + v[:-1])
     return np.ascontiguousarray(np.moveaxis(np.concatenate([v[:1], means, v[-1:]]), 0, axis))
+
+
+def _layers(full: FloatArray, axis: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return ghost values, first nodes, last nodes and ghost values along an axis, views."""
+    inner = (slice(1, -1),) * (full.ndim - 1)
+    lines = np.moveaxis(full, axis, 0)
+    return lines[0][inner], lines[1][inner], lines[-2][inner], lines[-1][inner]
 
 
 def _ends(w: FloatArray, axis: int, dimensions: int) -> tuple[Any, Any]:

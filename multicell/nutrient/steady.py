@@ -79,8 +79,8 @@ class SolveReport:
     newton, cg : int
         Newton steps and, over all of them, conjugate-gradient steps.
     residual : float, amol/s
-        Sum of all nodes' absolute imbalances, by py-pde's own operator. It bounds the
-        difference of inflow and uptake.
+        Sum of all nodes' absolute imbalances, by py-pde's own operator (by the solver's stencil
+        on :data:`MANY` nodes). It bounds the difference of inflow and uptake.
     inflow : float, amol/s
         Net diffusion through the faces of the box.
     uptake : float, amol/s
@@ -263,14 +263,15 @@ class _State:
         return other
 
     def report(self, linear: LinearSolver) -> SolveReport:
-        """Return the balance, with the imbalance by py-pde's operator."""
+        """Return the balance, with the imbalance by py-pde's operator; on many nodes by ours."""
         problem, op = self.problem, self.problem.operator
         taken = uptake(problem.sink, self.c, problem.half)
-        left = op.divergence(self.c) - taken - problem.linear * self.c
-        supplied = 0.0
-        if problem.supply is not None:
-            left += problem.supply
-            supplied = float(np.sum(problem.supply))
+        if self.c.size < MANY:
+            left = op.divergence(self.c) - taken - problem.linear * self.c
+            if problem.supply is not None:
+                left += problem.supply
+        else:
+            left = self.residual
         v = op.volume
         inward, outward = op.flows(self.c)
         return SolveReport(
@@ -280,7 +281,7 @@ class _State:
             inward - outward,
             v * float(np.sum(taken)),
             v * problem.linear * float(np.sum(self.c)),
-            v * supplied,
+            v * (0.0 if problem.supply is None else float(np.sum(problem.supply))),
             outward,
         )
 

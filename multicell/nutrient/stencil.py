@@ -110,11 +110,11 @@ def apply_operator(
                 _fill_row(p, ghost, i, j, row)
             else:
                 _fill_varied(p, ghost, weights, i, j, row, diagonal)
+            e, r, o = p[i, j], rate[i, j], out[i, j]
+            for k in range(nz):  # no sum, for the vector units
+                o[k] = stiffness * (diagonal[k] * e[k] - row[k]) + r[k] * e[k]
             for k in range(nz):
-                v = p[i, j, k]
-                w = stiffness * (diagonal[k] * v - row[k]) + rate[i, j, k] * v
-                out[i, j, k] = w
-                product += v * w
+                product += e[k] * o[k]
     return product
 
 
@@ -138,6 +138,7 @@ def imbalance(
     """
     nx, ny, nz = c.shape
     row, diagonal = np.empty(nz), np.full(nz, 6.0)
+    sinks = np.empty(nz)
     squares, total, size = 0.0, 0.0, 0.0
     for i in range(nx):
         for j in range(ny):
@@ -145,16 +146,19 @@ def imbalance(
                 _fill_row(c, ghost, i, j, row)
             else:
                 _fill_varied(c, ghost, weights, i, j, row, diagonal)
-            for k in range(nz):
-                v = c[i, j, k]
-                taken, slope = uptake_and_slope(sink[i, j, k], v, half)
+            e, most, brought = c[i, j], sink[i, j], source[i, j]
+            left, slopes = residual[i, j], rate[i, j]
+            for k in range(nz):  # no sums, for the vector units
+                v = e[k]
+                taken, slope = uptake_and_slope(most[k], v, half)
                 spent = taken + linear * v
-                r = source[i, j, k] - stiffness * (diagonal[k] * v - row[k]) - spent
-                residual[i, j, k] = r
-                rate[i, j, k] = slope + linear
-                squares += r * r
-                total += spent
-                size += v * v
+                left[k] = brought[k] - stiffness * (diagonal[k] * v - row[k]) - spent
+                slopes[k] = slope + linear
+                sinks[k] = spent
+            for k in range(nz):
+                squares += left[k] * left[k]
+                total += sinks[k]
+                size += e[k] * e[k]
     return squares, total, size
 
 
