@@ -27,7 +27,7 @@ that of (-L0 + d / (w D)), multiplied by w^(-1/2) from both sides.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
@@ -35,6 +35,7 @@ from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
 from multicell.nutrient import multigrid_kernels as kernels
+from multicell.threads import Team
 
 if TYPE_CHECKING:
     from multicell.nutrient.diffusion import Diffusion
@@ -67,15 +68,15 @@ class _Level:
         Of the nodes along each axis, over the spacing of the finest level.
     resistance : (6,)
         Of the faces beyond the one between node and face, over spacing / D; inf for walls.
-    threads
-        How many may share the loops.
+    team
+        Threads that share the loops where there are :data:`SHARED` nodes or more.
     """
 
-    def __init__(self, widths: list[FloatArray], resistance: FloatArray, threads: int) -> None:
+    def __init__(self, widths: list[FloatArray], resistance: FloatArray, team: Team) -> None:
         self.shape = (len(widths[0]), len(widths[1]), len(widths[2]))
         ends = resistance.reshape(3, 2)
         self.along = _triple(_along(w, pair) for w, pair in zip(widths, ends, strict=True))
-        self.driver = int(threads > 1 and math.prod(self.shape) >= SHARED)
+        self.team = team if math.prod(self.shape) >= SHARED else Team()
         self.rate, self.b, self.x, self.spare = (np.empty(self.shape, np.float32) for _ in range(4))
         self.coarser = [np.add.reduceat(w, np.arange(0, len(w), 2)) for w in widths]
         pairs = list(zip(widths, self.coarser, strict=True))
@@ -84,9 +85,13 @@ class _Level:
         self.others = _triple(other for other, _ in found)
         self.weights = _triple(weight for _, weight in found)
 
+    def share(self, kernel: Callable[..., Any], *arguments: Any) -> None:
+        """Run a kernel over the planes of this level."""
+        self.team.share(kernel, self.shape[0], *arguments)
+
     def relax(self, weight: np.float32) -> None:
         """Take a damped Jacobi step."""
-        kernels.relax[self.driver](self.x, self.b, self.rate, self.along, weight, self.spare)
+        self.share(kernels.relax, self.x, self.b, self.rate, self.along, weight, self.spare)
         self.x, self.spare = self.spare, self.x
 
 
@@ -100,38 +105,39 @@ class Hierarchy:
         Nodes of the finest level.
     ghost : (6,)
         Factors of the ghost values; see :mod:`multicell.nutrient.stencil`.
-    threads
-        How many may share the loops; it does not change the result.
+    team
+        Threads that share the loops over many nodes; they do not change the result.
     """
 
-    def __init__(self, shape: tuple[int, int, int], ghost: FloatArray, threads: int = 1) -> None:
+    def __init__(self, shape: tuple[int, int, int], ghost: FloatArray, team: Team) -> None:
         with np.errstate(divide="ignore"):
             # a node at a face lets 1 - ghost through; half a spacing of that is its own
             resistance = np.maximum(1.0 / (1.0 - ghost) - 0.5, 0.0)
-        self.levels = [_Level([np.ones(n) for n in shape], resistance, threads)]
+        self.levels = [_Level([np.ones(n) for n in shape], resistance, team)]
         while max(self.levels[-1].shape) > 1:
-            self.levels.append(_Level(self.levels[-1].coarser, resistance, threads))
+            self.levels.append(_Level(self.levels[-1].coarser, resistance, team))
 
     def set_rate(self) -> None:
         """Bring the rates of all levels up to date with those of the finest, ``rate``."""
         for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
-            kernels.average[fine.driver](fine.rate, fine.shares, coarse.rate)
+            fine.team.share(kernels.average, coarse.shape[0], fine.rate, fine.shares, coarse.rate)
 
     def cycle(self) -> Float32Array:
         """Solve A x = b approximately on the finest level; the result lives until the next call."""
         *above, last = self.levels
         for level, coarse in zip(self.levels, self.levels[1:], strict=False):
             ahead, behind = _SMOOTHER
-            kernels.first[level.driver](level.b, level.rate, level.along, ahead, level.x)
+            level.share(kernels.first, level.b, level.rate, level.along, ahead, level.x)
             level.relax(behind)
-            kernels.restrict[level.driver](
-                level.x, level.b, level.rate, level.along, level.shares, coarse.b
-            )
+            level.team.share(
+                kernels.restrict, coarse.shape[0], level.x, level.b, level.rate, level.along,
+                level.shares, coarse.b,
+            )  # fmt: skip
         diagonal = sum(axis[2, 0] for axis in last.along) + last.rate
         last.x[:] = last.b / diagonal
         below = last
         for level in reversed(above):
-            kernels.prolong[level.driver](below.x, level.others, level.weights, level.x)
+            level.share(kernels.prolong, below.x, level.others, level.weights, level.x)
             for weight in _SMOOTHER:
                 level.relax(weight)
             below = level
@@ -146,6 +152,8 @@ class MultigridSolver:
     ----------
     operator
         Diffusion with its conditions.
+    team
+        See :class:`Hierarchy`.
 
     Attributes
     ----------
@@ -153,7 +161,7 @@ class MultigridSolver:
         Systems solved and iterations.
     """
 
-    def __init__(self, operator: Diffusion) -> None:
+    def __init__(self, operator: Diffusion, team: Team) -> None:
         self.operator = operator
         self.newton = self.cg = 0
         # rows along the last axis are what is fast: a plane is turned so that it has some
@@ -161,11 +169,10 @@ class MultigridSolver:
         shape, self._ghost = operator.shape, operator.ghost
         if self._flat:
             shape, self._ghost = (1, *operator.shape[:2]), np.roll(operator.ghost, 2)
-        self._hierarchy = Hierarchy(shape, self._ghost, operator.threads)
+        self._hierarchy = Hierarchy(shape, self._ghost, team)
         self._finest = self._hierarchy.levels[0]
         self._x, self._r, self._p, self._q = (np.zeros(shape, np.float32) for _ in range(4))
         self._parts = np.empty((2, shape[0]))
-        self._correction = np.empty(operator.shape)
         self._rate, self._scale, self._weights = self._finest.rate, None, None
         if operator.weights is None or operator.varied is None:
             self._finest.b = self._r
@@ -175,42 +182,40 @@ class MultigridSolver:
             wx, wy, wz = (self._turned(w) for w in operator.weights)
             self._weights = (wz, wx, wy) if self._flat else (wx, wy, wz)
 
-    def solve(self, rate: FloatArray, residual: FloatArray, size: float, goal: float) -> FloatArray:
+    def solve(
+        self, rate: FloatArray, residual: FloatArray, size: float, goal: float
+    ) -> Float32Array:
         """Solve (-D L0 + rate) x = residual to ``goal``, a share of ``size``, the residual's norm.
 
         To :data:`FINEST` at best. The result lives until the next solve.
         """
         self._begin(rate, residual, size)
         x, r, p, q = self._x, self._r, self._p, self._q
-        driver, along = self._finest.driver, self._finest.along
+        share, along, parts = self._finest.share, self._finest.along, self._parts[0]
         z = self._precondition()
         rho, _ = self._products(z)
         beta = 0.0
         for _ in range(MAX_CG):
-            kernels.direct[driver](p, z, np.float32(beta))
-            kernels.apply[driver](
-                p, self._rate, along, self._ghost, self._weights, q, self._parts[0]
-            )
-            step = rho / float(self._parts[0].sum())
-            kernels.advance[driver](np.float32(step), x, p, r, q, self._parts[0])
+            share(kernels.direct, p, z, np.float32(beta))
+            share(kernels.apply, p, self._rate, along, self._ghost, self._weights, q, parts)
+            step = rho / float(parts.sum())
+            share(kernels.advance, np.float32(step), x, p, r, q, parts)
             self.cg += 1
-            if not float(self._parts[0].sum()) > max(goal, FINEST) ** 2:
+            if not float(parts.sum()) > max(goal, FINEST) ** 2:
                 break
             z = self._precondition()
             following, change = self._products(z)
             beta, rho = -step * change / rho, following
         self.newton += 1
-        solution = x.reshape(self._correction.shape)
-        np.multiply(solution, size / self.operator.stiffness, out=self._correction)
-        return self._correction
+        x *= np.float32(size / self.operator.stiffness)
+        return x.reshape(self.operator.shape)
 
     def _begin(self, rate: FloatArray, residual: FloatArray, size: float) -> None:
         """Take a system, divided by D/h² and by the size of its right-hand side."""
-        stiffness = self.operator.stiffness
-        np.divide(self._turned(rate), stiffness, out=self._rate, casting="same_kind")
-        np.divide(self._turned(residual), size, out=self._r, casting="same_kind")
-        self._x.fill(0.0)
-        self._p.fill(0.0)
+        self._finest.share(
+            kernels.load, self._turned(rate), self.operator.stiffness, self._turned(residual),
+            size, self._rate, self._r, self._x, self._p,
+        )  # fmt: skip
         if self._scale is not None:
             np.multiply(self._rate, self._scale * self._scale, out=self._finest.rate)
         self._hierarchy.set_rate()
@@ -226,7 +231,7 @@ class MultigridSolver:
 
     def _products(self, z: Float32Array) -> tuple[float, float]:
         """Return the products of ``z`` with the residual and with its last change."""
-        kernels.products[self._finest.driver](z, self._r, self._q, self._parts)
+        self._finest.share(kernels.products, z, self._r, self._q, self._parts)
         first, second = self._parts.sum(axis=1)
         return float(first), float(second)
 

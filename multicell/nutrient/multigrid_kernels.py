@@ -6,26 +6,29 @@ each a (3, n) table with the coefficients of the lower neighbour, of the upper o
 itself. Conditions and cells of unequal width are in these tables, so that the loops have no
 branches. All arrays of nodes are (nx, ny, nz) float32.
 
-Each loop over planes is compiled twice, for one thread and for several
-(:func:`multicell.threads.two_drivers`). Products are summed plane by plane: the same bits for any
-number of threads.
+Each loop runs over the planes from ``begin`` to ``end`` of what it writes, without the lock of
+the interpreter, so that threads can share it (:class:`multicell.threads.Team`). Products are
+summed plane by plane: the same bits for any number of threads.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from multicell.nutrient.stencil import _fill_varied
-from multicell.threads import two_drivers
+
+_F = TypeVar("_F", bound=Callable[..., Any])
+_jit = cast(Callable[[_F], _F], njit(cache=True, error_model="numpy", nogil=True))
 
 _NONE = np.float32(0.0)
 _ONE = np.float32(1.0)
 
 
-@njit(cache=True, error_model="numpy")
+@_jit
 def _neighbours(x: Any, along: Any, i: int, j: int, row: Any) -> None:
     """Write the weighted sums of the six neighbours of the nodes (i, j, :) to ``row``, (nz,)."""
     nx, ny, nz = x.shape
@@ -42,22 +45,26 @@ def _neighbours(x: Any, along: Any, i: int, j: int, row: Any) -> None:
         row[k] = across + (low[k] * e[max(k - 1, 0)] + high[k] * e[min(k + 1, nz - 1)])
 
 
-def _first(b: Any, rate: Any, along: Any, weight: Any, out: Any) -> None:
+@_jit
+def first(begin: int, end: int, b: Any, rate: Any, along: Any, weight: Any, out: Any) -> None:
     """Write the first damped Jacobi step from zero, ``weight b / diagonal``, to ``out``."""
-    nx, ny, nz = b.shape
+    ny, nz = b.shape[1:]
     ax, ay, az = along
-    for i in prange(nx):
+    for i in range(begin, end):
         for j in range(ny):
             base, right, r, o = ax[2, i] + ay[2, j], b[i, j], rate[i, j], out[i, j]
             for k in range(nz):
                 o[k] = weight * right[k] / (base + az[2, k] + r[k])
 
 
-def _relax(x: Any, b: Any, rate: Any, along: Any, weight: Any, out: Any) -> None:
+@_jit
+def relax(
+    begin: int, end: int, x: Any, b: Any, rate: Any, along: Any, weight: Any, out: Any
+) -> None:
     """Write ``x + weight (b - A x) / diagonal``, a damped Jacobi step, to ``out``."""
-    nx, ny, nz = x.shape
+    ny, nz = x.shape[1:]
     ax, ay, az = along
-    for i in prange(nx):
+    for i in range(begin, end):
         row = np.empty(nz, np.float32)
         for j in range(ny):
             _neighbours(x, along, i, j, row)
@@ -66,7 +73,7 @@ def _relax(x: Any, b: Any, rate: Any, along: Any, weight: Any, out: Any) -> None
                 o[k] = e[k] + weight * ((right[k] + row[k]) / (base + az[2, k] + r[k]) - e[k])
 
 
-@njit(cache=True, error_model="numpy")
+@_jit
 def _pair(total: Any, share: Any, out: Any) -> None:
     """Write the weighted sums of neighbouring pairs, (n,), to ``out``, (ceil(n / 2),)."""
     n = total.size
@@ -76,7 +83,10 @@ def _pair(total: Any, share: Any, out: Any) -> None:
         out[n // 2] = share[n - 1] * total[n - 1]
 
 
-def _restrict(x: Any, b: Any, rate: Any, along: Any, shares: Any, out: Any) -> None:
+@_jit
+def restrict(
+    begin: int, end: int, x: Any, b: Any, rate: Any, along: Any, shares: Any, out: Any
+) -> None:
     """Write the mean of ``b - A x`` over the up to eight nodes in each node of the next level.
 
     ``shares`` (n,) of each axis are the nodes' widths over that of the one they lie in.
@@ -84,7 +94,7 @@ def _restrict(x: Any, b: Any, rate: Any, along: Any, shares: Any, out: Any) -> N
     nx, ny, nz = x.shape
     ax, ay, az = along
     sx, sy, sz = shares
-    for coarse in prange(out.shape[0]):
+    for coarse in range(begin, end):
         row, total = np.empty(nz, np.float32), np.empty(nz, np.float32)
         for across in range(out.shape[1]):
             total[:] = _NONE
@@ -99,11 +109,12 @@ def _restrict(x: Any, b: Any, rate: Any, along: Any, shares: Any, out: Any) -> N
             _pair(total, sz, out[coarse, across])
 
 
-def _average(values: Any, shares: Any, out: Any) -> None:
+@_jit
+def average(begin: int, end: int, values: Any, shares: Any, out: Any) -> None:
     """Write the mean over the nodes in each node of the next level; see :func:`_restrict`."""
     nx, ny, nz = values.shape
     sx, sy, sz = shares
-    for coarse in prange(out.shape[0]):
+    for coarse in range(begin, end):
         total = np.empty(nz, np.float32)
         for across in range(out.shape[1]):
             total[:] = _NONE
@@ -115,17 +126,18 @@ def _average(values: Any, shares: Any, out: Any) -> None:
             _pair(total, sz, out[coarse, across])
 
 
-def _prolong(coarse: Any, others: Any, weights: Any, out: Any) -> None:
+@_jit
+def prolong(begin: int, end: int, coarse: Any, others: Any, weights: Any, out: Any) -> None:
     """Add the linear interpolation between the nodes of the next level to ``out``.
 
     Node i of an axis lies in i // 2; the second one that it lies between is ``others[i]``, with
     the weight ``weights[i]``.
     """
-    nx, ny, nz = out.shape
+    ny, nz = out.shape[1:]
     ox, oy, oz = others
     wx, wy, wz = weights
     n = coarse.shape[2]
-    for i in prange(nx):
+    for i in range(begin, end):
         row = np.empty(n, np.float32)
         for j in range(ny):
             a, b = coarse[i // 2, j // 2], coarse[ox[i], j // 2]
@@ -146,25 +158,37 @@ def _prolong(coarse: Any, others: Any, weights: Any, out: Any) -> None:
                 o[k] += (_ONE - wz[k]) * row[k // 2] + wz[k] * row[oz[k]]
 
 
-def _direct(p: Any, z: Any, beta: Any) -> None:
+@_jit
+def direct(begin: int, end: int, p: Any, z: Any, beta: Any) -> None:
     """Do ``p = z + beta p``."""
-    nx, ny, nz = p.shape
-    for i in prange(nx):
+    ny, nz = p.shape[1:]
+    for i in range(begin, end):
         for j in range(ny):
             old, new = p[i, j], z[i, j]
             for k in range(nz):
                 old[k] = new[k] + beta * old[k]
 
 
-def _apply(p: Any, rate: Any, along: Any, ghost: Any, weights: Any, out: Any, parts: Any) -> None:
+@_jit
+def apply(
+    begin: int,
+    end: int,
+    p: Any,
+    rate: Any,
+    along: Any,
+    ghost: Any,
+    weights: Any,
+    out: Any,
+    parts: Any,
+) -> None:
     """Write ``A p`` to ``out``, and its product with ``p`` in each plane to ``parts``, (nx,).
 
     With ``weights`` the coefficient of diffusion differs from place to place; ``ghost`` and they
     are those of :mod:`multicell.nutrient.stencil`.
     """
-    nx, ny, nz = p.shape
+    ny, nz = p.shape[1:]
     ax, ay, az = along
-    for i in prange(nx):
+    for i in range(begin, end):
         row, diagonal = np.empty(nz, np.float32), np.empty(nz, np.float32)
         total = np.zeros(nz)
         for j in range(ny):
@@ -183,10 +207,11 @@ def _apply(p: Any, rate: Any, along: Any, ghost: Any, weights: Any, out: Any, pa
         parts[i] = total.sum()
 
 
-def _advance(step: Any, x: Any, p: Any, r: Any, q: Any, parts: Any) -> None:
+@_jit
+def advance(begin: int, end: int, step: Any, x: Any, p: Any, r: Any, q: Any, parts: Any) -> None:
     """Do ``x += step p`` and ``r -= step q``; write ``r . r`` of each plane to ``parts``, (nx,)."""
-    nx, ny, nz = x.shape
-    for i in prange(nx):
+    ny, nz = x.shape[1:]
+    for i in range(begin, end):
         total = np.zeros(nz)
         for j in range(ny):
             solution, along, left, change = x[i, j], p[i, j], r[i, j], q[i, j]
@@ -198,10 +223,11 @@ def _advance(step: Any, x: Any, p: Any, r: Any, q: Any, parts: Any) -> None:
         parts[i] = total.sum()
 
 
-def _products(z: Any, r: Any, q: Any, parts: Any) -> None:
+@_jit
+def products(begin: int, end: int, z: Any, r: Any, q: Any, parts: Any) -> None:
     """Write ``z . r`` and ``z . q`` of each plane to ``parts``, (2, nx)."""
-    nx, ny, nz = z.shape
-    for i in prange(nx):
+    ny, nz = z.shape[1:]
+    for i in range(begin, end):
         first, second = np.zeros(nz), np.zeros(nz)
         for j in range(ny):
             a, b, c = z[i, j], r[i, j], q[i, j]
@@ -212,9 +238,53 @@ def _products(z: Any, r: Any, q: Any, parts: Any) -> None:
         parts[1, i] = second.sum()
 
 
-first, relax, restrict, average, prolong, direct, apply, advance, products = (
-    two_drivers(body)
-    for body in (
-        _first, _relax, _restrict, _average, _prolong, _direct, _apply, _advance, _products
-    )
-)  # fmt: skip
+@_jit
+def load(
+    begin: int,
+    end: int,
+    rate: Any,
+    stiffness: float,
+    residual: Any,
+    size: float,
+    single: Any,
+    r: Any,
+    x: Any,
+    p: Any,
+) -> None:
+    """Write ``rate / stiffness`` to ``single`` and ``residual / size`` to ``r``; clear x and p.
+
+    ``rate`` (1/s) and ``residual`` (mM/s) are float64.
+    """
+    ny, nz = r.shape[1:]
+    for i in range(begin, end):
+        for j in range(ny):
+            old, new, left, right = rate[i, j], single[i, j], residual[i, j], r[i, j]
+            for k in range(nz):
+                new[k] = old[k] / stiffness
+                right[k] = left[k] / size
+        x[i] = _NONE
+        p[i] = _NONE
+
+
+@_jit
+def step(begin: int, end: int, c: Any, correction: Any, share: float, out: Any) -> None:
+    """Write ``c + share correction`` to ``out``; c and out are float64."""
+    ny, nz = c.shape[1:]
+    for i in range(begin, end):
+        for j in range(ny):
+            old, way, new = c[i, j], correction[i, j], out[i, j]
+            for k in range(nz):
+                new[k] = old[k] + share * way[k]
+
+
+@_jit
+def dot(begin: int, end: int, a: Any, b: Any, parts: Any) -> None:
+    """Write ``a . b`` of each plane to ``parts``, (nx,); a is float64."""
+    ny, nz = a.shape[1:]
+    for i in range(begin, end):
+        total = np.zeros(nz)
+        for j in range(ny):
+            u, v = a[i, j], b[i, j]
+            for k in range(nz):
+                total[k] += u[k] * v[k]
+        parts[i] = total.sum()

@@ -37,14 +37,18 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed
 from multicell.nutrient import stencil
 from multicell.nutrient.uptake import uptake
+from multicell.threads import Team
 
 if TYPE_CHECKING:
     from multicell.nutrient.diffusion import Diffusion
+
+Correction = NDArray[np.float64] | NDArray[np.float32]
 
 TOLERANCE = 1e-9
 """Bound on the sum of all nodes' imbalances, relative to the total uptake."""
@@ -141,8 +145,16 @@ def solve_steady(
     NutrientFailed
         If the iterations do not converge or meet values that are not finite.
     """
-    problem = _Problem(operator, sink, half_saturation, linear, supply)
-    solver = _linear_solver(operator)
+    many = math.prod(operator.shape) >= MANY
+    with Team(operator.threads if many else 1) as team:
+        problem = _Problem(operator, sink, half_saturation, linear, supply, team if many else None)
+        return _solve(problem, start, tolerance, _linear_solver(operator, team))
+
+
+def _solve(
+    problem: _Problem, start: FloatArray, tolerance: float, solver: LinearSolver
+) -> tuple[FloatArray, SolveReport]:
+    """Solve, first as it is and then, where that fails, over larger half saturations."""
     if not problem.source.any():
         # nothing comes in: what iterations from elsewhere would leave is rounding, of either sign
         start = np.zeros_like(start, dtype=np.float64)
@@ -204,6 +216,7 @@ class _Problem:
     half: float
     linear: float
     supply: FloatArray | None
+    team: Team | None  # that shares the loops over many nodes
 
     def __post_init__(self) -> None:
         faces = self.operator.stencil_source()
@@ -224,9 +237,30 @@ class _State:
         problem, op = self.problem, self.problem.operator
         squares, self.total, size = stencil.imbalance(
             self.c, problem.sink, problem.source, problem.half, op.stiffness, problem.linear,
-            op.ghost, op.weights, self.residual, self.rate,
+            op.ghost, op.weights, self.residual, self.rate, problem.team,
         )  # fmt: skip
         self.size, self.norm = float(np.sqrt(squares)), float(np.sqrt(size))
+
+    def step(self, c: FloatArray, correction: Correction, share: float) -> None:
+        """Become ``c`` and a share of a correction."""
+        if self.problem.team is None:
+            np.multiply(correction, share, out=self.c)
+            self.c += c
+        else:
+            from multicell.nutrient.multigrid_kernels import step
+
+            self.problem.team.share(step, len(c), c, correction, share, self.c)
+        self.evaluate()
+
+    def along(self, correction: Correction) -> float:
+        """Return the product of the imbalance and a correction."""
+        if self.problem.team is None:
+            return stencil.dot(self.residual.ravel(), correction.ravel())
+        from multicell.nutrient.multigrid_kernels import dot
+
+        parts = np.empty(len(self.c))
+        self.problem.team.share(dot, len(self.c), self.residual, correction, parts)
+        return float(parts.sum())
 
     def lift(self) -> bool:
         """Bring nodes left below zero to their own balance; return whether none is left."""
@@ -286,21 +320,18 @@ class _State:
         )
 
 
-def _search(state: _State, trial: _State, correction: FloatArray) -> None:
+def _search(state: _State, trial: _State, correction: Correction) -> None:
     """Set ``trial`` to a point along the correction where the convex energy is lower.
 
     F is the gradient of a convex energy, and the correction of a conjugate-gradient solve always
     points downhill. The slope along it may at most turn round to nine tenths; it does at the
     first step into a starved core, where the tangent of the saturated law is far from the law.
     """
-    downhill = correction.ravel()
-    slope = stencil.dot(state.residual.ravel(), downhill)
+    slope = state.along(correction)
     share = 1.0
     for _ in range(MAX_BACKTRACKS):
-        np.multiply(correction, share, out=trial.c)
-        trial.c += state.c
-        trial.evaluate()
-        there = stencil.dot(trial.residual.ravel(), downhill)
+        trial.step(state.c, correction, share)
+        there = trial.along(correction)
         if not there < -0.9 * slope:
             return
         share *= max(slope / (slope - there), 0.25)
@@ -312,20 +343,20 @@ class LinearSolver(Protocol):
     newton: int
     cg: int
 
-    def solve(self, rate: FloatArray, residual: FloatArray, size: float, goal: float) -> FloatArray:
+    def solve(self, rate: FloatArray, residual: FloatArray, size: float, goal: float) -> Correction:
         """Solve (-D L0 + rate) x = residual to ``goal``, a share of ``size``, the residual's norm.
 
         The result lives until the next solve.
         """
 
 
-def _linear_solver(operator: Diffusion) -> LinearSolver:
+def _linear_solver(operator: Diffusion, team: Team) -> LinearSolver:
     """Return the linear solver that is faster on the operator's grid."""
     if math.prod(operator.shape) < MANY:
         return _Linear(operator)
     from multicell.nutrient.multigrid import MultigridSolver
 
-    return MultigridSolver(operator)
+    return MultigridSolver(operator, team)
 
 
 @final
