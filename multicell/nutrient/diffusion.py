@@ -1,4 +1,4 @@
-"""Diffusion on a cell-centred grid: py-pde's Laplacian, the flow through the faces, an inverse."""
+"""Diffusion on a cell-centred grid: the Laplacian, the flow through the faces, an inverse."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
-from multicell.nutrient import stencil
+from multicell.nutrient import dense, stencil
+from multicell.nutrient.cartesian import Box
+from multicell.nutrient.dense import eigenvalues
+from multicell.nutrient.faces import ghost_terms
 from multicell.nutrient.steady import SolveReport, solve_steady
 
 if TYPE_CHECKING:
@@ -28,7 +31,10 @@ TRANSFORMS = {
 
 @final
 class Diffusion:
-    """The Laplacian of py-pde on a box with conditions on its faces, and an inverse.
+    """The Laplacian on a box with conditions on its faces, and an inverse.
+
+    Beyond each face one more node has the value ``ghost c + const``, c the value of the node at
+    the face: py-pde's convention, in which a value gives a ghost of -1 and a slope one of 1.
 
     In two dimensions nodes are prisms: squares in the plane, ``height`` across it. Arrays have
     three axes all the same, the last one of length 1.
@@ -36,20 +42,30 @@ class Diffusion:
     Parameters
     ----------
     grid
-        Cartesian grid of cubes in three dimensions or of squares in two, cell-centred, not
-        periodic.
+        A box, or py-pde's Cartesian grid of cubes in three dimensions or of squares in two,
+        cell-centred, not periodic.
     diffusion : float, µm²/s
         In tissue.
     boundary
-        Concentration in mM on all faces, or py-pde's description of its conditions
-        (``{"x-": {"value": array}, "x+": {"derivative": 0.0}, ...}``), of one kind on each
-        face. Never pass text from users: py-pde executes it.
+        Concentration in mM on all faces, or py-pde's description of its conditions. On a box each
+        face is named and its condition made of numbers (``{"x-": {"value": 0.1}, "x+":
+        {"derivative": 0.0}, ...}``); what py-pde knows besides, arrays too, holds on its own grid,
+        of one kind on each face. Never pass text from users: py-pde executes it.
     height : float, µm
         Of the layer in two dimensions.
     varied : (nx, ny, nz), optional
         Coefficient of diffusion at the nodes over that of tissue; absent: one everywhere. At
         faces between nodes it is the harmonic mean, for which the flow is continuous where the
         coefficient jumps.
+
+    Attributes
+    ----------
+    ghost : (6,)
+        Factors of the faces x-, x+, y-, y+, z-, z+.
+    const : six arrays (ny, nz), (ny, nz), (nx, nz), (nx, nz), (nx, ny), (nx, ny); mM
+        What the conditions add.
+    source : (nx, ny, nz), mM/s
+        What they bring to the nodes where the coefficient is that of tissue.
 
     Raises
     ------
@@ -59,24 +75,28 @@ class Diffusion:
 
     def __init__(
         self,
-        grid: CartesianGrid,
+        grid: CartesianGrid | Box,
         diffusion: float,
         boundary: float | Mapping[str, Any],
         *,
         height: float | None = None,
         varied: FloatArray | None = None,
     ) -> None:
-        if not np.allclose(grid.discretization, grid.discretization[0], rtol=1e-9):
-            raise ValueError(f"spacing differs between axes: {grid.discretization} um")
-        self.dimensions = len(grid.shape)
-        nx, ny, nz = (*grid.shape, 1)[:3]
-        self.shape = (nx, ny, nz)
-        self.spacing = float(grid.discretization[0])
+        self._grid = None if isinstance(grid, Box) else grid
+        if isinstance(grid, Box):
+            self.dimensions = 3 if grid.height is None else 2
+            self.shape, self.spacing = grid.shape, grid.spacing
+        else:
+            steps = grid.discretization
+            if not np.allclose(steps, steps[0], rtol=1e-9):
+                raise ValueError(f"spacing differs between axes: {steps} um")
+            self.dimensions = len(grid.shape)
+            nx, ny, nz = (*grid.shape, 1)[:3]
+            self.shape, self.spacing = (nx, ny, nz), float(steps[0])
         self.volume = self.spacing**2 * (height or self.spacing)
         self.diffusion = diffusion
         self.stiffness = diffusion / self.spacing**2
         self.threads = 1  # that may share the loops over many nodes; it changes no result
-        self._grid = grid
         self.set_boundary(boundary)
         # relative coefficients at the nodes and at the faces between them, None for one everywhere
         self.varied: FloatArray | None = None
@@ -88,51 +108,79 @@ class Diffusion:
 
     def set_boundary(self, boundary: float | Mapping[str, Any]) -> None:
         """Take other conditions on the faces."""
+        if self._grid is None:
+            self.ghost, self.const = self._named(boundary)
+        else:
+            self.ghost, self.const = self._by_pde(self._grid, boundary)
+        self.source = np.zeros(self.shape)
+        for face, const in enumerate(self.const[: 2 * self.dimensions]):
+            _layer(self.source, face)[...] += const
+        self.source *= self.stiffness
+        self._kinds, self._leak = self._nearest()
+        axes = list(zip(self.shape, self._kinds, strict=True))
+        self._dense: list[Any] = []
+        if max(self.shape) <= dense.MOST and all(low == high for low, high in self._kinds):
+            found = [dense.halves(n, low) for n, (low, _) in axes]
+            self._dense = [f for f, _ in found] + [self.stiffness * a for _, a in found]
+        self._eigenvalues = [self.stiffness * eigenvalues(n, kind) for n, kind in axes]
+
+    def _named(self, boundary: float | Mapping[str, Any]) -> tuple[FloatArray, stencil.Faces]:
+        """Return factors and constants by conditions made of numbers."""
+        ghost, const = np.ones(6), []
+        for face in range(6):
+            value = 0.0
+            if face < 2 * self.dimensions:
+                name = "xyz"[face // 2] + "-+"[face % 2]
+                plain = {"value": boundary} if not isinstance(boundary, Mapping) else boundary[name]
+                value, ghost[face] = ghost_terms(plain, self.spacing)
+            const.append(np.full(_across(self.shape, face), value))
+        a, b, c, d, e, f = const
+        return ghost, (a, b, c, d, e, f)
+
+    def _by_pde(
+        self, grid: CartesianGrid, boundary: float | Mapping[str, Any]
+    ) -> tuple[FloatArray, stencil.Faces]:
+        """Return factors and constants by what py-pde makes of the conditions."""
         values = dict(boundary) if isinstance(boundary, Mapping) else {"value": float(boundary)}
-        self._conditions = self._grid.get_boundary_conditions(values, rank=0)
-        self._laplacian: Callable[[FloatArray], FloatArray] = self._grid.make_operator(
-            "laplace", bc=self._conditions, backend="scipy"
+        conditions = grid.get_boundary_conditions(values, rank=0)
+        self._laplacian: Callable[[FloatArray], FloatArray] = grid.make_operator(
+            "laplace", bc=conditions, backend="scipy"
         )
-        self.source, self.ghost = self._faces()
-        self._kinds, leak = self._nearest()
-        self._eigenvalues = [
-            self.stiffness * eigenvalues(n, kind)
-            for n, kind in zip(self.shape, self._kinds, strict=True)
-        ]
-        self._leak = leak
+        padded = tuple(n + 2 for n in grid.shape)
+        ones, zeros = np.ones(padded), np.zeros(padded)
+        conditions.set_ghost_cells(ones)
+        conditions.set_ghost_cells(zeros)
+        ghost, const = np.ones(6), []
+        for face in range(6):
+            found = np.zeros(_across(self.shape, face))
+            if face < 2 * self.dimensions:
+                inner = (slice(1, -1),) * (self.dimensions - 1)
+                zero = _layer(zeros, face)[inner]
+                found[...] = zero.reshape(found.shape)
+                # one factor on a face: that of a node in its middle
+                middle = tuple(n // 2 for n in zero.shape)
+                ghost[face] = _layer(ones, face)[inner][middle] - zero[middle]
+            const.append(found)
+        a, b, c, d, e, f = const
+        return ghost, (a, b, c, d, e, f)
 
     def divergence(self, c: FloatArray) -> FloatArray:
         """Return D L c in mM/s, boundary values included.
 
-        By py-pde's operator where the coefficient is uniform, else by the solver's own stencil.
+        By py-pde's operator on its own grid where the coefficient is uniform, else by the solver's
+        stencil.
         """
-        if self.weights is None:
-            flat = c.reshape(self.shape[: self.dimensions])
-            return np.asarray(self.diffusion * self._laplacian(flat)).reshape(self.shape)
+        if self._grid is not None and self.weights is None:
+            spread = self.diffusion * self._laplacian(c.reshape(self._grid.shape))
+            return np.asarray(spread).reshape(self.shape)
         out = np.empty_like(c)
         zero = np.zeros_like(c)
         stencil.apply_operator(c, zero, self.stiffness, self.ghost, self.weights, out)
         return np.asarray(self.stencil_source() - out)
 
     def flows(self, c: FloatArray) -> tuple[float, float]:
-        """Return what flows in and out through the faces, amol/s, from py-pde's ghost values."""
-        flat = self.shape[: self.dimensions]
-        full, c = np.empty([n + 2 for n in flat]), c.reshape(flat)
-        for axis in range(self.dimensions):  # ghost values need the outermost layers only
-            _, first, last, _ = _layers(full, axis)
-            nodes = np.moveaxis(c, axis, 0)
-            first[...], last[...] = nodes[0], nodes[-1]
-        self._conditions.set_ghost_cells(full)
-        inward = outward = 0.0
-        for axis in range(self.dimensions):
-            low_ghost, first, last, high_ghost = _layers(full, axis)
-            low, high = (
-                (1.0, 1.0) if self.weights is None
-                else _ends(self.weights[axis], axis, self.dimensions)
-            )  # fmt: skip
-            for step in (low * (low_ghost - first), high * (high_ghost - last)):
-                inward += float(np.sum(step, where=step > 0.0))
-                outward -= float(np.sum(step, where=step < 0.0))
+        """Return what flows in and out through the faces, amol/s."""
+        inward, outward = stencil.flows(c, self.ghost, self.const, self.weights)
         scale = self.stiffness * self.volume
         return scale * inward, scale * outward
 
@@ -159,6 +207,9 @@ class Diffusion:
         L0 is the Laplacian with every face taken as the nearer one of a value and a slope, both
         zero, and a uniform coefficient. Returns u, which takes the memory of ``y``, and y . u.
         """
+        if self._dense and y.dtype == np.float32:
+            fx, fy, fz, ax, ay, az = self._dense
+            return y, dense.invert(y, fx, fy, fz, ax, ay, az, shift + self._leak)
         ax, ay, az = self._eigenvalues
         spectrum = _transform(y, self._kinds, inverse=False)
         product = stencil.divide_spectrum(spectrum, ax, ay, az, shift + self._leak)
@@ -168,35 +219,6 @@ class Diffusion:
         """Return what the faces bring to the balance of the nodes, (nx, ny, nz) mM/s."""
         # a node at a face exchanges with it by its own coefficient
         return self.source if self.varied is None else self.source * self.varied
-
-    def _faces(self) -> tuple[FloatArray, FloatArray]:
-        """Return what the faces bring to each node, mM/s, and the factor of their ghost values.
-
-        Both from py-pde's ghost values, of a field of zeros and of one of ones; only the layers at
-        the faces are looked at. The third axis of a plane has walls.
-        """
-        flat = self.shape[: self.dimensions]
-        field, source, factors = np.zeros([n + 2 for n in flat]), np.zeros(flat), np.ones(6)
-        self._conditions.set_ghost_cells(field)
-        scale = self._grid.discretization[0] ** -2
-        layers = [_layers(field, axis) for axis in range(self.dimensions)]
-        for axis, (low, _, _, high) in enumerate(layers):
-            ends = np.moveaxis(source, axis, 0)
-            if flat[axis] == 1:
-                ends[0] += scale * low + scale * high
-            else:
-                ends[0] += scale * low
-                ends[-1] += scale * high
-        source *= self.diffusion
-        middle = [tuple(n // 2 for n in layer[0].shape) for layer in layers]
-        zeros = [(low[m], high[m]) for (low, _, _, high), m in zip(layers, middle, strict=True)]
-        for _, first, last, _ in layers:
-            first[...] = last[...] = 1.0
-        self._conditions.set_ghost_cells(field)
-        for axis, ((low, _, _, high), m) in enumerate(zip(layers, middle, strict=True)):
-            factors[2 * axis] = low[m] - zeros[axis][0]
-            factors[2 * axis + 1] = high[m] - zeros[axis][1]
-        return source.reshape(self.shape), factors
 
     def _nearest(self) -> tuple[list[tuple[bool, bool]], float]:
         """Return for each axis which ends are taken as values, and the mean leak of the others.
@@ -213,16 +235,6 @@ class Diffusion:
                 leak += 0.0 if is_value else self.stiffness * (1.0 - factor) / n
             kinds.append((ends[0], ends[1]))
         return kinds, leak
-
-
-def eigenvalues(n: int, ends: tuple[bool, bool]) -> FloatArray:
-    """Return the n eigenvalues of minus the second difference between two ends.
-
-    With values at both ends the angles are kπ/n for k = 1 ... n, with slopes at both for
-    k = 0 ... n - 1, and with one of each (k + 1/2)π/n.
-    """
-    first = {(True, True): 1.0, (False, False): 0.0}.get(ends, 0.5)
-    return np.asarray(4.0 * np.sin(0.5 * np.pi * (np.arange(n) + first) / n) ** 2)
 
 
 def _transform(
@@ -249,15 +261,12 @@ def _face_means(varied: FloatArray, axis: int) -> FloatArray:
     return np.ascontiguousarray(np.moveaxis(np.concatenate([v[:1], means, v[-1:]]), 0, axis))
 
 
-def _layers(full: FloatArray, axis: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return ghost values, first nodes, last nodes and ghost values along an axis, views."""
-    inner = (slice(1, -1),) * (full.ndim - 1)
-    lines = np.moveaxis(full, axis, 0)
-    return lines[0][inner], lines[1][inner], lines[-2][inner], lines[-1][inner]
+def _layer(values: NDArray[Any], face: int) -> NDArray[Any]:
+    """Return the nodes at a face, of x-, x+, y-, y+, z-, z+, as a view."""
+    at = -(face % 2)
+    return values[(slice(None),) * (face // 2) + (at,)]
 
 
-def _ends(w: FloatArray, axis: int, dimensions: int) -> tuple[Any, Any]:
-    """Return the coefficients at the two outer faces of an axis, without a plane's third axis."""
-    layers = np.moveaxis(w, axis, 0)
-    low, high = layers[0], layers[-1]
-    return (low[..., 0], high[..., 0]) if dimensions == 2 else (low, high)
+def _across(shape: tuple[int, int, int], face: int) -> tuple[int, ...]:
+    """Return the shape of the nodes at a face."""
+    return shape[: face // 2] + shape[face // 2 + 1 :]

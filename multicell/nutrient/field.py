@@ -80,6 +80,7 @@ class NutrientField:
         self._layout: Layout | None = None
         self._operator: Operator | None = None
         self._conditions: dict[str, Any] = {}
+        self._last_sides: tuple[Any, dict[str, Any]] = (None, {})
         self._values: FloatArray = np.empty((0, 0, 0))
 
     @property
@@ -207,7 +208,7 @@ class NutrientField:
                 nonlocal conditions
                 # at the moment of a switch the medium still is the old one
                 moment = min(time, np.nextafter(last, -np.inf))
-                wanted = layout.conditions(p.sides(moment))
+                wanted = self._sides(layout, moment)
                 if wanted != conditions:
                     operator.set_boundary(wanted)
                     conditions = wanted
@@ -340,7 +341,7 @@ class NutrientField:
         values.flags.writeable = False
         self._values = values
         self._operator = None
-        self._conditions = self._layout.conditions(self.parameters.sides(time, self.level(time)))
+        self._conditions = self._sides(self._layout, time)
 
     def kept(self) -> tuple[Any, ...]:
         """Return what :meth:`take_back` needs to undo a solve."""
@@ -371,12 +372,19 @@ class NutrientField:
         same = self._layout is not None and found == self._layout
         return (self.layout, True) if same else (found, False)
 
+    def _sides(self, layout: Layout, time: float) -> dict[str, Any]:
+        """Return the conditions on the faces of a layout at a time in s, in py-pde's terms."""
+        key = (self.parameters, isinstance(layout, ShellLayout), self.level(time))
+        if key != self._last_sides[0]:
+            self._last_sides = key, layout.conditions(self.parameters.sides(time, key[2]))
+        return self._last_sides[1]
+
     def _operator_on(
         self, layout: Layout, kept: bool, position: FloatArray, radius: FloatArray, time: float
     ) -> tuple[Operator, dict[str, Any]]:
         """Return the operator on a layout at a time, the last one if it still holds."""
         p = self.parameters
-        conditions = layout.conditions(p.sides(time, self.level(time)))
+        conditions = self._sides(layout, time)
         if kept and self._operator is not None and p.nutrient.diffusion_medium is None:
             if conditions != self._conditions:
                 self._operator.set_boundary(conditions)
@@ -417,10 +425,11 @@ class NutrientField:
 
     def _described(self, report: SolveReport, medium: float) -> FieldReport:
         """Return the balance of a steady solve by what it was for."""
-        p = self.parameters
-        mass = self.stored()
-        whole = float(np.sum(np.broadcast_to(self.layout.volumes, self._values.shape)))
-        brought = p.nutrient.perfusion * medium * whole
+        p, mass = self.parameters, self.stored()
+        brought = 0.0
+        if p.nutrient.perfusion > 0.0:
+            whole = float(np.sum(np.broadcast_to(self.layout.volumes, self._values.shape)))
+            brought = p.nutrient.perfusion * medium * whole
         return FieldReport(
             report.newton,
             report.cg,
@@ -471,7 +480,8 @@ def checked(
             continue
         if np.shape(values) != (n,):
             raise ValueError(f"{name} has shape {np.shape(values)}, expected ({n},)")
-        if not np.all((np.asarray(values) >= 0.0) & np.isfinite(values)):
+        # not so of what is no number either
+        if not (np.min(values, initial=0.0) >= 0.0 and np.max(values, initial=0.0) < np.inf):
             what = "capacity of uptake" if name == "capacity" else name
             raise ValueError(f"a cell's {what} is negative or not finite")
     radius = np.ones(n) if radius is None else np.asarray(radius, dtype=np.float64)

@@ -1,7 +1,7 @@
 """Quasi-steady diffusion with Michaelis-Menten uptake, by Newton and conjugate gradients.
 
-On the nodes of a cell-centred grid, with py-pde's Laplacian L (seven points, the conditions on the
-faces entering through ghost values), the steady state solves
+On the nodes of a cell-centred grid, with the Laplacian L (seven points, the conditions on the faces
+entering through ghost values: py-pde's, by a test), the steady state solves
 
     F(c) = -D L c + m c + q c / (K + c) - s = 0
 
@@ -42,7 +42,6 @@ from numpy.typing import NDArray
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed
 from multicell.nutrient import stencil
-from multicell.nutrient.uptake import uptake
 from multicell.threads import Team
 
 if TYPE_CHECKING:
@@ -83,8 +82,7 @@ class SolveReport:
     newton, cg : int
         Newton steps and, over all of them, conjugate-gradient steps.
     residual : float, amol/s
-        Sum of all nodes' absolute imbalances, by py-pde's own operator (by the solver's stencil
-        on :data:`MANY` nodes). It bounds the difference of inflow and uptake.
+        Sum of all nodes' absolute imbalances. It bounds the difference of inflow and uptake.
     inflow : float, amol/s
         Net diffusion through the faces of the box.
     uptake : float, amol/s
@@ -177,11 +175,12 @@ def _solve(
 
 def _newton(state: _State, tolerance: float, linear: LinearSolver) -> tuple[_State, bool]:
     """Iterate from ``state``; return the last state and whether it is within the tolerance."""
-    trial, forcing = state.empty_copy(), FORCING
+    trial, forcing = None, FORCING
     for _ in range(MAX_NEWTON):
         target = state.target(tolerance)
-        if state.size <= target or not np.isfinite(state.size):
+        if state.size <= target or not math.isfinite(state.size):
             break
+        trial = trial or state.empty_copy()
         goal = max(forcing, 0.3 * target / state.size)
         correction = linear.solve(state.rate, state.residual, state.size, goal)
         _search(state, trial, correction)
@@ -297,27 +296,16 @@ class _State:
         return other
 
     def report(self, linear: LinearSolver) -> SolveReport:
-        """Return the balance, with the imbalance by py-pde's operator; on many nodes by ours."""
+        """Return the balance."""
         problem, op = self.problem, self.problem.operator
-        taken = uptake(problem.sink, self.c, problem.half)
-        if self.c.size < MANY:
-            left = op.divergence(self.c) - taken - problem.linear * self.c
-            if problem.supply is not None:
-                left += problem.supply
-        else:
-            left = self.residual
+        left, taken, content = stencil.account(self.c, problem.sink, problem.half, self.residual)
+        supplied = 0.0 if problem.supply is None else float(np.sum(problem.supply))
         v = op.volume
         inward, outward = op.flows(self.c)
         return SolveReport(
-            linear.newton,
-            linear.cg,
-            v * float(np.sum(np.abs(left))),
-            inward - outward,
-            v * float(np.sum(taken)),
-            v * problem.linear * float(np.sum(self.c)),
-            v * (0.0 if problem.supply is None else float(np.sum(problem.supply))),
-            outward,
-        )
+            linear.newton, linear.cg, v * left, inward - outward, v * taken,
+            v * problem.linear * content, v * supplied, outward,
+        )  # fmt: skip
 
 
 def _search(state: _State, trial: _State, correction: Correction) -> None:

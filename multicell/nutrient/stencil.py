@@ -21,10 +21,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
-from multicell.nutrient.uptake import balanced, uptake_and_slope
+from multicell.nutrient.uptake import balanced, uptake, uptake_and_slope
 from multicell.threads import Team
 
 Weights = tuple[FloatArray, FloatArray, FloatArray] | None
+Faces = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
 Float32Array = NDArray[np.float32]
 _F = TypeVar("_F", bound=Callable[..., Any])
 # No fastmath: with it, a function compiled now and the same one read from numba's disk cache were
@@ -140,15 +141,18 @@ def imbalance(
     nodes in their order, or with a ``team``, whose threads share the planes, of each plane first.
     """
     planes = len(c)
-    parts = np.empty((3, 1 if team is None else planes))
-    arguments = (
-        c, sink, source, half, stiffness, linear, ghost, weights, residual, rate, parts,
-        planes if team is None else 1,
-    )  # fmt: skip
     if team is None:
-        _imbalance(0, planes, *arguments)
-    else:
-        team.share(_imbalance, planes, *arguments)
+        parts = np.empty((3, 1))
+        _imbalance(
+            0, planes, c, sink, source, half, stiffness, linear, ghost, weights, residual, rate,
+            parts, planes,
+        )  # fmt: skip
+        return parts.item(0), parts.item(1), parts.item(2)
+    parts = np.empty((3, planes))
+    team.share(
+        _imbalance, planes, c, sink, source, half, stiffness, linear, ghost, weights, residual,
+        rate, parts, 1,
+    )  # fmt: skip
     squares, total, size = parts.sum(axis=1)
     return float(squares), float(total), float(size)
 
@@ -349,3 +353,65 @@ def dot(a: FloatArray, b: NDArray[Any]) -> float:
     for n in range(a.size):
         product += a[n] * b[n]
     return product
+
+
+@_jit
+def flows(c: FloatArray, ghost: FloatArray, const: Faces, weights: Weights) -> tuple[float, float]:
+    """Return what flows in and out through the faces, over D/h² and a node's volume, mM.
+
+    ``const`` is what the conditions add to the ghost values of each face, mM.
+    """
+    nx, ny, nz = c.shape
+    inward, outward = 0.0, 0.0
+    for face in range(6):
+        axis, high = face // 2, face % 2
+        across = const[0]
+        if face == 1:
+            across = const[1]
+        elif face == 2:
+            across = const[2]
+        elif face == 3:
+            across = const[3]
+        elif face == 4:
+            across = const[4]
+        elif face == 5:
+            across = const[5]
+        for a in range(across.shape[0]):
+            for b in range(across.shape[1]):
+                if axis == 0:
+                    i, j, k = high * (nx - 1), a, b
+                elif axis == 1:
+                    i, j, k = a, high * (ny - 1), b
+                else:
+                    i, j, k = a, b, high * (nz - 1)
+                step = across[a, b] + (ghost[face] - 1.0) * c[i, j, k]
+                if weights is not None:
+                    if axis == 0:
+                        step *= weights[0][i + high, j, k]
+                    elif axis == 1:
+                        step *= weights[1][i, j + high, k]
+                    else:
+                        step *= weights[2][i, j, k + high]
+                inward += max(step, 0.0)
+                outward += max(-step, 0.0)
+    return inward, outward
+
+
+@_jit
+def account(
+    c: FloatArray, sink: FloatArray, half: float, residual: FloatArray
+) -> tuple[float, float, float]:
+    """Return the sums over all nodes of the sizes of the residual, of uptake (mM/s), and of c (mM).
+
+    Arguments as for :func:`imbalance`.
+    """
+    nx, ny, nz = c.shape
+    left, taken, content = 0.0, 0.0, 0.0
+    for i in range(nx):
+        for j in range(ny):
+            for k in range(nz):
+                left += abs(residual[i, j, k])
+                content += c[i, j, k]
+                if sink[i, j, k] != 0.0:
+                    taken += uptake(sink[i, j, k], c[i, j, k], half)
+    return left, taken, content
