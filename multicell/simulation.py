@@ -161,7 +161,7 @@ class Simulation:
         self.contacts = np.empty((0, 2), dtype=np.int64)
         self.separation: Mapping[str, float] | None = None
         self._integrator = integrator or registry.make(scene.integrator)
-        self._feeding = _feeding(scene, reactions)
+        self._feeding = _feeding(scene, reactions, self._mechanics.threads)
         self.lineage = Lineage() if lineage is None else lineage
         if frame is None:
             self._start(start.separated(scene, initial_cells(scene) if cells is None else cells))
@@ -533,7 +533,9 @@ class Simulation:
             self.lineage.died(np.sort(cells.id[dead]), self.time)
 
 
-def _feeding(scene: Scene, reactions: Mapping[str, OwnReaction] | None) -> Feeding | None:
+def _feeding(
+    scene: Scene, reactions: Mapping[str, OwnReaction] | None, threads: int
+) -> Feeding | None:
     """Return the scene's fields; a scene without nutrients does not load them."""
     if not scene.nutrients:
         if reactions:
@@ -541,4 +543,4 @@ def _feeding(scene: Scene, reactions: Mapping[str, OwnReaction] | None) -> Feedi
         return None
     from multicell.nutrient.fields import Feeding
 
-    return Feeding(scene, reactions)
+    return Feeding(scene, reactions, threads)

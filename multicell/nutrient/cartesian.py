@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed
@@ -186,9 +187,13 @@ def moved(values: FloatArray, old: Box, new: Box, fill: float) -> FloatArray:
         for axis, low, high in zip(nodes, old.origin, old.upper, strict=True)
     ]
     out = np.full(new.shape, fill)
-    kept = [axis[mask] for axis, mask in zip(nodes, inside, strict=True)]
-    block = gather(mesh(kept), values, old.origin, old.spacing)
-    out[np.ix_(*inside)] = block.reshape([len(axis) for axis in kept])
+    x, y, z = (
+        _places(axis[mask], low, old.spacing, n)
+        for axis, mask, low, n in zip(nodes, inside, old.origin, values.shape, strict=True)
+    )
+    # the nodes inside lie together
+    block = out[tuple(slice(int(mask.argmax()), None) for mask in inside)]
+    _resample(values, x, y, z, block)
     return out
 
 
@@ -330,6 +335,39 @@ def _gather(position, values, origin, spacing, out):
         )
         out[c] = (1.0 - wx) * low + wx * high
     return -1, flat_near, flat_near or near
+
+
+def _places(
+    along: FloatArray, low: float, spacing: float, n: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64], FloatArray]:
+    """Return for points along an axis what :func:`_axis_weight` does, an array of each."""
+    u = (along - low) / spacing - 0.5
+    lower = np.floor(u).astype(np.int64)
+    return np.maximum(lower, 0), np.minimum(lower + 1, n - 1), u - lower
+
+
+@njit(cache=True)
+def _resample(values, x, y, z, out):
+    """Write ``values`` interpolated at the points of three axes to the corner of ``out``.
+
+    Each axis comes as the lower nodes, the upper nodes, and the weights of the upper ones.
+    """
+    for a in range(x[0].size):
+        wx = x[2][a]
+        for b in range(y[0].size):
+            wy = y[2][b]
+            p, q = values[x[0][a], y[0][b]], values[x[0][a], y[1][b]]
+            r, s = values[x[1][a], y[0][b]], values[x[1][a], y[1][b]]
+            row = out[a, b]
+            for c in range(z[0].size):
+                i, j, wz = z[0][c], z[1][c], z[2][c]
+                low = (1.0 - wy) * ((1.0 - wz) * p[i] + wz * p[j]) + wy * (
+                    (1.0 - wz) * q[i] + wz * q[j]
+                )
+                high = (1.0 - wy) * ((1.0 - wz) * r[i] + wz * r[j]) + wy * (
+                    (1.0 - wz) * s[i] + wz * s[j]
+                )
+                row[c] = (1.0 - wx) * low + wx * high
 
 
 def _points(position: FloatArray) -> FloatArray:

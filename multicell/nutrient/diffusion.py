@@ -97,6 +97,7 @@ class Diffusion:
         self.volume = self.spacing**2 * (height or self.spacing)
         self.diffusion = diffusion
         self.stiffness = diffusion / self.spacing**2
+        self.threads = 1  # that may share the loops over many nodes; it changes no result
         self.set_boundary(boundary)
         # relative coefficients at the nodes and at the faces between them, None for one everywhere
         self.varied: FloatArray | None = None

@@ -11,6 +11,7 @@ import numpy as np
 from multicell.cells import FloatArray
 from multicell.nutrient import grid as layouts
 from multicell.nutrient.cartesian import Box, round_enough
+from multicell.nutrient.diffusion import Diffusion
 from multicell.nutrient.grid import BoxLayout, Layout, Operator, ShellLayout
 from multicell.nutrient.regions import coefficients
 from multicell.nutrient.steady import SolveReport
@@ -70,11 +71,14 @@ class NutrientField:
         The field's name in the scene.
     parameters
         See :class:`multicell.nutrient.parameters.FieldParameters`.
+    threads
+        How many may share the loops over many nodes; it changes no result.
     """
 
-    def __init__(self, name: str, parameters: FieldParameters) -> None:
+    def __init__(self, name: str, parameters: FieldParameters, threads: int = 1) -> None:
         self.name = name
         self.parameters = parameters
+        self.threads = threads
         self.layings = 0
         self.stirred: Stirred | None = None  # of a finite medium, once poured
         self._layout: Layout | None = None
@@ -390,7 +394,10 @@ class NutrientField:
                 self._operator.set_boundary(conditions)
             return self._operator, conditions
         varied = coefficients(layout, position, radius, p.nutrient)
-        return layout.operator(p.nutrient.diffusion, conditions, varied), conditions
+        operator = layout.operator(p.nutrient.diffusion, conditions, varied)
+        if isinstance(operator, Diffusion):
+            operator.threads = self.threads
+        return operator, conditions
 
     def _supply(
         self,

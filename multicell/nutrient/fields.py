@@ -40,6 +40,8 @@ class Feeding:
         With at least one nutrient.
     reactions
         Between its fields, of the user's own (:func:`multicell.reaction`).
+    threads
+        How many may share the loops over many nodes; it changes no result.
 
     Attributes
     ----------
@@ -53,7 +55,9 @@ class Feeding:
         and they changed on the way: half of the difference is wrong, to leading order.
     """
 
-    def __init__(self, scene: Scene, reactions: Mapping[str, Any] | None = None) -> None:
+    def __init__(
+        self, scene: Scene, reactions: Mapping[str, Any] | None = None, threads: int = 1
+    ) -> None:
         known: dict[str, Any] = {**scene.reactions, **(reactions or {})}
         self._nutrients = scene.nutrients
         self._factors = {
@@ -67,7 +71,9 @@ class Feeding:
             from multicell.nutrient.reactions.groups import joined
 
             parameters |= joined(scene, parameters, reactions)
-        self.fields = {name: NutrientField(name, parameters[name]) for name in scene.nutrients}
+        self.fields = {
+            name: NutrientField(name, parameters[name], threads) for name in scene.nutrients
+        }
         self._groups: dict[str, Reacting] = {}
         if known:
             from multicell.nutrient.reactions.groups import together

@@ -35,16 +35,20 @@ import math
 import sys
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, Protocol, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed
 from multicell.nutrient import stencil
+from multicell.threads import Team
 
 if TYPE_CHECKING:
     from multicell.nutrient.diffusion import Diffusion
+
+Correction = NDArray[np.float64] | NDArray[np.float32]
 
 TOLERANCE = 1e-9
 """Bound on the sum of all nodes' imbalances, relative to the total uptake."""
@@ -61,6 +65,9 @@ FORCING = 0.03
 MAX_BACKTRACKS = 30
 
 MAX_SWEEPS = 1000  # over the nodes below zero; one to three are usual
+
+MANY = 50_000
+"""Nodes from which on multigrid takes the place of transforms; see :mod:`.multigrid`."""
 
 SHIFT = 1.0
 """The preconditioner's uniform uptake, relative to the mean of the linearised uptake."""
@@ -137,8 +144,16 @@ def solve_steady(
     NutrientFailed
         If the iterations do not converge or meet values that are not finite.
     """
-    problem = _Problem(operator, sink, half_saturation, linear, supply)
-    solver = _Linear(operator)
+    many = math.prod(operator.shape) >= MANY
+    with Team(operator.threads if many else 1) as team:
+        problem = _Problem(operator, sink, half_saturation, linear, supply, team if many else None)
+        return _solve(problem, start, tolerance, _linear_solver(operator, team))
+
+
+def _solve(
+    problem: _Problem, start: FloatArray, tolerance: float, solver: LinearSolver
+) -> tuple[FloatArray, SolveReport]:
+    """Solve, first as it is and then, where that fails, over larger half saturations."""
     if not problem.source.any():
         # nothing comes in: what iterations from elsewhere would leave is rounding, of either sign
         start = np.zeros_like(start, dtype=np.float64)
@@ -159,7 +174,7 @@ def solve_steady(
     return state.c, state.report(solver)
 
 
-def _newton(state: _State, tolerance: float, linear: _Linear) -> tuple[_State, bool]:
+def _newton(state: _State, tolerance: float, linear: LinearSolver) -> tuple[_State, bool]:
     """Iterate from ``state``; return the last state and whether it is within the tolerance."""
     trial, forcing = None, FORCING
     for _ in range(MAX_NEWTON):
@@ -176,7 +191,7 @@ def _newton(state: _State, tolerance: float, linear: _Linear) -> tuple[_State, b
 
 
 def _descend(
-    problem: _Problem, start: FloatArray, tolerance: float, linear: _Linear
+    problem: _Problem, start: FloatArray, tolerance: float, linear: LinearSolver
 ) -> tuple[_State, bool]:
     """Solve with a large constant K first and then with ever smaller ones.
 
@@ -201,6 +216,7 @@ class _Problem:
     half: float
     linear: float
     supply: FloatArray | None
+    team: Team | None  # that shares the loops over many nodes
 
     def __post_init__(self) -> None:
         faces = self.operator.stencil_source()
@@ -221,9 +237,30 @@ class _State:
         problem, op = self.problem, self.problem.operator
         squares, self.total, size = stencil.imbalance(
             self.c, problem.sink, problem.source, problem.half, op.stiffness, problem.linear,
-            op.ghost, op.weights, self.residual, self.rate,
+            op.ghost, op.weights, self.residual, self.rate, problem.team,
         )  # fmt: skip
         self.size, self.norm = math.sqrt(squares), math.sqrt(size)
+
+    def step(self, c: FloatArray, correction: Correction, share: float) -> None:
+        """Become ``c`` and a share of a correction."""
+        if self.problem.team is None:
+            np.multiply(correction, share, out=self.c)
+            self.c += c
+        else:
+            from multicell.nutrient.multigrid_kernels import step
+
+            self.problem.team.share(step, len(c), c, correction, share, self.c)
+        self.evaluate()
+
+    def along(self, correction: Correction) -> float:
+        """Return the product of the imbalance and a correction."""
+        if self.problem.team is None:
+            return stencil.dot(self.residual.ravel(), correction.ravel())
+        from multicell.nutrient.multigrid_kernels import dot
+
+        parts = np.empty(len(self.c))
+        self.problem.team.share(dot, len(self.c), self.residual, correction, parts)
+        return float(parts.sum())
 
     def lift(self) -> bool:
         """Bring nodes left below zero to their own balance; return whether none is left."""
@@ -259,7 +296,7 @@ class _State:
         other.c, other.residual, other.rate = (np.empty_like(self.c) for _ in range(3))
         return other
 
-    def report(self, linear: _Linear) -> SolveReport:
+    def report(self, linear: LinearSolver) -> SolveReport:
         """Return the balance."""
         problem, op = self.problem, self.problem.operator
         left, taken, content = stencil.account(self.c, problem.sink, problem.half, self.residual)
@@ -272,24 +309,43 @@ class _State:
         )  # fmt: skip
 
 
-def _search(state: _State, trial: _State, correction: FloatArray) -> None:
+def _search(state: _State, trial: _State, correction: Correction) -> None:
     """Set ``trial`` to a point along the correction where the convex energy is lower.
 
     F is the gradient of a convex energy, and the correction of a conjugate-gradient solve always
     points downhill. The slope along it may at most turn round to nine tenths; it does at the
     first step into a starved core, where the tangent of the saturated law is far from the law.
     """
-    downhill = correction.ravel()
-    slope = stencil.dot(state.residual.ravel(), downhill)
+    slope = state.along(correction)
     share = 1.0
     for _ in range(MAX_BACKTRACKS):
-        np.multiply(correction, share, out=trial.c)
-        trial.c += state.c
-        trial.evaluate()
-        there = stencil.dot(trial.residual.ravel(), downhill)
+        trial.step(state.c, correction, share)
+        there = trial.along(correction)
         if not there < -0.9 * slope:
             return
         share *= max(slope / (slope - there), 0.25)
+
+
+class LinearSolver(Protocol):
+    """Solves the linear systems of Newton's method, and counts them and its iterations."""
+
+    newton: int
+    cg: int
+
+    def solve(self, rate: FloatArray, residual: FloatArray, size: float, goal: float) -> Correction:
+        """Solve (-D L0 + rate) x = residual to ``goal``, a share of ``size``, the residual's norm.
+
+        The result lives until the next solve.
+        """
+
+
+def _linear_solver(operator: Diffusion, team: Team) -> LinearSolver:
+    """Return the linear solver that is faster on the operator's grid."""
+    if math.prod(operator.shape) < MANY:
+        return _Linear(operator)
+    from multicell.nutrient.multigrid import MultigridSolver
+
+    return MultigridSolver(operator, team)
 
 
 @final
