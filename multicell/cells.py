@@ -149,7 +149,7 @@ class Cells:
 
     def copy(self) -> Cells:
         """Return the same cells in arrays of their own."""
-        return self.take(np.arange(len(self)))
+        return Cells(**{name: column.copy() for name, column in self.columns()})
 
     def rows_of(self, ids: IntArray) -> IntArray:
         """Return the row of the cell of each identity, in the shape of ``ids``; -1 without one."""
@@ -159,11 +159,11 @@ class Cells:
         place = np.minimum(np.searchsorted(self.id, ids, sorter=order), len(self) - 1)
         return np.where(self.id[order[place]] == ids, order[place], -1)
 
-    def joined(self, other: Cells) -> Cells:
-        """Return these cells followed by those of ``other``."""
+    def replaced(self, index: NDArray[Any], other: Cells) -> Cells:
+        """Return the cells at ``index`` followed by those of ``other``, column by column."""
         return Cells(
             **{
-                name: np.concatenate([column, getattr(other, name)])
+                name: np.concatenate([column[index], getattr(other, name)])
                 for name, column in self.columns()
             }
         )

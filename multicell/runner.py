@@ -239,7 +239,7 @@ class Recorder:
         return load_result(self._store.folder)
 
     def _frame(self, simulation: Simulation) -> None:
-        frame = simulation.frame()
+        frame = simulation.frame(passing=self._store is not None)
         self.skip(frame)
         self._lineage = simulation.lineage
         if self._store is None:

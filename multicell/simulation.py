@@ -338,8 +338,13 @@ class Simulation:
         for name, value in kept["rest"].items():
             setattr(self, name, value)
 
-    def frame(self) -> Frame:
-        """Return the state as a frame that later steps do not change."""
+    def frame(self, *, passing: bool = False) -> Frame:
+        """Return the state as a frame that later steps do not change.
+
+        One that is ``passing`` shares the arrays of the cells, and is good until the next step.
+        """
+        if passing:
+            return replace(self._view(), fields=self.fields)
         return replace(
             self._view(),
             cells=self.cells.copy(),
