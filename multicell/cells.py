@@ -165,11 +165,13 @@ class Cells:
         place = np.minimum(np.searchsorted(self.id, ids, sorter=order), len(self) - 1)
         return np.where(self.id[order[place]] == ids, order[place], -1)
 
-    def joined(self, other: Cells) -> Cells:
-        """Return these cells followed by those of ``other``."""
+    def replaced(self, index: NDArray[Any], other: Cells) -> Cells:
+        """Return the cells at ``index`` followed by those of ``other``, column by column."""
+        if index.dtype == np.bool_:
+            index = np.flatnonzero(index)
         return _made(
             {
-                name: np.concatenate([column, getattr(other, name)])
+                name: np.concatenate([column.take(index, axis=0), getattr(other, name)])
                 for name, column in self.columns()
             }
         )

@@ -365,8 +365,15 @@ class Simulation:
         for name, value in kept["rest"].items():
             setattr(self, name, value)
 
-    def frame(self) -> Frame:
-        """Return the state as a frame that later steps do not change."""
+    def frame(self, *, shared: bool = False) -> Frame:
+        """Return the state as a frame that later steps do not change.
+
+        One that is ``shared`` has the arrays of the state itself: a step makes new ones, but who
+        writes into those of ``cells`` writes into the frame.
+        """
+        if shared:
+            found = dict(self.concentrations)
+            return replace(self._view(), concentrations=found, fields=self.fields)
         return replace(
             self._view(),
             cells=self.cells.copy(),
