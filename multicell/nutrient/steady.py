@@ -62,6 +62,10 @@ MAX_CG = 500  # per Newton step; a system not solved by then gives a poorer step
 FORCING = 0.03
 """Largest part of the imbalance that the linear solver may leave over."""
 
+NEAR = 1e-3
+"""The same for the first step from the last solution: there the law is nearly linear, and a good
+solution saves a Newton step."""
+
 MAX_BACKTRACKS = 30
 
 MAX_SWEEPS = 1000  # over the nodes below zero; one to three are usual
@@ -176,7 +180,9 @@ def _solve(
 
 def _newton(state: _State, tolerance: float, linear: LinearSolver) -> tuple[_State, bool]:
     """Iterate from ``state``; return the last state and whether it is within the tolerance."""
-    trial, forcing = None, FORCING
+    # far from the solution imbalances are larger than the uptake
+    near = state.size * math.sqrt(state.c.size) < state.total
+    trial, forcing = None, NEAR if near else FORCING
     for _ in range(MAX_NEWTON):
         target = state.target(tolerance)
         if state.size <= target or not math.isfinite(state.size):
