@@ -8,7 +8,7 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.cells import Cells, IntArray, State
+from multicell.cells import Cells, IntArray, State, rows_of
 
 DIVISION: Final = "division"
 
@@ -57,11 +57,11 @@ class Lineage:
 
     def events(self, before: Cells, after: Cells, time: float) -> None:
         """Note what changed between two populations: births, divisions and removals."""
-        new = np.flatnonzero(_absent(after.id, before.id))
-        gone = np.flatnonzero(_absent(before.id, after.id))
+        new = np.flatnonzero(before.rows_of(after.id) < 0)
+        gone = np.flatnonzero(after.rows_of(before.id) < 0)
         parent, ids = after.parent[new], before.id[gone]
         self._note("births", (after.id[new], parent, after.kind[new], time))
-        cause = np.where(_absent(ids, parent), before.state[gone], _DIVIDED)
+        cause = np.where(rows_of(parent, ids) < 0, before.state[gone], _DIVIDED)
         self._note("ends", (ids, time, cause))
 
     def counts(self) -> dict[str, int]:
@@ -127,10 +127,3 @@ class Lineage:
                 self._logs[log][name] = held = room
             held[begin:end] = values
         self._lengths[log] = end
-
-
-def _absent(ids: IntArray, among: IntArray) -> NDArray[np.bool_]:
-    """Return which identities are not among others (parents of the first cells are -1), (n,)."""
-    present = np.zeros(max(int(ids.max(initial=0)), int(among.max(initial=0))) + 1, dtype=bool)
-    present[among[among >= 0]] = True
-    return ~present[ids]
