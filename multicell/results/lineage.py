@@ -61,7 +61,7 @@ class Lineage:
         gone = np.flatnonzero(after.rows_of(before.id) < 0)
         parent, ids = after.parent[new], before.id[gone]
         self._note("births", (after.id[new], parent, after.kind[new], time))
-        cause = np.where(rows_of(parent, ids) < 0, before.state[gone], _DIVIDED)
+        cause = np.where(rows_of(np.unique(parent), ids) < 0, before.state[gone], _DIVIDED)
         self._note("ends", (ids, time, cause))
 
     def counts(self) -> dict[str, int]:
