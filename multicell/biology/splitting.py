@@ -116,21 +116,25 @@ def step_error(
     error, volume = dt * change, cells.volume
     if not scene.growth.phases:
         born = cells.id >= next_id
-        error[born] -= volume[born] - birth
+        if born.any():
+            error[born] -= volume[born] - birth
     living = ~cells.dead
     count = int(np.count_nonzero(living))
     if count == 0:
         return StepError(float(error.sum()))
     relative = error / volume if count == len(cells) else error[living] / volume[living]
     switched = (began == 0.0) != (now.factor == 0.0)
+    same, other = change, change[:0]
+    if switched.any():
+        same, other = change[~switched], change[switched]
     # those that have just died could have grown at the beginning
-    free = dt * float(rate[living | switched].sum())
+    free = dt * float((rate if count == len(cells) else rate[living | switched]).sum())
     return StepError(
         float(error.sum()),
         math.sqrt(float(np.square(relative).sum()) / count),
         float(np.abs(relative).max()),
-        float(change[~switched].sum()) / free if free > 0.0 else 0.0,
-        float(np.abs(change[switched]).sum()) / free if free > 0.0 else 0.0,
+        float(same.sum()) / free if free > 0.0 else 0.0,
+        float(np.abs(other).sum()) / free if free > 0.0 else 0.0,
         0.5 * math.log(2.0) * float((rate * now.factor).sum()) / (birth * count),
     )
 

@@ -11,6 +11,7 @@ Sums are made in a fixed order: the result has the same bits on all machines.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import Any, TypeVar, cast, final
@@ -41,9 +42,10 @@ def halves(n: int, values: bool) -> tuple[Float32Array, FloatArray]:
     (n,) float64
         Eigenvalues of minus the second difference in the order of the coefficients.
     """
-    from scipy import fft
-
-    whole = (fft.dst if values else fft.dct)(np.eye(n), type=2, axis=0, norm="ortho")
+    order, middle = np.arange(n)[:, None] + values, np.arange(n) + 0.5
+    whole = (np.sin if values else np.cos)(np.pi / n * order * middle)
+    whole *= math.sqrt(2.0 / n)
+    whole[-1 if values else 0] *= math.sqrt(0.5)
     even, odd = whole[0::2, : (n + 1) // 2], whole[1::2, : n // 2][:, ::-1]
     found = np.zeros((4, *even.shape), dtype=np.float32)
     for k, part in enumerate((even, odd, even.T, odd.T)):

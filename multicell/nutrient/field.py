@@ -486,10 +486,11 @@ def checked(
     for name, values in (("capacity", capacity), ("production", production)):
         if values is None:
             continue
-        if np.shape(values) != (n,):
-            raise ValueError(f"{name} has shape {np.shape(values)}, expected ({n},)")
+        values = np.asarray(values)
+        if values.shape != (n,):
+            raise ValueError(f"{name} has shape {values.shape}, expected ({n},)")
         # not so of what is no number either
-        if not (np.min(values, initial=0.0) >= 0.0 and np.max(values, initial=0.0) < np.inf):
+        if not (values.min(initial=0.0) >= 0.0 and values.max(initial=0.0) < np.inf):
             what = "capacity of uptake" if name == "capacity" else name
             raise ValueError(f"a cell's {what} is negative or not finite")
     radius = np.ones(n) if radius is None else np.asarray(radius, dtype=np.float64)

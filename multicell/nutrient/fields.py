@@ -8,7 +8,6 @@ the cells: each field may have a grid and a geometry of its own.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from copy import copy
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, final
 
@@ -259,7 +258,7 @@ class Feeding:
         """Return what :meth:`take_back` needs to undo an :meth:`advance`."""
         return {
             "fields": {name: field.kept() for name, field in self.fields.items()},
-            "ledger": {name: copy(account) for name, account in self.ledger.items()},
+            "ledger": {name: account.copy() for name, account in self.ledger.items()},
             "concentrations": dict(self.concentrations),
             "reports": dict(self.reports),
             "uptake": dict(self._uptake),

@@ -33,7 +33,6 @@ from __future__ import annotations
 
 import math
 import sys
-from copy import copy
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol, final
 
@@ -298,7 +297,8 @@ class _State:
 
     def empty_copy(self) -> _State:
         """Return the same problem with arrays of its own, not filled yet."""
-        other = copy(self)
+        other = object.__new__(_State)
+        other.problem = self.problem
         other.c, other.residual, other.rate = (np.empty_like(self.c) for _ in range(3))
         return other
 
