@@ -103,7 +103,7 @@ class Diffusion:
         self.weights: stencil.Weights = None
         if varied is not None:
             self.varied = np.ascontiguousarray(varied.reshape(self.shape), dtype=float)
-            wx, wy, wz = (_face_means(self.varied, axis) for axis in range(3))
+            wx, wy, wz = (face_means(self.varied, axis) for axis in range(3))
             self.weights = (wx, wy, wz)
 
     def set_boundary(self, boundary: float | Mapping[str, Any]) -> None:
@@ -254,7 +254,7 @@ def _transform(
     return y
 
 
-def _face_means(varied: FloatArray, axis: int) -> FloatArray:
+def face_means(varied: NDArray[Any], axis: int) -> NDArray[Any]:
     """Return the coefficients at the faces across an axis: harmonic means, and the outer nodes'."""
     v = np.moveaxis(varied, axis, 0)
     means = 2.0 * v[1:] * v[:-1] / (v[1:] + v[:-1])
