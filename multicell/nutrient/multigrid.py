@@ -36,14 +36,12 @@ from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
 from multicell.nutrient import multigrid_kernels as kernels
+from multicell.nutrient import steady
 from multicell.nutrient.diffusion import Diffusion, face_means
 from multicell.threads import Team
 
 Float32Array = NDArray[np.float32]
 Triple = tuple[Any, Any, Any]
-
-SHARED = 300_000
-"""Nodes of a level from which on threads share its loops."""
 
 MAX_CG = 500  # per Newton step; a system not solved by then gives a poorer step, no failure
 
@@ -68,7 +66,7 @@ class _Level:
     resistance : (6,)
         Of the faces beyond the one between node and face, over spacing / D; inf for walls.
     team
-        Threads that share the loops where there are :data:`SHARED` nodes or more.
+        Threads that share the loops where there are many nodes (:data:`.steady.SHARED`).
     """
 
     def __init__(self, widths: list[FloatArray], resistance: FloatArray, team: Team) -> None:
@@ -76,7 +74,7 @@ class _Level:
         ends = resistance.reshape(3, 2)
         self.along = _triple(_along(w, pair) for w, pair in zip(widths, ends, strict=True))
         self.weights: Triple | None = None
-        self.team = team if math.prod(self.shape) >= SHARED else Team()
+        self.team = team if math.prod(self.shape) >= steady.SHARED else Team()
         self.rate, self.b, self.x, self.spare = (np.empty(self.shape, np.float32) for _ in range(4))
         self.coarser = [np.add.reduceat(w, np.arange(0, len(w), 2)) for w in widths]
         pairs = list(zip(widths, self.coarser, strict=True))

@@ -22,11 +22,10 @@ import numpy as np
 from numba import njit
 
 _F = TypeVar("_F", bound=Callable[..., Any])
-_jit = cast(Callable[[_F], _F], njit(cache=True, error_model="numpy", nogil=True))
+_OPTIONS: Any = {"cache": True, "error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
+_jit = cast(Callable[[_F], _F], njit(**_OPTIONS))
 # calls for each row would take as long as what they do
-_inline = cast(
-    Callable[[_F], _F], njit(cache=True, error_model="numpy", nogil=True, inline="always")
-)
+_inline = cast(Callable[[_F], _F], njit(**_OPTIONS, no_cpython_wrapper=True, forceinline=True))
 
 _NONE = np.float32(0.0)
 _ONE = np.float32(1.0)
@@ -72,7 +71,7 @@ def _neighbours(x: Any, along: Any, weights: Any, i: int, j: int, row: Any, diag
     return _NONE
 
 
-@_jit
+@_inline
 def _rows(along: Any) -> Any:
     """Return two rows to work in; the second holds the coefficients along the last axis."""
     table = along[2]
@@ -82,7 +81,7 @@ def _rows(along: Any) -> Any:
     return row, diagonal
 
 
-@_jit
+@_inline
 def _sum(values: Any) -> float:
     """Return the sum of a row (NumPy's takes longer to compile)."""
     total = 0.0
@@ -125,7 +124,7 @@ def relax(
                 o[k] = e[k] + damping * ((right[k] + row[k]) / (base + diagonal[k] + r[k]) - e[k])
 
 
-@_jit
+@_inline
 def _pair(total: Any, share: Any, out: Any) -> None:
     """Write the weighted sums of neighbouring pairs, (n,), to ``out``, (ceil(n / 2),)."""
     n = total.size

@@ -68,6 +68,9 @@ MAX_SWEEPS = 1000  # over the nodes below zero; one to three are usual
 MANY = 50_000
 """Nodes from which on multigrid takes the place of transforms; see :mod:`.multigrid`."""
 
+SHARED = 300_000
+"""Nodes from which on threads share a loop: on fewer, waking them costs more than they gain."""
+
 SHIFT = 1.0
 """The preconditioner's uniform uptake, relative to the mean of the linearised uptake."""
 
@@ -143,9 +146,11 @@ def solve_steady(
     NutrientFailed
         If the iterations do not converge or meet values that are not finite.
     """
-    many = math.prod(operator.shape) >= MANY
-    with Team(operator.threads if many else 1) as team:
-        problem = _Problem(operator, sink, half_saturation, linear, supply, team if many else None)
+    nodes = math.prod(operator.shape)
+    with Team(operator.threads if nodes >= SHARED else 1) as team:
+        problem = _Problem(
+            operator, sink, half_saturation, linear, supply, team if nodes >= MANY else None
+        )
         return _solve(problem, start, tolerance, _linear_solver(operator, team))
 
 
@@ -215,7 +220,7 @@ class _Problem:
     half: float
     linear: float
     supply: FloatArray | None
-    team: Team | None  # that shares the loops over many nodes
+    team: Team | None  # that shares the loops over MANY nodes; sums are then those of planes
 
     def __post_init__(self) -> None:
         faces = self.operator.stencil_source()

@@ -9,7 +9,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.linalg import spsolve
 
 import multicell as mc
-from multicell.nutrient import multigrid, steady, stencil
+from multicell.nutrient import steady, stencil
 from multicell.nutrient.cartesian import Box, gather, mesh, moved
 from multicell.nutrient.diffusion import Diffusion
 from multicell.nutrient.multigrid import Hierarchy, MultigridSolver
@@ -126,7 +126,7 @@ def test_fields_are_those_by_transforms(half, shape, ratio, monkeypatch):
 @pytest.mark.parametrize("shape", [(40, 38, 36), (130, 131)])
 def test_the_same_bits_for_any_number_of_threads(shape, monkeypatch):
     monkeypatch.setattr(steady, "MANY", 1)
-    monkeypatch.setattr(multigrid, "SHARED", 1)
+    monkeypatch.setattr(steady, "SHARED", 1)
     found = []
     for threads, ratio in itertools.product((1, 2, 3), (None, 2.0)):
         op = operator(shape, VALUE, None if ratio is None else patches(shape, ratio))
