@@ -22,10 +22,13 @@ import numpy as np
 from numba import njit
 
 _F = TypeVar("_F", bound=Callable[..., Any])
-_OPTIONS: Any = {"cache": True, "error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
-_jit = cast(Callable[[_F], _F], njit(**_OPTIONS))
+_OPTIONS: dict[str, Any] = {
+    "cache": True, "error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True
+}  # fmt: skip
 # calls for each row would take as long as what they do
-_inline = cast(Callable[[_F], _F], njit(**_OPTIONS, no_cpython_wrapper=True, forceinline=True))
+_INNER: dict[str, Any] = {**_OPTIONS, "no_cpython_wrapper": True, "forceinline": True}
+_jit = cast(Callable[[_F], _F], njit(**_OPTIONS))
+_inline = cast(Callable[[_F], _F], njit(**_INNER))
 
 _NONE = np.float32(0.0)
 _ONE = np.float32(1.0)
