@@ -38,6 +38,7 @@ from multicell.cells import FloatArray
 from multicell.nutrient import multigrid_kernels as kernels
 from multicell.nutrient import steady
 from multicell.nutrient.diffusion import Diffusion, face_means
+from multicell.nutrient.stencil import Floats
 from multicell.threads import Team
 
 Float32Array = NDArray[np.float32]
@@ -214,9 +215,7 @@ class MultigridSolver:
         self._r = self._finest.b
         self._parts = np.empty((2, shape[0]))
 
-    def solve(
-        self, rate: FloatArray, residual: FloatArray, size: float, goal: float
-    ) -> Float32Array:
+    def solve(self, rate: Floats, residual: Floats, size: float, goal: float) -> Float32Array:
         """Solve (-D L0 + rate) x = residual to ``goal``, a share of ``size``, the residual's norm.
 
         To :data:`FINEST` at best. The result lives until the next solve.
@@ -242,7 +241,7 @@ class MultigridSolver:
         x *= np.float32(size / self.operator.stiffness)
         return x.reshape(self.operator.shape)
 
-    def _begin(self, rate: FloatArray, residual: FloatArray, size: float) -> None:
+    def _begin(self, rate: Floats, residual: Floats, size: float) -> None:
         """Take a system, divided by D/h² and by the size of its right-hand side."""
         self._finest.share(
             kernels.load, self._turned(rate), self.operator.stiffness, self._turned(residual),
@@ -256,7 +255,7 @@ class MultigridSolver:
         first, second = self._parts.sum(axis=1)
         return float(first), float(second)
 
-    def _turned(self, values: FloatArray) -> FloatArray:
+    def _turned(self, values: NDArray[Any]) -> NDArray[Any]:
         """Return values with the third axis of a plane in front."""
         return np.ascontiguousarray(np.moveaxis(values, 2, 0)) if self._flat else values
 

@@ -289,7 +289,7 @@ def load(
 ) -> None:
     """Write ``rate / stiffness`` to ``single`` and ``residual / size`` to ``r``; clear x and p.
 
-    ``rate`` (1/s) and ``residual`` (mM/s) are float64.
+    ``rate`` is in 1/s, ``residual`` in mM/s.
     """
     ny, nz = r.shape[1:]
     for i in range(begin, end):
@@ -316,7 +316,7 @@ def step(begin: int, end: int, c: Any, correction: Any, share: float, out: Any) 
 
 @_jit
 def dot(begin: int, end: int, a: Any, b: Any, parts: Any) -> None:
-    """Write ``a . b`` of each plane to ``parts``, (nx,); a is float64."""
+    """Write ``a . b`` of each plane to ``parts``, (nx,)."""
     ny, nz = a.shape[1:]
     for i in range(begin, end):
         total = np.zeros(nz)

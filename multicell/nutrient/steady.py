@@ -37,7 +37,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed
@@ -46,8 +45,6 @@ from multicell.threads import Team
 
 if TYPE_CHECKING:
     from multicell.nutrient.diffusion import Diffusion
-
-Correction = NDArray[np.float64] | NDArray[np.float32]
 
 TOLERANCE = 1e-9
 """Bound on the sum of all nodes' imbalances, relative to the total uptake."""
@@ -233,7 +230,10 @@ class _State:
 
     def __init__(self, problem: _Problem, c: FloatArray) -> None:
         self.problem, self.c = problem, c
-        self.residual, self.rate = np.empty_like(c), np.empty_like(c)
+        # what the multigrid solver takes on is in single precision
+        kind = np.float64 if problem.team is None else np.float32
+        self.residual: stencil.Floats = np.empty(c.shape, kind)
+        self.rate: stencil.Floats = np.empty(c.shape, kind)
         self.evaluate()
 
     def evaluate(self) -> None:
@@ -245,7 +245,7 @@ class _State:
         )  # fmt: skip
         self.size, self.norm = float(np.sqrt(squares)), float(np.sqrt(size))
 
-    def step(self, c: FloatArray, correction: Correction, share: float) -> None:
+    def step(self, c: FloatArray, correction: stencil.Floats, share: float) -> None:
         """Become ``c`` and a share of a correction."""
         if self.problem.team is None:
             np.multiply(correction, share, out=self.c)
@@ -256,7 +256,7 @@ class _State:
             self.problem.team.share(step, len(c), c, correction, share, self.c)
         self.evaluate()
 
-    def along(self, correction: Correction) -> float:
+    def along(self, correction: stencil.Floats) -> float:
         """Return the product of the imbalance and a correction."""
         if self.problem.team is None:
             return stencil.dot(self.residual.ravel(), correction.ravel())
@@ -297,7 +297,8 @@ class _State:
     def empty_copy(self) -> _State:
         """Return the same problem with arrays of its own, not filled yet."""
         other = copy(self)
-        other.c, other.residual, other.rate = (np.empty_like(self.c) for _ in range(3))
+        other.c = np.empty_like(self.c)
+        other.residual, other.rate = np.empty_like(self.residual), np.empty_like(self.rate)
         return other
 
     def report(self, linear: LinearSolver) -> SolveReport:
@@ -313,7 +314,7 @@ class _State:
         )  # fmt: skip
 
 
-def _search(state: _State, trial: _State, correction: Correction) -> None:
+def _search(state: _State, trial: _State, correction: stencil.Floats) -> None:
     """Set ``trial`` to a point along the correction where the convex energy is lower.
 
     F is the gradient of a convex energy, and the correction of a conjugate-gradient solve always
@@ -336,7 +337,9 @@ class LinearSolver(Protocol):
     newton: int
     cg: int
 
-    def solve(self, rate: FloatArray, residual: FloatArray, size: float, goal: float) -> Correction:
+    def solve(
+        self, rate: stencil.Floats, residual: stencil.Floats, size: float, goal: float
+    ) -> stencil.Floats:
         """Solve (-D L0 + rate) x = residual to ``goal``, a share of ``size``, the residual's norm.
 
         The result lives until the next solve.
@@ -363,7 +366,9 @@ class _Linear:
         self.x, self.r, self.p, self.q, self.scale = (np.empty(nodes) for _ in range(5))
         self.single = np.empty(operator.shape, dtype=np.float32)
 
-    def solve(self, rate: FloatArray, residual: FloatArray, size: float, goal: float) -> FloatArray:
+    def solve(
+        self, rate: stencil.Floats, residual: stencil.Floats, size: float, goal: float
+    ) -> stencil.Floats:
         """Solve (-D L0 + rate) x = residual to ``goal``, a share of ``size``, the residual's norm.
 
         The preconditioner works in single precision: that is exact enough for a search direction
