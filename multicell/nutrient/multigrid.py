@@ -67,7 +67,7 @@ class _Level:
     resistance : (6,)
         Of the faces beyond the one between node and face, over spacing / D; inf for walls.
     team
-        Threads that share the loops where there are many nodes (:data:`.steady.SHARED`).
+        Threads that share the loops, as many as there is work for (:data:`.steady.PART`).
     """
 
     def __init__(self, widths: list[FloatArray], resistance: FloatArray, team: Team) -> None:
@@ -75,7 +75,7 @@ class _Level:
         ends = resistance.reshape(3, 2)
         self.along = _triple(_along(w, pair) for w, pair in zip(widths, ends, strict=True))
         self.weights: Triple | None = None
-        self.team = team if math.prod(self.shape) >= steady.SHARED else Team()
+        self.team = team.at_most(math.prod(self.shape) // steady.PART)
         self.rate, self.b, self.x, self.spare = (np.empty(self.shape, np.float32) for _ in range(4))
         self.coarser = [np.add.reduceat(w, np.arange(0, len(w), 2)) for w in widths]
         pairs = list(zip(widths, self.coarser, strict=True))
@@ -134,7 +134,7 @@ class Hierarchy:
     ghost : (6,)
         Factors of the ghost values; see :mod:`multicell.nutrient.stencil`.
     team
-        Threads that share the loops over many nodes; they do not change the result.
+        Threads that share the loops; they do not change the result.
     varied : (nx, ny, nz), optional
         Relative coefficient of diffusion at the nodes.
     """

@@ -26,7 +26,8 @@ and the search accepts them in full.
 with the preconditioner S (-D L0 + d0)^-1 S: sine and cosine transforms invert the middle exactly
 (but for mixed conditions, see :meth:`Diffusion.invert`), and the diagonal
 S = (w + d h^2 / 2 D)^-1/2 takes care of nodes where uptake is faster than diffusion, and of a
-coefficient w D that differs from place to place.
+coefficient w D that differs from place to place. On :data:`MANY` nodes and more a V-cycle of
+multigrid takes its place (:mod:`multicell.nutrient.multigrid`).
 """
 
 from __future__ import annotations
@@ -65,8 +66,8 @@ MAX_SWEEPS = 1000  # over the nodes below zero; one to three are usual
 MANY = 50_000
 """Nodes from which on multigrid takes the place of transforms; see :mod:`.multigrid`."""
 
-SHARED = 300_000
-"""Nodes from which on threads share a loop: on fewer, waking them costs more than they gain."""
+PART = 150_000
+"""Least number of nodes for each thread that shares a loop: with fewer, waking it is no gain."""
 
 SHIFT = 1.0
 """The preconditioner's uniform uptake, relative to the mean of the linearised uptake."""
@@ -144,7 +145,7 @@ def solve_steady(
         If the iterations do not converge or meet values that are not finite.
     """
     nodes = math.prod(operator.shape)
-    with Team(operator.threads if nodes >= SHARED else 1) as team:
+    with Team(max(1, min(operator.threads, nodes // PART))) as team:
         problem = _Problem(
             operator, sink, half_saturation, linear, supply, team if nodes >= MANY else None
         )

@@ -126,7 +126,7 @@ def test_fields_are_those_by_transforms(half, shape, ratio, monkeypatch):
 @pytest.mark.parametrize("shape", [(40, 38, 36), (130, 131)])
 def test_the_same_bits_for_any_number_of_threads(shape, monkeypatch):
     monkeypatch.setattr(steady, "MANY", 1)
-    monkeypatch.setattr(steady, "SHARED", 1)
+    monkeypatch.setattr(steady, "PART", 1)
     found = []
     for threads, ratio in itertools.product((1, 2, 3), (None, 2.0)):
         op = operator(shape, VALUE, None if ratio is None else patches(shape, ratio))
@@ -175,6 +175,20 @@ def test_a_team_does_every_plane_once(threads, count):
         team.share(note, count, 1)
         team.share(note, count, 2)
     assert (done == 3).all()
+
+
+def test_a_team_may_be_asked_for_fewer():
+    parts = []
+
+    def note(begin, end):
+        parts.append((begin, end))
+
+    with Team(3) as team:
+        for most in (0, 1, 2, 9):
+            team.at_most(most).share(note, 6)
+    assert sorted(parts[:2]) == [(0, 6), (0, 6)]
+    assert sorted(parts[2:4]) == [(0, 3), (3, 6)]
+    assert sorted(parts[4:]) == [(0, 2), (2, 4), (4, 6)]
 
 
 def test_a_failure_in_a_thread_is_the_caller_s():
