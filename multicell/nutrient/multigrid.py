@@ -29,17 +29,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from itertools import pairwise
-from typing import Any, final
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
 from multicell.nutrient import multigrid_kernels as kernels
-from multicell.nutrient import steady
-from multicell.nutrient.diffusion import Diffusion, face_means
-from multicell.nutrient.stencil import Floats
+from multicell.nutrient import stencil
+from multicell.nutrient.stencil import Floats, face_means
 from multicell.threads import Team
+
+if TYPE_CHECKING:
+    from multicell.nutrient.diffusion import Diffusion
 
 Float32Array = NDArray[np.float32]
 Triple = tuple[Any, Any, Any]
@@ -67,7 +69,7 @@ class _Level:
     resistance : (6,)
         Of the faces beyond the one between node and face, over spacing / D; inf for walls.
     team
-        Threads that share the loops, as many as there is work for (:data:`.steady.PART`).
+        Threads that share the loops, as many as there is work for (:data:`.stencil.PART`).
     """
 
     def __init__(self, widths: list[FloatArray], resistance: FloatArray, team: Team) -> None:
@@ -75,7 +77,7 @@ class _Level:
         ends = resistance.reshape(3, 2)
         self.along = _triple(_along(w, pair) for w, pair in zip(widths, ends, strict=True))
         self.weights: Triple | None = None
-        self.team = team.at_most(math.prod(self.shape) // steady.PART)
+        self.team = team.at_most(math.prod(self.shape) // stencil.PART)
         self.rate, self.b, self.x, self.spare = (np.empty(self.shape, np.float32) for _ in range(4))
         self.coarser = [np.add.reduceat(w, np.arange(0, len(w), 2)) for w in widths]
         pairs = list(zip(widths, self.coarser, strict=True))

@@ -66,9 +66,6 @@ MAX_SWEEPS = 1000  # over the nodes below zero; one to three are usual
 MANY = 50_000
 """Nodes from which on multigrid takes the place of transforms; see :mod:`.multigrid`."""
 
-PART = 150_000
-"""Least number of nodes for each thread that shares a loop: with fewer, waking it is no gain."""
-
 SHIFT = 1.0
 """The preconditioner's uniform uptake, relative to the mean of the linearised uptake."""
 
@@ -145,7 +142,7 @@ def solve_steady(
         If the iterations do not converge or meet values that are not finite.
     """
     nodes = math.prod(operator.shape)
-    with Team(max(1, min(operator.threads, nodes // PART))) as team:
+    with Team(max(1, min(operator.threads, nodes // stencil.PART))) as team:
         problem = _Problem(
             operator, sink, half_saturation, linear, supply, team if nodes >= MANY else None
         )

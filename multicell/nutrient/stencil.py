@@ -34,6 +34,17 @@ _F = TypeVar("_F", bound=Callable[..., Any])
 _jit = cast(Callable[[_F], _F], njit(cache=True, error_model="numpy", nogil=True))
 
 
+PART = 150_000
+"""Least number of nodes for each thread that shares a loop: with fewer, waking it is no gain."""
+
+
+def face_means(varied: NDArray[Any], axis: int) -> NDArray[Any]:
+    """Return the coefficients at the faces across an axis: harmonic means, and the outer nodes'."""
+    v = np.moveaxis(varied, axis, 0)
+    means = 2.0 * v[1:] * v[:-1] / (v[1:] + v[:-1])
+    return np.ascontiguousarray(np.moveaxis(np.concatenate([v[:1], means, v[-1:]]), 0, axis))
+
+
 @_jit
 def _around(p: FloatArray, ghost: FloatArray, i: int, j: int, k: int) -> float:
     """Return the sum of the six neighbours of a node."""

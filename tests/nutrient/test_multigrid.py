@@ -126,7 +126,7 @@ def test_fields_are_those_by_transforms(half, shape, ratio, monkeypatch):
 @pytest.mark.parametrize("shape", [(40, 38, 36), (130, 131)])
 def test_the_same_bits_for_any_number_of_threads(shape, monkeypatch):
     monkeypatch.setattr(steady, "MANY", 1)
-    monkeypatch.setattr(steady, "PART", 1)
+    monkeypatch.setattr(stencil, "PART", 1)
     found = []
     for threads, ratio in itertools.product((1, 2, 3), (None, 2.0)):
         op = operator(shape, VALUE, None if ratio is None else patches(shape, ratio))
