@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, final
 
 import numpy as np
@@ -206,10 +207,20 @@ def mesh(axes: list[FloatArray]) -> FloatArray:
 
 def _fast(needed: float) -> int:
     """Return a number of nodes, not below ``needed``, that suits the sine transform."""
-    from scipy.fft import next_fast_len
-
     # rounding must not add a node to a length that is a whole number of spacings
-    return int(next_fast_len(max(2, int(np.ceil(needed * (1.0 - 1e-12)))), real=False))
+    count = max(2, math.ceil(needed * (1.0 - 1e-12)))
+    while not _smooth(count):
+        count += 1
+    return count
+
+
+@lru_cache(maxsize=4096)
+def _smooth(count: int) -> bool:
+    """Return whether a number has no prime factor above 11."""
+    for factor in (2, 3, 5, 7, 11):
+        while count % factor == 0:
+            count //= factor
+    return count == 1
 
 
 def _refuse_too_large(nodes: Sequence[float], size: Sequence[float], spacing: float) -> None:

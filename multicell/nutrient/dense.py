@@ -11,9 +11,10 @@ Sums are made in a fixed order: the result has the same bits on all machines.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from functools import lru_cache
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar, cast, final
 
 import numpy as np
 from numba import njit
@@ -41,9 +42,10 @@ def halves(n: int, values: bool) -> tuple[Float32Array, FloatArray]:
     (n,) float64
         Eigenvalues of minus the second difference in the order of the coefficients.
     """
-    from scipy import fft
-
-    whole = (fft.dst if values else fft.dct)(np.eye(n), type=2, axis=0, norm="ortho")
+    order, middle = np.arange(n)[:, None] + values, np.arange(n) + 0.5
+    whole = (np.sin if values else np.cos)(np.pi / n * order * middle)
+    whole *= math.sqrt(2.0 / n)
+    whole[-1 if values else 0] *= math.sqrt(0.5)
     even, odd = whole[0::2, : (n + 1) // 2], whole[1::2, : n // 2][:, ::-1]
     found = np.zeros((4, *even.shape), dtype=np.float32)
     for k, part in enumerate((even, odd, even.T, odd.T)):
@@ -62,43 +64,57 @@ def eigenvalues(n: int, ends: tuple[bool, bool]) -> FloatArray:
     return np.asarray(4.0 * np.sin(0.5 * np.pi * (np.arange(n) + first) / n) ** 2)
 
 
-@_jit
-def invert(
-    y: Float32Array,
-    fx: Float32Array,
-    fy: Float32Array,
-    fz: Float32Array,
-    ax: FloatArray,
-    ay: FloatArray,
-    az: FloatArray,
-    shift: float,
-) -> float:
-    """Overwrite ``y`` with u, the solution of (A + shift) u = y, and return y . u.
+@final
+class Inverse:
+    """Solves (A + shift) u = y, A having the eigenvalues of minus a Laplacian.
 
     Parameters
     ----------
-    y : (nx, ny, nz)
-    fx, fy, fz : (4, h, h)
-        Of each axis the transform and its inverse, see :func:`halves`.
-    ax, ay, az : (n,), 1/s
-        Eigenvalues: A has the sums of one of each.
-    shift : float, 1/s
+    halves : of each axis (4, h, h) and (n,)
+        See :func:`halves`.
+    stiffness : float, 1/s
+        What the eigenvalues are to be multiplied by.
     """
-    nx, ny, nz = y.shape
-    across = nx * ny
-    a, b = np.empty(y.size, dtype=np.float32), np.empty(y.size, dtype=np.float32)
-    u = y.reshape(y.size)
-    _forward(fx, u.reshape(nx, ny * nz), a.reshape(nx, ny * nz))
-    _swap(a.reshape(nx, ny, nz), b.reshape(ny, nx, nz))
-    _forward(fy, b.reshape(ny, nx * nz), a.reshape(ny, nx * nz))
-    _turn(a.reshape(across, nz), b.reshape(nz, across))
-    _forward(fz, b.reshape(nz, across), a.reshape(nz, across))
-    product = _divide(a.reshape(nz, across), ax, ay, az, shift)
-    _backward(fz, a.reshape(nz, across), b.reshape(nz, across))
-    _turn(b.reshape(nz, across), a.reshape(across, nz))
-    _backward(fy, a.reshape(ny, nx * nz), b.reshape(ny, nx * nz))
-    _swap(b.reshape(ny, nx, nz), a.reshape(nx, ny, nz))
-    _backward(fx, a.reshape(nx, ny * nz), u.reshape(nx, ny * nz))
+
+    def __init__(self, halves: Sequence[tuple[Float32Array, FloatArray]], stiffness: float) -> None:
+        (fx, ax), (fy, ay), (fz, az) = halves
+        nx, ny, nz = len(ax), len(ay), len(az)
+        self._first = nx, ny * nz
+        a, b = np.empty((2, nx * ny * nz), dtype=np.float32)
+        self._given = (
+            a.reshape(nx, -1), a.reshape(ny, -1), a.reshape(nz, -1), a.reshape(-1, nz),
+            b.reshape(ny, -1), b.reshape(nz, -1),
+            fx, fy, fz, stiffness * ax, stiffness * ay, stiffness * az,
+        )  # fmt: skip
+
+    def overwrite(self, y: Float32Array, shift: float) -> float:
+        """Overwrite ``y`` (nx, ny, nz) with u, and return y . u; ``shift`` is in 1/s."""
+        return float(_invert(y.reshape(self._first), shift, *self._given))
+
+
+@_jit
+def _invert(
+    u: Float32Array, shift: float,
+    ax: Float32Array, ay: Float32Array, az: Float32Array, a: Float32Array,
+    by: Float32Array, bz: Float32Array,
+    fx: Float32Array, fy: Float32Array, fz: Float32Array,
+    lx: FloatArray, ly: FloatArray, lz: FloatArray,
+) -> float:  # fmt: skip
+    """Do it; ``ax``, ``ay``, ``az`` and ``a`` are the same memory, and ``by`` and ``bz`` are.
+
+    Their shapes are (nx, ny nz), (ny, nx nz), (nz, ny nx) and (ny nx, nz).
+    """
+    _forward(fx, u, ax)
+    _swap(ax, by)
+    _forward(fy, by, ay)
+    _turn(a, bz)
+    _forward(fz, bz, az)
+    product = _divide(az, lx, ly, lz, shift)
+    _backward(fz, az, bz)
+    _turn(bz, a)
+    _backward(fy, ay, by)
+    _swap(by, ax)
+    _backward(fx, ax, u)
     return product
 
 
@@ -164,11 +180,15 @@ def _product(f: Float32Array, x: Float32Array, y: Float32Array) -> None:
 
 @_jit
 def _swap(x: Float32Array, y: Float32Array) -> None:
-    """Write ``x`` with its first two axes changed to ``y``."""
-    for i in range(x.shape[0]):
-        for j in range(x.shape[1]):
-            for k in range(x.shape[2]):
-                y[j, i, k] = x[i, j, k]
+    """Write ``x`` (n, m k) as (m, n k) to ``y``: the first two of three axes change places."""
+    n, m = x.shape[0], y.shape[0]
+    k = x.shape[1] // m
+    for i in range(n):
+        row = x[i]
+        for j in range(m):
+            other = y[j]
+            for c in range(k):
+                other[i * k + c] = row[j * k + c]
 
 
 @_jit
@@ -184,20 +204,22 @@ def _turn(x: Float32Array, y: Float32Array) -> None:
 
 @_jit
 def _divide(
-    spectrum: Float32Array, ax: FloatArray, ay: FloatArray, az: FloatArray, shift: float
+    spectrum: Float32Array, lx: FloatArray, ly: FloatArray, lz: FloatArray, shift: float
 ) -> float:
     """Divide the spectrum (nz, ny nx) in place; return the product of before and after."""
-    nx, across = ax.size, ax.size * ay.size
-    product = np.zeros(across)
-    base = np.empty(across)
-    for j in range(ay.size):
-        for i in range(nx):
-            base[j * nx + i] = ay[j] + ax[i] + shift
-    for k in range(az.size):
-        row, least = spectrum[k], az[k]
+    nx, across = lx.size, lx.size * ly.size
+    base, parts = np.empty(across), np.empty(across)
+    for c in range(across):
+        base[c] = ly[c // nx] + lx[c % nx] + shift
+        parts[c] = 0.0
+    for k in range(lz.size):
+        row, least = spectrum[k], lz[k]
         for c in range(across):
             v = row[c]
             w = v / (base[c] + least)
             row[c] = w
-            product[c] += v * w
-    return float(product.sum())
+            parts[c] += v * w
+    product = 0.0
+    for c in range(across):
+        product += parts[c]
+    return product

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, final
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,38 +110,30 @@ class Diffusion:
     def set_boundary(self, boundary: float | Mapping[str, Any]) -> None:
         """Take other conditions on the faces."""
         if self._grid is None:
-            self.ghost, self.const = self._named(boundary)
+            self._sides = _plain(self.shape, *self._numbers(boundary))
         else:
-            self.ghost, self.const = self._by_pde(self._grid, boundary)
+            self._sides = self._by_pde(self._grid, boundary)
+        self.ghost, self.const = self._sides.ghost, self._sides.const
         self.source = np.zeros(self.shape)
         for face, const in enumerate(self.const[: 2 * self.dimensions]):
-            _layer(self.source, face)[...] += const
+            layer = _layer(self.source, face)
+            layer += const
         self.source *= self.stiffness
-        self._kinds, self._leak = self._nearest()
-        axes = list(zip(self.shape, self._kinds, strict=True))
-        self._dense: list[Any] = []
-        if max(self.shape) <= dense.MOST and all(low == high for low, high in self._kinds):
-            found = [dense.halves(n, low) for n, (low, _) in axes]
-            self._dense = [f for f, _ in found] + [self.stiffness * a for _, a in found]
-        self._eigenvalues = [self.stiffness * eigenvalues(n, kind) for n, kind in axes]
+        self._leak = self.stiffness * self._sides.leak
+        halves = self._sides.halves
+        self._dense = dense.Inverse(halves, self.stiffness) if halves else None
 
-    def _named(self, boundary: float | Mapping[str, Any]) -> tuple[FloatArray, stencil.Faces]:
-        """Return factors and constants by conditions made of numbers."""
-        ghost, const = np.ones(6), []
-        for face in range(6):
-            value = 0.0
-            if face < 2 * self.dimensions:
-                name = "xyz"[face // 2] + "-+"[face % 2]
-                plain = {"value": boundary} if not isinstance(boundary, Mapping) else boundary[name]
-                value, ghost[face] = ghost_terms(plain, self.spacing)
-            const.append(np.full(_across(self.shape, face), value))
-        a, b, c, d, e, f = const
-        return ghost, (a, b, c, d, e, f)
+    def _numbers(
+        self, boundary: float | Mapping[str, Any]
+    ) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Return factors and constants of the faces, of a plane those across it."""
+        if not isinstance(boundary, Mapping):
+            boundary = {face: {"value": boundary} for face in _FACES}
+        found = [ghost_terms(boundary[f], self.spacing) for f in _FACES[: 2 * self.dimensions]]
+        return tuple(factor for _, factor in found), tuple(const for const, _ in found)
 
-    def _by_pde(
-        self, grid: CartesianGrid, boundary: float | Mapping[str, Any]
-    ) -> tuple[FloatArray, stencil.Faces]:
-        """Return factors and constants by what py-pde makes of the conditions."""
+    def _by_pde(self, grid: CartesianGrid, boundary: float | Mapping[str, Any]) -> _Sides:
+        """Return what py-pde makes of conditions."""
         values = dict(boundary) if isinstance(boundary, Mapping) else {"value": float(boundary)}
         conditions = grid.get_boundary_conditions(values, rank=0)
         self._laplacian: Callable[[FloatArray], FloatArray] = grid.make_operator(
@@ -161,8 +154,7 @@ class Diffusion:
                 middle = tuple(n // 2 for n in zero.shape)
                 ghost[face] = _layer(ones, face)[inner][middle] - zero[middle]
             const.append(found)
-        a, b, c, d, e, f = const
-        return ghost, (a, b, c, d, e, f)
+        return _Sides.of(self.shape, ghost, const)
 
     def divergence(self, c: FloatArray) -> FloatArray:
         """Return D L c in mM/s, boundary values included.
@@ -207,34 +199,85 @@ class Diffusion:
         L0 is the Laplacian with every face taken as the nearer one of a value and a slope, both
         zero, and a uniform coefficient. Returns u, which takes the memory of ``y``, and y . u.
         """
-        if self._dense and y.dtype == np.float32:
-            fx, fy, fz, ax, ay, az = self._dense
-            return y, dense.invert(y, fx, fy, fz, ax, ay, az, shift + self._leak)
-        ax, ay, az = self._eigenvalues
-        spectrum = _transform(y, self._kinds, inverse=False)
+        if self._dense is not None and y.dtype == np.float32:
+            return y, self._dense.overwrite(y, shift + self._leak)
+        ax, ay, az = self.eigenvalues
+        spectrum = _transform(y, self.kinds, inverse=False)
         product = stencil.divide_spectrum(spectrum, ax, ay, az, shift + self._leak)
-        return _transform(spectrum, self._kinds, inverse=True), product
+        return _transform(spectrum, self.kinds, inverse=True), product
+
+    @property
+    def kinds(self) -> list[tuple[bool, bool]]:
+        """Of each axis which ends the inverse takes as values, the others as slopes."""
+        return self._sides.kinds
+
+    @property
+    def eigenvalues(self) -> list[FloatArray]:
+        """Those of -D L0 along each axis, see :meth:`invert`: (nx,), (ny,), (nz,) 1/s."""
+        axes = zip(self.shape, self.kinds, strict=True)
+        return [self.stiffness * eigenvalues(n, kind) for n, kind in axes]
 
     def stencil_source(self) -> FloatArray:
         """Return what the faces bring to the balance of the nodes, (nx, ny, nz) mM/s."""
         # a node at a face exchanges with it by its own coefficient
         return self.source if self.varied is None else self.source * self.varied
 
-    def _nearest(self) -> tuple[list[tuple[bool, bool]], float]:
-        """Return for each axis which ends are taken as values, and the mean leak of the others.
 
-        A mixed condition is taken as a slope with the mean of what it lets through: the ratio of
-        the two stays bounded when the grid becomes finer, that to a value does not.
-        """
+_FACES = ("x-", "x+", "y-", "y+", "z-", "z+")
+
+
+@final
+class _Sides(NamedTuple):
+    """What follows from the shape of a grid and the conditions on its faces alone.
+
+    Attributes
+    ----------
+    ghost, const
+        See :class:`Diffusion`.
+    kinds : (3,) of (bool, bool)
+        Of each axis which ends the inverse takes as values, the others as slopes.
+    leak : float
+        The mean of what the others let through, over D/h². The ratio of a mixed condition to a
+        slope stays bounded when the grid becomes finer, that to a value does not.
+    halves : (3,) of (4, h, h), (n,)
+        See :func:`multicell.nutrient.dense.halves`; empty for grids that these do not suit.
+    """
+
+    ghost: FloatArray
+    const: stencil.Faces
+    kinds: list[tuple[bool, bool]]
+    leak: float
+    halves: list[tuple[NDArray[np.float32], FloatArray]]
+
+    @classmethod
+    def of(
+        cls, shape: tuple[int, int, int], ghost: FloatArray, const: Sequence[FloatArray]
+    ) -> _Sides:
+        """Return what follows from these."""
         kinds, leak = [], 0.0
-        for axis, n in enumerate(self.shape):
-            ends = []
-            for factor in self.ghost[2 * axis : 2 * axis + 2]:
-                is_value = n > 1 and factor < -0.5
-                ends.append(bool(is_value))
-                leak += 0.0 if is_value else self.stiffness * (1.0 - factor) / n
-            kinds.append((ends[0], ends[1]))
-        return kinds, leak
+        for axis, n in enumerate(shape):
+            low, high = (n > 1 and factor < -0.5 for factor in ghost[2 * axis : 2 * axis + 2])
+            kinds.append((bool(low), bool(high)))
+            for value, factor in zip((low, high), ghost[2 * axis : 2 * axis + 2], strict=True):
+                leak += 0.0 if value else float(1.0 - factor) / n
+        halves = []
+        if max(shape) <= dense.MOST and all(low == high for low, high in kinds):
+            halves = [dense.halves(n, low) for n, (low, _) in zip(shape, kinds, strict=True)]
+        a, b, c, d, e, f = const
+        return cls(ghost, (a, b, c, d, e, f), kinds, leak, halves)
+
+
+@lru_cache(maxsize=16)
+def _plain(
+    shape: tuple[int, int, int], ghost: tuple[float, ...], const: tuple[float, ...]
+) -> _Sides:
+    """Return what follows from conditions that are the same all over each face.
+
+    A plane has two walls besides. A grid that follows the cells has the same shape for many steps.
+    """
+    walls = 6 - len(ghost)
+    each = [np.full(_across(shape, face), c) for face, c in enumerate((*const, *[0.0] * walls))]
+    return _Sides.of(shape, np.array((*ghost, *[1.0] * walls)), each)
 
 
 def _transform(

@@ -432,8 +432,9 @@ class NutrientField:
 
     def _described(self, report: SolveReport, medium: float) -> FieldReport:
         """Return the balance of a steady solve by what it was for."""
-        p, mass = self.parameters, self.stored()
-        brought = 0.0
+        p, mass, brought = self.parameters, 0.0, 0.0
+        if p.nutrient.decay > 0.0 or p.nutrient.perfusion > 0.0:
+            mass = self.stored()
         if p.nutrient.perfusion > 0.0:
             whole = float(np.sum(np.broadcast_to(self.layout.volumes, self._values.shape)))
             brought = p.nutrient.perfusion * medium * whole
@@ -485,10 +486,11 @@ def checked(
     for name, values in (("capacity", capacity), ("production", production)):
         if values is None:
             continue
-        if np.shape(values) != (n,):
-            raise ValueError(f"{name} has shape {np.shape(values)}, expected ({n},)")
+        values = np.asarray(values)
+        if values.shape != (n,):
+            raise ValueError(f"{name} has shape {values.shape}, expected ({n},)")
         # not so of what is no number either
-        if not (np.min(values, initial=0.0) >= 0.0 and np.max(values, initial=0.0) < np.inf):
+        if not (values.min(initial=0.0) >= 0.0 and values.max(initial=0.0) < np.inf):
             what = "capacity of uptake" if name == "capacity" else name
             raise ValueError(f"a cell's {what} is negative or not finite")
     radius = np.ones(n) if radius is None else np.asarray(radius, dtype=np.float64)

@@ -258,7 +258,7 @@ class Feeding:
         """Return what :meth:`take_back` needs to undo an :meth:`advance`."""
         return {
             "fields": {name: field.kept() for name, field in self.fields.items()},
-            "ledger": {name: replace(account) for name, account in self.ledger.items()},
+            "ledger": {name: account.copy() for name, account in self.ledger.items()},
             "concentrations": dict(self.concentrations),
             "reports": dict(self.reports),
             "uptake": dict(self._uptake),
@@ -366,8 +366,10 @@ class Feeding:
         """Return each cell's largest uptake, (n,) amol/s."""
         nutrient = self._nutrients[name]
         active = self._active("uptake", name, cells)
-        factor = dependence(nutrient, self.concentrations, len(cells))
-        return np.asarray(nutrient.uptake * active * factor)
+        capacity = nutrient.uptake * active
+        if nutrient.uptake_on:
+            capacity *= dependence(nutrient, self.concentrations, len(cells))
+        return np.asarray(capacity)
 
     def _injected(self, name: str) -> float:
         """Return what the sources of a field give, amol/s; points and planes do not change it."""

@@ -33,7 +33,7 @@ multigrid takes its place (:mod:`multicell.nutrient.multigrid`).
 from __future__ import annotations
 
 import math
-from copy import copy
+import sys
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol, final
 
@@ -58,6 +58,10 @@ MAX_CG = 500  # per Newton step; a system not solved by then gives a poorer step
 
 FORCING = 0.03
 """Largest part of the imbalance that the linear solver may leave over."""
+
+NEAR = 1e-3
+"""The same for the first step from the last solution: there the law is nearly linear, and a good
+solution saves a Newton step."""
 
 MAX_BACKTRACKS = 30
 
@@ -175,7 +179,9 @@ def _solve(
 
 def _newton(state: _State, tolerance: float, linear: LinearSolver) -> tuple[_State, bool]:
     """Iterate from ``state``; return the last state and whether it is within the tolerance."""
-    trial, forcing = None, FORCING
+    # far from the solution imbalances are larger than the uptake
+    near = state.size * math.sqrt(state.c.size) < state.total
+    trial, forcing = None, NEAR if near else FORCING
     for _ in range(MAX_NEWTON):
         target = state.target(tolerance)
         if state.size <= target or not math.isfinite(state.size):
@@ -241,7 +247,7 @@ class _State:
             self.c, problem.sink, problem.source, problem.half, op.stiffness, problem.linear,
             op.ghost, op.weights, self.residual, self.rate, problem.team,
         )  # fmt: skip
-        self.size, self.norm = float(np.sqrt(squares)), float(np.sqrt(size))
+        self.size, self.norm = math.sqrt(squares), math.sqrt(size)
 
     def step(self, c: FloatArray, correction: stencil.Floats, share: float) -> None:
         """Become ``c`` and a share of a correction."""
@@ -282,8 +288,8 @@ class _State:
         By Cauchy's inequality the absolute imbalances then sum to at most ``tolerance`` times the
         uptake. Below the rounding error of the imbalance itself nothing can be asked.
         """
-        rounding = 8.0 * float(np.finfo(float).eps) * self._largest_rate() * self.norm
-        return max(tolerance * self.total / float(np.sqrt(self.c.size)), rounding)
+        rounding = 8.0 * sys.float_info.epsilon * self._largest_rate() * self.norm
+        return max(tolerance * self.total / math.sqrt(self.c.size), rounding)
 
     def _largest_rate(self) -> float:
         """Return the largest rate of a node, 1/s, but for the uptake's."""
@@ -294,8 +300,8 @@ class _State:
 
     def empty_copy(self) -> _State:
         """Return the same problem with arrays of its own, not filled yet."""
-        other = copy(self)
-        other.c = np.empty_like(self.c)
+        other = object.__new__(_State)
+        other.problem, other.c = self.problem, np.empty_like(self.c)
         other.residual, other.rate = np.empty_like(self.residual), np.empty_like(self.rate)
         return other
 
@@ -360,9 +366,6 @@ class _Linear:
     def __init__(self, operator: Diffusion) -> None:
         self.operator = operator
         self.newton = self.cg = 0
-        nodes = math.prod(operator.shape)
-        self.x, self.r, self.p, self.q, self.scale = (np.empty(nodes) for _ in range(5))
-        self.single = np.empty(operator.shape, dtype=np.float32)
 
     def solve(
         self, rate: stencil.Floats, residual: stencil.Floats, size: float, goal: float
@@ -373,14 +376,17 @@ class _Linear:
         and takes half the time. The result lives until the next solve.
         """
         op, shape = self.operator, self.operator.shape
-        x, r, p, q, scale = self.x, self.r, self.p, self.q, self.scale
+        if self.newton == 0:  # a field that is solved already needs no arrays
+            self._work = np.empty((5, math.prod(shape)))
+            self._single = np.empty(shape, dtype=np.float32)
+        x, r, p, q, scale = self._work
         varied = None if op.varied is None else op.varied.ravel()
         total = stencil.begin(
             rate.ravel(), residual.ravel(), varied, 0.5 / op.stiffness, size, x, r, p, scale,
-            self.single.ravel(),
+            self._single.ravel(),
         )  # fmt: skip
         shift = SHIFT * total / rate.size
-        u, rho = op.invert(self.single, shift)
+        u, rho = op.invert(self._single, shift)
         beta = 0.0
         for _ in range(MAX_CG):
             stencil.new_direction(p, u.ravel(), scale, beta)

@@ -298,11 +298,13 @@ def begin(
     """
     total = 0.0
     for n in range(rate.size):
-        w = 1.0
+        square, s = 1.0, 1.0
         if weight is not None:
-            w = weight[n]
-        square = 1.0 / (w + time * rate[n])
-        s = np.sqrt(square)
+            square = 1.0 / (weight[n] + time * rate[n])
+            s = np.sqrt(square)
+        elif rate[n] != 0.0:
+            square = 1.0 / (1.0 + time * rate[n])
+            s = np.sqrt(square)
         v = residual[n] / size
         x[n] = 0.0
         p[n] = 0.0
