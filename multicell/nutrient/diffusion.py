@@ -104,7 +104,7 @@ class Diffusion:
         self.weights: stencil.Weights = None
         if varied is not None:
             self.varied = np.ascontiguousarray(varied.reshape(self.shape), dtype=float)
-            wx, wy, wz = (_face_means(self.varied, axis) for axis in range(3))
+            wx, wy, wz = (stencil.face_means(self.varied, axis) for axis in range(3))
             self.weights = (wx, wy, wz)
 
     def set_boundary(self, boundary: float | Mapping[str, Any]) -> None:
@@ -295,13 +295,6 @@ def _transform(
         run = getattr(fft, f"i{name}n" if inverse else f"{name}n")
         y = run(y, type=number, axes=axes, norm="ortho", overwrite_x=True, workers=1)
     return y
-
-
-def _face_means(varied: FloatArray, axis: int) -> FloatArray:
-    """Return the coefficients at the faces across an axis: harmonic means, and the outer nodes'."""
-    v = np.moveaxis(varied, axis, 0)
-    means = 2.0 * v[1:] * v[:-1] / (v[1:] + v[:-1])
-    return np.ascontiguousarray(np.moveaxis(np.concatenate([v[:1], means, v[-1:]]), 0, axis))
 
 
 def _layer(values: NDArray[Any], face: int) -> NDArray[Any]:

@@ -26,7 +26,8 @@ and the search accepts them in full.
 with the preconditioner S (-D L0 + d0)^-1 S: sine and cosine transforms invert the middle exactly
 (but for mixed conditions, see :meth:`Diffusion.invert`), and the diagonal
 S = (w + d h^2 / 2 D)^-1/2 takes care of nodes where uptake is faster than diffusion, and of a
-coefficient w D that differs from place to place.
+coefficient w D that differs from place to place. On :data:`MANY` nodes and more a V-cycle of
+multigrid takes its place (:mod:`multicell.nutrient.multigrid`).
 """
 
 from __future__ import annotations
@@ -37,7 +38,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed
@@ -46,8 +46,6 @@ from multicell.threads import Team
 
 if TYPE_CHECKING:
     from multicell.nutrient.diffusion import Diffusion
-
-Correction = NDArray[np.float64] | NDArray[np.float32]
 
 TOLERANCE = 1e-9
 """Bound on the sum of all nodes' imbalances, relative to the total uptake."""
@@ -147,9 +145,11 @@ def solve_steady(
     NutrientFailed
         If the iterations do not converge or meet values that are not finite.
     """
-    many = math.prod(operator.shape) >= MANY
-    with Team(operator.threads if many else 1) as team:
-        problem = _Problem(operator, sink, half_saturation, linear, supply, team if many else None)
+    nodes = math.prod(operator.shape)
+    with Team(max(1, min(operator.threads, nodes // stencil.PART))) as team:
+        problem = _Problem(
+            operator, sink, half_saturation, linear, supply, team if nodes >= MANY else None
+        )
         return _solve(problem, start, tolerance, _linear_solver(operator, team))
 
 
@@ -221,7 +221,7 @@ class _Problem:
     half: float
     linear: float
     supply: FloatArray | None
-    team: Team | None  # that shares the loops over many nodes
+    team: Team | None  # that shares the loops over MANY nodes; sums are then those of planes
 
     def __post_init__(self) -> None:
         faces = self.operator.stencil_source()
@@ -234,7 +234,10 @@ class _State:
 
     def __init__(self, problem: _Problem, c: FloatArray) -> None:
         self.problem, self.c = problem, c
-        self.residual, self.rate = np.empty_like(c), np.empty_like(c)
+        # what the multigrid solver takes on is in single precision
+        kind = np.float64 if problem.team is None else np.float32
+        self.residual: stencil.Floats = np.empty(c.shape, kind)
+        self.rate: stencil.Floats = np.empty(c.shape, kind)
         self.evaluate()
 
     def evaluate(self) -> None:
@@ -246,7 +249,7 @@ class _State:
         )  # fmt: skip
         self.size, self.norm = math.sqrt(squares), math.sqrt(size)
 
-    def step(self, c: FloatArray, correction: Correction, share: float) -> None:
+    def step(self, c: FloatArray, correction: stencil.Floats, share: float) -> None:
         """Become ``c`` and a share of a correction."""
         if self.problem.team is None:
             np.multiply(correction, share, out=self.c)
@@ -257,7 +260,7 @@ class _State:
             self.problem.team.share(step, len(c), c, correction, share, self.c)
         self.evaluate()
 
-    def along(self, correction: Correction) -> float:
+    def along(self, correction: stencil.Floats) -> float:
         """Return the product of the imbalance and a correction."""
         if self.problem.team is None:
             return stencil.dot(self.residual.ravel(), correction.ravel())
@@ -298,8 +301,8 @@ class _State:
     def empty_copy(self) -> _State:
         """Return the same problem with arrays of its own, not filled yet."""
         other = object.__new__(_State)
-        other.problem = self.problem
-        other.c, other.residual, other.rate = (np.empty_like(self.c) for _ in range(3))
+        other.problem, other.c = self.problem, np.empty_like(self.c)
+        other.residual, other.rate = np.empty_like(self.residual), np.empty_like(self.rate)
         return other
 
     def report(self, linear: LinearSolver) -> SolveReport:
@@ -315,7 +318,7 @@ class _State:
         )  # fmt: skip
 
 
-def _search(state: _State, trial: _State, correction: Correction) -> None:
+def _search(state: _State, trial: _State, correction: stencil.Floats) -> None:
     """Set ``trial`` to a point along the correction where the convex energy is lower.
 
     F is the gradient of a convex energy, and the correction of a conjugate-gradient solve always
@@ -338,7 +341,9 @@ class LinearSolver(Protocol):
     newton: int
     cg: int
 
-    def solve(self, rate: FloatArray, residual: FloatArray, size: float, goal: float) -> Correction:
+    def solve(
+        self, rate: stencil.Floats, residual: stencil.Floats, size: float, goal: float
+    ) -> stencil.Floats:
         """Solve (-D L0 + rate) x = residual to ``goal``, a share of ``size``, the residual's norm.
 
         The result lives until the next solve.
@@ -362,7 +367,9 @@ class _Linear:
         self.operator = operator
         self.newton = self.cg = 0
 
-    def solve(self, rate: FloatArray, residual: FloatArray, size: float, goal: float) -> FloatArray:
+    def solve(
+        self, rate: stencil.Floats, residual: stencil.Floats, size: float, goal: float
+    ) -> stencil.Floats:
         """Solve (-D L0 + rate) x = residual to ``goal``, a share of ``size``, the residual's norm.
 
         The preconditioner works in single precision: that is exact enough for a search direction

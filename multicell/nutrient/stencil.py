@@ -27,10 +27,22 @@ from multicell.threads import Team
 Weights = tuple[FloatArray, FloatArray, FloatArray] | None
 Faces = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
 Float32Array = NDArray[np.float32]
+Floats = FloatArray | Float32Array
 _F = TypeVar("_F", bound=Callable[..., Any])
 # No fastmath: with it, a function compiled now and the same one read from numba's disk cache were
 # seen to differ in the last bits. Division as NumPy does it has no branch.
 _jit = cast(Callable[[_F], _F], njit(cache=True, error_model="numpy", nogil=True))
+
+
+PART = 150_000
+"""Least number of nodes for each thread that shares a loop: with fewer, waking it is no gain."""
+
+
+def face_means(varied: NDArray[Any], axis: int) -> NDArray[Any]:
+    """Return the coefficients at the faces across an axis: harmonic means, and the outer nodes'."""
+    v = np.moveaxis(varied, axis, 0)
+    means = 2.0 * v[1:] * v[:-1] / (v[1:] + v[:-1])
+    return np.ascontiguousarray(np.moveaxis(np.concatenate([v[:1], means, v[-1:]]), 0, axis))
 
 
 @_jit
@@ -94,7 +106,7 @@ def _fill_varied(
 @_jit
 def apply_operator(
     p: FloatArray,
-    rate: FloatArray,
+    rate: Floats,
     stiffness: float,
     ghost: FloatArray,
     weights: Weights,
@@ -130,15 +142,18 @@ def imbalance(
     linear: float,
     ghost: FloatArray,
     weights: Weights,
-    residual: FloatArray,
-    rate: FloatArray,
+    residual: Floats,
+    rate: Floats,
     team: Team | None = None,
 ) -> tuple[float, float, float]:
     """Write sources minus sinks of all nodes (mM/s) and the sinks' derivative (1/s).
 
     The sinks are uptake, ``sink`` at most (mM/s), and ``linear`` (1/s) times c; ``source`` is in
-    mM/s, c and ``half`` in mM. Return the sums of residual², of all sinks, and of c²: over all
-    nodes in their order, or with a ``team``, whose threads share the planes, of each plane first.
+    mM/s, c and ``half`` in mM. ``residual`` and ``rate`` may be in single precision: it is the last
+    rounding that they get, and on many nodes memory is what takes the time.
+
+    Return the sums of residual², of all sinks, and of c²: over all nodes in their order, or with a
+    ``team``, whose threads share the planes, of each plane first.
     """
     planes = len(c)
     if team is None:
@@ -169,8 +184,8 @@ def _imbalance(
     linear: float,
     ghost: FloatArray,
     weights: Weights,
-    residual: FloatArray,
-    rate: FloatArray,
+    residual: Floats,
+    rate: Floats,
     parts: FloatArray,
     block: int,
 ) -> None:
@@ -193,11 +208,12 @@ def _imbalance(
                 v = e[k]
                 taken, slope = uptake_and_slope(most[k], v, half)
                 spent = taken + linear * v
-                left[k] = brought[k] - stiffness * (diagonal[k] * v - row[k]) - spent
+                row[k] = brought[k] - stiffness * (diagonal[k] * v - row[k]) - spent
+                left[k] = row[k]
                 slopes[k] = slope + linear
                 sinks[k] = spent
             for k in range(nz):
-                squares += left[k] * left[k]
+                squares += row[k] * row[k]
                 total += sinks[k]
                 size += e[k] * e[k]
         place = i // block
@@ -263,8 +279,8 @@ def balance_negative(
 
 @_jit
 def begin(
-    rate: FloatArray,
-    residual: FloatArray,
+    rate: Floats,
+    residual: Floats,
     weight: FloatArray | None,
     time: float,
     size: float,
@@ -349,7 +365,7 @@ def divide_spectrum(
 
 
 @_jit
-def dot(a: FloatArray, b: NDArray[Any]) -> float:
+def dot(a: Floats, b: Floats) -> float:
     """Return the product of two flat fields (NumPy's may use threads and change its bits)."""
     product = 0.0
     for n in range(a.size):
@@ -401,7 +417,7 @@ def flows(c: FloatArray, ghost: FloatArray, const: Faces, weights: Weights) -> t
 
 @_jit
 def account(
-    c: FloatArray, sink: FloatArray, half: float, residual: FloatArray
+    c: FloatArray, sink: FloatArray, half: float, residual: Floats
 ) -> tuple[float, float, float]:
     """Return the sums over all nodes of the sizes of the residual, of uptake (mM/s), and of c (mM).
 
