@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from multicell.biology.cycle import may_grow
 from multicell.biology.growth import birth_volume, growth_factor
-from multicell.cells import Cells, FloatArray, State
+from multicell.cells import Cells, FloatArray, State, rows_of
 from multicell.scene.scales import regime
 
 if TYPE_CHECKING:
@@ -122,11 +122,11 @@ def step_error(
     count = int(np.count_nonzero(living))
     return StepError(
         float(error.sum()),
-        math.sqrt(float(np.dot(relative, relative)) / count),
+        math.sqrt(float(np.square(relative).sum()) / count),
         float(np.abs(relative).max()),
         float(change[~switched].sum()) / free if free > 0.0 else 0.0,
         float(np.abs(change[switched]).sum()) / free if free > 0.0 else 0.0,
-        0.5 * math.log(2.0) * float(np.dot(rate, now.factor)) / (birth * count),
+        0.5 * math.log(2.0) * float((rate * now.factor).sum()) / (birth * count),
     )
 
 
@@ -155,9 +155,7 @@ def _inherited(before: Held, now: Held, cells: Cells) -> FloatArray:
     """Return the factors of a step's beginning for the cells at its end; daughters have hers."""
     if np.array_equal(before.id, now.id):
         return before.factor
-    order = np.argsort(before.id)
-    known = before.id[order]
-    place = np.minimum(np.searchsorted(known, cells.id), len(known) - 1)
-    born = known[place] != cells.id
-    place[born] = np.searchsorted(known, cells.parent[born])
-    return np.asarray(before.factor[order[place]])
+    row = rows_of(before.id, now.id)
+    born = row < 0
+    row[born] = rows_of(before.id, cells.parent[born])
+    return np.asarray(before.factor[row])
