@@ -159,9 +159,10 @@ class Cells:
 
     def replaced(self, index: NDArray[Any], other: Cells) -> Cells:
         """Return the cells at ``index`` followed by those of ``other``, column by column."""
+        index = np.flatnonzero(index) if index.dtype == np.bool_ else index
         return Cells(
             **{
-                name: np.concatenate([column[index], getattr(other, name)])
+                name: np.concatenate([column.take(index, axis=0), getattr(other, name)])
                 for name, column in self.columns()
             }
         )
