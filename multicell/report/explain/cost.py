@@ -35,9 +35,11 @@ _NODE_FRAME: Final = 2.5
 _STEP_ROW: Final = 100.0  # of a row of the history
 _FILE: Final = 70e3  # of the structure of the file, and what is the same for all frames
 
+_START: Final = 1.0  # s until there is a first cell, once all is compiled
+_CELL_START: Final = 1.2e-5  # s of placing a cell
 _STEP: Final = 1.5e-3  # s of a coupling step whatever it holds
 _EVALUATION: Final = 2e-5  # s of an evaluation of all forces
-_CELL_EVALUATION: Final = 3e-7  # and for each cell: forces, lists, and a share of everything else
+_CELL_EVALUATION: Final = 2.5e-7  # and for each cell: forces, lists, and a share of everything else
 _FRICTION: Final = 5.0  # times as much where cells rub: velocities are solved for
 _FIELD: Final = 2.5e-3  # s of a field in a step
 _NODE_STEP: Final = 4e-7  # and for each node
@@ -78,7 +80,7 @@ def predicted(scene: Scene) -> Prediction:
     forces = evaluations(scene) * (_EVALUATION + _cell_cost(scene) * cells)
     return Prediction(
         course=found,
-        seconds=steps * (_STEP + forces) + seconds,
+        seconds=_START + _CELL_START * scene.initial.count + steps * (_STEP + forces) + seconds,
         memory=_PROCESS + _CELL * float(found.cells.max()) + memory,
         file=_FILE + _STEP_ROW * steps + _CELL_FRAME * frames * cells + file,
     )
