@@ -33,7 +33,7 @@ NAME: Final = "frames.h5"
 
 _LIBVER: Final = ("v110", "v110")  # the first in which all of a file's structure has checksums
 _BATCH: Final = 1 << 23  # bytes that are collected before they are written
-_LEVEL: Final = 4  # of gzip: more gains 0.2 % and takes twice the time
+_LEVEL: Final = 4  # of gzip; 1 would take 15 % less time and 1 % more room
 
 
 @final
