@@ -364,7 +364,8 @@ def test_log_has_a_line_for_every_tenth(capsys):
 def test_bar_in_a_terminal_shows_the_status(capsys, monkeypatch):
     monkeypatch.setenv("FORCE_COLOR", "1")
     monkeypatch.setenv("COLUMNS", "120")
-    with progress.reporter(SimpleNamespace(duration=36000.0)) as report:
+    scene = SimpleNamespace(duration=36000.0, stop_cells=None, growth=None)
+    with progress.reporter(scene) as report:
         report(moment(18000.0))
     shown = capsys.readouterr()
     assert shown.out == ""

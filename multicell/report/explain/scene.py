@@ -6,13 +6,11 @@ import math
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, Final
 
-import numpy as np
-
-from multicell.cells import Cells
 from multicell.errors import MulticellError
 from multicell.integrators.base import MethodInfo
 from multicell.integrators.registry import METHODS
 from multicell.report.explain.contact import contact_notes, contact_numbers, contact_parts
+from multicell.report.explain.cost import cost_numbers
 from multicell.report.explain.items import Number, Part, hours, part
 from multicell.report.explain.nutrient import nutrient_notes, nutrient_numbers, nutrient_parts
 from multicell.scene.coupling import fixed_step, longest_step, shortest_step, tolerance
@@ -25,7 +23,6 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 
-_NEIGHBOURS: Final = 12  # of a cell in dense packing
 _MOST_TRIED: Final = 50_000  # cells up to which a coupling step is tried to tell what is chosen
 
 
@@ -42,7 +39,7 @@ def explain(scene: Scene, *, first_step: bool = False) -> dict[str, Any]:
         ``name``, ``value``, ``unit``, ``meaning``; ``notes``: list of remarks on settings that
         do not fit together. Only plain values, so that it can be written as JSON.
     """
-    numbers = [*_run(scene), *contact_numbers(scene), *_growth(scene), *_memory(scene)]
+    numbers = [*_run(scene), *contact_numbers(scene), *_growth(scene), *cost_numbers(scene)]
     numbers += nutrient_numbers(scene)
     return {
         "title": scene.title,
@@ -189,18 +186,6 @@ def _growth(scene: Scene) -> list[Number]:
         most = scene.initial.count * 2.0**generations
         numbers.append(Number("cells at most", most, "", "if nothing limited growth"))
     return numbers
-
-
-def _memory(scene: Scene) -> list[Number]:
-    """Return memory and file size for every 1000 cells."""
-    columns = [(np.dtype(s["dtype"]).itemsize, s["width"] or 1) for s in Cells.schema().values()]
-    state = sum(size * width for size, width in columns) + 8 * len(scene.nutrients)
-    # state, a sorted copy, five vectors of the integrator's order, and half a list of pairs
-    running = 2 * state + 5 * 3 * 8 * 5 + 8 * _NEIGHBOURS
-    return [
-        Number("memory", running / 1000.0, "MB", "about, for every 1000 cells, without fields"),
-        Number("file size", state / 1000.0, "MB", "for every 1000 cells of a frame, plus fields"),
-    ]
 
 
 def _notes(scene: Scene) -> list[str]:

@@ -1,0 +1,150 @@
+"""What a run is expected to take: time, memory, and room on the disk.
+
+The population is that of :mod:`multicell.report.explain.course`; what a cell, a node and a step
+cost was measured on one core of a 2.5 GHz Xeon, with everything compiled. ``python
+tests/benchmarks/predictions.py`` holds the numbers below against runs of the built-in scenes.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, final
+
+import numpy as np
+
+from multicell.cells import FloatArray
+from multicell.report.explain.course import Course, course
+from multicell.report.explain.items import Number, hours
+from multicell.scene import domain as box
+from multicell.scene import scales
+from multicell.scene.coupling import longest_step
+from multicell.scene.pairs import daughters_stiffness, drag
+from multicell.scene.sizes import birth_radius
+
+if TYPE_CHECKING:
+    from multicell.scene.scene import Scene
+
+_PROCESS: Final = 190e6  # bytes that Python, its packages and compiled code take
+_FIELD_PACKAGES: Final = 40e6  # and more where there are fields
+_CELL: Final = 850.0  # bytes of a cell: state, lists, vectors, lineage, and gaps between them
+_NODE: Final = 100.0  # bytes of a node of a field on cubes
+
+_CELL_FRAME: Final = 45.0  # bytes of a cell in a frame on the disk
+_NODE_FRAME: Final = 2.5
+_STEP_ROW: Final = 100.0  # of a row of the history
+_FILE: Final = 70e3  # of the structure of the file, and what is the same for all frames
+
+_START: Final = 1.0  # s until there is a first cell, once all is compiled
+_CELL_START: Final = 1.2e-5  # s of placing a cell
+_STEP: Final = 1.5e-3  # s of a coupling step whatever it holds
+_EVALUATION: Final = 2e-5  # s of an evaluation of all forces
+_CELL_EVALUATION: Final = 2.5e-7  # and for each cell: forces, lists, and a share of everything else
+_FRICTION: Final = 5.0  # times as much where cells rub: velocities are solved for
+_FIELD: Final = 2.5e-3  # s of a field in a step
+_NODE_STEP: Final = 4e-7  # and for each node
+_TRIED: Final = 3e-2  # s of one with a tolerance, whose grid is tried now and then
+
+_USUAL_ATOL: Final = 0.1  # µm
+
+
+@final
+@dataclass(frozen=True)
+class Prediction:
+    """What a run is expected to be.
+
+    Attributes
+    ----------
+    course
+        Of the population.
+    seconds
+        Wall time on one core, without compilation.
+    memory, file : bytes
+        Of the process at its largest; of ``frames.h5``.
+    """
+
+    course: Course
+    seconds: float
+    memory: float
+    file: float
+
+
+def predicted(scene: Scene) -> Prediction:
+    """Return what a run of a scene with an output folder is expected to take."""
+    found = course(scene)
+    end = float(found.times[-1])
+    steps = max(1.0, end / longest_step(scene))
+    frames = min(math.ceil(end / scene.output.every), steps) + 1.0
+    cells = _mean(found, found.cells)
+    seconds, memory, file = _fields(scene, found, steps, frames)
+    forces = evaluations(scene) * (_EVALUATION + _cell_cost(scene) * cells)
+    return Prediction(
+        course=found,
+        seconds=_START + _CELL_START * scene.initial.count + steps * (_STEP + forces) + seconds,
+        memory=_PROCESS + _CELL * float(found.cells.max()) + memory,
+        file=_FILE + _STEP_ROW * steps + _CELL_FRAME * frames * cells + file,
+    )
+
+
+def _mean(found: Course, values: FloatArray) -> float:
+    """Return the mean of something over the time of a run."""
+    return float(np.trapezoid(values, found.times) / found.times[-1])
+
+
+def _cell_cost(scene: Scene) -> float:
+    return _CELL_EVALUATION * (_FRICTION if scene.friction is not None else 1.0)
+
+
+def evaluations(scene: Scene) -> float:
+    """Return how many evaluations of all forces a coupling step is expected to take.
+
+    Explicit methods take about two for each time that the step of two fresh daughters goes into it,
+    more where the tolerance is tight (their order is two); where that is many, stabilised and
+    implicit ones take over. Fixed steps are counted.
+    """
+    options, step = scene.integrator, longest_step(scene)
+    if options.method in ("euler", "heun", "rk4"):
+        stages = {"euler": 1, "heun": 2, "rk4": 4}[options.method]
+        return stages * step / options.step
+    limit = drag(scene, birth_radius(scene)) / daughters_stiffness(scene)
+    ratio, tight = step / limit, math.sqrt(max(_USUAL_ATOL / options.atol, 0.1))
+    return max(8.0, min(2.0 * tight * ratio, 40.0 * tight + ratio, 1000.0 * tight))
+
+
+def _fields(scene: Scene, found: Course, steps: float, frames: float) -> tuple[float, float, float]:
+    """Return what all fields take: time, memory, and room on the disk."""
+    most = mean = each = 0.0
+    for name, nutrient in scene.nutrients.items():
+        nodes = _nodes(scene, name, found.radius)
+        most, mean = most + float(nodes.max()), mean + _mean(found, nodes)
+        each += _FIELD if nutrient.tolerance is None else _TRIED
+    packages = _FIELD_PACKAGES if scene.nutrients else 0.0
+    return steps * (each + _NODE_STEP * mean), packages + _NODE * most, _NODE_FRAME * frames * mean
+
+
+def _nodes(scene: Scene, name: str, radius: FloatArray) -> FloatArray:
+    """Return the number of nodes of a field round tissue of each radius."""
+    nutrient, spacing = scene.nutrients[name], scales.spacing(scene, name)
+    if scene.domain is not None:
+        counts = box.filling(box.sides(scene.domain), spacing)
+        return np.full(len(radius), float(math.prod(counts or (1,))))
+    reach = radius + (nutrient.margin if nutrient.layer is None else nutrient.layer)
+    if nutrient.layout == "radial" or (nutrient.layout == "auto" and scene.dimensions == 3):
+        return np.asarray(reach / spacing)
+    return np.asarray((2.0 * reach / spacing) ** scene.dimensions)
+
+
+def cost_numbers(scene: Scene) -> list[Number]:
+    """Return what is told of it."""
+    expected = predicted(scene)
+    end, cells = float(expected.course.times[-1]), expected.course.cells
+    ends = "at the end" if end >= scene.duration else f"after {hours(end)}, where the run stops"
+    most = "" if cells[-1] >= cells.max() else f"; {cells.max():.3g} at most"
+    return [
+        Number("expected cells", float(cells[-1]), "", f"{ends}{most}, dead ones included"),
+        Number("expected time", expected.seconds, "s",
+               f"of the whole run on one core of 2.5 GHz, without compilation: "
+               f"{hours(expected.seconds)}"),
+        Number("expected memory", expected.memory / 1e6, "MB", "of the process at its largest"),
+        Number("expected file", expected.file / 1e6, "MB", "all frames and the history"),
+    ]  # fmt: skip

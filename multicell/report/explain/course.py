@@ -1,0 +1,322 @@
+"""How a population will grow, from a ball of tissue with one radius: a forecast of its size.
+
+Cells fill a ball (in a plane a disc). Every field that holds back growth or kills is
+solved along the radius, steady, with the uptake of living cells; living cells grow where they are
+fed, the starved die, and dead ones take room in the middle until they are removed. Where pressure
+holds back growth it is the one that drives the tissue outwards against the drag of its cells. Left
+out are walls, motion, and whatever is not round.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, Final, final
+
+import numpy as np
+
+from multicell.cells import SPHERE, FloatArray
+from multicell.scene.pairs import drag
+from multicell.scene.sizes import birth_radius, typical_radius
+
+if TYPE_CHECKING:
+    from multicell.scene.nutrient import Nutrient
+    from multicell.scene.parts import Death
+    from multicell.scene.scene import Scene
+
+_SHELLS: Final = 40
+_IN_CYCLE: Final = 12  # steps of the forecast
+_MOST_STEPS: Final = 300
+_MOST_GROWTH: Final = 60.0  # exponent of growth in a step: then it is over
+_MOST_CELLS: Final = 1e12  # no forecast goes on beyond
+_ITERATIONS: Final = 40
+_PACKING: Final = 0.77  # volume of cells in that of tissue, as runs have it
+_LEAST: Final = 1e-3  # living cells: with fewer nothing comes any more
+_SETTLED: Final = 0.01  # change of pressure's factor that ends its iteration
+_CLOSE: Final = 1e-3  # change of a field, relative to its medium, that ends its iteration
+
+
+@final
+@dataclass(frozen=True)
+class Course:
+    """The number of cells over simulated time, and the radius of the tissue.
+
+    Attributes
+    ----------
+    times : (k,), s
+    cells : (k,)
+        Dead ones included until they are removed.
+    radius : (k,), µm
+    """
+
+    times: FloatArray
+    cells: FloatArray
+    radius: FloatArray
+
+
+def course(scene: Scene) -> Course:
+    """Return how the population of a scene is expected to grow, up to the end of its run."""
+    times = _times(scene)
+    state = _Tissue(scene)
+    cells, radius = [state.cells], [state.radius]
+    for begin, end in pairwise(times):
+        state.advance(float(begin), float(end))
+        cells.append(state.cells)
+        radius.append(state.radius)
+        full = scene.stop_cells is not None and state.cells >= scene.stop_cells
+        if full or state.cells > _MOST_CELLS:
+            break
+    k = len(cells)
+    return Course(times[:k], np.array(cells), np.array(radius))
+
+
+def _times(scene: Scene) -> FloatArray:
+    """Return the times of the forecast, with all at which a medium is switched."""
+    if scene.growth is None and scene.death is None:
+        return np.array([0.0, scene.duration])
+    cycle = scene.duration if scene.growth is None else scene.growth.mean_cycle
+    count = int(min(max(_IN_CYCLE * scene.duration / cycle, 20), _MOST_STEPS))
+    switches = [
+        time for field in scene.nutrients.values() for time in field.switches(0.0, scene.duration)
+    ]
+    return np.unique([*np.linspace(0.0, scene.duration, count + 1), *switches])
+
+
+class _Tissue:
+    """Living cells, and the dead by the time of their death."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+        self._dimensions = scene.dimensions
+        self._living = float(scene.initial.count)
+        self._dead: list[tuple[float, float]] = []
+        self._now = 0.0
+        self._factor = np.ones(_SHELLS)
+        size = typical_radius(scene)
+        if scene.growth is not None:
+            # of newborn cells over that of growing ones, whose ages fall off by half over a cycle
+            size = birth_radius(scene) / math.log(2.0) ** (1.0 / 3.0)
+        own = SPHERE * size**3 if scene.dimensions == 3 else math.pi * size**2
+        self._volume, self._cell_volume = own / _PACKING, SPHERE * size**3 / _PACKING
+        limiting = (f for f in scene.nutrients.values() if _limits(f))
+        self._fields = [_Profile(field, self._dimensions) for field in limiting]
+
+    @property
+    def cells(self) -> float:
+        """All cells that are there."""
+        return self._living + sum(count for _, count in self._dead)
+
+    @property
+    def radius(self) -> float:
+        """Radius of the tissue, µm."""
+        return self._radius(self._living * self._volume + self._core())
+
+    def _radius(self, volume: float) -> float:
+        return (
+            math.sqrt(volume / math.pi) if self._dimensions == 2 else (volume / SPHERE) ** (1 / 3)
+        )
+
+    def _core(self) -> float:
+        """Return what the dead still fill."""
+        death = self._scene.death
+        if death is None:
+            return sum(count for _, count in self._dead) * self._volume
+        left = (n * math.exp(-(self._now - since) / death.lysis_time) for since, n in self._dead)
+        return self._volume * sum(left)
+
+    def advance(self, begin: float, end: float) -> None:
+        """Grow, starve and remove cells from one time to another."""
+        dt = end - begin
+        if self._living < _LEAST:
+            return self._clear(end)
+        shells = np.linspace(self._radius(self._core()), self.radius, _SHELLS + 1)
+        share = np.diff(shells**self._dimensions)
+        share /= share.sum()
+        growth, starved = np.ones(_SHELLS), np.zeros(_SHELLS, dtype=bool)
+        for field in self._fields:
+            level = field.solve(shells, begin, end, self._cell_volume)
+            growth *= _growth(field.nutrient, level)
+            starved |= _starved(field.nutrient, level)
+        growth[starved] = 0.0
+        growth *= self._pressed(shells, growth)
+        self._grow(float((share * growth).sum()), dt)
+        self._die(float(share[starved].sum()), begin, dt)
+        self._clear(end)
+
+    def _clear(self, end: float) -> None:
+        """Remove the remains of those that died long ago."""
+        self._now, death = end, self._scene.death
+        if death is not None:
+            gone = death.lysis_time * math.log(self._volume_at_death() / death.removal_fraction)
+            self._dead = [(since, n) for since, n in self._dead if end - since < gone]
+
+    def _volume_at_death(self) -> float:
+        """Return the volume of a cell that dies over that at birth."""
+        return 1.0 / math.log(2.0) if self._scene.growth is not None else 1.0
+
+    def _pressed(self, shells: FloatArray, growth: FloatArray) -> FloatArray:
+        """Return the factor of pressure on growth in each shell.
+
+        Tissue that grows at a rate k moves outwards at v = ∫ k r^(d-1) dr / r^(d-1), and the drag
+        of its cells, z a cell, is borne by the pressure: p' = -z v / V.
+        """
+        scene, d = self._scene, self._dimensions
+        if scene.growth is None or scene.growth.critical_pressure is None:
+            return np.ones(_SHELLS)
+        resistance = drag(scene, typical_radius(scene)) / self._cell_volume
+        rate = math.log(2.0) / scene.growth.mean_cycle * growth
+        width = np.diff(shells)
+        factor = self._factor
+        for _ in range(_ITERATIONS):
+            flow = np.cumsum(rate * factor * np.diff(shells**d) / d)
+            push = resistance * flow / shells[1:] ** (d - 1) * width
+            pressure = np.cumsum(push[::-1])[::-1] - 0.5 * push
+            new = np.clip(1.0 - pressure / scene.growth.critical_pressure, 0.0, 1.0)
+            change = float(np.abs(new - factor).max())
+            factor = 0.7 * factor + 0.3 * new
+            if change < _SETTLED:
+                break
+        self._factor = factor
+        return factor
+
+    def _grow(self, factor: float, dt: float) -> None:
+        if self._scene.growth is not None:
+            rate = math.log(2.0) / self._scene.growth.mean_cycle * factor
+            self._living *= math.exp(min(rate * dt, _MOST_GROWTH))
+
+    def _die(self, starved: float, begin: float, dt: float) -> None:
+        death: Death | None = self._scene.death
+        lost = starved
+        if death is not None and death.necrosis_rate is not None:
+            lost *= -math.expm1(-death.necrosis_rate * dt)
+        if death is not None:
+            lost += (1.0 - lost) * -math.expm1(-death.apoptosis_rate * dt)
+        if lost > 0.0:
+            self._dead.append((begin + dt, lost * self._living))
+            self._living *= 1.0 - lost
+
+
+def _limits(field: Nutrient) -> bool:
+    """Return whether a field has any effect on how many cells there are."""
+    effects = (field.growth_half_saturation, field.growth_inhibition, field.quiescence,
+               field.necrosis, field.necrosis_above)  # fmt: skip
+    return any(effect is not None for effect in effects)
+
+
+def _growth(field: Nutrient, level: FloatArray) -> FloatArray:
+    factor = np.ones(len(level))
+    if field.growth_half_saturation is not None:
+        factor *= level / (field.growth_half_saturation + level)
+    if field.growth_inhibition is not None:
+        factor *= field.growth_inhibition / (field.growth_inhibition + level)
+    return factor * _active(field, level)
+
+
+def _active(field: Nutrient, level: FloatArray) -> FloatArray:
+    """Return where cells do not rest: one, and zero below quiescence."""
+    if field.quiescence is None:
+        return np.ones(len(level))
+    return (level >= field.quiescence).astype(np.float64)
+
+
+def _starved(field: Nutrient, level: FloatArray) -> np.ndarray:
+    below = np.zeros(len(level), dtype=bool)
+    if field.necrosis is not None:
+        below |= level < field.necrosis
+    if field.necrosis_above is not None:
+        below |= level > field.necrosis_above
+    return below
+
+
+@final
+class _Profile:
+    """A steady field along the radius, in shells of living tissue round a core without uptake."""
+
+    def __init__(self, nutrient: Nutrient, dimensions: int) -> None:
+        self.nutrient = nutrient
+        self._dimensions = dimensions
+        self._last = np.full(_SHELLS, nutrient.highest)
+        self._medium = nutrient.medium(0.0)
+        self._active = np.ones(_SHELLS)
+
+    def solve(self, shells: FloatArray, begin: float, end: float, volume: float) -> FloatArray:
+        """Return the concentration in each shell, (n,) mM, and note what a finite medium loses.
+
+        Parameters
+        ----------
+        shells : (n + 1,), µm
+            Their boundaries; nothing flows through the innermost.
+        begin, end : s
+            The field is taken at the first, its medium lasts till the second.
+        volume : µm³
+            Of a cell.
+        """
+        medium = self._now(begin)
+        # a ball of 4 pi, or a disc of 2 pi, cancels
+        d, field = self._dimensions, self.nutrient
+        volumes = np.diff(shells**d) / d
+        middles = 0.5 * (shells[1:] + shells[:-1])
+        between = field.diffusion * shells[1:-1] ** (d - 1) / np.diff(middles)
+        outside = self._outside(shells[-1])
+        flow = field.diffusion * shells[-1] ** (d - 1) / (shells[-1] - middles[-1])
+        surface = flow * outside / (flow + outside)
+        diagonal = np.zeros(len(volumes))
+        diagonal[:-1] += between
+        diagonal[1:] += between
+        diagonal[-1] += surface
+        source = np.zeros(len(volumes))
+        source[-1] = surface * medium
+        level: FloatArray = np.minimum(np.maximum(self._last, 0.0), max(medium, 1e-30))
+        for _ in range(_ITERATIONS):
+            sink = volumes * self._uptake(level, volume) + volumes * field.decay
+            new = _tridiagonal(between, diagonal + sink, source)
+            change = float(np.abs(new - level).max())
+            level = 0.5 * (level + new)
+            if change <= _CLOSE * max(medium, 1e-30):
+                break
+        self._last, self._active = level, _active(field, level)
+        self._spend(4.0 * math.pi * surface * (medium - level[-1]), end - begin)
+        return level
+
+    def _now(self, time: float) -> float:
+        """Return the concentration of the medium, of a finite one that which is left."""
+        field = self.nutrient
+        if field.finite_medium is None or any(when == time for when, _ in field.media or ()):
+            self._medium = float(field.medium(time))
+        return self._medium
+
+    def _spend(self, uptake: float, dt: float) -> None:
+        """Take from a finite medium what the tissue takes up, amol/s, and what decays."""
+        field = self.nutrient
+        if field.finite_medium is not None and self._medium > 0.0:
+            amount = field.finite_medium.volume * self._medium
+            rate = field.decay + max(uptake, 0.0) / amount
+            self._medium *= math.exp(-rate * dt)
+
+    def _outside(self, radius: float) -> float:
+        """Return the conductance of the medium round the tissue."""
+        field = self.nutrient
+        width = field.margin if field.layer is None else field.layer
+        coefficient = field.diffusion_medium or field.diffusion
+        if self._dimensions == 2:
+            return float(coefficient / math.log1p(width / radius))
+        return float(coefficient * radius * (radius + width) / width)
+
+    def _uptake(self, level: FloatArray, volume: float) -> FloatArray:
+        """Return uptake over concentration, 1/s: amol/s in µm³ are mM/s.
+
+        Cells rest or not by what they found last: when a medium is switched all go on for a while.
+        """
+        field = self.nutrient
+        share = self._active + (1.0 - self._active) * field.quiescent_uptake
+        return np.asarray(share * field.uptake / volume / (field.half_saturation + level))
+
+
+def _tridiagonal(off: FloatArray, diagonal: FloatArray, right: FloatArray) -> FloatArray:
+    """Solve a symmetric positive definite system with ``-off`` beside its diagonal."""
+    from scipy.linalg.lapack import dptsv
+
+    _, _, found, trouble = dptsv(diagonal, -off, right)
+    assert trouble == 0, "the matrix of diffusion and uptake is positive definite"
+    return np.asarray(found)

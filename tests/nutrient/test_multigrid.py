@@ -1,0 +1,220 @@
+"""Multigrid for fields on many nodes, against direct solves, transforms and plain interpolation."""
+
+import itertools
+
+import numpy as np
+import pytest
+from pde import CartesianGrid
+from scipy.sparse import coo_array
+from scipy.sparse.linalg import spsolve
+
+import multicell as mc
+from multicell.nutrient import steady, stencil
+from multicell.nutrient.cartesian import Box, gather, mesh, moved
+from multicell.nutrient.diffusion import Diffusion
+from multicell.nutrient.multigrid import Hierarchy, MultigridSolver
+from multicell.nutrient.steady import solve_steady
+from multicell.threads import Team
+
+D = 2000.0
+VALUE, WALL = {"value": 0.07}, {"derivative": 0.0}
+MIXED = {"type": "mixed", "value": 0.02, "const": 0.0014}
+FACES = ("x-", "x+", "y-", "y+", "z-", "z+")
+
+
+def operator(shape, sides=VALUE, varied=None, h=10.0):
+    """Return diffusion on a grid with one condition on all faces, or named ones."""
+    grid = CartesianGrid([(0.0, h * n) for n in shape], shape)
+    names = FACES[: 2 * len(shape)]
+    named = {face: sides.get(face, VALUE) if "x-" in sides else sides for face in names}
+    height = 20.0 if len(shape) == 2 else None
+    return Diffusion(grid, D, named, height=height, varied=varied)
+
+
+def ball(op, most=0.02):
+    """Return an uptake of cells in the middle, unequal from node to node."""
+    rng = np.random.default_rng(4)
+    place = np.meshgrid(*(np.arange(n) - 0.5 * (n - 1) for n in op.shape), indexing="ij")
+    away = np.sqrt(sum(x**2 for x in place))
+    within = 0.4 * min(n for n in op.shape if n > 1)
+    return np.where(away < within, most * (0.5 + rng.random(op.shape)), 0.0)
+
+
+def patches(shape, ratio):
+    """Return a coefficient that jumps by ``ratio`` round a block."""
+    varied = np.ones((*shape, 1)[:3])
+    varied[tuple(slice(n // 3, 2 * n // 3 + 1) for n in varied.shape)] = ratio
+    return varied
+
+
+def matrix(op, rate):
+    """Return -D L0 + rate as a sparse matrix, column by column from the stencil."""
+    n, out = rate.size, np.empty(op.shape)
+    rows, columns, values = [], [], []
+    for column in range(n):
+        unit = np.zeros(n)
+        unit[column] = 1.0
+        stencil.apply_operator(
+            unit.reshape(op.shape), rate, op.stiffness, op.ghost, op.weights, out
+        )
+        found = np.flatnonzero(out)
+        rows.extend(found)
+        columns.extend([column] * found.size)
+        values.extend(out.ravel()[found])
+    return coo_array((values, (rows, columns)), (n, n)).tocsr()
+
+
+CASES = {
+    "cube": ((8, 8, 8), VALUE, None),
+    "odd": ((9, 5, 7), VALUE, None),
+    "one over a power of two": ((17, 4, 6), {"x-": WALL, "y+": MIXED}, None),
+    "walls": ((6, 7, 8), WALL, None),
+    "layers": ((7, 6, 8), MIXED, None),
+    "plane": ((13, 10), {"x-": MIXED, "y-": WALL}, None),
+    "medium": ((9, 8, 7), {"x-": MIXED, "z-": WALL}, 3.0),
+    "plane of a medium": ((12, 11), VALUE, 0.3),
+    "rod": ((40, 2, 1), VALUE, None),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_systems_are_solved_as_by_a_direct_solver(case):
+    shape, sides, ratio = CASES[case]
+    op = operator(shape, sides, None if ratio is None else patches(shape, ratio))
+    rng = np.random.default_rng(1)
+    rate, residual = rng.random(op.shape) ** 8 * 40.0, rng.normal(size=op.shape)
+    size = float(np.linalg.norm(residual))
+    exact = spsolve(matrix(op, rate), residual.ravel()).reshape(op.shape)
+    solver = MultigridSolver(op, Team())
+    found = solver.solve(rate, residual, size, 1e-4)
+    assert found.dtype == np.float32
+    np.testing.assert_allclose(found, exact, atol=3e-4 * np.abs(exact).max())
+    assert 1 <= solver.cg <= 12
+
+
+@pytest.mark.parametrize("ratio", [None, 0.1, 10.0])
+@pytest.mark.parametrize("sides", [VALUE, {"x-": VALUE, **dict.fromkeys(FACES[1:], WALL)}, MIXED])
+def test_a_cycle_gains_a_digit_on_any_number_of_nodes(ratio, sides):
+    for shape in ((32, 32, 32), (33, 40, 21), (45, 13, 77)):
+        op = operator(shape, sides, None if ratio is None else patches(shape, ratio))
+        rate = ball(op) / 0.005
+        residual = np.random.default_rng(0).normal(size=op.shape)
+        solver = MultigridSolver(op, Team())
+        solver.solve(rate, residual, float(np.linalg.norm(residual)), 1e-4)
+        assert solver.cg <= (6 if ratio is None else 10)
+
+
+@pytest.mark.parametrize("half", [0.1, 0.005, 1e-4])
+@pytest.mark.parametrize("shape", [(24, 25, 27), (60, 41)])
+@pytest.mark.parametrize("ratio", [None, 2.5])
+def test_fields_are_those_by_transforms(half, shape, ratio, monkeypatch):
+    op = operator(
+        shape, {"x-": WALL, "y-": MIXED}, None if ratio is None else patches(shape, ratio)
+    )
+    sink, start = ball(op, 0.2), np.full(op.shape, 0.07)
+    supply = np.full(op.shape, 1e-5)
+    by_transforms, _ = solve_steady(op, sink, half, start, supply=supply, linear=1e-3)
+    monkeypatch.setattr(steady, "MANY", 1)
+    c, report = solve_steady(op, sink, half, start, supply=supply, linear=1e-3)
+    np.testing.assert_allclose(c, by_transforms, atol=1e-8 * 0.07)
+    assert c.min() >= 0.0
+    assert report.residual <= 1e-9 * (report.uptake + report.spent)
+    gained = report.inflow + report.supplied
+    assert gained == pytest.approx(report.uptake + report.spent, rel=1e-9)
+
+
+@pytest.mark.parametrize("shape", [(40, 38, 36), (130, 131)])
+def test_the_same_bits_for_any_number_of_threads(shape, monkeypatch):
+    monkeypatch.setattr(steady, "MANY", 1)
+    monkeypatch.setattr(stencil, "PART", 1)
+    found = []
+    for threads, ratio in itertools.product((1, 2, 3), (None, 2.0)):
+        op = operator(shape, VALUE, None if ratio is None else patches(shape, ratio))
+        op.threads = threads
+        c, report = solve_steady(op, ball(op), 0.005, np.full(op.shape, 0.07))
+        found.append((c, report))
+    for one, other in zip(found[:2] * 2, found[2:], strict=True):
+        np.testing.assert_array_equal(one[0], other[0])
+        assert one[1] == other[1]
+
+
+def test_one_node_is_solved_exactly():
+    hierarchy = Hierarchy((1, 1, 1), np.array([-1.0, 1.0, 0.5, 1.0, 1.0, 1.0]), Team())
+    level = hierarchy.levels[0]
+    level.rate[:], level.b[:] = 0.5, 3.0
+    assert hierarchy.cycle()[0, 0, 0] == pytest.approx(3.0 / (2.0 + 0.5 + 0.5))
+
+
+def test_the_imbalance_by_planes_is_that_of_all_nodes():
+    op = operator((6, 7, 9), MIXED)
+    rng = np.random.default_rng(3)
+    c, sink, source = (rng.random(op.shape) for _ in range(3))
+    found = []
+    with Team(2) as team:
+        for share in (None, team):
+            residual, rate = np.empty(op.shape), np.empty(op.shape)
+            sums = stencil.imbalance(
+                c, sink, source, 0.1, op.stiffness, 0.2, op.ghost, None, residual, rate, share
+            )
+            found.append((sums, residual, rate))
+    (whole, *arrays), (planes, *others) = found
+    np.testing.assert_allclose(whole, planes, rtol=1e-13)
+    for one, other in zip(arrays, others, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+@pytest.mark.parametrize("count", [0, 1, 3, 17])
+def test_a_team_does_every_plane_once(threads, count):
+    done = np.zeros(count, dtype=int)
+
+    def note(begin, end, by):
+        done[begin:end] += by
+
+    with Team(threads) as team:
+        team.share(note, count, 1)
+        team.share(note, count, 2)
+    assert (done == 3).all()
+
+
+def test_a_team_may_be_asked_for_fewer():
+    parts = []
+
+    def note(begin, end):
+        parts.append((begin, end))
+
+    with Team(3) as team:
+        for most in (0, 1, 2, 9):
+            team.at_most(most).share(note, 6)
+    assert sorted(parts[:2]) == [(0, 6), (0, 6)]
+    assert sorted(parts[2:4]) == [(0, 3), (3, 6)]
+    assert sorted(parts[4:]) == [(0, 2), (2, 4), (4, 6)]
+
+
+def test_a_failure_in_a_thread_is_the_caller_s():
+    def fail(begin, end):
+        if begin > 0:
+            raise RuntimeError("in the second part")
+
+    with Team(2) as team, pytest.raises(RuntimeError, match="second part"):
+        team.share(fail, 4)
+
+
+def test_a_moved_grid_is_interpolated_as_points_are():
+    rng = np.random.default_rng(5)
+    for n, m in itertools.product(((4, 5, 6), (1, 7, 3)), ((9, 3, 8), (2, 2, 2))):
+        old = Box((-20.0, 3.0, 1.0), n, 10.0)
+        new = Box((-31.0, 0.5, 4.0), m, 7.3)
+        values = rng.random(n)
+        points = mesh(new.axes())
+        low, high = np.array(old.origin), np.array(old.upper)
+        inside = ((points >= low) & (points <= high)).all(axis=1)
+        expected = np.full(len(points), 0.4)
+        expected[inside] = gather(points[inside], values, old.origin, old.spacing)
+        np.testing.assert_array_equal(moved(values, old, new, 0.4).ravel(), expected)
+
+
+def test_a_simulation_hands_its_threads_to_its_fields():
+    scene = mc.load_scene("growth").with_changes({"nutrients.oxygen.boundary": "0.07 mM"})
+    simulation = mc.Simulation(scene, threads=1)
+    assert [field.threads for field in simulation._feeding.fields.values()] == [1]
