@@ -30,8 +30,7 @@ from multicell.integrators.stepping import (
     STEP,
     WORST,
     Report,
-    Serial,
-    Shared,
+    Source,
     accepted,
     begun,
     compiled,
@@ -91,7 +90,7 @@ def _most_short_steps(source: Any) -> int:
 
 @overload(_most_short_steps)
 def _compiled_most_short_steps(source):
-    most = _MOST_SHORT_STEPS if getattr(source, "instance_class", None) in (Serial, Shared) else 1
+    most = _MOST_SHORT_STEPS if getattr(source, "instance_class", None) is Source else 1
     return lambda source: most
 
 
