@@ -27,7 +27,7 @@ from multicell.biology.step import aged, bind, decide, divide_and_remove, grow
 from multicell.cells import Cells, FloatArray
 from multicell.errors import NutrientFailed, SceneError, StepFailed
 from multicell.integrators import registry
-from multicell.mechanics import neighbours
+from multicell.mechanics import binning
 from multicell.mechanics.motion import Motion
 from multicell.mechanics.system import Mechanics
 from multicell.nutrient.balance import Ledger
@@ -491,7 +491,7 @@ class Simulation:
         """Sort the cells in space when many are new: neighbours then share memory."""
         if self.unsorted > _STALE_ORDER * len(self.cells):
             width = 2.0 * float(self.cells.radius.max(initial=1.0))
-            self.cells = self.cells.take(neighbours.spatial_order(self.cells.position, width))
+            self.cells = self.cells.take(binning.spatial_order(self.cells.position, width))
             self.unsorted = 0
 
     def _decide(self, dt: float) -> None:

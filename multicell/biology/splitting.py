@@ -122,11 +122,11 @@ def step_error(
     count = int(np.count_nonzero(living))
     return StepError(
         float(error.sum()),
-        math.sqrt(float(np.dot(relative, relative)) / count),
+        math.sqrt(float(np.square(relative).sum()) / count),
         float(np.abs(relative).max()),
         float(change[~switched].sum()) / free if free > 0.0 else 0.0,
         float(np.abs(change[switched]).sum()) / free if free > 0.0 else 0.0,
-        0.5 * math.log(2.0) * float(np.dot(rate, now.factor)) / (birth * count),
+        0.5 * math.log(2.0) * float((rate * now.factor).sum()) / (birth * count),
     )
 
 

@@ -1,4 +1,4 @@
-"""Which cells are close: spatial sort, cell list, and a Verlet list in chunks.
+"""Which cells are close: cells in bins, and a Verlet list in chunks.
 
 A :class:`PairList` holds every pair closer than ``r_i + r_j + skin``. The cells are cut, in
 the order of their indices, into chunks (:data:`CHUNK` cells). A chunk owns its cells: pairs with
@@ -14,6 +14,7 @@ made from the sorted coordinates instead, and memory stays proportional to cells
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple, final
 
@@ -22,6 +23,8 @@ from numba import njit, objmode, prange
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
+from multicell.mechanics.binning import sorted_sparsely
+from multicell.mechanics.pairs import INLINED, INNER
 from multicell.threads import two_drivers
 
 if TYPE_CHECKING:
@@ -33,11 +36,13 @@ OffsetArray = NDArray[np.int64]
 CHUNK = 2048
 """Cells in a chunk. Larger ones share fewer pairs, smaller ones feed more threads."""
 
-_BINS_PER_CELL = 8
+_BINS_PER_CELL = 24
 _SPARE_BINS = 4096
 _SPARE_PAIRS = 4_000_000
 _BLOCK = 512
 """Candidates that are tested in one go."""
+_SLICES = 4
+"""Bins along x for each along y and z."""
 
 
 class TooManyPairsError(Exception):
@@ -140,104 +145,74 @@ def build(
     bins = _bins(position, radius, skin)
     # on one thread the few steps between the kernels run in Python: they are not compiled then
     run = _list_parallel if threads > 1 and n > chunk else _list
-    crowded, first, second, start, inner_end, outer_end = run(bins, skin, chunk)
+    crowded, first, second, start, inner_end, outer_end = run(bins, chunk)
     if crowded:
         raise TooManyPairsError(f"more than {500 * n + _SPARE_PAIRS} pairs among {n} cells")
     return PairList(first, second, start, inner_end, outer_end, chunk, n)
 
 
-def spatial_order(position: FloatArray, width: float) -> OffsetArray:
-    """Return the order of the cells along a Morton curve.
-
-    Parameters
-    ----------
-    position : (n, 3)
-        Finite centres, µm.
-    width
-        Edge of the boxes that the curve visits, µm; widened where more than 2²¹ of them
-        would be needed along an axis.
-
-    Returns
-    -------
-    (n,) int64
-        Cells that are close in space are close in this order; ties keep their order.
-    """
-    if len(position) == 0:
-        return np.empty(0, dtype=np.int64)
-    low = position.min(axis=0)
-    # halves, because the extent itself may overflow
-    extent = 2.0 * float((0.5 * position.max(axis=0) - 0.5 * low).max())
-    width = max(width, min(extent, np.finfo(float).max) / 2.0**20)
-    box = ((0.5 * position - 0.5 * low) * (2.0 / width)).astype(np.uint64)
-    key = (
-        _spread(box[:, 0]) | _spread(box[:, 1]) << np.uint64(1) | _spread(box[:, 2]) << np.uint64(2)
-    )
-    return np.argsort(key, kind="stable")
-
-
-def _spread(value: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """Put two zero bits between the 21 lowest bits (Morton code by magic masks)."""
-    value = value & np.uint64(0x1FFFFF)
-    for shift, mask in (
-        (32, 0x1F00000000FFFF),
-        (16, 0x1F0000FF0000FF),
-        (8, 0x100F00F00F00F00F),
-        (4, 0x10C30C30C30C30C3),
-        (2, 0x1249249249249249),
-    ):
-        value = (value | (value << np.uint64(shift))) & np.uint64(mask)
-    return value
-
-
 class Bins(NamedTuple):
-    """Cells sorted into bins at least as wide as the largest distance of a pair.
+    """Cells sorted into bins; one row of bins along x follows the other.
+
+    Dense bins are as wide in y and z as the largest distance of a pair, and a quarter of that in x:
+    a cell then looks through one range of places in each of the rows next to it, and that range
+    is as short as its own reach allows. Each pair is found from one of its cells, the one that
+    comes first.
 
     Attributes
     ----------
-    order : (n,) int64
-        Cells in the order of their bins; bins of one row along x follow each other.
-    place : (n,) int64
+    order : (n,) int32
+        Cells in the order of their bins.
+    place : (n,) int32
         Where each cell stands in that order.
     cells : (n, 4), µm
-        Centres and radii in that order: the search reads them in a stream.
+        Centres and radii, half of the skin included, in that order: the search reads them in a
+        stream.
+    largest : float, µm
+        The largest of these radii.
+    low : (3,), µm
+        Dense: the corner of the grid.
     shape : (3,) int64
-        Bins of a dense grid along x, y and z; zeros where the bins are sparse.
-    box : (n, 3) int32
-        Dense: the place of each cell's bin along x, y and z.
-    start : (bins + 2,) int64
+        Dense: the number of bins along x, y and z; zeros where the bins are sparse.
+    row : (n, 2) int32
+        Dense: the row of each cell along y and z.
+    start : (bins + 2,) int32
         Dense: the first place of each bin, x running fastest, and the end.
-    ranges : (n, 9, 2) int64
-        Sparse: the first place and the end of the three bins next to each cell in each of the
-        nine rows around it.
+    ranges : (n, 5, 2) int64
+        Sparse: the first place and the end of the bins that may hold a cell's neighbours, in its
+        own row, where only what comes later counts, and in the four rows that come later.
     """
 
-    order: OffsetArray
-    place: OffsetArray
+    order: IndexArray
+    place: IndexArray
     cells: FloatArray
+    largest: float
+    low: FloatArray
     shape: OffsetArray
-    box: IndexArray
-    start: OffsetArray
+    row: IndexArray
+    start: IndexArray
     ranges: OffsetArray
 
 
 @register_jitable
 def _bins(position, radius, skin):
     """Return the cells in a dense grid where its memory is in proportion, else sparse bins."""
-    bins, width = _dense_bins(position, radius, skin)
-    return bins if bins.shape[0] > 0 else _sparse_bins(position, radius, width, bins)
+    bins = _dense_bins(position, radius, skin)
+    return bins if bins.shape[0] > 0 else _sparse_bins(position, radius, skin, bins)
 
 
 @njit(cache=True, error_model="numpy")
 def _dense_bins(position, radius, skin):
-    """Sort by counting into a dense grid; return the bins and the width they need.
+    """Sort by counting into a dense grid.
 
-    ``shape`` is zero, and nothing else is filled, where the grid would have too many bins.
+    ``shape`` is zero, and no cell is sorted, where the grid would have too many bins.
     """
     n = position.shape[0]
     largest = radius[0]
     for i in range(n):
         largest = max(largest, radius[i])
-    width = 2.0 * largest + skin
+    largest += 0.5 * skin
+    inverse = 0.5 / largest
     low, shape = np.empty(3), np.empty(3, np.int64)
     total = 1.0
     for a in range(3):
@@ -245,169 +220,198 @@ def _dense_bins(position, radius, skin):
         for i in range(n):
             low[a], high = min(low[a], position[i, a]), max(high, position[i, a])
         # math.floor makes an integer, which is undefined for what no integer holds
-        count = np.floor((high - low[a]) / width) + 1.0
+        count = np.floor((high - low[a]) * inverse * (_SLICES if a == 0 else 1)) + 1.0
         total *= count
         shape[a] = np.int64(count) if total <= _BINS_PER_CELL * n + _SPARE_BINS else 0
     bins = shape[0] * shape[1] * shape[2]
     if bins == 0:
         shape[0], n = 0, 0
-    order, place, box = np.empty(n, np.int64), np.empty(n, np.int64), np.empty((n, 3), np.int32)
-    cells, start = np.empty((n, 4)), np.empty(bins + 2, np.int64)
+    order, place, row = np.empty(n, np.int32), np.empty(n, np.int32), np.empty((n, 2), np.int32)
+    cells, start, bin_of = np.empty((n, 4)), np.empty(bins + 2, np.int32), np.empty(n, np.int32)
     for b in range(bins + 2):
         start[b] = 0
-    inverse = 1.0 / width
     for i in range(n):
-        ix = min(np.int64((position[i, 0] - low[0]) * inverse), shape[0] - 1)
+        ix = min(np.int64((position[i, 0] - low[0]) * inverse * _SLICES), shape[0] - 1)
         iy = min(np.int64((position[i, 1] - low[1]) * inverse), shape[1] - 1)
         iz = min(np.int64((position[i, 2] - low[2]) * inverse), shape[2] - 1)
-        box[i, 0], box[i, 1], box[i, 2] = ix, iy, iz
-        start[(iz * shape[1] + iy) * shape[0] + ix + 2] += 1
+        row[i, 0], row[i, 1] = iy, iz
+        b = (iz * shape[1] + iy) * shape[0] + ix
+        bin_of[i] = b
+        start[b + 2] += 1
     for b in range(1, bins + 1):
         start[b + 1] += start[b]
     for i in range(n):
         # start[b + 1] runs through bin b, and ends as the first place of the next one
-        b = (box[i, 2] * shape[1] + box[i, 1]) * shape[0] + box[i, 0]
+        b = bin_of[i]
         p = start[b + 1]
         start[b + 1] = p + 1
         order[p], place[i] = i, p
         for a in range(3):
             cells[p, a] = position[i, a]
-        cells[p, 3] = radius[i]
-    return Bins(order, place, cells, shape, box, start, np.empty((0, 9, 2), np.int64)), width
+        cells[p, 3] = radius[i] + 0.5 * skin
+    none = np.empty((0, 5, 2), np.int64)
+    return Bins(order, place, cells, largest, low, shape, row, start, none)
 
 
 @njit(cache=True)
-def _sparse_bins(position, radius, width, none):
+def _sparse_bins(position, radius, skin, none):
     """Bin far-flung cells; the rest of ``none``, bins that were not filled, is kept.
 
     In Python also from compiled code: NumPy sorts as fast, and nothing has to be compiled for
     states that hardly ever come.
     """
     with objmode(
-        order="int64[::1]", place="int64[::1]", cells="float64[:, ::1]", ranges="int64[:, :, ::1]"
+        order="int32[::1]", place="int32[::1]", cells="float64[:, ::1]", ranges="int64[:, :, ::1]"
     ):
-        order, place, cells, ranges = _sorted_sparsely(position, radius, width)
-    return Bins(order, place, cells, none.shape, none.box, none.start, ranges)
+        order, place, cells, ranges = sorted_sparsely(position, radius + 0.5 * skin)
+    return Bins(
+        order, place, cells, none.largest, none.low, none.shape, none.row, none.start, ranges
+    )
 
 
-def _sorted_sparsely(
-    position: FloatArray, radius: FloatArray, width: float
-) -> tuple[OffsetArray, OffsetArray, FloatArray, OffsetArray]:
-    """Return order, place, cells and ranges of sparse :class:`Bins`.
+@njit(**INLINED)
+def _range(neighbour, line, start, slices, x, half, scale, place):
+    """Return the range of places to look through in one row of a dense grid.
 
-    Coordinates are sorted: memory does not depend on the distances.
+    ``line`` is the first of the row's bins, ``x ± half``, µm from the grid's end, what is looked
+    for there. In a cell's own row only what comes later counts.
     """
-    n = len(position)
-    x, y, z = (_intervals(np.ascontiguousarray(c), width) for c in position.T)
-    # a row's key is below 9 n², so that it overflows for no n that fits into memory
-    stride = n + 2
-    row = z * stride + y
-    occupied, rank = np.unique(row, return_inverse=True)
-    key = rank * stride + x
-    order = np.argsort(key, kind="stable")
-    place, sorted_key = np.empty_like(order), key[order]
-    place[order] = np.arange(n)
-    ranges = np.zeros((n, 9, 2), dtype=np.int64)
-    for neighbour in range(9):
-        wanted = row + (neighbour // 3 - 1) * stride + neighbour % 3 - 1
-        found = np.searchsorted(occupied, wanted)
-        there = occupied[np.minimum(found, len(occupied) - 1)] == wanted
-        line, column = found[there] * stride, x[there]
-        ends = (line + np.maximum(column - 1, 0), line + np.minimum(column + 2, stride))
-        ranges[there, neighbour] = np.searchsorted(sorted_key, ends).T
-    return order, place, np.column_stack([position, radius])[order], ranges
+    high = min(np.int64((x + half) * scale), slices - 1)
+    end = np.int64(start[np.uint64(line + high + 1)])
+    if neighbour == 0:
+        return place + 1, end
+    return np.int64(start[np.uint64(line + max(np.int64((x - half) * scale), 0))]), end
 
 
-def _intervals(coordinate: FloatArray, width: float) -> OffsetArray:
-    """Return the number of each cell's bin along one axis; close cells differ by at most one."""
-    number = np.empty(len(coordinate), dtype=np.int64)
-    _sweep(coordinate, np.argsort(coordinate, kind="stable"), width, number)
-    return number
+@njit(**INLINED)
+def _collect(cells, begin, end, a, hits, count):
+    """Append the places in ``begin:end`` that are close to place ``a``; return how many there are.
 
-
-@njit(cache=True)
-def _sweep(coordinate, order, width, number):
-    start = coordinate[order[0]]
-    found = 0
-    for i in order:
-        # compared as a sum of halves, which cannot overflow
-        if 0.5 * coordinate[i] > 0.5 * start + 0.5 * width:
-            start = coordinate[i]
-            found += 1
-        number[i] = found
-
-
-@njit(cache=True)
-def _collect(cells, low, high, a, skin, hits):
-    """Write the places in ``low:high`` that are close to place ``a``; return how many.
-
-    The write is unconditional and only the count depends on the test: one cell in six is
+    The write is unconditional and only the count depends on the test: one cell in three is
     close, which a branch would mispredict.
     """
-    x, y, z = cells[a, 0], cells[a, 1], cells[a, 2]
-    r = cells[a, 3] + skin
-    count = 0
-    for b in range(low, high):
+    x, y, z, r = cells[a, 0], cells[a, 1], cells[a, 2], cells[a, 3]
+    for b in range(np.uint64(begin), np.uint64(end)):
         dx = cells[b, 0] - x
         dy = cells[b, 1] - y
         dz = cells[b, 2] - z
         reach = r + cells[b, 3]
-        hits[count] = b
+        hits[np.uint64(count)] = b
         count += np.int64(dx * dx + dy * dy + dz * dz <= reach * reach)
     return count
 
 
-@njit(cache=True, error_model="numpy")
-def _search_chunk(c, chunk, bins, skin, base, room, limit, first, second, found):
-    """Write the pairs of one chunk, and how many are inner and outer to ``found[c]``.
+@njit(**INNER)
+def _note(i, own, order, hits, count, at, stop, first, second):
+    """Write the pairs of cell i with its hits, inner and outer ones to their places ``at``.
 
-    Counts on without writing when the room is used up: (chunks, 2) places from ``base[c]`` on,
-    those for inner pairs first. Where it is enough, the outer pairs are moved up behind the inner
-    ones. The search ends when there are more than ``limit`` pairs.
+    ``own`` are the first cell of the chunk and the end. Counts on without writing when the room
+    up to ``stop`` is used up.
     """
-    n, nx, ny, nz = bins.order.size, bins.shape[0], bins.shape[1], bins.shape[2]
-    begin, end = c * chunk, min((c + 1) * chunk, n)
-    inner_at, inner_stop = base[c], base[c] + room[c, 0]
-    outer_at, outer_stop = inner_stop, inner_stop + room[c, 1]
-    hits = np.empty(_BLOCK, np.int64)
-    x, y, z = np.int64(0), np.int64(0), np.int64(0)
-    for i in range(begin, end):
-        a = bins.place[i]
-        if nx > 0:
-            x, y, z = np.int64(bins.box[i, 0]), np.int64(bins.box[i, 1]), np.int64(bins.box[i, 2])
-        for neighbour in range(9):
-            v, w = y + neighbour % 3 - 1, z + neighbour // 3 - 1
-            if nx == 0:
-                low, high = bins.ranges[i, neighbour, 0], bins.ranges[i, neighbour, 1]
-            elif 0 <= v < ny and 0 <= w < nz:
-                line = (w * ny + v) * nx
-                low = bins.start[line + max(x - 1, 0)]
-                high = bins.start[line + min(x + 1, nx - 1) + 1]
+    inner, outer = at[0], at[1]
+    if inner + count < stop[0] and outer + count < stop[1]:
+        p, q = np.uint64(inner), np.uint64(outer)
+        for h in range(np.uint64(count)):
+            j = order[np.uint64(hits[h])]
+            out = np.uint64(j < own[0]) | np.uint64(j >= own[1])
+            # both are written and one is kept: a branch would mispredict
+            first[p], second[p] = i, j
+            first[q], second[q] = i, j
+            p, q = p + np.uint64(1) - out, q + out
+        inner, outer = np.int64(p), np.int64(q)
+    else:
+        for h in range(count):
+            j = order[hits[h]]
+            out = j < own[0] or j >= own[1]
+            place, end = (outer, stop[1]) if out else (inner, stop[0])
+            if place < end:
+                first[place], second[place] = i, j
+            inner, outer = inner + np.int64(not out), outer + np.int64(out)
+    at[0], at[1] = inner, outer
+
+
+@njit(cache=True, error_model="numpy")
+def _search_chunk(c, chunk, bins, base, room, limit, first, second, found):
+    """Write the pairs that are found from one chunk's cells; count inner and outer to ``found[c]``.
+
+    (chunks, 2) places from ``base[c]`` on are for them, those for inner pairs first. Where that is
+    enough, the outer pairs are moved up behind the inner ones. The search ends when there are more
+    than ``limit`` pairs.
+    """
+    own = (c * chunk, min((c + 1) * chunk, bins.order.size))
+    at, stop = np.empty(2, np.int64), np.empty(2, np.int64)
+    at[0], stop[0] = base[c], base[c] + room[c, 0]
+    at[1], stop[1] = stop[0], stop[0] + room[c, 1]
+    hits = np.empty(2 * _BLOCK, np.int32)
+    cells, row, start, shape, low = bins.cells, bins.row, bins.start, bins.shape, bins.low
+    width, scale, dense = 2.0 * bins.largest, 0.5 * _SLICES / bins.largest, shape[0] > 0
+    for i in range(np.uint64(own[0]), np.uint64(own[1])):
+        a, count = np.int64(bins.place[i]), 0
+        reach = cells[a, 3] + bins.largest
+        for neighbour in range(5):
+            if dense:
+                dy, dz = (neighbour + 4) % 3 - 1, (neighbour + 4) // 3 - 1
+                v, w = row[i, 0] + dy, row[i, 1] + dz
+                if v < 0 or v >= shape[1] or w >= shape[2]:
+                    continue
+                y, z = cells[a, 1] - low[1], cells[a, 2] - low[2]
+                y = 0.0 if dy == 0 else y - (row[i, 0] + max(dy, 0)) * width
+                z = 0.0 if dz == 0 else z - w * width
+                # wider by a millionth, so that rounding loses no pair
+                rest = reach * reach * 1.000001 - y * y - z * z
+                if rest <= 0.0:
+                    continue
+                begin, end = _range(
+                    neighbour, (w * shape[1] + v) * shape[0], start, shape[0],
+                    cells[a, 0] - low[0], math.sqrt(rest), scale, a,
+                )  # fmt: skip
             else:
-                continue
-            for block in range(low, high, _BLOCK):
-                stop = min(block + _BLOCK, high)
-                close = _collect(bins.cells, block, stop, a, skin, hits)
-                for h in range(close):
-                    j = bins.order[hits[h]]
-                    if begin <= j < end:
-                        if inner_at < inner_stop:
-                            first[inner_at], second[inner_at] = i, j
-                        inner_at += np.int64(j > i)
-                    else:
-                        if outer_at < outer_stop:
-                            first[outer_at], second[outer_at] = i, j
-                        outer_at += 1
-        if inner_at - base[c] + outer_at - inner_stop > limit:
+                begin, end = bins.ranges[i, neighbour, 0], bins.ranges[i, neighbour, 1]
+            for block in range(begin, end, _BLOCK):
+                if count > _BLOCK:
+                    _note(i, own, bins.order, hits, count, at, stop, first, second)
+                    count = 0
+                count = _collect(cells, block, min(block + _BLOCK, end), a, hits, count)
+        _note(i, own, bins.order, hits, count, at, stop, first, second)
+        if at[0] - base[c] + at[1] - stop[0] > limit:
             break
-    found[c, 0], found[c, 1] = inner_at - base[c], outer_at - inner_stop
-    if inner_at <= inner_stop and outer_at <= outer_stop:
-        for k in range(outer_at - inner_stop):
-            first[inner_at + k] = first[inner_stop + k]
-            second[inner_at + k] = second[inner_stop + k]
+    found[c, 0], found[c, 1] = at[0] - base[c], at[1] - stop[0]
+    if at[0] <= stop[0] and at[1] <= stop[1]:
+        for k in range(found[c, 1]):
+            first[at[0] + k] = first[stop[0] + k]
+            second[at[0] + k] = second[stop[0] + k]
 
 
-def _list(bins, skin, chunk):
+@njit(cache=True)
+def _mirror(chunk, base, room, found, first, second, end):
+    """Give the outer pairs to the chunks of their second cells, too, and write where lists end.
+
+    Return whether there was room for them; where not, ``room`` is made larger.
+    """
+    chunks, enough = found.shape[0], True
+    for c in range(chunks):
+        end[c] = base[c] + found[c, 0] + found[c, 1]
+    for c in range(chunks):
+        own = base[c] + found[c, 0]
+        for k in range(own, own + found[c, 1]):
+            end[second[k] // chunk] += 1
+    for c in range(chunks):
+        if end[c] > base[c + 1]:
+            room[c, 1] += end[c] - base[c + 1]
+            enough = False
+        end[c] = base[c] + found[c, 0] + found[c, 1]
+    if not enough:
+        return False
+    for c in range(chunks):
+        own = base[c] + found[c, 0]
+        for k in range(own, own + found[c, 1]):
+            d = second[k] // chunk
+            first[end[d]], second[end[d]] = second[k], first[k]
+            end[d] += 1
+    return True
+
+
+def _list(bins, chunk):
     """Return the list of pairs of cells that were sorted into bins.
 
     Loops in place of array expressions: short as these are, they compile many times faster.
@@ -423,6 +427,8 @@ def _list(bins, skin, chunk):
     chunks = (n + chunk - 1) // chunk
     base, limit = np.empty(chunks + 1, np.int64), 500 * n + _SPARE_PAIRS
     room, found = np.empty((chunks, 2), np.int64), np.empty((chunks, 2), np.int64)
+    start, inner_end = np.empty(chunks, np.int64), np.empty(chunks, np.int64)
+    outer_end = np.empty(chunks, np.int64)
     for c in range(chunks):
         # what packed tissue needs
         room[c, 0] = room[c, 1] = 9 * min(n, chunk) + 64
@@ -432,20 +438,19 @@ def _list(bins, skin, chunk):
             base[c + 1] = base[c] + room[c, 0] + room[c, 1]
         first, second = np.empty(base[chunks], np.int32), np.empty(base[chunks], np.int32)
         for c in prange(chunks):
-            _search_chunk(c, chunk, bins, skin, base, room, limit, first, second, found)
+            _search_chunk(c, chunk, bins, base, room, limit, first, second, found)
         total, enough = 0, True
         for c in range(chunks):
             for side in range(2):
                 total += found[c, side]
                 enough &= found[c, side] <= room[c, side]
                 room[c, side] = max(room[c, side], found[c, side])
-        if enough or total > limit:
+        if total > limit:
             break
-    start, inner_end = np.empty(chunks, np.int64), np.empty(chunks, np.int64)
-    outer_end = np.empty(chunks, np.int64)
+        if enough and _mirror(chunk, base, room, found, first, second, outer_end):
+            break
     for c in range(chunks):
         start[c], inner_end[c] = base[c], base[c] + found[c, 0]
-        outer_end[c] = inner_end[c] + found[c, 1]
     return total > limit, first, second, start, inner_end, outer_end
 
 
@@ -455,10 +460,10 @@ _list_serial, _list_parallel = two_drivers(_list)
 @njit(cache=True)
 def rebuild(position, radius, skin, chunk):
     """Do the work of :func:`build` for one cell and more, for callers inside numba."""
-    return _list_serial(_bins(position, radius, skin), skin, chunk)
+    return _list_serial(_bins(position, radius, skin), chunk)
 
 
 @njit(cache=True)
 def rebuild_parallel(position, radius, skin, chunk):
     """Do the same with the chunks shared among threads."""
-    return _list_parallel(_bins(position, radius, skin), skin, chunk)
+    return _list_parallel(_bins(position, radius, skin), chunk)

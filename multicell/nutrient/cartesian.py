@@ -249,7 +249,7 @@ def departure(position: FloatArray, radius: FloatArray) -> float:
         return 0.0
     weight = radius**3
     away = position - np.average(position, axis=0, weights=weight)
-    tensor = (away * weight[:, None]).T @ away / weight.sum()
+    tensor = np.einsum("i,ij,ik->jk", weight, away, away) / weight.sum()
     own = 0.2 * float(np.average(radius**2, weights=weight))
     squares = np.linalg.eigvalsh(tensor) + own
     return float(1.0 - np.sqrt(squares[0] / squares[-1]))

@@ -14,7 +14,7 @@ from strategies import cluster, mechanics
 from multicell.integrators.adams_bashforth import AdamsBashforth2
 from multicell.integrators.rkc import Rkc2
 from multicell.integrators.runge_kutta import AdaptiveEuler, Dopri5, Euler, Heun, RungeKutta4
-from multicell.mechanics import neighbours
+from multicell.mechanics import binning, neighbours
 
 pytestmark = pytest.mark.benchmark
 
@@ -43,7 +43,7 @@ def fastest(function, rounds):
 @pytest.mark.parametrize("name", METHODS)
 def test_overhead(benchmark, name, cells):
     position, radius, young = cluster(cells, 0, spacing=0.88)
-    order = neighbours.spatial_order(position, 10.0)
+    order = binning.spatial_order(position, 10.0)
     position, radius, young = position[order], radius[order], young[order]
     out = np.empty_like(position)
     plain = mechanics(radius, young, duration=60.0)

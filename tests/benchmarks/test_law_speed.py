@@ -15,7 +15,7 @@ from multicell.contact.exact_jkr import ExactJKR
 from multicell.contact.hertz import Hertz
 from multicell.contact.jkr import JKR
 from multicell.contact.springs import Cubic, GeneralisedLinear, Linear
-from multicell.mechanics import neighbours
+from multicell.mechanics import binning
 from multicell.mechanics.motion import Motion
 from multicell.mechanics.system import Mechanics
 
@@ -24,7 +24,7 @@ pytestmark = pytest.mark.benchmark
 
 def tissue(n):
     position, radius, young = cluster(n, 0, spacing=0.88)
-    order = neighbours.spatial_order(position, 10.0)
+    order = binning.spatial_order(position, 10.0)
     return position[order], radius[order], young[order]
 
 

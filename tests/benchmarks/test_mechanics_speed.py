@@ -10,7 +10,7 @@ import pytest
 from strategies import cluster
 
 from multicell import JKR
-from multicell.mechanics import neighbours
+from multicell.mechanics import binning, neighbours
 from multicell.mechanics.motion import Motion
 from multicell.mechanics.system import Mechanics
 
@@ -23,7 +23,7 @@ pytestmark = pytest.mark.benchmark
 def tissue():
     """Packed cells of unlike radius and modulus with about twelve neighbours, sorted."""
     position, radius, young = cluster(CELLS, 0, spacing=0.88)
-    order = neighbours.spatial_order(position, 10.0)
+    order = binning.spatial_order(position, 10.0)
     return position[order], radius[order], young[order]
 
 
@@ -75,4 +75,4 @@ def test_neighbour_list(benchmark, tissue, threads):
 
 
 def test_spatial_order(benchmark, tissue):
-    assert per_cell(benchmark, neighbours.spatial_order, tissue[0], 10.0) > 0
+    assert per_cell(benchmark, binning.spatial_order, tissue[0], 10.0) > 0

@@ -27,3 +27,19 @@ def test_what_was_compiled_beside_cached_kernels_runs_in_later_processes(tmp_pat
             [sys.executable, "-c", program], capture_output=True, text=True, env=apart, check=False
         )
         assert (done.returncode, done.stdout) == (0, expected), done.stderr[-500:]
+
+
+@pytest.mark.parametrize("own", [None, "active"])
+def test_idle_threads_wait_asleep_unless_the_environment_says_otherwise(tmp_path, own):
+    keep = {name: value for name, value in os.environ.items() if name != "OMP_WAIT_POLICY"}
+    given = {} if own is None else {"OMP_WAIT_POLICY": own}
+    code = "import os; from multicell.threads import launch; launch(); "
+    done = subprocess.run(
+        [sys.executable, "-c", code + "print(os.environ['OMP_WAIT_POLICY'])"],
+        env=keep | given,
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.split() == [own or "passive"]
