@@ -16,10 +16,14 @@ from numba.core import cgutils, event
 
 KERNEL: dict[str, Any] = {"cache": True, "no_cfunc_wrapper": True}
 """Options of functions that Python calls: what C would need to call them is not made."""
+INNER: dict[str, Any] = {**KERNEL, "error_model": "numpy", "no_cpython_wrapper": True}
+"""Options of functions that other compiled code calls alone: what Python needs is not made."""
+INLINED: dict[str, Any] = {**INNER, "forceinline": True}
+"""Options of small functions of one pair, which must not cost a call."""
 
 
 @final
-class _WithoutCollector(event.Listener):  # type: ignore[misc]
+class _WithoutCollector(event.Listener):
     """Holds Python's search for cyclic garbage back while numba compiles.
 
     Numba makes millions of objects that live until it is done: to look through them again and
@@ -45,7 +49,10 @@ class _WithoutCollector(event.Listener):  # type: ignore[misc]
 
 
 _LISTENER = _WithoutCollector()
-event.register("numba:compile", _LISTENER)
+event.register("numba:compile", _LISTENER)  # type: ignore[no-untyped-call]
+
+
+_typeof: Any = typeof
 
 
 def kind_of(value: Any) -> Any:
@@ -82,10 +89,10 @@ def address_of(function: Any, result: Any, *arguments: Any) -> int:
     """
     key = (function, kind_of(result), kind_of(arguments))
     if key not in _ADDRESSES:
-        signature = tuple(map(typeof, arguments))
+        signature = tuple(map(_typeof, arguments))
         function.compile(signature)
         found = function.overloads[signature]
-        if found.signature.return_type != typeof(result):
+        if found.signature.return_type != _typeof(result):
             raise TypeError(f"{function} returns {found.signature.return_type}")
         _ADDRESSES[key] = found.library.get_pointer_to_function(found.fndesc.llvm_func_name)
     return _ADDRESSES[key]
@@ -104,7 +111,8 @@ def calling(result: Any, address: Any, *arguments: Any) -> tuple[Any, Any]:
         kind = convention.get_function_type(result, given).as_pointer()
         function = builder.inttoptr(values[0], kind)
         status, returned = convention.call_function(builder, function, result, given, values[1:])
-        with cgutils.if_unlikely(builder, status.is_error):
+        failed = cgutils.if_unlikely(builder, status.is_error)  # type: ignore[no-untyped-call]
+        with failed:
             convention.return_status_propagate(builder, status)
         return returned
 

@@ -23,8 +23,8 @@ from numba import njit, objmode, prange
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
+from multicell.compiling import INLINED, INNER, KERNEL
 from multicell.mechanics.binning import sorted_sparsely
-from multicell.mechanics.pairs import INLINED, INNER
 from multicell.threads import two_drivers
 
 if TYPE_CHECKING:
@@ -201,7 +201,7 @@ def _bins(position, radius, skin):
     return bins if bins.shape[0] > 0 else _sparse_bins(position, radius, skin, bins)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL, error_model="numpy")
 def _dense_bins(position, radius, skin):
     """Sort by counting into a dense grid.
 
@@ -253,7 +253,7 @@ def _dense_bins(position, radius, skin):
     return Bins(order, place, cells, largest, low, shape, row, start, none)
 
 
-@njit(cache=True)
+@njit(**KERNEL)
 def _sparse_bins(position, radius, skin, none):
     """Bin far-flung cells; the rest of ``none``, bins that were not filled, is kept.
 
@@ -330,7 +330,7 @@ def _note(i, own, order, hits, count, at, stop, first, second):
     at[0], at[1] = inner, outer
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL, error_model="numpy")
 def _search_chunk(c, chunk, bins, base, room, limit, first, second, found):
     """Write the pairs that are found from one chunk's cells; count inner and outer to ``found[c]``.
 
@@ -346,7 +346,8 @@ def _search_chunk(c, chunk, bins, base, room, limit, first, second, found):
     cells, row, start, shape, low = bins.cells, bins.row, bins.start, bins.shape, bins.low
     width, scale, dense = 2.0 * bins.largest, 0.5 * _SLICES / bins.largest, shape[0] > 0
     for i in range(np.uint64(own[0]), np.uint64(own[1])):
-        a, count = np.int64(bins.place[i]), 0
+        # a typed zero: a bare one would have the functions below compiled twice
+        a, count = np.int64(bins.place[i]), np.int64(0)
         reach = cells[a, 3] + bins.largest
         for neighbour in range(5):
             if dense:
@@ -370,7 +371,7 @@ def _search_chunk(c, chunk, bins, base, room, limit, first, second, found):
             for block in range(begin, end, _BLOCK):
                 if count > _BLOCK:
                     _note(i, own, bins.order, hits, count, at, stop, first, second)
-                    count = 0
+                    count = np.int64(0)
                 count = _collect(cells, block, min(block + _BLOCK, end), a, hits, count)
         _note(i, own, bins.order, hits, count, at, stop, first, second)
         if at[0] - base[c] + at[1] - stop[0] > limit:
@@ -382,7 +383,7 @@ def _search_chunk(c, chunk, bins, base, room, limit, first, second, found):
             second[at[0] + k] = second[stop[0] + k]
 
 
-@njit(cache=True)
+@njit(**KERNEL, error_model="numpy")
 def _mirror(chunk, base, room, found, first, second, end):
     """Give the outer pairs to the chunks of their second cells, too, and write where lists end.
 
@@ -457,13 +458,13 @@ def _list(bins, chunk):
 _list_serial, _list_parallel = two_drivers(_list)
 
 
-@njit(cache=True)
+@njit(**KERNEL)
 def rebuild(position, radius, skin, chunk):
     """Do the work of :func:`build` for one cell and more, for callers inside numba."""
     return _list_serial(_bins(position, radius, skin), chunk)
 
 
-@njit(cache=True)
+@njit(**KERNEL)
 def rebuild_parallel(position, radius, skin, chunk):
     """Do the same with the chunks shared among threads."""
     return _list_parallel(_bins(position, radius, skin), chunk)

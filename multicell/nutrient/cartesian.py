@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 
 from multicell.cells import FloatArray
+from multicell.compiling import INNER, KERNEL
 from multicell.errors import NutrientFailed
 from multicell.scene.domain import filling
 from multicell.scene.scales import MAX_NODES
@@ -271,7 +272,7 @@ def round_enough(
 Triple = tuple[float, float, float]
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _axis_weight(x: float, low: float, spacing: float, n: int) -> tuple[int, int, float]:
     """Return the lower node, the upper node and the weight of the upper one; -1 if outside."""
     u = (x - low) / spacing
@@ -283,7 +284,7 @@ def _axis_weight(x: float, low: float, spacing: float, n: int) -> tuple[int, int
     return max(lower, 0), min(lower + 1, n - 1), weight
 
 
-@njit(cache=True)
+@njit(**KERNEL)
 def _scatter(position, amount, origin, spacing, out):
     nx, ny, nz = out.shape
     for c in range(position.shape[0]):
@@ -304,7 +305,7 @@ def _scatter(position, amount, origin, spacing, out):
     return -1
 
 
-@njit(cache=True)
+@njit(**KERNEL)
 def _gather(position, values, origin, spacing, out):
     nx, ny, nz = values.shape
     for c in range(position.shape[0]):

@@ -20,6 +20,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
+from multicell.compiling import KERNEL
 from multicell.nutrient.uptake import balanced, uptake_and_slope
 
 Weights = tuple[FloatArray, FloatArray, FloatArray] | None
@@ -27,7 +28,7 @@ Float32Array = NDArray[np.float32]
 _F = TypeVar("_F", bound=Callable[..., Any])
 # No fastmath: with it, a function compiled now and the same one read from numba's disk cache were
 # seen to differ in the last bits. Division as NumPy does it has no branch.
-_jit = cast(Callable[[_F], _F], njit(cache=True, error_model="numpy"))
+_jit = cast(Callable[[_F], _F], njit(**KERNEL, error_model="numpy"))
 
 
 @_jit
