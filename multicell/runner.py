@@ -18,6 +18,7 @@ import numpy as np
 from multicell.errors import OutputError, SceneError
 from multicell.integrators.base import info_of
 from multicell.integrators.own import chosen
+from multicell.rehearsal import Rehearsal
 from multicell.report.result import (
     Result,
     history_arrays,
@@ -133,10 +134,12 @@ def go_on(
     progress: Callable[[Simulation], None] | None,
 ) -> None:
     """Advance to the scene's end and record each step; ``interrupt`` may end it between two."""
+    rehearsal = Rehearsal(simulation.scene.to_dict()["contact"]["law"])
     try:
         while not simulation.finished:
             simulation.step()
             recorder.record(simulation)
+            rehearsal.watch(simulation)
             if progress is not None:
                 progress(simulation)
             interrupt()
@@ -152,6 +155,8 @@ def go_on(
         except OutputError as trouble:
             error.add_note(str(trouble))  # the first error is the one that counts
         raise
+    finally:
+        rehearsal.close()
     recorder.finish(simulation, interrupted=False)
 
 

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from multicell.compiling import INLINED, INNER, KERNEL
 from multicell.mechanics.binning import sorted_sparsely
-from multicell.threads import two_drivers
+from multicell.threads import drivers, two_drivers
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
@@ -468,3 +468,6 @@ def rebuild(position, radius, skin, chunk):
 def rebuild_parallel(position, radius, skin, chunk):
     """Do the same with the chunks shared among threads."""
     return _list_parallel(_bins(position, radius, skin), chunk)
+
+
+drivers(rebuild, rebuild_parallel)
