@@ -15,6 +15,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 SPHERE = 4.0 * np.pi / 3.0
+_TABLE = 8  # identities for each cell that a table of them may span
 """Volume of a sphere of unit radius."""
 
 HALF = 0.5 ** (1.0 / 3.0)
@@ -145,19 +146,16 @@ class Cells:
 
     def take(self, index: NDArray[Any]) -> Cells:
         """Return copies of the cells at ``index`` (integers or a mask), in that order."""
-        return Cells(**{name: column[index] for name, column in self.columns()})
+        index = np.flatnonzero(index) if index.dtype == np.bool_ else index
+        return Cells(**{name: column.take(index, axis=0) for name, column in self.columns()})
 
     def copy(self) -> Cells:
         """Return the same cells in arrays of their own."""
-        return self.take(np.arange(len(self)))
+        return Cells(**{name: column.copy() for name, column in self.columns()})
 
     def rows_of(self, ids: IntArray) -> IntArray:
         """Return the row of the cell of each identity, in the shape of ``ids``; -1 without one."""
-        if len(self) == 0:
-            return np.full(np.shape(ids), -1)
-        order = np.argsort(self.id)
-        place = np.minimum(np.searchsorted(self.id, ids, sorter=order), len(self) - 1)
-        return np.where(self.id[order[place]] == ids, order[place], -1)
+        return rows_of(self.id, ids)
 
     def joined(self, other: Cells) -> Cells:
         """Return these cells followed by those of ``other``."""
@@ -188,3 +186,29 @@ class Cells:
 def _layout() -> dict[str, tuple[Any, int | None]]:
     """Return element type and width of every column by name; to ask a dataclass takes longer."""
     return {spec.name: (spec.metadata["dtype"], spec.metadata["width"]) for spec in fields(Cells)}
+
+
+def rows_of(known: IntArray, ids: IntArray) -> IntArray:
+    """Return the place among ``known`` identities of each of ``ids``; -1 where it is not there.
+
+    A table of all identities up to the largest where that is in proportion, else by sorting.
+
+    Parameters
+    ----------
+    known : (n,)
+        Identities, none twice.
+    ids : of any shape
+    """
+    ids = np.asarray(ids)
+    if len(known) == 0 or ids.size == 0:
+        return np.full(ids.shape, -1)
+    low, high = int(known.min()), int(known.max())
+    if high - low < _TABLE * len(known) + 1000:
+        table = np.full(high - low + 2, -1, dtype=np.int32)
+        table[known - low] = np.arange(len(known), dtype=np.int32)
+        # the last entry stands for all that are not between the two
+        inside = (ids >= low) & (ids <= high)
+        return table[np.where(inside, ids - low, high - low + 1)].astype(np.int64)
+    order = np.argsort(known)
+    place = np.minimum(np.searchsorted(known, ids, sorter=order), len(known) - 1)
+    return np.where(known[order[place]] == ids, order[place], -1)

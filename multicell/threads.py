@@ -76,15 +76,9 @@ def two_drivers(body: Callable[..., Any]) -> tuple[Any, Any]:
     twin.__qualname__, twin.__module__ = name, body.__module__
     serial = njit(**KERNEL, error_model="numpy")
     shared = njit(**KERNEL, error_model="numpy", parallel=True)
-    return drivers(serial(body), shared(twin))
+    DRIVERS[twin.__module__, name] = made = serial(body), shared(twin)
+    return made
 
 
 DRIVERS: dict[tuple[str, str], tuple[Any, Any]] = {}
-"""Module and name of a shared driver -> its serial one and itself."""
-
-
-def drivers(serial: Any, shared: Any) -> tuple[Any, Any]:
-    """Note two jitted functions that do the same on one thread and on all; return both."""
-    body = shared.py_func
-    DRIVERS[body.__module__, body.__qualname__] = serial, shared
-    return serial, shared
+"""Module and name of each driver for all threads -> the one for one thread, and itself."""

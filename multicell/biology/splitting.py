@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from multicell.biology.cycle import may_grow
 from multicell.biology.growth import birth_volume, growth_factor
-from multicell.cells import Cells, FloatArray, State
+from multicell.cells import Cells, FloatArray, State, rows_of
 from multicell.scene.scales import regime
 
 if TYPE_CHECKING:
@@ -155,9 +155,7 @@ def _inherited(before: Held, now: Held, cells: Cells) -> FloatArray:
     """Return the factors of a step's beginning for the cells at its end; daughters have hers."""
     if np.array_equal(before.id, now.id):
         return before.factor
-    order = np.argsort(before.id)
-    known = before.id[order]
-    place = np.minimum(np.searchsorted(known, cells.id), len(known) - 1)
-    born = known[place] != cells.id
-    place[born] = np.searchsorted(known, cells.parent[born])
-    return np.asarray(before.factor[order[place]])
+    row = rows_of(before.id, now.id)
+    born = row < 0
+    row[born] = rows_of(before.id, cells.parent[born])
+    return np.asarray(before.factor[row])

@@ -433,22 +433,29 @@ def energy(rows, pairs, law, elapsed):
     return total
 
 
-@njit(**KERNEL, error_model="numpy")
-def half_virials(rows, pairs, law, elapsed, out):
-    """Write ½ Σ_j F_ij d_ij of each cell, nN µm."""
-    out[:] = 0.0
+@njit(**INNER)
+def _virial_chunk(c, rows, pairs, law, elapsed, out):
+    """Add the virials of the pairs of one chunk to its cells."""
     block = np.empty((9, BLOCK))
-    for c in range(pairs.start.size):
-        for begin in range(pairs.start[c], pairs.outer_end[c], BLOCK):
-            count = min(BLOCK, pairs.outer_end[c] - begin)
-            _gather(rows, pairs, law.bond_strength, begin, count, block)
-            _evaluate(pairs, law, elapsed, begin, count, block, None)
-            for p in range(count):
-                square = block[_DX, p] ** 2 + block[_DY, p] ** 2 + block[_DZ, p] ** 2
-                virial = 0.5 * block[_FORCE, p] * square
-                out[pairs.first[begin + p]] += virial
-                if begin + p < pairs.inner_end[c]:
-                    out[pairs.second[begin + p]] += virial
+    for begin in range(pairs.start[c], pairs.outer_end[c], BLOCK):
+        count = min(BLOCK, pairs.outer_end[c] - begin)
+        _gather(rows, pairs, law.bond_strength, begin, count, block)
+        _evaluate(pairs, law, elapsed, begin, count, block, None)
+        for p in range(count):
+            square = block[_DX, p] ** 2 + block[_DY, p] ** 2 + block[_DZ, p] ** 2
+            virial = 0.5 * block[_FORCE, p] * square
+            out[pairs.first[begin + p]] += virial
+            if begin + p < pairs.inner_end[c]:
+                out[pairs.second[begin + p]] += virial
+
+
+def _half_virials(rows, pairs, law, elapsed, out):
+    """Add ½ Σ_j F_ij d_ij to each cell, nN µm."""
+    for c in prange(pairs.start.size):
+        _virial_chunk(c, rows, pairs, law, elapsed, out)
+
+
+half_virials, half_virials_parallel = two_drivers(_half_virials)
 
 
 @njit(**KERNEL)

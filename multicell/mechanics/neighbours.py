@@ -20,12 +20,11 @@ from typing import TYPE_CHECKING, NamedTuple, final
 
 import numpy as np
 from numba import njit, objmode, prange
-from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from multicell.compiling import INLINED, INNER, KERNEL
 from multicell.mechanics.binning import sorted_sparsely
-from multicell.threads import drivers, two_drivers
+from multicell.threads import two_drivers
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
@@ -142,10 +141,9 @@ def build(
         empty = np.zeros(-(-n // chunk), dtype=np.int64)
         none = np.empty(0, dtype=np.int32)
         return PairList(none, none, empty, empty.copy(), empty.copy(), chunk, n)
-    bins = _bins(position, radius, skin)
     # on one thread the few steps between the kernels run in Python: they are not compiled then
-    run = _list_parallel if threads > 1 and n > chunk else _list
-    crowded, first, second, start, inner_end, outer_end = run(bins, chunk)
+    run = rebuild_parallel if threads > 1 and n > chunk else _rebuild
+    crowded, first, second, start, inner_end, outer_end = run(position, radius, skin, chunk)
     if crowded:
         raise TooManyPairsError(f"more than {500 * n + _SPARE_PAIRS} pairs among {n} cells")
     return PairList(first, second, start, inner_end, outer_end, chunk, n)
@@ -192,13 +190,6 @@ class Bins(NamedTuple):
     row: IndexArray
     start: IndexArray
     ranges: OffsetArray
-
-
-@register_jitable
-def _bins(position, radius, skin):
-    """Return the cells in a dense grid where its memory is in proportion, else sparse bins."""
-    bins = _dense_bins(position, radius, skin)
-    return bins if bins.shape[0] > 0 else _sparse_bins(position, radius, skin, bins)
 
 
 @njit(**KERNEL, error_model="numpy")
@@ -412,10 +403,10 @@ def _mirror(chunk, base, room, found, first, second, end):
     return True
 
 
-def _list(bins, chunk):
-    """Return the list of pairs of cells that were sorted into bins.
+def _rebuild(position, radius, skin, chunk):
+    """Do the work of :func:`build` for one cell and more.
 
-    Loops in place of array expressions: short as these are, they compile many times faster.
+    One function, and loops in place of array expressions: so it compiles many times faster.
 
     Returns
     -------
@@ -424,6 +415,9 @@ def _list(bins, chunk):
     first, second, start, inner_end, outer_end
         As in :class:`PairList`.
     """
+    bins = _dense_bins(position, radius, skin)
+    if bins.shape[0] == 0:
+        bins = _sparse_bins(position, radius, skin, bins)
     n = bins.order.size
     chunks = (n + chunk - 1) // chunk
     base, limit = np.empty(chunks + 1, np.int64), 500 * n + _SPARE_PAIRS
@@ -455,19 +449,4 @@ def _list(bins, chunk):
     return total > limit, first, second, start, inner_end, outer_end
 
 
-_list_serial, _list_parallel = two_drivers(_list)
-
-
-@njit(**KERNEL)
-def rebuild(position, radius, skin, chunk):
-    """Do the work of :func:`build` for one cell and more, for callers inside numba."""
-    return _list_serial(_bins(position, radius, skin), chunk)
-
-
-@njit(**KERNEL)
-def rebuild_parallel(position, radius, skin, chunk):
-    """Do the same with the chunks shared among threads."""
-    return _list_parallel(_bins(position, radius, skin), chunk)
-
-
-drivers(rebuild, rebuild_parallel)
+rebuild, rebuild_parallel = two_drivers(_rebuild)

@@ -288,10 +288,11 @@ class Mechanics:
         rest, where adhesion and repulsion balance. A wall at the distance d adds F d to the
         sum, as a neighbour at 2 d would.
         """
-        self._settle(time, position)
-        virials = np.empty(len(self))
+        pairs = self._settle(time, position)
+        virials = np.zeros(len(self))
         elapsed = time - self.motion.begin
-        forces.half_virials(self._rows, self._pair_data, self._law, elapsed, virials)
+        run = forces.half_virials_parallel if self._shared(pairs) else forces.half_virials
+        run(self._rows, self._pair_data, self._law, elapsed, virials)
         self._add_offset_virials(elapsed, virials)
         if self.walls is not None:
             self.walls.add_virials(self._rows, virials)
