@@ -20,10 +20,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 import numpy as np
 from numba import njit, types
+from numba.core.errors import TypingError
 from numba.extending import intrinsic, overload, register_jitable
 from numpy.typing import NDArray
 
-from multicell.compiling import KERNEL, address_of, calling
+from multicell.compiling import INNER, KERNEL, address_of, calling
 from multicell.mechanics import forces, margins, neighbours
 from multicell.mechanics.motion import StateRejected
 from multicell.mechanics.system import Mechanics
@@ -52,7 +53,8 @@ _BLOCK = 1024
 class Source(NamedTuple):
     """What the kernels need besides the pairs; ``cells.reference`` and ``.margin`` are written.
 
-    ``forces_at`` and ``rebuild_at`` are the addresses of the kernels, for one thread or for all.
+    ``forces_at`` and ``rebuild_at`` are the addresses of the kernels, for one thread or for all,
+    ``evaluation_at`` that of the function that calls them.
     """
 
     cells: forces.CellData
@@ -64,6 +66,7 @@ class Source(NamedTuple):
     counts: NDArray[np.int64]
     forces_at: int = 0
     rebuild_at: int = 0
+    evaluation_at: int = 0
 
 
 Serial = Shared = Source
@@ -105,13 +108,13 @@ def _index(dispatcher: Any) -> Any:
     return index if hasattr(index, "_source_stamp") else None
 
 
-def compiled(function: Callable[..., Any]) -> Any:
+def compiled(function: Callable[..., Any], **options: Any) -> Any:
     """Compile lazily, with a disk cache that notices changes in the kernels as well.
 
     Numba compares the date of the function's own file only, but code of the other files
     is compiled into it.
     """
-    dispatcher = njit(**KERNEL)(function)
+    dispatcher = njit(**{**KERNEL, "error_model": "numpy", **options})(function)
     inside = [
         _index(other)
         for other in (forces.forces, neighbours.rebuild, margins.widened, copy, dispatcher)
@@ -149,14 +152,29 @@ def evaluate(source, pairs, elapsed, position, out):
 
 @overload(evaluate)
 def _compiled_evaluate(source, pairs, elapsed, position, out):
-    return _evaluation if getattr(source, "instance_class", None) is Source else None
+    if getattr(source, "instance_class", None) is not Source:
+        return None
+    if not position == out == types.float64[:, ::1]:
+        raise TypingError(f"positions and velocities are {position} and {out}")
+
+    def run(source, pairs, elapsed, position, out):
+        return _evaluate_at(source.evaluation_at, source, pairs, float(elapsed), position, out)
+
+    return run
+
+
+@intrinsic
+def _evaluate_at(context, address, source, pairs, elapsed, position, out):
+    """Call :func:`_evaluation` at an address: it would be compiled into a loop at every call."""
+    return calling(types.Tuple((types.intp, pairs)), address, source, pairs, elapsed, position, out)
 
 
 def _evaluation(source, pairs, elapsed, position, out):
+    """Do the work of :func:`evaluate` in compiled code."""
     source.counts[EVALUATIONS] += 1
     cells = source.cells
     while _forces_at(
-        source.forces_at, cells, pairs, source.offsets, source.law, position, float(elapsed), True,
+        source.forces_at, cells, pairs, source.offsets, source.law, position, elapsed, True,
         source.rows, out,
     ):  # fmt: skip
         if not _is_finite(position):
@@ -206,10 +224,11 @@ def addressed(source: Source, pairs: forces.PairData, *, shared: bool) -> Source
         neighbours.rebuild_parallel if shared else neighbours.rebuild, found,
         place, source.reach, 0.0, source.cells.chunk,
     )  # fmt: skip
-    return source._replace(forces_at=forces_at, rebuild_at=rebuild_at)
+    evaluation_at = address_of(_EVALUATION, (0, pairs), source, pairs, 0.0, place, place)
+    return source._replace(forces_at=forces_at, rebuild_at=rebuild_at, evaluation_at=evaluation_at)
 
 
-@njit(**KERNEL)
+@njit(**KERNEL, error_model="numpy")
 def _is_finite(position):
     finite = True
     for value in position.reshape(-1):
@@ -217,7 +236,7 @@ def _is_finite(position):
     return finite
 
 
-@njit(**KERNEL)
+@njit(**KERNEL, error_model="numpy")
 def copy(source, out):
     """Copy an array: loops like this one compile four times faster than ``out[:] = source``."""
     x, y = source.reshape(-1), out.reshape(-1)
@@ -225,7 +244,7 @@ def copy(source, out):
         y[k] = x[k]
 
 
-@njit(**KERNEL)
+@njit(**KERNEL, error_model="numpy")
 def displace(position, step, direction, out):
     """Write position + step x direction; ``out`` may be either of them."""
     x, v, y = position.reshape(-1), direction.reshape(-1), out.reshape(-1)
@@ -233,7 +252,7 @@ def displace(position, step, direction, out):
         y[k] = x[k] + step * v[k]
 
 
-@njit(**KERNEL)
+@njit(**KERNEL, error_model="numpy")
 def combine(position, step, weights, slopes, count, out):
     """Write position + step Σ_j weights_j slopes_j over the first ``count`` slopes.
 
@@ -252,7 +271,7 @@ def combine(position, step, weights, slopes, count, out):
                     y[k] += w * slope[k]
 
 
-@njit(**KERNEL)
+@njit(**KERNEL, error_model="numpy")
 def error_of(step, weights, slopes, out):
     """Write step Σ_j weights_j slopes_j."""
     y = out.reshape(-1)
@@ -275,7 +294,7 @@ def furthest_moved(before, after, radius):
     return cell, most
 
 
-@njit(**KERNEL)
+@njit(**KERNEL, error_model="numpy")
 def largest_length(values):
     """Return the length of the longest row."""
     square = 0.0
@@ -324,7 +343,7 @@ def starting_step(source, pairs, control, position, slope, trial, other, length,
     return length, pairs
 
 
-@njit(**KERNEL)
+@njit(**KERNEL, error_model="numpy")
 def begun(step):
     """Return the state of error control at the beginning: see ``ELAPSED`` and the others."""
     walk = np.zeros(5)
@@ -332,7 +351,7 @@ def begun(step):
     return walk
 
 
-@njit(**KERNEL)
+@njit(**KERNEL, error_model="numpy")
 def ended(walk, counts, control, length):
     """Return why no step can be tried, or ``DONE``."""
     if counts[STEPS] == control.most_steps:
@@ -341,7 +360,7 @@ def ended(walk, counts, control, length):
     return STALLED if stuck else DONE
 
 
-@njit(**KERNEL)
+@njit(**KERNEL, error_model="numpy")
 def refused(walk, counts, control, status, moved):
     """Return whether a step moved a cell too far or had no velocity; the next one is shorter."""
     if status == DONE and not moved > control.max_displacement:
@@ -352,7 +371,7 @@ def refused(walk, counts, control, status, moved):
     return True
 
 
-@njit(**KERNEL)
+@njit(**KERNEL, error_model="numpy")
 def accepted(walk, counts, control, length, position, trial, error, least, most, steady):
     """Take a step if its estimated error is small enough; choose the next step.
 
@@ -379,7 +398,7 @@ def accepted(walk, counts, control, length, position, trial, error, least, most,
     return True
 
 
-@njit(**KERNEL)
+@njit(**KERNEL, error_model="numpy")
 def again(step, error, order, least):
     """Return the step to try after one with too large an error, in units of the allowed one."""
     if not math.isfinite(error):
@@ -387,7 +406,7 @@ def again(step, error, order, least):
     return step * max(least, 0.9 * error ** (-1.0 / order))
 
 
-@njit(**KERNEL)
+@njit(**KERNEL, error_model="numpy")
 def next_step(step, error, previous, order):
     """Return the next step by PI control (Gustafsson)."""
     error = max(error, 1e-10)
@@ -395,7 +414,7 @@ def next_step(step, error, previous, order):
     return step * min(5.0, max(0.2, factor))
 
 
-@njit(**KERNEL)
+@njit(**KERNEL, error_model="numpy")
 def shorter(step, moved, allowed):
     """Return the step to try after one that moved a cell too far, or had no velocity."""
     if not moved > allowed:
@@ -403,7 +422,7 @@ def shorter(step, moved, allowed):
     return step * max(0.1, min(0.7, 0.8 * allowed / moved))
 
 
-@njit(**KERNEL)
+@njit(**KERNEL, error_model="numpy")
 def fitted(step, left):
     """Return a step that does not leave a tiny rest of the interval."""
     if step >= left * (1.0 - 1e-12):
@@ -411,7 +430,7 @@ def fitted(step, left):
     return min(step, 0.5 * left)
 
 
-@njit(**KERNEL)
+@njit(**KERNEL, error_model="numpy")
 def moved_on(position, trial, radius, allowed, counts):
     """Take a fixed step unless it moves a cell too far; return that cell and how far it moves."""
     cell, moved = furthest_moved(position, trial, radius)
@@ -419,3 +438,6 @@ def moved_on(position, trial, radius, allowed, counts):
         copy(trial, position)
         counts[STEPS] += 1
     return cell, moved
+
+
+_EVALUATION = compiled(_evaluation, **INNER)
