@@ -415,13 +415,18 @@ def _rebuild(position, radius, skin, chunk):
     first, second, start, inner_end, outer_end
         As in :class:`PairList`.
     """
-    bins = _dense_bins(position, radius, skin)
-    if bins.shape[0] == 0:
-        bins = _sparse_bins(position, radius, skin, bins)
+    found = _dense_bins(position, radius, skin)
+    if found.shape[0] == 0:
+        found = _sparse_bins(position, radius, skin, found)
+    # parallel loops take the tuples that their own function makes
+    bins = Bins(
+        found.order, found.place, found.cells, found.largest, found.low, found.shape, found.row,
+        found.start, found.ranges,
+    )  # fmt: skip
     n = bins.order.size
     chunks = (n + chunk - 1) // chunk
     base, limit = np.empty(chunks + 1, np.int64), 500 * n + _SPARE_PAIRS
-    room, found = np.empty((chunks, 2), np.int64), np.empty((chunks, 2), np.int64)
+    room, counts = np.empty((chunks, 2), np.int64), np.empty((chunks, 2), np.int64)
     start, inner_end = np.empty(chunks, np.int64), np.empty(chunks, np.int64)
     outer_end = np.empty(chunks, np.int64)
     for c in range(chunks):
@@ -433,19 +438,19 @@ def _rebuild(position, radius, skin, chunk):
             base[c + 1] = base[c] + room[c, 0] + room[c, 1]
         first, second = np.empty(base[chunks], np.int32), np.empty(base[chunks], np.int32)
         for c in prange(chunks):
-            _search_chunk(c, chunk, bins, base, room, limit, first, second, found)
+            _search_chunk(c, chunk, bins, base, room, limit, first, second, counts)
         total, enough = 0, True
         for c in range(chunks):
             for side in range(2):
-                total += found[c, side]
-                enough &= found[c, side] <= room[c, side]
-                room[c, side] = max(room[c, side], found[c, side])
+                total += counts[c, side]
+                enough &= counts[c, side] <= room[c, side]
+                room[c, side] = max(room[c, side], counts[c, side])
         if total > limit:
             break
-        if enough and _mirror(chunk, base, room, found, first, second, outer_end):
+        if enough and _mirror(chunk, base, room, counts, first, second, outer_end):
             break
     for c in range(chunks):
-        start[c], inner_end[c] = base[c], base[c] + found[c, 0]
+        start[c], inner_end[c] = base[c], base[c] + counts[c, 0]
     return total > limit, first, second, start, inner_end, outer_end
 
 
