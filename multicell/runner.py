@@ -134,7 +134,7 @@ def go_on(
     progress: Callable[[Simulation], None] | None,
 ) -> None:
     """Advance to the scene's end and record each step; ``interrupt`` may end it between two."""
-    rehearsal = Rehearsal(simulation.scene.to_dict()["contact"]["law"])
+    rehearsal = Rehearsal(simulation.scene)
     try:
         while not simulation.finished:
             simulation.step()

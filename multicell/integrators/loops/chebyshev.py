@@ -285,7 +285,8 @@ def adaptive_chebyshev(source, pairs, position, length, radius, counts, control,
     work = np.empty((4, position.shape[0], 3))
     slope, vector = np.empty_like(position), np.empty_like(position)
     error = np.zeros_like(position)
-    table = coefficients(2)
+    # a typed number: for a bare one the function would be compiled once more
+    table = coefficients(np.int64(2))
     cell, moved = -1, 0.0
     status, pairs = evaluate(source, pairs, 0.0, position, slope)
     if status != DONE:
