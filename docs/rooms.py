@@ -26,7 +26,8 @@ WHAT = {
     "mechanics": "forces, Jacobian, lists", "contact": "pair laws", "plugins": "file.py:Name",
     "schema": "declarations", "units": "at the door", "random": "streams", "threads": "sharing",
     "compiling": "by numba", "rehearsal": "compiling ahead",
-    "cells": "the state", "errors": "what users meet",
+    "memory": "given back",
+    "philox": "random words", "cells": "the state", "errors": "what users meet",
 }  # fmt: skip
 
 

@@ -137,7 +137,7 @@ class Cells:
     @property
     def dead(self) -> NDArray[np.bool_]:
         """Which cells only lose volume until they are removed, (n,)."""
-        return np.asarray((self.state == State.NECROTIC) | (self.state == State.APOPTOTIC))
+        return np.asarray(self.state > _RESTING)
 
     def columns(self) -> Iterator[tuple[str, NDArray[Any]]]:
         """Yield the name and the array of every column, in the order of declaration."""
@@ -146,22 +146,29 @@ class Cells:
 
     def take(self, index: NDArray[Any]) -> Cells:
         """Return copies of the cells at ``index`` (integers or a mask), in that order."""
-        index = np.flatnonzero(index) if index.dtype == np.bool_ else index
-        return Cells(**{name: column.take(index, axis=0) for name, column in self.columns()})
+        if index.dtype == np.bool_:
+            index = np.flatnonzero(index)
+        return _made({name: column.take(index, axis=0) for name, column in self.columns()})
 
     def copy(self) -> Cells:
         """Return the same cells in arrays of their own."""
-        return Cells(**{name: column.copy() for name, column in self.columns()})
+        return _made({name: column.copy() for name, column in self.columns()})
+
+    def shared(self) -> Cells:
+        """Return the same cells in the same arrays, of which some are to be replaced."""
+        return _made(dict(self.columns()))
 
     def rows_of(self, ids: IntArray) -> IntArray:
         """Return the row of the cell of each identity, in the shape of ``ids``; -1 without one."""
         return rows_of(self.id, ids)
 
-    def joined(self, other: Cells) -> Cells:
-        """Return these cells followed by those of ``other``."""
-        return Cells(
-            **{
-                name: np.concatenate([column, getattr(other, name)])
+    def replaced(self, index: NDArray[Any], other: Cells) -> Cells:
+        """Return the cells at ``index`` followed by those of ``other``, column by column."""
+        if index.dtype == np.bool_:
+            index = np.flatnonzero(index)
+        return _made(
+            {
+                name: np.concatenate([column.take(index, axis=0), getattr(other, name)])
                 for name, column in self.columns()
             }
         )
@@ -180,6 +187,16 @@ class Cells:
                 for name, s in cls.schema().items()
             }
         )
+
+
+_RESTING = int(State.QUIESCENT)  # the last of the living
+
+
+def _made(columns: dict[str, NDArray[Any]]) -> Cells:
+    """Return cells of columns that are known to fit together."""
+    cells = object.__new__(Cells)
+    cells.__dict__.update(columns)
+    return cells
 
 
 @cache

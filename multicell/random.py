@@ -103,15 +103,15 @@ def uniform(
     ids = np.asarray(ids, dtype=np.int64)
     if not 0 <= seed < _WORD:
         raise SceneError("seed", f"is {seed}, must be a whole number from 0 to 2**64 - 1")
-    if min(step, count, attempt) < 0 or (ids < 0).any():
+    if min(step, count, attempt) < 0 or ids.min(initial=0) < 0:
         raise ValueError("step, count, attempt and cell ids must not be negative")
     blocks = -(-count // 4)
     counter = np.empty((4, len(ids), blocks), dtype=np.uint64)
     counter[0] = np.arange(blocks, dtype=np.uint64)
     counter[1] = step
-    counter[2] = ids.astype(np.uint64)[:, None]
+    counter[2] = ids[:, None]
     counter[3] = attempt
-    words = np.moveaxis(philox(counter, (seed, int(purpose))), 0, -1)
+    words = philox(counter, (seed, int(purpose))).transpose(1, 2, 0)
     bits = words.reshape(len(ids), 4 * blocks)[:, :count] >> np.uint64(11)
     return np.ascontiguousarray(bits.astype(np.float64) * 2.0**-53)
 

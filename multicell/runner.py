@@ -18,6 +18,7 @@ import numpy as np
 from multicell.errors import OutputError, SceneError
 from multicell.integrators.base import info_of
 from multicell.integrators.own import chosen
+from multicell.memory import Returns
 from multicell.rehearsal import Rehearsal
 from multicell.report.result import (
     Result,
@@ -198,6 +199,7 @@ class Recorder:
         self._next_frame = 0.0
         self._last_frame = -1
         self._summary: dict[str, Any] = {}
+        self._memory = Returns()
         self.startup = 0.0
 
     def record(self, simulation: Simulation) -> None:
@@ -210,6 +212,7 @@ class Recorder:
             self._store.append_history(row)
         if simulation.time >= self._next_frame * (1.0 - 1e-12) or simulation.finished:
             self._frame(simulation)
+        self._memory.now_and_then(len(simulation.cells))
         simulation.wall["record"] += clock.perf_counter() - begin
 
     def skip(self, frame: Frame) -> None:
@@ -244,7 +247,7 @@ class Recorder:
         return load_result(self._store.folder)
 
     def _frame(self, simulation: Simulation) -> None:
-        frame = simulation.frame()
+        frame = simulation.frame(shared=True)
         self.skip(frame)
         self._lineage = simulation.lineage
         if self._store is None:

@@ -9,9 +9,9 @@ consistent: its concentrations are those of its own cells.
 from __future__ import annotations
 
 import math
+import operator
 import time as clock
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any, final
 
@@ -20,6 +20,7 @@ import numpy as np
 from multicell.biology import adhesion
 from multicell.biology.active_forces import push
 from multicell.biology.cycle import parting
+from multicell.biology.growth import growth_factor
 from multicell.biology.initial import initial_cells
 from multicell.biology.pace import Pace, end_of_step, first_pace, next_pace
 from multicell.biology.splitting import StepError, columns, held, jumps, step_error
@@ -66,6 +67,20 @@ _STALE_ORDER = 0.05
 
 
 @final
+class _Phase:
+    """Adds the wall time of a block to that of a phase."""
+
+    def __init__(self, wall: dict[str, float], name: str) -> None:
+        self.wall, self.name = wall, name
+
+    def __enter__(self) -> None:
+        self.begin = clock.perf_counter()
+
+    def __exit__(self, *_: object) -> None:
+        self.wall[self.name] += clock.perf_counter() - self.begin
+
+
+@final
 class Simulation:
     """Cells of a scene, and what moves, feeds and divides them.
 
@@ -102,7 +117,7 @@ class Simulation:
         Volume that dead cells have lost, their remains at removal included.
     local_error : float or None, µm
         The largest error that the integrator expects to have made with a cell in one of its steps
-        so far; None before the first step, and with a method that makes no estimate.
+        so far; None before cells have moved, and with a method that makes no estimate.
     splitting : float or None, µm³
         The error that coupling steps have made so far with the volume of all cells, over their
         number; None without growth. What the last step has made of it is ``step_error``.
@@ -139,13 +154,14 @@ class Simulation:
         self.local_error: float | None = None
         self.splitting: float | None = None if scene.growth is None else 0.0
         self.step_error = StepError()
+        self._known_factor: tuple[tuple[FloatArray, ...], FloatArray] = ((), np.empty(0))
         self.pace = None if fixed_step(scene) else first_pace(scene)
         self._mechanics = start.mechanics(scene, thread_count(threads))
         # identities of the pairs in contact, (m, 2): what exact JKR remembers, and others count
         self.contacts = np.empty((0, 2), dtype=np.int64)
         self.separation: Mapping[str, float] | None = None
         self._integrator = integrator or registry.make(scene.integrator)
-        self._feeding = _feeding(scene, reactions)
+        self._feeding = _feeding(scene, reactions, self._mechanics.threads)
         self.lineage = Lineage() if lineage is None else lineage
         if frame is None:
             self._start(start.separated(scene, initial_cells(scene) if cells is None else cells))
@@ -287,8 +303,9 @@ class Simulation:
         """Do one coupling step; an exception leaves parts of it behind."""
         scene, begin, end = self.scene, self.time, self._next_time
         with self._phase("biology"):
-            grown = grow(scene, self.cells, self.concentrations, end - begin)
-            before = None if scene.growth is None else held(scene, self.cells, self.concentrations)
+            factor = self._growth_factor()
+            grown = grow(scene, self.cells, self.concentrations, factor, end - begin)
+            before = None if scene.growth is None else held(self.cells, factor)
             first, began = self.next_id, self.cells
         with self._phase("mechanics"):
             position, pressure = self._move(begin, end, grown.radius)
@@ -314,13 +331,23 @@ class Simulation:
         """Estimate the error of the step that has ended, and choose the length of the next."""
         scene, cells = self.scene, self.cells
         dt, jumped = end - begin, jumps(scene, end)
-        now = held(scene, cells, self.concentrations)
+        now = held(cells, self._growth_factor())
         self.step_error = error = step_error(scene, before, now, cells, first, dt, jumped=jumped)
         self.splitting = (self.splitting or 0.0) + error.volume / max(len(cells), 1)
         if self.pace is not None:
             uptake = 0.0 if self._feeding is None else self._feeding.uptake_error(scene, dt)
             pace = first_pace(scene) if jumped else self.pace
             self.pace = next_pace(scene, pace, error, uptake, dt)
+
+    def _growth_factor(self) -> FloatArray:
+        """Return how fast cells would grow where they are now, (n,)."""
+        # that of a step's end is that of the next one's beginning
+        surroundings = (self.cells.pressure, *self.concentrations.values())
+        known, factor = self._known_factor
+        if len(known) != len(surroundings) or any(map(operator.is_not, known, surroundings)):
+            factor = growth_factor(self.scene, self.concentrations, self.cells.pressure)
+            self._known_factor = surroundings, factor
+        return factor
 
     def _kept(self) -> dict[str, Any]:
         """Return what :meth:`_take_back` needs to undo a step.
@@ -330,7 +357,7 @@ class Simulation:
         """
         return {
             "lineage": self.lineage.counts(),
-            "work": asdict(self._mechanics.work),
+            "work": vars(self._mechanics.work).copy(),
             "feeding": None if self._feeding is None else self._feeding.kept(),
             "rest": {name: getattr(self, name) for name in _STATE},
         }
@@ -344,8 +371,15 @@ class Simulation:
         for name, value in kept["rest"].items():
             setattr(self, name, value)
 
-    def frame(self) -> Frame:
-        """Return the state as a frame that later steps do not change."""
+    def frame(self, *, shared: bool = False) -> Frame:
+        """Return the state as a frame that later steps do not change.
+
+        One that is ``shared`` has the arrays of the state itself: a step makes new ones, but who
+        writes into those of ``cells`` writes into the frame.
+        """
+        if shared:
+            found = dict(self.concentrations)
+            return replace(self._view(), concentrations=found, fields=self.fields)
         return replace(
             self._view(),
             cells=self.cells.copy(),
@@ -353,11 +387,14 @@ class Simulation:
             fields=self.fields,
         )
 
-    def _view(self) -> Frame:
-        """Return the state, without fields, as a frame that shares its arrays."""
+    def _view(self, *, whole: bool = True) -> Frame:
+        """Return the state, without fields, as a frame that shares its arrays.
+
+        Where it is not ``whole`` it lacks what only those need who go on from it.
+        """
         return Frame(
             self.time, self.step_index, self.cells, self.concentrations,
-            contacts=self.contacts, progress=self._progress(),
+            contacts=self.contacts, progress=self._progress() if whole else None,
         )  # fmt: skip
 
     def history_row(self) -> dict[str, float]:
@@ -376,7 +413,7 @@ class Simulation:
             extra |= self._feeding.grids.columns()
         if self.scene.output.instability:
             extra["instability_rate"] = self._instability_rate()
-        return summary.history_row(self.scene, self._view(), **extra)
+        return summary.history_row(self.scene, self._view(whole=False), **extra)
 
     def energy(self) -> float:
         """Return the contact energy of the cells, fJ."""
@@ -406,13 +443,8 @@ class Simulation:
             self.scene, self._view(), ledgers, fields, remarks, self.wall, threads
         )
 
-    @contextmanager
-    def _phase(self, name: str) -> Iterator[None]:
-        begin = clock.perf_counter()
-        try:
-            yield
-        finally:
-            self.wall[name] += clock.perf_counter() - begin
+    def _phase(self, name: str) -> _Phase:
+        return _Phase(self.wall, name)
 
     def _motion(self, begin: float, end: float, radius: FloatArray) -> Motion:
         """Return what mechanics must know of the cells between two times."""
@@ -443,7 +475,8 @@ class Simulation:
     def prepared(self) -> Mechanics:
         """Return the mechanics made ready for the next coupling step, which is not taken."""
         begin, end = self.time, self._next_time
-        radius = grow(self.scene, self.cells, self.concentrations, end - begin).radius
+        factor = self._growth_factor()
+        radius = grow(self.scene, self.cells, self.concentrations, factor, end - begin).radius
         self._mechanics.begin(self._motion(begin, end, radius))
         return self._mechanics
 
@@ -451,8 +484,8 @@ class Simulation:
         """Integrate the positions; return them and the pressures at the end."""
         cells = self.cells
         self._mechanics.begin(self._motion(begin, end, radius))
-        if len(cells) == 0:
-            return cells.position, cells.pressure
+        if len(cells) == 0 or self._alone(self._mechanics.motion):
+            return cells.position.copy(), np.zeros(len(cells))
         outcome = self._integrator.integrate(self._mechanics, cells.position)
         if not outcome.done:
             cell = None if outcome.cell is None else int(cells.id[outcome.cell])
@@ -463,6 +496,10 @@ class Simulation:
         pressure = self._mechanics.pressure(end, outcome.position)
         self._note_contacts(end, outcome.position)
         return outcome.position, pressure
+
+    def _alone(self, motion: Motion) -> bool:
+        """Return whether there is one cell that nothing acts on: it stays where it is."""
+        return len(self.cells) == 1 and motion.push is None and self._mechanics.walls is None
 
     def _find_first_contacts(self) -> None:
         """Find the pairs that overlap at the start, before any of them has touched."""
@@ -491,7 +528,8 @@ class Simulation:
         self.unsorted += born + after.removals
         if born or after.removals:
             self.lineage.events(before, self.cells, self.time)
-            self.contacts = self.cells.id[contact_rows(self.cells, self.contacts)]
+            if len(self.contacts):
+                self.contacts = self.cells.id[contact_rows(self.cells, self.contacts)]
 
     def _sort(self) -> None:
         """Sort the cells in space when many are new: neighbours then share memory."""
@@ -508,7 +546,9 @@ class Simulation:
             self.lineage.died(np.sort(cells.id[dead]), self.time)
 
 
-def _feeding(scene: Scene, reactions: Mapping[str, OwnReaction] | None) -> Feeding | None:
+def _feeding(
+    scene: Scene, reactions: Mapping[str, OwnReaction] | None, threads: int
+) -> Feeding | None:
     """Return the scene's fields; a scene without nutrients does not load them."""
     if not scene.nutrients:
         if reactions:
@@ -516,4 +556,4 @@ def _feeding(scene: Scene, reactions: Mapping[str, OwnReaction] | None) -> Feedi
         return None
     from multicell.nutrient.fields import Feeding
 
-    return Feeding(scene, reactions)
+    return Feeding(scene, reactions, threads)

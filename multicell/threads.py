@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from types import FunctionType
-from typing import Any
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
+from types import FunctionType, TracebackType
+from typing import Any, Self, final
 
 from multicell.errors import SceneError
 
@@ -82,3 +84,50 @@ def two_drivers(body: Callable[..., Any]) -> tuple[Any, Any]:
 
 DRIVERS: dict[tuple[str, str], tuple[Any, Any]] = {}
 """Module and name of each driver for all threads -> the one for one thread, and itself."""
+
+
+@final
+class Team:
+    """Threads of the interpreter that share loops of kernels that release its lock.
+
+    In place of numba's own where passes are few and long: nothing is compiled twice, and a thread
+    that waits for another one sleeps. A context, at whose end the threads are gone.
+
+    Parameters
+    ----------
+    threads
+        How many; with one, all is done by the caller.
+    """
+
+    def __init__(self, threads: int = 1) -> None:
+        self.threads = threads
+        self._others = ThreadPoolExecutor(threads - 1) if threads > 1 else None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._others is not None:
+            self._others.shutdown()
+
+    def share(self, kernel: Callable[..., Any], count: int, *arguments: Any) -> None:
+        """Call ``kernel(begin, end, *arguments)`` for parts of ``range(count)``, one a thread.
+
+        What the kernel writes must not depend on how the range is parted.
+        """
+        if self._others is None:
+            kernel(0, count, *arguments)
+            return
+        edges = [count * part // self.threads for part in range(self.threads + 1)]
+        others = [
+            self._others.submit(kernel, begin, end, *arguments)
+            for begin, end in pairwise(edges[1:])
+        ]
+        kernel(0, edges[1], *arguments)
+        for other in others:
+            other.result()

@@ -109,11 +109,11 @@ def test_what_cannot_be_resumed_is_refused_with_words(tmp_path):
     with pytest.raises(SceneError, match="cannot change while a run goes on"):
         mc.resume(folder, 0, changes={"cells.young": "2 kPa"})
     with h5py.File(folder / "frames.h5", "r+") as file:
-        file.attrs["format"] = 1
-    with pytest.raises(OutputError, match="result format 1"):
+        file.attrs["format"] = 3
+    with pytest.raises(OutputError, match="result format 3"):
         mc.resume(folder, 0)
     with h5py.File(folder / "frames.h5", "r+") as file:
-        file.attrs["format"] = 3
+        file.attrs["format"] = 4
     assert contents(folder) == before
 
 

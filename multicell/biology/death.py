@@ -93,7 +93,10 @@ def remove_lysed(scene: Scene, cells: Cells) -> tuple[Cells, int]:
     """
     if scene.death is None:
         return cells, 0
+    dead = cells.dead
+    if not dead.any():
+        return cells, 0
     smallest = scene.death.removal_fraction * birth_volume(scene)
-    gone = cells.dead & (cells.volume < smallest)
+    gone = dead & (cells.volume < smallest)
     removed = int(gone.sum())
     return (cells.take(~gone), removed) if removed else (cells, 0)

@@ -63,7 +63,7 @@ def divide(scene: Scene, cells: Cells, step: int, next_id: int) -> tuple[Cells, 
     # identities follow those of the mothers, so that the order of the arrays does not matter
     mothers = mothers.take(np.argsort(mothers.id))
     ids = np.arange(next_id, next_id + 2 * len(mothers), dtype=np.int64)
-    return cells.take(~ripe).joined(_daughters(scene, mothers, step, ids)), int(ids[-1]) + 1
+    return cells.replaced(~ripe, _daughters(scene, mothers, step, ids)), int(ids[-1]) + 1
 
 
 def _daughters(scene: Scene, mothers: Cells, step: int, ids: NDArray[np.int64]) -> Cells:

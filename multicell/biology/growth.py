@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 
+_GROWING = int(State.PROLIFERATING)  # numbers compare with arrays faster than names do
+
+
 def division_volume(scene: Scene) -> float:
     """Return the volume at which a cell divides, µm³."""
     return float(SPHERE * scene.cells.division_radius**3)
@@ -62,7 +65,7 @@ def growth_factor(
     pressure = np.asarray(pressure, dtype=np.float64)
     if scene.growth is None:
         return np.zeros_like(pressure)
-    factor = np.ones_like(pressure)
+    factor = np.ones(pressure.shape)
     for name, nutrient in scene.nutrients.items():
         c = np.asarray(concentrations[name])
         if nutrient.growth_half_saturation is not None:
@@ -102,10 +105,9 @@ def volumes_after(scene: Scene, cells: Cells, factor: FloatArray, dt: float) -> 
     """
     volume = cells.volume
     if scene.growth is not None and not scene.growth.phases:
-        growing = cells.state == State.PROLIFERATING
-        rate = factor[growing] * birth_volume(scene) / cells.cycle_time[growing]
-        volume[growing] += dt * rate
-    if scene.death is not None:
+        rate = factor * birth_volume(scene) / cells.cycle_time
+        volume += np.where(cells.state == _GROWING, dt * rate, 0.0)
+    if scene.death is not None and cells.dead.any():
         necrotic = cells.state == State.NECROTIC
         volume[necrotic] *= _necrotic_factor(scene.death, cells.age[necrotic], dt)
         volume[cells.state == State.APOPTOTIC] *= np.exp(-dt / scene.death.apoptosis_time)

@@ -26,12 +26,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.biology.cycle import may_grow
-from multicell.biology.growth import birth_volume, growth_factor
+from multicell.biology.growth import birth_volume
 from multicell.cells import Cells, FloatArray, State, rows_of
 from multicell.scene.scales import regime
 
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
+
+
+_GROWING = int(State.PROLIFERATING)  # numbers compare with arrays faster than names do
 
 
 @final
@@ -70,11 +73,13 @@ class StepError(NamedTuple):
     births: float = 0.0
 
 
-def held(scene: Scene, cells: Cells, concentrations: Mapping[str, FloatArray]) -> Held:
-    """Return what a coupling step that begins now holds fixed."""
-    factor = growth_factor(scene, concentrations, cells.pressure)
-    factor[cells.state != State.PROLIFERATING] = 0.0
-    return Held(cells.id, factor)
+def held(cells: Cells, factor: FloatArray) -> Held:
+    """Return what a coupling step that begins now holds fixed.
+
+    ``factor`` is the part of unlimited growth that the surroundings allow, (n,); see
+    :func:`multicell.biology.growth.growth_factor`.
+    """
+    return Held(cells.id, np.where(cells.state == _GROWING, factor, 0.0))
 
 
 def step_error(
@@ -108,24 +113,28 @@ def step_error(
         rate[~may_grow(scene, cells)] = 0.0
     began = now.factor if jumped else _inherited(before, now, cells)
     change = 0.5 * rate * (began - now.factor)
-    error = dt * change
+    error, volume = dt * change, cells.volume
     if not scene.growth.phases:
         born = cells.id >= next_id
-        error[born] -= cells.volume[born] - birth
+        if born.any():
+            error[born] -= volume[born] - birth
     living = ~cells.dead
-    if not living.any():
-        return StepError(float(error.sum()))
-    relative = error[living] / cells.volume[living]
-    switched = (began == 0.0) != (now.factor == 0.0)
-    # those that have just died could have grown at the beginning
-    free = dt * float(rate[living | switched].sum())
     count = int(np.count_nonzero(living))
+    if count == 0:
+        return StepError(float(error.sum()))
+    relative = error / volume if count == len(cells) else error[living] / volume[living]
+    switched = (began == 0.0) != (now.factor == 0.0)
+    same, other = change, change[:0]
+    if switched.any():
+        same, other = change[~switched], change[switched]
+    # those that have just died could have grown at the beginning
+    free = dt * float((rate if count == len(cells) else rate[living | switched]).sum())
     return StepError(
         float(error.sum()),
         math.sqrt(float(np.square(relative).sum()) / count),
         float(np.abs(relative).max()),
-        float(change[~switched].sum()) / free if free > 0.0 else 0.0,
-        float(np.abs(change[switched]).sum()) / free if free > 0.0 else 0.0,
+        float(same.sum()) / free if free > 0.0 else 0.0,
+        float(np.abs(other).sum()) / free if free > 0.0 else 0.0,
         0.5 * math.log(2.0) * float((rate * now.factor).sum()) / (birth * count),
     )
 
@@ -153,7 +162,7 @@ def jumps(scene: Scene, time: float) -> bool:
 
 def _inherited(before: Held, now: Held, cells: Cells) -> FloatArray:
     """Return the factors of a step's beginning for the cells at its end; daughters have hers."""
-    if np.array_equal(before.id, now.id):
+    if before.id is now.id or np.array_equal(before.id, now.id):
         return before.factor
     row = rows_of(before.id, now.id)
     born = row < 0

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 
-_GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
+_GOLDEN = float(0.5 * (np.sqrt(5.0) - 1.0))
+_GROWING, _RESTING = np.int8(State.PROLIFERATING), np.int8(State.QUIESCENT)
 
 
 def update_states(
@@ -70,10 +71,43 @@ def update_states(
     KeyError
         If a nutrient of the scene has no concentrations.
     """
-    critical = None if scene.growth is None else scene.growth.critical_pressure
-    dies = apoptotic(scene, cells, time) & ~cells.dead
-    if not scene.nutrients and critical is None:
-        return np.where(dies, State.APOPTOTIC, cells.state).astype(np.int8)
+    state = cells.state
+    limited = scene.growth is not None and scene.growth.critical_pressure is not None
+    if (scene.nutrients or limited) and not restricted(scene):
+        resting = unfavourable(scene, cells, concentrations)
+        due = deciding(cells, fixed_step(scene) or dt, scene.cells.reaction_time)
+        state = np.where(due, np.where(resting, _RESTING, _GROWING), state)
+    return _with_deaths(scene, cells, concentrations, state, step, dt, time)
+
+
+def _with_deaths(
+    scene: Scene,
+    cells: Cells,
+    concentrations: Mapping[str, FloatArray],
+    living: NDArray[np.int8],
+    step: int,
+    dt: float,
+    time: float,
+) -> NDArray[np.int8]:
+    """Return the states that cells have if they live, but for those that are dead or die now."""
+    beyond = _beyond(scene, cells, concentrations)
+    by_clock = scene.death is not None and scene.death.apoptosis_rate > 0.0
+    if not (by_clock or beyond.any() or cells.dead.any()):
+        return living.copy()
+    apoptosis = cells.state == State.APOPTOTIC
+    if by_clock:
+        apoptosis |= apoptotic(scene, cells, time) & ~cells.dead
+    necrosis = (cells.state == State.NECROTIC) | necrotic(scene, cells, beyond, step, dt)
+    state = living.copy()
+    state[necrosis] = State.NECROTIC
+    state[apoptosis] = State.APOPTOTIC
+    return state
+
+
+def _beyond(
+    scene: Scene, cells: Cells, concentrations: Mapping[str, FloatArray]
+) -> NDArray[np.bool_]:
+    """Return which cells find less or more of a nutrient than they can live with, (n,)."""
     beyond = np.zeros(len(cells), dtype=bool)
     for name, nutrient in scene.nutrients.items():
         c = np.asarray(concentrations[name])
@@ -81,16 +115,7 @@ def update_states(
             beyond |= c < nutrient.necrosis
         if nutrient.necrosis_above is not None:
             beyond |= c > nutrient.necrosis_above
-    dead = (cells.state == State.NECROTIC) | necrotic(scene, cells, beyond, step, dt)
-    living = cells.state
-    if not restricted(scene):
-        resting = unfavourable(scene, cells, concentrations)
-        wanted = np.where(resting, State.QUIESCENT, State.PROLIFERATING)
-        due = deciding(cells, fixed_step(scene) or dt, scene.cells.reaction_time)
-        living = np.where(due, wanted, cells.state)
-    living = np.where(dies | (cells.state == State.APOPTOTIC), State.APOPTOTIC, living)
-    dead &= living != State.APOPTOTIC
-    return np.where(dead, State.NECROTIC, living).astype(np.int8)
+    return beyond
 
 
 def restricted(scene: Scene) -> bool:
@@ -122,4 +147,4 @@ def deciding(cells: Cells, dt: float, reaction_time: float) -> NDArray[np.bool_]
     shift = (cells.id + 1) * _GOLDEN % 1.0
     now = np.floor(cells.age / reaction_time + shift)
     before = np.floor((cells.age - dt) / reaction_time + shift)
-    return np.asarray((cells.age == 0.0) | (now > before))
+    return np.asarray((now > before) | (cells.age == 0.0))

@@ -15,7 +15,7 @@ from multicell.biology.adhesion import bond_levels
 from multicell.biology.cycle import Cycling, advance, leave_rest
 from multicell.biology.death import remove_lysed
 from multicell.biology.division import divide
-from multicell.biology.growth import growth_factor, volumes_after
+from multicell.biology.growth import volumes_after
 from multicell.biology.states import deciding, restricted, unfavourable, update_states
 from multicell.cells import SPHERE, Cells, FloatArray
 from multicell.scene.coupling import fixed_step
@@ -51,9 +51,14 @@ class Events(NamedTuple):
     released: float
 
 
-def grow(scene: Scene, cells: Cells, concentrations: Concentrations, dt: float) -> Grown:
-    """Return the radii after a time ``dt`` (s), and where the cells then are in their cycle."""
-    factor = growth_factor(scene, concentrations, cells.pressure)
+def grow(
+    scene: Scene, cells: Cells, concentrations: Concentrations, factor: FloatArray, dt: float
+) -> Grown:
+    """Return the radii after a time ``dt`` (s), and where the cells then are in their cycle.
+
+    ``factor`` is how fast they grow where they are, (n,); see
+    :func:`multicell.biology.growth.growth_factor`.
+    """
     volume = volumes_after(scene, cells, factor, dt)
     cycling = None
     if scene.growth is not None and scene.growth.phases:
@@ -68,7 +73,7 @@ def aged(
     begin: float, end: float,
 ) -> tuple[Cells, float]:  # fmt: skip
     """Return the cells at the end of a step, and the volume that dead ones have lost in it, µm³."""
-    after = cells.copy()
+    after = cells.shared()
     after.radius = grown.radius
     after.age = after.age + (end - begin)
     if grown.cycling is not None:
@@ -76,6 +81,8 @@ def aged(
             setattr(after, name, getattr(grown.cycling, name))
     bind(scene, after, cells, concentrations, end)
     dead = cells.dead
+    if not dead.any():
+        return after, 0.0
     # what the dead took up when they swelled counts against what they lose
     lost = cells.radius[dead] ** 3 - grown.radius[dead] ** 3
     return after, SPHERE * float(lost.sum())
@@ -119,5 +126,6 @@ def decide(
         well = ~unfavourable(scene, cells, concentrations)
         leave_rest(scene, cells, due & well)
     dead = (cells.state != before) & cells.dead
-    cells.age[dead] = 0.0
+    if dead.any():
+        cells.age = np.where(dead, 0.0, cells.age)
     return np.asarray(dead)

@@ -5,11 +5,14 @@ All of it goes to stderr; stdout belongs to results.
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import IO, TYPE_CHECKING, Any, cast
+from typing import IO, TYPE_CHECKING, Any, Final, cast, final
+
+from multicell.cli.remaining import Remaining, in_words
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -36,17 +39,41 @@ def reporter(scene: Scene, *, show: bool = True) -> Iterator[Progress | None]:
         yield progress
 
 
-def status(simulation: Any, wall: float) -> str:
-    """Return time, cells, step and speed in words, ``wall`` s after the start."""
+def status(simulation: Any, wall: float, left: float | None = None) -> str:
+    """Return time, cells, step, speed and time left in words, ``wall`` s after the start."""
     speed = simulation.time / 3600.0 / wall if wall > 0.0 else 0.0
     n = len(simulation.cells)
     days = simulation.scene.duration >= 3.0 * 86400.0
     unit, size = ("d", 86400.0) if days else ("h", 3600.0)
+    ahead = "" if left is None else f" · about {in_words(left)} left"
     return (
         f"{simulation.time / size:.2f} of {simulation.scene.duration / size:.2f} {unit} · "
         f"{n:,} cell{'' if n == 1 else 's'} · step {simulation.step_index:,} · "
-        f"{speed:.3g} h simulated per s"
+        f"{speed:.3g} h simulated per s{ahead}"
     )
+
+
+_TELL_EVERY: Final = 0.5  # s between two looks ahead
+
+
+@final
+class _Clock:
+    """Times a run and tells where it stands; to be asked after every step."""
+
+    def __init__(self, scene: Scene) -> None:
+        cycle = math.inf if scene.growth is None else scene.growth.mean_cycle
+        self._remaining = Remaining(scene.duration, scene.stop_cells, cycle)
+        self._start = self._before = self._told = time.perf_counter()
+        self._left: float | None = None
+
+    def status(self, simulation: Any) -> str:
+        """Return where the run stands in words."""
+        now = time.perf_counter()
+        self._remaining.note(simulation.time, len(simulation.cells), now - self._before)
+        self._before = now
+        if now - self._told > _TELL_EVERY:
+            self._told, self._left = now, self._remaining.left()
+        return status(simulation, now - self._start, self._left)
 
 
 @contextmanager
@@ -59,12 +86,12 @@ def _bar(scene: Scene, console: Console) -> Iterator[Progress]:
         rich_progress.TaskProgressColumn(),
         rich_progress.TextColumn("{task.fields[status]}", markup=False),
     )
-    start = time.perf_counter()
+    clock = _Clock(scene)
     with rich_progress.Progress(*columns, console=console, refresh_per_second=5) as bar:
         task = bar.add_task("", total=scene.duration, status="starting")
 
         def advance(simulation: Any) -> None:
-            text = status(simulation, time.perf_counter() - start)
+            text = clock.status(simulation)
             bar.update(task, completed=simulation.time, status=text)
 
         yield advance
@@ -73,14 +100,14 @@ def _bar(scene: Scene, console: Console) -> Iterator[Progress]:
 @contextmanager
 def _lines(scene: Scene, console: Console) -> Iterator[Progress]:
     """Print a line at every tenth of the simulated time, for logs."""
-    start, printed = time.perf_counter(), 0
+    clock, printed = _Clock(scene), 0
 
     def advance(simulation: Any) -> None:
         nonlocal printed
+        text = clock.status(simulation)
         tenth = int(10.0 * simulation.time / scene.duration * (1.0 + 1e-12))
         if tenth > printed:
             printed = tenth
-            text = status(simulation, time.perf_counter() - start)
             console.print(f"{10 * tenth:3d} %  {text}", markup=False, soft_wrap=True)
 
     yield advance

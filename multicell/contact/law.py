@@ -172,7 +172,10 @@ class PairLaw(ABC):
 
         arrays = [overlap, modulus, radius, *(further[name] for name in function.further)]
         columns = [np.asarray(column, dtype=float) for column in arrays]
-        force, stiffness, energy = np.frompyfunc(one, len(columns), 3)(*columns)
+        if not any(column.ndim for column in columns):  # of one pair: the machinery costs tenfold
+            force, stiffness, energy = one(*map(float, columns))
+        else:
+            force, stiffness, energy = np.frompyfunc(one, len(columns), 3)(*columns)
         return _floats(force), _floats(stiffness), _floats(energy)
 
     @property

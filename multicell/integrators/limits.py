@@ -45,9 +45,8 @@ def _stiffness_scale(system: Mechanics) -> float:
     if len(system) < 2:
         return 0.0
     radius = float(motion.radius.mean())
-    stiffest = motion.young / (1.0 - np.square(motion.poisson))
-    at = int(stiffest.argmax())
-    young, poisson = motion.young[at], motion.poisson[at]
+    at = int((motion.young / (1.0 - motion.poisson**2)).argmax())
+    young, poisson = motion.young.item(at), motion.poisson.item(at)
     modulus = effective_modulus(young, poisson, young, poisson)
     _, slope, _ = system.law.evaluate(0.25 * radius, modulus, 0.5 * radius, rest=2.0 * radius)
     return _CONTACTS * abs(float(slope)) / (system.drag * radius)

@@ -82,6 +82,12 @@ class Ledger:
             and (name not in ("injected", "made", "used") or value is not None)
         }
 
+    def copy(self) -> Ledger:
+        """Return an account of its own with the same totals."""
+        other = object.__new__(Ledger)
+        other.__dict__.update(self.__dict__)
+        return other
+
     def note(self, medium: Stirred) -> None:
         """Take over the account of a finite medium."""
         self.held, self.level = medium.amount, medium.concentration

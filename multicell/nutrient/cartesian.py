@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, final
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
 from multicell.compiling import INNER, KERNEL
@@ -84,7 +88,7 @@ def extent(position: FloatArray, margin: float) -> tuple[FloatArray, FloatArray]
     if len(position) == 0:
         position = np.zeros((1, 3))
     low, high = position.min(axis=0) - margin, position.max(axis=0) + margin
-    if not (np.isfinite(low).all() and np.isfinite(high).all()):
+    if not all(map(math.isfinite, (*low.tolist(), *high.tolist()))):
         raise NutrientFailed(
             "a cell's position is not a finite number, so no nutrient grid can be laid",
             "Look at the mechanics of the step before: a smaller coupling_step may help",
@@ -107,18 +111,18 @@ def lay(low: FloatArray, high: FloatArray, spacing: float, height: float | None 
         If more than :data:`MAX_NODES` nodes would be needed; nothing is allocated before.
     """
     axes = 3 if height is None else 2
-    low, high = low[:axes], high[:axes]
-    size = high - low
-    _refuse_too_large(size / spacing, size, spacing)
-    _refuse_too_far(low, high, spacing)
-    longest = float(size.max())
+    # bare numbers: of three of them arrays are ten times as slow
+    ends = list(zip(low[:axes].tolist(), high[:axes].tolist(), strict=True))
+    size = [b - a for a, b in ends]
+    _refuse_too_large([s / spacing for s in size], size, spacing)
+    _refuse_too_far(ends, spacing)
+    longest = max(size)
     most = _fast(longest / spacing)
     step = longest / most
     counts = [most if s > _NEARLY * longest else _fast(s / step) for s in size]
-    _refuse_too_large(np.array(counts, dtype=float), size, spacing)
-    middle = 0.5 * (low + high)
-    return _box([float(m - 0.5 * n * step) for m, n in zip(middle, counts, strict=True)],
-                counts, step, height)  # fmt: skip
+    _refuse_too_large(counts, size, spacing)
+    origin = [0.5 * (a + b) - 0.5 * n * step for (a, b), n in zip(ends, counts, strict=True)]
+    return _box(origin, counts, step, height)
 
 
 def _box(origin: list[float], counts: list[int], spacing: float, height: float | None) -> Box:
@@ -149,13 +153,13 @@ def fill(low: FloatArray, high: FloatArray, spacing: float, height: float | None
     """
     axes = 3 if height is None else 2
     lengths = (high - low)[:axes]
-    counts = filling([float(length) for length in lengths], spacing)
+    counts = filling(lengths.tolist(), spacing)
     if counts is None:
         raise NutrientFailed(
             f"no cubes of about {spacing:g} um fill the domain",
             "Take lengths that are multiples of one spacing",
         )
-    _refuse_too_large(np.array(counts, dtype=float), lengths, spacing)
+    _refuse_too_large(counts, lengths.tolist(), spacing)
     step = float((lengths / counts).max())
     while not (lengths / step <= counts).all():  # rounding must leave no point outside
         step = float(np.nextafter(step, np.inf))
@@ -185,9 +189,13 @@ def moved(values: FloatArray, old: Box, new: Box, fill: float) -> FloatArray:
         for axis, low, high in zip(nodes, old.origin, old.upper, strict=True)
     ]
     out = np.full(new.shape, fill)
-    kept = [axis[mask] for axis, mask in zip(nodes, inside, strict=True)]
-    block = gather(mesh(kept), values, old.origin, old.spacing)
-    out[np.ix_(*inside)] = block.reshape([len(axis) for axis in kept])
+    x, y, z = (
+        _places(axis[mask], low, old.spacing, n)
+        for axis, mask, low, n in zip(nodes, inside, old.origin, values.shape, strict=True)
+    )
+    # the nodes inside lie together
+    block = out[tuple(slice(int(mask.argmax()), None) for mask in inside)]
+    _resample(values, x, y, z, block)
     return out
 
 
@@ -198,15 +206,24 @@ def mesh(axes: list[FloatArray]) -> FloatArray:
 
 def _fast(needed: float) -> int:
     """Return a number of nodes, not below ``needed``, that suits the sine transform."""
-    from scipy.fft import next_fast_len
-
     # rounding must not add a node to a length that is a whole number of spacings
-    return int(next_fast_len(max(2, int(np.ceil(needed * (1.0 - 1e-12)))), real=False))
+    count = max(2, math.ceil(needed * (1.0 - 1e-12)))
+    while not _smooth(count):
+        count += 1
+    return count
 
 
-def _refuse_too_large(nodes: FloatArray, size: FloatArray, spacing: float) -> None:
-    with np.errstate(over="ignore"):
-        total = float(np.prod(nodes))
+@lru_cache(maxsize=4096)
+def _smooth(count: int) -> bool:
+    """Return whether a number has no prime factor above 11."""
+    for factor in (2, 3, 5, 7, 11):
+        while count % factor == 0:
+            count //= factor
+    return count == 1
+
+
+def _refuse_too_large(nodes: Sequence[float], size: Sequence[float], spacing: float) -> None:
+    total = math.prod(nodes)
     if total <= MAX_NODES:
         return
     lengths = " x ".join(f"{length:.4g}" for length in size)
@@ -217,8 +234,8 @@ def _refuse_too_large(nodes: FloatArray, size: FloatArray, spacing: float) -> No
     )
 
 
-def _refuse_too_far(low: FloatArray, high: FloatArray, spacing: float) -> None:
-    farthest = float(np.maximum(np.abs(low), np.abs(high)).max())
+def _refuse_too_far(ends: list[tuple[float, float]], spacing: float) -> None:
+    farthest = max(abs(end) for both in ends for end in both)
     if farthest > _FARTHEST * spacing:
         raise NutrientFailed(
             f"a cell is {farthest:.3g} um away from the origin, where a grid with a spacing of "
@@ -307,13 +324,21 @@ def _scatter(position, amount, origin, spacing, out):
 
 @njit(**KERNEL)
 def _gather(position, values, origin, spacing, out):
+    """Write interpolated values; return the first position outside, or -1.
+
+    Return also whether some lie between the last nodes along x or y and the faces, and whether
+    some do along any axis.
+    """
     nx, ny, nz = values.shape
+    flat_near, near = False, False
     for c in range(position.shape[0]):
         i0, i1, wx = _axis_weight(position[c, 0], origin[0], spacing, nx)
         j0, j1, wy = _axis_weight(position[c, 1], origin[1], spacing, ny)
         k0, k1, wz = _axis_weight(position[c, 2], origin[2], spacing, nz)
         if i0 < 0 or j0 < 0 or k0 < 0:
-            return c
+            return c, flat_near, near
+        flat_near = flat_near or i0 == i1 or j0 == j1
+        near = near or k0 == k1
         low = (1.0 - wy) * ((1.0 - wz) * values[i0, j0, k0] + wz * values[i0, j0, k1]) + wy * (
             (1.0 - wz) * values[i0, j1, k0] + wz * values[i0, j1, k1]
         )
@@ -321,7 +346,40 @@ def _gather(position, values, origin, spacing, out):
             (1.0 - wz) * values[i1, j1, k0] + wz * values[i1, j1, k1]
         )
         out[c] = (1.0 - wx) * low + wx * high
-    return -1
+    return -1, flat_near, flat_near or near
+
+
+def _places(
+    along: FloatArray, low: float, spacing: float, n: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64], FloatArray]:
+    """Return for points along an axis what :func:`_axis_weight` does, an array of each."""
+    u = (along - low) / spacing - 0.5
+    lower = np.floor(u).astype(np.int64)
+    return np.maximum(lower, 0), np.minimum(lower + 1, n - 1), u - lower
+
+
+@njit(**KERNEL)
+def _resample(values, x, y, z, out):
+    """Write ``values`` interpolated at the points of three axes to the corner of ``out``.
+
+    Each axis comes as the lower nodes, the upper nodes, and the weights of the upper ones.
+    """
+    for a in range(x[0].size):
+        wx = x[2][a]
+        for b in range(y[0].size):
+            wy = y[2][b]
+            p, q = values[x[0][a], y[0][b]], values[x[0][a], y[1][b]]
+            r, s = values[x[1][a], y[0][b]], values[x[1][a], y[1][b]]
+            row = out[a, b]
+            for c in range(z[0].size):
+                i, j, wz = z[0][c], z[1][c], z[2][c]
+                low = (1.0 - wy) * ((1.0 - wz) * p[i] + wz * p[j]) + wy * (
+                    (1.0 - wz) * q[i] + wz * q[j]
+                )
+                high = (1.0 - wy) * ((1.0 - wz) * r[i] + wz * r[j]) + wy * (
+                    (1.0 - wz) * s[i] + wz * s[j]
+                )
+                row[c] = (1.0 - wx) * low + wx * high
 
 
 def _points(position: FloatArray) -> FloatArray:
@@ -396,9 +454,20 @@ def gather(position: FloatArray, values: FloatArray, origin: Triple, spacing: fl
     ValueError
         For arrays of other shapes, and for a position outside the box or not finite.
     """
+    return gathered(position, values, origin, spacing)[0]
+
+
+def gathered(
+    position: FloatArray, values: FloatArray, origin: Triple, spacing: float, axes: int = 3
+) -> tuple[FloatArray, bool]:
+    """Do the same; tell also whether any point lies between the last nodes and the faces.
+
+    That is looked at along the first two or three ``axes``.
+    """
     points = _points(position)
     if values.ndim != 3:
         raise ValueError(f"values has shape {values.shape}, expected (nx, ny, nz)")
     out = np.empty(len(points))
-    _refuse_outside(_gather(points, values, origin, spacing, out), points)
-    return out
+    outside, flat_near, near = _gather(points, values, origin, spacing, out)
+    _refuse_outside(outside, points)
+    return out, near if axes == 3 else flat_near

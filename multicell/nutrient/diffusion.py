@@ -1,15 +1,19 @@
-"""Diffusion on a cell-centred grid: py-pde's Laplacian, the flow through the faces, an inverse."""
+"""Diffusion on a cell-centred grid: the Laplacian, the flow through the faces, an inverse."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, final
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
-from multicell.nutrient import stencil
+from multicell.nutrient import dense, stencil
+from multicell.nutrient.cartesian import Box
+from multicell.nutrient.dense import eigenvalues
+from multicell.nutrient.faces import ghost_terms
 from multicell.nutrient.steady import SolveReport, solve_steady
 
 if TYPE_CHECKING:
@@ -28,7 +32,10 @@ TRANSFORMS = {
 
 @final
 class Diffusion:
-    """The Laplacian of py-pde on a box with conditions on its faces, and an inverse.
+    """The Laplacian on a box with conditions on its faces, and an inverse.
+
+    Beyond each face one more node has the value ``ghost c + const``, c the value of the node at
+    the face: py-pde's convention, in which a value gives a ghost of -1 and a slope one of 1.
 
     In two dimensions nodes are prisms: squares in the plane, ``height`` across it. Arrays have
     three axes all the same, the last one of length 1.
@@ -36,20 +43,30 @@ class Diffusion:
     Parameters
     ----------
     grid
-        Cartesian grid of cubes in three dimensions or of squares in two, cell-centred, not
-        periodic.
+        A box, or py-pde's Cartesian grid of cubes in three dimensions or of squares in two,
+        cell-centred, not periodic.
     diffusion : float, µm²/s
         In tissue.
     boundary
-        Concentration in mM on all faces, or py-pde's description of its conditions
-        (``{"x-": {"value": array}, "x+": {"derivative": 0.0}, ...}``), of one kind on each
-        face. Never pass text from users: py-pde executes it.
+        Concentration in mM on all faces, or py-pde's description of its conditions. On a box each
+        face is named and its condition made of numbers (``{"x-": {"value": 0.1}, "x+":
+        {"derivative": 0.0}, ...}``); what py-pde knows besides, arrays too, holds on its own grid,
+        of one kind on each face. Never pass text from users: py-pde executes it.
     height : float, µm
         Of the layer in two dimensions.
     varied : (nx, ny, nz), optional
         Coefficient of diffusion at the nodes over that of tissue; absent: one everywhere. At
         faces between nodes it is the harmonic mean, for which the flow is continuous where the
         coefficient jumps.
+
+    Attributes
+    ----------
+    ghost : (6,)
+        Factors of the faces x-, x+, y-, y+, z-, z+.
+    const : six arrays (ny, nz), (ny, nz), (nx, nz), (nx, nz), (nx, ny), (nx, ny); mM
+        What the conditions add.
+    source : (nx, ny, nz), mM/s
+        What they bring to the nodes where the coefficient is that of tissue.
 
     Raises
     ------
@@ -59,23 +76,28 @@ class Diffusion:
 
     def __init__(
         self,
-        grid: CartesianGrid,
+        grid: CartesianGrid | Box,
         diffusion: float,
         boundary: float | Mapping[str, Any],
         *,
         height: float | None = None,
         varied: FloatArray | None = None,
     ) -> None:
-        if not np.allclose(grid.discretization, grid.discretization[0], rtol=1e-9):
-            raise ValueError(f"spacing differs between axes: {grid.discretization} um")
-        self.dimensions = len(grid.shape)
-        nx, ny, nz = (*grid.shape, 1)[:3]
-        self.shape = (nx, ny, nz)
-        self.spacing = float(grid.discretization[0])
+        self._grid = None if isinstance(grid, Box) else grid
+        if isinstance(grid, Box):
+            self.dimensions = 3 if grid.height is None else 2
+            self.shape, self.spacing = grid.shape, grid.spacing
+        else:
+            steps = grid.discretization
+            if not np.allclose(steps, steps[0], rtol=1e-9):
+                raise ValueError(f"spacing differs between axes: {steps} um")
+            self.dimensions = len(grid.shape)
+            nx, ny, nz = (*grid.shape, 1)[:3]
+            self.shape, self.spacing = (nx, ny, nz), float(steps[0])
         self.volume = self.spacing**2 * (height or self.spacing)
         self.diffusion = diffusion
         self.stiffness = diffusion / self.spacing**2
-        self._grid = grid
+        self.threads = 1  # that may share the loops over many nodes; it changes no result
         self.set_boundary(boundary)
         # relative coefficients at the nodes and at the faces between them, None for one everywhere
         self.varied: FloatArray | None = None
@@ -87,52 +109,70 @@ class Diffusion:
 
     def set_boundary(self, boundary: float | Mapping[str, Any]) -> None:
         """Take other conditions on the faces."""
+        if self._grid is None:
+            self._sides = _plain(self.shape, *self._numbers(boundary))
+        else:
+            self._sides = self._by_pde(self._grid, boundary)
+        self.ghost, self.const = self._sides.ghost, self._sides.const
+        self.source = np.zeros(self.shape)
+        for face, const in enumerate(self.const[: 2 * self.dimensions]):
+            layer = _layer(self.source, face)
+            layer += const
+        self.source *= self.stiffness
+        self._leak = self.stiffness * self._sides.leak
+        halves = self._sides.halves
+        self._dense = dense.Inverse(halves, self.stiffness) if halves else None
+
+    def _numbers(
+        self, boundary: float | Mapping[str, Any]
+    ) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Return factors and constants of the faces, of a plane those across it."""
+        if not isinstance(boundary, Mapping):
+            boundary = {face: {"value": boundary} for face in _FACES}
+        found = [ghost_terms(boundary[f], self.spacing) for f in _FACES[: 2 * self.dimensions]]
+        return tuple(factor for _, factor in found), tuple(const for const, _ in found)
+
+    def _by_pde(self, grid: CartesianGrid, boundary: float | Mapping[str, Any]) -> _Sides:
+        """Return what py-pde makes of conditions."""
         values = dict(boundary) if isinstance(boundary, Mapping) else {"value": float(boundary)}
-        self._conditions = self._grid.get_boundary_conditions(values, rank=0)
-        self._laplacian: Callable[[FloatArray], FloatArray] = self._grid.make_operator(
-            "laplace", bc=self._conditions, backend="scipy"
+        conditions = grid.get_boundary_conditions(values, rank=0)
+        self._laplacian: Callable[[FloatArray], FloatArray] = grid.make_operator(
+            "laplace", bc=conditions, backend="scipy"
         )
-        flat = self.shape[: self.dimensions]
-        self.source = self.diffusion * np.asarray(self._laplacian(np.zeros(flat)))
-        self.ghost = self._ghosts()
-        self.source = self.source.reshape(self.shape)
-        self._kinds, leak = self._nearest()
-        self._eigenvalues = [
-            self.stiffness * eigenvalues(n, kind)
-            for n, kind in zip(self.shape, self._kinds, strict=True)
-        ]
-        self._leak = leak
+        padded = tuple(n + 2 for n in grid.shape)
+        ones, zeros = np.ones(padded), np.zeros(padded)
+        conditions.set_ghost_cells(ones)
+        conditions.set_ghost_cells(zeros)
+        ghost, const = np.ones(6), []
+        for face in range(6):
+            found = np.zeros(_across(self.shape, face))
+            if face < 2 * self.dimensions:
+                inner = (slice(1, -1),) * (self.dimensions - 1)
+                zero = _layer(zeros, face)[inner]
+                found[...] = zero.reshape(found.shape)
+                # one factor on a face: that of a node in its middle
+                middle = tuple(n // 2 for n in zero.shape)
+                ghost[face] = _layer(ones, face)[inner][middle] - zero[middle]
+            const.append(found)
+        return _Sides.of(self.shape, ghost, const)
 
     def divergence(self, c: FloatArray) -> FloatArray:
         """Return D L c in mM/s, boundary values included.
 
-        By py-pde's operator where the coefficient is uniform, else by the solver's own stencil.
+        By py-pde's operator on its own grid where the coefficient is uniform, else by the solver's
+        stencil.
         """
-        if self.weights is None:
-            flat = c.reshape(self.shape[: self.dimensions])
-            return np.asarray(self.diffusion * self._laplacian(flat)).reshape(self.shape)
+        if self._grid is not None and self.weights is None:
+            spread = self.diffusion * self._laplacian(c.reshape(self._grid.shape))
+            return np.asarray(spread).reshape(self.shape)
         out = np.empty_like(c)
         zero = np.zeros_like(c)
         stencil.apply_operator(c, zero, self.stiffness, self.ghost, self.weights, out)
         return np.asarray(self.stencil_source() - out)
 
     def flows(self, c: FloatArray) -> tuple[float, float]:
-        """Return what flows in and out through the faces, amol/s, from py-pde's ghost values."""
-        flat = self.shape[: self.dimensions]
-        full = np.empty([n + 2 for n in flat])
-        inner = tuple(slice(1, -1) for _ in flat)
-        full[inner] = c.reshape(flat)
-        self._conditions.set_ghost_cells(full)
-        inward = outward = 0.0
-        for axis in range(self.dimensions):
-            layers = np.moveaxis(full, axis, 0)[(slice(None), *inner[1:])]
-            low, high = (
-                (1.0, 1.0) if self.weights is None
-                else _ends(self.weights[axis], axis, self.dimensions)
-            )  # fmt: skip
-            for step in (low * (layers[0] - layers[1]), high * (layers[-1] - layers[-2])):
-                inward += float(np.sum(step, where=step > 0.0))
-                outward -= float(np.sum(step, where=step < 0.0))
+        """Return what flows in and out through the faces, amol/s."""
+        inward, outward = stencil.flows(c, self.ghost, self.const, self.weights)
         scale = self.stiffness * self.volume
         return scale * inward, scale * outward
 
@@ -159,56 +199,85 @@ class Diffusion:
         L0 is the Laplacian with every face taken as the nearer one of a value and a slope, both
         zero, and a uniform coefficient. Returns u, which takes the memory of ``y``, and y . u.
         """
-        ax, ay, az = self._eigenvalues
-        spectrum = _transform(y, self._kinds, inverse=False)
+        if self._dense is not None and y.dtype == np.float32:
+            return y, self._dense.overwrite(y, shift + self._leak)
+        ax, ay, az = self.eigenvalues
+        spectrum = _transform(y, self.kinds, inverse=False)
         product = stencil.divide_spectrum(spectrum, ax, ay, az, shift + self._leak)
-        return _transform(spectrum, self._kinds, inverse=True), product
+        return _transform(spectrum, self.kinds, inverse=True), product
+
+    @property
+    def kinds(self) -> list[tuple[bool, bool]]:
+        """Of each axis which ends the inverse takes as values, the others as slopes."""
+        return self._sides.kinds
+
+    @property
+    def eigenvalues(self) -> list[FloatArray]:
+        """Those of -D L0 along each axis, see :meth:`invert`: (nx,), (ny,), (nz,) 1/s."""
+        axes = zip(self.shape, self.kinds, strict=True)
+        return [self.stiffness * eigenvalues(n, kind) for n, kind in axes]
 
     def stencil_source(self) -> FloatArray:
         """Return what the faces bring to the balance of the nodes, (nx, ny, nz) mM/s."""
         # a node at a face exchanges with it by its own coefficient
         return self.source if self.varied is None else self.source * self.varied
 
-    def _ghosts(self) -> FloatArray:
-        """Return the factor of each face's ghost value; the third axis of a plane has walls."""
-        shape = tuple(n + 2 for n in self.shape[: self.dimensions])
-        ones, zeros = np.ones(shape), np.zeros(shape)
-        self._conditions.set_ghost_cells(ones)
-        self._conditions.set_ghost_cells(zeros)
-        factors = np.ones(6)
-        middle = [n // 2 for n in shape]
-        for axis in range(self.dimensions):
-            for side, place in enumerate((0, shape[axis] - 1)):
-                at = list(middle)
-                at[axis] = place
-                factors[2 * axis + side] = ones[tuple(at)] - zeros[tuple(at)]
-        return factors
 
-    def _nearest(self) -> tuple[list[tuple[bool, bool]], float]:
-        """Return for each axis which ends are taken as values, and the mean leak of the others.
-
-        A mixed condition is taken as a slope with the mean of what it lets through: the ratio of
-        the two stays bounded when the grid becomes finer, that to a value does not.
-        """
-        kinds, leak = [], 0.0
-        for axis, n in enumerate(self.shape):
-            ends = []
-            for factor in self.ghost[2 * axis : 2 * axis + 2]:
-                is_value = n > 1 and factor < -0.5
-                ends.append(bool(is_value))
-                leak += 0.0 if is_value else self.stiffness * (1.0 - factor) / n
-            kinds.append((ends[0], ends[1]))
-        return kinds, leak
+_FACES = ("x-", "x+", "y-", "y+", "z-", "z+")
 
 
-def eigenvalues(n: int, ends: tuple[bool, bool]) -> FloatArray:
-    """Return the n eigenvalues of minus the second difference between two ends.
+@final
+class _Sides(NamedTuple):
+    """What follows from the shape of a grid and the conditions on its faces alone.
 
-    With values at both ends the angles are kπ/n for k = 1 ... n, with slopes at both for
-    k = 0 ... n - 1, and with one of each (k + 1/2)π/n.
+    Attributes
+    ----------
+    ghost, const
+        See :class:`Diffusion`.
+    kinds : (3,) of (bool, bool)
+        Of each axis which ends the inverse takes as values, the others as slopes.
+    leak : float
+        The mean of what the others let through, over D/h². The ratio of a mixed condition to a
+        slope stays bounded when the grid becomes finer, that to a value does not.
+    halves : (3,) of (4, h, h), (n,)
+        See :func:`multicell.nutrient.dense.halves`; empty for grids that these do not suit.
     """
-    first = {(True, True): 1.0, (False, False): 0.0}.get(ends, 0.5)
-    return np.asarray(4.0 * np.sin(0.5 * np.pi * (np.arange(n) + first) / n) ** 2)
+
+    ghost: FloatArray
+    const: stencil.Faces
+    kinds: list[tuple[bool, bool]]
+    leak: float
+    halves: list[tuple[NDArray[np.float32], FloatArray]]
+
+    @classmethod
+    def of(
+        cls, shape: tuple[int, int, int], ghost: FloatArray, const: Sequence[FloatArray]
+    ) -> _Sides:
+        """Return what follows from these."""
+        kinds, leak = [], 0.0
+        for axis, n in enumerate(shape):
+            low, high = (n > 1 and factor < -0.5 for factor in ghost[2 * axis : 2 * axis + 2])
+            kinds.append((bool(low), bool(high)))
+            for value, factor in zip((low, high), ghost[2 * axis : 2 * axis + 2], strict=True):
+                leak += 0.0 if value else float(1.0 - factor) / n
+        halves = []
+        if max(shape) <= dense.MOST and all(low == high for low, high in kinds):
+            halves = [dense.halves(n, low) for n, (low, _) in zip(shape, kinds, strict=True)]
+        a, b, c, d, e, f = const
+        return cls(ghost, (a, b, c, d, e, f), kinds, leak, halves)
+
+
+@lru_cache(maxsize=16)
+def _plain(
+    shape: tuple[int, int, int], ghost: tuple[float, ...], const: tuple[float, ...]
+) -> _Sides:
+    """Return what follows from conditions that are the same all over each face.
+
+    A plane has two walls besides. A grid that follows the cells has the same shape for many steps.
+    """
+    walls = 6 - len(ghost)
+    each = [np.full(_across(shape, face), c) for face, c in enumerate((*const, *[0.0] * walls))]
+    return _Sides.of(shape, np.array((*ghost, *[1.0] * walls)), each)
 
 
 def _transform(
@@ -235,8 +304,12 @@ def _face_means(varied: FloatArray, axis: int) -> FloatArray:
     return np.ascontiguousarray(np.moveaxis(np.concatenate([v[:1], means, v[-1:]]), 0, axis))
 
 
-def _ends(w: FloatArray, axis: int, dimensions: int) -> tuple[Any, Any]:
-    """Return the coefficients at the two outer faces of an axis, without a plane's third axis."""
-    layers = np.moveaxis(w, axis, 0)
-    low, high = layers[0], layers[-1]
-    return (low[..., 0], high[..., 0]) if dimensions == 2 else (low, high)
+def _layer(values: NDArray[Any], face: int) -> NDArray[Any]:
+    """Return the nodes at a face, of x-, x+, y-, y+, z-, z+, as a view."""
+    at = -(face % 2)
+    return values[(slice(None),) * (face // 2) + (at,)]
+
+
+def _across(shape: tuple[int, int, int], face: int) -> tuple[int, ...]:
+    """Return the shape of the nodes at a face."""
+    return shape[: face // 2] + shape[face // 2 + 1 :]

@@ -11,6 +11,7 @@ import numpy as np
 from multicell.cells import FloatArray
 from multicell.nutrient import grid as layouts
 from multicell.nutrient.cartesian import Box, round_enough
+from multicell.nutrient.diffusion import Diffusion
 from multicell.nutrient.grid import BoxLayout, Layout, Operator, ShellLayout
 from multicell.nutrient.regions import coefficients
 from multicell.nutrient.steady import SolveReport
@@ -70,16 +71,20 @@ class NutrientField:
         The field's name in the scene.
     parameters
         See :class:`multicell.nutrient.parameters.FieldParameters`.
+    threads
+        How many may share the loops over many nodes; it changes no result.
     """
 
-    def __init__(self, name: str, parameters: FieldParameters) -> None:
+    def __init__(self, name: str, parameters: FieldParameters, threads: int = 1) -> None:
         self.name = name
         self.parameters = parameters
+        self.threads = threads
         self.layings = 0
         self.stirred: Stirred | None = None  # of a finite medium, once poured
         self._layout: Layout | None = None
         self._operator: Operator | None = None
         self._conditions: dict[str, Any] = {}
+        self._last_sides: tuple[Any, dict[str, Any]] = (None, {})
         self._values: FloatArray = np.empty((0, 0, 0))
 
     @property
@@ -207,7 +212,7 @@ class NutrientField:
                 nonlocal conditions
                 # at the moment of a switch the medium still is the old one
                 moment = min(time, np.nextafter(last, -np.inf))
-                wanted = layout.conditions(p.sides(moment))
+                wanted = self._sides(layout, moment)
                 if wanted != conditions:
                     operator.set_boundary(wanted)
                     conditions = wanted
@@ -340,7 +345,7 @@ class NutrientField:
         values.flags.writeable = False
         self._values = values
         self._operator = None
-        self._conditions = self._layout.conditions(self.parameters.sides(time, self.level(time)))
+        self._conditions = self._sides(self._layout, time)
 
     def kept(self) -> tuple[Any, ...]:
         """Return what :meth:`take_back` needs to undo a solve."""
@@ -371,18 +376,28 @@ class NutrientField:
         same = self._layout is not None and found == self._layout
         return (self.layout, True) if same else (found, False)
 
+    def _sides(self, layout: Layout, time: float) -> dict[str, Any]:
+        """Return the conditions on the faces of a layout at a time in s, in py-pde's terms."""
+        key = (self.parameters, isinstance(layout, ShellLayout), self.level(time))
+        if key != self._last_sides[0]:
+            self._last_sides = key, layout.conditions(self.parameters.sides(time, key[2]))
+        return self._last_sides[1]
+
     def _operator_on(
         self, layout: Layout, kept: bool, position: FloatArray, radius: FloatArray, time: float
     ) -> tuple[Operator, dict[str, Any]]:
         """Return the operator on a layout at a time, the last one if it still holds."""
         p = self.parameters
-        conditions = layout.conditions(p.sides(time, self.level(time)))
+        conditions = self._sides(layout, time)
         if kept and self._operator is not None and p.nutrient.diffusion_medium is None:
             if conditions != self._conditions:
                 self._operator.set_boundary(conditions)
             return self._operator, conditions
         varied = coefficients(layout, position, radius, p.nutrient)
-        return layout.operator(p.nutrient.diffusion, conditions, varied), conditions
+        operator = layout.operator(p.nutrient.diffusion, conditions, varied)
+        if isinstance(operator, Diffusion):
+            operator.threads = self.threads
+        return operator, conditions
 
     def _supply(
         self,
@@ -417,10 +432,12 @@ class NutrientField:
 
     def _described(self, report: SolveReport, medium: float) -> FieldReport:
         """Return the balance of a steady solve by what it was for."""
-        p = self.parameters
-        mass = self.stored()
-        whole = float(np.sum(np.broadcast_to(self.layout.volumes, self._values.shape)))
-        brought = p.nutrient.perfusion * medium * whole
+        p, mass, brought = self.parameters, 0.0, 0.0
+        if p.nutrient.decay > 0.0 or p.nutrient.perfusion > 0.0:
+            mass = self.stored()
+        if p.nutrient.perfusion > 0.0:
+            whole = float(np.sum(np.broadcast_to(self.layout.volumes, self._values.shape)))
+            brought = p.nutrient.perfusion * medium * whole
         return FieldReport(
             report.newton,
             report.cg,
@@ -469,9 +486,11 @@ def checked(
     for name, values in (("capacity", capacity), ("production", production)):
         if values is None:
             continue
-        if np.shape(values) != (n,):
-            raise ValueError(f"{name} has shape {np.shape(values)}, expected ({n},)")
-        if not np.all((np.asarray(values) >= 0.0) & np.isfinite(values)):
+        values = np.asarray(values)
+        if values.shape != (n,):
+            raise ValueError(f"{name} has shape {values.shape}, expected ({n},)")
+        # not so of what is no number either
+        if not (values.min(initial=0.0) >= 0.0 and values.max(initial=0.0) < np.inf):
             what = "capacity of uptake" if name == "capacity" else name
             raise ValueError(f"a cell's {what} is negative or not finite")
     radius = np.ones(n) if radius is None else np.asarray(radius, dtype=np.float64)

@@ -39,6 +39,8 @@ class Feeding:
         With at least one nutrient.
     reactions
         Between its fields, of the user's own (:func:`multicell.reaction`).
+    threads
+        How many may share the loops over many nodes; it changes no result.
 
     Attributes
     ----------
@@ -52,7 +54,9 @@ class Feeding:
         and they changed on the way: half of the difference is wrong, to leading order.
     """
 
-    def __init__(self, scene: Scene, reactions: Mapping[str, Any] | None = None) -> None:
+    def __init__(
+        self, scene: Scene, reactions: Mapping[str, Any] | None = None, threads: int = 1
+    ) -> None:
         known: dict[str, Any] = {**scene.reactions, **(reactions or {})}
         self._nutrients = scene.nutrients
         self._factors = {
@@ -66,7 +70,9 @@ class Feeding:
             from multicell.nutrient.reactions.groups import joined
 
             parameters |= joined(scene, parameters, reactions)
-        self.fields = {name: NutrientField(name, parameters[name]) for name in scene.nutrients}
+        self.fields = {
+            name: NutrientField(name, parameters[name], threads) for name in scene.nutrients
+        }
         self._groups: dict[str, Reacting] = {}
         if known:
             from multicell.nutrient.reactions.groups import together
@@ -252,7 +258,7 @@ class Feeding:
         """Return what :meth:`take_back` needs to undo an :meth:`advance`."""
         return {
             "fields": {name: field.kept() for name, field in self.fields.items()},
-            "ledger": {name: replace(account) for name, account in self.ledger.items()},
+            "ledger": {name: account.copy() for name, account in self.ledger.items()},
             "concentrations": dict(self.concentrations),
             "reports": dict(self.reports),
             "uptake": dict(self._uptake),
@@ -360,8 +366,10 @@ class Feeding:
         """Return each cell's largest uptake, (n,) amol/s."""
         nutrient = self._nutrients[name]
         active = self._active("uptake", name, cells)
-        factor = dependence(nutrient, self.concentrations, len(cells))
-        return np.asarray(nutrient.uptake * active * factor)
+        capacity = nutrient.uptake * active
+        if nutrient.uptake_on:
+            capacity *= dependence(nutrient, self.concentrations, len(cells))
+        return np.asarray(capacity)
 
     def _injected(self, name: str) -> float:
         """Return what the sources of a field give, amol/s; points and planes do not change it."""

@@ -164,9 +164,10 @@ class BoxLayout:
         self, position: FloatArray, values: FloatArray, conditions: Mapping[str, Any]
     ) -> FloatArray:
         """Do the same, but between the last nodes and the faces by the conditions there."""
-        found = self.gather(position, values)
-        near = self._nearer_than(0.5, position)
-        if near.any():
+        box, points = self.box, self._points(position)
+        found, some = cartesian.gathered(points, values, box.origin, box.spacing, self._axes)
+        if some:
+            near = self._nearer_than(0.5, position)
             padded = faces.by_condition(values, conditions, self.spacing, "xyz"[: self._axes])
             found[near] = self._gather_padded(position[near], padded)
         return found
@@ -223,10 +224,12 @@ class BoxLayout:
         return np.full(self.box.shape, value)
 
     def guess(self, values: FloatArray, old: Layout, fill: float) -> FloatArray:
-        """Return the values of another layout, interpolated smoothly, and ``fill`` outside it."""
-        if isinstance(old, BoxLayout):
-            return moved(values, old.box, self.box, fill)
-        return self._from_shells(values, old, fill)
+        """Return about the values of another layout, and ``fill`` outside it."""
+        if not isinstance(old, BoxLayout):
+            return self._from_shells(values, old, fill)
+        if old.box.shape == self.box.shape:
+            return values  # nodes move with the tissue: as good a guess, measured
+        return moved(values, old.box, self.box, fill)
 
     def carried(self, values: FloatArray, old: Layout, fill: float) -> FloatArray:
         """Return the values of another layout, each as often as it overlaps: amounts stay."""
@@ -257,7 +260,7 @@ class BoxLayout:
     ) -> Operator:
         """Return the operator on these nodes."""
         box = self.box
-        return Diffusion(box.to_pde(), diffusion, conditions, height=box.height, varied=varied)
+        return Diffusion(box, diffusion, conditions, height=box.height, varied=varied)
 
     def field(self, name: str, values: FloatArray) -> Field:
         """Return a field for frames."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, final
 
 from multicell.scene.scales import _faces, _side, regime, spacing
@@ -64,12 +65,15 @@ class FieldParameters:
         That is ``medium`` (mM) where it is given, else what the scene says of the time (s).
         """
         medium = self.nutrient.medium(time) if medium is None else medium
-        faces = ("r+", *_faces(self.dimensions))
-        found = {face: _side(self.nutrient, face) for face in faces}
         return {
             face: side if side.type == "derivative" or side.value is not None else _at(side, medium)
-            for face, side in found.items()
+            for face, side in self._faces.items()
         }
+
+    @cached_property
+    def _faces(self) -> dict[str, Side]:
+        """The conditions as the scene has them."""
+        return {face: _side(self.nutrient, face) for face in ("r+", *_faces(self.dimensions))}
 
 
 def _at(side: Side, medium: float) -> Side:

@@ -1,7 +1,7 @@
 """Quasi-steady diffusion with Michaelis-Menten uptake, by Newton and conjugate gradients.
 
-On the nodes of a cell-centred grid, with py-pde's Laplacian L (seven points, the conditions on the
-faces entering through ghost values), the steady state solves
+On the nodes of a cell-centred grid, with the Laplacian L (seven points, the conditions on the faces
+entering through ghost values: py-pde's, by a test), the steady state solves
 
     F(c) = -D L c + m c + q c / (K + c) - s = 0
 
@@ -32,19 +32,22 @@ coefficient w D that differs from place to place.
 from __future__ import annotations
 
 import math
-from copy import copy
+import sys
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, Protocol, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed
 from multicell.nutrient import stencil
-from multicell.nutrient.uptake import uptake
+from multicell.threads import Team
 
 if TYPE_CHECKING:
     from multicell.nutrient.diffusion import Diffusion
+
+Correction = NDArray[np.float64] | NDArray[np.float32]
 
 TOLERANCE = 1e-9
 """Bound on the sum of all nodes' imbalances, relative to the total uptake."""
@@ -58,9 +61,16 @@ MAX_CG = 500  # per Newton step; a system not solved by then gives a poorer step
 FORCING = 0.03
 """Largest part of the imbalance that the linear solver may leave over."""
 
+NEAR = 1e-3
+"""The same for the first step from the last solution: there the law is nearly linear, and a good
+solution saves a Newton step."""
+
 MAX_BACKTRACKS = 30
 
 MAX_SWEEPS = 1000  # over the nodes below zero; one to three are usual
+
+MANY = 50_000
+"""Nodes from which on multigrid takes the place of transforms; see :mod:`.multigrid`."""
 
 SHIFT = 1.0
 """The preconditioner's uniform uptake, relative to the mean of the linearised uptake."""
@@ -76,8 +86,7 @@ class SolveReport:
     newton, cg : int
         Newton steps and, over all of them, conjugate-gradient steps.
     residual : float, amol/s
-        Sum of all nodes' absolute imbalances, by py-pde's own operator. It bounds the
-        difference of inflow and uptake.
+        Sum of all nodes' absolute imbalances. It bounds the difference of inflow and uptake.
     inflow : float, amol/s
         Net diffusion through the faces of the box.
     uptake : float, amol/s
@@ -138,8 +147,16 @@ def solve_steady(
     NutrientFailed
         If the iterations do not converge or meet values that are not finite.
     """
-    problem = _Problem(operator, sink, half_saturation, linear, supply)
-    solver = _Linear(operator)
+    many = math.prod(operator.shape) >= MANY
+    with Team(operator.threads if many else 1) as team:
+        problem = _Problem(operator, sink, half_saturation, linear, supply, team if many else None)
+        return _solve(problem, start, tolerance, _linear_solver(operator, team))
+
+
+def _solve(
+    problem: _Problem, start: FloatArray, tolerance: float, solver: LinearSolver
+) -> tuple[FloatArray, SolveReport]:
+    """Solve, first as it is and then, where that fails, over larger half saturations."""
     if not problem.source.any():
         # nothing comes in: what iterations from elsewhere would leave is rounding, of either sign
         start = np.zeros_like(start, dtype=np.float64)
@@ -160,13 +177,16 @@ def solve_steady(
     return state.c, state.report(solver)
 
 
-def _newton(state: _State, tolerance: float, linear: _Linear) -> tuple[_State, bool]:
+def _newton(state: _State, tolerance: float, linear: LinearSolver) -> tuple[_State, bool]:
     """Iterate from ``state``; return the last state and whether it is within the tolerance."""
-    trial, forcing = state.empty_copy(), FORCING
+    # far from the solution imbalances are larger than the uptake
+    near = state.size * math.sqrt(state.c.size) < state.total
+    trial, forcing = None, NEAR if near else FORCING
     for _ in range(MAX_NEWTON):
         target = state.target(tolerance)
-        if state.size <= target or not np.isfinite(state.size):
+        if state.size <= target or not math.isfinite(state.size):
             break
+        trial = trial or state.empty_copy()
         goal = max(forcing, 0.3 * target / state.size)
         correction = linear.solve(state.rate, state.residual, state.size, goal)
         _search(state, trial, correction)
@@ -176,7 +196,7 @@ def _newton(state: _State, tolerance: float, linear: _Linear) -> tuple[_State, b
 
 
 def _descend(
-    problem: _Problem, start: FloatArray, tolerance: float, linear: _Linear
+    problem: _Problem, start: FloatArray, tolerance: float, linear: LinearSolver
 ) -> tuple[_State, bool]:
     """Solve with a large constant K first and then with ever smaller ones.
 
@@ -201,6 +221,7 @@ class _Problem:
     half: float
     linear: float
     supply: FloatArray | None
+    team: Team | None  # that shares the loops over many nodes
 
     def __post_init__(self) -> None:
         faces = self.operator.stencil_source()
@@ -221,9 +242,30 @@ class _State:
         problem, op = self.problem, self.problem.operator
         squares, self.total, size = stencil.imbalance(
             self.c, problem.sink, problem.source, problem.half, op.stiffness, problem.linear,
-            op.ghost, op.weights, self.residual, self.rate,
+            op.ghost, op.weights, self.residual, self.rate, problem.team,
         )  # fmt: skip
-        self.size, self.norm = float(np.sqrt(squares)), float(np.sqrt(size))
+        self.size, self.norm = math.sqrt(squares), math.sqrt(size)
+
+    def step(self, c: FloatArray, correction: Correction, share: float) -> None:
+        """Become ``c`` and a share of a correction."""
+        if self.problem.team is None:
+            np.multiply(correction, share, out=self.c)
+            self.c += c
+        else:
+            from multicell.nutrient.multigrid_kernels import step
+
+            self.problem.team.share(step, len(c), c, correction, share, self.c)
+        self.evaluate()
+
+    def along(self, correction: Correction) -> float:
+        """Return the product of the imbalance and a correction."""
+        if self.problem.team is None:
+            return stencil.dot(self.residual.ravel(), correction.ravel())
+        from multicell.nutrient.multigrid_kernels import dot
+
+        parts = np.empty(len(self.c))
+        self.problem.team.share(dot, len(self.c), self.residual, correction, parts)
+        return float(parts.sum())
 
     def lift(self) -> bool:
         """Bring nodes left below zero to their own balance; return whether none is left."""
@@ -243,8 +285,8 @@ class _State:
         By Cauchy's inequality the absolute imbalances then sum to at most ``tolerance`` times the
         uptake. Below the rounding error of the imbalance itself nothing can be asked.
         """
-        rounding = 8.0 * float(np.finfo(float).eps) * self._largest_rate() * self.norm
-        return max(tolerance * self.total / float(np.sqrt(self.c.size)), rounding)
+        rounding = 8.0 * sys.float_info.epsilon * self._largest_rate() * self.norm
+        return max(tolerance * self.total / math.sqrt(self.c.size), rounding)
 
     def _largest_rate(self) -> float:
         """Return the largest rate of a node, 1/s, but for the uptake's."""
@@ -255,51 +297,61 @@ class _State:
 
     def empty_copy(self) -> _State:
         """Return the same problem with arrays of its own, not filled yet."""
-        other = copy(self)
+        other = object.__new__(_State)
+        other.problem = self.problem
         other.c, other.residual, other.rate = (np.empty_like(self.c) for _ in range(3))
         return other
 
-    def report(self, linear: _Linear) -> SolveReport:
-        """Return the balance, with the imbalance by py-pde's operator."""
+    def report(self, linear: LinearSolver) -> SolveReport:
+        """Return the balance."""
         problem, op = self.problem, self.problem.operator
-        taken = uptake(problem.sink, self.c, problem.half)
-        left = op.divergence(self.c) - taken - problem.linear * self.c
-        supplied = 0.0
-        if problem.supply is not None:
-            left += problem.supply
-            supplied = float(np.sum(problem.supply))
+        left, taken, content = stencil.account(self.c, problem.sink, problem.half, self.residual)
+        supplied = 0.0 if problem.supply is None else float(np.sum(problem.supply))
         v = op.volume
         inward, outward = op.flows(self.c)
         return SolveReport(
-            linear.newton,
-            linear.cg,
-            v * float(np.sum(np.abs(left))),
-            inward - outward,
-            v * float(np.sum(taken)),
-            v * problem.linear * float(np.sum(self.c)),
-            v * supplied,
-            outward,
-        )
+            linear.newton, linear.cg, v * left, inward - outward, v * taken,
+            v * problem.linear * content, v * supplied, outward,
+        )  # fmt: skip
 
 
-def _search(state: _State, trial: _State, correction: FloatArray) -> None:
+def _search(state: _State, trial: _State, correction: Correction) -> None:
     """Set ``trial`` to a point along the correction where the convex energy is lower.
 
     F is the gradient of a convex energy, and the correction of a conjugate-gradient solve always
     points downhill. The slope along it may at most turn round to nine tenths; it does at the
     first step into a starved core, where the tangent of the saturated law is far from the law.
     """
-    downhill = correction.ravel()
-    slope = stencil.dot(state.residual.ravel(), downhill)
+    slope = state.along(correction)
     share = 1.0
     for _ in range(MAX_BACKTRACKS):
-        np.multiply(correction, share, out=trial.c)
-        trial.c += state.c
-        trial.evaluate()
-        there = stencil.dot(trial.residual.ravel(), downhill)
+        trial.step(state.c, correction, share)
+        there = trial.along(correction)
         if not there < -0.9 * slope:
             return
         share *= max(slope / (slope - there), 0.25)
+
+
+class LinearSolver(Protocol):
+    """Solves the linear systems of Newton's method, and counts them and its iterations."""
+
+    newton: int
+    cg: int
+
+    def solve(self, rate: FloatArray, residual: FloatArray, size: float, goal: float) -> Correction:
+        """Solve (-D L0 + rate) x = residual to ``goal``, a share of ``size``, the residual's norm.
+
+        The result lives until the next solve.
+        """
+
+
+def _linear_solver(operator: Diffusion, team: Team) -> LinearSolver:
+    """Return the linear solver that is faster on the operator's grid."""
+    if math.prod(operator.shape) < MANY:
+        return _Linear(operator)
+    from multicell.nutrient.multigrid import MultigridSolver
+
+    return MultigridSolver(operator, team)
 
 
 @final
@@ -309,9 +361,6 @@ class _Linear:
     def __init__(self, operator: Diffusion) -> None:
         self.operator = operator
         self.newton = self.cg = 0
-        nodes = math.prod(operator.shape)
-        self.x, self.r, self.p, self.q, self.scale = (np.empty(nodes) for _ in range(5))
-        self.single = np.empty(operator.shape, dtype=np.float32)
 
     def solve(self, rate: FloatArray, residual: FloatArray, size: float, goal: float) -> FloatArray:
         """Solve (-D L0 + rate) x = residual to ``goal``, a share of ``size``, the residual's norm.
@@ -320,14 +369,17 @@ class _Linear:
         and takes half the time. The result lives until the next solve.
         """
         op, shape = self.operator, self.operator.shape
-        x, r, p, q, scale = self.x, self.r, self.p, self.q, self.scale
+        if self.newton == 0:  # a field that is solved already needs no arrays
+            self._work = np.empty((5, math.prod(shape)))
+            self._single = np.empty(shape, dtype=np.float32)
+        x, r, p, q, scale = self._work
         varied = None if op.varied is None else op.varied.ravel()
         total = stencil.begin(
             rate.ravel(), residual.ravel(), varied, 0.5 / op.stiffness, size, x, r, p, scale,
-            self.single.ravel(),
+            self._single.ravel(),
         )  # fmt: skip
         shift = SHIFT * total / rate.size
-        u, rho = op.invert(self.single, shift)
+        u, rho = op.invert(self._single, shift)
         beta = 0.0
         for _ in range(MAX_CG):
             stencil.new_direction(p, u.ravel(), scale, beta)

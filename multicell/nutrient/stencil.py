@@ -1,6 +1,7 @@
 """Loops over all nodes that the steady solver needs, each fused into one pass.
 
-All run on one thread, so that no sum depends on the number of threads. At a face of the box the
+All run on one thread but for the imbalance of many nodes, whose sums are those of planes, so that
+none depends on the number of threads. At a face of the box the
 missing neighbour is ``ghost[face]`` times the node itself, faces in the order x-, x+, y-, y+, z-,
 z+, and what else the condition brings is part of the source: py-pde's convention, in which a value
 gives -1 and a slope 1. A test holds the stencil against py-pde's own operator.
@@ -21,14 +22,16 @@ from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
 from multicell.compiling import KERNEL
-from multicell.nutrient.uptake import balanced, uptake_and_slope
+from multicell.nutrient.uptake import balanced, uptake, uptake_and_slope
+from multicell.threads import Team
 
 Weights = tuple[FloatArray, FloatArray, FloatArray] | None
+Faces = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
 Float32Array = NDArray[np.float32]
 _F = TypeVar("_F", bound=Callable[..., Any])
 # No fastmath: with it, a function compiled now and the same one read from numba's disk cache were
 # seen to differ in the last bits. Division as NumPy does it has no branch.
-_jit = cast(Callable[[_F], _F], njit(**KERNEL, error_model="numpy"))
+_jit = cast(Callable[[_F], _F], njit(**KERNEL, error_model="numpy", nogil=True))
 
 
 @_jit
@@ -111,15 +114,14 @@ def apply_operator(
                 _fill_row(p, ghost, i, j, row)
             else:
                 _fill_varied(p, ghost, weights, i, j, row, diagonal)
+            e, r, o = p[i, j], rate[i, j], out[i, j]
+            for k in range(nz):  # no sum, for the vector units
+                o[k] = stiffness * (diagonal[k] * e[k] - row[k]) + r[k] * e[k]
             for k in range(nz):
-                v = p[i, j, k]
-                w = stiffness * (diagonal[k] * v - row[k]) + rate[i, j, k] * v
-                out[i, j, k] = w
-                product += v * w
+                product += e[k] * o[k]
     return product
 
 
-@_jit
 def imbalance(
     c: FloatArray,
     sink: FloatArray,
@@ -131,32 +133,76 @@ def imbalance(
     weights: Weights,
     residual: FloatArray,
     rate: FloatArray,
+    team: Team | None = None,
 ) -> tuple[float, float, float]:
     """Write sources minus sinks of all nodes (mM/s) and the sinks' derivative (1/s).
 
     The sinks are uptake, ``sink`` at most (mM/s), and ``linear`` (1/s) times c; ``source`` is in
-    mM/s, c and ``half`` in mM. Return the sums of residual², of all sinks, and of c².
+    mM/s, c and ``half`` in mM. Return the sums of residual², of all sinks, and of c²: over all
+    nodes in their order, or with a ``team``, whose threads share the planes, of each plane first.
     """
-    nx, ny, nz = c.shape
+    planes = len(c)
+    if team is None:
+        parts = np.empty((3, 1))
+        _imbalance(
+            0, planes, c, sink, source, half, stiffness, linear, ghost, weights, residual, rate,
+            parts, planes,
+        )  # fmt: skip
+        return parts.item(0), parts.item(1), parts.item(2)
+    parts = np.empty((3, planes))
+    team.share(
+        _imbalance, planes, c, sink, source, half, stiffness, linear, ghost, weights, residual,
+        rate, parts, 1,
+    )  # fmt: skip
+    squares, total, size = parts.sum(axis=1)
+    return float(squares), float(total), float(size)
+
+
+@_jit
+def _imbalance(
+    begin: int,
+    end: int,
+    c: FloatArray,
+    sink: FloatArray,
+    source: FloatArray,
+    half: float,
+    stiffness: float,
+    linear: float,
+    ghost: FloatArray,
+    weights: Weights,
+    residual: FloatArray,
+    rate: FloatArray,
+    parts: FloatArray,
+    block: int,
+) -> None:
+    """Do so for the planes from ``begin`` to ``end``; ``parts`` (3, _) are sums of ``block``."""
+    ny, nz = c.shape[1:]
     row, diagonal = np.empty(nz), np.full(nz, 6.0)
+    sinks = np.empty(nz)
     squares, total, size = 0.0, 0.0, 0.0
-    for i in range(nx):
+    for i in range(begin, end):
+        if i % block == 0:
+            squares, total, size = 0.0, 0.0, 0.0
         for j in range(ny):
             if weights is None:
                 _fill_row(c, ghost, i, j, row)
             else:
                 _fill_varied(c, ghost, weights, i, j, row, diagonal)
-            for k in range(nz):
-                v = c[i, j, k]
-                taken, slope = uptake_and_slope(sink[i, j, k], v, half)
+            e, most, brought = c[i, j], sink[i, j], source[i, j]
+            left, slopes = residual[i, j], rate[i, j]
+            for k in range(nz):  # no sums, for the vector units
+                v = e[k]
+                taken, slope = uptake_and_slope(most[k], v, half)
                 spent = taken + linear * v
-                r = source[i, j, k] - stiffness * (diagonal[k] * v - row[k]) - spent
-                residual[i, j, k] = r
-                rate[i, j, k] = slope + linear
-                squares += r * r
-                total += spent
-                size += v * v
-    return squares, total, size
+                left[k] = brought[k] - stiffness * (diagonal[k] * v - row[k]) - spent
+                slopes[k] = slope + linear
+                sinks[k] = spent
+            for k in range(nz):
+                squares += left[k] * left[k]
+                total += sinks[k]
+                size += e[k] * e[k]
+        place = i // block
+        parts[0, place], parts[1, place], parts[2, place] = squares, total, size
 
 
 @_jit
@@ -237,11 +283,13 @@ def begin(
     """
     total = 0.0
     for n in range(rate.size):
-        w = 1.0
+        square, s = 1.0, 1.0
         if weight is not None:
-            w = weight[n]
-        square = 1.0 / (w + time * rate[n])
-        s = np.sqrt(square)
+            square = 1.0 / (weight[n] + time * rate[n])
+            s = np.sqrt(square)
+        elif rate[n] != 0.0:
+            square = 1.0 / (1.0 + time * rate[n])
+            s = np.sqrt(square)
         v = residual[n] / size
         x[n] = 0.0
         p[n] = 0.0
@@ -302,9 +350,71 @@ def divide_spectrum(
 
 
 @_jit
-def dot(a: FloatArray, b: FloatArray) -> float:
+def dot(a: FloatArray, b: NDArray[Any]) -> float:
     """Return the product of two flat fields (NumPy's may use threads and change its bits)."""
     product = 0.0
     for n in range(a.size):
         product += a[n] * b[n]
     return product
+
+
+@_jit
+def flows(c: FloatArray, ghost: FloatArray, const: Faces, weights: Weights) -> tuple[float, float]:
+    """Return what flows in and out through the faces, over D/h² and a node's volume, mM.
+
+    ``const`` is what the conditions add to the ghost values of each face, mM.
+    """
+    nx, ny, nz = c.shape
+    inward, outward = 0.0, 0.0
+    for face in range(6):
+        axis, high = face // 2, face % 2
+        across = const[0]
+        if face == 1:
+            across = const[1]
+        elif face == 2:
+            across = const[2]
+        elif face == 3:
+            across = const[3]
+        elif face == 4:
+            across = const[4]
+        elif face == 5:
+            across = const[5]
+        for a in range(across.shape[0]):
+            for b in range(across.shape[1]):
+                if axis == 0:
+                    i, j, k = high * (nx - 1), a, b
+                elif axis == 1:
+                    i, j, k = a, high * (ny - 1), b
+                else:
+                    i, j, k = a, b, high * (nz - 1)
+                step = across[a, b] + (ghost[face] - 1.0) * c[i, j, k]
+                if weights is not None:
+                    if axis == 0:
+                        step *= weights[0][i + high, j, k]
+                    elif axis == 1:
+                        step *= weights[1][i, j + high, k]
+                    else:
+                        step *= weights[2][i, j, k + high]
+                inward += max(step, 0.0)
+                outward += max(-step, 0.0)
+    return inward, outward
+
+
+@_jit
+def account(
+    c: FloatArray, sink: FloatArray, half: float, residual: FloatArray
+) -> tuple[float, float, float]:
+    """Return the sums over all nodes of the sizes of the residual, of uptake (mM/s), and of c (mM).
+
+    Arguments as for :func:`imbalance`.
+    """
+    nx, ny, nz = c.shape
+    left, taken, content = 0.0, 0.0, 0.0
+    for i in range(nx):
+        for j in range(ny):
+            for k in range(nz):
+                left += abs(residual[i, j, k])
+                content += c[i, j, k]
+                if sink[i, j, k] != 0.0:
+                    taken += uptake(sink[i, j, k], c[i, j, k], half)
+    return left, taken, content

@@ -20,7 +20,7 @@ import os
 import struct
 import time as clock
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, final
@@ -40,6 +40,7 @@ PREFIX: Final = struct.Struct("<4sIQIII")
 """Tag, lengths and checksums of a record: 28 bytes."""
 
 _LARGEST_HEADER: Final = 1 << 24
+_LONG: Final = 1 << 18  # bytes of an array that is not copied together with others
 _SYNC_EVERY: Final = 1.0  # s
 _TYPES: Final = ("<f8", "<i8", "<i2", "|i1", "|u1")
 
@@ -132,13 +133,12 @@ class Journal:
         for header, arrays in records:
             chain, pieces = _parts(header, arrays, chain)
             parts += pieces
-        data = b"".join(parts)
         with file_errors("write", self._path):
             if self._torn:
                 os.ftruncate(self._descriptor, self._end)
             self._torn = True
             try:
-                place = self._write(data)
+                place = self._write(_gathered(parts))
                 if clock.monotonic() - self._synced > _SYNC_EVERY:
                     self._sync()
             except OSError as error:
@@ -146,13 +146,15 @@ class Journal:
                 raise
             self._end, self._chain, self._torn = place, chain, False
 
-    def _write(self, data: bytes) -> int:
+    def _write(self, parts: Iterable[Any]) -> int:
         """Write behind the last complete record; return where it ends."""
-        view, place = memoryview(data), self._end
+        place = self._end
         os.lseek(self._descriptor, place, os.SEEK_SET)
-        while view:
-            done = os.write(self._descriptor, view)
-            view, place = view[done:], place + done
+        for part in parts:
+            view = memoryview(part)
+            while view:
+                done = os.write(self._descriptor, view)
+                view, place = view[done:], place + done
         return place
 
     def _take_back(self, error: OSError) -> None:
@@ -178,6 +180,19 @@ class Journal:
             descriptor, self._descriptor = self._descriptor, -1
             with file_errors("write", self._path):
                 os.close(descriptor)
+
+
+def _gathered(parts: Iterable[Any]) -> Iterator[Any]:
+    """Yield what is to be written in few pieces, without a copy of the long ones."""
+    short: list[Any] = []
+    for part in parts:
+        if len(part) >= _LONG:
+            yield b"".join(short)
+            yield part
+            short.clear()
+        else:
+            short.append(part)
+    yield b"".join(short)
 
 
 def _parts(header: Mapping[str, Any], arrays: Arrays, chain: int) -> tuple[int, list[Any]]:
@@ -253,16 +268,13 @@ class Reader:
         OutputError
             If they are not what was written.
         """
+        arrays, left = {}, record.length
         with file_errors("read", self.path), self.path.open("rb") as file:
             file.seek(record.begin)
-            body = file.read(record.length)
-        arrays, start = {}, 0
-        if len(body) == record.length:
             for name, kind, shape in record.header.get("arrays", ()):
-                count = int(np.prod(shape, dtype=np.int64))
-                values = np.frombuffer(body, kind, count, start).reshape(shape)
-                arrays[name], start = values.copy(), start + values.nbytes
-        if len(body) != record.length or digest(arrays) != record.digest:
+                arrays[name] = np.empty(shape, kind)
+                left -= file.readinto(flat(arrays[name]).data)
+        if left or digest(arrays) != record.digest:
             raise OutputError(f"the record at byte {record.begin} of '{self.path}' is damaged")
         return arrays
 

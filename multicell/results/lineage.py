@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Any, Final, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.cells import Cells, IntArray, State
+from multicell.cells import Cells, IntArray, State, rows_of
 
 DIVISION: Final = "division"
 
@@ -23,65 +22,68 @@ COLUMNS: Final[Mapping[str, Mapping[str, Any]]] = {
 _ALIVE, _DIVIDED = -1, -2  # causes of an end that are no state
 
 
+Columns = dict[str, NDArray[Any]]
+
+
 @final
-@dataclass
 class Lineage:
     """Logs of births, deaths and ends, each in the order in which they happened.
 
     A cell's death is the moment at which it turned necrotic, its end the moment from which it is
-    not there any more: it divided, or its remains were removed.
-
-    Attributes
-    ----------
-    logs : name -> column -> list
-        The columns are those of :data:`COLUMNS`; the cause of an end is the cell's state then,
-        or -2 for a division.
+    not there any more: it divided, or its remains were removed. The columns are those of
+    :data:`COLUMNS`; the cause of an end is the cell's state then, or -2 for a division.
     """
 
-    logs: dict[str, dict[str, list[float]]] = field(
-        default_factory=lambda: {
-            log: {name: [] for name in columns} for log, columns in COLUMNS.items()
+    def __init__(self) -> None:
+        # arrays with room behind what counts: lists of numbers take five times as much
+        self._logs: dict[str, Columns] = {
+            log: {name: np.empty(0, dtype) for name, dtype in columns.items()}
+            for log, columns in COLUMNS.items()
         }
-    )
+        self._lengths = dict.fromkeys(COLUMNS, 0)
+
+    @property
+    def logs(self) -> dict[str, Columns]:
+        """The logs: name -> column -> array."""
+        return {log: self.rows(log, 0) for log in COLUMNS}
 
     def born(self, cells: Cells, time: float) -> None:
         """Note cells that came to be."""
-        columns = (cells.id, cells.parent, cells.kind, np.full(len(cells), time))
-        self._note("births", columns)
+        self._note("births", (cells.id, cells.parent, cells.kind, time))
 
     def died(self, ids: IntArray, time: float) -> None:
         """Note cells that died."""
-        self._note("deaths", (ids, np.full(len(ids), time)))
+        self._note("deaths", (ids, time))
 
     def events(self, before: Cells, after: Cells, time: float) -> None:
         """Note what changed between two populations: births, divisions and removals."""
-        new = after.take(~np.isin(after.id, before.id))
-        gone = before.take(~np.isin(before.id, after.id))
-        self.born(new, time)
-        cause = np.where(np.isin(gone.id, new.parent), _DIVIDED, gone.state)
-        self._note("ends", (gone.id, np.full(len(gone), time), cause))
+        new = np.flatnonzero(before.rows_of(after.id) < 0)
+        gone = np.flatnonzero(after.rows_of(before.id) < 0)
+        parent, ids = after.parent[new], before.id[gone]
+        self._note("births", (after.id[new], parent, after.kind[new], time))
+        cause = np.where(rows_of(np.unique(parent), ids) < 0, before.state[gone], _DIVIDED)
+        self._note("ends", (ids, time, cause))
 
     def counts(self) -> dict[str, int]:
         """Return the length of each log."""
-        return {log: len(columns["id"]) for log, columns in self.logs.items()}
+        return dict(self._lengths)
 
     def cut(self, counts: Mapping[str, int]) -> None:
         """Forget what came after the logs had these lengths."""
-        for log, length in counts.items():
-            for column in self.logs[log].values():
-                del column[length:]
+        self._lengths |= counts
 
-    def rows(self, log: str, begin: int) -> dict[str, NDArray[Any]]:
+    def rows(self, log: str, begin: int) -> Columns:
         """Return the rows of a log from ``begin`` on, by column."""
-        return {
-            name: np.array(self.logs[log][name][begin:], dtype=dtype)
-            for name, dtype in COLUMNS[log].items()
-        }
+        end = self._lengths[log]
+        return {name: column[begin:end].copy() for name, column in self._logs[log].items()}
 
     @classmethod
     def of(cls, logs: Mapping[str, Mapping[str, NDArray[Any]]]) -> Lineage:
         """Return the lineage with these logs."""
-        return cls({log: {n: list(v.tolist()) for n, v in c.items()} for log, c in logs.items()})
+        lineage = cls()
+        for log, columns in COLUMNS.items():
+            lineage._note(log, tuple(logs[log][name] for name in columns))
+        return lineage
 
     def table(self) -> dict[str, NDArray[Any]]:
         """Return one row for every cell that ever was, in the order of the identities.
@@ -114,6 +116,14 @@ class Lineage:
             "end": np.array([names[int(c)] for c in cause], dtype=object),
         }
 
-    def _note(self, log: str, columns: tuple[NDArray[Any], ...]) -> None:
-        for name, values in zip(COLUMNS[log], columns, strict=True):
-            self.logs[log][name].extend(np.asarray(values).tolist())
+    def _note(self, log: str, columns: tuple[NDArray[Any] | float, ...]) -> None:
+        """Add rows to a log; the first column tells how many."""
+        begin = self._lengths[log]
+        end = begin + len(np.atleast_1d(columns[0]))
+        for (name, held), values in zip(self._logs[log].items(), columns, strict=True):
+            if end > len(held):
+                room = np.empty(max(end, 3 * len(held) // 2), held.dtype)
+                room[:begin] = held[:begin]
+                self._logs[log][name] = held = room
+            held[begin:end] = values
+        self._lengths[log] = end

@@ -43,6 +43,40 @@ def distances(cells: Cells, origin: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.norm(cells.position - origin, axis=1))
 
 
+@final
+class Extent:
+    """How far a population reaches: computed once for all lengths that a row of a history has.
+
+    Parameters
+    ----------
+    cells
+        The population.
+    dimensions
+        Of the scene: 3, or 2 where all cells lie in a plane.
+    origin : (3,) µm
+        Point from which distances are taken, by default the centre of all cells.
+    """
+
+    def __init__(self, cells: Cells, dimensions: int, origin: FloatArray | None = None) -> None:
+        self._dimensions = dimensions
+        self._weights = sizes(cells, dimensions)
+        self._squares = np.empty(0)
+        if len(cells):
+            if origin is None:
+                origin = np.average(cells.position, axis=0, weights=self._weights)
+            share = dimensions / (dimensions + 2)
+            self._squares = distances(cells, origin) ** 2 + share * cells.radius**2
+
+    def radius(self, mask: Mask | None = None) -> float:
+        """Return the :func:`uniform_radius` of all cells, or of those of a mask, µm."""
+        chosen = slice(None) if mask is None else mask
+        squares, weights = self._squares[chosen], self._weights[chosen]
+        if len(squares) == 0:
+            return 0.0
+        d = self._dimensions
+        return float(np.sqrt((d + 2) / d * np.average(squares, weights=weights)))
+
+
 def uniform_radius(
     cells: Cells, origin: FloatArray, dimensions: int, mask: Mask | None = None
 ) -> float:
@@ -71,23 +105,15 @@ def uniform_radius(
     float
         Radius in µm; 0 if no cell is taken.
     """
-    chosen = cells if mask is None else cells.take(mask)
-    if len(chosen) == 0:
-        return 0.0
-    share = dimensions / (dimensions + 2)
-    square = distances(chosen, origin) ** 2 + share * chosen.radius**2
-    mean = np.average(square, weights=sizes(chosen, dimensions))
-    return float(np.sqrt((dimensions + 2) / dimensions * mean))
+    return Extent(cells, dimensions, origin).radius(mask)
 
 
-def diameter(cells: Cells, dimensions: int) -> float:
+def diameter(cells: Cells, dimensions: int, extent: Extent | None = None) -> float:
     """Return the diameter of the population in µm (:func:`uniform_radius`), 0 without cells."""
-    if len(cells) == 0:
-        return 0.0
-    return 2.0 * uniform_radius(cells, centre(cells, dimensions), dimensions)
+    return 2.0 * (extent or Extent(cells, dimensions)).radius()
 
 
-def necrotic_radius(cells: Cells, dimensions: int) -> float:
+def necrotic_radius(cells: Cells, dimensions: int, extent: Extent | None = None) -> float:
     """Return the radius of the necrotic core in µm, 0 if no cell is necrotic.
 
     The formula of :func:`uniform_radius` over necrotic cells about the centre of all cells; a
@@ -96,24 +122,29 @@ def necrotic_radius(cells: Cells, dimensions: int) -> float:
     dead = cells.state == State.NECROTIC
     if not dead.any():
         return 0.0
-    return uniform_radius(cells, centre(cells, dimensions), dimensions, dead)
+    return (extent or Extent(cells, dimensions)).radius(dead)
 
 
-def viable_rim(cells: Cells, dimensions: int) -> float:
+def viable_rim(cells: Cells, dimensions: int, extent: Extent | None = None) -> float:
     """Return the thickness of the layer outside the necrotic core in µm, NaN without a core.
 
     Necrotic cells that lie further out than the others on average are no core either: there is
     no layer outside them.
     """
-    core = necrotic_radius(cells, dimensions)
-    rim = 0.5 * diameter(cells, dimensions) - core
+    extent = extent or Extent(cells, dimensions)
+    core = necrotic_radius(cells, dimensions, extent)
+    rim = extent.radius() - core
     # rounding must not take the rim of a population that is all core
     lost = rim < -1e-12 * core
     return float("nan") if core == 0.0 or lost else max(rim, 0.0)
 
 
 def hypoxic_radius(
-    cells: Cells, concentration: FloatArray, threshold: float, dimensions: int
+    cells: Cells,
+    concentration: FloatArray,
+    threshold: float,
+    dimensions: int,
+    extent: Extent | None = None,
 ) -> float:
     """Return the radius within which cells lack a nutrient, in µm; 0 if none does.
 
@@ -129,14 +160,16 @@ def hypoxic_radius(
         Below it cells rest.
     dimensions
         Of the scene.
+    extent
+        Of the population, where it is known already.
     """
     lacking = concentration < threshold
     if not lacking.any():
         return 0.0
-    return uniform_radius(cells, centre(cells, dimensions), dimensions, lacking)
+    return (extent or Extent(cells, dimensions)).radius(lacking)
 
 
-def packing_ratio(cells: Cells, dimensions: int) -> float:
+def packing_ratio(cells: Cells, dimensions: int, extent: Extent | None = None) -> float:
     """Return the sum of the cells' volumes over the volume of the ball round them, NaN if none.
 
     In a plane it is areas over the area of the disc. The ball is that of :func:`diameter`. Spheres
@@ -145,7 +178,7 @@ def packing_ratio(cells: Cells, dimensions: int) -> float:
     """
     if len(cells) == 0:
         return float("nan")
-    radius = 0.5 * diameter(cells, dimensions)
+    radius = (extent or Extent(cells, dimensions)).radius()
     return float(((cells.radius / radius) ** dimensions).sum())
 
 
@@ -211,19 +244,22 @@ def largest_pressure(cells: Cells) -> float:
     return float(cells.pressure.max()) if len(cells) else 0.0
 
 
-def state_summary(time: float, cells: Cells, dimensions: int) -> dict[str, Any]:
+def state_summary(
+    time: float, cells: Cells, dimensions: int, extent: Extent | None = None
+) -> dict[str, Any]:
     """Return the part of a summary that follows from the cells alone.
 
     A number that does not exist is None: ``viable_rim`` without a core, ``packing_ratio`` without
     cells. The units are those of :func:`multicell.results.quantities.unit_of`.
     """
+    extent = extent or Extent(cells, dimensions)
     return {
         "time": float(time),
         "cells": len(cells),
-        "diameter": diameter(cells, dimensions),
-        "necrotic_radius": necrotic_radius(cells, dimensions),
-        "viable_rim": known(viable_rim(cells, dimensions)),
-        "packing_ratio": known(packing_ratio(cells, dimensions)),
+        "diameter": diameter(cells, dimensions, extent),
+        "necrotic_radius": necrotic_radius(cells, dimensions, extent),
+        "viable_rim": known(viable_rim(cells, dimensions, extent)),
+        "packing_ratio": known(packing_ratio(cells, dimensions, extent)),
         "largest_pressure": largest_pressure(cells),
         "states": state_counts(cells),
     }
@@ -235,7 +271,12 @@ def known(value: float) -> float | None:
 
 
 def history_row(
-    time: float, step: int, cells: Cells, dimensions: int, **extra: float
+    time: float,
+    step: int,
+    cells: Cells,
+    dimensions: int,
+    extent: Extent | None = None,
+    **extra: float,
 ) -> dict[str, float]:
     """Return one row of a run's history.
 
@@ -247,6 +288,8 @@ def history_row(
         All cells.
     dimensions
         Of the scene.
+    extent
+        Of the population, where it is known already.
     **extra
         More columns; a history keeps the columns of its first row.
 
@@ -258,7 +301,7 @@ def history_row(
         ``largest_pressure`` (kPa) and the extra columns, all as floats; NaN where a number does
         not exist.
     """
-    summary = state_summary(time, cells, dimensions)
+    summary = state_summary(time, cells, dimensions, extent)
     states = summary.pop("states")
     row = {"time": summary.pop("time"), "step": step, **summary, **states, **extra}
     return {n: float("nan") if value is None else float(value) for n, value in row.items()}

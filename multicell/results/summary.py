@@ -28,12 +28,15 @@ def history_row(scene: Scene, frame: Frame, **extra: float) -> dict[str, float]:
     if counts_contacts(scene):
         own["contacts"] = len(frame.contacts)
     own |= _mixing(scene, frame)
-    own |= {f"hypoxic_radius_{name}": r for name, r in _hypoxic(scene, frame).items()}
+    extent = observables.Extent(frame.cells, scene.dimensions)
+    own |= {f"hypoxic_radius_{name}": r for name, r in _hypoxic(scene, frame, extent).items()}
     own |= extra
     if scene.pull is not None:
         own["pull"] = scene.pull.load(frame.time)
     own |= _held_back(scene, frame)
-    return observables.history_row(frame.time, frame.step, frame.cells, scene.dimensions, **own)
+    return observables.history_row(
+        frame.time, frame.step, frame.cells, scene.dimensions, extent, **own
+    )
 
 
 def run_summary(
@@ -66,11 +69,12 @@ def run_summary(
 
     progress = frame.progress
     assert progress is not None
-    own = observables.state_summary(frame.time, frame.cells, scene.dimensions)
+    extent = observables.Extent(frame.cells, scene.dimensions)
+    own = observables.state_summary(frame.time, frame.cells, scene.dimensions, extent)
     remainders = [entry["relative_remainder"] for entry in ledgers.values()]
     error = progress.local_error
     optional: dict[str, Any] = {
-        "hypoxic_radius": _hypoxic(scene, frame),
+        "hypoxic_radius": _hypoxic(scene, frame, extent),
         "separation": progress.separation,
         "fields": fields,
         "notes": [*packing_notes(scene, own["packing_ratio"]), *remarks],
@@ -132,11 +136,11 @@ def _splitting(scene: Scene, frame: Frame) -> dict[str, Any]:
     return {"splitting": entries}
 
 
-def _hypoxic(scene: Scene, frame: Frame) -> dict[str, float]:
+def _hypoxic(scene: Scene, frame: Frame, extent: observables.Extent) -> dict[str, float]:
     """Return the radius in which cells lack each field that makes them rest, µm."""
     return {
         name: observables.hypoxic_radius(
-            frame.cells, frame.concentrations[name], field.quiescence, scene.dimensions
+            frame.cells, frame.concentrations[name], field.quiescence, scene.dimensions, extent
         )
         for name, field in scene.nutrients.items()
         if field.quiescence is not None and name in frame.concentrations

@@ -255,14 +255,14 @@ def test_a_warm_start_takes_fewer_iterations():
 
 
 def test_iterations_do_not_grow_with_the_grid():
-    """Without the sine transform they would double with every halving of the spacing."""
+    """Without transforms or multigrid they would double with every halving of the spacing."""
     reports = []
     for n in (32, 64, 96):
         operator, sink, half = starved(n)
         reports.append(solve_steady(operator, sink, half, np.full(operator.shape, 0.07))[1])
     newton, cg = ([getattr(r, key) for r in reports] for key in ("newton", "cg"))
     assert max(newton) <= min(newton) + 1
-    assert max(cg) <= 1.25 * min(cg)
+    assert max(cg) <= 1.25 * cg[0]  # by transforms there, by multigrid on more nodes
 
 
 def test_nothing_taken_up_leaves_the_boundary_value():

@@ -266,7 +266,8 @@ def test_damage_says_what_can_still_be_read(tmp_path):
     data = bytearray((folder / "frames.h5").read_bytes())
     with h5py.File(folder / "frames.h5") as file:
         chunk = file["cells/position"].id.get_chunk_info(1)
-        first = int(np.searchsorted(file["frames/offset"][()], 4096, side="right")) - 1
+        rows = file["cells/position"].chunks[0]
+        first = int(np.searchsorted(file["frames/offset"][()], rows, side="right")) - 1
     data[chunk.byte_offset + 100] ^= 1
     (folder / "frames.h5").write_bytes(data)
     result = mc.load_result(folder)

@@ -115,10 +115,13 @@ def test_folder_holds_the_scene_and_the_file_its_units(tmp_path):
     written(tmp_path / "out", [spheroid(30)])
     assert load_scene(tmp_path / "out" / "scene.toml") == SCENE
     with h5py.File(tmp_path / "out" / "frames.h5") as file:
-        assert file.attrs["format"] == 3
+        assert file.attrs["format"] == 4
         assert file.attrs["multicell"] == multicell.__version__
+        units = {name: column.attrs["unit"] for name, column in file["cells"].items()}
+        for pool in file["kept"].values():
+            units |= {name: column.attrs["unit"] for name, column in pool.items()}
         for name, spec in Cells.schema().items():
-            assert file["cells"][name].attrs["unit"] == spec["unit"]
+            assert units[name] == spec["unit"]
         assert file["history/diameter"].attrs["unit"] == "um"
 
 

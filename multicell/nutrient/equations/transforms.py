@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from multicell.cells import FloatArray
-from multicell.nutrient.diffusion import TRANSFORMS, eigenvalues
+from multicell.nutrient.dense import eigenvalues
+from multicell.nutrient.diffusion import TRANSFORMS
 from multicell.nutrient.spherical import Shells
 
 if TYPE_CHECKING:

@@ -50,7 +50,7 @@ def inverse_of_blocks(operators: Sequence[AnyOperator], blocks: FloatArray) -> S
 def _in_box(operators: list[Diffusion], blocks: FloatArray) -> Solve:
     m, _, nodes = blocks.shape
     mean = blocks.mean(axis=2)
-    alike = all(op._kinds == operators[0]._kinds for op in operators)
+    alike = all(op.kinds == operators[0].kinds for op in operators)
     if not alike:
         mean = np.diag(np.diag(mean))
     k = np.empty((m, nodes))
@@ -60,7 +60,7 @@ def _in_box(operators: list[Diffusion], blocks: FloatArray) -> Solve:
     node_weights(blocks, mean, k, weights)
     shape, first = operators[0].shape, operators[0]
     stiffness = np.array([op.stiffness for op in operators])
-    ax, ay, az = (np.asarray(a) / first.stiffness for a in first._eigenvalues)
+    ax, ay, az = (np.asarray(a) / first.stiffness for a in first.eigenvalues)
     leaks = np.array([op._leak for op in operators])
     if alike:
 
@@ -68,10 +68,10 @@ def _in_box(operators: list[Diffusion], blocks: FloatArray) -> Solve:
             y = apply_blocks(weights, np.ascontiguousarray(r)).reshape(m, *shape)
             spectra = np.empty_like(y)
             for i in range(m):
-                spectra[i] = _transform(y[i], first._kinds, inverse=False)
+                spectra[i] = _transform(y[i], first.kinds, inverse=False)
             divide_by_blocks(spectra, ax, ay, az, stiffness, mean + np.diag(leaks))
             for i in range(m):
-                y[i] = _transform(spectra[i], first._kinds, inverse=True)
+                y[i] = _transform(spectra[i], first.kinds, inverse=True)
             return y.reshape(m, nodes)
 
         return solve

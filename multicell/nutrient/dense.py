@@ -1,0 +1,226 @@
+"""The inverse of diffusion on few nodes, by sine and cosine transforms that are matrix products.
+
+On up to :data:`MOST` nodes along an axis the product with the matrix of a transform takes less time
+than a fast transform. What is even about the middle of an axis has coefficients of its own, and so
+has what is odd: two products of half the size. The axis that is transformed comes first and the
+others are one long row, which the vector units want: so the array is turned between transforms, and
+in the spectrum, where the order does not matter, stays turned.
+
+Sums are made in a fixed order: the result has the same bits on all machines.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from typing import Any, TypeVar, cast, final
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from multicell.cells import FloatArray
+from multicell.compiling import KERNEL
+
+Float32Array = NDArray[np.float32]
+_F = TypeVar("_F", bound=Callable[..., Any])
+_jit = cast(Callable[[_F], _F], njit(**KERNEL, error_model="numpy"))
+
+MOST = 48
+"""Nodes along an axis up to which its transform is a matrix product."""
+
+
+@lru_cache(maxsize=256)
+def halves(n: int, values: bool) -> tuple[Float32Array, FloatArray]:
+    """Return the transform between two values (or two slopes) by halves, and its eigenvalues.
+
+    Returns
+    -------
+    (4, h, h) float32, h = (n + 1) / 2 rounded down
+        Even and odd part of the transform, and of its inverse; the odd ones are smaller by one for
+        odd n. The odd part takes nodes from the middle outwards.
+    (n,) float64
+        Eigenvalues of minus the second difference in the order of the coefficients.
+    """
+    order, middle = np.arange(n)[:, None] + values, np.arange(n) + 0.5
+    whole = (np.sin if values else np.cos)(np.pi / n * order * middle)
+    whole *= math.sqrt(2.0 / n)
+    whole[-1 if values else 0] *= math.sqrt(0.5)
+    even, odd = whole[0::2, : (n + 1) // 2], whole[1::2, : n // 2][:, ::-1]
+    found = np.zeros((4, *even.shape), dtype=np.float32)
+    for k, part in enumerate((even, odd, even.T, odd.T)):
+        found[k, : len(part), : len(part)] = part
+    of = eigenvalues(n, (values, values))
+    return found, np.concatenate([of[0::2], of[1::2]])
+
+
+def eigenvalues(n: int, ends: tuple[bool, bool]) -> FloatArray:
+    """Return the n eigenvalues of minus the second difference between two ends.
+
+    With values at both ends the angles are kπ/n for k = 1 ... n, with slopes at both for
+    k = 0 ... n - 1, and with one of each (k + 1/2)π/n.
+    """
+    first = {(True, True): 1.0, (False, False): 0.0}.get(ends, 0.5)
+    return np.asarray(4.0 * np.sin(0.5 * np.pi * (np.arange(n) + first) / n) ** 2)
+
+
+@final
+class Inverse:
+    """Solves (A + shift) u = y, A having the eigenvalues of minus a Laplacian.
+
+    Parameters
+    ----------
+    halves : of each axis (4, h, h) and (n,)
+        See :func:`halves`.
+    stiffness : float, 1/s
+        What the eigenvalues are to be multiplied by.
+    """
+
+    def __init__(self, halves: Sequence[tuple[Float32Array, FloatArray]], stiffness: float) -> None:
+        (fx, ax), (fy, ay), (fz, az) = halves
+        nx, ny, nz = len(ax), len(ay), len(az)
+        self._first = nx, ny * nz
+        a, b = np.empty((2, nx * ny * nz), dtype=np.float32)
+        self._given = (
+            a.reshape(nx, -1), a.reshape(ny, -1), a.reshape(nz, -1), a.reshape(-1, nz),
+            b.reshape(ny, -1), b.reshape(nz, -1),
+            fx, fy, fz, stiffness * ax, stiffness * ay, stiffness * az,
+        )  # fmt: skip
+
+    def overwrite(self, y: Float32Array, shift: float) -> float:
+        """Overwrite ``y`` (nx, ny, nz) with u, and return y . u; ``shift`` is in 1/s."""
+        return float(_invert(y.reshape(self._first), shift, *self._given))
+
+
+@_jit
+def _invert(
+    u: Float32Array, shift: float,
+    ax: Float32Array, ay: Float32Array, az: Float32Array, a: Float32Array,
+    by: Float32Array, bz: Float32Array,
+    fx: Float32Array, fy: Float32Array, fz: Float32Array,
+    lx: FloatArray, ly: FloatArray, lz: FloatArray,
+) -> float:  # fmt: skip
+    """Do it; ``ax``, ``ay``, ``az`` and ``a`` are the same memory, and ``by`` and ``bz`` are.
+
+    Their shapes are (nx, ny nz), (ny, nx nz), (nz, ny nx) and (ny nx, nz).
+    """
+    _forward(fx, u, ax)
+    _swap(ax, by)
+    _forward(fy, by, ay)
+    _turn(a, bz)
+    _forward(fz, bz, az)
+    product = _divide(az, lx, ly, lz, shift)
+    _backward(fz, az, bz)
+    _turn(bz, a)
+    _backward(fy, ay, by)
+    _swap(by, ax)
+    _backward(fx, ax, u)
+    return product
+
+
+@_jit
+def _forward(f: Float32Array, x: Float32Array, y: Float32Array) -> None:
+    """Write the transform of ``x`` along its first axis to ``y``; ``x`` is overwritten."""
+    half = f.shape[1]
+    _fold(x)
+    _product(f[0], x[:half], y[:half])
+    _product(f[1], x[half:], y[half:])
+
+
+@_jit
+def _backward(f: Float32Array, x: Float32Array, y: Float32Array) -> None:
+    """Write the inverse transform of ``x`` along its first axis to ``y``."""
+    half = f.shape[1]
+    _product(f[2], x[:half], y[:half])
+    _product(f[3], x[half:], y[half:])
+    _fold(y)
+
+
+@_jit
+def _fold(x: Float32Array) -> None:
+    """Replace each two rows at the same distance from the middle by their sum and difference."""
+    n, m = x.shape
+    for i in range(n // 2):
+        low, high = x[i], x[n - 1 - i]
+        for c in range(m):
+            s, d = low[c] + high[c], low[c] - high[c]
+            low[c] = s
+            high[c] = d
+
+
+@_jit
+def _product(f: Float32Array, x: Float32Array, y: Float32Array) -> None:
+    """Write the product of ``f``, of which the first n rows and columns count, and ``x`` to ``y``.
+
+    ``x`` and ``y`` are (n, m). Two rows are made at a time, from four at a time: a number that is
+    loaded is used more than once.
+    """
+    n, m = x.shape
+    whole = n - n % 4
+    spare = np.empty(m if n % 2 else 0, dtype=np.float32)
+    for a in range(0, n, 2):
+        b = min(a + 1, n - 1)
+        p, q = y[a], y[b] if b > a else spare
+        for c in range(m):
+            p[c] = 0.0
+            q[c] = 0.0
+        for i in range(0, whole, 4):
+            a0, a1, a2, a3 = f[a, i], f[a, i + 1], f[a, i + 2], f[a, i + 3]
+            b0, b1, b2, b3 = f[b, i], f[b, i + 1], f[b, i + 2], f[b, i + 3]
+            s, t, u, v = x[i], x[i + 1], x[i + 2], x[i + 3]
+            for c in range(m):
+                p[c] += (a0 * s[c] + a1 * t[c]) + (a2 * u[c] + a3 * v[c])
+                q[c] += (b0 * s[c] + b1 * t[c]) + (b2 * u[c] + b3 * v[c])
+        for i in range(whole, n):
+            a0, b0, s = f[a, i], f[b, i], x[i]
+            for c in range(m):
+                p[c] += a0 * s[c]
+                q[c] += b0 * s[c]
+
+
+@_jit
+def _swap(x: Float32Array, y: Float32Array) -> None:
+    """Write ``x`` (n, m k) as (m, n k) to ``y``: the first two of three axes change places."""
+    n, m = x.shape[0], y.shape[0]
+    k = x.shape[1] // m
+    for i in range(n):
+        row = x[i]
+        for j in range(m):
+            other = y[j]
+            for c in range(k):
+                other[i * k + c] = row[j * k + c]
+
+
+@_jit
+def _turn(x: Float32Array, y: Float32Array) -> None:
+    """Write the transpose of ``x`` to ``y``, in blocks that fit into the nearest memory."""
+    rows, columns = x.shape
+    for i in range(0, rows, 16):
+        for j in range(0, columns, 16):
+            for k in range(i, min(i + 16, rows)):
+                for m in range(j, min(j + 16, columns)):
+                    y[m, k] = x[k, m]
+
+
+@_jit
+def _divide(
+    spectrum: Float32Array, lx: FloatArray, ly: FloatArray, lz: FloatArray, shift: float
+) -> float:
+    """Divide the spectrum (nz, ny nx) in place; return the product of before and after."""
+    nx, across = lx.size, lx.size * ly.size
+    base, parts = np.empty(across), np.empty(across)
+    for c in range(across):
+        base[c] = ly[c // nx] + lx[c % nx] + shift
+        parts[c] = 0.0
+    for k in range(lz.size):
+        row, least = spectrum[k], lz[k]
+        for c in range(across):
+            v = row[c]
+            w = v / (base[c] + least)
+            row[c] = w
+            parts[c] += v * w
+    product = 0.0
+    for c in range(across):
+        product += parts[c]
+    return product

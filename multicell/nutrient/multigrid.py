@@ -1,0 +1,277 @@
+"""Linear systems of the steady field on many nodes: conjugate gradients with multigrid.
+
+The systems are those of :mod:`multicell.nutrient.steady`, (-D L0 + d) x = r. On a few ten thousand
+nodes and more a V-cycle of geometric multigrid is a better preconditioner than sine transforms:
+it knows at which nodes uptake is fast, so that four to six iterations take the place of
+fifteen, and each costs a third.
+
+A node of the next coarser level is made of two along each axis, of one at the end of an axis with
+an odd number: a grid of boxes of unequal width, on which finite volumes give the operator again
+(so any number of nodes will do). Residuals and rates are averaged, corrections interpolated
+linearly. The smoother before and after is the Chebyshev polynomial of second degree in the
+Jacobi-scaled operator for the upper five sixths of its spectrum, two damped Jacobi steps. The last
+level is one node. (Briggs, Henson & McCormick 2000, A Multigrid Tutorial; Adams et al. 2003,
+J. Comput. Phys. 188:593, on polynomial smoothers.)
+
+Averaging is not the transpose of linear interpolation, so that the preconditioner is symmetric in
+part only: the directions are made conjugate by the formula of Polak and Ribiere, which does not
+ask for more (Notay 2000, SIAM J. Sci. Comput. 22:1444).
+
+All of it is in single precision, half the memory to go through. Newton's method around it
+evaluates the imbalance in double precision and so removes what rounding leaves here.
+
+Where the coefficient of diffusion is w D with w different from place to place, the hierarchy is
+that of (-L0 + d / (w D)), multiplied by w^(-1/2) from both sides.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multicell.cells import FloatArray
+from multicell.nutrient import multigrid_kernels as kernels
+from multicell.threads import Team
+
+if TYPE_CHECKING:
+    from multicell.nutrient.diffusion import Diffusion
+
+Float32Array = NDArray[np.float32]
+Triple = tuple[Any, Any, Any]
+
+SHARED = 200_000
+"""Nodes of a level from which on threads share its loops."""
+
+MAX_CG = 50  # per Newton step; a system not solved by then gives a poorer step, no failure
+
+FINEST = 1e-4
+"""Least part of the imbalance that is asked to be left over: single precision allows no less."""
+
+_MIDDLE, _HALF = 7.0 / 6.0, 5.0 / 6.0  # of the spectrum that the smoother damps: 1/3 to 2
+_SMOOTHER = tuple(
+    np.float32(1.0 / (_MIDDLE + sign * _HALF * math.sqrt(0.5))) for sign in (1.0, -1.0)
+)
+"""Inverse roots of the Chebyshev polynomial: the weights of two damped Jacobi steps."""
+
+
+@final
+class _Level:
+    """The operator, the transfer to the next level, and the arrays of one level.
+
+    Parameters
+    ----------
+    widths : three of (n,)
+        Of the nodes along each axis, over the spacing of the finest level.
+    resistance : (6,)
+        Of the faces beyond the one between node and face, over spacing / D; inf for walls.
+    team
+        Threads that share the loops where there are :data:`SHARED` nodes or more.
+    """
+
+    def __init__(self, widths: list[FloatArray], resistance: FloatArray, team: Team) -> None:
+        self.shape = (len(widths[0]), len(widths[1]), len(widths[2]))
+        ends = resistance.reshape(3, 2)
+        self.along = _triple(_along(w, pair) for w, pair in zip(widths, ends, strict=True))
+        self.team = team if math.prod(self.shape) >= SHARED else Team()
+        self.rate, self.b, self.x, self.spare = (np.empty(self.shape, np.float32) for _ in range(4))
+        self.coarser = [np.add.reduceat(w, np.arange(0, len(w), 2)) for w in widths]
+        pairs = list(zip(widths, self.coarser, strict=True))
+        self.shares = _triple(_single(w / np.repeat(c, 2)[: len(w)]) for w, c in pairs)
+        found = [_between(w, c) for w, c in pairs]
+        self.others = _triple(other for other, _ in found)
+        self.weights = _triple(weight for _, weight in found)
+
+    def share(self, kernel: Callable[..., Any], *arguments: Any) -> None:
+        """Run a kernel over the planes of this level."""
+        self.team.share(kernel, self.shape[0], *arguments)
+
+    def relax(self, weight: np.float32) -> None:
+        """Take a damped Jacobi step."""
+        self.share(kernels.relax, self.x, self.b, self.rate, self.along, weight, self.spare)
+        self.x, self.spare = self.spare, self.x
+
+
+@final
+class Hierarchy:
+    """Levels from the grid of a field down to one node.
+
+    Parameters
+    ----------
+    shape : (3,) int
+        Nodes of the finest level.
+    ghost : (6,)
+        Factors of the ghost values; see :mod:`multicell.nutrient.stencil`.
+    team
+        Threads that share the loops over many nodes; they do not change the result.
+    """
+
+    def __init__(self, shape: tuple[int, int, int], ghost: FloatArray, team: Team) -> None:
+        with np.errstate(divide="ignore"):
+            # a node at a face lets 1 - ghost through; half a spacing of that is its own
+            resistance = np.maximum(1.0 / (1.0 - ghost) - 0.5, 0.0)
+        self.levels = [_Level([np.ones(n) for n in shape], resistance, team)]
+        while max(self.levels[-1].shape) > 1:
+            self.levels.append(_Level(self.levels[-1].coarser, resistance, team))
+
+    def set_rate(self) -> None:
+        """Bring the rates of all levels up to date with those of the finest, ``rate``."""
+        for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
+            fine.team.share(kernels.average, coarse.shape[0], fine.rate, fine.shares, coarse.rate)
+
+    def cycle(self) -> Float32Array:
+        """Solve A x = b approximately on the finest level; the result lives until the next call."""
+        *above, last = self.levels
+        for level, coarse in zip(self.levels, self.levels[1:], strict=False):
+            ahead, behind = _SMOOTHER
+            level.share(kernels.first, level.b, level.rate, level.along, ahead, level.x)
+            level.relax(behind)
+            level.team.share(
+                kernels.restrict, coarse.shape[0], level.x, level.b, level.rate, level.along,
+                level.shares, coarse.b,
+            )  # fmt: skip
+        diagonal = sum(axis[2, 0] for axis in last.along) + last.rate
+        last.x[:] = last.b / diagonal
+        below = last
+        for level in reversed(above):
+            level.share(kernels.prolong, below.x, level.others, level.weights, level.x)
+            for weight in _SMOOTHER:
+                level.relax(weight)
+            below = level
+        return self.levels[0].x
+
+
+@final
+class MultigridSolver:
+    """Conjugate gradients preconditioned by a V-cycle, with the arrays that they work in.
+
+    Parameters
+    ----------
+    operator
+        Diffusion with its conditions.
+    team
+        See :class:`Hierarchy`.
+
+    Attributes
+    ----------
+    newton, cg : int
+        Systems solved and iterations.
+    """
+
+    def __init__(self, operator: Diffusion, team: Team) -> None:
+        self.operator = operator
+        self.newton = self.cg = 0
+        # rows along the last axis are what is fast: a plane is turned so that it has some
+        self._flat = operator.shape[2] == 1
+        shape, self._ghost = operator.shape, operator.ghost
+        if self._flat:
+            shape, self._ghost = (1, *operator.shape[:2]), np.roll(operator.ghost, 2)
+        self._hierarchy = Hierarchy(shape, self._ghost, team)
+        self._finest = self._hierarchy.levels[0]
+        self._x, self._r, self._p, self._q = (np.zeros(shape, np.float32) for _ in range(4))
+        self._parts = np.empty((2, shape[0]))
+        self._rate, self._scale, self._weights = self._finest.rate, None, None
+        if operator.weights is None or operator.varied is None:
+            self._finest.b = self._r
+        else:
+            self._rate = np.empty(shape, np.float32)
+            self._scale = _single(self._turned(operator.varied) ** -0.5)
+            wx, wy, wz = (self._turned(w) for w in operator.weights)
+            self._weights = (wz, wx, wy) if self._flat else (wx, wy, wz)
+
+    def solve(
+        self, rate: FloatArray, residual: FloatArray, size: float, goal: float
+    ) -> Float32Array:
+        """Solve (-D L0 + rate) x = residual to ``goal``, a share of ``size``, the residual's norm.
+
+        To :data:`FINEST` at best. The result lives until the next solve.
+        """
+        self._begin(rate, residual, size)
+        x, r, p, q = self._x, self._r, self._p, self._q
+        share, along, parts = self._finest.share, self._finest.along, self._parts[0]
+        z = self._precondition()
+        rho, _ = self._products(z)
+        beta = 0.0
+        for _ in range(MAX_CG):
+            share(kernels.direct, p, z, np.float32(beta))
+            share(kernels.apply, p, self._rate, along, self._ghost, self._weights, q, parts)
+            step = rho / float(parts.sum())
+            share(kernels.advance, np.float32(step), x, p, r, q, parts)
+            self.cg += 1
+            if not float(parts.sum()) > max(goal, FINEST) ** 2:
+                break
+            z = self._precondition()
+            following, change = self._products(z)
+            beta, rho = -step * change / rho, following
+        self.newton += 1
+        x *= np.float32(size / self.operator.stiffness)
+        return x.reshape(self.operator.shape)
+
+    def _begin(self, rate: FloatArray, residual: FloatArray, size: float) -> None:
+        """Take a system, divided by D/h² and by the size of its right-hand side."""
+        self._finest.share(
+            kernels.load, self._turned(rate), self.operator.stiffness, self._turned(residual),
+            size, self._rate, self._r, self._x, self._p,
+        )  # fmt: skip
+        if self._scale is not None:
+            np.multiply(self._rate, self._scale * self._scale, out=self._finest.rate)
+        self._hierarchy.set_rate()
+
+    def _precondition(self) -> Float32Array:
+        """Return the preconditioned residual; it lives until the next call."""
+        if self._scale is None:
+            return self._hierarchy.cycle()
+        np.multiply(self._r, self._scale, out=self._finest.b)
+        z = self._hierarchy.cycle()
+        z *= self._scale
+        return z
+
+    def _products(self, z: Float32Array) -> tuple[float, float]:
+        """Return the products of ``z`` with the residual and with its last change."""
+        self._finest.share(kernels.products, z, self._r, self._q, self._parts)
+        first, second = self._parts.sum(axis=1)
+        return float(first), float(second)
+
+    def _turned(self, values: FloatArray) -> FloatArray:
+        """Return values with the third axis of a plane in front."""
+        return np.ascontiguousarray(np.moveaxis(values, 2, 0)) if self._flat else values
+
+
+def _along(width: FloatArray, resistance: FloatArray) -> Float32Array:
+    """Return the coefficients of minus the second difference along an axis, (3, n).
+
+    Of the lower neighbour, the upper neighbour and the node. ``width`` (n,) are the nodes' widths,
+    ``resistance`` (2,) is that of what lies beyond the two faces.
+    """
+    table = np.zeros((3, len(width)))
+    distance = 0.5 * (width[1:] + width[:-1])
+    table[0, 1:], table[1, :-1] = 1.0 / distance, 1.0 / distance
+    table[2] = table[0] + table[1]
+    table[2, 0] += 1.0 / (0.5 * width[0] + resistance[0])
+    table[2, -1] += 1.0 / (0.5 * width[-1] + resistance[1])
+    return _single(table / width)
+
+
+def _between(width: FloatArray, coarser: FloatArray) -> tuple[NDArray[np.int64], Float32Array]:
+    """Return the second coarse node that each node lies between, and its weight, (n,) both.
+
+    Between the last coarse node and a face the correction is taken as constant.
+    """
+    middle, coarse = np.cumsum(width) - 0.5 * width, np.cumsum(coarser) - 0.5 * coarser
+    parent = np.arange(len(width)) // 2
+    away = middle - coarse[parent]
+    other = np.clip(parent + np.sign(away).astype(np.int64), 0, len(coarse) - 1)
+    distance = np.where(other == parent, 1.0, coarse[other] - coarse[parent])
+    return other, _single(np.where(other == parent, 0.0, away / distance))
+
+
+def _single(values: FloatArray) -> Float32Array:
+    return np.ascontiguousarray(values, dtype=np.float32)
+
+
+def _triple(values: Iterable[Any]) -> Triple:
+    x, y, z = values
+    return (x, y, z)

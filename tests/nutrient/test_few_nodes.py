@@ -1,0 +1,134 @@
+"""Small grids: transforms as matrices against SciPy, conditions as numbers against py-pde."""
+
+import numpy as np
+import pytest
+from pde import CartesianGrid
+from scipy import fft
+from scipy.fft import next_fast_len
+from scipy.sparse import csr_array
+from scipy.sparse.linalg import spsolve
+
+from multicell.nutrient import dense
+from multicell.nutrient.cartesian import Box, _fast
+from multicell.nutrient.diffusion import Diffusion
+from multicell.nutrient.steady import solve_steady
+
+D = 1000.0
+WALL = {"derivative": 0.0}
+SIDES = {
+    "value": {"value": 0.3},
+    "wall": WALL,
+    "supply": {"derivative": 0.01},
+    "mixed": {"type": "mixed", "value": 0.05, "const": 0.02},
+}
+
+
+@pytest.mark.parametrize("values", [True, False])
+@pytest.mark.parametrize("n", [1, 2, 3, 8, 13, 48])
+def test_halves_are_the_transform_of_scipy(n, values):
+    whole = (fft.dst if values else fft.dct)(np.eye(n), type=2, axis=0, norm="ortho")
+    found, of = dense.halves(n, values)
+    half = (n + 1) // 2
+    np.testing.assert_allclose(found[0], whole[0::2, :half], atol=1e-7)
+    odd = found[1][: n // 2, : n // 2]
+    np.testing.assert_allclose(odd, whole[1::2, : n // 2][:, ::-1], atol=1e-7)
+    np.testing.assert_array_equal(found[2], found[0].T)
+    np.testing.assert_array_equal(found[3], found[1].T)
+    # the matrix that is diagonalised: a second difference between two ends
+    matrix = 2.0 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+    matrix[0, 0] += 1.0 if values else -1.0
+    matrix[-1, -1] += 1.0 if values else -1.0
+    np.testing.assert_allclose(np.sort(of), np.linalg.eigvalsh(matrix), atol=1e-13)
+
+
+@pytest.mark.parametrize("shape", [(1, 1, 1), (2, 3, 1), (5, 4, 7), (9, 9, 9), (48, 3, 11)])
+@pytest.mark.parametrize("values", [(True, True, True), (False, False, False), (True, False, True)])
+def test_the_inverse_is_that_of_scipy(shape, values):
+    rng = np.random.default_rng(1)
+    y = rng.normal(size=shape).astype(np.float32)
+    halves = [dense.halves(n, v) for n, v in zip(shape, values, strict=True)]
+    u = y.copy()
+    product = dense.Inverse(halves, 0.7).overwrite(u, 0.2)
+    spectrum = y.astype(float)
+    for axis, v in enumerate(values):
+        spectrum = (fft.dst if v else fft.dct)(spectrum, type=2, axis=axis, norm="ortho")
+    ax, ay, az = (dense.eigenvalues(n, (v, v)) for n, v in zip(shape, values, strict=True))
+    spectrum /= 0.7 * (ax[:, None, None] + ay[:, None] + az) + 0.2
+    for axis, v in enumerate(values):
+        spectrum = (fft.idst if v else fft.idct)(spectrum, type=2, axis=axis, norm="ortho")
+    np.testing.assert_allclose(u, spectrum, rtol=0, atol=3e-6 * np.abs(spectrum).max())
+    assert product == pytest.approx(float(np.sum(y * spectrum)), rel=1e-5)
+
+
+@pytest.mark.parametrize("first", SIDES)
+@pytest.mark.parametrize("second", SIDES)
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_a_box_has_the_conditions_of_pde(first, second, dimensions):
+    shape, h = (4, 5, 6)[:dimensions], 7.0
+    axes = "xyz"[:dimensions]
+    sides = {axis + "-": SIDES[first] for axis in axes} | {
+        axis + "+": SIDES[second] for axis in axes
+    }
+    height = 9.0 if dimensions == 2 else None
+    whole = (*shape, 1)[:3]
+    own = Diffusion(Box((0.0, 0.0, 0.0), whole, h, height), D, sides, height=height)
+    grid = CartesianGrid([(0, h * n) for n in shape], shape)
+    theirs = Diffusion(grid, D, sides, height=height)
+    c = np.random.default_rng(2).random(whole)
+    np.testing.assert_allclose(own.ghost, theirs.ghost, atol=1e-14)
+    np.testing.assert_allclose(own.source, theirs.source, atol=1e-13 * theirs.source.max())
+    np.testing.assert_allclose(own.divergence(c), theirs.divergence(c), rtol=0, atol=1e-10)
+    assert own.flows(c) == pytest.approx(theirs.flows(c), rel=1e-12, abs=1e-12)
+    # what comes in by the flows is what diffusion brings to the nodes, by py-pde's operator
+    gained = float(theirs.divergence(c).sum()) * own.volume
+    assert own.inflow(c) == pytest.approx(gained, rel=1e-10, abs=1e-8)
+
+
+def test_conditions_may_differ_all_over_a_face_on_a_grid_of_pde():
+    grid = CartesianGrid([(0, 20.0), (0, 30.0), (0, 40.0)], (2, 3, 4))
+    over = np.random.default_rng(3).random((3, 4))
+    operator = Diffusion(grid, D, {"x-": {"value": over}, "x+": WALL, "y": WALL, "z": WALL})
+    c = np.random.default_rng(4).random((2, 3, 4))
+    # two differences to a value half a spacing away, through faces of 10 by 10
+    flow = D * 2.0 * (over - c[0]) / 10.0 * 100.0
+    inward, outward = operator.flows(c)
+    assert inward == pytest.approx(flow[flow > 0.0].sum(), rel=1e-12)
+    assert outward == pytest.approx(-flow[flow < 0.0].sum(), rel=1e-12)
+
+
+@pytest.mark.parametrize("half", [1e-3, 0.05])
+def test_a_steady_field_of_few_nodes_is_that_of_a_direct_solver(half):
+    """Against Newton's method with SciPy's sparse factors, and matrices made entry by entry."""
+    n, h, level = 9, 10.0, 0.07
+    operator = Diffusion(Box((0.0, 0.0, 0.0), (n, n, n), h), D, level)
+    rng = np.random.default_rng(5)
+    sink = np.where(rng.random((n, n, n)) < 0.3, 0.05 * rng.random((n, n, n)), 0.0)
+    c, report = solve_steady(operator, sink, half, np.full((n, n, n), level))
+    line = 2.0 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+    line[0, 0] = line[-1, -1] = 3.0
+    one = np.eye(n)
+    matrix = sum(
+        np.kron(np.kron(a, b), d)
+        for a, b, d in ((line, one, one), (one, line, one), (one, one, line))
+    ) * (D / h**2)  # fmt: skip
+    at_ends = np.zeros(n)
+    at_ends[[0, -1]] = 2.0 * level * D / h**2
+    source = (at_ends[:, None, None] + at_ends[:, None] + at_ends).ravel()
+    exact, most = np.full(n**3, level), sink.ravel()
+    for _ in range(30):
+        left = source - matrix @ exact - most * exact / (half + exact)
+        slope = np.diag(most * half / (half + exact) ** 2)
+        step = spsolve(csr_array(matrix + slope), left)
+        exact = np.maximum(exact + step, 1e-3 * exact)
+        if np.abs(step).max() < 1e-15:
+            break
+    np.testing.assert_allclose(c.ravel(), exact, rtol=0, atol=1e-9 * level)
+    taken = float((most * exact / (half + exact)).sum()) * h**3
+    assert report.uptake == pytest.approx(taken, rel=1e-8)
+    assert report.inflow == pytest.approx(taken, rel=1e-8)
+    assert report.residual < 2e-9 * taken
+
+
+def test_numbers_of_nodes_are_those_that_scipy_transforms_fast():
+    for needed in range(1, 2500):
+        assert _fast(float(needed)) == next_fast_len(max(2, needed), real=False)

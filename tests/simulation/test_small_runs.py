@@ -1,0 +1,113 @@
+"""What a step of few cells costs in calls, and what it does not do again."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import multicell as mc
+from multicell.biology.growth import growth_factor
+from multicell.simulation import Simulation
+
+
+def simulation(count, **changes):
+    scene = mc.load_scene("spheroid").with_changes(
+        {"initial.count": count, "initial.stage": "asynchronous", **changes}
+    )
+    return Simulation(scene, threads=1)
+
+
+def calls(run):
+    """Return how many functions, of Python and of C, are called in a step in the median."""
+    found = []
+    for _ in range(15):
+        number = 0
+
+        def count(frame, event, argument):
+            nonlocal number
+            number += event in ("call", "c_call")
+
+        sys.setprofile(count)
+        try:
+            run.step()
+        finally:
+            sys.setprofile(None)
+        found.append(number)
+    return np.median(found)
+
+
+@pytest.mark.parametrize(("count", "most"), [(1, 800), (40, 1300)])
+def test_a_step_of_few_cells_takes_few_calls(count, most):
+    """It was 2,100 for one cell, most of them to describe the sides of the field anew."""
+    run = simulation(count)
+    for _ in range(3):
+        run.step()
+    assert calls(run) < most
+
+
+def test_a_run_loads_neither_pde_nor_transforms():
+    code = (
+        "import sys; import multicell as mc; from multicell.simulation import Simulation;"
+        "s = Simulation(mc.load_scene('spheroid'), threads=1); s.step();"
+        "print([m for m in ('pde', 'scipy.fft', 'h5py', 'matplotlib') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_a_lone_cell_stays_where_it_is_and_is_not_integrated():
+    run = simulation(1)
+    where = run.cells.position.copy()
+    for _ in range(3):
+        run.step()
+    assert run._mechanics.work.evaluations == 0
+    assert run.local_error is None
+    np.testing.assert_array_equal(run.cells.position, where)
+    np.testing.assert_array_equal(run.cells.pressure, [0.0])
+    # it is what the integration would have found
+    run._mechanics.begin(run._motion(run.time, run.time + 600.0, 1.01 * run.cells.radius))
+    outcome = run._integrator.integrate(run._mechanics, run.cells.position)
+    assert run._mechanics.work.evaluations > 0
+    np.testing.assert_array_equal(outcome.position, where)
+    np.testing.assert_array_equal(run._mechanics.pressure(run.time, where), [0.0])
+
+
+def test_a_lone_cell_that_something_acts_on_moves():
+    crawling = simulation(1, motility={"force": "0.1 nN", "persistence": "10 min"})
+    where = crawling.cells.position.copy()
+    crawling.step()
+    assert np.linalg.norm(crawling.cells.position - where) > 0.01
+    ends = ["-20 um", "20 um"]
+    pressed = simulation(1, domain={"x": ends, "y": ends, "z": ends, "wall": "elastic"})
+    pressed.cells.position[0] = [18.0, 0.0, 0.0]
+    pressed.step()
+    assert pressed.cells.position[0, 0] < 18.0
+
+
+def test_growth_factors_follow_cells_and_fields():
+    run = simulation(30)
+    for _ in range(6):
+        run.step()
+        expected = growth_factor(run.scene, run.concentrations, run.cells.pressure)
+        np.testing.assert_array_equal(run._growth_factor(), expected)
+    assert run._growth_factor() is run._growth_factor()
+    run.cells.pressure = np.full(len(run.cells), 0.05)
+    changed = growth_factor(run.scene, run.concentrations, run.cells.pressure)
+    np.testing.assert_array_equal(run._growth_factor(), changed)
+
+
+def test_cells_that_share_arrays_keep_their_own_when_some_are_replaced():
+    cells = simulation(10).cells
+    before = {name: column.copy() for name, column in cells.columns()}
+    other = cells.shared()
+    assert other.young is cells.young
+    other.radius = 2.0 * other.radius
+    for name, column in cells.columns():
+        np.testing.assert_array_equal(column, before[name])
+    mask = cells.radius > np.median(cells.radius)
+    taken, rows = cells.take(mask), np.flatnonzero(mask)
+    for name, column in taken.columns():
+        np.testing.assert_array_equal(column, before[name][rows])
+        assert column.flags.c_contiguous
+        assert not np.shares_memory(column, getattr(cells, name))
