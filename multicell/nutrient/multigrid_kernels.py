@@ -19,17 +19,18 @@ from typing import Any, TypeVar, cast
 import numpy as np
 from numba import njit
 
-from multicell.compiling import KERNEL
+from multicell.compiling import INNER, KERNEL
 from multicell.nutrient.stencil import _fill_varied
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 _jit = cast(Callable[[_F], _F], njit(**KERNEL, error_model="numpy", nogil=True))
+_inner = cast(Callable[[_F], _F], njit(**INNER, nogil=True))
 
 _NONE = np.float32(0.0)
 _ONE = np.float32(1.0)
 
 
-@_jit
+@_inner
 def _neighbours(x: Any, along: Any, i: int, j: int, row: Any) -> None:
     """Write the weighted sums of the six neighbours of the nodes (i, j, :) to ``row``, (nz,)."""
     nx, ny, nz = x.shape
@@ -74,7 +75,7 @@ def relax(
                 o[k] = e[k] + weight * ((right[k] + row[k]) / (base + az[2, k] + r[k]) - e[k])
 
 
-@_jit
+@_inner
 def _pair(total: Any, share: Any, out: Any) -> None:
     """Write the weighted sums of neighbouring pairs, (n,), to ``out``, (ceil(n / 2),)."""
     n = total.size

@@ -21,7 +21,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
-from multicell.compiling import KERNEL
+from multicell.compiling import INNER, KERNEL
 from multicell.nutrient.uptake import balanced, uptake, uptake_and_slope
 from multicell.threads import Team
 
@@ -32,9 +32,10 @@ _F = TypeVar("_F", bound=Callable[..., Any])
 # No fastmath: with it, a function compiled now and the same one read from numba's disk cache were
 # seen to differ in the last bits. Division as NumPy does it has no branch.
 _jit = cast(Callable[[_F], _F], njit(**KERNEL, error_model="numpy", nogil=True))
+_inner = cast(Callable[[_F], _F], njit(**INNER, nogil=True))
 
 
-@_jit
+@_inner
 def _around(p: FloatArray, ghost: FloatArray, i: int, j: int, k: int) -> float:
     """Return the sum of the six neighbours of a node."""
     nx, ny, nz = p.shape
@@ -49,7 +50,7 @@ def _around(p: FloatArray, ghost: FloatArray, i: int, j: int, k: int) -> float:
     return float(total)
 
 
-@_jit
+@_inner
 def _fill_row(p: FloatArray, ghost: FloatArray, i: int, j: int, row: FloatArray) -> None:
     """Write the sums of neighbours along the last axis to ``row``."""
     nx, ny, nz = p.shape
@@ -64,7 +65,7 @@ def _fill_row(p: FloatArray, ghost: FloatArray, i: int, j: int, row: FloatArray)
         row[k] = (a[k] + b[k]) + (c[k] + d[k]) + (e[k - 1] + e[k + 1])
 
 
-@_jit
+@_inner
 def _fill_varied(
     p: FloatArray,
     ghost: FloatArray,
