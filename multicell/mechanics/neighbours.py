@@ -56,7 +56,8 @@ class PairList:
     Attributes
     ----------
     first, second : (m,) int32
-        Cells of a pair. Only the ranges named below hold pairs, the rest is spare room.
+        Cells of a pair, which of the two comes first is left open but for outer pairs. Only the
+        ranges named below hold pairs, the rest is spare room.
     start, inner_end, outer_end : (k,) int64
         For chunk ``c``, inner pairs are ``start[c]:inner_end[c]`` and outer pairs
         ``inner_end[c]:outer_end[c]``.

@@ -62,6 +62,13 @@ class Blocks:
 
 
 @njit(**KERNEL)
+def _link(p, gamma, along, across):
+    """Return w and s of a pair with P = w n nᵀ + s I, both zero where it does not touch."""
+    s = gamma * max(-across[p], 0.0)
+    return gamma * max(along[p] - across[p], 0.0) - s, s
+
+
+@njit(**KERNEL)
 def _collect_chunk(
     c, chunk, rows, first, second, start, inner_end, outer_end, normal, along, across,
     gamma, drag, walls, begin, near, link, blocks,
@@ -81,25 +88,30 @@ def _collect_chunk(
         for i in range(low, high):
             for k in range(3):
                 blocks[i, k] += gamma * walls[i, k]
-    at = start[c]
     for p in range(start[c], outer_end[c]):
-        s = gamma * max(-across[p], 0.0)
-        w = gamma * max(along[p] - across[p], 0.0) - s
+        w, s = _link(p, gamma, along, across)
         if s == 0.0 and w == 0.0:
             continue
-        nx, ny, nz = normal[p, 0], normal[p, 1], normal[p, 2]
         i, j = first[p], second[p]
         for side in range(2 if p < inner_end[c] else 1):
             k = i if side == 0 else j
-            add_block(blocks, k, w, s, nx, ny, nz)
+            add_block(blocks, k, w, s, normal[p, 0], normal[p, 1], normal[p, 2])
         if p < inner_end[c]:
-            if begin[i, 1] == 0:
-                begin[i, 0] = at
-            near[at] = j
-            link[at, 0], link[at, 1], link[at, 2] = nx, ny, nz
-            link[at, 3], link[at, 4] = w, s
-            at += 1
-            begin[i, 1] = at
+            begin[min(i, j), 1] += 1
+    # a list names the cells of a pair in any order, the sweeps need the one that comes first
+    at = start[c]
+    for i in range(low, high):
+        begin[i, 0], at = at, at + begin[i, 1]
+        begin[i, 1] = begin[i, 0]
+    for p in range(start[c], inner_end[c]):
+        w, s = _link(p, gamma, along, across)
+        if s == 0.0 and w == 0.0:
+            continue
+        i, at = min(first[p], second[p]), begin[min(first[p], second[p]), 1]
+        near[at] = max(first[p], second[p])
+        link[at, 0], link[at, 1], link[at, 2] = normal[p, 0], normal[p, 1], normal[p, 2]
+        link[at, 3], link[at, 4] = w, s
+        begin[i, 1] = at + 1
 
 
 @njit(**KERNEL)
