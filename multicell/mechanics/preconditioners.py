@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Protocol, final
 import numpy as np
 from numba import njit, prange
 
+from multicell.compiling import KERNEL
 from multicell.mechanics.blocks import NEARLY_SINGULAR, add_block, invert_by_pivots
 from multicell.threads import two_drivers
 
@@ -60,7 +61,14 @@ class Blocks:
         system.precondition(vector, out)
 
 
-@njit(cache=True)
+@njit(**KERNEL)
+def _link(p, gamma, along, across):
+    """Return w and s of a pair with P = w n nᵀ + s I, both zero where it does not touch."""
+    s = gamma * max(-across[p], 0.0)
+    return gamma * max(along[p] - across[p], 0.0) - s, s
+
+
+@njit(**KERNEL)
 def _collect_chunk(
     c, chunk, rows, first, second, start, inner_end, outer_end, normal, along, across,
     gamma, drag, walls, begin, near, link, blocks,
@@ -80,28 +88,33 @@ def _collect_chunk(
         for i in range(low, high):
             for k in range(3):
                 blocks[i, k] += gamma * walls[i, k]
-    at = start[c]
     for p in range(start[c], outer_end[c]):
-        s = gamma * max(-across[p], 0.0)
-        w = gamma * max(along[p] - across[p], 0.0) - s
+        w, s = _link(p, gamma, along, across)
         if s == 0.0 and w == 0.0:
             continue
-        nx, ny, nz = normal[p, 0], normal[p, 1], normal[p, 2]
         i, j = first[p], second[p]
         for side in range(2 if p < inner_end[c] else 1):
             k = i if side == 0 else j
-            add_block(blocks, k, w, s, nx, ny, nz)
+            add_block(blocks, k, w, s, normal[p, 0], normal[p, 1], normal[p, 2])
         if p < inner_end[c]:
-            if begin[i, 1] == 0:
-                begin[i, 0] = at
-            near[at] = j
-            link[at, 0], link[at, 1], link[at, 2] = nx, ny, nz
-            link[at, 3], link[at, 4] = w, s
-            at += 1
-            begin[i, 1] = at
+            begin[min(i, j), 1] += 1
+    # a list names the cells of a pair in any order, the sweeps need the one that comes first
+    at = start[c]
+    for i in range(low, high):
+        begin[i, 0], at = at, at + begin[i, 1]
+        begin[i, 1] = begin[i, 0]
+    for p in range(start[c], inner_end[c]):
+        w, s = _link(p, gamma, along, across)
+        if s == 0.0 and w == 0.0:
+            continue
+        i, at = min(first[p], second[p]), begin[min(first[p], second[p]), 1]
+        near[at] = max(first[p], second[p])
+        link[at, 0], link[at, 1], link[at, 2] = normal[p, 0], normal[p, 1], normal[p, 2]
+        link[at, 3], link[at, 4] = w, s
+        begin[i, 1] = at + 1
 
 
-@njit(cache=True)
+@njit(**KERNEL)
 def _invert(blocks, i):
     """Replace a symmetric 3 x 3 block by its inverse; return its determinant."""
     a, b, c = blocks[i, 0], blocks[i, 1], blocks[i, 2]
@@ -121,7 +134,7 @@ def _invert(blocks, i):
     return determinant
 
 
-@njit(cache=True)
+@njit(**KERNEL)
 def _subtract(blocks, i, j, link, e):
     """Subtract P B⁻¹ P from block j, with the inverted block i and P of the pair ``e``."""
     nx, ny, nz, w, s = link[e, 0], link[e, 1], link[e, 2], link[e, 3], link[e, 4]
@@ -142,7 +155,7 @@ def _subtract(blocks, i, j, link, e):
     blocks[j, 5] -= a * ny * nz + b * (ny * qz + qy * nz) + c * yz
 
 
-@njit(cache=True)
+@njit(**KERNEL)
 def _factor_chunk(c, chunk, incomplete, begin, near, link, blocks):
     """Invert the diagonal blocks; ``incomplete`` corrects them as a factorisation does."""
     low, high = c * chunk, min((c + 1) * chunk, blocks.shape[0])
@@ -166,7 +179,7 @@ def _factor(
         _factor_chunk(c, chunk, incomplete, begin, near, link, blocks)
 
 
-@njit(cache=True)
+@njit(**KERNEL)
 def _sweep_chunk(c, chunk, rows, drag, begin, near, link, blocks, vector, out):
     """Solve (D + L) D⁻¹ (D + U) x = Γ b for the cells of one chunk."""
     low, high = c * chunk, min((c + 1) * chunk, rows.shape[0])
