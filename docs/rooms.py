@@ -25,8 +25,9 @@ WHAT = {
     "results": "frames, history, journal", "scene": "what there is", "integrators": "methods",
     "mechanics": "forces, Jacobian, lists", "contact": "pair laws", "plugins": "file.py:Name",
     "schema": "declarations", "units": "at the door", "random": "streams", "threads": "sharing",
+    "compiling": "by numba", "rehearsal": "compiling ahead",
     "memory": "given back",
-    "cells": "the state", "errors": "what users meet",
+    "philox": "random words", "cells": "the state", "errors": "what users meet",
 }  # fmt: skip
 
 

@@ -6,9 +6,13 @@ of few cells does.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numba import njit
 
+_OPTIONS: dict[str, Any] = {"cache": True, "no_cfunc_wrapper": True}
+_INNER: dict[str, Any] = {"no_cpython_wrapper": True}
 _ROUNDS = 10
 _LOW, _HALF = np.uint64(0xFFFFFFFF), np.uint64(32)
 # the multipliers and the key increments of the paper (golden ratio, sqrt(3) - 1)
@@ -16,7 +20,7 @@ _FIRST, _SECOND = np.uint64(0xD2E7470EE14C6C93), np.uint64(0xCA5A826395121157)
 _WEYL_0, _WEYL_1 = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBB67AE8584CAA73B)
 
 
-@njit(cache=True)
+@njit(**_OPTIONS, **_INNER)
 def _high(a, b):
     """Return the high word of the 128-bit product of two words."""
     a_high, a_low = a >> _HALF, a & _LOW
@@ -26,7 +30,7 @@ def _high(a, b):
     return a_high * b_high + (middle >> _HALF) + (other >> _HALF)
 
 
-@njit(cache=True)
+@njit(**_OPTIONS)
 def blocks(counter, key_0, key_1, out):
     """Write the random words of each counter to ``out``; both (4, m) uint64."""
     for k in range(counter.shape[1]):

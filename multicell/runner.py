@@ -19,6 +19,7 @@ from multicell.errors import OutputError, SceneError
 from multicell.integrators.base import info_of
 from multicell.integrators.own import chosen
 from multicell.memory import Returns
+from multicell.rehearsal import Rehearsal
 from multicell.report.result import (
     Result,
     history_arrays,
@@ -134,10 +135,12 @@ def go_on(
     progress: Callable[[Simulation], None] | None,
 ) -> None:
     """Advance to the scene's end and record each step; ``interrupt`` may end it between two."""
+    rehearsal = Rehearsal(simulation.scene)
     try:
         while not simulation.finished:
             simulation.step()
             recorder.record(simulation)
+            rehearsal.watch(simulation)
             if progress is not None:
                 progress(simulation)
             interrupt()
@@ -153,6 +156,8 @@ def go_on(
         except OutputError as trouble:
             error.add_note(str(trouble))  # the first error is the one that counts
         raise
+    finally:
+        rehearsal.close()
     recorder.finish(simulation, interrupted=False)
 
 

@@ -228,6 +228,12 @@ class Simulation:
             setattr(self._mechanics.work, name, count)
 
     @property
+    def shared_from(self) -> int | None:
+        """Number of cells from which on threads share loops; None on one thread."""
+        system = self._mechanics
+        return (system.shared_chunks - 1) * system.chunk + 1 if system.threads > 1 else None
+
+    @property
     def concentrations(self) -> dict[str, FloatArray]:
         """Concentration of each nutrient at the cells, name -> (n,) mM."""
         return {} if self._feeding is None else self._feeding.concentrations

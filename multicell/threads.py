@@ -74,12 +74,19 @@ def two_drivers(body: Callable[..., Any]) -> tuple[Any, Any]:
     """
     from numba import njit
 
+    from multicell.compiling import KERNEL
+
     name = f"{body.__name__}_parallel"
     twin = FunctionType(body.__code__, body.__globals__, name, body.__defaults__, body.__closure__)
     twin.__qualname__, twin.__module__ = name, body.__module__
-    serial = njit(cache=True, error_model="numpy")
-    shared = njit(cache=True, error_model="numpy", parallel=True)
-    return serial(body), shared(twin)
+    serial = njit(**KERNEL, error_model="numpy")
+    shared = njit(**KERNEL, error_model="numpy", parallel=True)
+    DRIVERS[twin.__module__, name] = made = serial(body), shared(twin)
+    return made
+
+
+DRIVERS: dict[tuple[str, str], tuple[Any, Any]] = {}
+"""Module and name of each driver for all threads -> the one for one thread, and itself."""
 
 
 @final

@@ -2,7 +2,8 @@
 
 The base units are µm, s, nN and amol. Then stress is kPa = nN/µm², surface energy mN/m = nN/µm,
 viscosity kPa·s and concentration mM = amol/µm³, all without a factor. pint is imported only when
-a string arrives, so that numbers cost nothing.
+a string arrives whose unit is not among the common ones (:data:`COMMON`): its registry takes longer
+to load than a small scene to start.
 """
 
 from __future__ import annotations
@@ -42,6 +43,22 @@ _UNITS = {
     "1/um": (1e-9, 1e6, "an inverse length", "0.01 1/um"),
     "": (1e-12, 1e12, "a number", "1"),
 }
+COMMON = {
+    "um": {"µm": 1.0, "μm": 1.0, "nm": 0.001, "mm": 1000.0, "cm": 10000.0},
+    "um^3": {"µm^3": 1.0, "mm^3": 1e9, "uL": 1e9, "mL": 1e12},
+    "s": {"ms": 0.001, "min": 60.0, "h": 3600.0, "d": 86400.0, "hours": 3600.0, "days": 86400.0},
+    "kPa": {"Pa": 0.001, "MPa": 1000.0, "mmHg": 0.133322387415},
+    "nN": {"pN": 0.001, "uN": 1000.0},
+    "nN/um": {"mN/m": 1.0, "N/m": 1000.0, "nN/µm": 1.0},
+    "kPa s": {"Pa s": 0.001, "kPa*s": 1.0, "Pa*s": 0.001},
+    "um^2/s": {"µm^2/s": 1.0, "µm²/s": 1.0, "m^2/s": 1e12, "cm^2/s": 1e8, "mm^2/s": 1e6},
+    "mM": {"uM": 0.001, "µM": 0.001, "nM": 1e-6, "M": 1000.0, "mol/m^3": 1.0},
+}
+"""What pint makes of common units, as numbers of the base unit that is the outer key."""
+
+_FAMILIES = {text: base for base in _UNITS if base for text in (base, *COMMON.get(base, ()))}
+"""The base unit of each unit that is known without pint; no two of them have one dimension."""
+
 RANGES = {unit: entry[:2] for unit, entry in _UNITS.items()}
 """Smallest and largest size of a number other than zero that a scene may hold, by its unit.
 
@@ -164,6 +181,11 @@ def _from_text(text: str, unit: str, path: str) -> float:
 
 def _factor(unit_text: str, unit: str, text: str, path: str) -> float:
     """Return how many ``unit`` one ``unit_text`` is; ``text`` is what the user wrote."""
+    family = _FAMILIES.get(unit_text)
+    if family is not None and unit in _UNITS:
+        if family != unit:
+            raise _of_another_kind(unit_text, unit, text, path)
+        return COMMON.get(unit, {}).get(unit_text, 1.0)
     import pint
 
     if not _UNIT_TEXT.fullmatch(unit_text) or _RUNAWAY.search(unit_text):
@@ -171,13 +193,18 @@ def _factor(unit_text: str, unit: str, text: str, path: str) -> float:
     try:
         return _conversion(unit_text, unit)
     except pint.DimensionalityError:
-        kind = _UNITS[unit][2] if unit in _UNITS else f"a quantity in {unit}"
-        problem = f"is {shown(text)}, must be {kind}, which '{unit_text}' is not"
-        raise SceneError(path, problem, _example(unit)) from None
+        raise _of_another_kind(unit_text, unit, text, path) from None
     except _parse_errors():
         problem = f"is {shown(text)}, with the unknown unit '{unit_text}'"
         hint = f"{_example(unit)} Capitals matter: kPa, mM, um."
         raise SceneError(path, problem, hint) from None
+
+
+def _of_another_kind(unit_text: str, unit: str, text: str, path: str) -> SceneError:
+    """Return the error of a quantity whose dimension is not that of ``unit``."""
+    kind = _UNITS[unit][2] if unit in _UNITS else f"a quantity in {unit}"
+    problem = f"is {shown(text)}, must be {kind}, which '{unit_text}' is not"
+    return SceneError(path, problem, _example(unit))
 
 
 def _parse_errors() -> tuple[type[Exception], ...]:

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
+import re
 import subprocess
 import sys
 
 import numpy as np
+import pint
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import constants
 
+from multicell import units
 from multicell.errors import SceneError
 from multicell.units import shown, to_base
 
@@ -167,10 +170,22 @@ def test_any_text_gives_a_finite_float_or_a_scene_error(text):
     assert math.isfinite(result) if isinstance(result, float) else "'5 um'" in result.hint
 
 
-def test_numbers_do_not_import_pint():
+@pytest.mark.parametrize("unit", [unit for unit in units.RANGES if unit])
+def test_units_that_need_no_registry_are_what_pint_makes_of_them(unit):
+    for text, base in units._FAMILIES.items():
+        if base == unit:
+            assert to_base(f"1 {text}", unit) == units._conversion(text, unit)
+            continue
+        with pytest.raises(pint.DimensionalityError):
+            units._conversion(text, unit)
+        with pytest.raises(SceneError, match=f"which '{re.escape(text)}' is not"):
+            to_base(f"1 {text}", unit)
+
+
+def test_common_units_do_not_import_pint():
     code = (
-        "import sys; from multicell.units import to_base; to_base(5, 'um');"
-        "before = 'pint' in sys.modules; to_base('5 um', 'um');"
+        "import sys; from multicell.units import to_base; to_base(5, 'um'); to_base('5 h', 's');"
+        "before = 'pint' in sys.modules; to_base('5 inch', 'um');"
         "print(before, 'pint' in sys.modules)"
     )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

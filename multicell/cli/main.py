@@ -321,7 +321,7 @@ def _print_facts(console: Console, scene: str, facts: dict[str, Any]) -> None:
 
 def _print_summary(console: Console, summary: dict[str, Any], output: Path) -> None:
     """Print the key figures of a run as a short table."""
-    from multicell.report.page import measures
+    from multicell.report.wording import measures
 
     table = _table(show_header=False)
     table.add_column(style="bold")

@@ -21,7 +21,8 @@ from multicell.integrators.base import MethodInfo
 from multicell.integrators.registry import find
 from multicell.report.plots.colour_vision import PALE, told_apart
 from multicell.report.plots.marks import NAMED
-from multicell.report.plots.style import QUIET, RED, blank, cell_count, styled, time_unit
+from multicell.report.plots.style import QUIET, RED, blank, styled
+from multicell.report.wording import cell_count, time_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

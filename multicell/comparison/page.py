@@ -10,7 +10,7 @@ import numpy as np
 from multicell.comparison.charts import appearance
 from multicell.comparison.files import CLOCKS
 from multicell.report.plots.colour_vision import PALE
-from multicell.report.plots.style import time_unit
+from multicell.report.wording import time_unit
 
 if TYPE_CHECKING:
     from multicell.comparison.result import WorkPrecision

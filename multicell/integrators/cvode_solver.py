@@ -14,6 +14,7 @@ from numba import njit
 from sksundae.cvode import CVODE, CVODEJacTimes, CVODEPrecond
 
 from multicell.cells import FloatArray
+from multicell.compiling import KERNEL
 from multicell.integrators.restarts import Predictor, Restart, Run, StepImpossible, one_step
 from multicell.mechanics.jacobian import limited
 from multicell.mechanics.motion import StateRejected
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from multicell.integrators.cvode import Cvode
 
 _F = TypeVar("_F", bound=Callable[..., Any])
-_jit = cast(Callable[[_F], _F], njit(cache=True))
+_jit = cast(Callable[[_F], _F], njit(**KERNEL))
 
 _CONTACTS = 8.0
 """Largest decay rate of packed cells, in stiffness of the stiffest pair over drag."""

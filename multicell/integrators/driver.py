@@ -189,12 +189,11 @@ def _borrow(system: Mechanics, counts: Any) -> tuple[Any, forces.PairData]:
         motion.push,
     )
     shared = system.threads > 1 and chunks >= system.shared_chunks
-    kind = stepping.Shared if shared else stepping.Serial
-    source = kind(
+    source = stepping.Source(
         cells, system._offsets.data, system._law, system._list_radius, system._least_margin,
         system._rows, counts,
     )  # fmt: skip
-    return source, pairs
+    return stepping.addressed(source, pairs, shared=shared), pairs
 
 
 def _give_back(system: Mechanics, source: Any, pairs: forces.PairData) -> None:

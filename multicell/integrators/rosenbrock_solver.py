@@ -15,6 +15,7 @@ import numpy as np
 from numba import njit
 
 from multicell.cells import FloatArray
+from multicell.compiling import KERNEL
 from multicell.integrators.base import Outcome
 from multicell.integrators.driver import control
 from multicell.integrators.stepping import (
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
     from multicell.mechanics.system import Mechanics
 
 _F = TypeVar("_F", bound=Callable[..., Any])
-_jit = cast(Callable[[_F], _F], njit(cache=True, error_model="numpy"))
+_jit = cast(Callable[[_F], _F], njit(**KERNEL, error_model="numpy"))
 
 _D = 1.0 / (2.0 + math.sqrt(2.0))
 _E = 6.0 + math.sqrt(2.0)

@@ -1,8 +1,9 @@
 """Loops of the explicit methods, compiled, with the neighbour list updated inside.
 
 Every loop is an ordinary function of a *source* of velocities. Compiled, the source is a
-:class:`Serial` or :class:`Shared` set of arrays, and :func:`evaluate` calls the kernels without
-returning to Python. Uncompiled (``loop.py_func``), the source is :class:`Called`, for systems that
+:class:`Source`, a set of arrays, and :func:`evaluate` calls the kernels without returning to
+Python, at an address: they are compiled once for all loops, and a loop once for any number of
+threads. Uncompiled (``loop.py_func``), the source is :class:`Called`, for systems that
 need Python (see :func:`multicell.integrators.driver.needs_python`): the same loop, one
 call of ``Mechanics.velocity`` per stage. Functions that evaluate are
 :func:`numba.extending.register_jitable`; the arithmetic on arrays is compiled in both cases.
@@ -18,10 +19,12 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 import numpy as np
-from numba import njit
-from numba.extending import overload, register_jitable
+from numba import njit, types
+from numba.core.errors import TypingError
+from numba.extending import intrinsic, overload, register_jitable
 from numpy.typing import NDArray
 
+from multicell.compiling import INNER, KERNEL, address_of, calling
 from multicell.mechanics import forces, margins, neighbours
 from multicell.mechanics.motion import StateRejected
 from multicell.mechanics.system import Mechanics
@@ -47,8 +50,12 @@ _BLOCK = 1024
 """Numbers of an array that are worked on at a time."""
 
 
-class Serial(NamedTuple):
-    """What the kernels need besides the pairs; ``cells.reference`` and ``.margin`` are written."""
+class Source(NamedTuple):
+    """What the kernels need besides the pairs; ``cells.reference`` and ``.margin`` are written.
+
+    ``forces_at`` and ``rebuild_at`` are the addresses of the kernels, for one thread or for all,
+    ``evaluation_at`` that of the function that calls them.
+    """
 
     cells: forces.CellData
     offsets: forces.OffsetData | None
@@ -57,18 +64,13 @@ class Serial(NamedTuple):
     least_margin: float
     rows: FloatArray
     counts: NDArray[np.int64]
+    forces_at: int = 0
+    rebuild_at: int = 0
+    evaluation_at: int = 0
 
 
-class Shared(NamedTuple):
-    """The same for many cells: chunks are shared among threads."""
-
-    cells: forces.CellData
-    offsets: forces.OffsetData | None
-    law: Any
-    reach: FloatArray
-    least_margin: float
-    rows: FloatArray
-    counts: NDArray[np.int64]
+Serial = Shared = Source
+"""Names in the disk caches of earlier versions, which numba must be able to read to discard."""
 
 
 class Control(NamedTuple):
@@ -106,13 +108,13 @@ def _index(dispatcher: Any) -> Any:
     return index if hasattr(index, "_source_stamp") else None
 
 
-def compiled(function: Callable[..., Any]) -> Any:
+def compiled(function: Callable[..., Any], **options: Any) -> Any:
     """Compile lazily, with a disk cache that notices changes in the kernels as well.
 
     Numba compares the date of the function's own file only, but code of the other files
     is compiled into it.
     """
-    dispatcher = njit(cache=True)(function)
+    dispatcher = njit(**{**KERNEL, "error_model": "numpy", **options})(function)
     inside = [
         _index(other)
         for other in (forces.forces, neighbours.rebuild, margins.widened, copy, dispatcher)
@@ -150,55 +152,83 @@ def evaluate(source, pairs, elapsed, position, out):
 
 @overload(evaluate)
 def _compiled_evaluate(source, pairs, elapsed, position, out):
-    return _KERNELS.get(getattr(source, "instance_class", None))
-
-
-def _evaluation(forces_at, rebuild):
-    """Return the compiled evaluation with the kernels for one thread, or for all."""
+    if getattr(source, "instance_class", None) is not Source:
+        return None
+    if not position == out == types.float64[:, ::1]:
+        raise TypingError(f"positions and velocities are {position} and {out}")
 
     def run(source, pairs, elapsed, position, out):
-        source.counts[EVALUATIONS] += 1
-        while forces_at(
-            source.cells,
-            pairs,
-            source.offsets,
-            source.law,
-            position,
-            elapsed,
-            True,
-            source.rows,
-            out,
-        ):
-            if not _is_finite(position):
-                return NOT_FINITE, pairs
-            source.counts[LIST_BUILDS] += 1
-            cells = source.cells
-            reach = margins.widened(
-                position, cells.reference, source.reach, source.least_margin, cells.margin
-            )
-            crowded, first, second, start, inner_end, outer_end = rebuild(
-                position, reach, 0.0, cells.chunk
-            )
-            if crowded:
-                # the old list does not fit the new margins: the next state builds anew
-                cells.reference[:] = np.nan
-                return REJECTED, pairs
-            copy(position, cells.reference)
-            pairs = forces.PairData(
-                first, second, start, inner_end, outer_end, pairs.sticky, pairs.unit, pairs.onset
-            )
-        return DONE, pairs
+        return _evaluate_at(source.evaluation_at, source, pairs, float(elapsed), position, out)
 
     return run
 
 
-_KERNELS = {
-    Serial: _evaluation(forces.forces, neighbours.rebuild),
-    Shared: _evaluation(forces.forces_parallel, neighbours.rebuild_parallel),
-}
+@intrinsic
+def _evaluate_at(context, address, source, pairs, elapsed, position, out):
+    """Call :func:`_evaluation` at an address: it would be compiled into a loop at every call."""
+    return calling(types.Tuple((types.intp, pairs)), address, source, pairs, elapsed, position, out)
 
 
-@njit(cache=True)
+def _evaluation(source, pairs, elapsed, position, out):
+    """Do the work of :func:`evaluate` in compiled code."""
+    source.counts[EVALUATIONS] += 1
+    cells = source.cells
+    while _forces_at(
+        source.forces_at, cells, pairs, source.offsets, source.law, position, elapsed, True,
+        source.rows, out,
+    ):  # fmt: skip
+        if not _is_finite(position):
+            return NOT_FINITE, pairs
+        source.counts[LIST_BUILDS] += 1
+        reach = margins.widened(
+            position, cells.reference, source.reach, source.least_margin, cells.margin
+        )
+        crowded, first, second, start, inner_end, outer_end = _rebuild_at(
+            source.rebuild_at, position, reach, 0.0, cells.chunk
+        )
+        if crowded:
+            # the old list does not fit the new margins: the next state builds anew
+            cells.reference[:] = np.nan
+            return REJECTED, pairs
+        copy(position, cells.reference)
+        pairs = forces.PairData(
+            first, second, start, inner_end, outer_end, pairs.sticky, pairs.unit, pairs.onset
+        )
+    return DONE, pairs
+
+
+@intrinsic
+def _forces_at(context, address, cells, pairs, offsets, law, position, elapsed, stokes, rows, out):
+    """Call ``forces.forces``, or what shares its loops, at an address."""
+    return calling(
+        types.boolean, address, cells, pairs, offsets, law, position, elapsed, stokes, rows, out
+    )
+
+
+@intrinsic
+def _rebuild_at(context, address, position, radius, skin, chunk):
+    """Call ``neighbours.rebuild``, or what shares its loops, at an address."""
+    index, end = types.int32[::1], types.int64[::1]
+    listed = types.Tuple((types.boolean, index, index, end, end, end))
+    return calling(listed, address, position, radius, skin, chunk)
+
+
+def addressed(source: Source, pairs: forces.PairData, *, shared: bool) -> Source:
+    """Return a source with the addresses of its kernels, which are compiled if need be."""
+    place, found = np.empty((0, 3)), (True, *pairs[:5])
+    forces_at = address_of(
+        forces.forces_parallel if shared else forces.forces, True,
+        source.cells, pairs, source.offsets, source.law, place, 0.0, True, source.rows, place,
+    )  # fmt: skip
+    rebuild_at = address_of(
+        neighbours.rebuild_parallel if shared else neighbours.rebuild, found,
+        place, source.reach, 0.0, source.cells.chunk,
+    )  # fmt: skip
+    evaluation_at = address_of(_EVALUATION, (0, pairs), source, pairs, 0.0, place, place)
+    return source._replace(forces_at=forces_at, rebuild_at=rebuild_at, evaluation_at=evaluation_at)
+
+
+@njit(**KERNEL, error_model="numpy")
 def _is_finite(position):
     finite = True
     for value in position.reshape(-1):
@@ -206,7 +236,7 @@ def _is_finite(position):
     return finite
 
 
-@njit(cache=True)
+@njit(**KERNEL, error_model="numpy")
 def copy(source, out):
     """Copy an array: loops like this one compile four times faster than ``out[:] = source``."""
     x, y = source.reshape(-1), out.reshape(-1)
@@ -214,7 +244,7 @@ def copy(source, out):
         y[k] = x[k]
 
 
-@njit(cache=True)
+@njit(**KERNEL, error_model="numpy")
 def displace(position, step, direction, out):
     """Write position + step x direction; ``out`` may be either of them."""
     x, v, y = position.reshape(-1), direction.reshape(-1), out.reshape(-1)
@@ -222,7 +252,7 @@ def displace(position, step, direction, out):
         y[k] = x[k] + step * v[k]
 
 
-@njit(cache=True)
+@njit(**KERNEL, error_model="numpy")
 def combine(position, step, weights, slopes, count, out):
     """Write position + step Σ_j weights_j slopes_j over the first ``count`` slopes.
 
@@ -241,7 +271,7 @@ def combine(position, step, weights, slopes, count, out):
                     y[k] += w * slope[k]
 
 
-@njit(cache=True)
+@njit(**KERNEL, error_model="numpy")
 def error_of(step, weights, slopes, out):
     """Write step Σ_j weights_j slopes_j."""
     y = out.reshape(-1)
@@ -250,7 +280,7 @@ def error_of(step, weights, slopes, out):
     combine(out, step, weights, slopes, weights.size, out)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL, error_model="numpy")
 def furthest_moved(before, after, radius):
     """Return the cell that moved furthest, in its radius, and how far; not a number is ∞."""
     cell, most = 0, -1.0
@@ -264,7 +294,7 @@ def furthest_moved(before, after, radius):
     return cell, most
 
 
-@njit(cache=True)
+@njit(**KERNEL, error_model="numpy")
 def largest_length(values):
     """Return the length of the longest row."""
     square = 0.0
@@ -274,7 +304,7 @@ def largest_length(values):
     return math.sqrt(square)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL, error_model="numpy")
 def weighted_rms(values, before, after, rtol, atol):
     """Return the root mean square of values_k / (atol + rtol |x_k|), larger |x| of the two."""
     e, x, y = values.reshape(-1), before.reshape(-1), after.reshape(-1)
@@ -313,7 +343,7 @@ def starting_step(source, pairs, control, position, slope, trial, other, length,
     return length, pairs
 
 
-@njit(cache=True)
+@njit(**KERNEL, error_model="numpy")
 def begun(step):
     """Return the state of error control at the beginning: see ``ELAPSED`` and the others."""
     walk = np.zeros(5)
@@ -321,7 +351,7 @@ def begun(step):
     return walk
 
 
-@njit(cache=True)
+@njit(**KERNEL, error_model="numpy")
 def ended(walk, counts, control, length):
     """Return why no step can be tried, or ``DONE``."""
     if counts[STEPS] == control.most_steps:
@@ -330,7 +360,7 @@ def ended(walk, counts, control, length):
     return STALLED if stuck else DONE
 
 
-@njit(cache=True)
+@njit(**KERNEL, error_model="numpy")
 def refused(walk, counts, control, status, moved):
     """Return whether a step moved a cell too far or had no velocity; the next one is shorter."""
     if status == DONE and not moved > control.max_displacement:
@@ -341,7 +371,7 @@ def refused(walk, counts, control, status, moved):
     return True
 
 
-@njit(cache=True)
+@njit(**KERNEL, error_model="numpy")
 def accepted(walk, counts, control, length, position, trial, error, least, most, steady):
     """Take a step if its estimated error is small enough; choose the next step.
 
@@ -368,7 +398,7 @@ def accepted(walk, counts, control, length, position, trial, error, least, most,
     return True
 
 
-@njit(cache=True)
+@njit(**KERNEL, error_model="numpy")
 def again(step, error, order, least):
     """Return the step to try after one with too large an error, in units of the allowed one."""
     if not math.isfinite(error):
@@ -376,7 +406,7 @@ def again(step, error, order, least):
     return step * max(least, 0.9 * error ** (-1.0 / order))
 
 
-@njit(cache=True)
+@njit(**KERNEL, error_model="numpy")
 def next_step(step, error, previous, order):
     """Return the next step by PI control (Gustafsson)."""
     error = max(error, 1e-10)
@@ -384,7 +414,7 @@ def next_step(step, error, previous, order):
     return step * min(5.0, max(0.2, factor))
 
 
-@njit(cache=True)
+@njit(**KERNEL, error_model="numpy")
 def shorter(step, moved, allowed):
     """Return the step to try after one that moved a cell too far, or had no velocity."""
     if not moved > allowed:
@@ -392,7 +422,7 @@ def shorter(step, moved, allowed):
     return step * max(0.1, min(0.7, 0.8 * allowed / moved))
 
 
-@njit(cache=True)
+@njit(**KERNEL, error_model="numpy")
 def fitted(step, left):
     """Return a step that does not leave a tiny rest of the interval."""
     if step >= left * (1.0 - 1e-12):
@@ -400,7 +430,7 @@ def fitted(step, left):
     return min(step, 0.5 * left)
 
 
-@njit(cache=True)
+@njit(**KERNEL, error_model="numpy")
 def moved_on(position, trial, radius, allowed, counts):
     """Take a fixed step unless it moves a cell too far; return that cell and how far it moves."""
     cell, moved = furthest_moved(position, trial, radius)
@@ -408,3 +438,6 @@ def moved_on(position, trial, radius, allowed, counts):
         copy(trial, position)
         counts[STEPS] += 1
     return cell, moved
+
+
+_EVALUATION = compiled(_evaluation, **INNER)

@@ -8,6 +8,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from multicell.compiling import KERNEL
+
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
 
@@ -96,7 +98,7 @@ def _intervals(coordinate: FloatArray, width: float) -> OffsetArray:
     return number
 
 
-@njit(cache=True)
+@njit(**KERNEL)  # type: ignore[untyped-decorator]
 def _sweep(coordinate: FloatArray, order: OffsetArray, width: float, number: OffsetArray) -> None:
     start = coordinate[order[0]]
     found = 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from numba import njit
 
-from multicell.mechanics.pairs import INLINED
+from multicell.compiling import INLINED, KERNEL
 
 NEARLY_SINGULAR = 1e7
 """Ratio of eigenvalues from which on cofactors of a block have no digits left."""
@@ -21,7 +21,7 @@ def add_block(out, i, k, t, nx, ny, nz):
     out[i, 5] += k * ny * nz
 
 
-@njit(cache=True)
+@njit(**KERNEL)
 def diagonal_blocks(pairs, normal, along, across, out):
     """Write for each cell Σ_j max(k, 0) n nᵀ + max(-F/d, 0) (I - n nᵀ), nN/µm.
 
@@ -40,7 +40,7 @@ def diagonal_blocks(pairs, normal, along, across, out):
                 add_block(out, i, k, t, nx, ny, nz)
 
 
-@njit(cache=True)
+@njit(**KERNEL)
 def invert_by_pivots(a, b, c, f, g, h, least, out):
     """Write the inverse of a symmetric matrix whose eigenvalues are ``least`` or more.
 
@@ -62,7 +62,7 @@ def invert_by_pivots(a, b, c, f, g, h, least, out):
     out[5] = -s * three
 
 
-@njit(cache=True)
+@njit(**KERNEL)
 def invert_blocks(rows, blocks, gamma, drag, out):
     """Write the inverse of I + γ/Γ_i times each block, in the same six entries."""
     for i in range(rows.shape[0]):
@@ -82,7 +82,7 @@ def invert_blocks(rows, blocks, gamma, drag, out):
         out[i, 5] = (f * g - a * h) * scale
 
 
-@njit(cache=True)
+@njit(**KERNEL)
 def apply_blocks(inverse, vector, out):
     """Write the product of each cell's symmetric 3 x 3 matrix with its part of ``vector``."""
     for i in range(inverse.shape[0]):

@@ -26,7 +26,8 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from multicell.mechanics.pairs import INLINED, INNER, pair_law
+from multicell.compiling import INLINED, INNER, KERNEL
+from multicell.mechanics.pairs import pair_law
 from multicell.threads import two_drivers
 
 BLOCK = 256
@@ -273,7 +274,7 @@ def _drag_chunk(c, chunk, rows, drag, out):
         out[i, 2] *= mobility
 
 
-@njit(cache=True)
+@njit(**KERNEL)
 def pack(cells, position, elapsed, rows):
     """Fill ``rows`` for all cells; return whether any has drifted (see the chunk's)."""
     drifted = 0
@@ -369,7 +370,7 @@ def _add_offset_forces(rows, offsets, law, elapsed, stokes, out):
             out[i, 2] -= change * dz
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL, error_model="numpy")
 def add_offset_virials(rows, offsets, law, elapsed, out):
     """Add what offsets change in :func:`half_virials`, nN µm; return their part of the energy, fJ.
 
@@ -389,7 +390,7 @@ def add_offset_virials(rows, offsets, law, elapsed, out):
     return total
 
 
-@njit(cache=True)
+@njit(**KERNEL)
 def offset_places(pairs, offsets):
     """Return the places of the pairs with an offset in the neighbour list, and their entries."""
     places = np.empty(offsets.other.size, dtype=np.int64)
@@ -406,7 +407,7 @@ def offset_places(pairs, offsets):
     return places[:count], entries[:count]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL, error_model="numpy")
 def relinearise(rows, pairs, offsets, law, elapsed, places, entries, along, across):
     """Write dF/dh + F/d and F/d of the pairs with an offset over those of :func:`linearise`."""
     for k in range(places.size):
@@ -420,7 +421,7 @@ def relinearise(rows, pairs, offsets, law, elapsed, places, entries, along, acro
         along[p] = stiffness + across[p]
 
 
-@njit(cache=True)
+@njit(**KERNEL)
 def energy(rows, pairs, law, elapsed):
     """Return the contact energy, fJ; an outer pair stands in two chunks, half in each."""
     total = 0.0
@@ -457,7 +458,7 @@ def _half_virials(rows, pairs, law, elapsed, out):
 half_virials, half_virials_parallel = two_drivers(_half_virials)
 
 
-@njit(cache=True)
+@njit(**KERNEL)
 def overlaps(rows, pairs, elapsed, offset, out):
     """Mark the pairs in contact: an overlap beyond the offset above zero, or above the onset.
 

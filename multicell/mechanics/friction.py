@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, final
 import numpy as np
 from numba import njit, prange
 
+from multicell.compiling import KERNEL
 from multicell.mechanics.neighbours import PairList
 from multicell.threads import two_drivers
 
@@ -94,7 +95,7 @@ class Vectors(NamedTuple):
     s: FloatArray
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL, error_model="numpy")
 def _touching(begin, end, at, rows, first, second, offset, normal, tangential, near, link):
     """Append the touching pairs of ``begin:end`` at place ``at``; return the next place.
 
@@ -126,7 +127,7 @@ def _touching(begin, end, at, rows, first, second, offset, normal, tangential, n
     return at
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL, error_model="numpy")
 def _measure_chunk(c, gamma, pairs, rows, offset, normal, tangential, drag):
     """Store the touching pairs of one chunk and 1 / mean diagonal of Γ of its cells."""
     start, ends, near, link = gamma.start[c], gamma.ends, gamma.near, gamma.link
@@ -155,7 +156,7 @@ def _measure_chunk(c, gamma, pairs, rows, offset, normal, tangential, drag):
         inverse[i] = 1.0 / inverse[i]
 
 
-@njit(cache=True)
+@njit(**KERNEL)
 def _pair_sums(begin, end, inner, sign, near, link, v, out):
     """Add Σ_j B_ij (v_i - v_j) of the pairs ``begin:end``; to both cells of ``inner`` pairs."""
     p = begin
@@ -188,7 +189,7 @@ def _pair_sums(begin, end, inner, sign, near, link, v, out):
         out[i, 2] += sz
 
 
-@njit(cache=True)
+@njit(**KERNEL)
 def _apply_chunk(c, gamma, v, out):
     """Write Γ v for the cells of one chunk; return their share of v · Γ v."""
     low, high = c * gamma.chunk, min((c + 1) * gamma.chunk, v.shape[0])
@@ -208,7 +209,7 @@ def _apply_chunk(c, gamma, v, out):
     return tx + ty + tz
 
 
-@njit(cache=True)
+@njit(**KERNEL)
 def _begin_chunk(c, gamma, force, work, part):
     """Start from x, with ``w`` = Γ x: r = F - Γ x, u = M⁻¹ r; store r·u, r·r, F·F."""
     r, u, w, p, s = work
@@ -225,7 +226,7 @@ def _begin_chunk(c, gamma, force, work, part):
     part[c, 0], part[c, 1], part[c, 2] = ru, rr, ff
 
 
-@njit(cache=True)
+@njit(**KERNEL)
 def _advance_chunk(c, gamma, alpha, beta, work, x, part):
     """Take one step in one chunk; store r·u and r·r.
 
@@ -250,7 +251,7 @@ def _advance_chunk(c, gamma, alpha, beta, work, x, part):
     part[c, 0], part[c, 1] = ax + ay + az, bx + by + bz
 
 
-@njit(cache=True)
+@njit(**KERNEL)
 def _sum(part, k):
     """Add the chunks' parts in their order: the same bits for any number of threads."""
     total = 0.0
@@ -295,7 +296,7 @@ measure, measure_parallel = two_drivers(_measure)
 conjugate_gradients, conjugate_gradients_parallel = two_drivers(_conjugate_gradients)
 
 
-@njit(cache=True)
+@njit(**KERNEL)
 def apply(gamma, v, out):
     """Write Γ v, nN."""
     for c in range(gamma.start.size):

@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from multicell.compiling import KERNEL
 from multicell.mechanics import neighbours
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ _SQUARE = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])
 """Where the entries of a symmetric block stand among (xx, yy, zz, xy, xz, yz)."""
 
 
-@njit(cache=True)
+@njit(**KERNEL)
 def limit_softening(rows, first, second, start, outer_end, fraction, along, across):
     """Raise dF/dh of every pair to at least -``fraction`` E_ij r_ij; return the largest, nN/µm.
 

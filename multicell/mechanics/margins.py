@@ -7,13 +7,15 @@ import math
 import numpy as np
 from numba import njit
 
+from multicell.compiling import KERNEL
+
 _WIDEST = 8.0
 """Largest margin of a cell over the least."""
 _FORESIGHT = 6.0
 """How many times as far as since the last list a cell may move until the next one."""
 
 
-@njit(cache=True)
+@njit(**KERNEL)
 def widened(position, reference, reach, least, margin):
     """Adapt the margins of the cells to how they move; return the radii to build a list with.
 

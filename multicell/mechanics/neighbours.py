@@ -20,11 +20,10 @@ from typing import TYPE_CHECKING, NamedTuple, final
 
 import numpy as np
 from numba import njit, objmode, prange
-from numba.extending import register_jitable
 from numpy.typing import NDArray
 
+from multicell.compiling import INLINED, INNER, KERNEL
 from multicell.mechanics.binning import sorted_sparsely
-from multicell.mechanics.pairs import INLINED, INNER
 from multicell.threads import two_drivers
 
 if TYPE_CHECKING:
@@ -143,10 +142,9 @@ def build(
         empty = np.zeros(-(-n // chunk), dtype=np.int64)
         none = np.empty(0, dtype=np.int32)
         return PairList(none, none, empty, empty.copy(), empty.copy(), chunk, n)
-    bins = _bins(position, radius, skin)
     # on one thread the few steps between the kernels run in Python: they are not compiled then
-    run = _list_parallel if threads > 1 and n > chunk else _list
-    crowded, first, second, start, inner_end, outer_end = run(bins, chunk)
+    run = rebuild_parallel if threads > 1 and n > chunk else _rebuild
+    crowded, first, second, start, inner_end, outer_end = run(position, radius, skin, chunk)
     if crowded:
         raise TooManyPairsError(f"more than {500 * n + _SPARE_PAIRS} pairs among {n} cells")
     return PairList(first, second, start, inner_end, outer_end, chunk, n)
@@ -195,14 +193,7 @@ class Bins(NamedTuple):
     ranges: OffsetArray
 
 
-@register_jitable
-def _bins(position, radius, skin):
-    """Return the cells in a dense grid where its memory is in proportion, else sparse bins."""
-    bins = _dense_bins(position, radius, skin)
-    return bins if bins.shape[0] > 0 else _sparse_bins(position, radius, skin, bins)
-
-
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL, error_model="numpy")
 def _dense_bins(position, radius, skin):
     """Sort by counting into a dense grid.
 
@@ -254,7 +245,7 @@ def _dense_bins(position, radius, skin):
     return Bins(order, place, cells, largest, low, shape, row, start, none)
 
 
-@njit(cache=True)
+@njit(**KERNEL)
 def _sparse_bins(position, radius, skin, none):
     """Bin far-flung cells; the rest of ``none``, bins that were not filled, is kept.
 
@@ -331,7 +322,7 @@ def _note(i, own, order, hits, count, at, stop, first, second):
     at[0], at[1] = inner, outer
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL, error_model="numpy")
 def _search_chunk(c, chunk, bins, base, room, limit, first, second, found):
     """Write the pairs that are found from one chunk's cells; count inner and outer to ``found[c]``.
 
@@ -347,7 +338,8 @@ def _search_chunk(c, chunk, bins, base, room, limit, first, second, found):
     cells, row, start, shape, low = bins.cells, bins.row, bins.start, bins.shape, bins.low
     width, scale, dense = 2.0 * bins.largest, 0.5 * _SLICES / bins.largest, shape[0] > 0
     for i in range(np.uint64(own[0]), np.uint64(own[1])):
-        a, count = np.int64(bins.place[i]), 0
+        # a typed zero: a bare one would have the functions below compiled twice
+        a, count = np.int64(bins.place[i]), np.int64(0)
         reach = cells[a, 3] + bins.largest
         for neighbour in range(5):
             if dense:
@@ -371,7 +363,7 @@ def _search_chunk(c, chunk, bins, base, room, limit, first, second, found):
             for block in range(begin, end, _BLOCK):
                 if count > _BLOCK:
                     _note(i, own, bins.order, hits, count, at, stop, first, second)
-                    count = 0
+                    count = np.int64(0)
                 count = _collect(cells, block, min(block + _BLOCK, end), a, hits, count)
         _note(i, own, bins.order, hits, count, at, stop, first, second)
         if at[0] - base[c] + at[1] - stop[0] > limit:
@@ -383,7 +375,7 @@ def _search_chunk(c, chunk, bins, base, room, limit, first, second, found):
             second[at[0] + k] = second[stop[0] + k]
 
 
-@njit(cache=True)
+@njit(**KERNEL, error_model="numpy")
 def _mirror(chunk, base, room, found, first, second, end):
     """Give the outer pairs to the chunks of their second cells, too, and write where lists end.
 
@@ -412,10 +404,10 @@ def _mirror(chunk, base, room, found, first, second, end):
     return True
 
 
-def _list(bins, chunk):
-    """Return the list of pairs of cells that were sorted into bins.
+def _rebuild(position, radius, skin, chunk):
+    """Do the work of :func:`build` for one cell and more.
 
-    Loops in place of array expressions: short as these are, they compile many times faster.
+    One function, and loops in place of array expressions: so it compiles many times faster.
 
     Returns
     -------
@@ -424,10 +416,18 @@ def _list(bins, chunk):
     first, second, start, inner_end, outer_end
         As in :class:`PairList`.
     """
+    found = _dense_bins(position, radius, skin)
+    if found.shape[0] == 0:
+        found = _sparse_bins(position, radius, skin, found)
+    # parallel loops take the tuples that their own function makes
+    bins = Bins(
+        found.order, found.place, found.cells, found.largest, found.low, found.shape, found.row,
+        found.start, found.ranges,
+    )  # fmt: skip
     n = bins.order.size
     chunks = (n + chunk - 1) // chunk
     base, limit = np.empty(chunks + 1, np.int64), 500 * n + _SPARE_PAIRS
-    room, found = np.empty((chunks, 2), np.int64), np.empty((chunks, 2), np.int64)
+    room, counts = np.empty((chunks, 2), np.int64), np.empty((chunks, 2), np.int64)
     start, inner_end = np.empty(chunks, np.int64), np.empty(chunks, np.int64)
     outer_end = np.empty(chunks, np.int64)
     for c in range(chunks):
@@ -439,32 +439,20 @@ def _list(bins, chunk):
             base[c + 1] = base[c] + room[c, 0] + room[c, 1]
         first, second = np.empty(base[chunks], np.int32), np.empty(base[chunks], np.int32)
         for c in prange(chunks):
-            _search_chunk(c, chunk, bins, base, room, limit, first, second, found)
+            _search_chunk(c, chunk, bins, base, room, limit, first, second, counts)
         total, enough = 0, True
         for c in range(chunks):
             for side in range(2):
-                total += found[c, side]
-                enough &= found[c, side] <= room[c, side]
-                room[c, side] = max(room[c, side], found[c, side])
+                total += counts[c, side]
+                enough &= counts[c, side] <= room[c, side]
+                room[c, side] = max(room[c, side], counts[c, side])
         if total > limit:
             break
-        if enough and _mirror(chunk, base, room, found, first, second, outer_end):
+        if enough and _mirror(chunk, base, room, counts, first, second, outer_end):
             break
     for c in range(chunks):
-        start[c], inner_end[c] = base[c], base[c] + found[c, 0]
+        start[c], inner_end[c] = base[c], base[c] + counts[c, 0]
     return total > limit, first, second, start, inner_end, outer_end
 
 
-_list_serial, _list_parallel = two_drivers(_list)
-
-
-@njit(cache=True)
-def rebuild(position, radius, skin, chunk):
-    """Do the work of :func:`build` for one cell and more, for callers inside numba."""
-    return _list_serial(_bins(position, radius, skin), chunk)
-
-
-@njit(cache=True)
-def rebuild_parallel(position, radius, skin, chunk):
-    """Do the same with the chunks shared among threads."""
-    return _list_parallel(_bins(position, radius, skin), chunk)
+rebuild, rebuild_parallel = two_drivers(_rebuild)

@@ -14,16 +14,6 @@ from numba.extending import overload, register_jitable
 
 from multicell.contact.constants import function_of, helpers_of
 
-INNER: dict[str, Any] = {
-    "cache": True,
-    "error_model": "numpy",
-    "no_cpython_wrapper": True,
-    "no_cfunc_wrapper": True,
-}
-"""Options of functions that other compiled code calls alone: what Python needs is not made."""
-INLINED: dict[str, Any] = {**INNER, "forceinline": True}
-"""Options of small functions of one pair, which must not cost a call."""
-
 
 def pair_law(p, overlap, modulus, radius, rest, adhesion, unit, onset, slope, energy):
     """Return force (nN), stiffness (nN/µm) and energy (fJ) of a pair.

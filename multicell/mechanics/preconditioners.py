@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Protocol, final
 import numpy as np
 from numba import njit, prange
 
+from multicell.compiling import KERNEL
 from multicell.mechanics.blocks import NEARLY_SINGULAR, add_block, invert_by_pivots
 from multicell.threads import two_drivers
 
@@ -60,14 +61,14 @@ class Blocks:
         system.precondition(vector, out)
 
 
-@njit(cache=True)
+@njit(**KERNEL)
 def _link(p, gamma, along, across):
     """Return w and s of a pair with P = w n nᵀ + s I, both zero where it does not touch."""
     s = gamma * max(-across[p], 0.0)
     return gamma * max(along[p] - across[p], 0.0) - s, s
 
 
-@njit(cache=True)
+@njit(**KERNEL)
 def _collect_chunk(
     c, chunk, rows, first, second, start, inner_end, outer_end, normal, along, across,
     gamma, drag, walls, begin, near, link, blocks,
@@ -113,7 +114,7 @@ def _collect_chunk(
         begin[i, 1] = at + 1
 
 
-@njit(cache=True)
+@njit(**KERNEL)
 def _invert(blocks, i):
     """Replace a symmetric 3 x 3 block by its inverse; return its determinant."""
     a, b, c = blocks[i, 0], blocks[i, 1], blocks[i, 2]
@@ -133,7 +134,7 @@ def _invert(blocks, i):
     return determinant
 
 
-@njit(cache=True)
+@njit(**KERNEL)
 def _subtract(blocks, i, j, link, e):
     """Subtract P B⁻¹ P from block j, with the inverted block i and P of the pair ``e``."""
     nx, ny, nz, w, s = link[e, 0], link[e, 1], link[e, 2], link[e, 3], link[e, 4]
@@ -154,7 +155,7 @@ def _subtract(blocks, i, j, link, e):
     blocks[j, 5] -= a * ny * nz + b * (ny * qz + qy * nz) + c * yz
 
 
-@njit(cache=True)
+@njit(**KERNEL)
 def _factor_chunk(c, chunk, incomplete, begin, near, link, blocks):
     """Invert the diagonal blocks; ``incomplete`` corrects them as a factorisation does."""
     low, high = c * chunk, min((c + 1) * chunk, blocks.shape[0])
@@ -178,7 +179,7 @@ def _factor(
         _factor_chunk(c, chunk, incomplete, begin, near, link, blocks)
 
 
-@njit(cache=True)
+@njit(**KERNEL)
 def _sweep_chunk(c, chunk, rows, drag, begin, near, link, blocks, vector, out):
     """Solve (D + L) D⁻¹ (D + U) x = Γ b for the cells of one chunk."""
     low, high = c * chunk, min((c + 1) * chunk, rows.shape[0])

@@ -22,11 +22,13 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 from numba import njit
 
+from multicell.compiling import KERNEL
+
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL, error_model="numpy")
 def _add_forces(rows, low, high, soft, drag, out):
     """Add the forces of the sides, nN, or with ``drag`` what they add to velocities, µm/s."""
     for i in range(rows.shape[0]):
@@ -43,7 +45,7 @@ def _add_forces(rows, low, high, soft, drag, out):
                 out[i, a] -= strength * h * math.sqrt(h)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL, error_model="numpy")
 def _stiffness(rows, low, high, soft, out):
     """Write minus the derivative of each component of the force by its coordinate, nN/µm."""
     for i in range(rows.shape[0]):
@@ -55,7 +57,7 @@ def _stiffness(rows, low, high, soft, out):
             out[i, a] = strength * (math.sqrt(near) + math.sqrt(far))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL, error_model="numpy")
 def _energies_and_virials(rows, low, high, soft, virials):
     """Return the energy of all indentations, fJ; add F d of each cell to ``virials``, nN µm."""
     total = 0.0
@@ -72,7 +74,7 @@ def _energies_and_virials(rows, low, high, soft, virials):
     return total
 
 
-@njit(cache=True)
+@njit(**KERNEL)
 def _subtract_products(rows, stiffness, drag, vector, out):
     """Subtract stiffness times ``vector``; over ``drag`` times the radius where there is drag."""
     for i in range(rows.shape[0]):

@@ -13,6 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
+from multicell.compiling import INNER, KERNEL
 from multicell.errors import NutrientFailed
 from multicell.scene.domain import filling
 from multicell.scene.scales import MAX_NODES
@@ -290,7 +291,7 @@ def round_enough(
 Triple = tuple[float, float, float]
 
 
-@njit(cache=True)
+@njit(**INNER)
 def _axis_weight(x: float, low: float, spacing: float, n: int) -> tuple[int, int, float]:
     """Return the lower node, the upper node and the weight of the upper one; -1 if outside."""
     u = (x - low) / spacing
@@ -302,7 +303,7 @@ def _axis_weight(x: float, low: float, spacing: float, n: int) -> tuple[int, int
     return max(lower, 0), min(lower + 1, n - 1), weight
 
 
-@njit(cache=True)
+@njit(**KERNEL)
 def _scatter(position, amount, origin, spacing, out):
     nx, ny, nz = out.shape
     for c in range(position.shape[0]):
@@ -323,7 +324,7 @@ def _scatter(position, amount, origin, spacing, out):
     return -1
 
 
-@njit(cache=True)
+@njit(**KERNEL)
 def _gather(position, values, origin, spacing, out):
     """Write interpolated values; return the first position outside, or -1.
 
@@ -359,7 +360,7 @@ def _places(
     return np.maximum(lower, 0), np.minimum(lower + 1, n - 1), u - lower
 
 
-@njit(cache=True)
+@njit(**KERNEL)
 def _resample(values, x, y, z, out):
     """Write ``values`` interpolated at the points of three axes to the corner of ``out``.
 

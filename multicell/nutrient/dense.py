@@ -21,10 +21,12 @@ from numba import njit
 from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
+from multicell.compiling import INNER, KERNEL
 
 Float32Array = NDArray[np.float32]
 _F = TypeVar("_F", bound=Callable[..., Any])
-_jit = cast(Callable[[_F], _F], njit(cache=True, error_model="numpy"))
+_jit = cast(Callable[[_F], _F], njit(**KERNEL, error_model="numpy"))
+_inner = cast(Callable[[_F], _F], njit(**INNER))
 
 MOST = 48
 """Nodes along an axis up to which its transform is a matrix product."""
@@ -118,7 +120,7 @@ def _invert(
     return product
 
 
-@_jit
+@_inner
 def _forward(f: Float32Array, x: Float32Array, y: Float32Array) -> None:
     """Write the transform of ``x`` along its first axis to ``y``; ``x`` is overwritten."""
     half = f.shape[1]
@@ -127,7 +129,7 @@ def _forward(f: Float32Array, x: Float32Array, y: Float32Array) -> None:
     _product(f[1], x[half:], y[half:])
 
 
-@_jit
+@_inner
 def _backward(f: Float32Array, x: Float32Array, y: Float32Array) -> None:
     """Write the inverse transform of ``x`` along its first axis to ``y``."""
     half = f.shape[1]
@@ -136,7 +138,7 @@ def _backward(f: Float32Array, x: Float32Array, y: Float32Array) -> None:
     _fold(y)
 
 
-@_jit
+@_inner
 def _fold(x: Float32Array) -> None:
     """Replace each two rows at the same distance from the middle by their sum and difference."""
     n, m = x.shape
@@ -148,7 +150,7 @@ def _fold(x: Float32Array) -> None:
             high[c] = d
 
 
-@_jit
+@_inner
 def _product(f: Float32Array, x: Float32Array, y: Float32Array) -> None:
     """Write the product of ``f``, of which the first n rows and columns count, and ``x`` to ``y``.
 
@@ -178,7 +180,7 @@ def _product(f: Float32Array, x: Float32Array, y: Float32Array) -> None:
                 q[c] += b0 * s[c]
 
 
-@_jit
+@_inner
 def _swap(x: Float32Array, y: Float32Array) -> None:
     """Write ``x`` (n, m k) as (m, n k) to ``y``: the first two of three axes change places."""
     n, m = x.shape[0], y.shape[0]
@@ -191,7 +193,7 @@ def _swap(x: Float32Array, y: Float32Array) -> None:
                 other[i * k + c] = row[j * k + c]
 
 
-@_jit
+@_inner
 def _turn(x: Float32Array, y: Float32Array) -> None:
     """Write the transpose of ``x`` to ``y``, in blocks that fit into the nearest memory."""
     rows, columns = x.shape
@@ -202,7 +204,7 @@ def _turn(x: Float32Array, y: Float32Array) -> None:
                     y[m, k] = x[k, m]
 
 
-@_jit
+@_inner
 def _divide(
     spectrum: Float32Array, lx: FloatArray, ly: FloatArray, lz: FloatArray, shift: float
 ) -> float:

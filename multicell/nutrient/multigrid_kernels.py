@@ -21,14 +21,12 @@ from typing import Any, TypeVar, cast
 import numpy as np
 from numba import njit
 
+from multicell.compiling import INLINED, KERNEL
+
 _F = TypeVar("_F", bound=Callable[..., Any])
-_OPTIONS: dict[str, Any] = {
-    "cache": True, "error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True
-}  # fmt: skip
+_jit = cast(Callable[[_F], _F], njit(**KERNEL, error_model="numpy", nogil=True))
 # calls for each row would take as long as what they do
-_INNER: dict[str, Any] = {**_OPTIONS, "no_cpython_wrapper": True, "forceinline": True}
-_jit = cast(Callable[[_F], _F], njit(**_OPTIONS))
-_inline = cast(Callable[[_F], _F], njit(**_INNER))
+_inline = cast(Callable[[_F], _F], njit(**INLINED, nogil=True))
 
 _NONE = np.float32(0.0)
 _ONE = np.float32(1.0)

@@ -8,10 +8,11 @@ from typing import Any, TypeVar, cast
 from numba import njit
 
 from multicell.cells import FloatArray
+from multicell.compiling import KERNEL
 from multicell.nutrient.uptake import uptake_and_slope
 
 _F = TypeVar("_F", bound=Callable[..., Any])
-_jit = cast(Callable[[_F], _F], njit(cache=True, error_model="numpy"))
+_jit = cast(Callable[[_F], _F], njit(**KERNEL, error_model="numpy"))
 
 
 @_jit

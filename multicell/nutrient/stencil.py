@@ -21,6 +21,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
+from multicell.compiling import INNER, KERNEL
 from multicell.nutrient.uptake import balanced, uptake, uptake_and_slope
 from multicell.threads import Team
 
@@ -31,7 +32,8 @@ Floats = FloatArray | Float32Array
 _F = TypeVar("_F", bound=Callable[..., Any])
 # No fastmath: with it, a function compiled now and the same one read from numba's disk cache were
 # seen to differ in the last bits. Division as NumPy does it has no branch.
-_jit = cast(Callable[[_F], _F], njit(cache=True, error_model="numpy", nogil=True))
+_jit = cast(Callable[[_F], _F], njit(**KERNEL, error_model="numpy", nogil=True))
+_inner = cast(Callable[[_F], _F], njit(**INNER, nogil=True))
 
 
 PART = 150_000
@@ -45,7 +47,7 @@ def face_means(varied: NDArray[Any], axis: int) -> NDArray[Any]:
     return np.ascontiguousarray(np.moveaxis(np.concatenate([v[:1], means, v[-1:]]), 0, axis))
 
 
-@_jit
+@_inner
 def _around(p: FloatArray, ghost: FloatArray, i: int, j: int, k: int) -> float:
     """Return the sum of the six neighbours of a node."""
     nx, ny, nz = p.shape
@@ -60,7 +62,7 @@ def _around(p: FloatArray, ghost: FloatArray, i: int, j: int, k: int) -> float:
     return float(total)
 
 
-@_jit
+@_inner
 def _fill_row(p: FloatArray, ghost: FloatArray, i: int, j: int, row: FloatArray) -> None:
     """Write the sums of neighbours along the last axis to ``row``."""
     nx, ny, nz = p.shape
@@ -75,7 +77,7 @@ def _fill_row(p: FloatArray, ghost: FloatArray, i: int, j: int, row: FloatArray)
         row[k] = (a[k] + b[k]) + (c[k] + d[k]) + (e[k - 1] + e[k + 1])
 
 
-@_jit
+@_inner
 def _fill_varied(
     p: FloatArray,
     ghost: FloatArray,

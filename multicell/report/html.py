@@ -13,7 +13,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from multicell.report.plots.style import time_unit
+from multicell.report.wording import clock, time_unit
 from multicell.results.folder import file_errors, package_version, write_text
 from multicell.results.quantities import known_unit
 
@@ -82,15 +82,6 @@ def write_page(
     )
     write_text(path, text)
     return path
-
-
-def clock(seconds: float) -> str:
-    """Return a wall time in words, for example ``"2 min 14 s"``."""
-    if seconds < 60.0:
-        return f"{seconds:.2g} s" if seconds < 10.0 else f"{seconds:.0f} s"
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours} h {minutes} min" if hours else f"{minutes} min {rest} s"
 
 
 @cache

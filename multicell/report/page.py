@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from multicell.errors import OutputError
-from multicell.report.html import clock, write_page
-from multicell.report.plots.style import cell_count, save, time_unit
+from multicell.report.html import write_page
+from multicell.report.plots.style import save
+from multicell.report.wording import MIXED, SEPARATION, measures, percent
 from multicell.results.folder import file_errors
 
 if TYPE_CHECKING:
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
 
 
 _CROWD: Final = 10  # cells, below which averages over shells say nothing
-_SEPARATION, _MIXED = "separation force", "contacts between unlike cells"
 _CAPTIONS: Final = {
     "growth": "The population in the course of the run.",
     "section": "Cells that a plane through the centre cuts, each drawn with the radius of its cut.",
@@ -80,46 +80,6 @@ def write_report(result: Result, folder: str | Path | None = None) -> Path:
     )
 
 
-def measures(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Yield the name and the value in words of each key figure that a summary has."""
-    formats: dict[str, tuple[str, Callable[[Any], str]]] = {
-        "cells": ("cells", lambda n: f"{n:,}"),
-        "time": ("simulated time", lambda t: time_unit(t).text(t)),
-        "diameter": ("diameter", lambda d: f"{d:.0f} µm"),
-        "viable_rim": ("viable rim", lambda d: f"{d:.0f} µm"),
-        "necrotic_radius": ("radius of the necrotic core", lambda d: f"{d:.0f} µm"),
-        "packing_ratio": ("packing ratio", lambda ratio: f"{ratio:.2f}"),
-        "held_by_pressure": ("growth halved by pressure", cell_count),
-        "divisions": ("divisions", lambda n: f"{n:,}"),
-        "removals": ("cells removed", lambda n: f"{n:,}"),
-        "separation": (_SEPARATION, lambda s: f"{s['force']:.4g} nN"),
-        "heterotypic_fraction": (_MIXED, _percent),
-    }
-    for key, (name, shown) in formats.items():
-        value = summary.get(key)
-        if value is not None and value == value:  # a rim without a core does not exist
-            yield name, shown(value)
-    splitting = summary.get("splitting") or {}
-    amiss = splitting.get("relative_volume_error")
-    if amiss is not None:
-        yield "volume changed by coupling steps", f"about {100.0 * amiss:+.2g} %"
-    if "mean_step" in splitting:
-        yield "mean coupling step", clock(splitting["mean_step"])
-    total = (summary.get("wall") or {}).get("total")
-    if total is not None:
-        yield "wall time", clock(total)
-    balance = (summary.get("ledger") or {}).get("relative_remainder")
-    if balance is not None:
-        yield "nutrient unaccounted for", f"{balance:.1e}"
-    for name, field in (summary.get("fields") or {}).items():
-        if "discretisation_error" in field:
-            yield f"grid error of {name}", f"{field['discretisation_error']:.1e} mM"
-
-
-def _percent(part: float) -> str:
-    return f"{100.0 * part:.1f} %"
-
-
 def _contact_measures(result: Result) -> Iterator[tuple[str, str]]:
     """Yield the key figures of contact that a summary alone does not tell."""
     from multicell.report.plots.contacts import separation_theory
@@ -128,11 +88,11 @@ def _contact_measures(result: Result) -> Iterator[tuple[str, str]]:
     if separation:
         theory = separation_theory(result.frames, result.scene, separation["time"])
         if theory is not None:
-            yield _SEPARATION, f"{separation['force']:.4g} nN (theory {theory:.4g})"
+            yield SEPARATION, f"{separation['force']:.4g} nN (theory {theory:.4g})"
     mixed = result.history.get("heterotypic_fraction", ())
     known = [float(part) for part in mixed if part == part]
     if known:
-        yield _MIXED, f"{_percent(known[0])} → {_percent(known[-1])}"
+        yield MIXED, f"{percent(known[0])} → {percent(known[-1])}"
 
 
 def _drawings(result: Result) -> Iterator[tuple[str, Callable[[], Figure]]]:

@@ -198,7 +198,13 @@ ROWS = {
 
 def measured(tree, row, cache):
     """Run a row in a tree and return what it prints."""
-    keep = {"PYTHONPATH": str(tree), "NUMBA_CACHE_DIR": str(cache)}
+    # byte code is kept as it is for an installed package, also where the environment forbids it
+    keep = {
+        "PYTHONPATH": str(tree),
+        "NUMBA_CACHE_DIR": str(cache),
+        "PYTHONPYCACHEPREFIX": str(cache / "bytecode"),
+        "PYTHONDONTWRITEBYTECODE": "",
+    }
     done = subprocess.run(
         [sys.executable, __file__, "--row", row],
         env=os.environ | keep,

@@ -13,7 +13,6 @@ import sys
 import numpy as np
 
 import multicell as mc
-from multicell.integrators import driver as explicit
 from multicell.integrators import stepping as loops
 from multicell.integrators.registry import METHODS
 from multicell.mechanics.system import Mechanics
@@ -52,19 +51,18 @@ class Watch:
 
     def __init__(self):
         self.shared = 0
-        shared, borrow = Mechanics._shared, explicit._borrow
+        shared, addressed = Mechanics._shared, loops.addressed
 
         def watched(system, pairs):
             answer = shared(system, pairs)
             self.shared += answer
             return answer
 
-        def lent(system, counts):
-            source, pairs = borrow(system, counts)
-            self.shared += isinstance(source, loops.Shared)
-            return source, pairs
+        def lent(source, pairs, *, shared):
+            self.shared += shared
+            return addressed(source, pairs, shared=shared)
 
-        Mechanics._shared, explicit._borrow = watched, lent
+        Mechanics._shared, loops.addressed = watched, lent
 
 
 def simulation(name, changes, threads, **state):

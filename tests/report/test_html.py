@@ -7,7 +7,8 @@ from importlib.resources import files
 import pytest
 from synthetic import BARE
 
-from multicell.report.html import clock, write_page
+from multicell.report.html import write_page
+from multicell.report.wording import clock
 
 NAMES = (
     "base.html", "parts.html", "run.html", "compare.html", "fields.html", "stability.html",

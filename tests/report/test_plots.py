@@ -14,12 +14,12 @@ from synthetic import BARE, SCENE, ball, cells_at, growing_frames, history_of, s
 
 from multicell.cells import Cells, State
 from multicell.errors import OutputError
-from multicell.report.page import clock
 from multicell.report.plots import style as drawing
 from multicell.report.plots.run import Plots
 from multicell.report.plots.section import slice_at
-from multicell.report.plots.style import save, time_unit
+from multicell.report.plots.style import save
 from multicell.report.result import Result, history_arrays
+from multicell.report.wording import clock, time_unit
 from multicell.results.frame import Field, Frame
 from multicell.results.observables import state_summary
 

@@ -13,7 +13,7 @@ from multicell.contact.jkr import JKR
 from multicell.contact.pair import Pair
 from multicell.contact.springs import Linear
 from multicell.report.explain.scene import explain
-from multicell.report.page import measures
+from multicell.report.wording import measures
 from multicell.scene import packing
 from multicell.scene.pairs import pairs
 from multicell.scene.sizes import birth_radius

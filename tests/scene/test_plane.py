@@ -10,8 +10,8 @@ from synthetic import cells_at
 
 import multicell as mc
 from multicell.cells import Cells, State
-from multicell.report.page import measures
 from multicell.report.plots import contacts as contact_plots
+from multicell.report.wording import measures
 from multicell.results import observables
 from multicell.results.frame import Frame
 from multicell.simulation import Simulation

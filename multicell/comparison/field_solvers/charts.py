@@ -19,7 +19,8 @@ from multicell.comparison.files import CLOCKS, DONE, FAILED, Row
 from multicell.comparison.highlights import MOST, Point, pareto_front
 from multicell.report.plots.colour_vision import PALE, told_apart
 from multicell.report.plots.marks import NAMED
-from multicell.report.plots.style import INK, QUIET, RED, blank, cell_count, styled, time_unit
+from multicell.report.plots.style import INK, QUIET, RED, blank, styled
+from multicell.report.wording import cell_count, time_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

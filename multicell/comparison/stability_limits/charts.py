@@ -15,7 +15,8 @@ from multicell.comparison.charts import Look, looks_apart
 from multicell.comparison.highlights import MOST
 from multicell.comparison.stability_limits.trial import BLOW_UP, DAMPED, STABLE, STALL, WRONG
 from multicell.report.plots.marks import NAMED
-from multicell.report.plots.style import INK, QUIET, blank, cell_count, styled
+from multicell.report.plots.style import INK, QUIET, blank, styled
+from multicell.report.wording import cell_count
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 from multicell.comparison.stability_limits.charts import COLOURS
 from multicell.comparison.stability_limits.trial import KINDS, STABLE
 from multicell.comparison.stability_limits.unsettled import STATES
-from multicell.report.html import clock
+from multicell.report.wording import clock
 
 if TYPE_CHECKING:
     from multicell.comparison.files import Row

@@ -13,13 +13,14 @@ import numpy as np
 from numba import njit
 
 from multicell.cells import FloatArray
+from multicell.compiling import KERNEL
 from multicell.errors import SceneError
 
 if TYPE_CHECKING:
     from multicell.scene.nutrient import Nutrient
 
 _F = TypeVar("_F", bound=Callable[..., Any])
-_jit = cast(Callable[[_F], _F], njit(cache=True))
+_jit = cast(Callable[[_F], _F], njit(**KERNEL))
 
 
 @_jit

@@ -21,12 +21,13 @@ from numba import njit
 from scipy.linalg import solve_banded
 
 from multicell.cells import FloatArray
+from multicell.compiling import KERNEL
 from multicell.nutrient.diffusion import Diffusion, _transform
 from multicell.nutrient.operators import AnyOperator, leak
 from multicell.nutrient.spherical import Shells
 
 _F = TypeVar("_F", bound=Callable[..., Any])
-_jit = cast(Callable[[_F], _F], njit(cache=True, error_model="numpy"))
+_jit = cast(Callable[[_F], _F], njit(**KERNEL, error_model="numpy"))
 
 Solve = Callable[[FloatArray], FloatArray]
 

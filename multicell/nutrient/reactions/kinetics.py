@@ -15,13 +15,14 @@ import numpy as np
 from numba import njit
 
 from multicell.cells import FloatArray
+from multicell.compiling import KERNEL
 from multicell.errors import SceneError
 from multicell.scene.reactions import Reaction
 from multicell.schema import build, near_miss
 from multicell.units import shown
 
 _F = TypeVar("_F", bound=Callable[..., Any])
-_jit = cast(Callable[[_F], _F], njit(cache=True, error_model="numpy"))
+_jit = cast(Callable[[_F], _F], njit(**KERNEL, error_model="numpy"))
 
 POWER, RISING, FALLING = 0, 1, 2
 """Forms of a factor."""

@@ -9,10 +9,11 @@ import numpy as np
 from numba import njit
 
 from multicell.cells import FloatArray
+from multicell.compiling import KERNEL
 from multicell.nutrient.stencil import dot
 
 _F = TypeVar("_F", bound=Callable[..., Any])
-_jit = cast(Callable[[_F], _F], njit(cache=True, error_model="numpy"))
+_jit = cast(Callable[[_F], _F], njit(**KERNEL, error_model="numpy"))
 
 Map = Callable[[FloatArray], FloatArray]
 

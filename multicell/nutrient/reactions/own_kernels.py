@@ -16,6 +16,7 @@ from numba import njit, types
 from numba.extending import overload, register_jitable
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
+from multicell.compiling import KERNEL
 from multicell.contact.constants import fingerprint, helpers_of
 
 Rate = Callable[[tuple[float, ...], Any], Sequence[float]]
@@ -115,7 +116,7 @@ def _by_differences(rate: Any, m: int) -> Any:
     return at_node
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL, error_model="numpy")
 def all_nodes(p, c, tissue, out, slope):
     """Write rates and derivative at all nodes; below zero rates go on along their tangent."""
     m, nodes = c.shape

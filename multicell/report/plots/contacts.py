@@ -17,15 +17,14 @@ from multicell.report.plots.style import (
     QUIET,
     RED,
     History,
-    TimeUnit,
     counts,
     draw_style,
     headed,
     styled,
-    time_unit,
     type_colours,
     type_label,
 )
+from multicell.report.wording import TimeUnit, time_unit
 from multicell.results.frame import Frame
 from multicell.results.observables import centre, distances, sizes
 from multicell.scene.pairs import pair_of

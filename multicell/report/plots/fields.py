@@ -16,12 +16,12 @@ from multicell.report.plots.style import (
     INK,
     QUIET,
     RED,
-    TimeUnit,
     headed,
     moment,
     styled,
     type_label,
 )
+from multicell.report.wording import TimeUnit
 from multicell.results.frame import Frame
 from multicell.results.observables import centre, uniform_radius
 

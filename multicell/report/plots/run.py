@@ -25,15 +25,13 @@ from multicell.report.plots.style import (
     INK,
     RED,
     History,
-    TimeUnit,
-    cell_count,
     counts,
     draw_style,
     headed,
     span,
     styled,
-    time_unit,
 )
+from multicell.report.wording import TimeUnit, cell_count, time_unit
 from multicell.results.frame import Frame
 
 if TYPE_CHECKING:

@@ -18,7 +18,6 @@ from multicell.report.plots.style import (
     INK,
     RED,
     SIZE,
-    cell_count,
     headed,
     moment,
     styled,
@@ -26,6 +25,7 @@ from multicell.report.plots.style import (
     type_colours,
     type_label,
 )
+from multicell.report.wording import cell_count
 from multicell.results.frame import Field, Frame
 from multicell.results.observables import centre, uniform_radius
 

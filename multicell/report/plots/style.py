@@ -1,4 +1,4 @@
-"""What the pictures have in common: style, colours, headings, units of time."""
+"""What the pictures have in common: style, colours, headings."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import io
 from collections.abc import Callable, Iterable, Mapping, Sized
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
 
 import matplotlib as mpl
 import numpy as np
@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 from numpy.typing import NDArray
 
+from multicell.report.wording import cell_count, time_unit
 from multicell.results.folder import write_bytes
 from multicell.results.frame import Frame
 
@@ -62,25 +63,6 @@ _STYLE: Final[dict[Any, Any]] = {
 }
 
 
-class TimeUnit(NamedTuple):
-    """A unit of time that suits a run."""
-
-    name: str
-    seconds: float
-
-    def text(self, time: float) -> str:
-        """Return a time in this unit, for example ``"8.5 d"``."""
-        return f"{time / self.seconds:.3g} {self.name}"
-
-
-def time_unit(longest: float) -> TimeUnit:
-    """Return the unit in which times up to ``longest`` s are easy to read."""
-    for name, seconds in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
-        if longest >= 3.0 * seconds:
-            return TimeUnit(name, seconds)
-    return TimeUnit("s", 1.0)
-
-
 def draw_style(points: Sized) -> str:
     """Return a line, or a point where one moment makes no line."""
     return "-" if len(points) > 1 else "o"
@@ -100,11 +82,6 @@ def counts(axis: Any) -> None:
 def moment(frame: Frame) -> str:
     """Return the number of cells and the time of a frame in words."""
     return f"{cell_count(len(frame.cells))} after {time_unit(frame.time).text(frame.time)}"
-
-
-def cell_count(n: float) -> str:
-    """Return for example ``"1,204 cells"``."""
-    return f"{n:,.0f} cell{'' if n == 1 else 's'}"
 
 
 def styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:

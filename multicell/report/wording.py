@@ -1,0 +1,83 @@
+"""Numbers of a run in words: times, counts, key figures; nothing of what draws is loaded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, Final, NamedTuple
+
+SEPARATION: Final = "separation force"
+MIXED: Final = "contacts between unlike cells"
+
+
+class TimeUnit(NamedTuple):
+    """A unit of time that suits a run."""
+
+    name: str
+    seconds: float
+
+    def text(self, time: float) -> str:
+        """Return a time in this unit, for example ``"8.5 d"``."""
+        return f"{time / self.seconds:.3g} {self.name}"
+
+
+def time_unit(longest: float) -> TimeUnit:
+    """Return the unit in which times up to ``longest`` s are easy to read."""
+    for name, seconds in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
+        if longest >= 3.0 * seconds:
+            return TimeUnit(name, seconds)
+    return TimeUnit("s", 1.0)
+
+
+def cell_count(n: float) -> str:
+    """Return for example ``"1,204 cells"``."""
+    return f"{n:,.0f} cell{'' if n == 1 else 's'}"
+
+
+def clock(seconds: float) -> str:
+    """Return a wall time in words, for example ``"2 min 14 s"``."""
+    if seconds < 60.0:
+        return f"{seconds:.2g} s" if seconds < 10.0 else f"{seconds:.0f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours} h {minutes} min" if hours else f"{minutes} min {rest} s"
+
+
+def measures(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield the name and the value in words of each key figure that a summary has."""
+    formats: dict[str, tuple[str, Callable[[Any], str]]] = {
+        "cells": ("cells", lambda n: f"{n:,}"),
+        "time": ("simulated time", lambda t: time_unit(t).text(t)),
+        "diameter": ("diameter", lambda d: f"{d:.0f} µm"),
+        "viable_rim": ("viable rim", lambda d: f"{d:.0f} µm"),
+        "necrotic_radius": ("radius of the necrotic core", lambda d: f"{d:.0f} µm"),
+        "packing_ratio": ("packing ratio", lambda ratio: f"{ratio:.2f}"),
+        "held_by_pressure": ("growth halved by pressure", cell_count),
+        "divisions": ("divisions", lambda n: f"{n:,}"),
+        "removals": ("cells removed", lambda n: f"{n:,}"),
+        "separation": (SEPARATION, lambda s: f"{s['force']:.4g} nN"),
+        "heterotypic_fraction": (MIXED, percent),
+    }
+    for key, (name, shown) in formats.items():
+        value = summary.get(key)
+        if value is not None and value == value:  # a rim without a core does not exist
+            yield name, shown(value)
+    splitting = summary.get("splitting") or {}
+    amiss = splitting.get("relative_volume_error")
+    if amiss is not None:
+        yield "volume changed by coupling steps", f"about {100.0 * amiss:+.2g} %"
+    if "mean_step" in splitting:
+        yield "mean coupling step", clock(splitting["mean_step"])
+    total = (summary.get("wall") or {}).get("total")
+    if total is not None:
+        yield "wall time", clock(total)
+    balance = (summary.get("ledger") or {}).get("relative_remainder")
+    if balance is not None:
+        yield "nutrient unaccounted for", f"{balance:.1e}"
+    for name, field in (summary.get("fields") or {}).items():
+        if "discretisation_error" in field:
+            yield f"grid error of {name}", f"{field['discretisation_error']:.1e} mM"
+
+
+def percent(part: float) -> str:
+    """Return for example ``"12.5 %"``."""
+    return f"{100.0 * part:.1f} %"

@@ -1,0 +1,126 @@
+"""Functions called at an address, and the collector of garbage while numba compiles."""
+
+import gc
+
+import numba.core.event as event
+import numpy as np
+import pytest
+from numba import njit, types
+from numba.extending import intrinsic
+
+from multicell import compiling
+from multicell.compiling import address_of, calling, kind_of
+from multicell.contact.jkr import JKR
+
+
+@njit
+def _summed(values, weight):
+    if weight < 0.0:
+        raise ValueError("negative")
+    total = 0.0
+    for k in range(values.size):
+        total += weight * values[k]
+    return total, values[1:]
+
+
+@intrinsic
+def _summed_at(context, address, values, weight):
+    return calling(types.Tuple((types.float64, values)), address, values, weight)
+
+
+@njit
+def _twice(address, values, weight):
+    total, rest = _summed_at(address, values, weight)
+    again, _ = _summed_at(address, rest, weight)
+    return total + again, rest
+
+
+def test_a_call_at_an_address_is_the_call():
+    values = np.arange(5.0)
+    address = address_of(_summed, (0.0, values), values, 1.0)
+    total, rest = _twice(address, values, 2.0)
+    assert total == 2.0 * (0 + 1 + 2 + 3 + 4) + 2.0 * (1 + 2 + 3 + 4)
+    assert np.shares_memory(rest, values)
+    assert address_of(_summed, (0.0, values), values[1:], 3.0) == address
+    assert len(_summed.overloads) == 1
+
+
+def test_exceptions_come_through_a_call_at_an_address():
+    values = np.arange(5.0)
+    address = address_of(_summed, (0.0, values), values, 1.0)
+    with pytest.raises(ValueError, match="negative"):
+        _twice(address, values, -1.0)
+
+
+def test_a_function_that_returns_something_else_has_no_address():
+    values = np.arange(5.0)
+    with pytest.raises(TypeError, match="returns Tuple"):
+        address_of(_summed, 0.0, values, 1.0)
+
+
+def frozen(values):
+    values = values.copy()
+    values.flags.writeable = False
+    return values
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        np.zeros(3, np.float32),
+        np.zeros((3, 1)),
+        np.zeros(6)[::2],
+        frozen(np.zeros(3)),
+        None,
+        0.0,
+        (np.zeros(3),),
+        JKR().constants(),
+    ],
+    ids=["type", "dimensions", "layout", "frozen", "absent", "number", "tuple", "law"],
+)
+def test_what_numba_tells_apart_has_another_kind(other):
+    assert kind_of(np.zeros(3)) != kind_of(other)
+    assert kind_of((1, other)) != kind_of((1, np.zeros(3)))
+    assert kind_of((1, other)) == kind_of((2, other))
+
+
+@pytest.mark.parametrize("enabled", [True, False])
+def test_the_collector_rests_while_numba_compiles_and_is_then_as_before(enabled):
+    seen = []
+
+    class Watch(event.Listener):
+        def on_start(self, event):
+            seen.append(gc.isenabled())
+
+        def on_end(self, event):
+            seen.append(compiling._LISTENER.depth)
+
+    @njit
+    def inner(x):
+        return x + 1
+
+    @njit
+    def outer(x):
+        return inner(x) * 2
+
+    before = gc.isenabled()
+    (gc.enable if enabled else gc.disable)()
+    try:
+        with event.install_listener("numba:compile", Watch()):
+            assert outer(3) == 8
+        assert gc.isenabled() == enabled
+    finally:
+        (gc.enable if before else gc.disable)()
+    assert len(seen) == 4
+    assert seen[1] is False
+
+
+def test_the_collector_runs_again_after_an_error():
+    @njit
+    def wrong(x):
+        return x.nothing
+
+    with pytest.raises(Exception, match="nothing"):
+        wrong(1.0)
+    assert gc.isenabled()
+    assert compiling._LISTENER.depth == 0
