@@ -43,7 +43,8 @@ _CELL_EVALUATION: Final = 2.5e-7  # and for each cell: forces, lists, and a shar
 _FRICTION: Final = 5.0  # times as much where cells rub: velocities are solved for
 _FIELD: Final = 2.5e-3  # s of a field in a step
 _NODE_STEP: Final = 4e-7  # and for each node
-_TRIED: Final = 3e-2  # s of one with a tolerance, whose grid is tried now and then
+_TRIED: Final = 6e-2  # s of one with a tolerance, whose grid is tried now and then
+_TRIED_SHELLS: Final = 1e-2  # where it can only be shells
 
 _USUAL_ATOL: Final = 0.1  # µm
 
@@ -117,7 +118,8 @@ def _fields(scene: Scene, found: Course, steps: float, frames: float) -> tuple[f
     for name, nutrient in scene.nutrients.items():
         nodes = _nodes(scene, name, found.radius)
         most, mean = most + float(nodes.max()), mean + _mean(found, nodes)
-        each += _FIELD if nutrient.tolerance is None else _TRIED
+        tried = _TRIED_SHELLS if nutrient.layout == "radial" else _TRIED
+        each += _FIELD if nutrient.tolerance is None else tried
     packages = _FIELD_PACKAGES if scene.nutrients else 0.0
     return steps * (each + _NODE_STEP * mean), packages + _NODE * most, _NODE_FRAME * frames * mean
 
