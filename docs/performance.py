@@ -1,7 +1,7 @@
 """Cost per cell from a hundred to a million cells, threads, memory, and where the time goes.
 
-Problem   asynchronous cells of the scene `spheroid` in rich medium (5 mM): all grow, divide and take
-          up oxygen, a steady field on cubes. One hour after one coupling step to settle in.
+Problem   asynchronous cells of the scene `spheroid` in rich medium (5 mM): all grow, divide and eat
+          oxygen, a steady field on cubes. One hour after one coupling step to settle in.
 Measured  wall time of that hour in a process of its own, with one thread and with all; peak memory
           above what the process held before; the share of each part of a step; contacts a cell.
 Separated compilation and start: each size is run once before it is timed, by the first step

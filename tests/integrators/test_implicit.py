@@ -21,8 +21,8 @@ from multicell.integrators.registry import make
 from multicell.integrators.restarts import Run, StepImpossible
 from multicell.integrators.rosenbrock import Rosenbrock
 from multicell.integrators.scipy import Scipy
+from multicell.mechanics.binning import spatial_order
 from multicell.mechanics.jacobian import Pattern, limited, sparse_jacobian
-from multicell.mechanics.neighbours import spatial_order
 from multicell.mechanics.preconditioners import PRECONDITIONERS, preconditioner
 from multicell.mechanics.system import Linearisation
 from multicell.report.explain.integrator import explained
