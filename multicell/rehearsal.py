@@ -127,7 +127,9 @@ def _on_disk(module: str, name: str, types: Any) -> bool:
 
 def _started(law: str, work: Work) -> subprocess.Popen[bytes] | None:
     """Start a process, or do without."""
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    # an empty place is the folder that this process is in
+    places = [place or os.getcwd() for place in sys.path]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(places)}
     nowhere = subprocess.DEVNULL
     try:
         process = subprocess.Popen(

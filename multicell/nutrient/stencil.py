@@ -160,22 +160,22 @@ def imbalance(
     planes = len(c)
     if team is None:
         parts = np.empty((3, 1))
-        _imbalance(
+        imbalance_of_planes(
             0, planes, c, sink, source, half, stiffness, linear, ghost, weights, residual, rate,
             parts, planes,
         )  # fmt: skip
         return parts.item(0), parts.item(1), parts.item(2)
     parts = np.empty((3, planes))
     team.share(
-        _imbalance, planes, c, sink, source, half, stiffness, linear, ghost, weights, residual,
-        rate, parts, 1,
+        imbalance_of_planes, planes, c, sink, source, half, stiffness, linear, ghost, weights,
+        residual, rate, parts, 1,
     )  # fmt: skip
     squares, total, size = parts.sum(axis=1)
     return float(squares), float(total), float(size)
 
 
 @_jit
-def _imbalance(
+def imbalance_of_planes(
     begin: int,
     end: int,
     c: FloatArray,
@@ -191,7 +191,10 @@ def _imbalance(
     parts: FloatArray,
     block: int,
 ) -> None:
-    """Do so for the planes from ``begin`` to ``end``; ``parts`` (3, _) are sums of ``block``."""
+    """Do what :func:`imbalance` does for the planes from ``begin`` to ``end``.
+
+    ``parts``, (3, planes / block), are the sums over each ``block`` of planes.
+    """
     ny, nz = c.shape[1:]
     row, diagonal = np.empty(nz), np.full(nz, 6.0)
     sinks = np.empty(nz)

@@ -19,7 +19,7 @@ from multicell.nutrient.equations.schedule import level
 from multicell.nutrient.equations.term import Term
 from multicell.nutrient.operators import leak
 from multicell.nutrient.shell_kernels import shell_imbalance
-from multicell.nutrient.stencil import imbalance
+from multicell.nutrient.stencil import imbalance_of_planes
 
 Fill = Callable[[FloatArray, float, FloatArray], None]
 """(c, t, where the rate is written)."""
@@ -79,9 +79,9 @@ def _fill(term: Term) -> Fill:
 
         @_jitable
         def box(c: FloatArray, t: float, out: FloatArray) -> None:
-            imbalance(
-                c, get_sink(), source(t), half, stiffness, linear, get_ghost(), weights(), out,
-                np.empty_like(c),
+            imbalance_of_planes(
+                0, len(c), c, get_sink(), source(t), half, stiffness, linear, get_ghost(),
+                weights(), out, np.empty_like(c), np.empty((3, 1)), len(c),
             )  # fmt: skip
 
         return box

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final, final
 import numpy as np
 
 from multicell.cells import FloatArray
+from multicell.integrators import runge_kutta
 from multicell.report.explain.course import Course, course
 from multicell.report.explain.items import Number, hours
 from multicell.scene import domain as box
@@ -104,9 +105,9 @@ def evaluations(scene: Scene) -> float:
     implicit ones take over. Fixed steps are counted.
     """
     options, step = scene.integrator, longest_step(scene)
-    if options.method in ("euler", "heun", "rk4"):
-        stages = {"euler": 1, "heun": 2, "rk4": 4}[options.method]
-        return stages * step / options.step
+    fixed = {m.info.name: m for m in runge_kutta.METHODS if m.info.control == "step"}
+    if options.method in fixed:
+        return len(fixed[options.method].tableau.b) * step / options.step
     limit = drag(scene, birth_radius(scene)) / daughters_stiffness(scene)
     ratio, tight = step / limit, math.sqrt(max(_USUAL_ATOL / options.atol, 0.1))
     return max(8.0, min(2.0 * tight * ratio, 40.0 * tight + ratio, 1000.0 * tight))
