@@ -88,7 +88,9 @@ def costs(found: dict[tuple[int, int], dict[str, Any]]) -> str:
         rows.append(
             [
                 f"{cells:,}", f"{threads}", f"{run['wall']:.3g} s",
-                f"{1e6 * run['wall'] / run['cells']:.3g} µs", f"{run['memory']:.2g}",
+                f"{1e6 * run['wall'] / run['cells']:.3g} µs",
+                # of fewer it is the libraries'
+                f"{run['memory']:.2g}" if cells >= 10_000 else "",
                 *(f"{100.0 * run['parts'][name] / whole:.0f} %" for name in names),
             ]
         )  # fmt: skip
@@ -105,7 +107,8 @@ def scaling(found: dict[tuple[int, int], dict[str, Any]], threads: list[int]) ->
     most = max(threads)
     rows = [["cells", f"{most} threads, measured", "serial part", "8", "16", "64", "limit"]]
     for cells in sorted({cells for cells, _ in found}):
-        if (cells, 1) not in found or most == 1:
+        # threads share nothing below 14,337 cells
+        if (cells, 1) not in found or most == 1 or cells < 20_000:
             continue
         one, many = found[cells, 1]["wall"], found[cells, most]["wall"]
         serial = serial_part(one, many, most)

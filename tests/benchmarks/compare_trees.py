@@ -171,7 +171,8 @@ def emt6(cells, threads):
 
 
 def busy(count):
-    """Return the time of ten steps of many cells beside one process that keeps a core busy."""
+    """Return the time of three steps of many cells beside one process that keeps a core busy."""
+    growing(count, "10 min", 2)  # what is loaded once
     other = subprocess.Popen([sys.executable, "-c", "while True: pass"])
     try:
         return {f"{n}: {k}": v for n in (1, 2) for k, v in growing(count, "30 min", n).items()}
