@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from multicell.nutrient.equations.term import Substance
     from multicell.nutrient.reactions.own import OwnReaction, reaction
     from multicell.ode import OdeProblem, ode_problem
-    from multicell.report.export import export
+    from multicell.report.exports.files import export
     from multicell.report.result import Result, load_result
     from multicell.runner import resume, run
     from multicell.scene.reactions import Reaction
@@ -121,7 +121,7 @@ _LAZY = {
     "compare": "multicell.comparison.work_precision",
     "compare_fields": "multicell.comparison.field_solvers.compare",
     "FieldComparison": "multicell.comparison.field_solvers.result",
-    "export": "multicell.report.export",
+    "export": "multicell.report.exports.files",
     "resume": "multicell.runner",
     "run": "multicell.runner",
     "scene_names": "multicell.scene.scene",

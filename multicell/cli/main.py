@@ -176,13 +176,20 @@ def resume(
 
 @main.command()
 @click.argument("folder", type=click.Path(path_type=Path))
-@output_option("Folder for the tables.")
+@output_option("Folder for the files.")
+@click.option(
+    "--format",
+    default="csv",
+    show_default=True,
+    help="Of the files: csv or parquet tables, vtk for ParaView, anndata for scverse, netcdf.",
+)
 @click.option(
     "--tables",
     metavar="NAMES",
-    help="Which tables, separated by commas: lineage, history, cells, contacts; by default all.",
+    help="Which tables of csv and parquet, separated by commas: lineage, history, cells, contacts; "
+    "by default all.",
 )
-@click.option("--frame", type=int, help="Cells and contacts of this frame only; -1 is the last.")
+@click.option("--frame", type=int, help="This frame only; -1 is the last.")
 @law_option
 @overwrite_option("Replace files of the same names.")
 @as_json_option
@@ -190,18 +197,19 @@ def export(
     folder: Path,
     output: Path,
     law: str | None,
+    format: str,
     tables: str | None,
     frame: int | None,
     overwrite: bool,
     as_json: bool,
 ) -> None:
-    """Write the results in FOLDER as CSV tables, with units in their headers."""
+    """Write the results in FOLDER as files for other programs, with units in their names."""
     if law is not None:
         name_law(law)
-    from multicell.report.export import export as write
+    from multicell.report.exports import export as write
 
     chosen = None if tables is None else [name.strip() for name in tables.split(",")]
-    paths = write(folder, output, tables=chosen, frame=frame, overwrite=overwrite)
+    paths = write(folder, output, format=format, tables=chosen, frame=frame, overwrite=overwrite)
     if as_json:
         print_json({"files": [str(path) for path in paths]})
         return

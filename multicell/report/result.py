@@ -15,6 +15,9 @@ from multicell.errors import OutputError
 from multicell.results.frame import Frame
 
 if TYPE_CHECKING:
+    from pandas import DataFrame
+    from xarray import Dataset
+
     from multicell.report.plots.run import Plots
     from multicell.results.reader import Contents
     from multicell.scene.scene import Scene
@@ -59,6 +62,35 @@ class Result:
         from multicell.report.plots.run import Plots  # matplotlib is loaded for pictures only
 
         return Plots(self.frames, self.history, self.scene)
+
+    def to_xarray(self) -> Dataset:
+        """Return the history as a data set along ``time``, with units and the scene.
+
+        Raises
+        ------
+        OutputError
+            If xarray is not installed.
+        """
+        from multicell.results.labelled import history_arrays
+
+        return history_arrays(self.history, self.scene.to_toml())
+
+    def to_pandas(self, table: str = "history") -> DataFrame:
+        """Return a table of the run, its columns titled with their units as in CSV files.
+
+        Parameters
+        ----------
+        table
+            ``"history"``, ``"lineage"``, or ``"cells"`` and ``"contacts"`` of all frames.
+
+        Raises
+        ------
+        OutputError
+            If pandas is not installed, or there is no such table.
+        """
+        from multicell.report.tables import whole_table
+
+        return whole_table(self, table)
 
     def report(self, folder: str | Path | None = None) -> Path:
         """Write ``report.html`` and its pictures, and return the path of the report.

@@ -12,8 +12,11 @@ from numpy.typing import NDArray
 from multicell.cells import Cells, FloatArray, IntArray
 
 if TYPE_CHECKING:
+    from pandas import DataFrame
     from pde.fields.collection import FieldCollection
     from pde.fields.scalar import ScalarField
+    from pyvista import MultiBlock
+    from xarray import Dataset
 
 
 @final
@@ -208,3 +211,44 @@ class Frame:
         from multicell.results.pde_fields import collection
 
         return collection(self.fields, names)
+
+    def to_pandas(self) -> DataFrame:
+        """Return the cells as a table, its columns titled with their units (``radius_um``).
+
+        Types are numbers: ``Result.to_pandas("cells")`` knows their names.
+
+        Raises
+        ------
+        OutputError
+            If pandas is not installed.
+        """
+        from multicell.results.tables import cells_table, data_frame
+
+        return data_frame(cells_table(self))
+
+    def to_xarray(self) -> Dataset:
+        """Return cells along ``cell`` and each field along axes of its own, with units.
+
+        Raises
+        ------
+        OutputError
+            If xarray is not installed.
+        """
+        from multicell.results.labelled import frame_arrays
+
+        return frame_arrays(self)
+
+    def to_pyvista(self) -> MultiBlock:
+        """Return the cells as points and the fields as grids of VTK, by name.
+
+        ``cells`` are points in µm with all quantities, named with their units. Fields have their
+        values at the cells of their grids (:func:`multicell.results.vtk_grids.field_grid`).
+
+        Raises
+        ------
+        OutputError
+            If pyvista is not installed.
+        """
+        from multicell.results.vtk_grids import blocks
+
+        return blocks(self)

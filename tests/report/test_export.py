@@ -10,7 +10,7 @@ from scipy.spatial.distance import pdist, squareform
 import multicell as mc
 from multicell.cells import State
 from multicell.cli.main import main
-from multicell.report.export import TABLES
+from multicell.report.exports import TABLES
 from multicell.results.frame import Frame
 
 

@@ -1,0 +1,6 @@
+"""Runs as files for other programs: tables, ParaView, AnnData, netCDF."""
+
+from multicell.report.exports.files import FORMATS, export
+from multicell.report.tables import TABLES
+
+__all__ = ["FORMATS", "TABLES", "export"]

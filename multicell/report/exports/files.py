@@ -1,0 +1,186 @@
+"""The export of a run: which formats there are, and files that are there whole or not at all."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, final
+
+from multicell.errors import OutputError
+from multicell.extras import needs
+from multicell.report.result import Result, load_result
+from multicell.report.tables import TABLES
+from multicell.results.folder import file_errors
+from multicell.schema import near_miss
+
+if TYPE_CHECKING:
+    from multicell.results.frame import Frame
+
+
+@final
+@dataclass(frozen=True)
+class Format:
+    """A format of exported files.
+
+    Attributes
+    ----------
+    module
+        Of this room; its function ``write(run, frames, folder, tables)`` writes into a folder
+        and returns the names; ``frames()`` gives the chosen frames with their numbers.
+    files
+        Names of the files that are written in any case, ``{table}`` stands for each table.
+    packages
+        That write it, beside those of every installation.
+    tables
+        Whether the format has one file for each table, out of which a user may choose.
+    """
+
+    module: str
+    files: Sequence[str]
+    packages: Sequence[str] = ()
+    tables: bool = False
+
+    def names(self, tables: Iterable[str]) -> list[str]:
+        """Return the names of the files that are written in any case."""
+        if not self.tables:
+            return list(self.files)
+        return [name.format(table=table) for table in tables for name in self.files]
+
+    def writer(self) -> Callable[..., Any]:
+        """Load what writes it.
+
+        Raises
+        ------
+        OutputError
+            If a package is not installed.
+        """
+        for package in self.packages:
+            needs(package, "this format")
+        loaded = import_module(f"multicell.report.exports.{self.module}")
+        return loaded.write  # type: ignore[no-any-return]
+
+
+FORMATS: Final = {
+    "csv": Format("csv_files", ["{table}.csv"], tables=True),
+    "parquet": Format("parquet", ["{table}.parquet"], ["pyarrow"], tables=True),
+    "vtk": Format("vtk", ["run.pvd"], ["pyvista"]),
+    "anndata": Format("annotated", ["cells.h5ad"], ["anndata"]),
+    "netcdf": Format("netcdf", ["history.nc"], ["xarray", "h5netcdf"]),
+}
+"""Formats by name."""
+
+
+def export(
+    result: Result | str | Path,
+    output: str | Path,
+    *,
+    format: str = "csv",
+    tables: Sequence[str] | None = None,
+    frame: int | None = None,
+    overwrite: bool = False,
+) -> list[Path]:
+    """Write a run as files that other programs read.
+
+    ``"csv"`` and ``"parquet"`` have a file for each table: ``lineage`` one row for every cell that
+    ever was (:meth:`Lineage.table`), ``history`` one for each coupling step, ``cells`` and
+    ``contacts`` one for each cell and each pair in contact in each frame. Where a run does not
+    count its contacts (:attr:`Frame.contacts`), pairs whose spheres overlap are taken. A column
+    with a dimension ends in its unit (``position_x_um``), and a number that does not exist, such as
+    the viable rim without a core, is left empty.
+
+    ``"vtk"`` is for ParaView: ``run.pvd`` names the cells (``cells-0000.vtp``, points with all that
+    is known of them) and the fields (``oxygen-0000.vti``; shells as ``.vtu``) of each frame.
+
+    ``"anndata"`` is for scverse: ``cells.h5ad`` with one observation for each cell in each frame,
+    coordinates in ``obsm["spatial"]`` and contacts in ``obsp["spatial_connectivities"]``.
+
+    ``"netcdf"`` has the history in ``history.nc`` and each frame, cells and fields, in
+    ``frame-0000.nc``.
+
+    Parameters
+    ----------
+    result
+        A run, or the folder of one.
+    output
+        Folder for the files; it is made if it does not exist.
+    format
+        One of :data:`FORMATS`.
+    tables
+        Names out of :data:`TABLES`, for csv and parquet; by default all.
+    frame
+        The one frame whose cells, contacts and fields are written, counted from the end if
+        negative; by default all.
+    overwrite
+        Replace files of the same names.
+
+    Returns
+    -------
+    list of Path
+        The files, those of csv and parquet in the order of ``tables``.
+
+    Raises
+    ------
+    OutputError
+        If the folder holds no results, has no such frame or table, or the files exist already or
+        cannot be written; for a format that does not exist or whose packages are not installed.
+    """
+    if format not in FORMATS:
+        raise OutputError(f"there is no format {format!r}. {near_miss(format, FORMATS)}")
+    chosen = FORMATS[format]
+    run = result if isinstance(result, Result) else load_result(result)
+    names = _chosen_tables(tables, format)
+    count = len(run.frames)
+    if frame is not None and not -count <= frame < count:
+        raise OutputError(f"there is no frame {frame}: the run has {count}")
+    folder = Path(output)
+    with file_errors("use the output folder", folder):
+        if not overwrite:
+            _refuse_old(folder, chosen.names(names))
+        write = chosen.writer()
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=".export-", dir=folder) as place:
+            staged = Path(place)
+            with file_errors("write the files in", folder):
+                written = write(run, partial(_frames, run, frame), staged, names)
+            if not overwrite:
+                _refuse_old(folder, written)
+            for name in written:
+                (staged / name).replace(folder / name)
+    return [folder / name for name in written]
+
+
+def _chosen_tables(tables: Sequence[str] | None, format: str) -> list[str]:
+    """Return the names of the tables to write."""
+    if tables is None:
+        return list(TABLES)
+    if not FORMATS[format].tables:
+        having = " and ".join(name for name, known in FORMATS.items() if known.tables)
+        raise OutputError(f"the format {format!r} has no tables to choose from: {having} have")
+    for name in tables:
+        if name not in TABLES:
+            raise OutputError(f"there is no table {name!r}. {near_miss(name, TABLES)}")
+    return list(tables)
+
+
+def _refuse_old(folder: Path, names: Iterable[str]) -> None:
+    """Refuse to write over files.
+
+    Raises
+    ------
+    OutputError
+    """
+    for path in (folder / name for name in names):
+        if path.exists() or path.is_symlink():
+            raise OutputError(f"'{path}' exists already: choose another folder or overwrite")
+
+
+def _frames(run: Result, frame: int | None) -> Iterator[tuple[int, Frame]]:
+    """Give the chosen frames with their numbers, one at a time."""
+    count = len(run.frames)
+    chosen: Iterable[int] = range(count) if frame is None else [frame % count]
+    for k in chosen:
+        yield k, run.frames[k]

@@ -1,0 +1,35 @@
+"""Which cells of a frame touch, for those who read what a run has left."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multicell.cells import Cells
+from multicell.results.observables import contact_rows
+
+if TYPE_CHECKING:
+    from multicell.results.frame import Frame
+
+
+def touching(frame: Frame) -> NDArray[np.int64]:
+    """Return the rows of the cells of each pair in contact: (m, 2).
+
+    Where a run does not count its contacts, those whose spheres overlap.
+    """
+    pairs = contact_rows(frame.cells, frame.contacts)
+    return pairs if len(pairs) else _overlapping(frame.cells)
+
+
+def _overlapping(cells: Cells) -> NDArray[np.int64]:
+    """Return the rows of all pairs of cells whose spheres overlap: (m, 2)."""
+    from scipy.spatial import cKDTree
+
+    tree = cKDTree(cells.position)
+    near = tree.query_pairs(2.0 * cells.radius.max(initial=0.0), output_type="ndarray")
+    first, second = near.T
+    apart = np.linalg.norm(cells.position[first] - cells.position[second], axis=1)
+    near = near[apart < cells.radius[first] + cells.radius[second]].astype(np.int64)
+    return np.asarray(near[np.lexsort((near[:, 1], near[:, 0]))])

@@ -1,0 +1,82 @@
+"""The cells of a frame as a table, its columns titled with their units."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multicell.cells import Cells, Phase, State
+from multicell.extras import needs
+from multicell.results.quantities import unit_of
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from pandas import DataFrame
+
+    from multicell.results.frame import Frame
+
+_AXES = ("x", "y", "z")
+NAMED: Final[Mapping[str, list[str]]] = {
+    "state": [s.name.lower() for s in sorted(State)],
+    "phase": [p.name for p in sorted(Phase)],
+}
+OF_PHASES = ("phase", "progress", "phase_length")
+_IN_NAMES = str.maketrans({"^": "", "/": "_per_", " ": "_"})
+
+
+def cells_table(
+    frame: Frame, *, kinds: NDArray[Any] | None = None, phases: bool = True
+) -> dict[str, NDArray[Any]]:
+    """Return the cells of a frame, one row each, with what is stored of them.
+
+    Parameters
+    ----------
+    frame
+        The frame.
+    kinds
+        Names of the types by number; absent: the numbers.
+    phases
+        Whether there are phases of the cycle, whose columns are left out otherwise.
+    """
+    table: dict[str, NDArray[Any]] = {}
+    for name in Cells.schema():
+        if name in OF_PHASES and not phases:
+            continue
+        column, unit = getattr(frame.cells, name), unit_of(f"cells.{name}")
+        if name == "kind" and kinds is not None:
+            column = kinds[column]
+        elif name in NAMED:
+            column = np.array(NAMED[name], dtype=object)[column]
+        if column.ndim == 1:
+            table[titled(name, unit)] = column
+        else:
+            for axis, values in zip(_axes(column.shape[1]), column.T, strict=True):
+                table[titled(f"{name}_{axis}", unit)] = values
+    for name, values in frame.concentrations.items():
+        table[titled(f"concentration_{name}", unit_of(f"cells.concentration_{name}"))] = values
+    return table
+
+
+def data_frame(table: Mapping[str, NDArray[Any]]) -> DataFrame:
+    """Return a table as pandas' ``DataFrame``.
+
+    Raises
+    ------
+    OutputError
+        If pandas is not installed.
+    """
+    frame: DataFrame = needs("pandas", "a table as a DataFrame").DataFrame(dict(table))
+    return frame
+
+
+def _axes(width: int) -> Sequence[str]:
+    return _AXES if width == len(_AXES) else [str(k) for k in range(width)]
+
+
+def titled(name: str, unit: str) -> str:
+    """Return the title of a column: its name, and its unit where it has one."""
+    return f"{name}_{unit.translate(_IN_NAMES)}" if unit else name
