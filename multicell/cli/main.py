@@ -6,6 +6,7 @@ sentence on stderr. With ``--json`` stdout holds exactly one JSON document.
 
 from __future__ import annotations
 
+import shlex
 import sys
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -32,11 +33,12 @@ from multicell.cli.options import (
     threads_option,
 )
 from multicell.cli.process import Commands, complain, print_json
+from multicell.cli.scenes import init, scenes, schema
+from multicell.cli.tables import bare_table, plain, time_text
 from multicell.errors import OutputError, StepFailed
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.table import Table
 
     from multicell.report.result import Result
     from multicell.scene.scene import Scene
@@ -50,37 +52,6 @@ def main() -> None:
     SCENE is the name of a built-in scene ("multicell scenes" lists them) or the path of a TOML
     file.
     """
-
-
-@main.command()
-@as_json_option
-def scenes(as_json: bool) -> None:
-    """List the built-in scenes."""
-    from multicell.scene.scene import load_scene, scene_names
-
-    rows = [_scene_row(name, load_scene(name)) for name in scene_names()]
-    if as_json:
-        print_json(rows)
-        return
-    table = _table()
-    for column in ("scene", "duration", "parts", "title"):
-        table.add_column(column, no_wrap=column in ("scene", "duration"))
-    for row in rows:
-        time = _time(row["duration"])
-        table.add_row(*map(_plain, (row["name"], time, ", ".join(row["parts"]), row["title"])))
-    console().print(table)
-
-
-@main.command()
-@as_json_option
-def schema(as_json: bool) -> None:
-    """Print the JSON Schema of scene files, for editors that complete and check them.
-
-    It is a JSON document with and without --json.
-    """
-    from multicell.scene.json_schema import json_schema
-
-    print_json(json_schema())
 
 
 @main.command()
@@ -124,10 +95,12 @@ def _simulating(command: Callable[..., None]) -> Callable[..., None]:
 @main.command()
 @click.argument("scene")
 @output_option("Folder for the results; it must be empty or new.")
+@click.option("--seed", type=click.IntRange(min=0), help="Of the random numbers.")
 @_simulating
 def run(
     scene: str,
     output: Path,
+    seed: int | None,
     law: str | None,
     changes: Sequence[str],
     integrator: str | None,
@@ -135,6 +108,8 @@ def run(
 ) -> None:
     """Run a SCENE and write frames, summary, pictures and a report to a folder."""
     described = scene_of(scene, changes, law)
+    if seed is not None:
+        described = described.with_changes({"seed": seed})
     # loaded after the scene was accepted: bad input is answered at once
     from multicell.runner import integrated_by
     from multicell.runner import run as simulated
@@ -217,8 +192,8 @@ def export(
         click.echo(path, file=sys.stdout)
 
 
-main.add_command(compare)
-main.add_command(stability)
+for added in (scenes, init, schema, compare, stability):
+    main.add_command(added)
 
 
 def _simulate(
@@ -263,85 +238,55 @@ def _finish_early(error: BaseException, output: Path, no_report: bool, as_json: 
         return
     count = len(result.frames)
     last = result.frames[-1].time if count else 0.0
-    complain(f"{count} frame(s) up to {_time(last)} are kept in '{output}'.")
+    complain(f"{count} frame(s) up to {time_text(last)} are kept in '{output}'.")
+    if isinstance(error, KeyboardInterrupt):
+        complain(f"To go on from there: multicell resume {shlex.quote(str(output))}")
     if as_json and isinstance(error, KeyboardInterrupt):
         print_json({**result.summary(), "interrupted": True})
 
 
-def _scene_row(name: str, scene: Scene) -> dict[str, Any]:
-    parts = ["growth"] if scene.growth else []
-    parts += ["death"] if scene.death else []
-    parts += list(scene.nutrients)
-    return {
-        "name": name,
-        "title": scene.title,
-        "duration": scene.duration,
-        "initial_cells": scene.initial.count,
-        "parts": parts or ["mechanics only"],
-    }
-
-
-def _time(seconds: float) -> str:
-    for unit, size in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
-        if seconds >= size:
-            return f"{seconds / size:.3g} {unit}"
-    return f"{seconds:.3g} s"
-
-
-def _table(**options: Any) -> Table:
-    """Return an empty table without lines."""
-    from rich.table import Table
-
-    return Table(box=None, pad_edge=False, header_style="bold", **options)
-
-
-def _plain(text: object) -> Any:
-    """Return text in which square brackets are no markup."""
-    from rich.text import Text
-
-    return Text(str(text))
-
-
 def _print_facts(console: Console, scene: str, facts: dict[str, Any]) -> None:
     """Print the parts, the numbers and the notes of ``explain``."""
-    console.print(_plain(f"{scene}: {facts['title']}" if facts["title"] else scene), style="bold")
-    parts = _table()
+    console.print(plain(f"{scene}: {facts['title']}" if facts["title"] else scene), style="bold")
+    parts = bare_table()
     for column in ("", "part", "what it means"):
         parts.add_column(column)
     for part in facts["parts"]:
-        mark = _plain("used" if part["used"] else "absent")
+        mark = plain("used" if part["used"] else "absent")
         mark.stylize("green" if part["used"] else "dim")
-        parts.add_row(mark, _plain(part["part"]), _plain(part["what"]))
-    numbers = _table()
+        parts.add_row(mark, plain(part["part"]), plain(part["what"]))
+    numbers = bare_table()
     for column in ("derived number", "value", "unit", "meaning"):
         numbers.add_column(column, justify="right" if column == "value" else "left")
     for entry in facts["numbers"]:
         value = entry["value"]
         shown = f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.4g}"
-        numbers.add_row(*map(_plain, (entry["name"], shown, entry["unit"], entry["meaning"])))
+        numbers.add_row(*map(plain, (entry["name"], shown, entry["unit"], entry["meaning"])))
     console.print()
     console.print(parts)
     console.print()
     console.print(numbers)
     for note in facts["notes"]:
-        console.print(_plain(f"\nNote: {note}"), style="yellow")
+        console.print(plain(f"\nNote: {note}"), style="yellow")
 
 
 def _print_summary(console: Console, summary: dict[str, Any], output: Path) -> None:
     """Print the key figures of a run as a short table."""
     from multicell.report.wording import measures
 
-    table = _table(show_header=False)
+    table = bare_table(show_header=False)
     table.add_column(style="bold")
     table.add_column(justify="right")
     for name, value in measures(summary):
-        table.add_row(_plain(name), _plain(value))
+        table.add_row(plain(name), plain(value))
     states = ", ".join(f"{n:,} {name}" for name, n in summary.get("states", {}).items() if n)
-    table.add_row(_plain("states"), _plain(states))
+    table.add_row(plain("states"), plain(states))
     work = summary.get("integrator", {})
     if "evaluations" in work:
-        table.add_row(_plain("force evaluations"), _plain(f"{work['evaluations']:,}"))
+        table.add_row(plain("force evaluations"), plain(f"{work['evaluations']:,}"))
     console.print(table)
     for note in summary.get("notes", ()):
-        console.print(_plain(f"Note: {note}"), style="yellow")
-    console.print(_plain(f"Results are in '{output}'."))
+        console.print(plain(f"Note: {note}"), style="yellow")
+    console.print(plain(f"Results are in '{output}'."))
+    longer = f"multicell resume {shlex.quote(str(output))} --set duration='…'"
+    console.print(plain(f"To go on for longer: {longer}"))

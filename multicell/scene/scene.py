@@ -229,6 +229,17 @@ def scene_names() -> list[str]:
     return sorted(name.removesuffix(".toml") for name in found if name.endswith(".toml"))
 
 
+def scene_text(source: str | Path) -> str:
+    """Return a scene as its author wrote it: the TOML of a built-in scene or of a file.
+
+    Raises
+    ------
+    SceneError
+        As :func:`load_scene` for what cannot be read.
+    """
+    return _read(source)
+
+
 def load_scene(source: str | Path) -> Scene:
     """Return a built-in scene or one that is read from a TOML file.
 

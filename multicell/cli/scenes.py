@@ -1,0 +1,105 @@
+"""The commands about scenes themselves: list them, print them, copy them, describe their keys."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from multicell.cli.options import as_json_option, console, output_option, overwrite_option
+from multicell.cli.process import print_json
+from multicell.cli.tables import bare_table, plain, time_text
+from multicell.errors import OutputError
+
+if TYPE_CHECKING:
+    from multicell.scene.scene import Scene
+
+
+@click.command()
+@click.argument("name", required=False)
+@click.option("--show", is_flag=True, help="Print the scene NAME as TOML, with units and remarks.")
+@click.option("--full", is_flag=True, help="Print it with every key that it could have left out.")
+@as_json_option
+def scenes(name: str | None, show: bool, full: bool, as_json: bool) -> None:
+    """List the built-in scenes, or print the one called NAME."""
+    from multicell.scene.scene import load_scene, scene_names
+
+    if name is None and (show or full):
+        raise click.UsageError("--show and --full need the NAME of a scene")
+    if name is not None:
+        _print_scene(name, full, as_json)
+        return
+    rows = [_scene_row(name, load_scene(name)) for name in scene_names()]
+    if as_json:
+        print_json(rows)
+        return
+    table = bare_table()
+    for column in ("scene", "duration", "parts", "title"):
+        table.add_column(column, no_wrap=column in ("scene", "duration"))
+    for row in rows:
+        time = time_text(row["duration"])
+        table.add_row(*map(plain, (row["name"], time, ", ".join(row["parts"]), row["title"])))
+    console().print(table)
+
+
+def _print_scene(name: str, full: bool, as_json: bool) -> None:
+    """Print a scene: as its author wrote it, with every key, or as JSON."""
+    from multicell.scene.scene import load_scene, scene_text
+
+    if as_json:
+        print_json(load_scene(name).to_dict())
+        return
+    click.echo(load_scene(name).to_toml() if full else scene_text(name), nl=False, file=sys.stdout)
+
+
+@click.command()
+@click.argument("name")
+@output_option("File to write, by default NAME.toml here.", required=False)
+@click.option("--full", is_flag=True, help="Write every key, also those that could be left out.")
+@overwrite_option("Replace the file.")
+@as_json_option
+def init(name: str, output: Path | None, full: bool, overwrite: bool, as_json: bool) -> None:
+    """Write a copy of the built-in scene NAME, to edit and run as a scene of your own."""
+    from multicell.results.folder import file_errors, write_text
+    from multicell.scene.scene import load_scene, scene_names, scene_text
+    from multicell.schema import near_miss
+
+    if name not in scene_names():
+        raise OutputError(f"there is no built-in scene {name!r}. {near_miss(name, scene_names())}")
+    path = output or Path(f"{name}.toml")
+    with file_errors("use", path):
+        there = path.exists() or path.is_symlink()
+    if there and not overwrite:
+        raise OutputError(f"'{path}' exists already: name another file (-o) or overwrite it")
+    write_text(path, load_scene(name).to_toml() if full else scene_text(name))
+    if as_json:
+        print_json({"file": str(path)})
+        return
+    click.echo(f"'{path}' is written. Edit it, then: multicell run {path} -o out", file=sys.stdout)
+
+
+@click.command()
+@as_json_option
+def schema(as_json: bool) -> None:
+    """Print the JSON Schema of scene files, for editors that complete and check them.
+
+    It is a JSON document with and without --json.
+    """
+    from multicell.scene.json_schema import json_schema
+
+    print_json(json_schema())
+
+
+def _scene_row(name: str, scene: Scene) -> dict[str, Any]:
+    parts = ["growth"] if scene.growth else []
+    parts += ["death"] if scene.death else []
+    parts += list(scene.nutrients)
+    return {
+        "name": name,
+        "title": scene.title,
+        "duration": scene.duration,
+        "initial_cells": scene.initial.count,
+        "parts": parts or ["mechanics only"],
+    }
