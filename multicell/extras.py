@@ -1,46 +1,39 @@
-"""Packages that only some commands need, and what to do where they are not installed."""
+"""Packages that only some commands need: whether they are there, and what to do if not."""
 
 from __future__ import annotations
 
 from importlib import import_module
-from types import ModuleType
 from typing import Final
 
-from multicell.errors import OutputError
+from multicell.errors import MissingPackage
 
-EXTRAS: Final = {
-    "anndata": "export",
-    "pandas": "export",
-    "pyarrow": "export",
-    "pyvista": "export",
-    "xarray": "export",
-    "h5netcdf": "export",
-}
-"""Package -> the extra of multicell that brings it."""
+EXPORT: Final = ("anndata", "h5netcdf", "pandas", "pyarrow", "pyvista", "xarray")
+"""What ``multicell[export]`` brings."""
 
 
-def needs(name: str, purpose: str) -> ModuleType:
-    """Return a module of a package that not every installation has.
+def needs(*packages: str) -> None:
+    """Refuse to go on without some packages.
 
     Parameters
     ----------
-    name
-        Of the module, with dots: the first part is the package.
-    purpose
-        What it is wanted for, as the subject of a sentence ("an export to ParaView").
+    packages
+        Names as they are imported, such as ``"pyvista"``.
 
     Raises
     ------
-    OutputError
-        If it is not installed; it says how to install it.
+    MissingPackage
+        If one of them is not installed; the text says how to install them all.
     """
-    package = name.partition(".")[0]
+    absent = [name for name in packages if not _there(name)]
+    if absent:
+        raise MissingPackage(absent, "export" if set(absent) <= set(EXPORT) else "study")
+
+
+def _there(name: str) -> bool:
     try:
-        return import_module(name)
+        import_module(name)
     except ModuleNotFoundError as error:
-        if error.name is None or error.name.partition(".")[0] != package:
+        if error.name != name:
             raise  # the package is there and lacks something itself
-        raise OutputError(
-            f"{purpose} needs the package '{package}', which is not installed. "
-            f"pip install 'multicell[{EXTRAS[package]}]' brings it"
-        ) from None
+        return False
+    return True

@@ -68,7 +68,7 @@ class Result:
 
         Raises
         ------
-        OutputError
+        MissingPackage
             If xarray is not installed.
         """
         from multicell.results.labelled import history_arrays
@@ -85,8 +85,10 @@ class Result:
 
         Raises
         ------
+        MissingPackage
+            If pandas is not installed.
         OutputError
-            If pandas is not installed, or there is no such table.
+            If there is no such table.
         """
         from multicell.report.tables import whole_table
 

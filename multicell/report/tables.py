@@ -93,7 +93,9 @@ def whole_table(run: Result, name: str) -> DataFrame:
     Raises
     ------
     OutputError
-        If there is no such table, or pandas is not installed.
+        If there is no such table.
+    MissingPackage
+        If pandas is not installed.
     """
     if name not in TABLES:
         raise OutputError(f"there is no table {name!r}. {near_miss(name, TABLES)}")

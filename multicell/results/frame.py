@@ -219,7 +219,7 @@ class Frame:
 
         Raises
         ------
-        OutputError
+        MissingPackage
             If pandas is not installed.
         """
         from multicell.results.tables import cells_table, data_frame
@@ -231,7 +231,7 @@ class Frame:
 
         Raises
         ------
-        OutputError
+        MissingPackage
             If xarray is not installed.
         """
         from multicell.results.labelled import frame_arrays
@@ -246,7 +246,7 @@ class Frame:
 
         Raises
         ------
-        OutputError
+        MissingPackage
             If pyvista is not installed.
         """
         from multicell.results.vtk_grids import blocks

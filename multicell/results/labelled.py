@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
     from multicell.results.frame import Field, Frame
 
-PURPOSE: Final = "xarray's form of a run"
 _AXES: Final = ("x", "y", "z")
 
 
@@ -33,12 +32,13 @@ def history_arrays(history: Mapping[str, NDArray[np.float64]], scene: str) -> Da
     scene
         As TOML.
     """
-    xarray = needs("xarray", PURPOSE)
+    needs("xarray")
+    import xarray
+
     columns = {name: ("time", values, _unit(name)) for name, values in history.items()}
     known = {"scene": scene}
     known |= {f"version_of_{name}": version for name, version in versions().items()}
-    found: Dataset = xarray.Dataset(columns, attrs=known)
-    return found.set_coords("time")
+    return xarray.Dataset(columns, attrs=known).set_coords("time")
 
 
 def frame_arrays(frame: Frame, types: Sequence[str] = ()) -> Dataset:
@@ -51,7 +51,9 @@ def frame_arrays(frame: Frame, types: Sequence[str] = ()) -> Dataset:
     types
         Names of the types by their numbers.
     """
-    xarray = needs("xarray", PURPOSE)
+    needs("xarray")
+    import xarray
+
     parts: dict[str, Any] = {}
     for name in Cells.schema():
         values, attributes = getattr(frame.cells, name), _unit(f"cells.{name}")

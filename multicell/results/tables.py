@@ -66,11 +66,13 @@ def data_frame(table: Mapping[str, NDArray[Any]]) -> DataFrame:
 
     Raises
     ------
-    OutputError
+    MissingPackage
         If pandas is not installed.
     """
-    frame: DataFrame = needs("pandas", "a table as a DataFrame").DataFrame(dict(table))
-    return frame
+    needs("pandas")
+    import pandas
+
+    return pandas.DataFrame(dict(table))
 
 
 def _axes(width: int) -> Sequence[str]:

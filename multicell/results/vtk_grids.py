@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
     from multicell.results.frame import Field, Frame
 
-PURPOSE: Final = "VTK's form of a frame"
 _LATITUDES, _LONGITUDES = 12, 24  # of the boxes that a shell is cut into
 
 
@@ -27,13 +26,14 @@ def blocks(frame: Frame, types: Sequence[str] = ()) -> MultiBlock:
 
     Raises
     ------
-    OutputError
+    MissingPackage
         If pyvista is not installed.
     """
     parts: dict[str, Any] = {"cells": cells_points(frame, types)}
     parts |= {name: field_grid(field) for name, field in frame.fields.items()}
-    found: MultiBlock = needs("pyvista", PURPOSE).MultiBlock(parts)
-    return found
+    import pyvista
+
+    return pyvista.MultiBlock(parts)
 
 
 def cells_points(frame: Frame, types: Sequence[str] = ()) -> PolyData:
@@ -51,10 +51,12 @@ def cells_points(frame: Frame, types: Sequence[str] = ()) -> PolyData:
 
     Raises
     ------
-    OutputError
+    MissingPackage
         If pyvista is not installed.
     """
-    pyvista = needs("pyvista", PURPOSE)
+    needs("pyvista")
+    import pyvista
+
     points: PolyData = pyvista.PolyData(np.array(frame.cells.position))
     for name in Cells.schema():
         if name != "position":
@@ -84,10 +86,12 @@ def field_grid(field: Field) -> Any:
 
     Raises
     ------
-    OutputError
+    MissingPackage
         If pyvista is not installed.
     """
-    pyvista = needs("pyvista", PURPOSE)
+    needs("pyvista")
+    import pyvista
+
     title = titled(field.name, field.unit)
     if field.kind == "radial":
         return _shells(pyvista, field, title)

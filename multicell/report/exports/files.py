@@ -55,11 +55,10 @@ class Format:
 
         Raises
         ------
-        OutputError
+        MissingPackage
             If a package is not installed.
         """
-        for package in self.packages:
-            needs(package, "this format")
+        needs(*self.packages)
         loaded = import_module(f"multicell.report.exports.{self.module}")
         return loaded.write  # type: ignore[no-any-return]
 
@@ -126,7 +125,9 @@ def export(
     ------
     OutputError
         If the folder holds no results, has no such frame or table, or the files exist already or
-        cannot be written; for a format that does not exist or whose packages are not installed.
+        cannot be written; for a format that does not exist.
+    MissingPackage
+        If the packages of the format are not installed.
     """
     if format not in FORMATS:
         raise OutputError(f"there is no format {format!r}. {near_miss(format, FORMATS)}")
