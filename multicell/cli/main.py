@@ -32,6 +32,7 @@ from multicell.cli.options import (
     scene_of,
     threads_option,
 )
+from multicell.cli.plot import plot
 from multicell.cli.process import Commands, complain, print_json
 from multicell.cli.scenes import init, scenes, schema
 from multicell.cli.tables import bare_table, plain, time_text
@@ -192,7 +193,7 @@ def export(
         click.echo(path, file=sys.stdout)
 
 
-for added in (scenes, init, schema, compare, stability):
+for added in (scenes, init, schema, plot, compare, stability):
     main.add_command(added)
 
 

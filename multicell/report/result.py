@@ -61,7 +61,7 @@ class Result:
         """Pictures of the run, such as ``plot.growth()`` or ``plot.section()``."""
         from multicell.report.plots.run import Plots  # matplotlib is loaded for pictures only
 
-        return Plots(self.frames, self.history, self.scene)
+        return Plots(self.frames, self.history, self.scene, self.lineage)
 
     def to_xarray(self) -> Dataset:
         """Return the history as a data set along ``time``, with units and the scene.

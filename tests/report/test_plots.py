@@ -116,7 +116,7 @@ def test_section_draws_the_cut_of_each_cell():
     ]
     cells = cells_at(position, radius=5.0, state=[0, 1, 2, 0, 0, 0])
     figure = Plots([Frame(0.0, 0, cells)], {}, BARE).section()
-    (circles,) = figure.axes[0].findobj(EllipseCollection)
+    *_, circles = figure.axes[0].findobj(EllipseCollection)  # those behind come first
     # the centre of mass lies at z = 0: the cells at ±8 µm are not cut, those at ±3 show 4 µm
     np.testing.assert_allclose(circles.get_widths(), [10.0, 8.0, 8.0, 10.0])
     np.testing.assert_allclose(circles.get_offsets(), np.array(position)[:4, :2])

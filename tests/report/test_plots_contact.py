@@ -56,7 +56,7 @@ def test_section_is_coloured_by_type_and_dead_cells_stay_dark():
     cells = cells_at(position, state=[0, 1, State.NECROTIC, 0])
     cells.kind[:] = [0, 1, 0, 1]
     figure = Plots([Frame(0.0, 0, cells)], {}, TWO_TYPES).section()
-    (circles,) = figure.axes[0].findobj(EllipseCollection)
+    *_, circles = figure.axes[0].findobj(EllipseCollection)
     colours = drawing.type_colours(["inner", "outer"])
     expected = [colours["inner"], colours["outer"], drawing.COLOURS["necrotic"], colours["outer"]]
     np.testing.assert_allclose(
@@ -106,7 +106,7 @@ def test_first_two_types_and_death_differ_in_lightness():
 def test_two_cells_are_cut_through_both_centres():
     along_z = cells_at([[1.0, 2.0, -9.0], [1.0, 2.0, 9.0]], radius=10.0)
     figure = Plots([Frame(0.0, 0, along_z)], {}, BARE).section()
-    (circles,) = figure.axes[0].findobj(EllipseCollection)
+    *_, circles = figure.axes[0].findobj(EllipseCollection)
     np.testing.assert_allclose(circles.get_widths(), 20.0)
     gap = np.diff(circles.get_offsets(), axis=0)
     assert np.linalg.norm(gap) == pytest.approx(18.0)

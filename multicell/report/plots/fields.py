@@ -85,7 +85,7 @@ def medium_at(frame: Frame, name: str, nutrient: Nutrient) -> float:
 
 
 def draw_hypoxic(axes: Axes, time: FloatArray, history: Mapping[str, FloatArray]) -> float:
-    """Draw the diameter within which cells lack each field, and the rim; return the largest."""
+    """Draw the diameter within which cells lack each field; return the largest."""
     prefix, largest = "hypoxic_radius_", 0.0
     names = [column for column in history if column.startswith(prefix)]
     for k, column in enumerate(names):
@@ -96,9 +96,6 @@ def draw_hypoxic(axes: Axes, time: FloatArray, history: Mapping[str, FloatArray]
             colour = (COLOURS["quiescent"], RED, QUIET)[k % 3]
             axes.plot(time, shown, color=colour, lw=1.8, ls=("-.", ":")[k % 2], label=label)
             largest = max(largest, float(size.max()))
-    rim = history["viable_rim"]  # there is none without a core
-    if np.isfinite(rim).any():
-        axes.plot(time, rim, color=COLOURS["proliferating"], lw=1.8, label="viable rim (thickness)")
     return largest
 
 

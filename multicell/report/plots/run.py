@@ -7,16 +7,19 @@ that they can be told apart with any colour vision and in grey.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, final
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, NullFormatter
+from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
 from multicell.report.plots.contacts import contacts, pull
 from multicell.report.plots.fields import draw_hypoxic, field_maps, mark_media
+from multicell.report.plots.overlay import overlay
+from multicell.report.plots.plane import Plane
 from multicell.report.plots.profiles import profiles
 from multicell.report.plots.section import section
 from multicell.report.plots.style import (
@@ -37,6 +40,7 @@ from multicell.results.frame import Frame
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from multicell.report.result import Result
     from multicell.scene.scene import Scene
 
 
@@ -48,8 +52,15 @@ class Plots:
     pull) they raise ``ValueError``.
     """
 
-    def __init__(self, frames: Sequence[Frame], history: History, scene: Scene) -> None:
+    def __init__(
+        self,
+        frames: Sequence[Frame],
+        history: History,
+        scene: Scene,
+        lineage: Mapping[str, NDArray[Any]] | None = None,
+    ) -> None:
         self._frames = frames
+        self._lineage = lineage or {}
         self._history = history
         self._scene = scene
 
@@ -61,9 +72,50 @@ class Plots:
         alive = self._scene.growth is not None or len(self._scene.nutrients) > 0
         return (growth if alive else motion)(self._history, self._scene)
 
-    def section(self, frame: int = -1) -> Figure:
-        """Show the cells that the plane z = centre cuts, at frame number ``frame``."""
-        return section(self._frames[frame], self._scene)
+    def section(
+        self, frame: int = -1, *, plane: str | None = None, colour: str | None = None
+    ) -> Figure:
+        """Show the cells that a plane cuts, at frame number ``frame``.
+
+        Parameters
+        ----------
+        frame
+            Its number; negative ones count from the last.
+        plane
+            ``"x"``, ``"x=0"``, ``"z=12 um"``; absent: z through the centre of the cells.
+        colour
+            ``"state"``, ``"type"``, ``"phase"``, ``"clone"``, a quantity of the cells such as
+            ``"pressure"``, or the name of a field; absent: the types or, where all cells are alike,
+            the states.
+
+        Raises
+        ------
+        OutputError
+            For a plane that cuts no cell, and a colour that is none.
+        """
+        where = None if plane is None else Plane.parse(plane)
+        return section(
+            self._frames[frame], self._scene, plane=where, colour=colour, lineage=self._lineage
+        )
+
+    def quantity(self, name: str, others: Mapping[str, Result] | None = None) -> Figure:
+        """Draw a column of the history against time, also those of other runs.
+
+        Parameters
+        ----------
+        name
+            Of the column, such as ``"diameter"``.
+        others
+            Further runs by the names that the legend gives them.
+
+        Raises
+        ------
+        OutputError
+            If a run has no such column.
+        """
+        runs = {"this run": self._history}
+        runs |= {label: run.history for label, run in (others or {}).items()}
+        return overlay(runs, name)
 
     def fields(self, frame: int = -1) -> Figure:
         """Show a map of every field in the plane z = centre, at frame number ``frame``."""
@@ -93,17 +145,24 @@ def growth(history: History, scene: Scene) -> Figure:
     """
     unit, time, subtitle = _course(history)
     figure = headed(scene, subtitle)
+    rim = np.isfinite(history["viable_rim"]).any()  # there is none without a core
+    rows = 3 if rim else 2
     grid = figure.add_gridspec(
-        2, 2, left=0.1, right=0.97, top=0.82, bottom=0.11, wspace=0.3, hspace=0.34
+        rows, 2, left=0.1, right=0.97, top=0.82, bottom=0.11, wspace=0.3, hspace=0.34
     )
     _draw_count(figure.add_subplot(grid[0, 0]), time, history["cells"])
     _draw_size(figure.add_subplot(grid[1, 0]), time, history)
+    if rim:
+        _draw_rim(figure.add_subplot(grid[2, 0]), time, history["viable_rim"])
     _draw_states(figure.add_subplot(grid[:, 1]), time, history)
     for axes in figure.axes:
         axes.set_xlim(*span(time))
         axes.set_xlabel(f"time ({unit.name})")
     mark_media(figure.axes[0], scene.nutrients, span(time), unit)
-    figure.axes[0].set_xlabel("")
+    for axes in figure.axes[: rows - 1]:
+        axes.set_xlabel("")
+        if rim:  # little room between three
+            axes.tick_params(labelbottom=False)
     return figure
 
 
@@ -177,6 +236,13 @@ def _draw_size(axes: Axes, time: FloatArray, history: History) -> None:
     # room for the legend above the line
     axes.set_ylim(0.0, (1.7 if parts else 1.1) * max(float(whole.max()), 1.0))
     axes.set(title="Diameter", ylabel="diameter (µm)")
+
+
+def _draw_rim(axes: Axes, time: FloatArray, rim: FloatArray) -> None:
+    """Draw the thickness of the layer outside the necrotic core, since there is one."""
+    axes.plot(time, rim, draw_style(time), color=COLOURS["proliferating"], lw=2)
+    top = 1.15 * max(float(np.nanmax(rim)), 1.0)
+    axes.set(title="Viable rim", ylabel="thickness (µm)", ylim=(0.0, top))
 
 
 def _draw_states(axes: Axes, time: FloatArray, history: History) -> None:

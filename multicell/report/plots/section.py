@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib.collections import EllipseCollection
-from matplotlib.colors import Colormap, ListedColormap, to_rgb
+from matplotlib.colors import Colormap, ListedColormap, Normalize, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from numpy.typing import NDArray
 
-from multicell.cells import Cells, FloatArray, IntArray, State
+from multicell.cells import FloatArray, IntArray
+from multicell.errors import OutputError
+from multicell.report.plots.colouring import SCALE, Colouring, colouring
+from multicell.report.plots.plane import Plane, height, turned
 from multicell.report.plots.style import (
-    COLOURS,
     HEADING,
     INK,
     RED,
@@ -22,7 +26,6 @@ from multicell.report.plots.style import (
     moment,
     styled,
     thresholds,
-    type_colours,
     type_label,
 )
 from multicell.report.wording import cell_count
@@ -39,39 +42,143 @@ if TYPE_CHECKING:
 
 # white to a light blue: cells must stand out against it
 _GONE = 1e-9  # part of the highest concentration of a field below which it is not drawn
+_DEEP: Final = 3.0  # mean diameters behind a plane within which cells are drawn
 _WATER: Final = ListedColormap(np.linspace(to_rgb("#ffffff"), to_rgb("#8fbce0"), 256))
 
 
 @styled
-def section(frame: Frame, scene: Scene) -> Figure:
-    """Draw the cells that the plane z = centre cuts, each with the radius of its cut.
+def section(
+    frame: Frame,
+    scene: Scene,
+    *,
+    plane: Plane | None = None,
+    colour: str | None = None,
+    lineage: Mapping[str, NDArray[Any]] | None = None,
+) -> Figure:
+    """Draw the cells that a plane cuts, each with the radius of its cut, and those behind it.
 
-    Two or three cells without a field are cut by the plane that holds their centres. The colour
-    shows the state or, where there is more than one type, the type; cells that are necrotic are
-    dark in both. Behind them is the scene's first field, with its thresholds as lines.
+    Cells behind the plane are the paler the deeper they lie. Two or three cells without a field are
+    cut by the plane that holds their centres, unless one is named. The colour shows the state or,
+    where there is more than one type, the type; cells that are necrotic are dark in both. Behind
+    the cells is the scene's first field, with its thresholds as lines; where colours show the
+    values of a quantity, phases or clones there are no shades besides.
+
+    Parameters
+    ----------
+    frame
+        What is drawn.
+    scene
+        Of the run.
+    plane
+        Absent: z = centre of the cells.
+    colour
+        One of :func:`multicell.report.plots.colouring.colourings`.
+    lineage
+        Table of all cells that ever were, for the colours of clones.
 
     Raises
     ------
     ValueError
         If the frame has no cells.
+    OutputError
+        If the plane cuts no cell, or the colour is none.
     """
-    nutrients, dimensions = scene.nutrients, scene.dimensions
-    shown = cut(frame, scene)
-    middle, group, palette = shown.middle, shown.group, shown.palette
-    cut_through = f": section through the centre ({cell_count(len(group))})"
-    figure = headed(scene, moment(frame) + (cut_through if dimensions == 3 else ""))
+    dimensions, where = scene.dimensions, plane or Plane()
+    if dimensions == 2 and where.axis != "z":
+        raise OutputError(f"the cells lie in the plane z = 0: a plane {where.axis} is none of them")
+    shade = colouring(frame, scene, colour, lineage or {})
+    middle, place, level = _set_up(frame, scene, plane)
+    square = frame.cells.radius**2 - (place[:, 2] - level) ** 2
+    inside = square > 0.0
+    cells = cell_count(int(inside.sum()))
+    figure = headed(scene, moment(frame) + (_where(plane, cells) if dimensions == 3 else ""))
     axes = figure.add_axes((0.03, 0.04, 0.66, 0.83))
-    size = uniform_radius(frame.cells, middle, dimensions)
+    size = uniform_radius(frame.cells, centre(frame.cells, dimensions), dimensions)
     half = 1.22 * size + 2.0 * float(frame.cells.radius.max())
     frame_window(axes, middle, half, half * (0.66 * SIZE[0]) / (0.83 * SIZE[1]))
     axes.spines[["top", "right"]].set_visible(True)
-    draw_circles(axes, shown.position, shown.radius, group, list(palette.values()))
-    name = next((name for name in nutrients if name in frame.fields), "")
-    if name:
-        _draw_behind(figure, axes, frame.fields[name], float(middle[2]), nutrients[name])
+    _draw_deep(axes, place, frame.cells.radius, level, shade.rgb)
+    draw_discs(axes, place[inside, :2], np.sqrt(square[inside]), shade.rgb[inside])
+    fields = turned(frame, where).fields
+    name = next((name for name in scene.nutrients if name in fields), "")
+    if name and shade.title in ("state", "type"):
+        _draw_behind(figure, axes, fields[name], level, scene.nutrients[name])
     scale_bar(axes, middle, half)
-    _section_legend(figure, group, palette, "Cells in this section" if dimensions == 3 else "Cells")
+    if dimensions == 3 and plane is not None:
+        _name_axes(axes, plane, middle, half)
+    if shade.group is not None:
+        title = "Cells in this section" if dimensions == 3 else "Cells"
+        title = title if shade.title in ("state", "type") else shade.title.capitalize()
+        _section_legend(figure, shade.group[inside], shade.palette or {}, title)
+    else:
+        _scale_legend(figure, shade)
     return figure
+
+
+def _set_up(
+    frame: Frame, scene: Scene, plane: Plane | None
+) -> tuple[FloatArray, FloatArray, float]:
+    """Return the centre and all positions in the axes of the picture, and the plane's height."""
+    where = plane or Plane()
+    ahead = turned(frame, where)
+    middle = centre(ahead.cells, scene.dimensions)
+    few = plane is None and 1 < len(frame.cells) <= 3 and not frame.fields
+    place = _in_plane(ahead.cells.position, middle) if few else ahead.cells.position
+    return middle, place, height(ahead, where, middle)
+
+
+def _where(plane: Plane | None, cells: str) -> str:
+    """Return in words where the cut is, and how many cells it meets."""
+    if plane is None or plane.at is None:
+        axis = "" if plane is None or plane.axis == "z" else f" across {plane.axis}"
+        return f": section{axis} through the centre ({cells})"
+    return f": section at {plane.axis} = {plane.at:g} µm ({cells})"
+
+
+def _draw_deep(
+    axes: Axes, place: FloatArray, radius: FloatArray, level: float, rgb: FloatArray
+) -> None:
+    """Draw cells behind the plane, the deepest first, fading within some cells' widths."""
+    depth = level - place[:, 2]
+    reach = _DEEP * 2.0 * float(radius.mean())
+    behind = np.flatnonzero((depth >= radius) & (depth < reach))
+    order = behind[np.argsort(-depth[behind])]
+    if len(order) == 0:
+        return
+    paler = (0.45 + 0.45 * depth[order] / reach)[:, None]
+    draw_discs(axes, place[order, :2], radius[order], rgb[order] * (1.0 - paler) + paler, edge=0.0)
+
+
+def _name_axes(axes: Axes, plane: Plane, middle: FloatArray, half: float) -> None:
+    """Name the axes to the right and upwards in the lower right corner."""
+    right, up = plane.shown
+    long = 0.16 * half
+    x = axes.get_xlim()[1] - 0.34 * half
+    y = middle[1] - 0.92 * half
+    for name, (dx, dy) in ((right, (long, 0.0)), (up, (0.0, long))):
+        axes.annotate(
+            "", (x + dx, y + dy), (x, y), zorder=5,
+            arrowprops={"arrowstyle": "-|>", "color": INK, "lw": 1.5, "shrinkA": 0, "shrinkB": 0},
+        )  # fmt: skip
+        axes.text(x + 1.35 * dx, y + 1.35 * dy, name, ha="center", va="center", zorder=5)
+
+
+def _scale_legend(figure: Figure, shade: Colouring) -> None:
+    """Explain the colours of values."""
+    assert shade.range is not None
+    assert shade.values is not None
+    low, high = shade.range
+    shades = mpl.cm.ScalarMappable(Normalize(low, high), SCALE)
+    below, above = bool((shade.values < low).any()), bool((shade.values > high).any())
+    beyond = {(False, False): "neither", (True, False): "min", (False, True): "max"}
+    bar = figure.colorbar(
+        shades,
+        cax=figure.add_axes((0.73, 0.28, 0.018, 0.5)),
+        extend=beyond.get((below, above), "both"),
+    )
+    bar.outline.set_visible(False)
+    bar.ax.grid(False)
+    figure.text(0.725, 0.815, shade.title[0].upper() + shade.title[1:], **HEADING)
 
 
 class Cut(NamedTuple):
@@ -99,32 +206,19 @@ class Cut(NamedTuple):
 
 def cut(frame: Frame, scene: Scene) -> Cut:
     """Return the cells of a section; see :func:`section` for plane and groups."""
-    middle = centre(frame.cells, scene.dimensions)
-    few = 1 < len(frame.cells) <= 3 and not frame.fields
-    place = _in_plane(frame.cells.position, middle) if few else frame.cells.position
-    square = frame.cells.radius**2 - (place[:, 2] - middle[2]) ** 2
+    middle, place, level = _set_up(frame, scene, None)
+    square = frame.cells.radius**2 - (place[:, 2] - level) ** 2
     inside = square > 0.0
-    group, palette = _groups(frame.cells.take(inside), list(scene.types))
-    return Cut(middle, place[inside, :2], np.sqrt(square[inside]), group, palette)
+    shade = colouring(frame, scene, None, {})
+    assert shade.group is not None
+    palette = dict(shade.palette or {})
+    return Cut(middle, place[inside, :2], np.sqrt(square[inside]), shade.group[inside], palette)
 
 
 def _in_plane(position: FloatArray, middle: FloatArray) -> FloatArray:
     """Return positions turned about the centre so that the last axis is their thinnest one."""
     _, _, axes = np.linalg.svd(position - middle)
     return np.asarray(middle + (position - middle) @ axes.T)
-
-
-def _groups(cells: Cells, types: Sequence[str]) -> tuple[IntArray, dict[str, str]]:
-    """Return the group of each cell, and name and colour of the groups in their order."""
-    if len(types) < 2:
-        return cells.state.astype(np.int64), {
-            s.name.lower(): COLOURS[s.name.lower()] for s in State
-        }
-    dead = cells.state == State.NECROTIC
-    colours = type_colours(types)
-    # a type may be named like the state
-    name = "necrotic" if "necrotic" not in colours else "dead (necrotic)"
-    return np.where(dead, len(types), cells.kind), {**colours, name: COLOURS["necrotic"]}
 
 
 def frame_window(axes: Axes, middle: FloatArray, half: float, width: float | None = None) -> None:
@@ -139,8 +233,20 @@ def draw_circles(
     axes: Axes, position: FloatArray, radius: FloatArray, group: IntArray, colours: list[str]
 ) -> None:
     """Draw circles of true size in the colour of the cells' groups."""
-    palette = np.array([to_rgb(colour) for colour in colours])
+    draw_discs(axes, position, radius, np.array([to_rgb(colour) for colour in colours])[group])
+
+
+def draw_discs(
+    axes: Axes,
+    position: FloatArray,
+    radius: FloatArray,
+    rgb: FloatArray,
+    edge: float | None = None,
+) -> None:
+    """Draw circles of true size, each in its colour; ``edge`` is the width of their white line."""
     size = 2.0 * radius
+    if edge is None:
+        edge = 0.5 if len(size) > 200 else 1.2
     axes.add_collection(
         EllipseCollection(
             size,
@@ -149,9 +255,9 @@ def draw_circles(
             units="xy",
             offsets=position,
             offset_transform=axes.transData,
-            facecolors=palette[group],
+            facecolors=rgb,
             edgecolors="white",
-            linewidths=0.5 if len(size) > 200 else 1.2,
+            linewidths=edge,
             zorder=2,
         )
     )
@@ -268,6 +374,9 @@ def _section_legend(
     figure: Figure, group: IntArray, palette: Mapping[str, str], title: str
 ) -> None:
     """Explain the colours, with the number of cells of each group in the section."""
+    if not palette:
+        figure.text(0.725, 0.84, title, **HEADING)
+        return
     counts = np.bincount(group, minlength=len(palette)).tolist()
     shown = [(name, palette[name], n) for name, n in zip(palette, counts, strict=True) if n]
     handles = [Line2D([], [], ls="", marker="o", ms=11, color=colour) for _, colour, _ in shown]

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 from numpy.typing import NDArray
 
+from multicell.errors import OutputError
 from multicell.report.wording import cell_count, time_unit
 from multicell.results.folder import write_bytes
 from multicell.results.frame import Frame
@@ -111,17 +112,29 @@ def headed(scene: Scene, subtitle: str) -> Figure:
     return blank(scene.title or "Untitled run", subtitle)
 
 
+PICTURES: Final = {".png": "png", ".svg": "svg", ".pdf": "pdf"}
+"""Formats of pictures by the endings of their files."""
+
+
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG.
+    """Write a figure as PNG, SVG or PDF, as its file's name ends.
 
     Raises
     ------
     OutputError
-        If the file cannot be written.
+        If the file cannot be written, or its name ends otherwise.
     """
+    format = PICTURES.get(path.suffix.lower())
+    if format is None:
+        raise OutputError(f"'{path}' is no picture: its name must end in {', '.join(PICTURES)}")
     # drawn in memory: a picture is either complete or not there
     picture = io.BytesIO()
-    figure.savefig(picture, format="png", dpi=DPI, metadata={"Software": "multicell"})
+    by = {"pdf": "Creator", "svg": "Creator", "png": "Software"}[format]
+    metadata: dict[str, Any] = {by: "multicell"}
+    # the same figure is the same file
+    metadata |= {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(format, {})
+    with mpl.rc_context({"svg.hashsalt": "multicell", "svg.fonttype": "none"}):
+        figure.savefig(picture, format=format, dpi=DPI, metadata=metadata)
     write_bytes(path, picture.getvalue())
 
 

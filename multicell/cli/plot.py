@@ -1,0 +1,161 @@
+"""The command ``multicell plot``: one picture of a run, or a quantity of several."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from multicell.cli.options import (
+    as_json_option,
+    law_option,
+    name_law,
+    output_option,
+    overwrite_option,
+)
+from multicell.cli.process import print_json
+from multicell.errors import OutputError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from multicell.report.result import Result
+
+PICTURES = ("section", "growth", "fields", "profiles", "contacts", "pull")
+
+
+@click.command()
+@click.argument("folders", nargs=-1, required=True, type=click.Path(path_type=Path))
+@output_option("File for the picture: .png, .svg or .pdf.")
+@click.option(
+    "--picture",
+    type=click.Choice(PICTURES),
+    help="One of those of the report.  [default: section]",
+)
+@click.option(
+    "--section", metavar="PLANE", help="The plane that is cut: x, y, z, x=0 or z='12 um'."
+)
+@click.option(
+    "--colour",
+    "--color",
+    metavar="NAME",
+    help="Of the cells in a section: state, type, phase, clone, a quantity such as pressure, "
+    "radius or age, or the name of a field.",
+)
+@click.option("--time", "moment", metavar="TIME", help="The frame nearest to it, as '6 d'.")
+@click.option("--frame", type=int, help="Number of the frame; -1 is the last.  [default: -1]")
+@click.option(
+    "--quantity",
+    metavar="NAME",
+    help="Draw a column of the history against time, such as diameter; of several runs in one.",
+)
+@law_option
+@overwrite_option("Replace the file.")
+@as_json_option
+def plot(
+    folders: Sequence[Path],
+    output: Path,
+    picture: str | None,
+    section: str | None,
+    colour: str | None,
+    moment: str | None,
+    frame: int | None,
+    quantity: str | None,
+    law: str | None,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Draw a picture of the run in FOLDERS, or a quantity of the runs in several of them."""
+    _refuse_mixed(folders, picture, section, colour, moment, frame, quantity)
+    if law is not None:
+        name_law(law)
+    from multicell.report.plots.style import save
+    from multicell.report.result import load_result
+
+    if (output.exists() or output.is_symlink()) and not overwrite:
+        raise OutputError(f"'{output}' exists already: name another file (-o) or overwrite it")
+    runs = [load_result(folder) for folder in folders]
+    if quantity is not None:
+        figure = _quantity(folders, runs, quantity)
+    else:
+        figure = _picture(runs[0], picture, section, colour, _number(runs[0], moment, frame))
+    save(figure, output)
+    if as_json:
+        print_json({"file": str(output)})
+    else:
+        click.echo(output)
+
+
+def _refuse_mixed(
+    folders: Sequence[Path],
+    picture: str | None,
+    section: str | None,
+    colour: str | None,
+    moment: str | None,
+    frame: int | None,
+    quantity: str | None,
+) -> None:
+    """Refuse options that do not go together."""
+    of_section = {"--section": section, "--colour": colour}
+    of_frame = {**of_section, "--time": moment, "--frame": frame, "--picture": picture}
+    if quantity is not None:
+        for name, value in of_frame.items():
+            if value is not None:
+                raise click.UsageError(f"{name} has no meaning with --quantity")
+    elif len(folders) > 1:
+        raise click.UsageError("several runs go into one picture with --quantity only")
+    if picture not in (None, "section"):
+        for name, value in of_section.items():
+            if value is not None:
+                raise click.UsageError(f"{name} has a meaning for --picture section only")
+    if picture in ("growth", "contacts", "pull") and (moment is not None or frame is not None):
+        raise click.UsageError(f"--picture {picture} shows all times: leave --time and --frame out")
+    if moment is not None and frame is not None:
+        raise click.UsageError("--time and --frame both name the frame: give one of them")
+
+
+def _number(run: Result, moment: str | None, frame: int | None) -> int:
+    """Return the number of the frame that is asked for."""
+    count = len(run.frames)
+    if moment is not None:
+        import numpy as np
+
+        from multicell.results.reader import Frames
+        from multicell.units import to_base
+
+        assert isinstance(run.frames, Frames)
+        return int(np.argmin(np.abs(run.frames.times - to_base(moment, "s", "--time"))))
+    number = -1 if frame is None else frame
+    if not -count <= number < count:
+        raise OutputError(f"there is no frame {number}: the run has {count}")
+    return number
+
+
+def _picture(
+    run: Result, picture: str | None, section: str | None, colour: str | None, number: int
+) -> Figure:
+    """Return one of the pictures of a run."""
+    plots = run.plot
+    try:
+        if picture in (None, "section"):
+            return plots.section(number, plane=section, colour=colour)
+        if picture in ("fields", "profiles"):
+            draw = plots.fields if picture == "fields" else plots.profiles
+            return draw(number)
+        whole = {"growth": plots.growth, "contacts": plots.contacts, "pull": plots.pull}
+        return whole[str(picture)]()
+    except ValueError as error:  # there is nothing to draw
+        raise OutputError(f"no picture of '{run.folder}': {error}") from error
+
+
+def _quantity(folders: Sequence[Path], runs: Sequence[Result], quantity: str) -> Figure:
+    """Return a quantity of all runs, named by as much of their folders as tells them apart."""
+    from multicell.report.plots.overlay import overlay
+
+    short = [folder.name or str(folder) for folder in folders]
+    labels = short if len(set(short)) == len(short) else [str(folder) for folder in folders]
+    if len(set(labels)) < len(labels):
+        raise OutputError("a run is named twice")
+    return overlay({label: run.history for label, run in zip(labels, runs, strict=True)}, quantity)

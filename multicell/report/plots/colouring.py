@@ -1,0 +1,191 @@
+"""What the colour of a cell says: its state, type, phase or clone, or the value of a quantity."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, final
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.colors import to_rgb
+from numpy.typing import NDArray
+
+from multicell.cells import Cells, FloatArray, IntArray, Phase, State
+from multicell.errors import OutputError
+from multicell.report.plots.style import COLOURS, type_colours
+from multicell.results.quantities import unit_of
+from multicell.schema import near_miss
+
+if TYPE_CHECKING:
+    from multicell.results.frame import Frame
+    from multicell.scene.scene import Scene
+
+_GROUPS: Final = ("state", "type", "phase", "clone")
+_NO_COLOUR: Final = ("id", "parent", "position", "kind", "state", "phase")
+_FOUNDERS: Final = 8  # clones into which the descendants of a single cell are parted
+_NAMED_CLONES: Final = 12  # more than these are coloured, not listed
+_NOTHING: Final = "#d5dbe0"  # of a cell without a value
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Colouring:
+    """The colours of all cells of a frame, and what explains them.
+
+    Attributes
+    ----------
+    title
+        What is shown.
+    rgb : (n, 3) float64
+    group : (n,) int64 or None
+        Group of each cell; None for the values of a quantity.
+    palette : name -> colour
+        Of the groups in their order; empty where they are too many to be listed.
+    values : (n,) float64 or None
+        Of a quantity.
+    range
+        Of its colours: all but the lowest and the highest half per cent of the values,
+        which have the colours of its ends.
+    """
+
+    title: str
+    rgb: FloatArray
+    group: IntArray | None = None
+    palette: Mapping[str, str] | None = None
+    values: FloatArray | None = None
+    range: tuple[float, float] | None = None
+
+
+SCALE: Final = "viridis"
+"""Of quantities: even in lightness and for any colour vision."""
+
+
+def colourings(frame: Frame) -> list[str]:
+    """Return the names of all that cells of a frame can be coloured by."""
+    columns = [name for name in Cells.schema() if name not in _NO_COLOUR]
+    return [*_GROUPS, *columns, "volume", *frame.concentrations]
+
+
+def colouring(
+    frame: Frame, scene: Scene, name: str | None, lineage: Mapping[str, NDArray[Any]]
+) -> Colouring:
+    """Return the colours of cells by what is asked for.
+
+    Parameters
+    ----------
+    frame
+        The frame.
+    scene
+        Of the run.
+    name
+        One of :func:`colourings`; None for the types where there are several, else the states.
+    lineage
+        Table of all cells that ever were, for clones.
+
+    Raises
+    ------
+    OutputError
+        For a name that is none of them.
+    """
+    if name is None:
+        name = "type" if len(scene.types) > 1 else "state"
+    if name == "state":
+        words = [state.name.lower() for state in State]
+        return _grouped("state", frame.cells.state, {word: COLOURS[word] for word in words})
+    if name == "type":
+        return _by_type(frame.cells, list(scene.types) or ["cells"])
+    if name == "phase":
+        words = [phase.name for phase in Phase]
+        return _grouped("phase", frame.cells.phase, type_colours(words))
+    if name == "clone":
+        return _by_clone(frame.cells, lineage)
+    known = colourings(frame)
+    if name not in known:
+        hint = near_miss(name, known)
+        raise OutputError(f"there is nothing called {name!r} to colour cells by. {hint}")
+    return _by_value(frame, name)
+
+
+def _grouped(title: str, group: NDArray[Any], palette: Mapping[str, str]) -> Colouring:
+    colours = np.array([to_rgb(colour) for colour in palette.values()])
+    return Colouring(title, colours[group], group.astype(np.int64), palette)
+
+
+def _by_type(cells: Cells, types: Sequence[str]) -> Colouring:
+    """Return the colours of types; cells that are necrotic are dark."""
+    colours = type_colours(types)
+    # a type may be named like the state
+    dead = "necrotic" if "necrotic" not in colours else "dead (necrotic)"
+    group = np.where(cells.state == State.NECROTIC, len(types), cells.kind)
+    return _grouped("type", group, {**colours, dead: COLOURS["necrotic"]})
+
+
+def _by_clone(cells: Cells, lineage: Mapping[str, NDArray[Any]]) -> Colouring:
+    """Return a colour for the descendants of each founder: one of the first cells.
+
+    Where there was one first cell, the founders are the first eight or more of one generation.
+    """
+    if "id" not in lineage:
+        raise OutputError("the run has no lineage, by which clones are told apart")
+    founders, group = np.unique(founder(cells.id, lineage), return_inverse=True)
+    count = len(founders)
+    # neighbours in number are sisters: colours far apart tell them from each other
+    turns = 0.05 + 0.9 * (np.arange(count) * 0.618034 % 1.0)
+    rgb = mpl.colormaps["turbo"](turns)[:, :3]
+    names = [f"from cell {number}" for number in founders] if count <= _NAMED_CLONES else []
+    palette = dict(zip(names, map(mpl.colors.to_hex, rgb), strict=False))
+    title = "clone" if palette else f"{count:,} clones"
+    return Colouring(title, rgb[group], group.astype(np.int64), palette)
+
+
+def founder(ids: IntArray, lineage: Mapping[str, NDArray[Any]]) -> IntArray:
+    """Return the founder of each cell, (n,): the ancestor by which its clone is named."""
+    known, parents = lineage["id"], lineage["parent"]
+    parent = np.full(int(known.max(initial=-1)) + 1, -1, np.int64)
+    parent[known] = parents
+    first = known[parents < 0]
+    wanted = 1 if len(first) >= _FOUNDERS else _FOUNDERS
+    generation = first
+    for _ in range(64):  # a lineage in which each cell has one daughter at most ends, too
+        if len(generation) >= wanted or len(generation) == 0:
+            break
+        generation = known[np.isin(parents, generation)]
+    named = np.zeros(len(parent) + 1, bool)
+    named[generation] = True
+    named[first] = named[first] | (len(generation) == 0)
+    found = np.asarray(ids).copy()
+    while True:
+        above = parent[found]
+        climbing = ~named[found] & (above >= 0)
+        if not climbing.any():
+            return found
+        found[climbing] = above[climbing]
+
+
+def _by_value(frame: Frame, name: str) -> Colouring:
+    """Return colours of the values of a quantity, over their own range."""
+    if name in frame.concentrations:
+        values, unit = frame.concentrations[name], unit_of(f"cells.concentration_{name}")
+    elif name == "volume":
+        values, unit = frame.cells.volume, "um^3"
+    else:
+        values, unit = getattr(frame.cells, name).astype(float), unit_of(f"cells.{name}")
+    finite = np.isfinite(values)
+    # a few fresh daughters under pressure would leave all others one colour
+    ends = np.percentile(values[finite], (0.5, 99.5)) if finite.any() else (0.0, 1.0)
+    low, high = map(float, ends)
+    if name in frame.concentrations:
+        low = 0.0
+    high = high if high > low else low + 1.0
+    rgb = np.tile(np.array(to_rgb(_NOTHING)), (len(values), 1))
+    rgb[finite] = mpl.colormaps[SCALE]((values[finite] - low) / (high - low))[:, :3]
+    shown = name.replace("_", " ")
+    return Colouring(
+        f"{shown} ({written(unit)})" if unit else shown, rgb, values=values, range=(low, high)
+    )
+
+
+def written(unit: str) -> str:
+    """Return a unit as pictures write it."""
+    return unit.replace("um", "µm").replace("^3", "³").replace("^2", "²")
