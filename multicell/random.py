@@ -43,6 +43,7 @@ class Purpose(IntEnum):
     NECROSIS = 11
     CONDITIONING = 12
     EIGENVECTOR = 13
+    VIEW = 14
 
 
 def philox(counter: UIntArray, key: tuple[int, int]) -> UIntArray:

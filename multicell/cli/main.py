@@ -36,6 +36,7 @@ from multicell.cli.plot import plot
 from multicell.cli.process import Commands, complain, print_json
 from multicell.cli.scenes import init, scenes, schema
 from multicell.cli.tables import bare_table, plain, time_text
+from multicell.cli.view import view
 from multicell.errors import OutputError, StepFailed
 
 if TYPE_CHECKING:
@@ -193,7 +194,7 @@ def export(
         click.echo(path, file=sys.stdout)
 
 
-for added in (scenes, init, schema, plot, compare, stability):
+for added in (scenes, init, schema, plot, view, compare, stability):
     main.add_command(added)
 
 

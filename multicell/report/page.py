@@ -60,6 +60,8 @@ def write_report(result: Result, folder: str | Path | None = None) -> Path:
         raise OutputError("the run has no output folder: say where the report shall go")
     with file_errors("use the output folder", place):
         place.mkdir(parents=True, exist_ok=True)
+    from multicell.report.viewer.embed import view
+
     captions = _CAPTIONS if result.scene.dimensions == 3 else _FLAT_CAPTIONS
     pictures = {}
     for name, draw in _drawings(result):
@@ -74,6 +76,7 @@ def write_report(result: Result, folder: str | Path | None = None) -> Path:
         subtitle=_subtitle(result, summary),
         tiles=dict(measures(summary)) | dict(_contact_measures(result)),
         pictures=pictures,
+        viewer=view(result),
         summary=summary,
         **_phases(summary),
         **_accounts(summary),

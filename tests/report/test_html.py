@@ -12,7 +12,7 @@ from multicell.report.wording import clock
 
 NAMES = (
     "base.html", "parts.html", "run.html", "compare.html", "fields.html", "stability.html",
-    "style.css",
+    "style.css", "viewer.html",
 )  # fmt: skip
 
 
@@ -34,6 +34,7 @@ def written(tmp_path, **changed):
     given = {
         "scene": BARE, "title": "A title", "subtitle": "a subtitle", "tiles": {"cells": "12"},
         "pictures": {}, "summary": {}, "phases": {}, "longest": 1.0, "accounts": {}, "entries": [],
+        "viewer": None,
     }  # fmt: skip
     return write_page(tmp_path / "page.html", "run.html", **(given | changed)).read_text("utf-8")
 

@@ -1,0 +1,347 @@
+"""Frames packed for the view in space and time: columns of small integers, compressed.
+
+A column is scaled over its range in the whole run to 8 or 16 bits; what is shown under the pointer
+is therefore rounded: places to a 65,535th of the extent of the run, quantities to a 255th of their
+range.
+"""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final, final
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.colors import to_rgb
+from numpy.typing import NDArray
+
+from multicell import random
+from multicell.cells import FloatArray, IntArray, Phase, State
+from multicell.random import Purpose
+from multicell.report.plots.colouring import SCALE, founder, written
+from multicell.report.plots.style import COLOURS, type_colours
+from multicell.report.wording import cell_count, time_unit
+from multicell.results.observables import centre
+from multicell.results.quantities import known_unit, unit_of
+
+if TYPE_CHECKING:
+    from multicell.report.result import Result
+    from multicell.results.frame import Frame
+
+FRAMES: Final = 50
+"""Frames that are shown at most."""
+CELLS: Final = 10_000
+"""Cells of a frame that are shown at most."""
+BYTES: Final = 5_500_000
+"""Size of the packed columns at most; fewer cells are shown where it would be more."""
+
+_POINTS: Final = 300  # of a curve
+_CURVES: Final = ("cells", "diameter", "viable_rim", "largest_pressure")
+_SHADES: Final = 64
+_CLONES: Final = 250
+
+
+@final
+@dataclass(frozen=True)
+class Column:
+    """What is packed of each cell.
+
+    Attributes
+    ----------
+    name, label, unit
+        Of the quantity.
+    kind
+        ``"u1"``, ``"u2"`` or ``"u4"``: its integers.
+    values
+        Returns the column of a frame.
+    words
+        Names of its numbers, for groups.
+    plain
+        Whether the numbers are packed as they are, such as identities.
+    hidden
+        Whether the pointer leaves it out.
+    """
+
+    name: str
+    label: str
+    unit: str
+    kind: str
+    values: Callable[[Frame], NDArray[Any]]
+    words: Sequence[str] = ()
+    plain: bool = False
+    hidden: bool = False
+
+
+@final
+@dataclass(frozen=True)
+class Packed:
+    """Contents of a view: a table of contents for JSON, columns as text, and a note."""
+
+    about: Mapping[str, Any]
+    data: str
+    note: str
+
+
+def packed(result: Result) -> Packed | None:
+    """Return the frames of a run for the view, or None where there is nothing to see.
+
+    Of more than :data:`FRAMES` frames some are left out, evenly; of more than :data:`CELLS` cells
+    those are shown whose identities a random function ranks first, so that a cell that is shown
+    once is shown as long as there is room. The note says both.
+    """
+    numbers = _chosen(len(result.frames))
+    frames = [result.frames[k] for k in numbers]
+    frames = [frame for frame in frames if len(frame.cells)]
+    if not frames:
+        return None
+    columns = _columns(result, frames)
+    ranges = {column.name: _range(column, frames) for column in columns}
+    most = min(CELLS, max(len(frame.cells) for frame in frames))
+    body, contents = _body(frames, columns, ranges, most)
+    squeezed = gzip.compress(body, 9, mtime=0)
+    while len(squeezed) > BYTES and most > 100:
+        most = int(most * 0.95 * BYTES / len(squeezed))
+        body, contents = _body(frames, columns, ranges, most)
+        squeezed = gzip.compress(body, 9, mtime=0)
+    about = {
+        "frames": contents,
+        "columns": [_described(column, ranges[column.name]) for column in columns],
+        "colourings": list(_colourings(columns, frames, result)),
+        "flat": result.scene.dimensions == 2,
+        **_extent(frames),
+        **_curves(result),
+    }
+    return Packed(about, base64.b64encode(squeezed).decode("ascii"), _note(result, contents))
+
+
+def _chosen(count: int) -> list[int]:
+    """Return the numbers of the frames to show: first, last, and evenly between."""
+    if count <= FRAMES:
+        return list(range(count))
+    return sorted({round(k) for k in np.linspace(0, count - 1, FRAMES)})
+
+
+def _columns(result: Result, frames: Sequence[Frame]) -> list[Column]:
+    """Return what is packed, that first which is most regular."""
+    scene, lineage = result.scene, result.lineage
+    columns = [
+        Column("id", "cell", "", "u4", lambda f: f.cells.id, plain=True),
+        *(
+            Column(axis, axis, "µm", "u2", partial(_place, axis=k))
+            for k, axis in enumerate("xyz")
+        ),
+        Column("radius", "radius", "µm", "u1", lambda f: f.cells.radius),
+        Column("state", "state", "", "u1", lambda f: f.cells.state,
+               [s.name.lower() for s in sorted(State)]),
+    ]  # fmt: skip
+    if len(scene.types) > 1:
+        columns.append(Column("type", "type", "", "u1", lambda f: f.cells.kind, list(scene.types)))
+    if scene.growth is not None:
+        if scene.growth.phases:
+            names = [phase.name for phase in sorted(Phase)]
+            columns.append(Column("phase", "phase", "", "u1", lambda f: f.cells.phase, names))
+        columns.append(_quantity("age", "h", lambda f: f.cells.age / 3600.0))
+        clones = _clone_numbers(frames, lineage)
+        if clones is not None:
+            known, count = clones
+            words = [f"clone {k + 1}" for k in range(count)]
+            columns.append(Column("clone", "clone", "", "u1", known, words))
+    columns.append(_quantity("pressure", "Pa", lambda f: 1000.0 * f.cells.pressure))
+    for name in scene.nutrients:
+        if all(name in frame.concentrations for frame in frames):
+            unit = written(unit_of(f"cells.concentration_{name}"))
+            columns.append(_quantity(name, unit, partial(_concentration, name=name)))
+    return columns
+
+
+def _place(frame: Frame, axis: int) -> FloatArray:
+    return frame.cells.position[:, axis]
+
+
+def _concentration(frame: Frame, name: str) -> FloatArray:
+    return frame.concentrations[name]
+
+
+def _quantity(name: str, unit: str, values: Callable[[Frame], FloatArray]) -> Column:
+    return Column(name, name.replace("_", " "), unit, "u1", values)
+
+
+def _clone_numbers(
+    frames: Sequence[Frame], lineage: Mapping[str, NDArray[Any]]
+) -> tuple[Callable[[Frame], NDArray[Any]], int] | None:
+    """Return what numbers the clones of a frame's cells, and how many there are, if several."""
+    if "id" not in lineage:
+        return None
+    founders = np.unique(np.concatenate([founder(f.cells.id, lineage) for f in frames]))
+    if len(founders) < 2:
+        return None
+    count = min(len(founders), _CLONES)
+
+    def numbers(frame: Frame) -> NDArray[Any]:
+        return np.searchsorted(founders, founder(frame.cells.id, lineage)) % count
+
+    return numbers, count
+
+
+def _range(column: Column, frames: Sequence[Frame]) -> tuple[float, float]:
+    """Return the least and the largest value of a column in all frames."""
+    if column.plain or column.words:
+        return 0.0, float(_top(column))
+    low, high = math.inf, -math.inf
+    for frame in frames:
+        values = column.values(frame)
+        values = values[np.isfinite(values)]
+        if len(values):
+            low, high = min(low, float(values.min())), max(high, float(values.max()))
+    if not low <= high:
+        return 0.0, 1.0
+    return low, high if high > low else low + 1.0
+
+
+def _top(column: Column) -> int:
+    return int(np.iinfo(column.kind).max)
+
+
+def _body(
+    frames: Sequence[Frame],
+    columns: Sequence[Column],
+    ranges: Mapping[str, tuple[float, float]],
+    most: int,
+) -> tuple[bytes, list[dict[str, Any]]]:
+    """Return the columns of all frames one after the other, and where each frame begins."""
+    parts: list[bytes] = []
+    contents: list[dict[str, Any]] = []
+    at = 0
+    for frame in frames:
+        rows = _shown(frame.cells.id, most)
+        begin = at
+        for column in columns:
+            values = _integers(column, column.values(frame)[rows], ranges[column.name])
+            gap = -at % values.itemsize
+            data = bytes(gap) + values.tobytes()
+            parts.append(data)
+            at += len(data)
+        contents.append(
+            {
+                "time": frame.time,
+                "label": time_unit(frame.time).text(frame.time),
+                "cells": len(frame.cells),
+                "shown": len(rows),
+                "offset": begin,
+            }
+        )
+    return b"".join(parts), contents
+
+
+def _shown(ids: IntArray, most: int) -> IntArray:
+    """Return the rows of the cells to show in the order of their identities."""
+    rows = np.argsort(ids, kind="stable")
+    if len(rows) <= most:
+        return rows
+    rank = random.uniform(0, Purpose.VIEW, 0, ids[rows])[:, 0]
+    return rows[np.sort(np.argpartition(rank, most)[:most])]
+
+
+def _integers(
+    column: Column, values: NDArray[Any], limits: tuple[float, float]
+) -> NDArray[np.unsignedinteger[Any]]:
+    """Return values as small integers over their range; what is no number is the least one."""
+    if column.plain or column.words:
+        return values.astype(column.kind)
+    low, high = limits
+    share = np.nan_to_num((values - low) / (high - low), nan=0.0)
+    return np.rint(_top(column) * share).astype(column.kind)
+
+
+def _described(column: Column, limits: tuple[float, float]) -> dict[str, Any]:
+    entry: dict[str, Any] = {
+        "name": column.name, "label": column.label, "unit": column.unit, "kind": column.kind,
+        "low": limits[0], "high": limits[1],
+    }  # fmt: skip
+    return entry | ({"words": list(column.words)} if column.words else {})
+
+
+def _colourings(
+    columns: Sequence[Column], frames: Sequence[Frame], result: Result
+) -> Iterator[dict[str, Any]]:
+    """Yield what cells can be coloured by: types first where there are several."""
+    several = len(result.scene.types) > 1
+    order = sorted(columns, key=lambda column: column.name != ("type" if several else "state"))
+    for column in order:
+        if column.plain or column.name in ("x", "y", "z"):
+            continue
+        entry: dict[str, Any] = {"name": column.name, "label": column.label, "unit": column.unit}
+        if column.words:
+            yield entry | {"palette": _palette(column)}
+            continue
+        values = np.concatenate([column.values(frame) for frame in frames])
+        values = values[np.isfinite(values)]
+        # a few fresh daughters under pressure would leave all others one colour
+        low, high = map(float, np.percentile(values, (0.5, 99.5))) if len(values) else (0.0, 1.0)
+        shades = mpl.colormaps[SCALE](np.linspace(0.0, 1.0, _SHADES))[:, :3]
+        palette = np.round(shades, 3).tolist()
+        high = high if high > low else low + 1.0
+        yield entry | {"low": low, "high": high, "palette": palette}
+
+
+def _palette(column: Column) -> list[list[float]]:
+    """Return the colour of each group, as in the other pictures."""
+    if column.name == "state":
+        colours = [COLOURS[word] for word in column.words]
+    elif column.name == "clone":
+        turns = 0.05 + 0.9 * (np.arange(len(column.words)) * 0.618034 % 1.0)
+        return [[round(float(c), 3) for c in rgb[:3]] for rgb in mpl.colormaps["turbo"](turns)]
+    else:
+        colours = list(type_colours(column.words).values())
+    return [[round(c, 3) for c in to_rgb(colour)] for colour in colours]
+
+
+def _extent(frames: Sequence[Frame]) -> dict[str, Any]:
+    """Return the centre of the last frame's cells, and how far any cell is from it."""
+    middle = centre(frames[-1].cells, 3)
+    reach = max(
+        float((np.linalg.norm(f.cells.position - middle, axis=1) + f.cells.radius).max())
+        for f in frames
+    )
+    return {"middle": middle.tolist(), "reach": reach}
+
+
+def _curves(result: Result) -> dict[str, Any]:
+    """Return some columns of the history at moments evenly spaced."""
+    history = result.history
+    time = history.get("time", np.empty(0))
+    if len(time) == 0:
+        return {"times": [], "curves": [], "end": 0.0, "end_label": ""}
+    rows = np.unique(np.rint(np.linspace(0, len(time) - 1, _POINTS)).astype(int))
+    curves = []
+    for name in _CURVES:
+        values = history.get(name)
+        if values is not None and np.isfinite(values).any():
+            shown = [float(f"{v:.6g}") if math.isfinite(v) else None for v in values[rows]]
+            label, unit = name.replace("_", " ").capitalize(), written(known_unit(name))
+            curves.append({"name": name, "label": label, "unit": unit, "values": shown})
+    end = float(time[-1])
+    return {
+        "times": time[rows].tolist(), "curves": curves, "end": end,
+        "end_label": time_unit(end).text(end),
+    }  # fmt: skip
+
+
+def _note(result: Result, contents: Sequence[Mapping[str, Any]]) -> str:
+    """Return in words what is left out."""
+    said = []
+    if len(contents) < len(result.frames):
+        said.append(f"{len(contents)} of {len(result.frames)} frames are shown.")
+    thinned = [entry for entry in contents if entry["shown"] < entry["cells"]]
+    if thinned:
+        most = max(entry["shown"] for entry in thinned)
+        said.append(
+            f"Of more than {cell_count(most)} in a frame so many are drawn, chosen at random: "
+            "there are gaps between them that the tissue does not have."
+        )
+    return " ".join(said)

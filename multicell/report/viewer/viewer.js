@@ -1,0 +1,461 @@
+// The cells of a run in space and time. What is shown stands in the page: a table of contents as JSON
+// and packed columns as gzip in base64 (written by viewer/pack.py). No network, no storage.
+"use strict";
+(async () => {
+const root = document.getElementById("viewer");
+const find = (name) => root.querySelector(`[data-part="${name}"]`);
+const canvas = find("canvas"), status = find("status");
+const say = (text) => { status.textContent = text; };
+const about = JSON.parse(document.getElementById("viewer-about").textContent);
+
+// ---- data: columns of each frame, one after the other
+async function unpacked(text) {
+  const bytes = Uint8Array.from(atob(text.trim()), (c) => c.charCodeAt(0));
+  const plain = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
+  return new Response(plain).arrayBuffer();
+}
+const KINDS = { u1: Uint8Array, u2: Uint16Array, u4: Uint32Array };
+function frameColumns(buffer, frame) {
+  const columns = {};
+  let at = frame.offset;
+  for (const column of about.columns) {
+    const kind = KINDS[column.kind];
+    at = Math.ceil(at / kind.BYTES_PER_ELEMENT) * kind.BYTES_PER_ELEMENT;
+    columns[column.name] = new kind(buffer, at, frame.shown);
+    at += frame.shown * kind.BYTES_PER_ELEMENT;
+  }
+  return columns;
+}
+const levels = (column) => (column.kind === "u1" ? 255 : 65535);
+const scaled = (column, level) => column.low + (column.high - column.low) * level / levels(column);
+const columnOf = Object.fromEntries(about.columns.map((column) => [column.name, column]));
+
+// ---- drawing: each cell is a square that faces the eye, on which a sphere is drawn point by point
+const VERTEX = `
+in vec3 position; in vec3 centre; in float radius; in vec3 colour;
+uniform mat4 modelViewMatrix, projectionMatrix;
+out vec2 corner; out vec3 middle; out float size; flat out vec3 tint;
+void main() {
+  corner = position.xy; size = radius; tint = colour;
+  middle = (modelViewMatrix * vec4(centre, 1.0)).xyz;
+  gl_Position = projectionMatrix * vec4(middle + vec3(corner * radius, 0.0), 1.0);
+}`;
+const FRAGMENT = `
+precision highp float;
+in vec2 corner; in vec3 middle; in float size; flat in vec3 tint;
+uniform mat4 projectionMatrix; uniform vec4 plane; uniform bool cutting;
+out vec4 shade;
+void main() {
+  float out2 = dot(corner, corner);
+  if (out2 > 1.0) discard;
+  float high = sqrt(1.0 - out2);
+  vec3 normal = vec3(corner, high);
+  vec3 point = middle + size * normal;
+  float flatness = 0.0;
+  if (cutting) {
+    float beyond = dot(plane.xyz, point) + plane.w;
+    if (beyond > 0.0) {  // the near side is cut away: is there a cut face behind it?
+      if (plane.z <= 0.0) discard;
+      float down = beyond / plane.z;
+      if (down > 2.0 * size * high) discard;
+      point.z -= down;
+      flatness = 1.0;
+    }
+  }
+  float light = mix(0.35 + 0.65 * max(dot(normal, vec3(0.32, 0.42, 0.85)), 0.0), 0.98, flatness);
+  float rim = mix(smoothstep(1.0, 0.86, out2), 1.0, flatness);
+  shade = vec4(tint * light * mix(0.72, 1.0, rim), 1.0);
+  vec4 place = projectionMatrix * vec4(point, 1.0);
+  gl_FragDepth = 0.5 * place.z / place.w + 0.5;
+}`;
+
+let renderer;
+try {
+  renderer = new THREE.WebGLRenderer({ canvas, antialias: false, alpha: true });
+} catch (error) {
+  say("This browser cannot draw in three dimensions (WebGL 2): the pictures below show the same run.");
+  root.classList.add("flat");
+  return;
+}
+const buffer = await unpacked(document.getElementById("viewer-data").textContent);
+const frames = about.frames.map((frame) => ({ ...frame, columns: null }));
+const columnsAt = (k) => (frames[k].columns ??= frameColumns(buffer, frames[k]));
+const most = Math.max(1, ...about.frames.map((frame) => frame.shown));
+
+const geometry = new THREE.InstancedBufferGeometry();
+const square = new Float32Array([-1, -1, 0, 1, -1, 0, 1, 1, 0, -1, -1, 0, 1, 1, 0, -1, 1, 0]);
+geometry.setAttribute("position", new THREE.BufferAttribute(square, 3));
+const centres = new THREE.InstancedBufferAttribute(new Float32Array(3 * most), 3);
+const radii = new THREE.InstancedBufferAttribute(new Float32Array(most), 1);
+const colours = new THREE.InstancedBufferAttribute(new Float32Array(3 * most), 3);
+geometry.setAttribute("centre", centres);
+geometry.setAttribute("radius", radii);
+geometry.setAttribute("colour", colours);
+// all cells of the frame; the attributes hold those that are not hidden behind others
+const place = new Float32Array(3 * most), extent = new Float32Array(most), tints = new Float32Array(3 * most);
+const seen = new Float32Array(3 * most);  // places as the eye sees them
+const uniforms = { plane: { value: [0, 0, 1, 0] }, cutting: { value: false } };
+const material = new THREE.RawShaderMaterial({
+  glslVersion: THREE.GLSL3, vertexShader: VERTEX, fragmentShader: FRAGMENT, uniforms,
+});
+const mesh = new THREE.Mesh(geometry, material);
+mesh.frustumCulled = false;
+const scene = new THREE.Scene();
+scene.add(mesh);
+const reach = about.reach, middle = about.middle;
+const camera = new THREE.OrthographicCamera(-1, 1, 1, -1, -20 * reach, 20 * reach);
+const controls = new THREE.OrbitControls(camera, canvas);
+controls.enableDamping = false;
+controls.addEventListener("change", draw);
+
+function home() {
+  controls.target.set(...middle);
+  const tilt = about.flat ? [0, 0, 1] : [0.45, -0.8, 0.4];
+  camera.up.set(0, about.flat ? 1 : 0, about.flat ? 0 : 1);
+  camera.position.set(...middle.map((x, k) => x + reach * tilt[k]));
+  camera.zoom = 1;
+  camera.updateProjectionMatrix();
+  controls.update();
+  draw();
+}
+
+// ---- what is shown
+let shown = 0, colouring = about.colourings[0].name, pending = false;
+function fillColours() {
+  const column = columnOf[colouring], values = columnsAt(shown)[colouring], to = tints;
+  const about_ = about.colourings.find((entry) => entry.name === colouring);
+  const palette = about_.palette;
+  if (column.words) {
+    for (let i = 0; i < values.length; i++) to.set(palette[values[i] % palette.length], 3 * i);
+  } else {
+    const low = about_.low, wide = about_.high - about_.low, last = palette.length - 1;
+    for (let i = 0; i < values.length; i++) {
+      const share = (scaled(column, values[i]) - low) / wide;
+      to.set(palette[Math.round(last * Math.min(1, Math.max(0, share)))], 3 * i);
+    }
+  }
+}
+function fillPlaces() {
+  const columns = columnsAt(shown), count = frames[shown].shown;
+  ["x", "y", "z"].forEach((axis, k) => {
+    const column = columnOf[axis], values = columns[axis];
+    for (let i = 0; i < count; i++) place[3 * i + k] = scaled(column, values[i]);
+  });
+  const column = columnOf.radius, values = columns.radius;
+  for (let i = 0; i < count; i++) extent[i] = scaled(column, values[i]);
+}
+
+// ---- what is hidden behind other cells is not drawn: of a dense ball that is all but its surface.
+// Each cell covers the squares of a grid that its disc contains, at the depth of its centre (at that
+// of its far end where it is cut); a cell is hidden where something covers every square that it meets.
+let cover = new Float32Array(0), everything = false;
+function fillVisible() {
+  const count = frames[shown].shown, m = camera.matrixWorldInverse.elements;
+  const [a, b, c, d] = uniforms.plane.value, cutting = uniforms.cutting.value;
+  let low0 = Infinity, low1 = Infinity, high0 = -Infinity, high1 = -Infinity, mean = 0;
+  for (let i = 0; i < count; i++) {
+    const x = place[3 * i], y = place[3 * i + 1], z = place[3 * i + 2], r = extent[i];
+    const u = m[0] * x + m[4] * y + m[8] * z + m[12], v = m[1] * x + m[5] * y + m[9] * z + m[13];
+    seen[3 * i] = u; seen[3 * i + 1] = v;
+    seen[3 * i + 2] = m[2] * x + m[6] * y + m[10] * z + m[14];
+    low0 = Math.min(low0, u - r); high0 = Math.max(high0, u + r);
+    low1 = Math.min(low1, v - r); high1 = Math.max(high1, v + r);
+    mean += r / count;
+  }
+  const step = Math.max(0.4 * mean, (high0 - low0) / 1500, (high1 - low1) / 1500, 1e-6);
+  const wide = Math.floor((high0 - low0) / step) + 2, high = Math.floor((high1 - low1) / step) + 2;
+  if (cover.length < wide * high) cover = new Float32Array(wide * high);
+  cover.fill(-Infinity, 0, wide * high);
+  const whole = step * Math.SQRT1_2;
+  const gone = (i) => cutting && a * seen[3 * i] + b * seen[3 * i + 1] + c * seen[3 * i + 2] + d > extent[i];
+  for (let i = 0; i < count; i++) {
+    if (gone(i)) continue;
+    const u = seen[3 * i], v = seen[3 * i + 1], inner = extent[i] - whole;
+    if (inner <= 0) continue;
+    let depth = seen[3 * i + 2];
+    if (cutting && a * u + b * v + c * depth + d > -extent[i]) depth -= extent[i];
+    const first = Math.max(0, Math.floor((v - inner - low1) / step)), last = Math.floor((v + inner - low1) / step);
+    for (let row = first; row <= last; row++) {
+      const dy = low1 + (row + 0.5) * step - v, left2 = inner * inner - dy * dy;
+      if (left2 <= 0) continue;
+      const half = Math.sqrt(left2);
+      const from = Math.max(0, Math.ceil((u - half - low0) / step - 0.5)), to = Math.floor((u + half - low0) / step - 0.5);
+      for (let at = row * wide + from; at <= row * wide + to; at++) if (cover[at] < depth) cover[at] = depth;
+    }
+  }
+  let n = 0;
+  for (let i = 0; i < count; i++) {
+    if (gone(i)) continue;
+    const r = extent[i], front = seen[3 * i + 2] + r;
+    const row0 = Math.floor((seen[3 * i + 1] - r - low1) / step), row1 = Math.floor((seen[3 * i + 1] + r - low1) / step);
+    const from = Math.floor((seen[3 * i] - r - low0) / step), to = Math.floor((seen[3 * i] + r - low0) / step);
+    let hidden = true;
+    for (let row = row0; hidden && row <= row1; row++)
+      for (let at = row * wide + from; at <= row * wide + to; at++) if (cover[at] < front) { hidden = false; break; }
+    if (hidden && !everything) continue;
+    for (let k = 0; k < 3; k++) {
+      centres.array[3 * n + k] = place[3 * i + k];
+      colours.array[3 * n + k] = tints[3 * i + k];
+    }
+    radii.array[n++] = r;
+  }
+  centres.needsUpdate = radii.needsUpdate = colours.needsUpdate = true;
+  geometry.instanceCount = n;
+}
+function legend() {
+  const about_ = about.colourings.find((entry) => entry.name === colouring), box = find("legend");
+  box.textContent = "";
+  const column = columnOf[colouring];
+  if (column.words) {
+    const counts = new Map();
+    for (const value of columnsAt(shown)[colouring]) counts.set(value, (counts.get(value) ?? 0) + 1);
+    column.words.forEach((word, k) => {
+      if (!counts.get(k)) return;
+      const entry = document.createElement("span"), dot = document.createElement("i");
+      dot.style.background = `rgb(${about_.palette[k].map((c) => Math.round(255 * c)).join()})`;
+      entry.append(dot, `${word} (${counts.get(k).toLocaleString("en")})`);
+      box.append(entry);
+    });
+    if (about_.hint) box.append(about_.hint);
+    return;
+  }
+  const bar = document.createElement("span"), shades = document.createElement("b");
+  const stops = about_.palette.map((rgb) => `rgb(${rgb.map((c) => Math.round(255 * c)).join()})`);
+  shades.style.background = `linear-gradient(to right, ${stops.join()})`;
+  const number = (value) => Number(value.toPrecision(3)).toString();
+  bar.append(number(about_.low), shades, `${number(about_.high)} ${about_.unit}`);
+  box.append(bar);
+}
+function tell() {
+  const frame = frames[shown];
+  const thinned = frame.shown < frame.cells ? ` (${frame.shown.toLocaleString("en")} of them drawn)` : "";
+  const text = `${frame.label}: ${frame.cells.toLocaleString("en")} cells${thinned}`;
+  say(text);
+  canvas.setAttribute("aria-label", `The cells in space, ${text}, coloured by ${colouring}`);
+}
+function show(k) {
+  shown = Math.min(frames.length - 1, Math.max(0, k));
+  find("time").value = shown;
+  find("time").setAttribute("aria-valuetext", frames[shown].label);
+  fillPlaces(); fillColours(); legend(); tell(); follow(); setPlane(); draw();
+}
+function setPlane() {
+  const axis = find("axis").value, slider = find("cut");
+  slider.disabled = axis === "none";
+  uniforms.cutting.value = axis !== "none";
+  find("cut-text").textContent = "";
+  if (axis === "none") return;
+  const k = "xyz".indexOf(axis), at = middle[k] + reach * (2 * slider.value / 1000 - 1);
+  const side = camera.position.toArray()[k] >= middle[k] ? 1 : -1;  // what lies nearer to the eye goes
+  find("cut-text").textContent = `${axis} = ${at.toFixed(0)} µm`;
+  cut = { k, at, side };
+}
+let cut = null;
+function planeInView() {
+  if (!uniforms.cutting.value || !cut) return;
+  const normal = [0, 0, 0];
+  normal[cut.k] = cut.side;
+  const m = camera.matrixWorldInverse.elements;
+  const turn = (v) => [0, 1, 2].map((r) => m[r] * v[0] + m[r + 4] * v[1] + m[r + 8] * v[2]);
+  const n = turn(normal), place = [...middle];
+  place[cut.k] = cut.at;
+  const p = turn(place).map((x, r) => x + m[12 + r]);
+  uniforms.plane.value = [...n, -(n[0] * p[0] + n[1] * p[1] + n[2] * p[2])];
+}
+function resize() {
+  const wide = canvas.clientWidth, high = canvas.clientHeight;
+  if (!wide || !high) return;
+  renderer.setPixelRatio(finest());
+  renderer.setSize(wide, high, false);
+  const half = 1.08 * reach, ratio = wide / high;
+  camera.left = -half * Math.max(1, ratio); camera.right = -camera.left;
+  camera.top = half * Math.max(1, 1 / ratio); camera.bottom = -camera.top;
+  camera.updateProjectionMatrix();
+  draw();
+}
+function draw() {
+  if (pending) return;
+  pending = true;
+  requestAnimationFrame(() => {
+    pending = false;
+    if (!drawingSharp && renderer.getPixelRatio() !== finest() * sharpness) renderer.setPixelRatio(finest() * sharpness);
+    camera.updateMatrixWorld();
+    if (cut && uniforms.cutting.value) {
+      cut.side = camera.position.toArray()[cut.k] >= middle[cut.k] ? 1 : -1;
+    }
+    planeInView();
+    fillVisible();
+    renderer.render(scene, camera);
+    drawn += 1;
+    const now = performance.now();
+    settle(now - before);  // a call may return long before its picture is there: pictures are counted
+    before = now;
+  });
+}
+let drawn = 0, before = 0;
+
+// ---- where drawing is slow, moving pictures are coarser, and sharp again when nothing moves
+let sharpness = 1, sharp = null;
+const finest = () => Math.min(2, window.devicePixelRatio || 1);
+function settle(took) {
+  const moving = took < 300;
+  const wanted = !moving ? sharpness : took > 40 ? Math.max(0.4, sharpness * 0.75) : took < 20 ? Math.min(1, sharpness * 1.2) : sharpness;
+  if (sharp) clearTimeout(sharp);
+  sharp = null;
+  if (drawingSharp) { drawingSharp = false; return; }
+  if (wanted !== sharpness) setSharpness(wanted);
+  if (sharpness < 1) sharp = setTimeout(() => { drawingSharp = true; renderer.setPixelRatio(finest()); draw(); }, 250);
+  else if (renderer.getPixelRatio() !== finest()) renderer.setPixelRatio(finest());
+}
+let drawingSharp = false;
+function setSharpness(value) {
+  sharpness = value;
+  renderer.setPixelRatio(finest() * value);
+}
+
+// ---- under the pointer
+function pick(event) {
+  const box = canvas.getBoundingClientRect();
+  const x = ((event.clientX - box.left) / box.width) * 2 - 1, y = 1 - ((event.clientY - box.top) / box.height) * 2;
+  const m = camera.matrixWorldInverse.elements, count = frames[shown].shown;
+  const px = (x * (camera.right - camera.left)) / 2 / camera.zoom, py = (y * (camera.top - camera.bottom)) / 2 / camera.zoom;
+  const [a, b, c, d] = uniforms.plane.value;
+  let best = -1, nearest = -Infinity;
+  for (let i = 0; i < count; i++) {
+    const cx = place[3 * i], cy = place[3 * i + 1], cz = place[3 * i + 2];
+    const vx = m[0] * cx + m[4] * cy + m[8] * cz + m[12], vy = m[1] * cx + m[5] * cy + m[9] * cz + m[13];
+    const out2 = (px - vx) ** 2 + (py - vy) ** 2, r = extent[i];
+    if (out2 > r * r) continue;
+    const half = Math.sqrt(r * r - out2);
+    const vz = m[2] * cx + m[6] * cy + m[10] * cz + m[14];
+    let z = vz + half;
+    if (uniforms.cutting.value) {
+      const beyond = a * px + b * py + c * z + d;
+      if (beyond > 0) {
+        if (c <= 0 || beyond / c > 2 * half) continue;
+        z -= beyond / c;
+      }
+    }
+    if (z > nearest) { nearest = z; best = i; }
+  }
+  return best;
+}
+const tip = find("tip");
+canvas.addEventListener("pointermove", (event) => {
+  const i = event.buttons ? -1 : pick(event);
+  tip.hidden = i < 0;
+  if (i < 0) return;
+  const columns = columnsAt(shown), lines = [];
+  for (const column of about.columns) {
+    if (column.hidden) continue;
+    const value = columns[column.name][i];
+    let text;
+    if (column.words) text = column.words[value] ?? String(value);
+    else if (column.name === "id") text = String(value);
+    else text = `${Number(scaled(column, value).toPrecision(3))} ${column.unit}`;
+    lines.push(`${column.label}: ${text}`);
+  }
+  tip.textContent = lines.join("\n");
+  const box = root.querySelector(".stage").getBoundingClientRect();
+  tip.style.left = `${Math.min(event.clientX - box.left + 14, box.width - 180)}px`;
+  tip.style.top = `${event.clientY - box.top + 14}px`;
+});
+canvas.addEventListener("pointerleave", () => { tip.hidden = true; });
+
+// ---- curves that follow the time
+const charts = about.curves.map((curve) => {
+  const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
+  const wide = 320, high = 130, left = 6, top = 22, bottom = 18;
+  svg.setAttribute("viewBox", `0 0 ${wide} ${high}`);
+  svg.setAttribute("role", "img");
+  svg.setAttribute("aria-label", `${curve.label} over time`);
+  const last = about.end || 1, top_ = Math.max(...curve.values.filter((v) => v !== null), 1e-12);
+  const px = (t) => left + (wide - 2 * left) * t / last;
+  const py = (v) => high - bottom - (high - bottom - top) * v / top_;
+  let path = "", open = false;
+  curve.values.forEach((v, k) => {
+    if (v === null) { open = false; return; }
+    path += `${open ? "L" : "M"}${px(about.times[k]).toFixed(1)},${py(v).toFixed(1)}`;
+    open = true;
+  });
+  const make = (kind, attributes, text) => {
+    const part = document.createElementNS("http://www.w3.org/2000/svg", kind);
+    for (const [name, value] of Object.entries(attributes)) part.setAttribute(name, value);
+    if (text !== undefined) part.textContent = text;
+    svg.append(part);
+    return part;
+  };
+  make("line", { x1: left, x2: wide - left, y1: high - bottom, y2: high - bottom, class: "axis" });
+  make("path", { d: path, class: "curve" });
+  const line = make("line", { y1: top - 4, y2: high - bottom, class: "now" });
+  make("text", { x: left, y: 13 }, curve.label);
+  const value = make("text", { x: wide - left, y: 13, "text-anchor": "end", class: "value" }, "");
+  make("text", { x: left, y: high - 4, class: "small" }, "0");
+  make("text", { x: wide - left, y: high - 4, "text-anchor": "end", class: "small" }, about.end_label);
+  find("curves").append(svg);
+  return { curve, line, value, px };
+});
+function follow() {
+  const time = frames[shown].time;
+  let k = 0;
+  while (k + 1 < about.times.length && about.times[k + 1] <= time * (1 + 1e-12)) k++;
+  for (const { curve, line, value, px } of charts) {
+    line.setAttribute("x1", px(time)); line.setAttribute("x2", px(time));
+    const now = curve.values[k];
+    value.textContent = now === null ? "none" : `${Number(now.toPrecision(4)).toLocaleString("en")} ${curve.unit}`;
+  }
+}
+
+// ---- controls
+for (const entry of about.colourings) {
+  const option = document.createElement("option");
+  option.value = entry.name; option.textContent = entry.label;
+  find("colour").append(option);
+}
+find("time").max = frames.length - 1;
+find("time").addEventListener("input", (event) => show(Number(event.target.value)));
+find("colour").addEventListener("change", (event) => { colouring = event.target.value; show(shown); });
+find("axis").addEventListener("change", () => { setPlane(); draw(); });
+find("cut").addEventListener("input", () => { setPlane(); draw(); });
+find("home").addEventListener("click", home);
+let timer = null;
+find("play").addEventListener("click", () => {
+  const button = find("play");
+  if (timer) { clearInterval(timer); timer = null; button.textContent = "Play"; return; }
+  if (shown === frames.length - 1) show(0);
+  button.textContent = "Pause";
+  timer = setInterval(() => {
+    if (shown < frames.length - 1) return show(shown + 1);
+    clearInterval(timer); timer = null; button.textContent = "Play";
+  }, 150);
+});
+function orbit(right, up) {
+  const { x, y, z } = camera.position.clone().sub(controls.target);
+  const cos = Math.cos(right), sin = Math.sin(right);
+  const turned = about.flat ? [x, y, z] : [cos * x - sin * y, sin * x + cos * y, z];
+  const length = Math.hypot(...turned), flat = Math.hypot(turned[0], turned[1]) || 1e-9;
+  const angle = Math.min(1.5, Math.max(-1.5, Math.atan2(turned[2], flat) + (about.flat ? 0 : up)));
+  const share = (length * Math.cos(angle)) / flat;
+  if (!about.flat) camera.position.set(turned[0] * share, turned[1] * share, length * Math.sin(angle)).add(controls.target);
+  controls.update();
+  draw();
+}
+canvas.addEventListener("keydown", (event) => {
+  const turn = { ArrowLeft: [0.1, 0], ArrowRight: [-0.1, 0], ArrowUp: [0, 0.1], ArrowDown: [0, -0.1] }[event.key];
+  if (turn) orbit(...turn);
+  else if (event.key === "+" || event.key === "=" || event.key === "-") {
+    camera.zoom *= event.key === "-" ? 0.9 : 1 / 0.9;
+    camera.updateProjectionMatrix(); draw();
+  } else return;
+  event.preventDefault();
+});
+new ResizeObserver(resize).observe(canvas);
+root.classList.add("ready");
+resize();
+show(frames.length - 1);
+home();
+window.multicellViewer = {  // for tests
+  show, home, orbit, pick, frames, canvas, draws: () => drawn, visible: () => geometry.instanceCount, sharpness: () => sharpness,
+  all: (yes) => { everything = yes; draw(); },
+};
+})();

@@ -1,0 +1,271 @@
+"""Cells in space and time: what is packed against the store, and the page in a browser."""
+
+import base64
+import gzip
+import hashlib
+import html
+import io
+import json
+import re
+import shutil
+from importlib.resources import files
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import multicell as mc
+from multicell.cells import Cells, State
+from multicell.cli.main import main
+from multicell.report.result import Result
+from multicell.report.viewer import pack
+from multicell.results.frame import Frame
+
+CHROMIUM = next(
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+)
+SOFTWARE = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+
+
+def spread(count, time=0.0, seed=1):
+    """Return a frame of cells at random places."""
+    rng = np.random.default_rng(seed)
+    ids = np.sort(rng.choice(10 * count, count, replace=False))
+    cells = Cells(
+        id=ids, parent=np.full(count, -1), position=rng.uniform(-200.0, 300.0, (count, 3)),
+        radius=rng.uniform(3.0, 6.0, count), young=np.ones(count), poisson=np.full(count, 0.5),
+        state=rng.integers(0, len(State), count), age=np.zeros(count),
+        cycle_time=np.ones(count), pressure=rng.normal(size=count),
+    )  # fmt: skip
+    return Frame(time, 0, cells)
+
+
+def result_of(*frames):
+    return Result(None, frames, {}, {}, mc.load_scene("settle"))
+
+
+def unpacked(view):
+    """Return the columns of each frame, as the page's script reads them."""
+    body = gzip.decompress(base64.b64decode(view.data))
+    found = []
+    for frame in view.about["frames"]:
+        at, columns = frame["offset"], {}
+        for column in view.about["columns"]:
+            kind = np.dtype(column["kind"])
+            at += -at % kind.itemsize
+            values = np.frombuffer(body, kind, frame["shown"], at)
+            at += values.nbytes
+            top = np.iinfo(kind).max
+            if column["name"] != "id" and "words" not in column:
+                values = column["low"] + (column["high"] - column["low"]) * values / top
+            columns[column["name"]] = values
+        found.append(columns)
+    return found
+
+
+def test_what_is_packed_is_the_run_within_its_rounding():
+    frames = spread(40), spread(101, 3600.0, seed=2)
+    view = pack.packed(result_of(*frames))
+    for frame, columns in zip(frames, unpacked(view), strict=True):
+        cells = frame.cells
+        np.testing.assert_array_equal(columns["id"], cells.id)
+        np.testing.assert_array_equal(columns["state"], cells.state)
+        for k, axis in enumerate("xyz"):
+            np.testing.assert_allclose(columns[axis], cells.position[:, k], atol=0.6 * 500 / 65535)
+        np.testing.assert_allclose(columns["radius"], cells.radius, atol=0.6 * 3 / 255)
+        spread_ = np.ptp(np.concatenate([f.cells.pressure for f in frames]))
+        np.testing.assert_allclose(
+            columns["pressure"], 1e3 * cells.pressure, atol=0.6 * 1e3 * spread_ / 255
+        )
+    assert view.note == ""
+    assert [entry["cells"] for entry in view.about["frames"]] == [40, 101]
+
+
+def test_many_cells_are_thinned_the_same_way_in_all_frames_and_it_is_said(monkeypatch):
+    monkeypatch.setattr(pack, "CELLS", 300)
+    first = spread(1000)
+    second = Frame(3600.0, 1, first.cells.take(np.arange(800)))
+    view = pack.packed(result_of(first, second))
+    shown = [set(columns["id"].tolist()) for columns in unpacked(view)]
+    assert [len(ids) for ids in shown] == [300, 300]
+    # who is there in both and shown in the fuller one is shown in the other
+    assert shown[0] & set(second.cells.id.tolist()) <= shown[1]
+    assert "Of more than 300 cells in a frame so many are drawn" in view.note
+
+
+def test_what_is_too_large_is_thinned_until_it_fits(monkeypatch):
+    monkeypatch.setattr(pack, "BYTES", 20_000)
+    view = pack.packed(result_of(spread(4000)))
+    assert len(base64.b64decode(view.data)) <= 20_000
+    assert 500 < view.about["frames"][0]["shown"] < 4000
+
+
+def test_of_many_frames_first_and_last_and_some_between_are_shown():
+    frames = [spread(5, float(k)) for k in range(173)]
+    view = pack.packed(result_of(*frames))
+    times = [entry["time"] for entry in view.about["frames"]]
+    assert len(times) == pack.FRAMES
+    assert (times[0], times[-1]) == (0.0, 172.0)
+    assert np.ptp(np.diff(times)) <= 1.0
+    assert view.note == "50 of 173 frames are shown."
+
+
+def test_a_run_without_cells_has_nothing_to_see():
+    assert pack.packed(result_of(Frame(0.0, 0, Cells.empty()))) is None
+
+
+@pytest.mark.slow
+def test_ten_thousand_cells_in_fifty_frames_are_a_page_of_less_than_8_mb(tmp_path):
+    frames = [spread(10_000, 3600.0 * k, seed=k) for k in range(50)]
+    view = pack.packed(result_of(*frames))
+    assert all(entry["shown"] == 10_000 for entry in view.about["frames"])
+    scripts = sum((files("multicell.report.viewer") / n).stat().st_size
+                  for n in ("three.min.js", "viewer.js"))  # fmt: skip
+    assert len(view.data) + scripts + len(json.dumps(view.about)) < 8e6
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    scene = mc.load_scene("spheroid").with_changes(
+        {
+            "duration": "30 h",
+            "initial.count": 60,
+            "output.every": "10 h",
+            "title": "A </script> & b",
+        }
+    )
+    return mc.run(scene, output=tmp_path_factory.mktemp("viewer") / "run")
+
+
+def test_the_page_allows_its_own_scripts_and_nothing_else(run):
+    page = (run.folder / "report.html").read_text("utf-8")
+    policy = html.unescape(re.search(r'Content-Security-Policy" content="([^"]+)"', page)[1])
+    assert policy.startswith(
+        "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src "
+    )
+    scripts = re.findall(r"<script>(.*?)</script>", page, re.DOTALL)
+    hashes = {base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in scripts}
+    assert set(re.findall(r"'sha256-([^']+)'", policy)) == hashes
+    assert len(hashes) == 2
+    assert "http://" not in re.sub(r"http://www\.w3\.org/\S+", "", scripts[1])
+
+
+@pytest.fixture(scope="module")
+def browser():
+    if CHROMIUM is None:
+        pytest.skip("there is no Chromium on this machine")
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as tools:
+        started = tools.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE)
+        yield started
+        started.close()
+
+
+@pytest.fixture
+def opened(browser, run, request):
+    wide, scheme = getattr(request, "param", (1280, "light"))
+    context = browser.new_context(viewport={"width": wide, "height": 900}, color_scheme=scheme)
+    page, said = context.new_page(), []
+    page.on("console", lambda message: said.append(message.text))
+    page.on("pageerror", lambda error: said.append(str(error)))
+    page.on(
+        "request", lambda asked: said.append(asked.url) if "report.html" not in asked.url else None
+    )
+    page.goto((run.folder / "report.html").as_uri())
+    page.wait_for_selector("#viewer.ready", timeout=60_000)
+    page.wait_for_function("window.multicellViewer.draws() > 0", timeout=60_000)
+    yield page
+    assert said == []  # no error, no warning, nothing loaded
+    context.close()
+
+
+def colours(page, selector='[data-part="canvas"]'):
+    """Return the pixels of a part of the page, (h, w, 3)."""
+    from PIL import Image
+
+    # what moved is drawn sharply a moment later, and then takes its time to the screen
+    page.wait_for_timeout(500)
+    page.evaluate("new Promise(r => requestAnimationFrame(() => requestAnimationFrame(r)))")
+    picture = page.locator(selector).screenshot()
+    return np.asarray(Image.open(io.BytesIO(picture)).convert("RGB")).astype(int)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("opened", [(1280, "light"), (390, "dark")], indirect=True)
+def test_the_page_shows_cells_and_its_controls_work(opened, run):
+    last = colours(opened)
+    assert len(np.unique(last.reshape(-1, 3), axis=0)) > 100
+    count = len(run.frames[-1].cells)
+    status = opened.locator('[data-part="status"]')
+    assert f"{count} cells" in status.inner_text()
+    # nothing is wider than the window
+    assert opened.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
+    opened.locator('[data-part="time"]').focus()
+    opened.keyboard.press("Home")
+    assert f"{len(run.frames[0].cells)} cells" in status.inner_text()
+    first = colours(opened)
+    assert np.abs(first - last).max() > 50
+    opened.locator('[data-part="canvas"]').focus()
+    opened.keyboard.press("ArrowLeft")
+    turned = colours(opened)
+    assert np.abs(turned - first).max() > 50
+    opened.select_option('[data-part="colour"]', "oxygen")
+    assert "mM" in opened.locator('[data-part="legend"]').inner_text()
+    assert np.abs(colours(opened) - turned).max() > 50
+    opened.click('[data-part="home"]')
+    before = opened.evaluate("window.multicellViewer.visible()")
+    opened.select_option('[data-part="axis"]', "x")
+    colours(opened)
+    assert 0 < opened.evaluate("window.multicellViewer.visible()") < before
+
+
+@pytest.mark.slow
+def test_the_pointer_tells_the_numbers_of_the_cell_under_it(opened, run):
+    box = opened.locator('[data-part="canvas"]').bounding_box()
+    opened.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    told = dict(
+        line.split(": ") for line in opened.locator('[data-part="tip"]').inner_text().splitlines()
+    )
+    cells = run.frames[-1].cells
+    row = int(cells.rows_of(np.array([int(told["cell"])]))[0])
+    assert float(told["radius"].split()[0]) == pytest.approx(cells.radius[row], abs=0.02)
+    assert told["state"] == State(int(cells.state[row])).name.lower()
+    # on the line of sight through the middle, and nearer to the eye than all others there
+    middle = np.average(cells.position, axis=0, weights=cells.radius**3)
+    sight = np.array([0.45, -0.8, 0.4]) / np.linalg.norm([0.45, -0.8, 0.4])
+    along = (cells.position - middle) @ sight
+    aside = np.linalg.norm(cells.position - middle - along[:, None] * sight, axis=1)
+    on = aside < cells.radius + 0.3
+    assert on[row]
+    depth = along + np.sqrt(np.maximum(cells.radius**2 - aside**2, 0.0))
+    assert depth[row] >= depth[on].max() - 0.5
+
+
+@pytest.mark.slow
+def test_what_hides_behind_other_cells_changes_no_pixel(opened):
+    """With every cell drawn the picture is the same: only what nobody sees is left out."""
+    culled = colours(opened)
+    drawn = opened.evaluate("window.multicellViewer.visible()")
+    opened.evaluate("window.multicellViewer.all(true)")
+    whole = colours(opened)
+    assert opened.evaluate("window.multicellViewer.visible()") > drawn
+    np.testing.assert_array_equal(whole, culled)
+
+
+def test_view_writes_the_page_where_it_is_older_than_the_run(run, tmp_path, monkeypatch):
+    opened = []
+    monkeypatch.setattr("webbrowser.open", lambda address: opened.append(address) or True)
+    folder = tmp_path / "run"
+    shutil.copytree(run.folder, folder)
+    (folder / "report.html").unlink()
+    for _ in range(2):
+        done = CliRunner().invoke(main, ["view", str(folder)])
+        assert done.exit_code == 0, done.output
+    assert opened == 2 * [(folder / "report.html").resolve().as_uri()]
+    written = (folder / "report.html").stat().st_mtime_ns
+    done = CliRunner().invoke(main, ["view", str(folder), "--no-browser", "--json"])
+    assert json.loads(done.output) == {"file": str(folder / "report.html")}
+    assert (folder / "report.html").stat().st_mtime_ns == written
+    assert len(opened) == 2
+    assert CliRunner().invoke(main, ["view", str(tmp_path / "nowhere")]).exit_code == 2
