@@ -7,8 +7,11 @@ from typing import Final
 
 from multicell.errors import MissingPackage
 
-EXPORT: Final = ("anndata", "h5netcdf", "pandas", "pyarrow", "pyvista", "xarray")
-"""What ``multicell[export]`` brings."""
+EXTRAS: Final = {
+    "export": ("anndata", "h5netcdf", "pandas", "pyarrow", "pyvista", "xarray"),
+    "movie": ("imageio_ffmpeg",),
+}
+"""What some of the optional sets of packages bring; all others are those of studies."""
 
 
 def needs(*packages: str) -> None:
@@ -26,7 +29,8 @@ def needs(*packages: str) -> None:
     """
     absent = [name for name in packages if not _there(name)]
     if absent:
-        raise MissingPackage(absent, "export" if set(absent) <= set(EXPORT) else "study")
+        extras = [extra for extra, known in EXTRAS.items() if set(absent) <= set(known)]
+        raise MissingPackage(absent, extras[0] if extras else "study")
 
 
 def _there(name: str) -> bool:

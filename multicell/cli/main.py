@@ -17,6 +17,7 @@ import click
 
 from multicell import __version__
 from multicell.cli.compare import compare, stability
+from multicell.cli.movie import movie
 from multicell.cli.options import (
     as_json_option,
     changes_option,
@@ -194,7 +195,7 @@ def export(
         click.echo(path, file=sys.stdout)
 
 
-for added in (scenes, init, schema, plot, view, compare, stability):
+for added in (scenes, init, schema, plot, view, movie, compare, stability):
     main.add_command(added)
 
 

@@ -39,6 +39,26 @@ def reporter(scene: Scene, *, show: bool = True) -> Iterator[Progress | None]:
         yield progress
 
 
+@contextmanager
+def counted(what: str, *, show: bool = True) -> Iterator[Callable[[int, int], None] | None]:
+    """Yield what is called with how much is done and how much there is, or None to show nothing.
+
+    A bar in a terminal; elsewhere nothing, since such work is short.
+    """
+    from rich.console import Console
+    from rich.progress import Progress as Bar
+
+    from multicell.cli.process import Faltering
+
+    console = Console(file=cast(IO[str], Faltering(sys.stderr)), highlight=False)
+    if not show or not console.is_terminal:
+        yield None
+        return
+    with Bar(console=console, transient=True) as bar:
+        task = bar.add_task(what, total=None)
+        yield lambda done, of: bar.update(task, completed=done, total=of)
+
+
 def status(simulation: Any, wall: float, left: float | None = None) -> str:
     """Return time, cells, step, speed and time left in words, ``wall`` s after the start."""
     speed = simulation.time / 3600.0 / wall if wall > 0.0 else 0.0

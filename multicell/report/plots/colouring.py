@@ -68,7 +68,11 @@ def colourings(frame: Frame) -> list[str]:
 
 
 def colouring(
-    frame: Frame, scene: Scene, name: str | None, lineage: Mapping[str, NDArray[Any]]
+    frame: Frame,
+    scene: Scene,
+    name: str | None,
+    lineage: Mapping[str, NDArray[Any]],
+    limits: tuple[float, float] | None = None,
 ) -> Colouring:
     """Return the colours of cells by what is asked for.
 
@@ -82,6 +86,8 @@ def colouring(
         One of :func:`colourings`; None for the types where there are several, else the states.
     lineage
         Table of all cells that ever were, for clones.
+    limits
+        Range of the colours of a quantity; absent: :func:`limits_of` the frame.
 
     Raises
     ------
@@ -104,7 +110,7 @@ def colouring(
     if name not in known:
         hint = near_miss(name, known)
         raise OutputError(f"there is nothing called {name!r} to colour cells by. {hint}")
-    return _by_value(frame, name)
+    return _by_value(frame, name, limits)
 
 
 def _grouped(title: str, group: NDArray[Any], palette: Mapping[str, str]) -> Colouring:
@@ -163,27 +169,45 @@ def founder(ids: IntArray, lineage: Mapping[str, NDArray[Any]]) -> IntArray:
         found[climbing] = above[climbing]
 
 
-def _by_value(frame: Frame, name: str) -> Colouring:
-    """Return colours of the values of a quantity, over their own range."""
-    if name in frame.concentrations:
-        values, unit = frame.concentrations[name], unit_of(f"cells.concentration_{name}")
-    elif name == "volume":
-        values, unit = frame.cells.volume, "um^3"
-    else:
-        values, unit = getattr(frame.cells, name).astype(float), unit_of(f"cells.{name}")
+def _by_value(frame: Frame, name: str, limits: tuple[float, float] | None) -> Colouring:
+    """Return colours of the values of a quantity, by default over their own range."""
+    values, unit = quantity(frame, name)
     finite = np.isfinite(values)
-    # a few fresh daughters under pressure would leave all others one colour
-    ends = np.percentile(values[finite], (0.5, 99.5)) if finite.any() else (0.0, 1.0)
-    low, high = map(float, ends)
-    if name in frame.concentrations:
-        low = 0.0
-    high = high if high > low else low + 1.0
+    low, high = limits or limits_of([values], from_zero=name in frame.concentrations)
     rgb = np.tile(np.array(to_rgb(_NOTHING)), (len(values), 1))
     rgb[finite] = mpl.colormaps[SCALE]((values[finite] - low) / (high - low))[:, :3]
     shown = name.replace("_", " ")
-    return Colouring(
-        f"{shown} ({written(unit)})" if unit else shown, rgb, values=values, range=(low, high)
-    )
+    title = f"{shown} ({written(unit)})" if unit else shown
+    return Colouring(title, rgb, values=values, range=(low, high))
+
+
+def quantity(frame: Frame, name: str) -> tuple[FloatArray, str]:
+    """Return the values of a quantity of the cells, (n,), and its unit.
+
+    Raises
+    ------
+    OutputError
+        For a name that is none.
+    """
+    if name in frame.concentrations:
+        return frame.concentrations[name], unit_of(f"cells.concentration_{name}")
+    if name == "volume":
+        return frame.cells.volume, "um^3"
+    if name not in Cells.schema() or name in _NO_COLOUR:
+        raise OutputError(f"cells have no quantity {name!r}. {near_miss(name, colourings(frame))}")
+    return getattr(frame.cells, name).astype(float), unit_of(f"cells.{name}")
+
+
+def limits_of(parts: Sequence[FloatArray], *, from_zero: bool) -> tuple[float, float]:
+    """Return the range of colours for values: all but the lowest and the highest half per cent.
+
+    A few fresh daughters under pressure would leave all others one colour.
+    """
+    values = np.concatenate(parts)
+    values = values[np.isfinite(values)]
+    low, high = map(float, np.percentile(values, (0.5, 99.5))) if len(values) else (0.0, 1.0)
+    low = 0.0 if from_zero else low
+    return low, high if high > low else low + 1.0
 
 
 def written(unit: str) -> str:

@@ -54,6 +54,8 @@ def section(
     plane: Plane | None = None,
     colour: str | None = None,
     lineage: Mapping[str, NDArray[Any]] | None = None,
+    half: float | None = None,
+    limits: tuple[float, float] | None = None,
 ) -> Figure:
     """Draw the cells that a plane cuts, each with the radius of its cut, and those behind it.
 
@@ -75,6 +77,10 @@ def section(
         One of :func:`multicell.report.plots.colouring.colourings`.
     lineage
         Table of all cells that ever were, for the colours of clones.
+    half
+        Half the height of the window, µm; absent: as the cells need it.
+    limits
+        Range of the colours of a quantity; absent: that of the cells.
 
     Raises
     ------
@@ -86,15 +92,14 @@ def section(
     dimensions, where = scene.dimensions, plane or Plane()
     if dimensions == 2 and where.axis != "z":
         raise OutputError(f"the cells lie in the plane z = 0: a plane {where.axis} is none of them")
-    shade = colouring(frame, scene, colour, lineage or {})
+    shade = colouring(frame, scene, colour, lineage or {}, limits)
     middle, place, level = _set_up(frame, scene, plane)
     square = frame.cells.radius**2 - (place[:, 2] - level) ** 2
     inside = square > 0.0
     cells = cell_count(int(inside.sum()))
     figure = headed(scene, moment(frame) + (_where(plane, cells) if dimensions == 3 else ""))
     axes = figure.add_axes((0.03, 0.04, 0.66, 0.83))
-    size = uniform_radius(frame.cells, centre(frame.cells, dimensions), dimensions)
-    half = 1.22 * size + 2.0 * float(frame.cells.radius.max())
+    half = half or window(frame, scene)
     frame_window(axes, middle, half, half * (0.66 * SIZE[0]) / (0.83 * SIZE[1]))
     axes.spines[["top", "right"]].set_visible(True)
     _draw_deep(axes, place, frame.cells.radius, level, shade.rgb)
@@ -113,6 +118,13 @@ def section(
     else:
         _scale_legend(figure, shade)
     return figure
+
+
+def window(frame: Frame, scene: Scene) -> float:
+    """Return half the height of a window that shows all cells of a frame, µm."""
+    middle = centre(frame.cells, scene.dimensions)
+    size = uniform_radius(frame.cells, middle, scene.dimensions)
+    return 1.22 * size + 2.0 * float(frame.cells.radius.max())
 
 
 def _set_up(

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from multicell import random
 from multicell.cells import FloatArray, IntArray, Phase, State
 from multicell.random import Purpose
-from multicell.report.plots.colouring import SCALE, founder, written
+from multicell.report.plots.colouring import SCALE, founder, limits_of, written
 from multicell.report.plots.style import COLOURS, type_colours
 from multicell.report.wording import cell_count, time_unit
 from multicell.results.observables import centre
@@ -279,13 +279,9 @@ def _colourings(
         if column.words:
             yield entry | {"palette": _palette(column)}
             continue
-        values = np.concatenate([column.values(frame) for frame in frames])
-        values = values[np.isfinite(values)]
-        # a few fresh daughters under pressure would leave all others one colour
-        low, high = map(float, np.percentile(values, (0.5, 99.5))) if len(values) else (0.0, 1.0)
+        low, high = limits_of([column.values(frame) for frame in frames], from_zero=False)
         shades = mpl.colormaps[SCALE](np.linspace(0.0, 1.0, _SHADES))[:, :3]
         palette = np.round(shades, 3).tolist()
-        high = high if high > low else low + 1.0
         yield entry | {"low": low, "high": high, "palette": palette}
 
 

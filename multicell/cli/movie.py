@@ -1,0 +1,61 @@
+"""The command ``multicell movie``: a run as a moving picture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from multicell.cli.options import (
+    as_json_option,
+    law_option,
+    name_law,
+    output_option,
+    overwrite_option,
+    quiet_option,
+)
+from multicell.cli.process import print_json
+from multicell.cli.progress import counted
+from multicell.errors import OutputError
+
+
+@click.command()
+@click.argument("folder", type=click.Path(path_type=Path))
+@output_option("File for the movie: .gif, or .mp4 with multicell[movie].")
+@click.option(
+    "--section", metavar="PLANE", help="The plane that is cut: x, y, z, x=0 or z='12 um'."
+)
+@click.option("--colour", "--color", metavar="NAME", help="Of the cells, as for plot.")
+@click.option(
+    "--rate", type=float, default=8.0, show_default=True, help="Frames in a second, at most 60."
+)
+@law_option
+@overwrite_option("Replace the file.")
+@quiet_option
+@as_json_option
+def movie(
+    folder: Path,
+    output: Path,
+    section: str | None,
+    colour: str | None,
+    rate: float,
+    law: str | None,
+    overwrite: bool,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Write the sections of all frames of the run in FOLDER as a moving picture."""
+    if law is not None:
+        name_law(law)
+    from multicell.report.plots.movie import movie as written
+    from multicell.report.result import load_result
+
+    if (output.exists() or output.is_symlink()) and not overwrite:
+        raise OutputError(f"'{output}' exists already: name another file (-o) or overwrite it")
+    run = load_result(folder)
+    with counted("pictures", show=not quiet) as progress:
+        written(run, output, plane=section, colour=colour, rate=rate, progress=progress)
+    if as_json:
+        print_json({"file": str(output)})
+    elif not quiet:
+        click.echo(output)
