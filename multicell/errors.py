@@ -49,13 +49,16 @@ class OutputError(MulticellError):
     exit_code
         2 for a folder that could not be used from the start, 1 for a run that could not go on
         writing.
+    in_use
+        Whether another run in the folder is what keeps it from being used.
     """
 
     exit_code: int = 2  # type: ignore[misc]  # of each one its own
 
-    def __init__(self, problem: str, *, exit_code: int = 2) -> None:
+    def __init__(self, problem: str, *, exit_code: int = 2, in_use: bool = False) -> None:
         super().__init__(problem)
         self.exit_code = exit_code
+        self.in_use = in_use
 
 
 @final
