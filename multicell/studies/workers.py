@@ -97,7 +97,8 @@ def _local(cores: int | None) -> Iterator[Any]:
             n_workers=cores or own_cores(),
             threads_per_worker=1,
             processes=True,
-            dashboard_address=None,
+            dashboard_address="127.0.0.1:0",  # any free port, and no pages there
+            scheduler_kwargs={"dashboard": False},
             silence_logs=logging.CRITICAL,
         )
     try:
