@@ -39,7 +39,7 @@ def in_this_process(monkeypatch):
             call(self)
 
     class Client:
-        status = "running"
+        status, cluster = "running", None
 
         def nthreads(self):
             return {"here": 1}
