@@ -224,7 +224,8 @@ def make_plan(
 
 def _whole(name: str, value: Any, least: int, most: int, hint: str = "") -> int:
     """Return a whole number between two others."""
-    if isinstance(value, bool) or not isinstance(value, Integral) or not least <= value <= most:
+    whole = isinstance(value, Integral) and not isinstance(value, bool)
+    if not whole or not least <= int(value) <= most:
         problem = f"is {shown(value)}, must be a whole number from {least} to {most}"
         raise SceneError(name, problem, hint)
     return int(value)
