@@ -1,0 +1,1 @@
+"""Many runs of one scene: designs, their engine, fits and sensitivities."""
