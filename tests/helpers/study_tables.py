@@ -61,7 +61,9 @@ def sampled(*names, count=24, seeds=3):
     for name in names:
         values = AXES[name][0]
         words = isinstance(values[0], str)
-        drawn[name] = rng.choice(values, count) if words else rng.uniform(*values[:: len(values) - 1], count)
+        drawn[name] = (
+            rng.choice(values, count) if words else rng.uniform(*values[:: len(values) - 1], count)
+        )
     points = [{name: drawn[name][k] for name in names} for k in range(count)]
     points = [{n: str(v) if isinstance(v, str) else float(v) for n, v in p.items()} for p in points]
     coordinates = {name: ("point", drawn[name], {"units": AXES[name][1]}) for name in names}

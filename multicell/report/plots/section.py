@@ -70,9 +70,7 @@ def section(frame: Frame, scene: Scene) -> Figure:
     if name:
         _draw_behind(figure, axes, frame.fields[name], float(middle[2]), nutrients[name])
     scale_bar(axes, middle, half)
-    _section_legend(
-        figure, group, palette, "Cells in this section" if dimensions == 3 else "Cells"
-    )
+    _section_legend(figure, group, palette, "Cells in this section" if dimensions == 3 else "Cells")
     return figure
 
 

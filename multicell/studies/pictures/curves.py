@@ -33,6 +33,7 @@ from multicell.studies.pictures.values import (
     point_text,
     power,
     scale,
+    sentence,
     states,
     words,
 )
@@ -120,7 +121,7 @@ def _subtitle(table: xr.Dataset, name: str, at: Mapping[str, Any]) -> str:
         over = "one seed: the scatter is unknown, there are no bands"
     else:
         over = f"mean over {seeds} seeds, band: ± one standard deviation"
-    return f"{words(name).capitalize()} over time, {over}"
+    return f"{sentence(words(name))} over time, {over}"
 
 
 def _draw(

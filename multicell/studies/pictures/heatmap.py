@@ -30,6 +30,7 @@ from multicell.studies.pictures.values import (
     power,
     scale,
     scatter_text,
+    sentence,
     states,
     statistics,
     words,
@@ -81,7 +82,7 @@ def heatmap(
     """
     if is_sampled(table):
         raise ValueError("a sampled design has no tiles: draw the response over each axis")
-    across, up, third, held = _arranged(table, x, y, at or {})
+    across, up, third, held = arranged(table, x, y, at or {})
     part = at_point(table, held)
     shown = _shown(part, third)
     values = final(part, name)
@@ -122,7 +123,7 @@ def heatmap(
     return figure
 
 
-def _arranged(
+def arranged(
     table: xr.Dataset, x: str | None, y: str | None, at: Mapping[str, Any]
 ) -> tuple[str, str | None, str | None, dict[str, Any]]:
     """Return the axes across, up and of the panels, and the values of those that are held."""
@@ -153,7 +154,7 @@ def _subtitle(table: xr.Dataset, name: str, held: Mapping[str, Any], seeds: int)
     over = f"mean ± standard deviation over {seeds} seeds" if seeds > 1 else (
         "one seed: the scatter is unknown"
     )  # fmt: skip
-    told = f"{words(name).capitalize()} at the end of each run, {over}"
+    told = f"{sentence(words(name))} at the end of each run, {over}"
     return f"{told}; {point_text(table, held)}" if held else told
 
 

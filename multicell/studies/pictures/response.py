@@ -22,6 +22,7 @@ from multicell.studies.pictures.values import (
     number_text,
     power,
     scale,
+    sentence,
     states,
     words,
 )
@@ -75,7 +76,7 @@ def response(table: xr.Dataset, title: str, name: str) -> Figure:
 
 
 def _subtitle(table: xr.Dataset, name: str) -> str:
-    seeds, told = table.sizes[SEED], f"{words(name).capitalize()} at the end of each run"
+    seeds, told = table.sizes[SEED], f"{sentence(words(name))} at the end of each run"
     if is_sampled(table):
         told += f", {table.sizes[POINT]} points"
     elif len(axes_of(table)) > 1:

@@ -7,7 +7,7 @@ sampled design ``point``, ``seed`` and ``time``, with the value of each axis as 
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from multicell.cells import FloatArray
+    from multicell.studies.runs import Run
+    from multicell.studies.status import RunStatus
 
 POINT, SEED, TIME, STATE = "point", "seed", "time", "state"
 DONE: Final = "done"
@@ -174,6 +176,11 @@ def label(table: xr.Dataset, name: str) -> str:
     return f"{words(name)} ({unit})" if unit else words(name)
 
 
+def sentence(text: str) -> str:
+    """Return a text with a capital at its beginning; units keep theirs."""
+    return text[:1].upper() + text[1:]
+
+
 def words(name: str) -> str:
     """Return a name as it is read."""
     return name.replace("_", " ").replace(".", " ")
@@ -184,16 +191,28 @@ def scale(table: xr.Dataset, name: str) -> Scale:
     found = table[name].values
     if is_sampled(table):
         found = np.unique(found)
+    long = axis_words(table, name)
     if found.dtype.kind not in "fiu":
         values = [str(value) for value in found]
-        return Scale(name, words(name), values, None, values, 1.0)
+        return Scale(name, long, values, None, values, 1.0)
     unit, factor = unit_text(table, name), 1.0
     if unit == "s" and len(found):
         shown = time_unit(float(found.max()))
         unit, factor = shown.name, shown.seconds
     numbers = found / factor
-    told = f"{words(name)} ({unit})" if unit else words(name)
+    told = f"{long} ({unit})" if unit else long
     return Scale(name, told, list(found), numbers, [number_text(v) for v in numbers], factor)
+
+
+def axis_words(table: xr.Dataset, name: str) -> str:
+    """Return the name of an axis as it is read: the last two parts of its key, where it is known.
+
+    A name alone, such as that of a boundary, may leave open of which field it is.
+    """
+    key = str(table[name].attrs.get("key", name)).split(".")
+    generic = {"cells", "growth", "nutrients"}
+    parts = key[-2:] if len(key) > 1 and key[-2] not in generic else key[-1:]
+    return words(".".join(parts) if len(".".join(parts)) >= len(name) else name)
 
 
 def number_text(value: float, digits: int = 3) -> str:
@@ -226,7 +245,11 @@ def label_with(text: str, factor: str) -> str:
     """Return a label with a power of ten in its bracket: ``"cells (10³)"``."""
     if not factor:
         return text
-    return f"{text[:-1].replace('(', f'({factor} ', 1)})" if text.endswith(")") else f"{text} ({factor})"
+    return (
+        f"{text[:-1].replace('(', f'({factor} ', 1)})"
+        if text.endswith(")")
+        else f"{text} ({factor})"
+    )
 
 
 def at_point(table: xr.Dataset, fixed: Mapping[str, Any]) -> xr.Dataset:
@@ -261,10 +284,56 @@ def point_text(table: xr.Dataset, fixed: Mapping[str, Any]) -> str:
     """Return values of axes in words: ``"oxygen boundary 0.07 mM"``."""
     parts = []
     for name, value in fixed.items():
+        long = axis_words(table, name)
         if isinstance(value, str):
-            parts.append(f"{words(name)} {value}")
+            parts.append(f"{long} {value}")
             continue
         shown = scale(table, name)
-        unit = shown.label.rpartition("(")[2].rstrip(")") if "(" in shown.label else ""
-        parts.append(f"{words(name)} {number_text(float(value) / shown.factor)} {unit}".strip())
+        unit = shown.label.removeprefix(long).strip(" ()")
+        parts.append(f"{long} {number_text(float(value) / shown.factor)} {unit}".strip())
     return ", ".join(parts)
+
+
+def with_states(table: xr.Dataset, runs: Sequence[Run], found: Sequence[RunStatus]) -> xr.Dataset:
+    """Return a table that knows the state of each run, over the axes and seeds.
+
+    The states of runs that are not among them are those of the table, if it has any.
+    """
+    if not runs:
+        return table
+    own = {state.name: state.state for state in found}
+    sides = _sides(table)
+    data = np.full(tuple(table.sizes[name] for name in sides), "waiting", dtype="U8")
+    for run in runs:
+        place = place_of(table, run.coordinates)
+        if place is not None:
+            data[place] = own.get(run.name, "waiting")
+    return table.assign({STATE: (sides, data)})
+
+
+def _sides(table: xr.Dataset) -> list[str]:
+    """Return the dimensions of one number of each run, the seeds last."""
+    names = [str(name) for name in _dimensions(table) if name not in (SEED, TIME)]
+    return [*names, SEED]
+
+
+def place_of(table: xr.Dataset, coordinates: Mapping[str, Any]) -> tuple[int, ...] | None:
+    """Return where a run stands in an array over axes and seeds; None if it is not part of it."""
+    seed = np.flatnonzero(table[SEED].values == coordinates.get(SEED))
+    if not is_sampled(table):
+        names = _sides(table)[:-1]
+        found = [np.flatnonzero(_equal(table[name].values, coordinates[name])) for name in names]
+        places = [*found, seed]
+        return tuple(int(p[0]) for p in places) if all(len(p) for p in places) else None
+    there = np.ones(table.sizes[POINT], bool)
+    for name, entry in table.coords.items():
+        if entry.dims == (POINT,) and str(name) in coordinates:
+            there &= _equal(entry.values, coordinates[str(name)])
+    point = np.flatnonzero(there)
+    return (int(point[0]), int(seed[0])) if len(point) and len(seed) else None
+
+
+def _equal(values: NDArray[Any], value: Any) -> NDArray[np.bool_]:
+    if values.dtype.kind in "fiu" and not isinstance(value, str):
+        return np.isclose(values.astype(float), float(value), rtol=1e-9, atol=0.0)
+    return np.array([str(entry) == str(value) for entry in values])
