@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import ClassVar, final
 
 
@@ -126,3 +127,27 @@ class NutrientFailed(MulticellError):  # noqa: N818 - it names what happened, li
         self.problem = problem
         self.hint = hint
         super().__init__(f"{problem}. {hint}")
+
+
+@final
+class MissingPackage(MulticellError):  # noqa: N818 - it names what is so, like StepFailed
+    """An optional package that a command needs and that is not installed.
+
+    Parameters
+    ----------
+    packages
+        What is missing.
+    extra
+        The set of optional packages that has them: ``pip install "multicell[extra]"``.
+    """
+
+    exit_code: ClassVar[int] = 2
+
+    def __init__(self, packages: Sequence[str], extra: str) -> None:
+        self.packages = tuple(packages)
+        self.extra = extra
+        one = len(self.packages) == 1
+        super().__init__(
+            f"{' and '.join(self.packages)} {'is' if one else 'are'} not installed: "
+            f'pip install "multicell[{extra}]"'
+        )
