@@ -63,6 +63,26 @@ class DataError(MulticellError):
 
 
 @final
+class FitFailed(MulticellError):  # noqa: N818 - it names what happened, like StepFailed
+    """A fit that cannot go on, for example because no run of it succeeds.
+
+    Parameters
+    ----------
+    problem
+        What happened, in words.
+    hint
+        What to try.
+    """
+
+    exit_code: ClassVar[int] = 1
+
+    def __init__(self, problem: str, hint: str) -> None:
+        self.problem = problem
+        self.hint = hint
+        super().__init__(f"{problem}. {hint}")
+
+
+@final
 class OutputError(MulticellError):
     """An output folder or file that cannot be used: written, read, or trusted.
 
