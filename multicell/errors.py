@@ -93,13 +93,16 @@ class OutputError(MulticellError):
     exit_code
         2 for a folder that could not be used from the start, 1 for a run that could not go on
         writing.
+    in_use
+        Whether another run in the folder is what keeps it from being used.
     """
 
     exit_code: int = 2  # type: ignore[misc]  # of each one its own
 
-    def __init__(self, problem: str, *, exit_code: int = 2) -> None:
+    def __init__(self, problem: str, *, exit_code: int = 2, in_use: bool = False) -> None:
         super().__init__(problem)
         self.exit_code = exit_code
+        self.in_use = in_use
 
 
 @final
@@ -171,3 +174,26 @@ class MissingPackage(MulticellError):  # noqa: N818 - it names what is so, like 
             f"{' and '.join(self.packages)} {'is' if one else 'are'} not installed: "
             f'pip install "multicell[{extra}]"'
         )
+
+
+@final
+class ClusterError(MulticellError):
+    """Workers of a study that cannot be used, or that have gone.
+
+    Parameters
+    ----------
+    problem
+        What is wrong, with the address.
+    hint
+        What to do about it.
+    exit_code
+        2 before anything has run, 1 afterwards.
+    """
+
+    exit_code: int = 2  # type: ignore[misc]  # of each one its own
+
+    def __init__(self, problem: str, hint: str, *, exit_code: int = 2) -> None:
+        self.problem = problem
+        self.hint = hint
+        super().__init__(f"{problem}. {hint}")
+        self.exit_code = exit_code
