@@ -112,9 +112,9 @@ def write_report(
 def key_observables(table: xr.Dataset) -> list[str]:
     """Return the observables that a page shows: those that are not the same in all runs."""
     known = observables(table)
-    found = [name for name in KEY_OBSERVABLES if name in known]
+    found: list[str] = [name for name in KEY_OBSERVABLES if name in known]
     found += [name for name in known if name.startswith("hypoxic_radius")]
-    told = []
+    told: list[str] = []
     for name in found:
         values = final(table, name).values
         values = values[np.isfinite(values)]
@@ -215,9 +215,9 @@ def _run_table(
         rows.append({"name": run.name, "state": state.state, "reason": state.reason, "own": own})
     count = len(heads)
     ranks = [_ranks([row["own"][k] for row in rows]) for k in range(count)]
-    for place, row in enumerate(rows):
+    for number, row in enumerate(rows):
         row["cells"] = [
-            {"text": _cell(value, heads[k]), "rank": ranks[k][place],
+            {"text": _cell(value, heads[k]), "rank": ranks[k][number],
              "number": not isinstance(value, str)}
             for k, value in enumerate(row.pop("own"))
         ]  # fmt: skip

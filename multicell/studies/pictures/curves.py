@@ -10,6 +10,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.ticker import FuncFormatter, NullFormatter
+from numpy.typing import NDArray
 
 from multicell.errors import SceneError
 from multicell.report.plots.style import SIZE, styled, type_colours
@@ -173,7 +174,7 @@ def _course(axes: Axes, time: FloatArray, courses: FloatArray, colour: Any, *, t
     known = courses[np.isfinite(courses).any(axis=1)]
     if not len(known):
         return
-    whole = np.isfinite(known).all(axis=0)
+    whole: NDArray[np.bool_] = np.asarray(np.isfinite(known).all(axis=0))
     mean = np.where(whole, known.mean(axis=0), np.nan)
     style = "-" if whole.sum() > 1 else "o"
     axes.plot(time, mean, style, color=colour, lw=1.1 if thin else 2.0, ms=4)

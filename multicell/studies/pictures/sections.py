@@ -18,9 +18,8 @@ from multicell.report.plots.section import (
     draw_circles,
     frame_window,
     scale_bar,
-    type_label,
 )
-from multicell.report.plots.style import INK, QUIET, RED, SIZE, blank, styled
+from multicell.report.plots.style import INK, QUIET, RED, SIZE, blank, styled, type_label
 from multicell.report.wording import cell_count, time_unit
 from multicell.results.observables import uniform_radius
 from multicell.studies.pictures.heatmap import arranged, spread

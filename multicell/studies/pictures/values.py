@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 POINT, SEED, TIME, STATE = "point", "seed", "time", "state"
 DONE: Final = "done"
+_PLAIN: Final = ("cells", "growth", "nutrients")  # tables whose keys speak for themselves
 _DECADES: Final = 30.0  # ratio of the ends of an axis from which it is drawn logarithmically
 
 
@@ -38,7 +39,7 @@ class Statistics(NamedTuple):
 
     mean: xr.DataArray
     sd: xr.DataArray
-    count: xr.DataArray
+    number: xr.DataArray
 
 
 class Scale(NamedTuple):
@@ -209,10 +210,14 @@ def axis_words(table: xr.Dataset, name: str) -> str:
 
     A name alone, such as that of a boundary, may leave open of which field it is.
     """
-    key = str(table[name].attrs.get("key", name)).split(".")
-    generic = {"cells", "growth", "nutrients"}
-    parts = key[-2:] if len(key) > 1 and key[-2] not in generic else key[-1:]
-    return words(".".join(parts) if len(".".join(parts)) >= len(name) else name)
+    return key_words(str(table[name].attrs.get("key", name)), name)
+
+
+def key_words(key: str, name: str) -> str:
+    """Return how a key of a scene is read whose short name is given."""
+    parts = key.split(".")
+    kept = parts[-2:] if len(parts) > 1 and parts[-2] not in _PLAIN else parts[-1:]
+    return words(max(".".join(kept), name, key=len))
 
 
 def number_text(value: float, digits: int = 3) -> str:
@@ -335,5 +340,5 @@ def place_of(table: xr.Dataset, coordinates: Mapping[str, Any]) -> tuple[int, ..
 
 def _equal(values: NDArray[Any], value: Any) -> NDArray[np.bool_]:
     if values.dtype.kind in "fiu" and not isinstance(value, str):
-        return np.isclose(values.astype(float), float(value), rtol=1e-9, atol=0.0)
+        return np.asarray(np.isclose(values.astype(float), float(value), rtol=1e-9, atol=0.0))
     return np.array([str(entry) == str(value) for entry in values])
