@@ -157,8 +157,6 @@ def _groups(items: Sequence[str]) -> list[dict[str, str]]:
 
 def _tell_plan(made: Study, quiet: bool, as_json: bool) -> None:
     """Tell what a study is of, what it is expected to take, and how to go on."""
-    from multicell.threads import core_count
-
     cores = _known_cores()
     cost, states = made.expected(cores), made.status()
     done = sum(state.state == "done" for state in states)
