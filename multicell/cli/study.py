@@ -52,7 +52,7 @@ yes_option = click.option(
 
 @click.group()
 def study() -> None:
-    """Run a scene many times over: plan, run, watch and report."""
+    """Run a scene many times over: plan, run, watch and report; each with --json for machines."""
 
 
 @study.command()

@@ -202,7 +202,7 @@ def study(
         A scene, the name of a built-in one, or the path of a file.
     vary
         Dotted key -> values, as ``"0.07,0.14,0.28 mM"`` or a list; for a sample its range, as
-        ``"8:25 h"`` or ``"log 1e-3:1 1/s"``.
+        ``"8:25 h"``, ``"log 1e-3:1 1/s"`` or a tuple of both ends.
     output
         Folder of the study.
     zipped
