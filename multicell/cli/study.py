@@ -317,11 +317,16 @@ def _ask(cost: StudyCost, cores: int | None, yes: bool, silent: bool) -> None:
         complain(f"{words}.")
     if seconds <= _ASKED or yes:
         return
-    if sys.stdin is None or not sys.stdin.isatty():
+    if not _terminal():
         raise click.UsageError(f"{words}. There is no terminal to ask at: --yes says go on.")
     if not click.confirm("Go on?", err=True):
         complain("Nothing has run.")
         raise click.exceptions.Exit(1)
+
+
+def _terminal() -> bool:
+    """Return whether there is somebody to ask."""
+    return sys.stdin is not None and sys.stdin.isatty()
 
 
 def _stopped(made: Study) -> None:
