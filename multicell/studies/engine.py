@@ -289,8 +289,9 @@ def _on_worker(work: Task) -> Outcome:
     tasks = worker.state.tasks
 
     def wanted() -> bool:
-        """Say whether the client is there and has not taken the task back."""
+        """Say whether scheduler and client are there, and none has taken the task back."""
         known = tasks.get(key)
-        return known is not None and known.state == "executing"
+        here = worker.status.name in ("running", "paused")
+        return here and known is not None and known.state == "executing"
 
     return carried_out(work, wanted)
