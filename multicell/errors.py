@@ -40,6 +40,49 @@ class SceneError(MulticellError):
 
 
 @final
+class DataError(MulticellError):
+    """Measured data that cannot be used.
+
+    Parameters
+    ----------
+    place
+        Where in the data, such as ``"growth.csv, line 3, 'diameter / um'"``.
+    problem
+        What is wrong, with the value and what is allowed.
+    hint
+        What to try, for example the likely name of a misspelt column.
+    """
+
+    exit_code: ClassVar[int] = 2
+
+    def __init__(self, place: str, problem: str, hint: str = "") -> None:
+        self.place = place
+        self.problem = problem
+        self.hint = hint
+        super().__init__(f"{place}: {problem}. {hint}" if hint else f"{place}: {problem}")
+
+
+@final
+class FitFailed(MulticellError):  # noqa: N818 - it names what happened, like StepFailed
+    """A fit that cannot go on, for example because no run of it succeeds.
+
+    Parameters
+    ----------
+    problem
+        What happened, in words.
+    hint
+        What to try.
+    """
+
+    exit_code: ClassVar[int] = 1
+
+    def __init__(self, problem: str, hint: str) -> None:
+        self.problem = problem
+        self.hint = hint
+        super().__init__(f"{problem}. {hint}")
+
+
+@final
 class OutputError(MulticellError):
     """An output folder or file that cannot be used: written, read, or trusted.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
@@ -71,10 +71,11 @@ def own_law(scene: Scene) -> str:
 def digest(scene: Scene, integrator: str = "") -> str:
     """Return the name of a run: a digest of all that decides its results.
 
-    That is the scene in base units without its title, the version of the model, and the text of
-    the files that hold a contact law or a method of integration of the user's own. Scenes that are
-    written differently, in other units or with their keys in another order, have the same digest;
-    the order of named tables such as types, in which they take their random numbers, counts.
+    That is the scene in base units without its title, the version of the model, the fingerprint
+    of a contact law of the user's own (of its function and of all that it reads; it is part of the
+    law's name) and the text of the file of a method of the user's own. Scenes that are written
+    differently, in other units or with their keys in another order, have the same digest; the order
+    of named tables such as types, in which they take their random numbers, counts.
 
     Parameters
     ----------
@@ -86,14 +87,11 @@ def digest(scene: Scene, integrator: str = "") -> str:
     Raises
     ------
     SceneError
-        If the file of a law or a method cannot be read.
+        If the file of a method cannot be read.
     """
     content: dict[str, Any] = {"model": MODEL_VERSION, "scene": canonical(scene)}
-    law = own_law(scene)
-    if law:
-        content["scene"]["contact"]["law"] = _of_file(law, "contact.law")
     if integrator:
-        content["scene"]["integrator"]["method"] = _of_file(integrator, "integrator")
+        content["scene"]["integrator"]["method"] = _of_file(integrator)
     text = json.dumps(content, sort_keys=True, allow_nan=False, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:_LENGTH]
 
@@ -113,12 +111,13 @@ def _keep_order(part: Any, entries: dict[str, Any]) -> None:
         if name not in entries or not isinstance(value, Tables):
             continue
         for key, inner in value.items():
-            _keep_order(inner, entries[name][key])
+            if is_dataclass(inner):
+                _keep_order(inner, entries[name][key])
         if name in _ORDERED:
             entries[name] = [[key, entries[name][key]] for key in value]
 
 
-def _of_file(spec: str, path: str) -> str:
+def _of_file(spec: str) -> str:
     """Return a text that changes with the name in a file and with the text of that file."""
     file, _, name = spec.rpartition(":")
     try:
@@ -126,5 +125,5 @@ def _of_file(spec: str, path: str) -> str:
     except OSError as error:
         problem = f"'{file}' cannot be read: {error.strerror}"
         hint = "What is typed in at a prompt has no file that other processes could load."
-        raise SceneError(path, problem, hint) from None
+        raise SceneError("integrator", problem, hint) from None
     return f"{name}@{hashlib.sha256(text).hexdigest()}"
