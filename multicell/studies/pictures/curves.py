@@ -13,7 +13,7 @@ from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 
 from multicell.errors import SceneError
-from multicell.report.plots.style import SIZE, styled, type_colours
+from multicell.report.plots.style import BLUE, SIZE, span, styled, type_colours
 from multicell.report.wording import time_unit
 from multicell.studies.pictures.heatmap import laid_out
 from multicell.studies.pictures.values import (
@@ -25,6 +25,7 @@ from multicell.studies.pictures.values import (
     at_point,
     axes_of,
     axis_named,
+    compact,
     is_sampled,
     label,
     label_with,
@@ -80,12 +81,14 @@ def curves(
     SceneError
         For an unknown observable or axis, or an observable that is a single number of each run.
     """
+    table = compact(table)
     values = observable(table, name)
     if TIME not in values.dims:
         courses = [str(n) for n, entry in table.data_vars.items() if TIME in entry.dims]
         hint = f"Those over time are {', '.join(courses)}."
         raise SceneError("", f"'{name}' is one number of each run and has no course", hint)
-    names = [axis_named(table, axis) for axis in axes or axes_of(table)]
+    names: list[str | None] = [axis_named(table, axis) for axis in axes or axes_of(table)]
+    names = names or [None]
     factor, told = power(values.values)
     columns = min(2, len(names))
     rows = -(-len(names) // columns)
@@ -97,9 +100,13 @@ def curves(
         if place >= len(names):
             panel.set_axis_off()
             continue
-        others = {axis: value for axis, value in held.items() if axis != names[place]}
+        axis = names[place]
+        others = {other: value for other, value in held.items() if other != axis}
         part = at_point(table, others)
-        _draw(figure, panel, part, name, names[place], factor)
+        if axis is None:
+            _draw_only(panel, part, name, factor)
+        else:
+            _draw(figure, panel, part, name, axis, factor)
         if others:
             told_others = textwrap.fill(point_text(table, others), 110 // columns)
             panel.set_title(told_others, fontsize=9.5, weight="normal")
@@ -125,6 +132,14 @@ def _subtitle(table: xr.Dataset, name: str, at: Mapping[str, Any]) -> str:
     return f"{sentence(words(name))} over time, {over}"
 
 
+def _draw_only(axes: Axes, table: xr.Dataset, name: str, factor: float) -> None:
+    """Draw the one curve of a study that varies nothing but seeds."""
+    time = table[TIME].values / _unit(table).seconds
+    courses = (table[name].astype(float) / factor).transpose(SEED, TIME).values
+    _course(axes, time, courses, BLUE, thin=False)
+    axes.set_xlim(*span(time))
+
+
 def _draw(
     figure: Figure, axes: Axes, table: xr.Dataset, name: str, axis: str, factor: float
 ) -> None:
@@ -133,7 +148,9 @@ def _draw(
     along = POINT if is_sampled(table) else axis
     values = (table[name].astype(float) / factor).transpose(along, SEED, TIME).values
     time = table[TIME].values / _unit(table).seconds
-    own = [str(v) if shown.numbers is None else float(v) for v in table[axis].values]
+    own = list(shown.values)
+    if is_sampled(table):
+        own = [str(v) if shown.numbers is None else float(v) for v in table[axis].values]
     colour = _colours(shown)
     few = len(shown.values) <= _MOST_NAMED
     thin = len(own) > 2 * _MOST_NAMED
@@ -155,7 +172,7 @@ def _draw(
         bar.set_label(shown.label)
         bar.ax.yaxis.set_minor_formatter(NullFormatter())
         bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: number_text(value)))
-    axes.set_xlim(float(time[0]), float(time[-1]) if len(time) > 1 else float(time[0]) + 1.0)
+    axes.set_xlim(*span(time))
 
 
 def _lost(table: xr.Dataset, values: FloatArray, own: list[Any], axis: str) -> dict[Any, str]:

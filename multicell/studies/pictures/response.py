@@ -15,6 +15,7 @@ from multicell.studies.pictures.values import (
     SEED,
     Scale,
     axes_of,
+    compact,
     final,
     is_sampled,
     label,
@@ -49,7 +50,12 @@ def response(table: xr.Dataset, title: str, name: str) -> Figure:
     ------
     SceneError
         For an unknown observable.
+    ValueError
+        If nothing is varied.
     """
+    if not axes_of(table):
+        raise ValueError("nothing is varied: there are no axes to draw over")
+    table = compact(table)
     values = final(table, name)
     factor, told = power(values.values)
     values = values / factor
