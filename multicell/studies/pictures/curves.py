@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import matplotlib as mpl
 import numpy as np
 from matplotlib.colors import LogNorm, Normalize
-from matplotlib.ticker import FuncFormatter, NullFormatter
+from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 from numpy.typing import NDArray
 
 from multicell.errors import SceneError
@@ -114,6 +114,7 @@ def curves(
             panel.set_ylabel(label_with(label(table, name), told))
         if place + columns >= len(names):
             panel.xaxis.set_tick_params(labelbottom=True)
+            panel.xaxis.set_major_locator(MaxNLocator(6))
             panel.set_xlabel(f"time ({_unit(table).name})")
     _limits(grid[0, 0], values.values / factor)
     return figure
@@ -136,7 +137,7 @@ def _draw_only(axes: Axes, table: xr.Dataset, name: str, factor: float) -> None:
     """Draw the one curve of a study that varies nothing but seeds."""
     time = table[TIME].values / _unit(table).seconds
     courses = (table[name].astype(float) / factor).transpose(SEED, TIME).values
-    _course(axes, time, courses, BLUE, thin=False)
+    _course(axes, time, courses, BLUE, 2.0)
     axes.set_xlim(*span(time))
 
 
@@ -154,8 +155,10 @@ def _draw(
     colour = _colours(shown)
     few = len(shown.values) <= _MOST_NAMED
     thin = len(own) > 2 * _MOST_NAMED
-    for value, courses in zip(own, values, strict=True):
-        _course(axes, time, courses, colour(value), thin=thin)
+    for order, (value, courses) in enumerate(zip(own, values, strict=True)):
+        # the first ones are the widest: they are seen also where others lie on top of them
+        wide = 1.1 if thin else 1.8 + 1.6 * (1.0 - order / max(len(own) - 1, 1))
+        _course(axes, time, courses, colour(value), wide)
     if few:
         lost = {} if is_sampled(table) else _lost(table, values, own, axis)
         entries = zip(shown.values, shown.texts, strict=True)
@@ -186,7 +189,7 @@ def _lost(table: xr.Dataset, values: FloatArray, own: list[Any], axis: str) -> d
     return told
 
 
-def _course(axes: Axes, time: FloatArray, courses: FloatArray, colour: Any, *, thin: bool) -> None:
+def _course(axes: Axes, time: FloatArray, courses: FloatArray, colour: Any, wide: float) -> None:
     """Draw mean and band over the seeds, (n, m), where all that have any value have one."""
     known = courses[np.isfinite(courses).any(axis=1)]
     if not len(known):
@@ -194,11 +197,17 @@ def _course(axes: Axes, time: FloatArray, courses: FloatArray, colour: Any, *, t
     whole: NDArray[np.bool_] = np.asarray(np.isfinite(known).all(axis=0))
     mean = np.where(whole, known.mean(axis=0), np.nan)
     style = "-" if whole.sum() > 1 else "o"
-    axes.plot(time, mean, style, color=colour, lw=1.1 if thin else 2.0, ms=4)
+    axes.plot(time, mean, style, color=colour, lw=wide, ms=4)
     if len(known) > 1:
         sd = known.std(axis=0, ddof=1)
         axes.fill_between(
-            time, mean - sd, mean + sd, where=whole, color=colour, alpha=0.1 if thin else 0.22, lw=0
+            time,
+            mean - sd,
+            mean + sd,
+            where=whole,
+            color=colour,
+            alpha=0.1 if wide < 1.5 else 0.22,
+            lw=0,
         )
         beyond = ~whole
         beyond[1:] |= ~whole[:-1]  # the thin lines begin where the mean ends

@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 _MOST: Final = 6  # tiles in a row or column
 _SAMPLE: Final = 8  # tiles of a sample
-_LEFT, _RIGHT, _TOP, _FOOT, _GAP = 1.15, 0.35, 1.3, 0.45, 0.06  # inches
+_RIGHT, _TOP, _FOOT, _GAP = 0.35, 1.3, 0.45, 0.06  # inches
 
 
 class _Tile(NamedTuple):
@@ -216,7 +216,7 @@ def _drawn(title: str, subtitle: str, tiles: list[list[_Tile]], sides: Sides) ->
     """Lay out the tiles and draw them."""
     rows, columns = len(tiles), len(tiles[0])
     across, texts, up, marks, headings = sides
-    left = _LEFT if up else 0.4
+    left = 0.55 + 0.105 * max(map(len, marks)) if up else 0.4
     head = 0.42 if any(map(any, headings)) else 0.0
     side = min(2.9, (SIZE[0] - left - _RIGHT) / columns - _GAP)
     tall = _TOP + rows * (side + head + _GAP) + _FOOT + 0.2
