@@ -197,6 +197,11 @@ def make_plan(
     SceneError
         For anything that is not a plan.
     """
+    if integrator and ":" not in integrator:
+        scene, integrator = scene.with_changes({"integrator": integrator}), ""
+    elif integrator:
+        file, _, name = integrator.rpartition(":")
+        integrator = f"{Path(file).expanduser().resolve()}:{name}"  # workers may be elsewhere
     groups = [zipped] if isinstance(zipped, Mapping) else list(zipped or ())
     if points is not None:
         if vary or groups:

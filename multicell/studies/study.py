@@ -122,8 +122,9 @@ class Study:
         path = self.folder / table.NAME
         before = table.load(path)
         made = table.dataset(self.plan, self.folder, states, before)
-        if before is None or not made.identical(before):
-            table.save(made, path)
+        if before is not None and table.same(made, before):
+            return before
+        table.save(made, path)
         return made
 
     def to_pandas(self) -> pandas.DataFrame:

@@ -266,6 +266,12 @@ def provenance(plan: Plan) -> dict[str, Any]:
     }
 
 
+def same(one: xarray.Dataset, other: xarray.Dataset) -> bool:
+    """Return whether two tables differ in nothing but the command that made them."""
+    mine, others = ({k: v for k, v in t.attrs.items() if k != "command"} for t in (one, other))
+    return bool(mine == others and one.equals(other))
+
+
 def save(table: xarray.Dataset, path: Path) -> None:
     """Write a table as netCDF, so that the file is either the old one or complete.
 
