@@ -26,8 +26,9 @@ def write_report(result: Sensitivity, folder: Path) -> Path:
     index = "Size of effects" if result.method == "morris" else "Parts of the variance"
     for name in result.observables:
         rows = result.ordered(name)
-        if all(row["verdict"] == "unknown" for row in rows):
-            continue
+        first = "mu_star" if result.method == "morris" else "st"
+        if not any(row[first] > 0.0 for row in rows):
+            continue  # nothing to draw: a note says why
         told = sentence(words(name))
         file = name.replace(".", "_")
         path = folder / f"sensitivity-{file}.png"
