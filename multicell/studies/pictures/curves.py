@@ -212,7 +212,7 @@ def _course(axes: Axes, time: FloatArray, courses: FloatArray, colour: Any, wide
         beyond = ~whole
         beyond[1:] |= ~whole[:-1]  # the thin lines begin where the mean ends
         beyond[:-1] |= ~whole[1:]
-        for course in known:
+        for course in known if not whole.all() else ():
             axes.plot(time, np.where(beyond, course, np.nan), color=colour, lw=0.7, alpha=0.7)
 
 

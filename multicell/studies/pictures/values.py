@@ -346,14 +346,14 @@ def point_text(table: xr.Dataset, fixed: Mapping[str, Any]) -> str:
     parts = []
     for name, value in fixed.items():
         shown = scale(table, name)
-        long = shown.label if shown.numbers is None else axis_words(table, name)
-        unit = "" if shown.numbers is None else shown.label.removeprefix(long).strip(" ()")
-        if shown.numbers is not None:
+        long, unit, text = shown.label, "", str(value)
+        if not is_sampled(table):
+            text = shown.texts[nearest(table, name, value)]
+        elif shown.numbers is not None:
             text = number_text(float(value) / shown.factor)
-        elif is_sampled(table):
-            text = str(value)
-        else:
-            text = shown.texts[int(np.flatnonzero(table[name].values == value)[0])]
+        if shown.numbers is not None:
+            long = axis_words(table, name)
+            unit = shown.label.removeprefix(long).strip(" ()")
         parts.append(f"{long} {text} {unit}".strip())
     return ", ".join(parts)
 
