@@ -25,7 +25,6 @@ from multicell.cli.options import (
     scene_of,
 )
 from multicell.cli.process import complain, print_json
-from multicell.cli.remaining import in_words
 from multicell.errors import MissingPackage
 
 if TYPE_CHECKING:
@@ -53,7 +52,7 @@ yes_option = click.option(
 
 @click.group()
 def study() -> None:
-    """Run a scene many times over: plan, run, watch and report."""
+    """Run a scene many times over: plan, run, watch and report; each with --json for machines."""
 
 
 @study.command()
@@ -203,14 +202,20 @@ def _cost_words(cost: StudyCost, cores: int | None) -> str:
     """Return what runs are expected to take, in words."""
     if not cost.runs:
         return "Nothing is left to run"
-    alone = f"{in_words(cost.core_seconds)} of one core"
-    time = alone if cores is None else f"{in_words(cost.seconds)} on {_count(cores, 'core')}"
+    alone = f"{_in_words(cost.core_seconds)} of one core"
+    time = alone if cores is None else f"{_in_words(cost.seconds)} on {_count(cores, 'core')}"
     extra = "" if cores in (None, 1) else f" ({alone})"
     memory = f"{_bytes(cost.memory)} of memory" + (" a process" if cores is None else "")
     return (
         f"{_count(cost.runs, 'run')} left, expected to take about {time}{extra}, {memory} and "
         f"{_bytes(cost.disk)} of the disk; compilation is not counted"
     )
+
+
+def _in_words(seconds: float) -> str:
+    from multicell.cli.remaining import in_words  # it needs NumPy, which other commands do not
+
+    return in_words(seconds)
 
 
 def _bytes(number: float) -> str:
@@ -253,9 +258,10 @@ def run(
     from multicell.studies.missing import needs
 
     needs("dask", "distributed", *(() if no_report else ("xarray", "h5netcdf", "pandas")))
-    count = _cores(cores, scheduler)
-    cost = made.expected(count or 1)
-    _ask(cost, count, yes, quiet or as_json)
+    count = None
+    if any(state.state != "done" for state in made.status()):
+        count = _cores(cores, scheduler)
+        _ask(made.expected(count or 1), count, yes, quiet or as_json)
     from multicell.cli.study_progress import reporter
 
     try:
@@ -407,8 +413,8 @@ def status(folder: Path, law: str | None, integrator: str | None, as_json: bool)
             _tell_running(made, run, state)
     if left > 0.0:
         cores = max(counts["running"], 1)
-        now = f", about {in_words(left / cores)} on {_count(cores, 'core')}" if cores > 1 else ""
-        out.print(f"About {in_words(left)} of one core left{now}.", markup=False)
+        now = f", about {_in_words(left / cores)} on {_count(cores, 'core')}" if cores > 1 else ""
+        out.print(f"About {_in_words(left)} of one core left{now}.", markup=False)
     failed = [(r.coordinates, s.reason) for r, s in zip(made.runs, states, strict=True)
               if s.state == "failed"]  # fmt: skip
     _list_failed(failed, made)

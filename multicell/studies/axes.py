@@ -373,19 +373,44 @@ def check_axes(scene: Scene, axes: Sequence[Axis | Range]) -> None:
             raise SceneError(axis.key, "is varied twice", "Give all its values at once.")
         seen.add(axis.key)
         key_of(scene, axis.key)
-    ranges = [axis for axis in axes if isinstance(axis, Range)]
-    given = {axis.key: axis.values[0] for axis in axes if isinstance(axis, Axis)}
-    for axis in ranges:
-        for share in (0.0, 1.0):
-            _check_end(scene, axis, share, [other for other in ranges if other is not axis], given)
+    for axis in axes:
+        others = [other for other in axes if other is not axis]
+        for setting in axis.values if isinstance(axis, Axis) else _ends_of(axis):
+            _somewhere(scene, {axis.key: setting}, others)
     words = [axis for axis in axes if isinstance(axis, Axis) and axis.numbers is None]
+    numeric = [axis for axis in axes if axis not in words]
     chosen = itertools.islice(itertools.product(*(axis.values for axis in words)), _MOST_CHECKED)
     cases = []
     for values in chosen:
         changes = dict(zip((axis.key for axis in words), values, strict=True))
-        numeric = {key: value for key, value in given.items() if key not in changes}
-        cases.append((changes, changed(scene, {**changes, **numeric})))
+        cases.append((changes, _somewhere(scene, changes, numeric)))
     refuse_needless(cases, [axis.key for axis in axes])
+
+
+def _ends_of(axis: Axis | Range) -> tuple[Any, Any]:
+    """Return the first and the last setting of an axis or a range."""
+    if isinstance(axis, Axis):
+        return axis.values[0], axis.values[-1]
+    return axis.setting(axis.low), axis.setting(axis.high)
+
+
+def _somewhere(scene: Scene, changes: Mapping[str, Any], others: Sequence[Axis | Range]) -> Scene:
+    """Return the scene with changes and other axes at their first or last values.
+
+    Raises
+    ------
+    SceneError
+        If it is refused wherever the others are.
+    """
+    refused: SceneError | None = None
+    for place in (0, 1):
+        at = {other.key: _ends_of(other)[place] for other in others}
+        try:
+            return changed(scene, {**at, **changes})
+        except SceneError as error:
+            refused = refused or error
+    assert refused is not None
+    raise refused
 
 
 def changed(scene: Scene, changes: Mapping[str, Any]) -> Scene:
@@ -406,21 +431,3 @@ def changed(scene: Scene, changes: Mapping[str, Any]) -> Scene:
             where = ", ".join(f"{key} = {value!r}" for key, value in others.items())
             raise SceneError(error.path, f"has no meaning where {where}", error.hint) from None
         raise SceneError(error.path, f"{error.problem} (where {where})", error.hint) from None
-
-
-def _check_end(
-    scene: Scene, axis: Range, share: float, others: Sequence[Range], given: Mapping[str, Any]
-) -> None:
-    """Refuse an end of a range that the scene does not take wherever the other ranges are."""
-    refused: SceneError | None = None
-    end = {**given, axis.key: axis.setting(axis.value(share))}
-    for place in (None, 0.0, 1.0):
-        at = {} if place is None else {o.key: o.setting(o.value(place)) for o in others}
-        try:
-            changed(scene, {**at, **end})
-        except SceneError as error:
-            refused = refused or error
-        else:
-            return
-    assert refused is not None
-    raise refused

@@ -252,10 +252,11 @@ def _sampled(design: Design) -> Iterator[Point]:
         yield Point(values, coordinates)
 
 
-def parse_varied(key: str, given: Any, scene: Scene) -> Axis | Range:
+def parse_varied(key: str, given: Any, scene: Scene, sampled: bool = False) -> Axis | Range:
     """Return the axis or the range that a text or a list describes.
 
-    A text is a range where it has one colon (``"8:25 h"``), else it lists values.
+    A text is a range where it has one colon (``"8:25 h"``), else it lists values; a tuple is one
+    where points are sampled.
 
     Raises
     ------
@@ -264,6 +265,8 @@ def parse_varied(key: str, given: Any, scene: Scene) -> Axis | Range:
     """
     if isinstance(given, Axis | Range):
         return given
+    if sampled and isinstance(given, tuple):
+        return parse_range(key, given, scene)
     if isinstance(given, str) and given.count(":") == 1 and not given.lstrip().startswith("["):
         from multicell.studies.axes import is_numeric
 

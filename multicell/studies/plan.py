@@ -182,8 +182,8 @@ def make_plan(
     scene
         What is varied.
     vary
-        Dotted key -> values or range: a text as behind ``--vary``, a list, or an axis that was
-        read before.
+        Dotted key -> values or range: a text as behind ``--vary``, a list of values, for a sample
+        a tuple of two ends (and ``"log"``), or an axis that was read before.
     zipped
         Keys whose values go together, one table or several.
     points
@@ -214,7 +214,7 @@ def make_plan(
     elif design == "list":
         raise SceneError("points", "is missing: a list needs its points")
     else:
-        axes = _varied(vary, scene)
+        axes = _varied(vary, scene, design in SAMPLED)
     made = Design(
         kind=design,
         axes=axes,
@@ -246,12 +246,13 @@ def _size(size: int | None, design: str) -> int:
     return 0
 
 
-def _varied(vary: Any, scene: Scene) -> tuple[Axis | Range, ...]:
+def _varied(vary: Any, scene: Scene, sampled: bool) -> tuple[Axis | Range, ...]:
     """Return axes and ranges, in their order."""
     if vary is None:
         return ()
     if isinstance(vary, Mapping):
-        return tuple(parse_varied(key, given, scene) for key, given in _flat(vary).items())
+        entries = _flat(vary).items()
+        return tuple(parse_varied(key, given, scene, sampled) for key, given in entries)
     axes = tuple(vary) if isinstance(vary, Iterable) and not isinstance(vary, str) else (None,)
     for axis in axes:
         if not isinstance(axis, Axis | Range):
@@ -340,7 +341,7 @@ def read_plan(folder: str | Path, *, integrator: str = "") -> Plan:
         hint = f"Hand it over as integrator=..., or by --integrator '{named}'."
         raise SceneError("integrator", problem, hint)
     scene = load_scene(folder / source)
-    for key, kind in (("vary", dict), ("points", dict | str)):
+    for key, kind in (("vary", dict), ("points", dict | str), ("zip", dict | list)):
         if key in entries and not isinstance(entries[key], kind):
             raise SceneError(key, f"is {shown(entries[key])}, must be a table")
     points = entries.pop("points", None)
