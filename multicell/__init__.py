@@ -40,6 +40,8 @@ if TYPE_CHECKING:
     from multicell.scene.reactions import Reaction
     from multicell.scene.scene import Scene, load_scene, scene_names
     from multicell.simulation import Simulation
+    from multicell.studies.sensitivity import sensitivity
+    from multicell.studies.sensitivity_result import Sensitivity
     from multicell.studies.study import Study, load_study, study
 
 __version__ = "0.1.0"
@@ -64,6 +66,7 @@ __all__ = [
     "Scene",
     "SceneError",
     "Schedule",
+    "Sensitivity",
     "Simulation",
     "StabilityMap",
     "State",
@@ -87,6 +90,7 @@ __all__ = [
     "resume",
     "run",
     "scene_names",
+    "sensitivity",
     "stability",
     "study",
     "testing",
@@ -130,6 +134,8 @@ _LAZY = {
     "run": "multicell.runner",
     "scene_names": "multicell.scene.scene",
     "stability": "multicell.comparison.stability_limits.search",
+    "Sensitivity": "multicell.studies.sensitivity_result",
+    "sensitivity": "multicell.studies.sensitivity",
     "Study": "multicell.studies.study",
     "load_study": "multicell.studies.study",
     "study": "multicell.studies.study",
