@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,6 +12,20 @@ from multicell.studies.data import Condition, Datum, Measured
 from multicell.studies.problem import Problem
 from multicell.studies.simulating import Reading
 
+CALLS = []
+"""Shares, condition and seed of every call of a simulator in this process."""
+
+
+def calls_of(work):
+    """Return what some work returns, and the calls of simulators that it made."""
+    before = len(CALLS)
+    try:
+        found = work()
+    except KeyboardInterrupt:
+        found = None
+    return found, CALLS[before:]
+
+
 SCENE = mc.load_scene("growth")
 
 
@@ -19,16 +33,15 @@ SCENE = mc.load_scene("growth")
 class Linear:
     """Readings A x + noise: with normal errors the posterior is a normal one.
 
-    ``calls`` notes every call of a simulator in this process.
+    Every call is noted in ``CALLS``, also of copies that were sent somewhere in this process.
     """
 
     matrix: tuple[tuple[float, ...], ...]
     noise: float = 0.0
     bend: float = 0.0
-    calls: list = field(default_factory=list)
 
     def __call__(self, shares, condition, seed):
-        self.calls.append((tuple(shares), condition, seed))
+        CALLS.append((tuple(shares), condition, seed))
         x = np.asarray(shares)
         found = np.asarray(self.matrix) @ (x + self.bend * x**2)
         # the same seed gives the same numbers at all parameters

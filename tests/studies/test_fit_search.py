@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from cheap_fits import Linear, exact, linear, measured
+from cheap_fits import Linear, calls_of, exact, linear, measured
 from scipy import stats
 
 from multicell.errors import FitFailed
@@ -116,9 +116,9 @@ def test_scatter_of_runs_widens_what_the_data_leave_open():
 
 def test_all_points_have_the_same_random_numbers():
     problem = linear(MATRIX, [0.4, 0.6, 1.0, -0.2], 0.05, noise=0.1, seeds=3)
-    Search(problem, None).run(OwnHands(), 12)
+    _, calls = calls_of(lambda: Search(problem, None).run(OwnHands(), 12))
     seeds = {}
-    for shares, _, seed in problem.simulator.calls:
+    for shares, _, seed in calls:
         seeds.setdefault(shares, []).append(seed)
     assert len(seeds) == 12
     assert all(sorted(used) == [0, 1, 2] for used in seeds.values())
@@ -149,20 +149,15 @@ class Stopping:
 
 @pytest.mark.parametrize("calls", [1, 20, 33])
 def test_a_search_that_is_stopped_goes_on_with_what_is_there(calls, tmp_path):
-    def problem():
-        return linear(MATRIX, [0.4, 0.6, 1.0, -0.2], 0.05, noise=0.1, seeds=2)
-
-    whole = Search(problem(), None, seed=4).run(OwnHands(), 25)
-    first = problem()
-    with pytest.raises(KeyboardInterrupt):
-        Search(first, tmp_path / "search.log", seed=4).run(Stopping(calls), 25)
-    with (tmp_path / "search.log").open("a") as file:
+    problem = linear(MATRIX, [0.4, 0.6, 1.0, -0.2], 0.05, noise=0.1, seeds=2)
+    path = tmp_path / "search.log"
+    whole = Search(problem, None, seed=4).run(OwnHands(), 25)
+    _, first = calls_of(lambda: Search(problem, path, seed=4).run(Stopping(calls), 25))
+    with path.open("a") as file:
         file.write('{"op_code": 6, "half')  # what a kill leaves of a line
-    (tmp_path / "search.log.lock").symlink_to("search.log")
-    second = problem()
-    known = Search(second, tmp_path / "search.log", seed=4).run(OwnHands(), 25)
-    assert len(first.simulator.calls) == calls
-    assert len(first.simulator.calls) + len(second.simulator.calls) == 50
+    path.with_name("search.log.lock").symlink_to("search.log")
+    known, second = calls_of(lambda: Search(problem, path, seed=4).run(OwnHands(), 25))
+    assert (len(first), len(second)) == (calls, 50 - calls)
     assert [e.shares.tolist() for e in known] == [e.shares.tolist() for e in whole]
     assert [e.misfit.loss for e in known] == [e.misfit.loss for e in whole]
 
