@@ -124,11 +124,12 @@ def _sampled(
     """Return pyABC's history after all generations."""
     import pyabc
 
-    prior = pyabc.Distribution(**{name: pyabc.RV("uniform", 0.0, 1.0) for name in problem.names})
+    from multicell.studies.numbered import Box, OneModel
+
     kernel = pyabc.distance.IndependentNormalKernel(var=1.0, keys=["z"])
     smc = pyabc.ABCSMC(
-        model, prior, kernel, population_size=population, eps=pyabc.Temperature(),
-        acceptor=pyabc.StochasticAcceptor(), sampler=sampler,
+        model, Box(problem.names), kernel, population_size=population, eps=pyabc.Temperature(),
+        acceptor=pyabc.StochasticAcceptor(), sampler=sampler, model_prior=OneModel(),
     )  # fmt: skip
     observed = {"z": np.zeros(len(problem.observed))}
     if folder is None:

@@ -135,10 +135,10 @@ def test_a_posterior_that_is_stopped_goes_on_with_what_is_there(calls, tmp_path)
 def test_a_budget_ends_a_posterior_that_then_says_how_far_it_came(tmp_path):
     problem = linear(MATRIX, [0.4, 0.6, 1.0], 0.05)
     draws, calls = calls_of(
-        lambda: posterior(problem, OwnHands(), seed=7, population=30, most=150, folder=tmp_path)
+        lambda: posterior(problem, OwnHands(), seed=7, population=30, most=250, folder=tmp_path)
     )
     assert draws.temperature > 1.0
-    assert len(calls) == 150
+    assert len(calls) == 250
     with pytest.raises(FitFailed, match="first generation of 30 draws was not complete after 40"):
         posterior(problem, OwnHands(), seed=7, population=30, most=40)
 
