@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from multicell.scene.reactions import Reaction
     from multicell.scene.scene import Scene, load_scene, scene_names
     from multicell.simulation import Simulation
+    from multicell.studies.study import Study, load_study, study
 
 __version__ = "0.1.0"
 
@@ -69,6 +70,7 @@ __all__ = [
     "StateRejected",
     "SteadyFieldSolver",
     "StepFailed",
+    "Study",
     "Substance",
     "WorkPrecision",
     "compare",
@@ -78,6 +80,7 @@ __all__ = [
     "load_law",
     "load_result",
     "load_scene",
+    "load_study",
     "ode_problem",
     "pair_law",
     "reaction",
@@ -85,6 +88,7 @@ __all__ = [
     "run",
     "scene_names",
     "stability",
+    "study",
     "testing",
 ]
 
@@ -126,6 +130,9 @@ _LAZY = {
     "run": "multicell.runner",
     "scene_names": "multicell.scene.scene",
     "stability": "multicell.comparison.stability_limits.search",
+    "Study": "multicell.studies.study",
+    "load_study": "multicell.studies.study",
+    "study": "multicell.studies.study",
 }
 
 

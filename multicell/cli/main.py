@@ -32,6 +32,7 @@ from multicell.cli.options import (
     threads_option,
 )
 from multicell.cli.process import Commands, complain, print_json
+from multicell.cli.study import study
 from multicell.errors import OutputError, StepFailed
 
 if TYPE_CHECKING:
@@ -211,6 +212,7 @@ def export(
 
 main.add_command(compare)
 main.add_command(stability)
+main.add_command(study)
 
 
 def _simulate(

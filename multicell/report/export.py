@@ -127,7 +127,7 @@ def _cells(run: Result, frames: Iterator[tuple[int, Frame]]) -> Iterator[Table]:
         n = len(frame.cells)
         table: dict[str, NDArray[Any]] = {
             "frame": np.full(n, number),
-            _titled("time", unit_of("cells.time")): np.full(n, frame.time),
+            titled("time", unit_of("cells.time")): np.full(n, frame.time),
         }
         for name in Cells.schema():
             if name in _OF_PHASES and not phases:
@@ -138,13 +138,13 @@ def _cells(run: Result, frames: Iterator[tuple[int, Frame]]) -> Iterator[Table]:
             elif name in _NAMED:
                 column = np.array(_NAMED[name], dtype=object)[column]
             if column.ndim == 1:
-                table[_titled(name, unit)] = column
+                table[titled(name, unit)] = column
             else:
                 for axis, values in zip(_axes(column.shape[1]), column.T, strict=True):
-                    table[_titled(f"{name}_{axis}", unit)] = values
+                    table[titled(f"{name}_{axis}", unit)] = values
         for name, values in frame.concentrations.items():
             unit = unit_of(f"cells.concentration_{name}")
-            table[_titled(f"concentration_{name}", unit)] = values
+            table[titled(f"concentration_{name}", unit)] = values
         yield table
 
 
@@ -165,7 +165,7 @@ def _contacts(run: Result, frames: Iterator[tuple[int, Frame]]) -> Iterator[Tabl
             "distance": apart,
             "overlap": cells.radius[first] + cells.radius[second] - apart,
         }
-        yield {_titled(name, unit_of(f"contacts.{name}")): v for name, v in table.items()}
+        yield {titled(name, unit_of(f"contacts.{name}")): v for name, v in table.items()}
 
 
 def _overlapping(cells: Cells) -> NDArray[np.int64]:
@@ -184,14 +184,14 @@ def _lineage(run: Result, frames: Iterator[tuple[int, Frame]]) -> Iterator[Table
     """Give the table of all cells that ever were, with the names of their types."""
     kinds = _kinds(run)
     yield {
-        _titled(name, unit_of(f"lineage.{name}")): kinds[column] if name == "kind" else column
+        titled(name, unit_of(f"lineage.{name}")): kinds[column] if name == "kind" else column
         for name, column in run.lineage.items()
     }
 
 
 def _history(run: Result, frames: Iterator[tuple[int, Frame]]) -> Iterator[Table]:
     """Give the history, one row for each coupling step."""
-    yield {_titled(name, known_unit(name)): column for name, column in run.history.items()}
+    yield {titled(name, known_unit(name)): column for name, column in run.history.items()}
 
 
 TABLES: Final[Mapping[str, Callable[[Result, Iterator[tuple[int, Frame]]], Iterator[Table]]]] = {
@@ -212,6 +212,6 @@ def _axes(width: int) -> Sequence[str]:
     return _AXES if width == len(_AXES) else [str(k) for k in range(width)]
 
 
-def _titled(name: str, unit: str) -> str:
+def titled(name: str, unit: str) -> str:
     """Return the title of a column: its name, and its unit where it has one."""
     return f"{name}_{unit.translate(_POWERS)}" if unit else name

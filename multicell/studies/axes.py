@@ -8,11 +8,12 @@ the end holds for all that have none), ``"0.05:0.30:6 mM"`` (six values, evenly 
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import re
 import tomllib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final, final
 
@@ -28,6 +29,9 @@ _QUANTITY: Final = re.compile(rf"\s*({_NUMBER})\s*(.*?)\s*", re.DOTALL)
 _SPACED: Final = re.compile(rf"(log\s+)?({_NUMBER}):({_NUMBER}):(\d+)\s*(.*)")
 _RANGE: Final = re.compile(rf"(log\s+)?({_NUMBER}):({_NUMBER})\s*(.*)")
 _MOST_VALUES: Final = 100_000
+_MOST_CHECKED: Final = 100
+_FIRST: Final = ("contact.law",)
+"""Keys that are set before others: those that decide which others there are."""
 _NUMERIC: Final = ("quantity", "quantity_or_name", "number", "count", "rate_constant")
 _RANGES: Final = (*_NUMERIC, "quantities", "course")
 
@@ -118,7 +122,9 @@ def _between(low: float, high: float, share: float, log: bool) -> float:
     return low * math.pow(high / low, share) if log else low + share * (high - low)
 
 
-def parse_axis(key: str, text: str | Sequence[Any], scene: Scene) -> Axis:
+def parse_axis(
+    key: str, text: str | Sequence[Any], scene: Scene, *, repeated: bool = False
+) -> Axis:
     """Return the axis that a text or a list of values describes.
 
     Parameters
@@ -129,6 +135,8 @@ def parse_axis(key: str, text: str | Sequence[Any], scene: Scene) -> Axis:
         As typed behind ``--vary``, or the values as :meth:`Scene.with_changes` takes them.
     scene
         The scene that is varied.
+    repeated
+        Whether a value may be there twice, as in a column of a table.
 
     Raises
     ------
@@ -141,7 +149,8 @@ def parse_axis(key: str, text: str | Sequence[Any], scene: Scene) -> Axis:
     if not given:
         raise SceneError(found.name, "has no values", f"For example {_example(found)}.")
     plain = [found.plain(value) for value in given]
-    _refuse_twice(found, given, plain)
+    if not repeated:
+        _refuse_twice(found, given, plain)
     numeric = all(isinstance(x, int | float) and not isinstance(x, bool) for x in plain)
     return Axis(
         found.name, tuple(given), found.unit, tuple(map(float, plain)) if numeric else None,
@@ -168,7 +177,7 @@ def parse_range(key: str, text: str | Sequence[Any], scene: Scene) -> Range:
         which the first is lower, and for ends that the key cannot have.
     """
     found = key_of(scene, key)
-    if found.spec.kind not in _RANGES:
+    if not is_numeric(found):
         problem = f"is no number, so {shown(text)} cannot be its range"
         raise SceneError(found.name, problem, "Vary it along an axis of values.")
     log, ends = _ends(found, text)
@@ -221,16 +230,16 @@ def _listed(key: Key, text: str) -> list[Any]:
     text = text.strip()
     if text.startswith("["):
         return _toml_list(key, text)
-    spaced = _SPACED.fullmatch(text) if key.spec.kind in _RANGES else None
+    spaced = _SPACED.fullmatch(text) if is_numeric(key) else None
     if spaced is not None:
         return _evenly(key, spaced)
     items = [item.strip() for item in text.split(",")] if text else []
     if not all(items):
         problem = f"has an empty value in {shown(text)}"
         raise SceneError(key.name, problem, f"For example {_example(key)}.")
-    if items and key.spec.kind in _RANGES:
+    if items and is_numeric(key):
         return _with_unit(key, items)
-    return [_bare(item) for item in items]
+    return [bare(item) for item in items]
 
 
 def _toml_list(key: Key, text: str) -> list[Any]:
@@ -257,7 +266,7 @@ def _with_unit(key: Key, items: list[str]) -> list[Any]:
         elif unit or shared:
             values.append(f"{match[1]} {unit or shared}")
         else:
-            values.append(_bare(match[1]))
+            values.append(bare(match[1]))
     return values
 
 
@@ -279,8 +288,13 @@ def _evenly(key: Key, match: re.Match[str]) -> list[Any]:
     return short
 
 
-def _bare(text: str) -> Any:
-    """Return a number, a truth value or a word."""
+def is_numeric(key: Key) -> bool:
+    """Return whether the values of a key are numbers, which may lie in a range."""
+    return key.spec.kind in _RANGES
+
+
+def bare(text: str) -> Any:
+    """Return the number, the truth value or the word that a text is."""
     try:
         value = tomllib.loads(f"value = {text}")["value"]
     except ValueError:
@@ -295,7 +309,8 @@ def _sequence(key: Key, values: Any) -> list[Any]:
         raise SceneError(key.name, f"has the values {shown(values)}, must have a list", hint)
     as_list = getattr(values, "tolist", None)
     listed = as_list() if as_list is not None else values
-    return list(listed) if isinstance(listed, Iterable) else [listed]
+    items = list(listed) if isinstance(listed, Iterable) else [listed]
+    return [item.item() if hasattr(item, "dtype") else item for item in items]
 
 
 def _ends(key: Key, text: str | Sequence[Any]) -> tuple[bool, list[Any]]:
@@ -347,11 +362,72 @@ def check_axes(scene: Scene, axes: Sequence[Axis | Range]) -> None:
     ------
     SceneError
         For two of the same key, a key without effect (also one that another axis leaves without),
-        and values that the scene refuses whatever the others are, with the key.
+        and values that the scene refuses, with the key: those of an axis, and ends of a range that
+        are refused whatever the other ranges are at.
     """
+    from multicell.studies.meaning import refuse_needless
+
     seen: set[str] = set()
     for axis in axes:
         if axis.key in seen:
             raise SceneError(axis.key, "is varied twice", "Give all its values at once.")
         seen.add(axis.key)
         key_of(scene, axis.key)
+    for axis in axes:
+        others = [other for other in axes if other is not axis]
+        for setting in axis.values if isinstance(axis, Axis) else _ends_of(axis):
+            _somewhere(scene, {axis.key: setting}, others)
+    words = [axis for axis in axes if isinstance(axis, Axis) and axis.numbers is None]
+    numeric = [axis for axis in axes if axis not in words]
+    chosen = itertools.islice(itertools.product(*(axis.values for axis in words)), _MOST_CHECKED)
+    cases = []
+    for values in chosen:
+        changes = dict(zip((axis.key for axis in words), values, strict=True))
+        cases.append((changes, _somewhere(scene, changes, numeric)))
+    refuse_needless(cases, [axis.key for axis in axes])
+
+
+def _ends_of(axis: Axis | Range) -> tuple[Any, Any]:
+    """Return the first and the last setting of an axis or a range."""
+    if isinstance(axis, Axis):
+        return axis.values[0], axis.values[-1]
+    return axis.setting(axis.low), axis.setting(axis.high)
+
+
+def _somewhere(scene: Scene, changes: Mapping[str, Any], others: Sequence[Axis | Range]) -> Scene:
+    """Return the scene with changes and other axes at their first or last values.
+
+    Raises
+    ------
+    SceneError
+        If it is refused wherever the others are.
+    """
+    refused: SceneError | None = None
+    for place in (0, 1):
+        at = {other.key: _ends_of(other)[place] for other in others}
+        try:
+            return changed(scene, {**at, **changes})
+        except SceneError as error:
+            refused = refused or error
+    assert refused is not None
+    raise refused
+
+
+def changed(scene: Scene, changes: Mapping[str, Any]) -> Scene:
+    """Return a scene with other values, or say with which it is refused.
+
+    Raises
+    ------
+    SceneError
+        With the path of what is refused and all the changes.
+    """
+    first = {key: changes[key] for key in _FIRST if key in changes}
+    try:
+        return scene.with_changes({**first, **changes})
+    except SceneError as error:
+        where = ", ".join(f"{key} = {value!r}" for key, value in changes.items())
+        if error.path in changes and "not a known key" in error.problem:
+            others = {key: value for key, value in changes.items() if key != error.path}
+            where = ", ".join(f"{key} = {value!r}" for key, value in others.items())
+            raise SceneError(error.path, f"has no meaning where {where}", error.hint) from None
+        raise SceneError(error.path, f"{error.problem} (where {where})", error.hint) from None

@@ -196,9 +196,13 @@ class _Work:
         if clock.monotonic() - self._counted < _COUNT and self.client.status == "running":
             return
         try:
-            self._threads = sum(self.client.nthreads().values()) or self._threads
+            found = sum(self.client.nthreads().values())
         except Exception as error:
             raise _lost() from error
+        cluster = self.client.cluster
+        if cluster is not None and found < self._threads:
+            cluster.scale(self._threads)  # for what could not be started again
+        self._threads = max(found, self._threads if cluster is not None else 1)
         self._counted = clock.monotonic()
 
     def _look_after_others(self) -> None:

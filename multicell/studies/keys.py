@@ -209,7 +209,7 @@ def all_keys(part: Any, path: str = "") -> Iterator[str]:
         value, where = getattr(part, name), f"{path}{name}"
         if spec.kind == "variant":
             yield f"{where}.{spec.key}"
-        if isinstance(value, Tables):
+        if spec.kind == "tables":
             for key, entry in value.items():
                 yield from all_keys(entry, f"{where}.{key}.")
         elif is_dataclass(value):

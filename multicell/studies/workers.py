@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import signal
 import sys
 from collections.abc import Iterator
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 ANSWER: Final = 5.0
 """Time in s within which a scheduler must answer."""
 
+_STARTS: Final = 3  # attempts to start worker processes
 _QUIET: Final = ("asyncio", "distributed", "tornado")  # loggers
 _SETTINGS: Final[dict[str, Any]] = {
     # runs hold the interpreter for whole coupling steps, so nothing may be concluded from silence
@@ -89,22 +91,61 @@ def workers(cores: int | None, scheduler: str | None) -> Iterator[Client]:
 @contextmanager
 def _local(cores: int | None) -> Iterator[Any]:
     """Yield a cluster of processes of this machine, which end with this one."""
+    environment = dict(os.environ)
+    with _without_main():
+        cluster = _started(cores or own_cores())
+        try:
+            yield cluster
+        finally:
+            with suppress(TimeoutError):  # what does not end by itself is killed with this process
+                cluster.close(timeout=10.0)
+            # Dask sets in this process what it sets for those that it starts
+            for name in _SETTINGS["distributed.nanny.pre-spawn-environ"]:
+                os.environ.pop(name, None)
+                if name in environment:
+                    os.environ[name] = environment[name]
+
+
+def _started(count: int) -> Any:
+    """Return a cluster of so many processes."""
     import distributed
 
     local: Any = distributed.LocalCluster
-    with _without_interrupts():
-        cluster = local(
-            n_workers=cores or own_cores(),
-            threads_per_worker=1,
-            processes=True,
-            dashboard_address=None,
-            silence_logs=logging.CRITICAL,
-        )
+    for left in reversed(range(_STARTS)):
+        try:
+            with _without_interrupts():
+                return local(
+                    n_workers=count,
+                    threads_per_worker=1,
+                    processes=True,
+                    dashboard_address="127.0.0.1:0",  # any free port, and no pages there
+                    scheduler_kwargs={"dashboard": False},
+                    silence_logs=logging.CRITICAL,
+                )
+        except Exception as error:  # one of them may have been killed
+            if not left:
+                raise ClusterError(
+                    f"{count} worker processes cannot be started on this machine ({error})",
+                    "There may be too little memory for them: use fewer cores. Nothing has run",
+                ) from error
+    raise AssertionError("unreachable")
+
+
+@contextmanager
+def _without_main() -> Iterator[None]:
+    """Let processes that are started not run the script again that is being run.
+
+    They would, up to where it starts them, as ``multiprocessing`` does on all systems that do not
+    fork: a script would need a guard for it.
+    """
+    main = sys.modules["__main__"]
+    hidden = {name: vars(main)[name] for name in ("__spec__", "__file__") if name in vars(main)}
+    vars(main).update({"__spec__": None} if "__spec__" in hidden else {})
+    vars(main).pop("__file__", None)
     try:
-        yield cluster
+        yield
     finally:
-        with suppress(TimeoutError):  # what does not end by itself is killed with this process
-            cluster.close(timeout=10.0)
+        vars(main).update(hidden)
 
 
 @contextmanager
@@ -234,8 +275,6 @@ def check_folder(client: Client, folder: Path) -> None:
 
 def _sees(path: str) -> str:
     """Return why a worker cannot use the folder of a file, or nothing."""
-    import os
-
     try:
         with open(path, encoding="ascii") as file:
             if file.read() != path.rpartition("-")[2]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 from matplotlib.collections import EllipseCollection
@@ -55,29 +55,57 @@ def section(frame: Frame, scene: Scene) -> Figure:
     ValueError
         If the frame has no cells.
     """
-    nutrients, types, dimensions = scene.nutrients, list(scene.types), scene.dimensions
-    middle = centre(frame.cells, dimensions)
-    few = 1 < len(frame.cells) <= 3 and not frame.fields
-    place = _in_plane(frame.cells.position, middle) if few else frame.cells.position
-    cut = frame.cells.radius**2 - (place[:, 2] - middle[2]) ** 2
-    cells = frame.cells.take(cut > 0.0)
-    radius = np.sqrt(cut[cut > 0.0])
-    cut_through = f": section through the centre ({cell_count(len(cells))})"
+    nutrients, dimensions = scene.nutrients, scene.dimensions
+    shown = cut(frame, scene)
+    middle, group, palette = shown.middle, shown.group, shown.palette
+    cut_through = f": section through the centre ({cell_count(len(group))})"
     figure = headed(scene, moment(frame) + (cut_through if dimensions == 3 else ""))
     axes = figure.add_axes((0.03, 0.04, 0.66, 0.83))
     size = uniform_radius(frame.cells, middle, dimensions)
     half = 1.22 * size + 2.0 * float(frame.cells.radius.max())
     frame_window(axes, middle, half, half * (0.66 * SIZE[0]) / (0.83 * SIZE[1]))
     axes.spines[["top", "right"]].set_visible(True)
-    group, palette = _groups(cells, types)
-    draw_circles(axes, place[cut > 0.0, :2], radius, group, list(palette.values()))
+    draw_circles(axes, shown.position, shown.radius, group, list(palette.values()))
     name = next((name for name in nutrients if name in frame.fields), "")
     if name:
         _draw_behind(figure, axes, frame.fields[name], float(middle[2]), nutrients[name])
-    _scale_bar(axes, middle, half)
-    shown = "Cells in this section" if dimensions == 3 else "Cells"
-    _section_legend(figure, group, palette, shown)
+    scale_bar(axes, middle, half)
+    _section_legend(figure, group, palette, "Cells in this section" if dimensions == 3 else "Cells")
     return figure
+
+
+class Cut(NamedTuple):
+    """The cells that the plane z = centre cuts.
+
+    Attributes
+    ----------
+    middle : (3,) µm
+        Centre of the population.
+    position : (k, 2) µm
+    radius : (k,) µm
+        Of the circles that the plane cuts out of the cells.
+    group : (k,) int
+        Place of each cell's group in the palette.
+    palette
+        Name of each group (state or type) and its colour.
+    """
+
+    middle: FloatArray
+    position: FloatArray
+    radius: FloatArray
+    group: IntArray
+    palette: dict[str, str]
+
+
+def cut(frame: Frame, scene: Scene) -> Cut:
+    """Return the cells of a section; see :func:`section` for plane and groups."""
+    middle = centre(frame.cells, scene.dimensions)
+    few = 1 < len(frame.cells) <= 3 and not frame.fields
+    place = _in_plane(frame.cells.position, middle) if few else frame.cells.position
+    square = frame.cells.radius**2 - (place[:, 2] - middle[2]) ** 2
+    inside = square > 0.0
+    group, palette = _groups(frame.cells.take(inside), list(scene.types))
+    return Cut(middle, place[inside, :2], np.sqrt(square[inside]), group, palette)
 
 
 def _in_plane(position: FloatArray, middle: FloatArray) -> FloatArray:
@@ -225,7 +253,7 @@ def _draw_behind(figure: Figure, axes: Axes, field: Field, z: float, nutrient: N
         figure.legend(handles=handles, loc="upper left", bbox_to_anchor=(0.713, 0.25))
 
 
-def _scale_bar(axes: Axes, middle: FloatArray, half: float) -> None:
+def scale_bar(axes: Axes, middle: FloatArray, half: float) -> None:
     """Draw a bar of a round length in the lower left corner."""
     length = max(
         n for n in (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000) if n <= 0.6 * half
