@@ -40,6 +40,8 @@ if TYPE_CHECKING:
     from multicell.scene.reactions import Reaction
     from multicell.scene.scene import Scene, load_scene, scene_names
     from multicell.simulation import Simulation
+    from multicell.studies.fit import fit
+    from multicell.studies.fitted import Fit
     from multicell.studies.study import Study, load_study, study
 
 __version__ = "0.1.0"
@@ -50,6 +52,7 @@ __all__ = [
     "FieldComparison",
     "FieldEquation",
     "FieldProblem",
+    "Fit",
     "Hertz",
     "ImplicitFieldSolver",
     "Integrator",
@@ -77,6 +80,7 @@ __all__ = [
     "compare_fields",
     "export",
     "field_problem",
+    "fit",
     "load_law",
     "load_result",
     "load_scene",
@@ -130,6 +134,8 @@ _LAZY = {
     "run": "multicell.runner",
     "scene_names": "multicell.scene.scene",
     "stability": "multicell.comparison.stability_limits.search",
+    "Fit": "multicell.studies.fitted",
+    "fit": "multicell.studies.fit",
     "Study": "multicell.studies.study",
     "load_study": "multicell.studies.study",
     "study": "multicell.studies.study",
