@@ -41,6 +41,7 @@ _SETTINGS: Final[dict[str, Any]] = {
     # what looks at workers while they work takes their time
     "distributed.worker.profile.enabled": False,
     "distributed.scheduler.active-memory-manager.start": False,
+    "distributed.worker.memory.monitor-interval": "500ms",
     "distributed.admin.tick.interval": "1s",
     "distributed.admin.system-monitor.interval": "5s",
     # processes that start again while the study ends have nothing to tell the user
@@ -120,6 +121,7 @@ def _started(count: int) -> Any:
                     processes=True,
                     dashboard_address="127.0.0.1:0",  # any free port, and no pages there
                     scheduler_kwargs={"dashboard": False},
+                    scheduler_sync_interval=5,
                     silence_logs=logging.CRITICAL,
                 )
         except Exception as error:  # one of them may have been killed
