@@ -40,6 +40,49 @@ class SceneError(MulticellError):
 
 
 @final
+class DataError(MulticellError):
+    """Measured data that cannot be used.
+
+    Parameters
+    ----------
+    place
+        Where in the data, such as ``"growth.csv, line 3, 'diameter / um'"``.
+    problem
+        What is wrong, with the value and what is allowed.
+    hint
+        What to try, for example the likely name of a misspelt column.
+    """
+
+    exit_code: ClassVar[int] = 2
+
+    def __init__(self, place: str, problem: str, hint: str = "") -> None:
+        self.place = place
+        self.problem = problem
+        self.hint = hint
+        super().__init__(f"{place}: {problem}. {hint}" if hint else f"{place}: {problem}")
+
+
+@final
+class FitFailed(MulticellError):  # noqa: N818 - it names what happened, like StepFailed
+    """A fit that cannot go on, for example because no run of it succeeds.
+
+    Parameters
+    ----------
+    problem
+        What happened, in words.
+    hint
+        What to try.
+    """
+
+    exit_code: ClassVar[int] = 1
+
+    def __init__(self, problem: str, hint: str) -> None:
+        self.problem = problem
+        self.hint = hint
+        super().__init__(f"{problem}. {hint}")
+
+
+@final
 class OutputError(MulticellError):
     """An output folder or file that cannot be used: written, read, or trusted.
 
@@ -50,13 +93,16 @@ class OutputError(MulticellError):
     exit_code
         2 for a folder that could not be used from the start, 1 for a run that could not go on
         writing.
+    in_use
+        Whether another run in the folder is what keeps it from being used.
     """
 
     exit_code: int = 2  # type: ignore[misc]  # of each one its own
 
-    def __init__(self, problem: str, *, exit_code: int = 2) -> None:
+    def __init__(self, problem: str, *, exit_code: int = 2, in_use: bool = False) -> None:
         super().__init__(problem)
         self.exit_code = exit_code
+        self.in_use = in_use
 
 
 @final
@@ -128,3 +174,26 @@ class MissingPackage(MulticellError):  # noqa: N818 - it names what is so, like 
             f"{' and '.join(self.packages)} {'is' if one else 'are'} not installed: "
             f'pip install "multicell[{extra}]"'
         )
+
+
+@final
+class ClusterError(MulticellError):
+    """Workers of a study that cannot be used, or that have gone.
+
+    Parameters
+    ----------
+    problem
+        What is wrong, with the address.
+    hint
+        What to do about it.
+    exit_code
+        2 before anything has run, 1 afterwards.
+    """
+
+    exit_code: int = 2  # type: ignore[misc]  # of each one its own
+
+    def __init__(self, problem: str, hint: str, *, exit_code: int = 2) -> None:
+        self.problem = problem
+        self.hint = hint
+        super().__init__(f"{problem}. {hint}")
+        self.exit_code = exit_code

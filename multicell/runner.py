@@ -93,6 +93,24 @@ def run(
         If a step cannot be solved. Like after Ctrl-C, the folder then holds all frames so far,
         the history and a summary with ``"interrupted": true``.
     """
+    recorder = recorded(
+        scene, output=output, integrator=integrator, overwrite=overwrite, threads=threads,
+        progress=progress, reactions=reactions,
+    )  # fmt: skip
+    return finished(recorder, report)
+
+
+def recorded(
+    scene: Scene,
+    *,
+    output: str | Path | None,
+    integrator: str | type[Integrator] | Integrator | None = None,
+    overwrite: bool = False,
+    threads: int | None = None,
+    progress: Callable[[Simulation], None] | None = None,
+    reactions: Mapping[str, OwnReaction] | None = None,
+) -> Recorder:
+    """Run a scene as :func:`run` does, and read nothing back of what was written."""
     scene, own = integrated_by(scene, integrator)
     begin = clock.perf_counter()
     threads = thread_count(threads)  # before the folder is made
@@ -110,7 +128,7 @@ def run(
         recorder.startup = clock.perf_counter() - begin
         recorder.record(simulation)
         go_on(simulation, recorder, interrupt, progress)
-    return finished(recorder, report)
+    return recorder
 
 
 def integrated_by(
@@ -210,7 +228,7 @@ class Recorder:
             self._rows.append(row)
         else:
             self._store.append_history(row)
-        if simulation.time >= self._next_frame * (1.0 - 1e-12) or simulation.finished:
+        if frame_due(simulation.time, self._next_frame) or simulation.finished:
             self._frame(simulation)
         self._memory.now_and_then(len(simulation.cells))
         simulation.wall["record"] += clock.perf_counter() - begin
@@ -254,6 +272,11 @@ class Recorder:
             self._frames.append(frame)
         else:
             self._store.append(frame, simulation.lineage)
+
+
+def frame_due(time: float, planned: float) -> bool:
+    """Return whether a frame that is planned for a time is due, both in s."""
+    return time >= planned * (1.0 - 1e-12)
 
 
 def next_frame(every: float, time: float) -> float:
@@ -356,6 +379,32 @@ def resume(
     StepFailed
         As for :func:`multicell.run`.
     """
+    recorder = gone_on(
+        folder, frame, output=output, changes=changes, integrator=integrator, overwrite=overwrite,
+        threads=threads, progress=progress, reactions=reactions,
+    )  # fmt: skip
+    return finished(recorder, report)
+
+
+def gone_on(
+    folder: str | Path,
+    frame: int = -1,
+    *,
+    output: str | Path | None = None,
+    changes: Mapping[str, Any] | None = None,
+    integrator: str | type[Integrator] | Integrator | None = None,
+    overwrite: bool = False,
+    threads: int | None = None,
+    progress: Callable[[Simulation], None] | None = None,
+    reactions: Mapping[str, OwnReaction] | None = None,
+    planned: bool = False,
+) -> Recorder:
+    """Go on with a run as :func:`resume` does, and read nothing back of what was written.
+
+    Where only ``planned`` frames are to be kept, and the run goes on in its own folder, one that
+    an interruption has added is left out once the run has gone on from it: the folder becomes bit
+    by bit that of a run that nothing has interrupted.
+    """
     from multicell.results.reader import Contents
     from multicell.results.writer import Store
 
@@ -377,18 +426,29 @@ def resume(
         if here:
             for k in range(place):  # what is damaged is better known before the run than after it
                 contents.frame(k)
-            store = Store.go_on(contents, place, rows, scene)
+            kept = _planned(contents, place, simulation) if planned else place
+            store = Store.go_on(contents, kept, rows, scene)
         else:
+            kept = place
             store = Store.create(Path(output or folder), scene, overwrite)
         recorder = Recorder(scene, store)
         stack.callback(recorder.close)
         stack.enter_context(under_way())
         if not here:
             store.copy(contents, place, rows)
-        recorder.skip(contents.frame(place))
+        recorder.skip(contents.frame(kept))
         recorder.startup = clock.perf_counter() - begin
         go_on(simulation, recorder, interrupt, progress)
-    return finished(recorder, report)
+    return recorder
+
+
+def _planned(contents: Contents, place: int, simulation: Simulation) -> int:
+    """Return the number of the last frame up to one that the scene asks for."""
+    if place == 0 or simulation.finished:
+        return place
+    before, time = contents.places[place - 1], contents.places[place].time
+    due = frame_due(time, next_frame(simulation.scene.output.every, before.time))
+    return place if due else place - 1
 
 
 def _place(contents: Contents, frame: int) -> int:

@@ -36,6 +36,8 @@ from multicell.cli.options import (
 from multicell.cli.plot import plot
 from multicell.cli.process import Commands, complain, print_json
 from multicell.cli.scenes import init, scenes, schema
+from multicell.cli.sensitivity import sensitivity
+from multicell.cli.study import study
 from multicell.cli.tables import bare_table, plain, time_text
 from multicell.cli.view import view
 from multicell.errors import OutputError, StepFailed
@@ -195,7 +197,7 @@ def export(
         click.echo(path, file=sys.stdout)
 
 
-for added in (scenes, init, schema, plot, view, movie, compare, stability):
+for added in (scenes, init, schema, plot, view, movie, compare, stability, study, sensitivity):
     main.add_command(added)
 
 

@@ -7,6 +7,7 @@ import json
 import os
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import IO, Any, Final
@@ -40,6 +41,7 @@ LOCK: Final = ".multicell.lock"
 _PACKAGES: Final = ("numpy", "scipy", "numba", "scikit-sundae", "py-pde", "h5py")
 
 
+@cache
 def package_version(package: str = "multicell") -> str:
     """Return the version of a package, or ``"not installed"``."""
     if package == "multicell":
@@ -83,7 +85,8 @@ def locked(folder: Path) -> Iterator[None]:
             lock.acquire()
         except Timeout:
             raise OutputError(
-                f"a run is going on in '{folder}': wait for its end or choose another folder"
+                f"a run is going on in '{folder}': wait for its end or choose another folder",
+                in_use=True,
             ) from None
     try:
         yield
@@ -92,6 +95,22 @@ def locked(folder: Path) -> Iterator[None]:
         with suppress(OSError):
             path.unlink()
         lock.release()
+
+
+def in_use(folder: Path) -> bool:
+    """Return whether a run is going on in a folder, without a trace in it."""
+    path = folder / LOCK
+    if not path.is_file() or path.is_symlink():
+        return False
+    lock = FileLock(path, timeout=0, thread_local=False)
+    try:
+        lock.acquire()
+    except Timeout:
+        return True
+    except OSError:
+        return False  # whoever is going to write there will say what is wrong
+    lock.release()
+    return False
 
 
 def make_folder(folder: str | Path, *, overwrite: bool = False) -> Path:

@@ -218,6 +218,22 @@ def _opened(path: Path) -> Iterator[Any]:
         raise OutputError(f"cannot read '{path}': it is damaged ({_short(error)})") from error
 
 
+def check_whole(path: Path) -> None:
+    """Refuse a file that is missing, cut short, or not one of ours; its data are not looked at.
+
+    Raises
+    ------
+    OutputError
+        If it is one of these.
+    """
+    if not path.is_file():
+        raise OutputError(f"'{path}' is missing")
+    with _opened(path) as file:
+        written = file.attrs.get("format", 0)
+        if np.shape(written) != () or written != FORMAT:
+            raise OutputError(f"'{path}' is no result file that this multicell reads")
+
+
 def _short(error: BaseException) -> str:
     """Return the first line of what a library says."""
     lines = str(error).strip("'\" ").splitlines()

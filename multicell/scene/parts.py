@@ -186,7 +186,7 @@ class Growth:
         """Mean time of a cycle that nothing limits, s."""
         if not self.phases:
             return self.cycle_time
-        return sum(phase.duration for phase in self.phases.values())
+        return sum(self.phases[name].duration for name in PHASES)
 
 
 @final

@@ -1,0 +1,471 @@
+"""The commands ``multicell study new | run | status | report``: parse, call, print."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import click
+
+from multicell.cli.options import (
+    as_json_option,
+    changes_option,
+    console,
+    integrator_option,
+    law_option,
+    name_law,
+    output_option,
+    overwrite_option,
+    quiet_option,
+    scene_of,
+)
+from multicell.cli.process import complain, print_json
+from multicell.errors import MissingPackage
+
+if TYPE_CHECKING:
+    from multicell.studies.cost import StudyCost
+    from multicell.studies.status import RunStatus
+    from multicell.studies.study import Study
+    from multicell.studies.task import Outcome
+
+_ASKED: Final = 3600.0
+"""Expected time in s above which a study is asked for."""
+_LISTED: Final = 20
+"""Failed or running runs that are listed."""
+
+folder_argument = click.argument("folder", type=click.Path(path_type=Path))
+cores_option = click.option(
+    "--cores", type=click.IntRange(min=1), help="Processes on this machine; by default all cores."
+)
+scheduler_option = click.option(
+    "--scheduler", metavar="ADDRESS", help="Dask scheduler of a cluster, as tcp://host:8786."
+)
+yes_option = click.option(
+    "--yes", "-y", is_flag=True, help="Do not ask before what is expected to take over an hour."
+)
+
+
+@click.group()
+def study() -> None:
+    """Run a scene many times over: plan, run, watch and report; each with --json for machines."""
+
+
+@study.command()
+@click.argument("scene")
+@output_option("Folder of the study.")
+@click.option(
+    "--vary",
+    multiple=True,
+    metavar="KEY=VALUES",
+    help="Values of a key, as nutrients.oxygen.boundary='0.07,0.14,0.28 mM', '0.05:0.3:6 mM' (six "
+    "of them) or contact.law=jkr,hertz; with lhs and sobol a range, '8:25 h' or "
+    "'log 1e-3:1 1/s'. May be given several times.",
+)
+@click.option(
+    "--zip",
+    "zipped",
+    multiple=True,
+    metavar="KEY=VALUES",
+    help="Keys whose values go together, two or more; several such sets each as "
+    "--zip 'KEY=VALUES; KEY=VALUES'.",
+)
+@click.option(
+    "--points",
+    metavar="FILE",
+    help="List of points: a CSV file with keys and units in its header, as 'cells.young [kPa]'.",
+)
+@click.option(
+    "--design",
+    default="grid",
+    show_default=True,
+    metavar="KIND",
+    help="grid: all combinations; lhs, sobol: points of ranges, a Latin hypercube or a Sobol' "
+    "sequence.",
+)
+@click.option("--size", type=int, help="Number of points of lhs or sobol.")
+@click.option("--sample-seed", type=int, default=0, help="Of the random numbers of lhs and sobol.")
+@click.option(
+    "--seeds",
+    type=int,
+    default=1,
+    show_default=True,
+    help="Runs of each point, with the same seeds at all points.",
+)
+@click.option("--every", metavar="TIME", help="Between rows of the table of results, as '6 h'.")
+@changes_option
+@law_option
+@integrator_option
+@overwrite_option("Replace the plan of another study; its runs stay.")
+@quiet_option
+@as_json_option
+def new(
+    scene: str,
+    output: Path,
+    vary: Sequence[str],
+    zipped: Sequence[str],
+    changes: Sequence[str],
+    law: str | None,
+    integrator: str | None,
+    quiet: bool,
+    as_json: bool,
+    **options: Any,
+) -> None:
+    """Plan a study of a SCENE: write study.toml to a folder, and run nothing yet.
+
+    A folder that holds the same study, or a part of it, is widened: what has run stays.
+    """
+    base = scene_of(scene, changes, law)
+    from multicell.studies.study import study as planned
+
+    made = planned(
+        base,
+        _pairs(vary, "--vary"),
+        zipped=_groups(zipped),
+        output=output,
+        integrator=integrator or "",
+        **options,
+    )
+    _tell_plan(made, quiet, as_json)
+
+
+def _pairs(items: Sequence[str], option: str) -> dict[str, str]:
+    """Return the values of ``KEY=VALUES`` items by their keys."""
+    pairs: dict[str, str] = {}
+    for item in items:
+        key, equals, text = (part.strip() for part in item.partition("="))
+        if not equals or not key:
+            raise click.BadParameter(f"'{item}' is not KEY=VALUES", param_hint=f"'{option}'")
+        if key in pairs:
+            problem = f"{key} is given twice: write all its values behind one {option}"
+            raise click.BadParameter(problem, param_hint=f"'{option}'")
+        pairs[key] = text
+    return pairs
+
+
+def _groups(items: Sequence[str]) -> list[dict[str, str]]:
+    """Return the sets of keys that go together: all that come alone are one."""
+    alone = [item for item in items if ";" not in item]
+    sets = [[part for part in item.split(";") if part.strip()] for item in items if ";" in item]
+    return [_pairs(group, "--zip") for group in ([alone] if alone else []) + sets]
+
+
+def _tell_plan(made: Study, quiet: bool, as_json: bool) -> None:
+    """Tell what a study is of, what it is expected to take, and how to go on."""
+    cores = _known_cores()
+    cost, states = made.expected(cores), made.status()
+    done = sum(state.state == "done" for state in states)
+    if as_json:
+        print_json(
+            {
+                "folder": str(made.folder), "points": len(made.plan.points),
+                "seeds": made.plan.seeds, "runs": len(states), "done": done,
+                "cores": cores, "expected": asdict(cost),
+            }
+        )  # fmt: skip
+        return
+    if quiet:
+        return
+    out = console()
+    for axis in made.plan.design.varied:
+        out.print(f"{axis.key}: {_values(axis)}", markup=False, soft_wrap=True)
+    plan = made.plan
+    points, seeds = _count(len(plan.points), "point"), _count(plan.seeds, "seed")
+    known = f", {done:,} of them done" if done else ""
+    out.print(f"{points} x {seeds} = {_count(len(states), 'run')}{known}", markup=False)
+    out.print(f"{_cost_words(cost, cores)}.", markup=False, soft_wrap=True)
+    out.print(
+        f"Written to '{made.folder / 'study.toml'}': read it, edit it, then "
+        f"'multicell study run {made.folder}'.",
+        markup=False, soft_wrap=True,
+    )  # fmt: skip
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number:,} {what}{'' if number == 1 else 's'}"
+
+
+def _values(axis: Any) -> str:
+    """Return the values of an axis, or the ends of a range, in words."""
+    unit = f" {axis.unit}" if axis.unit else ""
+    if hasattr(axis, "low"):
+        return f"{axis.low:g} to {axis.high:g}{unit}{', by ratio' if axis.log else ''}"
+    shown = [str(value) for value in axis.values[:12]]
+    return ", ".join(shown) + (f", ... ({len(axis.values)})" if len(axis.values) > 12 else "")
+
+
+def _cost_words(cost: StudyCost, cores: int | None) -> str:
+    """Return what runs are expected to take, in words."""
+    if not cost.runs:
+        return "Nothing is left to run"
+    alone = f"{_in_words(cost.core_seconds)} of one core"
+    time = alone if cores is None else f"{_in_words(cost.seconds)} on {_count(cores, 'core')}"
+    extra = "" if cores in (None, 1) else f" ({alone})"
+    memory = f"{_bytes(cost.memory)} of memory" + (" a process" if cores is None else "")
+    return (
+        f"{_count(cost.runs, 'run')} left, expected to take about {time}{extra}, {memory} and "
+        f"{_bytes(cost.disk)} of the disk; compilation is not counted"
+    )
+
+
+def _in_words(seconds: float) -> str:
+    from multicell.cli.remaining import in_words  # it needs NumPy, which other commands do not
+
+    return in_words(seconds)
+
+
+def _bytes(number: float) -> str:
+    for unit, size in (("TB", 1e12), ("GB", 1e9)):
+        if number >= size:
+            return f"{number / size:.3g} {unit}"
+    return f"{number / 1e6:.0f} MB"
+
+
+@study.command()
+@folder_argument
+@cores_option
+@scheduler_option
+@yes_option
+@click.option("--retry", is_flag=True, help="Try again what has failed.")
+@law_option
+@integrator_option
+@click.option("--no-report", is_flag=True, help="Write no report and no table.")
+@quiet_option
+@as_json_option
+def run(
+    folder: Path,
+    cores: int | None,
+    scheduler: str | None,
+    yes: bool,
+    retry: bool,
+    law: str | None,
+    integrator: str | None,
+    no_report: bool,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Compute all runs of the study in FOLDER that are not done.
+
+    It may be stopped by anything, Ctrl-C or a kill, and started again: nothing is computed twice,
+    and runs that were begun go on from their last frame. A run that fails is told with its reason,
+    and the others go on.
+    """
+    made = _opened(folder, law, integrator)
+    from multicell.extras import needs
+
+    needs("dask", "distributed", *(() if no_report else ("xarray", "h5netcdf", "pandas")))
+    count = None
+    if any(state.state != "done" for state in made.status()):
+        count = _cores(cores, scheduler)
+        _ask(made.expected(count or 1), count, yes, quiet or as_json)
+    from multicell.cli.study_progress import reporter
+
+    try:
+        with reporter(made, count, show=not quiet) as progress:
+            outcomes = made.run(cores, scheduler, progress, retry=retry)
+    except KeyboardInterrupt:
+        _stopped(made)
+        raise
+    computed = [outcome for outcome in outcomes if not outcome.reused]
+    page = made.folder / "report.html"
+    if not no_report and (computed or not page.exists()):
+        made.report()
+    _tell_outcomes(made, outcomes, None if no_report else page, quiet, as_json)
+
+
+def _opened(folder: Path, law: str | None, integrator: str | None) -> Study:
+    """Return the study in a folder; a law of the user's own is loaded first."""
+    if law is not None:
+        name_law(law)
+    from multicell.studies.study import load_study
+
+    return load_study(folder, integrator=integrator or "")
+
+
+def _cores(cores: int | None, scheduler: str | None) -> int | None:
+    """Return on how many cores runs go; None if a cluster decides."""
+    if scheduler is not None:
+        if cores is not None:
+            raise click.UsageError("--cores has no meaning with --scheduler: it has its workers.")
+        return None
+    if cores is not None:
+        return cores
+    from multicell.studies.workers import own_cores
+
+    return own_cores()
+
+
+def _known_cores() -> int:
+    """Return on how many cores runs would go on this machine, also where Dask is not installed."""
+    from multicell.studies.workers import own_cores
+
+    try:
+        return own_cores()
+    except MissingPackage:
+        return os.cpu_count() or 1
+
+
+def _ask(cost: StudyCost, cores: int | None, yes: bool, silent: bool) -> None:
+    """Tell what is expected, and ask where it is more than an hour."""
+    seconds = cost.core_seconds if cores is None else cost.seconds
+    words = _cost_words(cost, cores)
+    if not silent and cost.runs:
+        complain(f"{words}.")
+    if seconds <= _ASKED or yes:
+        return
+    if not _terminal():
+        raise click.UsageError(f"{words}. There is no terminal to ask at: --yes says go on.")
+    if not click.confirm("Go on?", err=True):
+        complain("Nothing has run.")
+        raise click.exceptions.Exit(1)
+
+
+def _terminal() -> bool:
+    """Return whether there is somebody to ask."""
+    return sys.stdin is not None and sys.stdin.isatty()
+
+
+def _stopped(made: Study) -> None:
+    """Say what there is after Ctrl-C, and how to go on."""
+    states = Counter(state.state for state in made.status())
+    done, begun = states["done"], states["partial"] + states["running"]
+    complain(
+        f"{done:,} of {_count(sum(states.values()), 'run')} are done and {begun:,} begun; "
+        f"'multicell study run {made.folder}' goes on with them."
+    )
+
+
+def _tell_outcomes(
+    made: Study, outcomes: Sequence[Outcome], page: Path | None, quiet: bool, as_json: bool
+) -> None:
+    """Print what the runs came to; end with 1 if one has failed."""
+    failed = [k for k, outcome in enumerate(outcomes) if outcome.state != "done"]
+    if as_json:
+        runs = [
+            {**asdict(outcome), "coordinates": dict(run.coordinates)}
+            for outcome, run in zip(outcomes, made.runs, strict=True)
+        ]
+        print_json({"folder": str(made.folder), "failed": len(failed), "runs": runs})
+    elif not quiet:
+        reused = sum(outcome.reused for outcome in outcomes)
+        out = console()
+        out.print(
+            f"{_count(len(outcomes), 'run')}: {len(outcomes) - len(failed):,} done"
+            f"{f', {len(failed):,} failed' if failed else ''}"
+            f"{f'; {reused:,} of them were there' if reused else ''}.",
+            markup=False,
+        )  # fmt: skip
+        _list_failed([(made.runs[k].coordinates, outcomes[k].reason) for k in failed], made)
+        if page is not None:
+            out.print(f"The report is '{page}'.", markup=False, soft_wrap=True)
+    if failed:
+        raise click.exceptions.Exit(1)
+
+
+def _list_failed(failed: Sequence[tuple[Any, str]], made: Study) -> None:
+    units = {axis.name: axis.unit for axis in made.plan.design.varied}
+    for coordinates, reason in failed[:_LISTED]:
+        where = _where(coordinates, units)
+        console().print(f"  failed at {where}: {reason}", markup=False, soft_wrap=True)
+    if len(failed) > _LISTED:
+        console().print(f"  and {len(failed) - _LISTED:,} more", markup=False)
+
+
+def _where(coordinates: Any, units: Any) -> str:
+    """Return the coordinates of a run in words."""
+    parts = []
+    for name, value in coordinates.items():
+        unit = f" {units[name]}" if units.get(name) else ""
+        shown = f"{value:g}" if isinstance(value, float) else str(value)
+        parts.append(f"{name} = {shown}{unit}")
+    return ", ".join(parts)
+
+
+@study.command()
+@folder_argument
+@law_option
+@integrator_option
+@as_json_option
+def status(folder: Path, law: str | None, integrator: str | None, as_json: bool) -> None:
+    """Tell how the runs of the study in FOLDER stand: done, running, failed and why, time left."""
+    made = _opened(folder, law, integrator)
+    states = made.status()
+    counts = Counter(state.state for state in states)
+    left = _left(made, states)
+    if as_json:
+        runs = [
+            {**asdict(state), "coordinates": dict(run.coordinates), "expected": run.expected}
+            for state, run in zip(states, made.runs, strict=True)
+        ]
+        print_json(
+            {"folder": str(folder), "counts": counts, "core_seconds_left": left, "runs": runs}
+        )
+        return
+    out = console()
+    words = {"partial": "begun"}
+    shown = [
+        f"{counts[name]:,} {words.get(name, name)}"
+        for name in ("done", "running", "partial", "waiting", "failed")
+        if counts[name]
+    ]
+    out.print(f"{_count(len(states), 'run')}: {', '.join(shown)}", markup=False)
+    for run, state in zip(made.runs, states, strict=True):
+        if state.state == "running":
+            _tell_running(made, run, state)
+    if left > 0.0:
+        cores = max(counts["running"], 1)
+        now = f", about {_in_words(left / cores)} on {_count(cores, 'core')}" if cores > 1 else ""
+        out.print(f"About {_in_words(left)} of one core left{now}.", markup=False)
+    failed = [(r.coordinates, s.reason) for r, s in zip(made.runs, states, strict=True)
+              if s.state == "failed"]  # fmt: skip
+    _list_failed(failed, made)
+
+
+def _tell_running(made: Study, run: Any, state: RunStatus) -> None:
+    units = {axis.name: axis.unit for axis in made.plan.design.varied}
+    share = 100.0 * state.time / run.scene.duration
+    console().print(
+        f"  running at {_where(run.coordinates, units)}: {share:.0f} % of the time, "
+        f"{_count(state.cells, 'cell')}",
+        markup=False, soft_wrap=True,
+    )  # fmt: skip
+
+
+def _left(made: Study, states: Sequence[RunStatus]) -> float:
+    """Return the time on one core that is left, s: as expected, by what was measured so far."""
+    measured = foreseen = left = 0.0
+    seen: set[str] = set()
+    for run, state in zip(made.runs, states, strict=True):
+        if run.name in seen:
+            continue
+        seen.add(run.name)
+        if state.state == "done":
+            measured, foreseen = measured + state.wall, foreseen + run.expected
+        elif state.state != "failed":
+            left += run.expected * max(0.0, 1.0 - state.time / run.scene.duration)
+    return left * (measured / foreseen if foreseen > 0.0 else 1.0)
+
+
+@study.command()
+@folder_argument
+@law_option
+@integrator_option
+@as_json_option
+def report(folder: Path, law: str | None, integrator: str | None, as_json: bool) -> None:
+    """Write the report of the study in FOLDER: pictures, table, and all numbers as files.
+
+    That is report.html, study.nc (netCDF, for xarray) and study.csv. What has not run yet or has
+    failed is marked as such.
+    """
+    made = _opened(folder, law, integrator)
+    page = made.report()
+    files = [str(page), str(folder / "study.nc"), str(folder / "study.csv")]
+    if as_json:
+        print_json({"files": files})
+        return
+    for file in files:
+        click.echo(file, file=sys.stdout)

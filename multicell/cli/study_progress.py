@@ -1,0 +1,146 @@
+"""How a study tells that it goes on: a bar in a terminal, a line now and then elsewhere."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import IO, TYPE_CHECKING, Any, Final, cast, final
+
+from multicell.cli.remaining import in_words
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from multicell.studies.runs import Run
+    from multicell.studies.study import Study
+    from multicell.studies.task import Outcome
+
+Progress = Callable[["Outcome"], None]
+_LINES: Final = 20  # lines of a log
+
+
+@final
+class Pace:
+    """How much of a study is done, and how long the rest will take.
+
+    What runs are expected to take is corrected by the ratio of what those that ended took to what
+    they were expected to; the expectation counts as much as one more run.
+
+    Parameters
+    ----------
+    runs
+        All of the study.
+    cores
+        On which they go; None if that is not known.
+    now
+        Of the clock, s.
+    """
+
+    def __init__(self, runs: Sequence[Run], cores: int | None, now: float) -> None:
+        self.expected = {run.name: run.expected for run in runs}
+        self.left = dict(self.expected)
+        self.total = len(self.expected)
+        self.failed = self.computed = 0
+        self._cores = cores
+        self._usual = sum(self.expected.values()) / max(self.total, 1)
+        self._took = self._foreseen = 0.0
+        self._last = now
+
+    @property
+    def done(self) -> int:
+        """How many runs have ended, well or not."""
+        return self.total - len(self.left)
+
+    @property
+    def share(self) -> float:
+        """The part of all work that has ended."""
+        whole = sum(self.expected.values())
+        return 1.0 - sum(self.left.values()) / whole if self.left and whole > 0.0 else 1.0
+
+    def note(self, outcome: Outcome, now: float) -> None:
+        """Note that a run has ended."""
+        foreseen = self.left.pop(outcome.name, 0.0)
+        self.failed += outcome.state != "done"
+        self._last = now
+        if not outcome.reused:
+            self.computed += 1
+        if not outcome.reused and outcome.state == "done":
+            self._took, self._foreseen = self._took + outcome.wall, self._foreseen + foreseen
+
+    def remaining(self, now: float) -> float | None:
+        """Return the wall time that is left, s; None if nobody knows on how many cores."""
+        if self._cores is None:
+            return None
+        factor = (self._took + self._usual) / (self._foreseen + self._usual)
+        rest = self.left.values()
+        time = max(sum(rest) / self._cores, max(rest, default=0.0))
+        return max(0.0, factor * time - (now - self._last))
+
+    def words(self, now: float) -> str:
+        """Return how the study stands in words."""
+        left = self.remaining(now)
+        ahead = "" if left is None or not self.left else f" · about {in_words(left)} left"
+        failed = f" · {self.failed:,} failed" if self.failed else ""
+        return f"{self.done:,} of {self.total:,} runs{failed}{ahead}"
+
+
+@contextmanager
+def reporter(study: Study, cores: int | None, *, show: bool = True) -> Iterator[Progress | None]:
+    """Yield what is called with every outcome, or None if nothing shall be shown."""
+    if not show:
+        yield None
+        return
+    from rich.console import Console
+
+    from multicell.cli.process import Faltering
+
+    console = Console(file=cast(IO[str], Faltering(sys.stderr)), highlight=False)
+    pace = Pace(study.runs, cores, time.perf_counter())
+    with _bar(pace, console) if console.is_terminal else _lines(pace, console) as progress:
+        yield progress
+
+
+@contextmanager
+def _bar(pace: Pace, console: Console) -> Iterator[Progress]:
+    """Draw a bar in expected time."""
+    from rich import progress as rich_progress
+    from rich.text import Text
+
+    @final
+    class Standing(rich_progress.ProgressColumn):
+        def render(self, task: Any) -> Text:
+            return Text(pace.words(time.perf_counter()))
+
+    columns = (
+        rich_progress.BarColumn(bar_width=24),
+        rich_progress.TaskProgressColumn(),
+        Standing(),
+        rich_progress.TimeElapsedColumn(),
+    )
+    with rich_progress.Progress(*columns, console=console, refresh_per_second=2) as bar:
+        task = bar.add_task("", total=1.0)
+
+        def note(outcome: Outcome) -> None:
+            pace.note(outcome, time.perf_counter())
+            bar.update(task, completed=pace.share)
+
+        yield note
+
+
+@contextmanager
+def _lines(pace: Pace, console: Console) -> Iterator[Progress]:
+    """Print a line now and then, for logs; none for what was there."""
+    printed = 0
+
+    def note(outcome: Outcome) -> None:
+        nonlocal printed
+        now = time.perf_counter()
+        pace.note(outcome, now)
+        part = pace.done * _LINES // max(pace.total, 1)
+        if not outcome.reused and (part > printed or not pace.left):
+            printed = part
+            console.print(pace.words(now), markup=False, soft_wrap=True)
+
+    yield note

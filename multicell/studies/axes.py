@@ -1,0 +1,433 @@
+"""What a study varies: values of keys along axes, ranges of free parameters.
+
+A text is read as it is typed behind ``--vary`` or ``--free``: ``"0.07,0.14,0.28 mM"`` (a unit at
+the end holds for all that have none), ``"0.05:0.30:6 mM"`` (six values, evenly spaced),
+``"log 0.01:1:5 mM"``, ``"jkr,hertz"``, or a TOML list of values; a range is ``"8:25 h"`` or
+``"log 1e-3:1 1/s"``.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+import re
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Final, final
+
+from multicell.errors import SceneError
+from multicell.studies.keys import Key, key_of
+from multicell.units import shown
+
+if TYPE_CHECKING:
+    from multicell.scene.scene import Scene
+
+_NUMBER: Final = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+_QUANTITY: Final = re.compile(rf"\s*({_NUMBER})\s*(.*?)\s*", re.DOTALL)
+_SPACED: Final = re.compile(rf"(log\s+)?({_NUMBER}):({_NUMBER}):(\d+)\s*(.*)")
+_RANGE: Final = re.compile(rf"(log\s+)?({_NUMBER}):({_NUMBER})\s*(.*)")
+_MOST_VALUES: Final = 100_000
+_MOST_CHECKED: Final = 100
+_FIRST: Final = ("contact.law",)
+"""Keys that are set before others: those that decide which others there are."""
+_NUMERIC: Final = ("quantity", "quantity_or_name", "number", "count", "rate_constant")
+_RANGES: Final = (*_NUMERIC, "quantities", "course")
+
+
+@final
+@dataclass(frozen=True)
+class Axis:
+    """Values along one dimension.
+
+    Attributes
+    ----------
+    key
+        Dotted key of a scene, ``"nutrients.oxygen.boundary"``.
+    values
+        As :meth:`Scene.with_changes` takes them: ``"0.07 mM"``, ``5``, ``"jkr"``.
+    unit
+        Base unit of the key, empty for counts and words.
+    numbers
+        The values in base units; None where one of them is a word.
+    name
+        Of the dimension: the last part of the key, or as much of it as makes it unique.
+    """
+
+    key: str
+    values: tuple[Any, ...]
+    unit: str
+    numbers: tuple[float, ...] | None
+    name: str
+
+    @property
+    def coordinates(self) -> tuple[float | str, ...]:
+        """The values as coordinates of a table: numbers in base units, or words."""
+        return self.numbers if self.numbers is not None else tuple(map(_word, self.values))
+
+
+@final
+@dataclass(frozen=True)
+class Range:
+    """The range of a free parameter.
+
+    Attributes
+    ----------
+    key
+        Dotted key of a scene.
+    low, high
+        Ends in base units, ``low < high``.
+    unit
+        Base unit of the key, empty for numbers without.
+    log
+        Whether equal ratios count the same.
+    name
+        Short name, as of an :class:`Axis`.
+    whole
+        Whether only whole numbers are allowed.
+    """
+
+    key: str
+    low: float
+    high: float
+    unit: str
+    log: bool
+    name: str
+    whole: bool
+
+    def value(self, share: float) -> float:
+        """Return the value in base units at a share from 0 (low) to 1 (high) of the range."""
+        if self.whole:
+            # the number k has the part of the range from k to k + 1
+            beyond = self.high + 1.0
+            place = _between(self.low, beyond, share, self.log)
+            return float(min(math.floor(place), self.high))
+        if share >= 1.0:
+            return self.high
+        return _between(self.low, self.high, share, self.log)
+
+    def share(self, value: float) -> float:
+        """Return where a value in base units lies in the range, 0 at low and 1 at high."""
+        if self.log:
+            return math.log(value / self.low) / math.log(self.high / self.low)
+        return (value - self.low) / (self.high - self.low)
+
+    def setting(self, value: float) -> Any:
+        """Return a value in base units as :meth:`Scene.with_changes` takes it."""
+        return round(value) if self.whole else value
+
+
+def _between(low: float, high: float, share: float, log: bool) -> float:
+    return low * math.pow(high / low, share) if log else low + share * (high - low)
+
+
+def parse_axis(
+    key: str, text: str | Sequence[Any], scene: Scene, *, repeated: bool = False
+) -> Axis:
+    """Return the axis that a text or a list of values describes.
+
+    Parameters
+    ----------
+    key
+        Dotted key of the scene.
+    text
+        As typed behind ``--vary``, or the values as :meth:`Scene.with_changes` takes them.
+    scene
+        The scene that is varied.
+    repeated
+        Whether a value may be there twice, as in a column of a table.
+
+    Raises
+    ------
+    SceneError
+        For a key that the scene does not have, no values, a value twice and one that the key
+        cannot have.
+    """
+    found = key_of(scene, key)
+    given = _listed(found, text) if isinstance(text, str) else _sequence(found, text)
+    if not given:
+        raise SceneError(found.name, "has no values", f"For example {_example(found)}.")
+    plain = [found.plain(value) for value in given]
+    if not repeated:
+        _refuse_twice(found, given, plain)
+    numeric = all(isinstance(x, int | float) and not isinstance(x, bool) for x in plain)
+    return Axis(
+        found.name, tuple(given), found.unit, tuple(map(float, plain)) if numeric else None,
+        found.name.rpartition(".")[2],
+    )  # fmt: skip
+
+
+def parse_range(key: str, text: str | Sequence[Any], scene: Scene) -> Range:
+    """Return the range that a text or two (or with ``"log"`` three) values describe.
+
+    Parameters
+    ----------
+    key
+        Dotted key of the scene.
+    text
+        ``"8:25 h"``, ``"log 1e-3:1 1/s"``, or ``("8 h", "25 h")`` and ``(1e-3, 1.0, "log")``.
+    scene
+        The scene that is varied.
+
+    Raises
+    ------
+    SceneError
+        For a key that the scene does not have or that is no number, for anything but two ends of
+        which the first is lower, and for ends that the key cannot have.
+    """
+    found = key_of(scene, key)
+    if not is_numeric(found):
+        problem = f"is no number, so {shown(text)} cannot be its range"
+        raise SceneError(found.name, problem, "Vary it along an axis of values.")
+    log, ends = _ends(found, text)
+    plain = [found.plain(end) for end in ends]
+    if not all(isinstance(end, int | float) for end in plain):
+        raise SceneError(found.name, f"has the range {shown(text)}, must have two numbers")
+    low, high = map(float, plain)
+    if not low < high:
+        problem = f"has the range {_described(text)}, must have the lower end first"
+        raise SceneError(found.name, problem)
+    if log and low <= 0.0:
+        problem = f"has the range {_described(text)}, which has no logarithm"
+        raise SceneError(found.name, problem, "Leave 'log' away, or begin above zero.")
+    name = found.name.rpartition(".")[2]
+    return Range(found.name, low, high, found.unit, log, name, found.spec.kind == "count")
+
+
+def named(axes: Iterable[Axis | Range], taken: Iterable[str] = ()) -> list[Any]:
+    """Return axes or ranges with names that are unique: as much of the keys as that takes.
+
+    ``taken`` are further names that none of them may have.
+    """
+    axes, taken = list(axes), {*_reserved(), *taken}
+    keys = {axis.key for axis in axes}
+    result = []
+    for axis in axes:
+        parts = axis.key.split(".")
+        for count in range(1, len(parts) + 1):
+            name = ".".join(parts[-count:])
+            others = (key for key in keys if key != axis.key)
+            if name not in taken and not any(_ends_with(key, name) for key in others):
+                break
+        result.append(replace(axis, name=name))
+    return result
+
+
+def _reserved() -> set[str]:
+    """Return the names that observables of a run and other coordinates have."""
+    from multicell.results.quantities import UNITS
+
+    return {"point", "state", "reason", *(name for name in UNITS if "." not in name)}
+
+
+def _ends_with(key: str, name: str) -> bool:
+    return key == name or key.endswith(f".{name}")
+
+
+def _listed(key: Key, text: str) -> list[Any]:
+    """Return the values that a text lists."""
+    text = text.strip()
+    if text.startswith("["):
+        return _toml_list(key, text)
+    spaced = _SPACED.fullmatch(text) if is_numeric(key) else None
+    if spaced is not None:
+        return _evenly(key, spaced)
+    items = [item.strip() for item in text.split(",")] if text else []
+    if not all(items):
+        problem = f"has an empty value in {shown(text)}"
+        raise SceneError(key.name, problem, f"For example {_example(key)}.")
+    if items and is_numeric(key):
+        return _with_unit(key, items)
+    return [bare(item) for item in items]
+
+
+def _toml_list(key: Key, text: str) -> list[Any]:
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except (ValueError, RecursionError) as error:
+        problem = f"has values that are not valid TOML: {shown(text)}"
+        raise SceneError(key.name, problem, str(error)) from None
+    return list(value)
+
+
+def _with_unit(key: Key, items: list[str]) -> list[Any]:
+    """Return quantities as texts with units: that of the last one where they have none."""
+    matches = [_QUANTITY.fullmatch(item) for item in items]
+    units = [match[2] if match else None for match in matches]
+    shared = units[-1]
+    if not shared and any(units):
+        problem = f"has values with units and without: {', '.join(items)}"
+        raise SceneError(key.name, problem, f"A unit at the end holds for all: {_example(key)}.")
+    values: list[Any] = []
+    for item, match, unit in zip(items, matches, units, strict=True):
+        if match is None:
+            values.append(item)  # a word, such as 'auto'
+        elif unit or shared:
+            values.append(f"{match[1]} {unit or shared}")
+        else:
+            values.append(bare(match[1]))
+    return values
+
+
+def _evenly(key: Key, match: re.Match[str]) -> list[Any]:
+    """Return evenly spaced values, by ratio if ``log`` stands before them."""
+    log, count, unit = bool(match[1]), int(match[4]), match[5]
+    low, high = float(match[2]), float(match[3])
+    if not 2 <= count <= _MOST_VALUES or not low < high or (log and low <= 0.0):
+        hint = "Write 'low:high:count unit', the lower end first, with at least two values."
+        raise SceneError(key.name, f"has the values {match[0]!r}, which are none", hint)
+    shares = [k / (count - 1) for k in range(count)]
+    numbers = [_between(low, high, share, log) for share in shares]
+    numbers[-1] = high
+    short = [float(f"{number:.12g}") for number in numbers]
+    if unit:
+        return [f"{number!r} {unit}" for number in short]
+    if key.spec.kind == "count" and all(number.is_integer() for number in short):
+        return [int(number) for number in short]
+    return short
+
+
+def is_numeric(key: Key) -> bool:
+    """Return whether the values of a key are numbers, which may lie in a range."""
+    return key.spec.kind in _RANGES
+
+
+def bare(text: str) -> Any:
+    """Return the number, the truth value or the word that a text is."""
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except ValueError:
+        return text
+    return value if isinstance(value, bool | int | float | str) else text
+
+
+def _sequence(key: Key, values: Any) -> list[Any]:
+    """Return values that were given one by one."""
+    if not isinstance(values, Iterable) or isinstance(values, dict):
+        hint = f"For example {_example(key)}."
+        raise SceneError(key.name, f"has the values {shown(values)}, must have a list", hint)
+    as_list = getattr(values, "tolist", None)
+    listed = as_list() if as_list is not None else values
+    items = list(listed) if isinstance(listed, Iterable) else [listed]
+    return [item.item() if hasattr(item, "dtype") else item for item in items]
+
+
+def _ends(key: Key, text: str | Sequence[Any]) -> tuple[bool, list[Any]]:
+    """Return whether a range is logarithmic, and its two ends."""
+    hint = f"For example '{'8:25 h' if key.unit == 's' else f'1:10 {key.unit}'.strip()}'."
+    if isinstance(text, str):
+        match = _RANGE.fullmatch(text.strip())
+        if match is None:
+            problem = f"has the range {shown(text)}, must be two numbers with a colon and a unit"
+            raise SceneError(key.name, problem, hint)
+        return bool(match[1]), _with_unit(key, [match[2], f"{match[3]} {match[4]}".strip()])
+    values = _sequence(key, text)
+    log = len(values) == 3 and values[2] == "log"
+    if len(values) != 2 and not log:
+        problem = f"has the range {_described(text)}, must be two values"
+        raise SceneError(key.name, problem, hint)
+    return log, values[:2]
+
+
+def _refuse_twice(key: Key, given: Sequence[Any], plain: Sequence[Any]) -> None:
+    seen: dict[str, Any] = {}
+    for value, converted in zip(given, plain, strict=True):
+        word = json.dumps(converted, sort_keys=True)
+        if word in seen:
+            same = "" if seen[word] == value else f" (as {seen[word]!r} is)"
+            raise SceneError(key.name, f"has the value {value!r} twice{same}")
+        seen[word] = value
+
+
+def _described(text: str | Sequence[Any]) -> str:
+    return repr(text) if isinstance(text, str) else " to ".join(map(str, text))
+
+
+def _word(value: Any) -> str:
+    """Return a value as a word of a table."""
+    return value if isinstance(value, str) else json.dumps(value, sort_keys=True)
+
+
+def _example(key: Key) -> str:
+    if key.spec.options:
+        return "'" + ",".join(key.spec.options[:2]) + "'"
+    return f"'1,2,5 {key.unit}'".replace(" '", "'")
+
+
+def check_axes(scene: Scene, axes: Sequence[Axis | Range]) -> None:
+    """Refuse axes and ranges that do not fit to a scene or to each other.
+
+    Raises
+    ------
+    SceneError
+        For two of the same key, a key without effect (also one that another axis leaves without),
+        and values that the scene refuses, with the key: those of an axis, and ends of a range that
+        are refused whatever the other ranges are at.
+    """
+    from multicell.studies.meaning import refuse_needless
+
+    seen: set[str] = set()
+    for axis in axes:
+        if axis.key in seen:
+            raise SceneError(axis.key, "is varied twice", "Give all its values at once.")
+        seen.add(axis.key)
+        key_of(scene, axis.key)
+    for axis in axes:
+        others = [other for other in axes if other is not axis]
+        for setting in axis.values if isinstance(axis, Axis) else _ends_of(axis):
+            _somewhere(scene, {axis.key: setting}, others)
+    words = [axis for axis in axes if isinstance(axis, Axis) and axis.numbers is None]
+    numeric = [axis for axis in axes if axis not in words]
+    chosen = itertools.islice(itertools.product(*(axis.values for axis in words)), _MOST_CHECKED)
+    cases = []
+    for values in chosen:
+        changes = dict(zip((axis.key for axis in words), values, strict=True))
+        cases.append((changes, _somewhere(scene, changes, numeric)))
+    refuse_needless(cases, [axis.key for axis in axes])
+
+
+def _ends_of(axis: Axis | Range) -> tuple[Any, Any]:
+    """Return the first and the last setting of an axis or a range."""
+    if isinstance(axis, Axis):
+        return axis.values[0], axis.values[-1]
+    return axis.setting(axis.low), axis.setting(axis.high)
+
+
+def _somewhere(scene: Scene, changes: Mapping[str, Any], others: Sequence[Axis | Range]) -> Scene:
+    """Return the scene with changes and other axes at their first or last values.
+
+    Raises
+    ------
+    SceneError
+        If it is refused wherever the others are.
+    """
+    refused: SceneError | None = None
+    for place in (0, 1):
+        at = {other.key: _ends_of(other)[place] for other in others}
+        try:
+            return changed(scene, {**at, **changes})
+        except SceneError as error:
+            refused = refused or error
+    assert refused is not None
+    raise refused
+
+
+def changed(scene: Scene, changes: Mapping[str, Any]) -> Scene:
+    """Return a scene with other values, or say with which it is refused.
+
+    Raises
+    ------
+    SceneError
+        With the path of what is refused and all the changes.
+    """
+    first = {key: changes[key] for key in _FIRST if key in changes}
+    try:
+        return scene.with_changes({**first, **changes})
+    except SceneError as error:
+        where = ", ".join(f"{key} = {value!r}" for key, value in changes.items())
+        if error.path in changes and "not a known key" in error.problem:
+            others = {key: value for key, value in changes.items() if key != error.path}
+            where = ", ".join(f"{key} = {value!r}" for key, value in others.items())
+            raise SceneError(error.path, f"has no meaning where {where}", error.hint) from None
+        raise SceneError(error.path, f"{error.problem} (where {where})", error.hint) from None

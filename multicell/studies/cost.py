@@ -1,0 +1,122 @@
+"""What a study is expected to take, before any of it runs."""
+
+from __future__ import annotations
+
+import heapq
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, final
+
+from multicell.errors import OutputError
+from multicell.results.folder import to_json, write_text
+
+if TYPE_CHECKING:
+    from multicell.scene.scene import Scene
+    from multicell.studies.plan import Plan
+
+NAME: Final = "expected.json"
+"""File in the folder of a study: what its runs are expected to take, by their names."""
+
+
+@final
+@dataclass(frozen=True)
+class Cost:
+    """What a run is expected to take.
+
+    Attributes
+    ----------
+    seconds
+        Wall time on one core, without compilation.
+    memory, disk : bytes
+        Of the process at its largest; of the run's folder.
+    """
+
+    seconds: float
+    memory: float
+    disk: float
+
+
+@final
+@dataclass(frozen=True)
+class StudyCost:
+    """What several runs are expected to take together.
+
+    Attributes
+    ----------
+    runs
+        How many there are.
+    core_seconds
+        Sum of their wall times on one core, s.
+    seconds
+        Wall time on so many cores, s; not below that of the longest run.
+    memory, disk : bytes
+        Of as many of the largest runs as there are cores; of all runs.
+    """
+
+    runs: int
+    core_seconds: float
+    seconds: float
+    memory: float
+    disk: float
+
+
+def cost_of(scene: Scene) -> Cost:
+    """Return what a run of a scene is expected to take."""
+    from multicell.report.explain.cost import predicted
+
+    found = predicted(scene)
+    return Cost(found.seconds, found.memory, found.file)
+
+
+def together(costs: Iterable[Cost], cores: int) -> StudyCost:
+    """Return what runs are expected to take together on a number of cores."""
+    costs = list(costs)
+    total = sum(cost.seconds for cost in costs)
+    longest = max((cost.seconds for cost in costs), default=0.0)
+    return StudyCost(
+        runs=len(costs),
+        core_seconds=total,
+        seconds=max(total / cores, longest),
+        memory=sum(heapq.nlargest(cores, (cost.memory for cost in costs))),
+        disk=sum(cost.disk for cost in costs),
+    )
+
+
+def costs_of(plan: Plan, folder: Path | None = None) -> list[Cost]:
+    """Return what a run of each point of a plan is expected to take.
+
+    Parameters
+    ----------
+    plan
+    folder
+        Of the study; what is found is kept there for the next time.
+    """
+    known = {} if folder is None else _kept(folder / NAME)
+    names = plan.names[:: plan.seeds]
+    costs = [known.get(name) for name in names]
+    found = [
+        cost_of(scene) if cost is None else cost
+        for cost, scene in zip(costs, plan.scenes, strict=True)
+    ]
+    if folder is not None and None in costs and folder.is_dir():
+        _keep(folder / NAME, names, found)
+    return found
+
+
+def _kept(path: Path) -> dict[str, Cost]:
+    """Return what was found before; nothing where that cannot be read: it is found again."""
+    try:
+        entries: Any = json.loads(path.read_bytes())
+        return {name: Cost(**{k: float(v) for k, v in e.items()}) for name, e in entries.items()}
+    except (OSError, ValueError, TypeError, AttributeError):
+        return {}
+
+
+def _keep(path: Path, names: Sequence[str], costs: Sequence[Cost]) -> None:
+    entries: Mapping[str, Any] = {n: asdict(c) for n, c in zip(names, costs, strict=True)}
+    try:
+        write_text(path, to_json(entries) + "\n")
+    except OutputError:
+        return  # it only saves time

@@ -1,0 +1,356 @@
+"""Designs: which points of the space of parameters a study runs.
+
+A grid runs all combinations of its axes, of which some may go together (zipped); a list runs the
+rows of a table; Latin hypercube and Sobol' sequence (Sobol' 1967, scrambled after Owen 1995, both
+by :mod:`scipy.stats.qmc`) spread a number of points evenly over ranges.
+"""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, final
+
+from multicell.errors import SceneError
+from multicell.studies.axes import Axis, Range, named, parse_axis, parse_range
+from multicell.studies.keys import key_of
+from multicell.units import shown
+
+if TYPE_CHECKING:
+    from multicell.scene.scene import Scene
+
+DESIGNS: Final = ("grid", "list", "lhs", "sobol")
+SAMPLED: Final = ("lhs", "sobol")
+"""Designs that draw a number of points from ranges."""
+MOST_POINTS: Final = 100_000
+
+
+@final
+@dataclass(frozen=True)
+class Point:
+    """One point of a design.
+
+    Attributes
+    ----------
+    changes
+        Dotted key -> value, as :meth:`Scene.with_changes` takes them.
+    coordinates
+        Axis name -> number in base units, or word.
+    """
+
+    changes: Mapping[str, Any]
+    coordinates: Mapping[str, float | str]
+
+    def __str__(self) -> str:
+        return ", ".join(f"{key} = {value!r}" for key, value in self.changes.items())
+
+
+@final
+@dataclass(frozen=True)
+class Dimension:
+    """One dimension of a design's points: an axis, or several whose values go together.
+
+    Attributes
+    ----------
+    name
+        That of its axis; of several that of the first one without repeated values.
+    axes
+        All of the same length.
+    """
+
+    name: str
+    axes: tuple[Axis, ...]
+
+    def __len__(self) -> int:
+        return len(self.axes[0].values)
+
+
+@final
+@dataclass(frozen=True)
+class Design:
+    """What is varied, and how.
+
+    Attributes
+    ----------
+    kind
+        One of :data:`DESIGNS`.
+    axes
+        Of a grid those that are varied one by one; axes and ranges of samples; of a list its
+        columns, all of one length.
+    zipped
+        Of a grid: groups of axes whose values go together.
+    size
+        Number of points of a sample, else 0.
+    sample_seed
+        Of a sample's random numbers.
+    """
+
+    kind: str = "grid"
+    axes: tuple[Axis | Range, ...] = ()
+    zipped: tuple[tuple[Axis, ...], ...] = ()
+    size: int = 0
+    sample_seed: int = 0
+    points: tuple[Point, ...] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        check_form(self)
+        names = iter(named([*self.axes, *itertools.chain(*self.zipped)]))
+        axes = tuple(next(names) for _ in self.axes)
+        zipped = tuple(tuple(next(names) for _ in group) for group in self.zipped)
+        object.__setattr__(self, "axes", axes)
+        object.__setattr__(self, "zipped", zipped)
+        object.__setattr__(self, "points", tuple(_points(self)))
+
+    @property
+    def varied(self) -> tuple[Axis | Range, ...]:
+        """All axes and ranges."""
+        return (*self.axes, *itertools.chain(*self.zipped))
+
+    @property
+    def dimensions(self) -> tuple[Dimension, ...]:
+        """The dimensions of the points in their order, the last one running fastest.
+
+        A list or sample has one, ``point``, without axes of its own.
+        """
+        if self.kind != "grid":
+            return ()
+        alone = [Dimension(axis.name, (axis,)) for axis in self.axes if isinstance(axis, Axis)]
+        return (*alone, *map(_zip_dimension, self.zipped))
+
+
+def _zip_dimension(group: tuple[Axis, ...]) -> Dimension:
+    unique = [a.name for a in group if len(set(a.coordinates)) == len(a.coordinates)]
+    name = unique[0] if unique else "+".join(axis.name for axis in group)
+    return Dimension(name, group)
+
+
+def check_form(design: Design) -> None:
+    """Refuse a design whose parts do not go together, or that has too many points.
+
+    Raises
+    ------
+    SceneError
+    """
+    if design.kind not in DESIGNS:
+        from multicell.schema import near_miss
+
+        problem = f"is {shown(design.kind)}, must be one of {', '.join(DESIGNS)}"
+        raise SceneError("design", problem, near_miss(design.kind, DESIGNS, listed=False))
+    if design.zipped and design.kind != "grid":
+        raise SceneError("zip", f"has no meaning in a design of kind '{design.kind}'")
+    if design.kind in SAMPLED:
+        _check_sample(design)
+    else:
+        _check_lists(design)
+    seen: set[str] = set()
+    for axis in design.varied:
+        if axis.key in seen:
+            raise SceneError(axis.key, "is varied twice", "Give all its values at once.")
+        seen.add(axis.key)
+
+
+def _check_sample(design: Design) -> None:
+    """Refuse a sample of nothing, and a size that is none."""
+    if not design.axes:
+        hint = "Give ranges, such as nutrients.oxygen.boundary = '0.05:0.3 mM'."
+        raise SceneError("vary", f"is empty: a design of kind '{design.kind}' draws points", hint)
+    size = design.size
+    if design.kind == "sobol" and size & (size - 1):
+        low = 1 << (size.bit_length() - 1)
+        hint = f"Its points fill the space evenly then: take {low} or {2 * low}."
+        raise SceneError("size", f"is {size}, must be a power of two in a Sobol' sequence", hint)
+
+
+def _check_lists(design: Design) -> None:
+    """Refuse ranges where values are needed, lists of unequal lengths, and too many points."""
+    for axis in design.varied:
+        if isinstance(axis, Range):
+            ends = f"{axis.low:g}:{axis.high:g}"
+            unit = f" {axis.unit}" if axis.unit else ""
+            problem = (
+                f"has a range, {ends}{unit}, but a design of kind '{design.kind}' needs values"
+            )
+            hint = f"'{ends}:5{unit}' are five of them; or sample it (--design lhs or sobol)."
+            raise SceneError(axis.key, problem, hint)
+    if design.size:
+        problem = f"has no meaning in a design of kind '{design.kind}'"
+        raise SceneError("size", problem, "It is the number of points of a sample.")
+    columns = [axis for axis in design.axes if isinstance(axis, Axis)]
+    groups = [columns] if design.kind == "list" else list(map(list, design.zipped))
+    for group in groups:
+        _check_lengths(group)
+    if design.kind == "list" and not design.axes:
+        raise SceneError("points", "is empty", "A list needs a column for each key.")
+    count = math.prod(map(len, design.dimensions))
+    if count > MOST_POINTS:
+        hint = "Sample it (--design lhs or sobol), or vary less."
+        raise SceneError("vary", f"makes {count:,} points, must be at most {MOST_POINTS:,}", hint)
+
+
+def _check_lengths(group: Sequence[Axis]) -> None:
+    """Refuse axes that should go together and have different lengths, or a row twice."""
+    lengths = {len(axis.values) for axis in group}
+    if len(lengths) > 1:
+        words = ", ".join(f"{axis.key} has {len(axis.values)}" for axis in group)
+        hint = "Values that go together stand at the same places of their lists."
+        raise SceneError(group[0].key, f"goes with lists of other lengths: {words}", hint)
+    seen: dict[tuple[Any, ...], int] = {}
+    for k, row in enumerate(zip(*(axis.coordinates for axis in group), strict=True)):
+        if row in seen:
+            values = ", ".join(f"{axis.key} = {axis.values[k]!r}" for axis in group)
+            problem = f"has the same point twice, as number {seen[row] + 1} and {k + 1}: {values}"
+            raise SceneError(group[0].key, problem)
+        seen[row] = k
+
+
+def _points(design: Design) -> Iterator[Point]:
+    """Yield all points, the last dimension running fastest."""
+    if design.kind in SAMPLED:
+        yield from _sampled(design)
+        return
+    if design.kind == "list":
+        groups = [design.axes]
+    else:
+        groups = [dimension.axes for dimension in design.dimensions]
+    places = (range(len(group[0].values)) for group in groups if isinstance(group[0], Axis))
+    for row in itertools.product(*places):
+        values: dict[str, Any] = {}
+        coordinates: dict[str, float | str] = {}
+        for group, place in zip(groups, row, strict=True):
+            for axis in group:
+                assert isinstance(axis, Axis)
+                values[axis.key] = axis.values[place]
+                coordinates[axis.name] = axis.coordinates[place]
+        yield Point(values, coordinates)
+
+
+def _sampled(design: Design) -> Iterator[Point]:
+    """Yield points that fill ranges, and the values of axes, evenly."""
+    from scipy.stats import qmc
+
+    width = len(design.axes)
+    if design.kind == "lhs":
+        shares = qmc.LatinHypercube(width, rng=design.sample_seed).random(design.size)
+    else:
+        sampler = qmc.Sobol(width, scramble=True, rng=design.sample_seed)
+        shares = sampler.random_base2(design.size.bit_length() - 1)
+    for row in shares.tolist():
+        values: dict[str, Any] = {}
+        coordinates: dict[str, Any] = {}
+        for axis, share in zip(design.axes, row, strict=True):
+            if isinstance(axis, Range):
+                number = axis.value(share)
+                values[axis.key], coordinates[axis.name] = axis.setting(number), number
+            else:
+                place = min(int(share * len(axis.values)), len(axis.values) - 1)
+                values[axis.key] = axis.values[place]
+                coordinates[axis.name] = axis.coordinates[place]
+        yield Point(values, coordinates)
+
+
+def parse_varied(key: str, given: Any, scene: Scene, sampled: bool = False) -> Axis | Range:
+    """Return the axis or the range that a text or a list describes.
+
+    A text is a range where it has one colon (``"8:25 h"``), else it lists values; a tuple is one
+    where points are sampled.
+
+    Raises
+    ------
+    SceneError
+        As :func:`parse_axis` and :func:`parse_range`.
+    """
+    if isinstance(given, Axis | Range):
+        return given
+    if sampled and isinstance(given, tuple):
+        return parse_range(key, given, scene)
+    if isinstance(given, str) and given.count(":") == 1 and not given.lstrip().startswith("["):
+        from multicell.studies.axes import is_numeric
+
+        if is_numeric(key_of(scene, key)):
+            return parse_range(key, given, scene)
+    return parse_axis(key, given, scene)
+
+
+def parse_column(key: str, values: Sequence[Any], scene: Scene) -> Axis:
+    """Return a column of a list of points, or one of axes that go together.
+
+    Other than along an axis, a value may stand there more than once.
+    """
+    return parse_axis(key, values, scene, repeated=True)
+
+
+def read_points(path: str | Path, scene: Scene) -> tuple[Axis, ...]:
+    """Return the columns of a table of points, a CSV file.
+
+    The header has the keys, each with the unit of its column in brackets,
+    ``nutrients.oxygen.boundary [mM]``; where there is none the values have units of their own, or
+    are numbers without. Lines that begin with ``#`` are remarks.
+
+    Raises
+    ------
+    SceneError
+        For a file that cannot be read, a column without a key or unit, a row of another length and
+        a value that its key cannot have, with the line.
+    """
+    try:
+        text = Path(path).expanduser().read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "it is not UTF-8 text"
+        raise SceneError("points", f"'{path}' cannot be read: {reason}") from None
+    lines = [
+        (number, row)
+        for number, row in enumerate(csv.reader(text.splitlines(), skipinitialspace=True), 1)
+        if any(map(str.strip, row)) and not row[0].lstrip().startswith("#")
+    ]
+    if len(lines) < 2:
+        raise SceneError("points", f"'{path}' has no points: it needs a header and a row")
+    (_, header), rows = lines[0], lines[1:]
+    for number, row in rows:
+        if len(row) != len(header):
+            problem = f"'{path}', line {number}, has {len(row)} values, its header {len(header)}"
+            raise SceneError("points", problem)
+    return tuple(
+        _column(path, title, [(number, row[k].strip()) for number, row in rows], scene)
+        for k, title in enumerate(header)
+    )
+
+
+def _column(path: str | Path, title: str, cells: list[tuple[int, str]], scene: Scene) -> Axis:
+    """Return one column of a table of points."""
+    from multicell.studies.axes import bare, is_numeric
+
+    name, unit = split_unit(title)
+    if not name:
+        raise SceneError("points", f"'{path}' has a column without a key in its header")
+    key = key_of(scene, name)
+    values: list[Any] = []
+    for number, cell in cells:
+        where = f"'{path}', line {number}"
+        if not cell:
+            raise SceneError(name, f"is empty in {where}")
+        value = bare(cell)
+        if isinstance(value, int | float) and not isinstance(value, bool) and unit:
+            value = f"{cell} {unit}"
+        if isinstance(value, int | float) and key.unit and is_numeric(key):
+            hint = f"Write '{name} [{key.unit}]', or a unit behind every value."
+            raise SceneError(name, f"has no unit in the header of '{path}'", hint)
+        try:
+            key.plain(value)
+        except SceneError as error:
+            raise SceneError(name, f"{error.problem} ({where})", error.hint) from None
+        values.append(value)
+    return parse_column(name, values, scene)
+
+
+def split_unit(title: str) -> tuple[str, str]:
+    """Return the name and the unit of a column's title, ``"name [unit]"`` or ``"name (unit)"``."""
+    title = title.strip()
+    for opening, closing in ("[]", "()"):
+        if title.endswith(closing) and opening in title:
+            name, _, unit = title[:-1].rpartition(opening)
+            return name.strip(), unit.strip()
+    return title, ""

@@ -1,0 +1,101 @@
+"""Runs against data, in standard deviations.
+
+A datum y with standard deviation σ (both on the scale of its comparison, see
+:class:`multicell.studies.data.Datum`) is taken to be what one tissue shows, measured with a normal
+error. So if runs that differ in nothing but their random numbers have mean m and variance s²,
+y - m has the variance σ² + s² over tissues and measurements. With m and s² from K runs,
+
+    z = (y - m) / √v,    v = σ² + s² (1 + 1/K),    -2 ln L = Σ (z² + ln(v/σ²)) + constant,
+
+the synthetic likelihood of Wood (2010, Nature 466, 1102), with K so small that the error of m
+counts. The logarithm keeps parameters from being preferred because they make runs scatter. With one
+run, s² is unknown and taken as none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multicell.studies.data import Datum
+
+ABSENT: Final = 100.0
+"""Standard deviations that a datum counts for of which a run has nothing.
+
+Such are the rim at a size that the tissue never reaches, and all data of a run that fails.
+"""
+
+Array = NDArray[np.float64]
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Misfit:
+    """How runs with the same parameters differ from the data.
+
+    Attributes
+    ----------
+    means : (n,)
+        Of the runs, on the scales of the data; NaN where a run has nothing.
+    scatter : (n,)
+        Variance s² over the runs; 0 for one run.
+    residuals : (n,)
+        (m - y) / √v, positive where the runs have more; ABSENT where they have nothing.
+    loss
+        -2 ln L up to a constant: 0 for a perfect fit without scatter.
+    """
+
+    means: Array
+    scatter: Array
+    residuals: Array
+    loss: float
+
+    @property
+    def chi_squared(self) -> float:
+        """The sum of the squares of all residuals."""
+        return float((self.residuals**2).sum())
+
+    @property
+    def per_datum(self) -> float:
+        """χ² over the number of data: about 1 where model and deviations are right."""
+        return self.chi_squared / len(self.residuals)
+
+
+def scales(data: Sequence[Datum]) -> tuple[Array, Array]:
+    """Return the values of data on the scales of comparison and their deviations, (n,) each."""
+    return np.array([d.scaled(d.value) for d in data]), np.array([d.sigma for d in data])
+
+
+def scaled(data: Sequence[Datum], values: Sequence[float]) -> Array:
+    """Return readings of a run on the scales of the data, (n,); NaN where there is nothing."""
+    return np.array([d.scaled(v) for d, v in zip(data, values, strict=True)], dtype=float)
+
+
+def misfit(observed: Array, sigma: Array, runs: Array) -> Misfit:
+    """Compare runs that differ in their random numbers with data.
+
+    Parameters
+    ----------
+    observed, sigma : (n,)
+        Data and their standard deviations.
+    runs : (K, n)
+        Readings on the same scales, NaN where a run has nothing.
+    """
+    count = len(runs)
+    means = runs.mean(axis=0)
+    scatter = runs.var(axis=0, ddof=1) if count > 1 else np.zeros(len(observed))
+    known = np.isfinite(means)
+    scatter = np.where(known, scatter, 0.0)
+    total = sigma**2 + scatter * (1.0 + 1.0 / count)
+    residuals = np.where(known, (means - observed) / np.sqrt(total), ABSENT)
+    loss = float((residuals**2 + np.log(total / sigma**2)).sum())
+    return Misfit(means, scatter, residuals, loss)
+
+
+def standardised(observed: Array, sigma: Array, run: Array) -> Array:
+    """Return (reading - datum) / σ of one run, (n,); ABSENT where it has nothing."""
+    return np.where(np.isfinite(run), (run - observed) / sigma, ABSENT)

@@ -1,0 +1,298 @@
+"""All runs of a study: the longest first, nothing twice, nothing lost.
+
+What is done is known from the folders of the runs alone, before Dask is even loaded. Workers write
+results themselves; what travels is a scene one way and an :class:`Outcome` the other. There are
+never more tasks than there are threads of workers, so that the order is ours, and a worker that
+dies is known to have died of the run that it had.
+"""
+
+from __future__ import annotations
+
+import time as clock
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import TYPE_CHECKING, Any, Final, final
+
+from multicell.errors import ClusterError, OutputError
+from multicell.results.folder import file_errors, in_use
+from multicell.studies.status import RunStatus, run_folder, status, write_note
+from multicell.studies.task import Outcome, Task, carried_out, settled, task
+from multicell.studies.workers import check_folder, own_cores, workers
+
+if TYPE_CHECKING:
+    from multicell.studies.runs import Run
+
+__all__ = ["Outcome", "carry_out"]
+
+_LOOK: Final = 0.2  # s between looks at Ctrl-C
+_COUNT: Final = 2.0  # s between counts of workers
+_HELD: Final = 1.0  # s between looks at runs that another process does
+_PATIENCE: Final = 60.0  # s that runs have to end between two steps
+
+
+def carry_out(
+    runs: Sequence[Run],
+    folder: str | Path,
+    *,
+    cores: int | None = None,
+    scheduler: str | None = None,
+    retry: bool = False,
+    progress: Callable[[Outcome], None] | None = None,
+) -> list[Outcome]:
+    """Do all runs of a study that are not done; go on with those that were begun.
+
+    It may be stopped by anything, and called again: runs that are done are recognised by their
+    folders, others go on from their last frame, with the same bits. Several processes may do it at
+    the same time; each waits in the end for the runs that others do.
+
+    Parameters
+    ----------
+    runs
+        Those of equal names are one.
+    folder
+        Of the study; runs are in ``runs/<name>`` there.
+    cores, scheduler
+        As in :func:`multicell.studies.workers.workers`.
+    retry
+        Whether to try runs again that failed for what their scenes are, and to compute those anew
+        whose folders are damaged. Runs that failed for another reason, such as a full disk, are
+        tried again in any case.
+    progress
+        Called with each outcome once, in the order in which they come; with those that are known
+        from before first.
+
+    Returns
+    -------
+    list of Outcome
+        In the order of ``runs``.
+
+    Raises
+    ------
+    OutputError
+        If the folder cannot be used.
+    SceneError, MissingPackage, ClusterError
+        As :func:`multicell.studies.workers.workers` and, for workers that do not see the folder,
+        :func:`multicell.studies.workers.check_folder`: before anything runs. ``ClusterError`` with
+        exit code 1 if the scheduler is lost later on.
+    KeyboardInterrupt
+        After Ctrl-C, once all runs have ended between two steps; all that they have is kept. A
+        second one ends them at once.
+    """
+    folder = Path(folder).absolute()
+    with file_errors("use the folder", folder):
+        (folder / "runs").mkdir(parents=True, exist_ok=True)
+    outcomes: dict[str, Outcome] = {}
+
+    def told(outcome: Outcome) -> None:
+        outcomes[outcome.name] = outcome
+        if progress is not None:
+            progress(outcome)
+
+    left: list[tuple[float, Run]] = []
+    for run in {run.name: run for run in runs}.values():
+        found = status(run.name, folder, run.integrator)
+        known = settled(found, retry)
+        if known is None:
+            left.append((_expected(run, found), run))
+        else:
+            told(known)
+    if left:
+        ordered = [run for _, run in sorted(left, key=lambda entry: -entry[0])]
+        tasks = [task(run, folder, retry) for run in ordered]
+        _carry_out(tasks, folder, cores, scheduler, told)
+    return [outcomes[run.name] for run in runs]
+
+
+def _expected(run: Run, found: RunStatus) -> float:
+    """Return the wall time that a run is expected to take still, s."""
+    return run.expected * max(0.0, 1.0 - found.time / run.scene.duration)
+
+
+def _carry_out(
+    tasks: list[Task],
+    folder: Path,
+    cores: int | None,
+    scheduler: str | None,
+    told: Callable[[Outcome], None],
+) -> None:
+    """Have workers do tasks, in their order."""
+    from multicell.runner import between_steps  # numba is loaded where something is to be run
+
+    if scheduler is None and cores is None:
+        cores = own_cores()
+    most = None if cores is None else min(cores, len(tasks))
+    with between_steps() as interrupt, workers(most, scheduler) as client:
+        if scheduler is not None:
+            check_folder(client, folder)
+        work = _Work(client, tasks, told)
+        try:
+            while work.left:
+                interrupt()
+                work.go_on()
+        except KeyboardInterrupt:
+            work.stop()
+            raise
+
+
+@final
+@dataclass
+class _UnderWay:
+    """A task that a worker has."""
+
+    work: Task
+    future: Any
+    frames: int
+    """How many frames the run had when the worker got it."""
+
+
+@final
+@dataclass
+class _Work:
+    """The tasks of a study, on their way from one place to the next."""
+
+    client: Any
+    tasks: Iterable[Task]
+    told: Callable[[Outcome], None]
+    waiting: deque[Task] = field(init=False)
+    under_way: dict[str, _UnderWay] = field(default_factory=dict)
+    held: list[Task] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.waiting = deque(self.tasks)
+        self._ended: SimpleQueue[str] = SimpleQueue()
+        self._threads = 0
+        self._counted = self._looked = -1e9
+
+    @property
+    def left(self) -> int:
+        """How many runs have not come to their ends."""
+        return len(self.waiting) + len(self.under_way) + len(self.held)
+
+    def go_on(self) -> None:
+        """Give workers what they can take, and take what has ended meanwhile."""
+        self._count()
+        self._look_after_others()
+        while self.waiting and len(self.under_way) < self._threads:
+            self._submit(self.waiting.popleft())
+        try:
+            self._take(self._ended.get(timeout=_LOOK))
+        except Empty:
+            return
+
+    def stop(self) -> None:
+        """End all runs between two steps, and wait until they have."""
+        if not self.under_way:
+            return
+        self.client.cancel([entry.future for entry in self.under_way.values()])
+        begin = clock.monotonic()
+        places = [run_folder(Path(e.work.folder), e.work.name) for e in self.under_way.values()]
+        while any(map(in_use, places)) and clock.monotonic() - begin < _PATIENCE:
+            clock.sleep(0.05)
+
+    def _count(self) -> None:
+        """Count the threads of all workers, and see whether there is a scheduler at all."""
+        if clock.monotonic() - self._counted < _COUNT and self.client.status == "running":
+            return
+        try:
+            found = sum(self.client.nthreads().values())
+        except Exception as error:
+            raise _lost() from error
+        cluster = self.client.cluster
+        if cluster is not None and found < self._threads:
+            cluster.scale(self._threads)  # for what could not be started again
+        self._threads = max(found, self._threads if cluster is not None else 1)
+        self._counted = clock.monotonic()
+
+    def _look_after_others(self) -> None:
+        """Take up runs that another process had, and has no more."""
+        if self.waiting or not self.held or clock.monotonic() - self._looked < _HELD:
+            return
+        self._looked = clock.monotonic()
+        free = [e for e in self.held if not in_use(run_folder(Path(e.folder), e.name))]
+        self.held = [entry for entry in self.held if entry not in free]
+        self.waiting.extend(free)
+
+    def _submit(self, work: Task) -> None:
+        found = status(work.name, Path(work.folder), work.integrator)
+        future = self.client.submit(_on_worker, work, pure=False, retries=0)
+        self.under_way[future.key] = _UnderWay(work, future, found.frames)
+        future.add_done_callback(lambda ended: self._ended.put(ended.key))
+
+    def _take(self, key: str) -> None:
+        """Take what a worker says of a run, or what Dask says of the worker."""
+        entry = self.under_way.pop(key)
+        if entry.future.status == "finished":
+            outcome = self._result(entry)
+        elif entry.future.status == "error":
+            outcome = self._trouble(entry, entry.future.exception())
+        else:
+            raise _lost()
+        if outcome is not None and outcome.state == "held":
+            self.held.append(entry.work)
+        elif outcome is not None:
+            self.told(outcome)
+
+    def _result(self, entry: _UnderWay) -> Outcome | None:
+        """Return what a worker has answered; None if it died with its answer."""
+        try:
+            outcome: Outcome = entry.future.result(timeout=_COUNT)
+            return outcome
+        except Exception:
+            self.waiting.appendleft(entry.work)  # its folder says how it ended
+            return None
+
+    def _trouble(self, entry: _UnderWay, error: BaseException) -> Outcome | None:
+        """Return why a run failed of which no worker could say so; None to try it again.
+
+        A run loses its workers by chance, too. It is given up where it got no frame further until
+        Dask gave it up.
+        """
+        from distributed.scheduler import KilledWorker
+
+        work, folder = entry.work, Path(entry.work.folder)
+        if isinstance(error, KilledWorker):
+            if status(work.name, folder, work.integrator).frames > entry.frames:
+                self.waiting.appendleft(work)
+                return None
+            reason = (
+                f"its worker process died {error.allowed_failures + 1} times, such as by the "
+                "system for want of memory, and the run got no frame further"
+            )
+        else:
+            said = " ".join(str(error).split())
+            reason = f"its worker could not begin it: {type(error).__name__}: {said[:300]}"
+        place = run_folder(folder, work.name)
+        try:
+            place.mkdir(exist_ok=True)
+            write_note(place, reason, "run" if isinstance(error, KilledWorker) else "machine")
+        except (OSError, OutputError) as trouble:
+            reason = f"{reason} ({trouble})"
+        return Outcome(work.name, "failed", reason)
+
+
+def _lost() -> ClusterError:
+    return ClusterError(
+        "the scheduler has gone",
+        "All that runs have saved is kept: run the study again, and it goes on",
+        exit_code=1,
+    )
+
+
+def _on_worker(work: Task) -> Outcome:
+    """Do a run in a worker of Dask, as long as somebody waits for it."""
+    from distributed import get_worker
+
+    worker: Any = get_worker()
+    key = worker.get_current_task()
+    tasks = worker.state.tasks
+
+    def wanted() -> bool:
+        """Say whether scheduler and client are there, and none has taken the task back."""
+        known = tasks.get(key)
+        here = worker.status.name in ("running", "paused")
+        return here and known is not None and known.state == "executing"
+
+    return carried_out(work, wanted)

@@ -1,0 +1,256 @@
+"""The page of a study: maps, courses, sections, and a table of all runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from multicell.report.html import write_page
+from multicell.report.plots.style import save
+from multicell.report.wording import clock, time_unit
+from multicell.results.folder import file_errors
+from multicell.studies.pictures.values import (
+    SEED,
+    TIME,
+    axes_of,
+    axis_words,
+    coordinates_of,
+    final,
+    is_sampled,
+    label,
+    number_text,
+    observables,
+    place_of,
+    scale,
+    scale_alone,
+    sentence,
+    with_states,
+)
+from multicell.studies.plots import StudyPlots
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.figure import Figure
+
+    from multicell.scene.scene import Scene
+    from multicell.studies.runs import Run
+    from multicell.studies.status import RunStatus
+
+KEY_OBSERVABLES: Final = (
+    "cells", "diameter", "viable_rim", "necrotic_radius", "heterotypic_fraction", "packing_ratio",
+    "pull", "largest_pressure", "contacts",
+)  # fmt: skip
+"""Observables that a page shows, if they are there and change; further ones by wish."""
+
+_MAPS: Final = 4  # observables that have a map or a response
+_COURSES: Final = 3  # and of which courses
+_COLUMNS: Final = 6  # and columns of the table
+_STATES: Final = ("done", "running", "partial", "waiting", "failed")
+_STATE_WORDS: Final = {"waiting": "not run", "partial": "begun"}
+
+
+def write_report(
+    folder: str | Path,
+    scene: Scene,
+    table: xr.Dataset,
+    runs: Sequence[Run],
+    states: Sequence[RunStatus],
+    shown: Sequence[str] | None = None,
+) -> Path:
+    """Write ``report.html`` of a study and its pictures beside it.
+
+    Parameters
+    ----------
+    folder
+        Of the study.
+    scene
+        What is varied.
+    table
+        Of the study, as ``study.to_xarray()``.
+    runs, states
+        All runs and how they stand, in one order.
+    shown
+        Observables to show, by default those of :data:`KEY_OBSERVABLES` that change.
+
+    Returns
+    -------
+    pathlib.Path
+        The page.
+
+    Raises
+    ------
+    OutputError
+        If the folder cannot be written to.
+    SceneError
+        If an observable is unknown.
+    """
+    place = Path(folder)
+    with file_errors("use the output folder", place):
+        place.mkdir(parents=True, exist_ok=True)
+    table = with_states(table, runs, states)
+    told = key_observables(table) if shown is None else list(shown)
+    title = f"{scene.title or 'Untitled scene'}: study"
+    pictures: dict[Path, str] = {}
+    for name, draw, caption in _drawings(table, title, runs, states, place, told):
+        save(draw(), place / f"{name}.png")
+        pictures[place / f"{name}.png"] = caption
+    return write_page(
+        place / "report.html",
+        "study.html",
+        scene=scene,
+        title=title,
+        subtitle=_subtitle(table),
+        tiles=_tiles(table, states),
+        pictures=pictures,
+        axes=[_axis_row(table, name) for name in axes_of(table)],
+        unfinished=_unfinished(states),
+        **_run_table(table, runs, states, told[:_COLUMNS]),
+    )
+
+
+def key_observables(table: xr.Dataset) -> list[str]:
+    """Return the observables that a page shows: those that are not the same in all runs."""
+    known = observables(table)
+    found: list[str] = [name for name in KEY_OBSERVABLES if name in known]
+    found += [name for name in known if name.startswith("hypoxic_radius")]
+    told: list[str] = []
+    for name in found:
+        values = final(table, name).values
+        values = values[np.isfinite(values)]
+        if values.size and (values.min() < values.max() or name in ("cells", "diameter")):
+            told.append(name)
+    return told
+
+
+Drawing = tuple[str, "Callable[[], Figure]", str]
+
+
+def _drawings(
+    table: xr.Dataset, title: str, runs: Sequence[Run], states: Sequence[RunStatus],
+    folder: Path, told: Sequence[str],
+) -> Iterator[Drawing]:  # fmt: skip
+    """Yield name, drawing function and caption of each picture."""
+    plots = StudyPlots(table, title, runs, states, folder)
+    names = axes_of(table)
+    mapped = not is_sampled(table) and len(names) > 1
+    several = table.sizes[SEED] > 1
+    scatter = "mean ± standard deviation over the seeds" if several else "of the only seed"
+    for name in told[:_MAPS] if names else ():
+        if mapped:
+            caption = f"{sentence(label(table, name))} at the end of each run, {scatter}."
+            yield f"map-{name}", lambda name=name: plots.heatmap(name), caption  # type: ignore[misc]
+        else:
+            caption = f"{sentence(label(table, name))} at the end of each run over each axis."
+            yield f"response-{name}", lambda name=name: plots.response(name), caption  # type: ignore[misc]
+    courses = [name for name in told if TIME in table[name].dims and table.sizes[TIME] > 1]
+    bands = "with bands of one standard deviation over the seeds" if several else "of the only seed"
+    for name in courses[:_COURSES]:
+        caption = f"{sentence(label(table, name))} over time, {bands}; one panel for each axis."
+        yield f"curves-{name}", lambda name=name: plots.curves(name), caption  # type: ignore[misc]
+    if runs:
+        yield "sections", plots.sections, "Last frames of one seed side by side, on one scale."
+
+
+def _subtitle(table: xr.Dataset) -> str:
+    sizes = [
+        f"{axis_words(table, name)} ({len(scale(table, name).values)})" for name in axes_of(table)
+    ]
+    seeds = table.sizes[SEED]
+    points = (
+        f"{table.sizes['point']} points of a sample" if is_sampled(table) else " × ".join(sizes)
+    )
+    return f"{points} × {seeds} seed{'' if seeds == 1 else 's'}"
+
+
+def _tiles(table: xr.Dataset, states: Sequence[RunStatus]) -> dict[str, str]:
+    """Return the key figures: runs by state, seeds, time that it took."""
+    count = {name: sum(state.state == name for state in states) for name in _STATES}
+    wall = float(sum(state.wall for state in states if np.isfinite(state.wall)))
+    told = {"runs": f"{len(states):,}"}
+    told |= {f"runs {_STATE_WORDS.get(name, name)}": f"{n:,}" for name, n in count.items() if n}
+    told["seeds"] = f"{table.sizes[SEED]}"
+    if table.sizes[TIME] > 1:
+        last = float(table[TIME].max())
+        told["simulated time, at most"] = time_unit(last).text(last)
+    if wall > 0.0:
+        told["wall time of all runs"] = clock(wall)
+    return told
+
+
+def _axis_row(table: xr.Dataset, name: str) -> dict[str, str]:
+    shown = scale(table, name)
+    values = shown.texts
+    if len(values) > 12:
+        values = [values[0], "…", values[-1], f"({len(values)} values)"]
+    along = [entry for entry in table.coords.values() if entry.dims == (name,)]
+    keys = [str(entry.attrs["key"]) for entry in along if "key" in entry.attrs]
+    key = ", ".join(keys) or str(table[name].attrs.get("key", name))
+    return {"label": shown.label, "key": key, "values": ", ".join(values).replace("…, ", "… ")}
+
+
+def _unfinished(states: Sequence[RunStatus]) -> str:
+    """Return what the head of the page says of runs that are not done."""
+    failed = sum(state.state == "failed" for state in states)
+    open_ = sum(state.state not in ("done", "failed") for state in states)
+    parts = [f"{failed:,} failed"] if failed else []
+    parts += [f"{open_:,} not finished"] if open_ else []
+    return f"Of {len(states):,} runs {' and '.join(parts)}" if parts else ""
+
+
+def _run_table(
+    table: xr.Dataset, runs: Sequence[Run], states: Sequence[RunStatus], told: Sequence[str]
+) -> dict[str, Any]:
+    """Return heads and rows of the table of runs; each cell with its rank in its column."""
+    axes = [(name, scale_alone(table, name)) for name in coordinates_of(table)]
+    ends = {name: final(table, name) for name in told}
+    heads = [*(shown.label for _, shown in axes), "seed", "state",
+             *(label(table, name) for name in told), "wall time"]  # fmt: skip
+    rows = []
+    for run, state in zip(runs, states, strict=True):
+        own: list[Any] = [_coordinate(run.coordinates.get(n), s.factor) for n, s in axes]
+        place = place_of(table, run.coordinates)
+        values = [float(ends[n].values[place]) if place is not None else np.nan for n in told]
+        if state.state != "done":
+            values = [np.nan] * len(values)
+        own += [run.coordinates.get(SEED, run.scene.seed), state.state, *values, state.wall]
+        rows.append({"name": run.name, "state": state.state, "reason": state.reason, "own": own})
+    count = len(heads)
+    ranks = [_ranks([row["own"][k] for row in rows]) for k in range(count)]
+    for number, row in enumerate(rows):
+        row["cells"] = [
+            {"text": _cell(value, heads[k]), "rank": ranks[k][number],
+             "number": not isinstance(value, str)}
+            for k, value in enumerate(row.pop("own"))
+        ]  # fmt: skip
+    return {"heads": heads, "rows": rows}
+
+
+def _coordinate(value: Any, factor: float) -> Any:
+    return value if isinstance(value, str) or value is None else float(value) / factor
+
+
+def _cell(value: Any, head: str) -> str:
+    if isinstance(value, str):
+        return _STATE_WORDS.get(value, value) if head == "state" else value
+    if value is None or not np.isfinite(value):
+        return "—"
+    if head == "wall time":
+        return clock(float(value))
+    return f"{value}" if head == "seed" else number_text(float(value), 4)
+
+
+def _ranks(values: Sequence[Any]) -> list[int]:
+    """Return the place of each value in their order, equal for equal ones; missing ones last."""
+
+    def order(value: Any) -> tuple[int, float, str]:
+        if isinstance(value, str):
+            return 0, 0.0, value
+        missing = value is None or not np.isfinite(value)
+        return (1, 0.0, "") if missing else (0, float(value), "")
+
+    known = sorted({order(value) for value in values})
+    places = {entry: place for place, entry in enumerate(known)}
+    return [places[order(value)] for value in values]

@@ -1,0 +1,402 @@
+"""What the pictures of a study read from its table: axes, final values, scatter, labels.
+
+The table is an ``xarray.Dataset`` with the dimensions of the axes, ``seed`` and ``time``; of a
+sampled design ``point``, ``seed`` and ``time``, with the value of each axis as a coordinate along
+``point``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multicell.errors import SceneError
+from multicell.report.wording import time_unit
+from multicell.results.quantities import known_unit
+from multicell.schema import near_miss
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from multicell.cells import FloatArray
+    from multicell.studies.runs import Run
+    from multicell.studies.status import RunStatus
+
+POINT, SEED, TIME, STATE = "point", "seed", "time", "state"
+DONE: Final = "done"
+_PLAIN: Final = ("cells", "growth", "nutrients")  # tables whose keys speak for themselves
+_DECADES: Final = 30.0  # ratio of the ends of an axis from which it is drawn logarithmically
+
+
+class Statistics(NamedTuple):
+    """Mean and standard deviation over seeds (ddof = 1; NaN of one seed), and how many there are.
+
+    Each as an array over the axes.
+    """
+
+    mean: xr.DataArray
+    sd: xr.DataArray
+    number: xr.DataArray
+
+
+class Scale(NamedTuple):
+    """An axis of a study as a picture shows it.
+
+    Attributes
+    ----------
+    name
+        Of the dimension or coordinate.
+    label
+        Name and unit.
+    values
+        In the order of the table, numbers or words; once each, sorted, of a sampled design.
+    numbers : (n,) or None
+        The same in the shown unit; None for words.
+    texts
+        How the values are written.
+    factor
+        Base units in the shown unit.
+    """
+
+    name: str
+    label: str
+    values: list[Any]
+    numbers: FloatArray | None
+    texts: list[str]
+    factor: float
+
+    @property
+    def log(self) -> bool:
+        """Whether the numbers need a logarithmic axis."""
+        if self.numbers is None or len(self.numbers) < 2:
+            return False
+        low, high = float(self.numbers.min()), float(self.numbers.max())
+        return low > 0.0 and high >= _DECADES * low
+
+
+def is_sampled(table: xr.Dataset) -> bool:
+    """Return whether the points are a sample and not a grid."""
+    return POINT in table.dims
+
+
+def axes_of(table: xr.Dataset) -> list[str]:
+    """Return the names of the axes that have more than one value, or all where none has."""
+    if is_sampled(table):
+        names = [
+            str(name)
+            for name, entry in table.coords.items()
+            if entry.dims == (POINT,) and name != POINT
+        ]
+    else:
+        names = [str(name) for name in _dimensions(table) if name not in (SEED, TIME)]
+    return [name for name in names if len(distinct(table[name].values)) > 1] or names
+
+
+def coordinates_of(table: xr.Dataset) -> list[str]:
+    """Return the names of all that the runs differ in beside their seeds, also what goes together.
+
+    Without what is the same in all, unless everything is.
+    """
+    sides = sides_of(table)[:-1]
+    names = [
+        str(name)
+        for name, entry in table.coords.items()
+        if len(entry.dims) == 1 and entry.dims[0] in sides and name != POINT
+    ]
+    return [name for name in names if len(distinct(table[name].values)) > 1] or names
+
+
+def compact(table: xr.Dataset) -> xr.Dataset:
+    """Return a table without dimensions of one value, beside those that a picture shows."""
+    kept = {SEED, TIME, *axes_of(table)}
+    alone = {name: 0 for name in sides_of(table) if table.sizes[name] == 1 and name not in kept}
+    return table if is_sampled(table) else table.isel(alone)
+
+
+def distinct(values: NDArray[Any]) -> NDArray[Any]:
+    """Return sorted numbers, or words, each once."""
+    return np.unique(values if values.dtype.kind in "fiu" else values.astype(str))
+
+
+def _dimensions(table: xr.Dataset) -> list[Hashable]:
+    """Return the dimensions in the order of the variables, which a data set itself may not keep."""
+    wide = max(table.data_vars.values(), key=lambda entry: entry.ndim, default=None)
+    found = [] if wide is None else list(wide.dims)
+    return [*found, *(name for name in table.dims if name not in found)]
+
+
+def observables(table: xr.Dataset) -> list[str]:
+    """Return the names of the variables that are numbers of each run."""
+    return [
+        str(name)
+        for name, entry in table.data_vars.items()
+        if SEED in entry.dims and entry.dtype.kind in "fiu"
+    ]
+
+
+def observable(table: xr.Dataset, name: str) -> xr.DataArray:
+    """Return a variable of the table.
+
+    Raises
+    ------
+    SceneError
+        If there is none of this name.
+    """
+    known = observables(table)
+    if name not in known:
+        raise SceneError("", f"the study has no observable {name!r}", near_miss(name, known))
+    return table[name].astype(float)
+
+
+def axis_named(table: xr.Dataset, name: str) -> str:
+    """Return the name of an axis, or raise ``SceneError`` with the nearest one."""
+    known = axes_of(table)
+    if name not in known:
+        raise SceneError("", f"the study has no axis {name!r}", near_miss(name, known))
+    return name
+
+
+def final(table: xr.Dataset, name: str) -> xr.DataArray:
+    """Return an observable at the last time of each run: over the axes and seeds.
+
+    What does not exist then, such as a viable rim without a core, is NaN, also where it existed
+    before.
+    """
+    values = observable(table, name)
+    if TIME not in values.dims:
+        return values
+    going = table["cells"].notnull() if "cells" in table else values.notnull()
+    order = np.arange(table.sizes[TIME])
+    last = (going * going[TIME].copy(data=order).drop_vars(TIME)).max(TIME).astype(int)
+    return values.isel({TIME: last}).drop_vars(TIME).where(going.any(TIME))
+
+
+def statistics(values: xr.DataArray) -> Statistics:
+    """Return mean and scatter over the seeds of what is finite."""
+    count = values.notnull().sum(SEED)
+    mean = values.sum(SEED, skipna=True) / count.where(count > 0)
+    squares = ((values - mean) ** 2).sum(SEED, skipna=True)
+    return Statistics(mean, (squares / (count - 1).where(count > 1)) ** 0.5, count)
+
+
+def states(table: xr.Dataset) -> xr.DataArray:
+    """Return the state of every run over the axes and seeds: as recorded, or by its values."""
+    if STATE in table:
+        return table[STATE]
+    values = table["cells"] if "cells" in table else table[observables(table)[0]]
+    known = values.notnull().any(TIME) if TIME in values.dims else values.notnull()
+    return known.copy(data=np.where(known, DONE, "waiting"))
+
+
+def unit_text(table: xr.Dataset, name: str) -> str:
+    """Return the unit of a variable or axis as it is read."""
+    unit = table[name].attrs.get("units") or known_unit(name)
+    return str(unit).replace("um", "µm").replace("^3", "³").replace("^2", "²")
+
+
+def label(table: xr.Dataset, name: str) -> str:
+    """Return name and unit of a variable."""
+    unit = unit_text(table, name)
+    return f"{words(name)} ({unit})" if unit else words(name)
+
+
+def sentence(text: str) -> str:
+    """Return a text with a capital at its beginning; units keep theirs."""
+    return text[:1].upper() + text[1:]
+
+
+def words(name: str) -> str:
+    """Return a name as it is read."""
+    return name.replace("_", " ").replace(".", " ")
+
+
+def scale(table: xr.Dataset, name: str) -> Scale:
+    """Return how to show an axis; long times are told in minutes, hours or days."""
+    together = _together(table, name)
+    if together:
+        return _joined(name, [scale_alone(table, other) for other in together])
+    return scale_alone(table, name)
+
+
+def scale_alone(table: xr.Dataset, name: str) -> Scale:
+    """Return how to show one coordinate, also where its values go together with others."""
+    found = table[name].values
+    if is_sampled(table):
+        found = distinct(found)
+    long = axis_words(table, name)
+    if found.dtype.kind not in "fiu":
+        values = [str(value) for value in found]
+        return Scale(name, long, values, None, values, 1.0)
+    unit, factor = unit_text(table, name), 1.0
+    if unit == "s" and len(found):
+        shown = time_unit(float(found.max()))
+        unit, factor = shown.name, shown.seconds
+    numbers = found / factor
+    told = f"{long} ({unit})" if unit else long
+    return Scale(name, told, list(found), numbers, [number_text(v) for v in numbers], factor)
+
+
+def _together(table: xr.Dataset, name: str) -> list[str]:
+    """Return the coordinates along a dimension of which several have values that go together."""
+    if is_sampled(table) or name not in table.dims:
+        return []
+    found = [str(n) for n, entry in table.coords.items() if entry.dims == (name,)]
+    return [] if found in ([], [name]) else found
+
+
+def _joined(name: str, sides: Sequence[Scale]) -> Scale:
+    """Return one side for values that go together."""
+    texts = [" · ".join(parts) for parts in zip(*(side.texts for side in sides), strict=True)]
+    return Scale(name, " · ".join(side.label for side in sides), texts, None, texts, 1.0)
+
+
+def axis_words(table: xr.Dataset, name: str) -> str:
+    """Return the name of an axis as it is read: the last two parts of its key, where it is known.
+
+    A name alone, such as that of a boundary, may leave open of which field it is.
+    """
+    return key_words(str(table[name].attrs.get("key", name)), name)
+
+
+def key_words(key: str, name: str) -> str:
+    """Return how a key of a scene is read whose short name is given."""
+    parts = key.split(".")
+    kept = parts[-2:] if len(parts) > 1 and parts[-2] not in _PLAIN else parts[-1:]
+    return words(max(".".join(kept), name, key=len))
+
+
+def number_text(value: float, digits: int = 3) -> str:
+    """Return a number with few digits, thousands separated."""
+    if not np.isfinite(value):
+        return "none"
+    if abs(value) >= 10.0**digits:
+        return f"{value:,.0f}"
+    return f"{value:.{digits}g}"
+
+
+def scatter_text(mean: float, sd: float) -> tuple[str, str]:
+    """Return a mean and its standard deviation, which is empty for one seed."""
+    if not np.isfinite(sd):
+        return number_text(mean), ""
+    spread = f"{sd:#.2g}".rstrip(".") if 0.0 < sd < 100.0 else number_text(sd, 2)
+    return number_text(mean), f"± {spread}"
+
+
+def power(values: FloatArray) -> tuple[float, str]:
+    """Return a power of ten in which large numbers are short, and how a label tells it."""
+    known = np.abs(values[np.isfinite(values)])
+    largest = float(known.max()) if known.size else 0.0
+    if largest < 1e5:
+        return 1.0, ""
+    return (1e3, "10³") if largest < 1e8 else (1e6, "10⁶")
+
+
+def label_with(text: str, factor: str) -> str:
+    """Return a label with a power of ten in its bracket: ``"cells (10³)"``."""
+    if not factor:
+        return text
+    return (
+        f"{text[:-1].replace('(', f'({factor} ', 1)})"
+        if text.endswith(")")
+        else f"{text} ({factor})"
+    )
+
+
+def at_point(table: xr.Dataset, fixed: Mapping[str, Any]) -> xr.Dataset:
+    """Return the part of a grid at given values of some axes, the nearest there are.
+
+    Raises
+    ------
+    SceneError
+        For an axis or a word that is not there.
+    """
+    for name, wanted in fixed.items():
+        axis_named(table, name)
+        table = table.isel({name: nearest(table, name, wanted)})
+    return table
+
+
+def nearest(table: xr.Dataset, name: str, wanted: Any) -> int:
+    """Return the place of the value of an axis that is nearest to a number, or is a word.
+
+    Raises
+    ------
+    SceneError
+        For a word that is not there.
+    """
+    values = table[name].values
+    if values.dtype.kind in "fiu":
+        return int(np.abs(values - float(wanted)).argmin())
+    known = [str(value) for value in values]
+    if str(wanted) not in known:
+        raise SceneError(name, f"has no value {wanted!r}", near_miss(str(wanted), known))
+    return known.index(str(wanted))
+
+
+def middle(table: xr.Dataset, names: list[str]) -> dict[str, Any]:
+    """Return the middle value of each of some axes."""
+    return {name: table[name].values[(table.sizes[name] - 1) // 2] for name in names}
+
+
+def point_text(table: xr.Dataset, fixed: Mapping[str, Any]) -> str:
+    """Return values of axes in words: ``"oxygen boundary 0.07 mM"``."""
+    parts = []
+    for name, value in fixed.items():
+        shown = scale(table, name)
+        long, unit, text = shown.label, "", str(value)
+        if not is_sampled(table):
+            text = shown.texts[nearest(table, name, value)]
+        elif shown.numbers is not None:
+            text = number_text(float(value) / shown.factor)
+        if shown.numbers is not None:
+            long = axis_words(table, name)
+            unit = shown.label.removeprefix(long).strip(" ()")
+        parts.append(f"{long} {text} {unit}".strip())
+    return ", ".join(parts)
+
+
+def with_states(table: xr.Dataset, runs: Sequence[Run], found: Sequence[RunStatus]) -> xr.Dataset:
+    """Return a table that knows the state of each run, over the axes and seeds.
+
+    The states of runs that are not among them are those of the table, if it has any.
+    """
+    if not runs:
+        return table
+    own = {state.name: state.state for state in found}
+    sides = sides_of(table)
+    data = np.full(tuple(table.sizes[name] for name in sides), "waiting", dtype="U8")
+    for run in runs:
+        place = place_of(table, run.coordinates)
+        if place is not None:
+            data[place] = own.get(run.name, "waiting")
+    return table.assign({STATE: (sides, data)})
+
+
+def sides_of(table: xr.Dataset) -> list[str]:
+    """Return the dimensions of one number of each run, the seeds last."""
+    names = [str(name) for name in _dimensions(table) if name not in (SEED, TIME)]
+    return [*names, SEED]
+
+
+def place_of(table: xr.Dataset, coordinates: Mapping[str, Any]) -> tuple[int, ...] | None:
+    """Return where a run stands in an array over axes and seeds; None if it is not part of it."""
+    place = []
+    for side in sides_of(table):
+        there = np.ones(table.sizes[side], bool)
+        for name, entry in table.coords.items():
+            if entry.dims == (side,) and name in coordinates:
+                there &= _equal(entry.values, coordinates[str(name)])
+        found = np.flatnonzero(there)
+        if not len(found):
+            return None
+        place.append(int(found[0]))
+    return tuple(place)
+
+
+def _equal(values: NDArray[Any], value: Any) -> NDArray[np.bool_]:
+    if values.dtype.kind in "fiu" and not isinstance(value, str):
+        return np.asarray(np.isclose(values.astype(float), float(value), rtol=1e-9, atol=0.0))
+    return np.array([str(entry) == str(value) for entry in values])

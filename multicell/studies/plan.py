@@ -1,0 +1,433 @@
+"""The plan of a study: a scene, a design and seeds; the file ``study.toml``.
+
+``study.toml`` stands in the folder of a study beside ``scene.toml``, the scene that is varied. Both
+are written once and are the user's to edit; what is in them is checked as a whole, with every
+point's scene, before anything runs.
+"""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from numbers import Integral
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, final
+
+from multicell.errors import SceneError
+from multicell.schema import near_miss
+from multicell.studies.axes import Axis, Range, changed
+from multicell.studies.design import (
+    MOST_POINTS,
+    SAMPLED,
+    Design,
+    Point,
+    parse_column,
+    parse_varied,
+    read_points,
+)
+from multicell.studies.meaning import refuse_needless
+from multicell.studies.runs import Run, digest
+from multicell.units import BASE_UNITS, shown, to_base
+
+if TYPE_CHECKING:
+    from multicell.scene.scene import Scene
+
+NAME: Final = "study.toml"
+SCENE: Final = "scene.toml"
+MOST_SEEDS: Final = 100_000
+MOST_RUNS: Final = 1_000_000
+_KEYS: Final = (
+    "scene", "seeds", "design", "size", "sample_seed", "every", "integrator", "vary", "zip",
+    "points",
+)  # fmt: skip
+
+
+@final
+@dataclass(frozen=True)
+class Plan:
+    """All that a study computes.
+
+    Attributes
+    ----------
+    scene
+        What is varied.
+    design
+        How.
+    seeds
+        Number of runs of each point, with the scene's seed and those that follow it: the same at
+        all points, so that two of them differ by their parameters alone.
+    every
+        Time between the rows of the table of results in s; None for ``output.every`` of the scene.
+    integrator
+        ``file.py:Name`` of a method of the user's own; empty for the scene's.
+
+    Raises
+    ------
+    SceneError
+        If anything of it cannot be: a number of seeds below one, a point that the scene refuses
+        (with its values), a key without effect, two points that are one.
+    """
+
+    scene: Scene
+    design: Design
+    seeds: int = 1
+    every: float | None = None
+    integrator: str = ""
+    scenes: tuple[Scene, ...] = field(init=False, repr=False, compare=False)
+    """Of every point, with the first seed."""
+
+    def __post_init__(self) -> None:
+        _check_counts(self)
+        if self.integrator:
+            from multicell.runner import integrated_by
+
+            scene, _ = integrated_by(self.scene, self.integrator)
+            object.__setattr__(self, "scene", scene)
+        scenes = tuple(changed(self.scene, point.changes) for point in self.design.points)
+        object.__setattr__(self, "scenes", scenes)
+        cases = zip((point.changes for point in self.design.points), scenes, strict=True)
+        refuse_needless(cases, [axis.key for axis in self.design.varied])
+        if self.design.kind in ("grid", "list"):
+            self._refuse_equal_points()
+
+    @property
+    def points(self) -> tuple[Point, ...]:
+        """Those of the design."""
+        return self.design.points
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of all runs: those of one point after the other, each with all its seeds."""
+        return tuple(digest(scene, self.integrator) for _, scene, _ in self._each())
+
+    @property
+    def row_every(self) -> float:
+        """Time between the rows of the table of results, s."""
+        return self.scene.output.every if self.every is None else self.every
+
+    def runs(self, expected: Sequence[float]) -> list[Run]:
+        """Return all runs, in the order of :attr:`names`.
+
+        Parameters
+        ----------
+        expected : per point, s
+            Wall time that one of its runs takes.
+        """
+        return [
+            Run(
+                name=name,
+                scene=scene,
+                coordinates={**self.points[k].coordinates, "seed": scene.seed},
+                expected=expected[k],
+                integrator=self.integrator,
+            )
+            for name, (k, scene, _) in zip(self.names, self._each(), strict=True)
+        ]
+
+    def _each(self) -> Iterator[tuple[int, Scene, int]]:
+        """Yield number of the point, scene and number of the seed of each run."""
+        for k, scene in enumerate(self.scenes):
+            for j in range(self.seeds):
+                yield k, replace(scene, seed=scene.seed + j) if j else scene, j
+
+    def _refuse_equal_points(self) -> None:
+        """Refuse two points of a grid or a list whose runs would be the same."""
+        seen: dict[str, Point] = {}
+        for point, scene in zip(self.points, self.scenes, strict=True):
+            name = digest(scene)
+            other = seen.setdefault(name, point)
+            if other is not point:
+                problem = f"makes no difference between {other} and {point}: the scenes are equal"
+                differ = [key for key in point.changes if point.changes[key] != other.changes[key]]
+                raise SceneError((differ or list(point.changes))[0], problem)
+
+    def to_toml(self) -> str:
+        """Return the text of ``study.toml``, which :func:`read_plan` reads back exactly."""
+        return "\n".join(_lines(self)) + "\n"
+
+
+def _check_counts(plan: Plan) -> None:
+    """Refuse numbers of seeds, and times between rows, that are none."""
+    seeds = plan.seeds
+    count = seeds * len(plan.design.points)
+    if count > MOST_RUNS:
+        raise SceneError("seeds", f"makes {count:,} runs, must be at most {MOST_RUNS:,}")
+    if plan.scene.seed + seeds - 1 >= 2**63:
+        problem = f"is {seeds}: beginning with the scene's seed {plan.scene.seed} they end too high"
+        raise SceneError("seeds", problem, "Let the scene begin with a smaller seed.")
+    if plan.every is not None and not plan.every > 0.0:
+        raise SceneError("every", f"is {plan.every:g} s, must be above 0 s")
+
+
+def make_plan(
+    scene: Scene,
+    vary: Mapping[str, Any] | Iterable[Axis | Range] | None = None,
+    *,
+    zipped: Mapping[str, Any] | Sequence[Mapping[str, Any]] | None = None,
+    points: Any = None,
+    seeds: int = 1,
+    design: str = "grid",
+    size: int | None = None,
+    sample_seed: int = 0,
+    every: str | float | None = None,
+    integrator: str = "",
+) -> Plan:
+    """Return a plan of what is given in Python, on the command line or in ``study.toml``.
+
+    Parameters
+    ----------
+    scene
+        What is varied.
+    vary
+        Dotted key -> values or range: a text as behind ``--vary``, a list of values, for a sample
+        a tuple of two ends (and ``"log"``), or an axis that was read before.
+    zipped
+        Keys whose values go together, one table or several.
+    points
+        Points of a list: path of a CSV file (:func:`read_points`), a table of key -> column (a
+        mapping or a pandas DataFrame), or a list of tables.
+    seeds, design, size, sample_seed, every, integrator
+        As :class:`Plan` and :class:`Design` have them; ``every`` in s or with a unit.
+
+    Raises
+    ------
+    SceneError
+        For anything that is not a plan.
+    """
+    if integrator and ":" not in integrator:
+        scene, integrator = scene.with_changes({"integrator": integrator}), ""
+    elif integrator:
+        file, _, name = integrator.rpartition(":")
+        integrator = f"{Path(file).expanduser().resolve()}:{name}"  # workers may be elsewhere
+    groups = [zipped] if isinstance(zipped, Mapping) else list(zipped or ())
+    if points is not None:
+        if vary or groups:
+            hint = "Give them as further columns, or take another design."
+            raise SceneError("points", "cannot stand beside keys that are varied one by one", hint)
+        if design not in ("grid", "list"):
+            raise SceneError("points", f"has no meaning in a design of kind '{design}'")
+        axes: tuple[Axis | Range, ...] = _columns(points, scene)
+        design = "list"
+    elif design == "list":
+        raise SceneError("points", "is missing: a list needs its points")
+    else:
+        axes = _varied(vary, scene, design in SAMPLED)
+    made = Design(
+        kind=design,
+        axes=axes,
+        zipped=tuple(_group(group, scene) for group in groups),
+        size=_size(size, design),
+        sample_seed=_whole("sample_seed", sample_seed, 0, 2**63 - 1),
+    )
+    rows = None if every is None else to_base(every, "s", "every")
+    seeds = _whole("seeds", seeds, 1, MOST_SEEDS, "It is the number of runs of each point.")
+    return Plan(scene, made, seeds, rows, integrator)
+
+
+def _whole(name: str, value: Any, least: int, most: int, hint: str = "") -> int:
+    """Return a whole number between two others."""
+    whole = isinstance(value, Integral) and not isinstance(value, bool)
+    if not whole or not least <= int(value) <= most:
+        problem = f"is {shown(value)}, must be a whole number from {least} to {most}"
+        raise SceneError(name, problem, hint)
+    return int(value)
+
+
+def _size(size: int | None, design: str) -> int:
+    """Return the number of points of a sample; 0 for other designs."""
+    if size is not None:
+        return _whole("size", size, 1, MOST_POINTS, "It is the number of points of a sample.")
+    if design in SAMPLED:
+        problem = f"is missing: a design of kind '{design}' draws as many points"
+        raise SceneError("size", problem, "Give --size, or size in study.toml.")
+    return 0
+
+
+def _varied(vary: Any, scene: Scene, sampled: bool) -> tuple[Axis | Range, ...]:
+    """Return axes and ranges, in their order."""
+    if vary is None:
+        return ()
+    if isinstance(vary, Mapping):
+        entries = _flat(vary).items()
+        return tuple(parse_varied(key, given, scene, sampled) for key, given in entries)
+    axes = tuple(vary) if isinstance(vary, Iterable) and not isinstance(vary, str) else (None,)
+    for axis in axes:
+        if not isinstance(axis, Axis | Range):
+            raise SceneError("vary", f"is {shown(vary)}, must be a table of keys and values")
+    return axes
+
+
+def _group(group: Any, scene: Scene) -> tuple[Axis, ...]:
+    """Return axes whose values go together."""
+    if not isinstance(group, Mapping):
+        raise SceneError("zip", f"is {shown(group)}, must be a table of keys and values")
+    axes = tuple(
+        parse_column(key, values, scene) if not isinstance(values, Axis) else values
+        for key, values in _flat(group).items()
+    )
+    if len(axes) < 2:
+        hint = "A key that goes alone belongs to 'vary'."
+        raise SceneError("zip", f"has {len(axes)} key(s), must have two or more", hint)
+    return axes
+
+
+def _columns(points: Any, scene: Scene) -> tuple[Axis, ...]:
+    """Return the columns of a list of points."""
+    if isinstance(points, str | Path):
+        return read_points(points, scene)
+    to_dict = getattr(points, "to_dict", None)
+    if to_dict is not None:  # a pandas DataFrame
+        points = to_dict("list")
+    if isinstance(points, Mapping):
+        table = _flat(points)
+    else:
+        rows = list(points) if isinstance(points, Iterable) else []
+        if not rows or not all(isinstance(row, Mapping) for row in rows):
+            raise SceneError("points", f"is {shown(points)}, must be a table or its rows")
+        flat = [_flat(row) for row in rows]
+        for k, row in enumerate(flat):
+            if set(row) != set(flat[0]):
+                problem = f"has other keys in row {k + 1} than in row 1"
+                raise SceneError("points", problem, "Every point needs a value of every key.")
+        table = {key: [row[key] for row in flat] for key in flat[0]}
+    return tuple(parse_column(key, values, scene) for key, values in table.items())
+
+
+def _flat(entries: Mapping[str, Any], path: str = "") -> dict[str, Any]:
+    """Return a table with dotted keys, as they stand with and without quotes in TOML."""
+    result: dict[str, Any] = {}
+    for key, value in entries.items():
+        name = f"{path}{key}"
+        inner = _flat(value, f"{name}.") if isinstance(value, Mapping) else {name: value}
+        for found, entry in inner.items():
+            if found in result:
+                raise SceneError(found, "is varied twice", "Give all its values at once.")
+            result[found] = entry
+    return result
+
+
+def read_plan(folder: str | Path, *, integrator: str = "") -> Plan:
+    """Return the plan in the folder of a study.
+
+    Parameters
+    ----------
+    folder
+        With ``study.toml``, and the scene that it names.
+    integrator
+        ``file.py:Name`` of a method of the user's own; what files name is never executed.
+
+    Raises
+    ------
+    SceneError
+        For files that are missing or cannot be read, and for anything in them that is refused.
+    """
+    from multicell.scene.scene import load_scene
+
+    folder = Path(folder)
+    path = folder / NAME
+    entries = _entries(path)
+    for key in entries:
+        if key not in _KEYS:
+            raise SceneError(key, f"is not a known key of '{path}'", near_miss(key, _KEYS))
+    source = entries.pop("scene", SCENE)
+    if not isinstance(source, str):
+        raise SceneError("scene", f"is {shown(source)}, must be the path of a scene file")
+    named = entries.pop("integrator", "")
+    if named and not integrator:
+        problem = f"is {shown(named)}, a method of the user's own, which is not loaded by itself"
+        hint = f"Hand it over as integrator=..., or by --integrator '{named}'."
+        raise SceneError("integrator", problem, hint)
+    scene = load_scene(folder / source)
+    for key, kind in (("vary", dict), ("points", dict | str), ("zip", dict | list)):
+        if key in entries and not isinstance(entries[key], kind):
+            raise SceneError(key, f"is {shown(entries[key])}, must be a table")
+    points = entries.pop("points", None)
+    if isinstance(points, str):
+        points = folder / points
+    return make_plan(
+        scene, entries.pop("vary", None), zipped=entries.pop("zip", None), points=points,
+        integrator=integrator, **entries,
+    )  # fmt: skip
+
+
+def _entries(path: Path) -> dict[str, Any]:
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        hint = "'multicell study new SCENE -o FOLDER' makes one."
+        raise SceneError("", f"'{path.parent}' holds no study: there is no {NAME}", hint) from None
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "it is not UTF-8 text"
+        raise SceneError("", f"'{path}' cannot be read: {reason}") from None
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        said = f"'{path}' is not valid TOML: {error}"
+        hint = "A key may stand there once." if "overwrite" in str(error) else ""
+        raise SceneError("", said, hint) from None
+
+
+def _lines(plan: Plan) -> Iterator[str]:
+    """Yield the lines of ``study.toml``."""
+    design, seed = plan.design, plan.scene.seed
+    last = "" if plan.seeds == 1 else f" to {seed + plan.seeds - 1}"
+    yield "# A study of multicell: what is varied, and how. 'multicell study run' with the name of"
+    yield "# this folder computes what is missing; after any change here it goes on with what fits."
+    yield f"# Numbers without a unit: {BASE_UNITS}"
+    yield ""
+    yield f'scene = "{SCENE}"  # what is varied, in this folder'
+    yield f"seeds = {plan.seeds}  # runs of each point; seed {seed}{last}, the same at all points"
+    yield f'design = "{design.kind}"  # {_WORDS[design.kind]}'
+    if design.size:
+        yield f"size = {design.size}  # points"
+        yield f"sample_seed = {design.sample_seed}  # of the random numbers of the sample"
+    if plan.every is None:
+        every = plan.scene.output.every
+        yield f'# every = "{every:g} s"  # between rows of the table; absent: as frames are'
+    else:
+        yield f"every = {plan.every!r}  # s, between rows of the table"
+    if plan.integrator:
+        yield f"integrator = {json.dumps(plan.integrator)}  # to be given to each command again"
+    table = "points" if design.kind == "list" else "vary"
+    yield ""
+    yield f"[{table}]" + ("  # key = values, or 'low:high unit' to sample" * (table == "vary"))
+    for axis in design.axes:
+        yield _line(axis)
+    for group in design.zipped:
+        yield ""
+        yield "[[zip]]  # values at the same places go together"
+        for axis in group:
+            yield _line(axis)
+
+
+_WORDS: Final = {
+    "grid": "all combinations",
+    "list": "the points below, one a place in the lists",
+    "lhs": "a Latin hypercube of ranges",
+    "sobol": "a Sobol' sequence in ranges; twice the size goes on with it",
+}
+
+
+def _line(axis: Axis | Range) -> str:
+    """Return what stands for an axis or a range in ``study.toml``."""
+    unit = f"  # {axis.unit}" if axis.unit else ""
+    if isinstance(axis, Range):
+        low, high = (int(x) if axis.whole else x for x in (axis.low, axis.high))
+        text = f"{'log ' if axis.log else ''}{low!r}:{high!r} {axis.unit}".strip()
+        return f'{axis.key} = "{text}"'
+    return f"{axis.key} = [{', '.join(map(_toml, axis.values))}]{unit}"
+
+
+def _toml(value: Any) -> str:
+    """Return a value as TOML has it, on one line."""
+    if isinstance(value, Mapping):
+        entries = (f"{json.dumps(str(key))} = {_toml(entry)}" for key, entry in value.items())
+        return f"{{ {', '.join(entries)} }}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_toml, value))}]"
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)
+    return repr(value).lower() if isinstance(value, bool) else repr(value)

@@ -1,0 +1,111 @@
+"""The pictures of a study: ``study.plot.heatmap("viable_rim")``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, final
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.figure import Figure
+
+    from multicell.studies.runs import Run
+    from multicell.studies.status import RunStatus
+
+
+@final
+class StudyPlots:
+    """The pictures of one study, drawn from its table; each is a matplotlib ``Figure``.
+
+    Every observable is a name of the table; axes are named as its dimensions (the coordinates of
+    ``point`` where the design is sampled). The scatter over seeds is always part of a picture;
+    where there is one seed it says so, and runs that failed or are missing are shown as such.
+
+    Parameters
+    ----------
+    table
+        Of the study, as ``study.to_xarray()``.
+    title
+        Of the pictures.
+    runs, states
+        All runs of the study and how they stand, in one order.
+    folder
+        Of the study.
+    """
+
+    def __init__(
+        self,
+        table: xr.Dataset,
+        title: str,
+        runs: Sequence[Run] = (),
+        states: Sequence[RunStatus] = (),
+        folder: Path | None = None,
+    ) -> None:
+        from multicell.studies.pictures.values import with_states
+
+        self._table = with_states(table, runs, states)
+        self._title = title
+        self._runs, self._states, self._folder = runs, states, folder
+
+    def heatmap(
+        self,
+        observable: str,
+        x: str | None = None,
+        y: str | None = None,
+        at: Mapping[str, Any] | None = None,
+    ) -> Figure:
+        """Draw mean ± standard deviation of an observable over two axes (a third makes panels).
+
+        See :func:`multicell.studies.pictures.heatmap.heatmap`.
+        """
+        from multicell.studies.pictures.heatmap import heatmap
+
+        return heatmap(self._table, self._title, observable, x, y, at)
+
+    def curves(
+        self,
+        observable: str,
+        axes: Sequence[str] | None = None,
+        at: Mapping[str, Any] | None = None,
+    ) -> Figure:
+        """Draw an observable over time with bands over the seeds, one panel for each axis.
+
+        See :func:`multicell.studies.pictures.curves.curves`.
+        """
+        from multicell.studies.pictures.curves import curves
+
+        return curves(self._table, self._title, observable, axes, at)
+
+    def response(self, observable: str) -> Figure:
+        """Draw an observable at the end of the runs over each axis: points, means and bars.
+
+        See :func:`multicell.studies.pictures.response.response`.
+        """
+        from multicell.studies.pictures.response import response
+
+        return response(self._table, self._title, observable)
+
+    def sections(
+        self,
+        x: str | None = None,
+        y: str | None = None,
+        seed: int | None = None,
+        at: Mapping[str, Any] | None = None,
+    ) -> Figure:
+        """Draw the last frames of one seed side by side over two axes, all on one scale.
+
+        See :func:`multicell.studies.pictures.sections.sections`.
+
+        Raises
+        ------
+        ValueError
+            If the study has no folder to read frames from.
+        """
+        from multicell.studies.pictures.sections import sections
+
+        if self._folder is None:
+            raise ValueError("there are no frames: the study has no folder")
+        return sections(
+            self._table, self._title, self._runs, self._states, self._folder, x, y, seed, at
+        )

@@ -1,0 +1,129 @@
+"""One run of a study, and the digest of all that decides its results."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field, is_dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, final
+
+from multicell.errors import SceneError
+from multicell.plugins import origin
+from multicell.schema import Tables, specs
+
+if TYPE_CHECKING:
+    from multicell.scene.scene import Scene
+
+MODEL_VERSION: Final = 1
+"""To be raised by whoever changes the numbers that a scene gives.
+
+Runs that were made with another number are computed again. ``tests/studies/test_model_version.py``
+holds observables of short runs beside it.
+"""
+
+_LENGTH: Final = 24  # hexadecimal digits of a name: a clash is expected after 3e14 runs
+_ORDERED: Final = ("chemotaxis", "nutrients", "reactions", "regions", "sources", "types")
+"""Tables whose order decides results: which cells are of which type, which sum comes first."""
+
+
+@final
+@dataclass(frozen=True)
+class Run:
+    """One run of a study.
+
+    Attributes
+    ----------
+    name
+        Digest of what decides the results; the run's folder is ``runs/<name>``.
+    scene
+        What is run.
+    coordinates : axis name -> number in base units or word, ``"seed"`` -> int
+        Where the run stands in its study.
+    expected
+        Wall time on one core that it is expected to take, s.
+    integrator
+        ``file.py:Name`` of a method of the user's own, which workers load; empty for the scene's.
+    """
+
+    name: str
+    scene: Scene
+    coordinates: Mapping[str, Any] = field(hash=False)
+    expected: float
+    integrator: str = ""
+
+    @property
+    def law(self) -> str:
+        """``/path/file.py:Name`` of a contact law of the user's own, which workers load; or empty.
+
+        Workers load it by :func:`multicell.load_law` before they read the scene.
+        """
+        return own_law(self.scene)
+
+
+def own_law(scene: Scene) -> str:
+    """Return where a contact law of the user's own comes from, or nothing for one of ours."""
+    kind = type(scene.contact)
+    return origin(kind) if hasattr(kind, "scene_name") else ""
+
+
+def digest(scene: Scene, integrator: str = "") -> str:
+    """Return the name of a run: a digest of all that decides its results.
+
+    That is the scene in base units without its title, the version of the model, the fingerprint
+    of a contact law of the user's own (of its function and of all that it reads; it is part of the
+    law's name) and the text of the file of a method of the user's own. Scenes that are written
+    differently, in other units or with their keys in another order, have the same digest; the order
+    of named tables such as types, in which they take their random numbers, counts.
+
+    Parameters
+    ----------
+    scene
+        The scene.
+    integrator
+        ``file.py:Name`` of a method of the user's own.
+
+    Raises
+    ------
+    SceneError
+        If the file of a method cannot be read.
+    """
+    content: dict[str, Any] = {"model": MODEL_VERSION, "scene": canonical(scene)}
+    if integrator:
+        content["scene"]["integrator"]["method"] = _of_file(integrator)
+    text = json.dumps(content, sort_keys=True, allow_nan=False, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()[:_LENGTH]
+
+
+def canonical(scene: Scene) -> dict[str, Any]:
+    """Return what decides the results of a scene as plain values of which keys have no order."""
+    entries = scene.to_dict()
+    entries.pop("title", None)
+    _keep_order(scene, entries)
+    return entries
+
+
+def _keep_order(part: Any, entries: dict[str, Any]) -> None:
+    """Turn tables whose order decides results into lists of name and entry."""
+    for name in specs(part):
+        value = getattr(part, name)
+        if name not in entries or not isinstance(value, Tables):
+            continue
+        for key, inner in value.items():
+            if is_dataclass(inner):
+                _keep_order(inner, entries[name][key])
+        if name in _ORDERED:
+            entries[name] = [[key, entries[name][key]] for key in value]
+
+
+def _of_file(spec: str) -> str:
+    """Return a text that changes with the name in a file and with the text of that file."""
+    file, _, name = spec.rpartition(":")
+    try:
+        text = Path(file).expanduser().read_bytes()
+    except OSError as error:
+        problem = f"'{file}' cannot be read: {error.strerror}"
+        hint = "What is typed in at a prompt has no file that other processes could load."
+        raise SceneError("integrator", problem, hint) from None
+    return f"{name}@{hashlib.sha256(text).hexdigest()}"

@@ -1,0 +1,315 @@
+"""The best parameters in few runs: Optuna asks and is told, polynomials propose beside it.
+
+Points are tried in batches. The first ones are a Sobol' sequence; of each later batch most come
+from an emulator (:mod:`multicell.studies.emulator`): its minimum, and draws from its posterior,
+which are where another run tells most. The rest are Optuna's (TPE), which needs no smooth
+dependence and looks elsewhere too. All points have the same random numbers, so that differences
+between them are differences of parameters.
+
+Whatever is known is Optuna's storage: each run is an attribute of its trial as soon as it has
+ended, so that a search that is stopped goes on without a second run of anything.
+"""
+
+from __future__ import annotations
+
+import math
+import time as clock
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, final
+
+import numpy as np
+
+from multicell.errors import FitFailed, OutputError
+from multicell.extras import needs
+from multicell.results.folder import file_errors, write_bytes
+from multicell.studies.distance import Array, Misfit
+from multicell.studies.emulator import Emulator, emulator
+from multicell.studies.hands import Hands
+from multicell.studies.problem import Problem
+from multicell.studies.simulating import Reading
+
+BATCH: Final = 5
+"""Points that are tried together, at least."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """What was found for one set of parameters.
+
+    Attributes
+    ----------
+    number
+        In the order in which they were asked for.
+    shares : (d,)
+        Places in the ranges.
+    misfit
+        Of its runs.
+    reasons
+        Why runs failed; empty if none did.
+    """
+
+    number: int
+    shares: Array
+    misfit: Misfit
+    reasons: tuple[str, ...]
+
+
+@final
+class Search:
+    """All that has been tried for a problem.
+
+    Parameters
+    ----------
+    problem
+        What to fit.
+    path
+        File that keeps what was tried; None keeps it in memory.
+    seed
+        Of the choice of points.
+    """
+
+    def __init__(self, problem: Problem, path: Path | None, seed: int = 0) -> None:
+        needs("optuna")
+        self._problem = problem
+        self._seed = seed
+        with _quiet():
+            import optuna
+
+            self._study: Any = _study(path)
+            distribution = optuna.distributions.FloatDistribution(0.0, 1.0)
+        self._space = dict.fromkeys(problem.names, distribution)
+        self._known: dict[int, Evaluation] = {}
+
+    def evaluations(self) -> list[Evaluation]:
+        """Return all that is known, in order."""
+        from optuna.trial import TrialState
+
+        for trial in self._study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)):
+            if trial.number not in self._known:
+                self._known[trial.number] = self._evaluation(trial)
+        return [self._known[number] for number in sorted(self._known)]
+
+    def run(
+        self,
+        hands: Hands,
+        points: int,
+        *,
+        deadline: float = math.inf,
+        progress: Callable[[int, int], None] | None = None,
+    ) -> list[Evaluation]:
+        """Go on until there are so many points; return all of them.
+
+        Parameters
+        ----------
+        hands
+            Who makes the runs.
+        points
+            Number of points that are wanted in all.
+        deadline
+            Time (as of ``time.monotonic``) after which no batch is begun.
+        progress
+            Called with the numbers of runs done and wanted after each run.
+
+        Raises
+        ------
+        FitFailed
+            If all runs of the first points fail.
+        """
+        with _quiet():
+            self._finish(hands, self._open(), progress, points)
+            while (known := len(self.evaluations())) < points and clock.monotonic() < deadline:
+                self._refuse_failures()
+                width = max(BATCH, math.ceil(hands.count / len(self._problem.tasks())))
+                batch = self._ask(min(width, points - known))
+                self._finish(hands, batch, progress, points)
+            self._refuse_failures()
+            return self.evaluations()
+
+    def emulator(self) -> Emulator | None:
+        """Return polynomials for the best points, None while there are too few."""
+        return emulator_of(self._problem, self.evaluations())
+
+    def _ask(self, count: int) -> list[Any]:
+        """Return the next trials."""
+        import optuna
+
+        known = len(self._study.get_trials(deepcopy=False))
+        self._study.sampler = optuna.samplers.TPESampler(
+            seed=self._seed + known, multivariate=True, n_startup_trials=self._first_points
+        )
+        for shares in self._proposed(known, count):
+            self._study.enqueue_trial(dict(zip(self._problem.names, shares, strict=True)))
+        return [self._study.ask(self._space) for _ in range(count)]
+
+    @property
+    def _first_points(self) -> int:
+        """How many points are spread evenly before anything is concluded."""
+        return max(2 * BATCH, 4 * len(self._problem.ranges))
+
+    def _proposed(self, known: int, count: int) -> list[list[float]]:
+        """Return the points of a batch that are not Optuna's."""
+        if known < self._first_points:
+            return self._sobol()[known : known + count].tolist()  # type: ignore[no-any-return]
+        found = self.emulator()
+        if found is None:
+            return []
+        wanted = max(1, count - max(1, count // 4))
+        draws = found.sample(self._seed + known)
+        best = draws[np.argmin(found.loss(draws))]
+        return [best.tolist(), *draws[: wanted - 1].tolist()]
+
+    def _sobol(self) -> Array:
+        from scipy.stats import qmc
+
+        sequence = qmc.Sobol(len(self._problem.ranges), rng=self._seed)
+        power = math.ceil(math.log2(self._first_points + BATCH))
+        return np.asarray(sequence.random_base2(max(power, 6)))
+
+    def _open(self) -> list[Any]:
+        """Return the trials that were begun and not ended, by a search that was stopped."""
+        from optuna.trial import Trial, TrialState
+
+        states = (TrialState.RUNNING,)
+        whole = []
+        for begun in self._study.get_trials(deepcopy=False, states=states):
+            if set(begun.params) == set(self._problem.names):
+                whole.append(Trial(self._study, begun._trial_id))
+            else:  # it was stopped before it had parameters
+                self._study.tell(begun.number, state=TrialState.FAIL)
+        return whole
+
+    def _finish(
+        self,
+        hands: Hands,
+        trials: Sequence[Any],
+        progress: Callable[[int, int], None] | None,
+        points: int,
+    ) -> None:
+        """Make the runs of some trials that are not known yet, and tell what they came to."""
+        tasks = self._problem.tasks()
+        missing = {trial.number: set(tasks) - set(_readings(trial)) for trial in trials}
+        by_number = {trial.number: trial for trial in trials}
+        for trial in trials:
+            if not missing[trial.number]:
+                self._tell(trial)
+        for condition, seed in tasks:
+            for trial in trials:
+                if (condition, seed) in missing[trial.number]:
+                    shares = [trial.params[name] for name in self._problem.names]
+                    key = trial.number, condition, seed
+                    hands.give(key, self._problem.simulator, shares, condition, seed)
+        done = len(self.evaluations()) * len(tasks)
+        done += sum(len(tasks) - len(m) for m in missing.values() if m)
+        while hands.busy:
+            (number, condition, seed), reading = hands.take()
+            _note(by_number[number], condition, seed, reading)
+            missing[number].discard((condition, seed))
+            if not missing[number]:
+                self._tell(by_number[number])
+            done += 1
+            if progress is not None:
+                progress(done, max(points * len(tasks), done))
+
+    def _tell(self, trial: Any) -> None:
+        found = self._evaluation(trial)
+        self._study.tell(trial.number, found.misfit.loss)
+
+    def _evaluation(self, trial: Any) -> Evaluation:
+        """Return what a trial has come to."""
+        readings, reasons = _readings(trial), []
+        for reading in readings.values():
+            if reading.reason:
+                reasons.append(reading.reason)
+        known = {
+            (condition, seed): self._problem.on_scales(condition, reading)
+            for (condition, seed), reading in readings.items()
+        }
+        shares = np.array([trial.params[name] for name in self._problem.names])
+        return Evaluation(trial.number, shares, self._problem.misfit(known), tuple(reasons))
+
+    def _refuse_failures(self) -> None:
+        """Refuse to go on where no run succeeds."""
+        known = self.evaluations()
+        if len(known) < BATCH or any(np.isfinite(e.misfit.means).any() for e in known):
+            return
+        reasons = [reason for e in known for reason in e.reasons]
+        said = max(set(reasons), key=reasons.count) if reasons else "they have none of the data"
+        raise FitFailed(
+            f"no run of the first {len(known)} sets of parameters gives any of the data: {said}",
+            "See whether the scene runs as it is, and whether the ranges make sense.",
+        )
+
+
+def emulator_of(problem: Problem, evaluations: Sequence[Evaluation]) -> Emulator | None:
+    """Return polynomials for the best of some evaluations, None if there are too few."""
+    if not evaluations:
+        return None
+    misfits = [e.misfit for e in evaluations]
+    sigma = problem.sigma
+    more = 1.0 + 1.0 / len(problem.seeds)
+    return emulator(
+        np.array([e.shares for e in evaluations]),
+        np.array([(m.means - problem.observed) / sigma for m in misfits]),
+        np.array([m.scatter for m in misfits]) * more / sigma**2,
+        np.array([m.loss for m in misfits]),
+    )
+
+
+def _study(path: Path | None) -> Any:
+    """Return Optuna's study, from a file if there is one; that is locked by the caller."""
+    import optuna
+    from optuna.storages import JournalStorage
+    from optuna.storages.journal import JournalFileBackend
+
+    if path is None:
+        return optuna.create_study(study_name="fit")
+    with file_errors("use", path):
+        if path.exists():
+            # a process that is killed can leave half a line, which Optuna would write on, and a
+            # lock, for which it would wait
+            data = path.read_bytes()
+            if not data.endswith(b"\n"):
+                write_bytes(path, data[: data.rfind(b"\n") + 1])
+        path.with_name(path.name + ".lock").unlink(missing_ok=True)
+        try:
+            storage = JournalStorage(JournalFileBackend(str(path)))
+            return optuna.create_study(storage=storage, study_name="fit", load_if_exists=True)
+        except (ValueError, KeyError) as error:
+            raise OutputError(f"'{path}' is damaged: {error}") from error
+
+
+def _note(trial: Any, condition: int, seed: int, reading: Reading) -> None:
+    """Keep the reading of a run with its trial."""
+    values = [None if math.isnan(v) else v for v in reading.values]
+    trial.set_user_attr(f"{condition}:{seed}", {"values": values, "reason": reading.reason})
+
+
+def _readings(trial: Any) -> dict[tuple[int, int], Reading]:
+    """Return the readings that a trial has."""
+    attributes: Mapping[str, Any] = trial.user_attrs
+    found = {}
+    for name, entry in attributes.items():
+        condition, _, seed = name.partition(":")
+        values = tuple(math.nan if v is None else float(v) for v in entry["values"])
+        found[int(condition), int(seed)] = Reading(values, entry["reason"])
+    return found
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Let Optuna say nothing: what matters is said in words of our own."""
+    import optuna
+
+    level = optuna.logging.get_verbosity()
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
+            yield
+    finally:
+        optuna.logging.set_verbosity(level)

@@ -1,0 +1,92 @@
+"""The page of an analysis of sensitivity."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from multicell.report.html import write_page
+from multicell.report.plots.style import save
+from multicell.report.wording import time_unit
+from multicell.studies.indices import CLEAR, CLEAR_SINGLE, block
+from multicell.studies.pictures.values import key_words, sentence, words
+
+if TYPE_CHECKING:
+    from multicell.studies.axes import Range
+    from multicell.studies.sensitivity_result import Sensitivity
+
+
+def write_report(result: Sensitivity, folder: Path) -> Path:
+    """Write ``report.html`` and its pictures, and return the page.
+
+    Raises
+    ------
+    OutputError
+        If the folder cannot be written to.
+    """
+    pictures: dict[Path, str] = {}
+    index = "Size of effects" if result.method == "morris" else "Parts of the variance"
+    for name in result.observables:
+        rows = result.ordered(name)
+        first = "mu_star" if result.method == "morris" else "st"
+        if not any(row[first] > 0.0 for row in rows):
+            continue  # nothing to draw: a note says why
+        told = sentence(words(name))
+        file = name.replace(".", "_")
+        path = folder / f"sensitivity-{file}.png"
+        save(result.plot(name), path)
+        pictures[path] = (
+            f"{told}: {index.lower()} at the end of the runs, with 95 % intervals; pale is what "
+            "cannot be told from noise or zero."
+        )
+        if any(row["observable"] == name for row in result.courses):
+            path = folder / f"course-{file}.png"
+            save(result.plot_course(name), path)
+            pictures[path] = f"{told}: {index.lower()} over time, with bands of 95 % intervals."
+    return write_page(
+        folder / "report.html",
+        "sensitivity.html",
+        scene=result.scene,
+        title=f"{result.scene.title or 'Untitled scene'}: sensitivity",
+        subtitle=_subtitle(result),
+        tiles=_tiles(result),
+        pictures=pictures,
+        result=result,
+        ends={free.key: _ends(free) for free in result.ranges},
+    )
+
+
+def _ends(free: Range) -> tuple[str, str]:
+    """Return both ends of a range with their unit; long times in minutes, hours or days."""
+    unit, factor = free.unit.replace("um", "µm"), 1.0
+    if unit == "s":
+        shown = time_unit(free.high)
+        unit, factor = shown.name, shown.seconds
+    log = ", by ratio" if free.log else ""
+    return f"{free.low / factor:.4g}", f"{free.high / factor:.4g} {unit}{log}".strip()
+
+
+def _subtitle(result: Sensitivity) -> str:
+    method = "Screening by Morris" if result.method == "morris" else "Indices of Sobol'"
+    names = ", ".join(key_words(free.key, free.name) for free in result.ranges)
+    return f"{method} · {names}"
+
+
+def _tiles(result: Sensitivity) -> dict[str, str]:
+    points = result.size * block(result.method, len(result.ranges))
+    failed = sum(bool(row["reason"]) for row in result.runs)
+    told = {
+        "free parameters": f"{len(result.ranges)}",
+        "trajectories" if result.method == "morris" else "base points": f"{result.size:,}",
+        "points": f"{points:,}",
+        "seeds": f"{len(result.seeds)}",
+    }
+    if result.runs:
+        told["runs"] = f"{len(result.runs):,}"
+    if failed:
+        told["runs that failed"] = f"{failed:,}"
+    for name in result.observables[:3]:
+        first = result.ordered(name)[0]
+        if first["verdict"] in (CLEAR, CLEAR_SINGLE):
+            told[f"decides {words(name)} most"] = key_words(first["key"], first["parameter"])
+    return told

@@ -1,0 +1,203 @@
+"""States of the runs of a study, from their folders alone.
+
+A folder says all that there is to know: whoever killed the study, on whatever machine it ran, and
+however many processes work on it. A run is
+
+``done``
+    where its summary is complete, its results are one whole file, and its scene is the one that its
+    name stands for;
+``running``
+    while a process holds the lock of its folder;
+``failed``
+    where a note in its folder says why (:data:`NOTE`), or what is there is damaged;
+``partial``
+    where there are frames from which it can go on;
+``waiting``
+    where there is nothing.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Literal, final
+
+from multicell.errors import MulticellError, OutputError
+from multicell.report.result import read_summary
+from multicell.results import hdf5, journal
+from multicell.results.folder import file_errors, in_use, to_json, write_text
+from multicell.scene.scene import load_scene
+from multicell.studies.runs import digest
+
+if TYPE_CHECKING:
+    from multicell.studies.runs import Run
+
+NOTE: Final = "failure.json"
+"""File in the folder of a run that failed: ``reason`` and ``kind``."""
+
+Kind = Literal["", "run", "machine", "damage"]
+"""What a run failed for: nothing yet; its scene, which fails again; what is no matter of its scene,
+such as a full disk; a folder that holds something else than what was written to it."""
+
+
+@final
+@dataclass(frozen=True)
+class RunStatus:
+    """What is known of a run.
+
+    Attributes
+    ----------
+    name
+    state
+        ``"done"``, ``"running"``, ``"partial"``, ``"waiting"`` or ``"failed"``.
+    reason
+        Why it failed, or an empty string.
+    cells
+        Number of cells at ``time``.
+    time
+        Simulated time so far, s; as far as frames are saved where the run goes on.
+    wall
+        Wall time that it took, s; NaN until it is done.
+    kind
+        What it failed for.
+    frames
+        How many frames there are to go on from; not counted where it is done.
+    """
+
+    name: str
+    state: str
+    reason: str = ""
+    cells: int = 0
+    time: float = 0.0
+    wall: float = math.nan
+    kind: Kind = ""
+    frames: int = 0
+
+
+def run_folder(folder: Path, name: str) -> Path:
+    """Return the folder of a run of the study in ``folder``."""
+    return folder / "runs" / name
+
+
+def statuses(runs: Sequence[Run], folder: str | Path) -> list[RunStatus]:
+    """Return the states of runs, in their order.
+
+    Parameters
+    ----------
+    runs
+    folder
+        Of the study.
+    """
+    return [status(run.name, Path(folder), run.integrator) for run in runs]
+
+
+def status(name: str, folder: Path, integrator: str = "", *, ours: bool = False) -> RunStatus:
+    """Return the state of one run.
+
+    Parameters
+    ----------
+    name
+        Of the run.
+    folder
+        Of the study.
+    integrator
+        Of the user's own, as in :class:`multicell.studies.runs.Run`.
+    ours
+        Whether it is the caller who holds the lock of the run's folder.
+    """
+    place = run_folder(folder, name)
+    if not place.is_dir():
+        return RunStatus(name, "waiting")
+    try:
+        if not ours and in_use(place):
+            return _under_way(name, place, "running")
+        done = _done(name, place, integrator)
+        return _failed(_under_way(name, place, "partial"), place) if done is None else done
+    except MulticellError as error:
+        return RunStatus(name, "failed", f"damaged: {error}", kind="damage")
+
+
+def _failed(found: RunStatus, place: Path) -> RunStatus:
+    """Return the state of a run that goes on nowhere, with why it failed if it did."""
+    note = read_note(place)
+    if note is None:
+        return found
+    kind = note.get("kind")
+    known: Kind = kind if kind in ("machine", "damage") else "run"
+    return replace(found, state="failed", reason=str(note.get("reason", "")), kind=known)
+
+
+def _done(name: str, place: Path, integrator: str) -> RunStatus | None:
+    """Return the state of a run that has come to its end; None before that."""
+    summary = read_summary(place / "summary.json")
+    if summary is None or summary.get("interrupted") or (place / journal.NAME).exists():
+        return None
+    hdf5.check_whole(place / hdf5.NAME)
+    if digest(load_scene(place / "scene.toml"), integrator) != name:
+        raise OutputError(f"'{place / 'scene.toml'}' is not the scene that the folder is named by")
+    try:
+        time, cells = float(summary["time"]), int(summary["cells"])
+        return RunStatus(name, "done", "", cells, time, float(summary["wall"]["total"]))
+    except (KeyError, TypeError, ValueError):
+        problem = f"'{place / 'summary.json'}' lacks what a run writes at its end"
+        raise OutputError(problem) from None
+
+
+def _under_way(name: str, place: Path, state: str) -> RunStatus:
+    """Return how far a run has come that has not ended; one without frames waits, or runs."""
+    from multicell.results.reader import Contents
+
+    nothing = RunStatus(name, "waiting" if state == "partial" else state)
+    if not any((place / file).exists() for file in (hdf5.NAME, journal.NAME)):
+        return nothing
+    try:
+        contents = Contents(place)
+    except OutputError:
+        if state == "partial":
+            raise
+        return nothing  # it may be about to begin, or to end
+    if state == "partial":
+        contents.whole()
+    if not contents.places:
+        return nothing
+    last = contents.places[-1]
+    cells = contents.history().get("cells", ())
+    row = min(last.step, len(cells) - 1)
+    count = int(cells[row]) if row >= 0 else 0
+    return RunStatus(name, state, "", count, last.time, frames=len(contents.places))
+
+
+def read_note(place: Path) -> Mapping[str, Any] | None:
+    """Return why a run failed, as its folder says; None where it does not.
+
+    Raises
+    ------
+    OutputError
+        If that cannot be read.
+    """
+    path = place / NOTE
+    with file_errors("read", path):
+        if not path.is_file():
+            return None
+        text = path.read_bytes()
+    try:
+        note = json.loads(text)
+    except ValueError as error:
+        raise OutputError(f"'{path}' is damaged: {error}") from None
+    if not isinstance(note, dict):
+        raise OutputError(f"'{path}' is damaged: it holds no table")
+    return note
+
+
+def write_note(place: Path, reason: str, kind: Kind) -> None:
+    """Write down why a run failed.
+
+    Raises
+    ------
+    OutputError
+        If that cannot be written.
+    """
+    write_text(place / NOTE, to_json({"reason": reason, "kind": kind}) + "\n")

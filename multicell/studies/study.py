@@ -1,0 +1,317 @@
+"""A study in its folder: what Python and the command line work with.
+
+>>> import multicell as mc
+>>> study = mc.study("growth", vary={"cells.young": "1,2 kPa"}, seeds=3, output="study")
+... # doctest: +SKIP
+>>> study.run(); table = study.to_xarray(); study.plot.heatmap("diameter")      # doctest: +SKIP
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, final
+
+from multicell.errors import OutputError
+from multicell.studies.cost import StudyCost, costs_of, together
+from multicell.studies.plan import NAME, SCENE, Plan, make_plan, read_plan
+from multicell.studies.runs import Run, canonical
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+
+    from multicell.scene.scene import Scene
+    from multicell.studies.plots import StudyPlots
+    from multicell.studies.status import RunStatus
+    from multicell.studies.task import Outcome
+
+
+@final
+class Study:
+    """A plan and the folder that holds its runs; made by :func:`study` or :func:`load_study`.
+
+    Attributes
+    ----------
+    plan
+        What is varied, and how.
+    folder
+        With ``study.toml``, ``scene.toml``, and the runs as ``runs/<name>``.
+    """
+
+    def __init__(self, plan: Plan, folder: str | Path) -> None:
+        self.plan = plan
+        self.folder = Path(folder)
+
+    def __repr__(self) -> str:
+        return f"Study('{self.folder}', {len(self.plan.points)} points, {self.plan.seeds} seeds)"
+
+    @cached_property
+    def runs(self) -> list[Run]:
+        """All runs: those of one point after the other, each with all its seeds."""
+        return self.plan.runs([cost.seconds for cost in costs_of(self.plan, self.folder)])
+
+    def expected(self, cores: int = 1, *, left: bool = True) -> StudyCost:
+        """Return what the study is expected to take.
+
+        Parameters
+        ----------
+        cores
+            How many there are.
+        left
+            Whether to leave out the runs that are done.
+        """
+        points = costs_of(self.plan, self.folder)
+        costs = dict(zip(self.plan.names, (c for c in points for _ in range(self.plan.seeds)),
+                         strict=True))  # fmt: skip
+        settled = {s.name for s in self.status() if s.state == "done"} if left else set()
+        return together((cost for name, cost in costs.items() if name not in settled), cores)
+
+    def run(
+        self,
+        cores: int | None = None,
+        scheduler: str | None = None,
+        progress: Callable[[Outcome], None] | None = None,
+        *,
+        retry: bool = False,
+    ) -> list[Outcome]:
+        """Do all runs that are not done, and go on with those that were begun.
+
+        It may be stopped by anything and called again; see
+        :func:`multicell.studies.engine.carry_out` for the arguments, and for what is raised.
+
+        Returns
+        -------
+        list of Outcome
+            In the order of :attr:`runs`. A run that failed is one of them, with its reason.
+        """
+        from multicell.studies.task import Outcome
+
+        if all(state.state == "done" for state in self.status()):
+            outcomes = [Outcome(name, "done", reused=True) for name in self.plan.names]
+            if progress is not None:
+                for outcome in dict.fromkeys(outcomes):
+                    progress(outcome)
+            return outcomes
+        from multicell.studies.engine import carry_out  # it loads what runs need
+
+        return carry_out(
+            self.runs, self.folder, cores=cores, scheduler=scheduler, progress=progress, retry=retry
+        )
+
+    def status(self) -> list[RunStatus]:
+        """Return how each run stands, in the order of :attr:`runs`."""
+        from multicell.studies.status import status
+
+        known: dict[str, RunStatus] = {}
+        for name in self.plan.names:
+            if name not in known:
+                known[name] = status(name, self.folder, self.plan.integrator)
+        return [known[name] for name in self.plan.names]
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Return one table of all that the runs have found; it is kept as ``study.nc``.
+
+        See :mod:`multicell.studies.table`. Runs that were in the table before are not read again.
+
+        Raises
+        ------
+        MissingPackage
+            Without the packages of ``multicell[study]``.
+        OutputError
+            If results cannot be read.
+        """
+        return self._table(self.status())
+
+    def _table(self, states: Sequence[RunStatus]) -> xarray.Dataset:
+        from multicell.studies import table
+
+        path = self.folder / table.NAME
+        before = table.load(path)
+        made = table.dataset(self.plan, self.folder, states, before)
+        if before is not None and table.same(made, before):
+            return before
+        table.save(made, path)
+        return made
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """Return the table with one row for each run and time; units are in ``frame.attrs``."""
+        table = self.to_xarray()
+        frame = table.to_dataframe().reset_index()
+        frame.attrs = {str(n): v.attrs["units"] for n, v in table.variables.items()
+                       if v.attrs.get("units")}  # fmt: skip
+        return frame
+
+    def to_csv(self, path: str | Path) -> Path:
+        """Write the table as CSV, one row for each run and time, with units in its header."""
+        from multicell.studies.table import write_csv
+
+        write_csv(self.to_xarray(), Path(path))
+        return Path(path)
+
+    def report(self) -> Path:
+        """Write ``report.html`` with its pictures, and the table as ``study.nc`` and ``study.csv``.
+
+        Returns
+        -------
+        pathlib.Path
+            The page.
+        """
+        from multicell.studies.page import write_report
+        from multicell.studies.table import write_csv
+
+        states = self.status()
+        table = self._table(states)
+        write_csv(table, self.folder / "study.csv")
+        return write_report(self.folder, self.plan.scene, table, self.runs, states)
+
+    @property
+    def plot(self) -> StudyPlots:
+        """Pictures of the study, such as ``plot.heatmap("viable_rim")``."""
+        from multicell.studies.plots import StudyPlots
+
+        states = self.status()
+        title = self.plan.scene.title or "Study"
+        return StudyPlots(self._table(states), title, self.runs, states, self.folder)
+
+
+def study(
+    scene: Scene | str | Path,
+    vary: Mapping[str, Any] | None = None,
+    *,
+    output: str | Path,
+    zipped: Mapping[str, Any] | Sequence[Mapping[str, Any]] | None = None,
+    points: Any = None,
+    seeds: int = 1,
+    design: str = "grid",
+    size: int | None = None,
+    sample_seed: int = 0,
+    every: str | float | None = None,
+    integrator: str = "",
+    overwrite: bool = False,
+) -> Study:
+    """Plan a study of a scene in a folder; nothing runs until :meth:`Study.run` is called.
+
+    A folder that holds the same study, or one that the new plan widens (further values, seeds or
+    keys), goes on: runs that are there are not computed again.
+
+    Parameters
+    ----------
+    scene
+        A scene, the name of a built-in one, or the path of a file.
+    vary
+        Dotted key -> values, as ``"0.07,0.14,0.28 mM"`` or a list; for a sample its range, as
+        ``"8:25 h"``, ``"log 1e-3:1 1/s"`` or a tuple of both ends.
+    output
+        Folder of the study.
+    zipped
+        Keys whose values go together, as a table or several: a dimension each.
+    points
+        In place of ``vary``: a list of points, as a table of columns, its rows, or a CSV file.
+    seeds
+        Runs of each point, with the scene's seed and those that follow it; the same at all points.
+    design
+        ``"grid"``: all combinations; ``"lhs"``, ``"sobol"``: ``size`` points of a Latin hypercube
+        or a Sobol' sequence.
+    size, sample_seed
+        Number of points of a sample, and the seed of its random numbers.
+    every
+        Time between the rows of the table, in s or with a unit; by default ``output.every`` of the
+        scene.
+    integrator
+        A method of the user's own as ``file.py:Name``.
+    overwrite
+        Whether the plan of another study in the folder may be replaced. Its runs stay: they are
+        named by what they are of, and never mistaken for others.
+
+    Returns
+    -------
+    Study
+
+    Raises
+    ------
+    SceneError
+        For anything in the plan that cannot be, before anything runs: see
+        :class:`multicell.studies.plan.Plan`.
+    OutputError
+        If the folder holds another study, or something else, or cannot be written to.
+    """
+    from multicell.scene.scene import Scene, load_scene
+
+    base = scene if isinstance(scene, Scene) else load_scene(scene)
+    plan = make_plan(
+        base, vary, zipped=zipped, points=points, seeds=seeds, design=design, size=size,
+        sample_seed=sample_seed, every=every, integrator=integrator,
+    )  # fmt: skip
+    return settle(plan, output, overwrite=overwrite)
+
+
+def load_study(folder: str | Path, *, integrator: str = "") -> Study:
+    """Open the folder of a study.
+
+    Parameters
+    ----------
+    folder
+        With ``study.toml``.
+    integrator
+        ``file.py:Name``, where the study needs a method of the user's own.
+
+    Raises
+    ------
+    SceneError
+        If there is no study, or its plan is refused.
+    """
+    return Study(read_plan(folder, integrator=integrator), folder)
+
+
+def settle(plan: Plan, folder: str | Path, *, overwrite: bool = False) -> Study:
+    """Write a plan to a folder, and return the study.
+
+    Raises
+    ------
+    OutputError
+        If the folder holds a study that the plan does not widen and may not be overwritten, holds
+        something else, or cannot be written to.
+    """
+    from multicell.results.folder import make_folder, write_text
+
+    folder = Path(folder)
+    there = (folder / NAME).is_file()
+    if there and not overwrite:
+        _refuse_other(plan, read_plan(folder, integrator=plan.integrator), folder)
+    elif not there:
+        make_folder(folder, overwrite=overwrite)
+    write_text(folder / SCENE, plan.scene.to_toml())
+    write_text(folder / NAME, plan.to_toml())
+    return Study(plan, folder)
+
+
+def _refuse_other(plan: Plan, there: Plan, folder: Path) -> None:
+    """Refuse a plan that does not widen the one in a folder."""
+    way_out = (
+        "Choose another folder, or allow overwriting (--overwrite, overwrite=True): runs that are "
+        "there stay, and are taken where they fit"
+    )
+    old, new = canonical(there.scene), canonical(plan.scene)
+    if old != new:
+        keys = ", ".join(_different(old, new)[:4])
+        raise OutputError(
+            f"'{folder}' holds a study of another scene: it differs in {keys}. {way_out}"
+        )
+    missing = set(there.names) - set(plan.names)
+    if missing:
+        raise OutputError(
+            f"'{folder}' holds a study of {len(set(there.names))} runs, of which {len(missing)} "
+            f"are not in this one: it would not be widened, but changed. {way_out}"
+        )
+
+
+def _different(one: Any, other: Any, path: str = "") -> list[str]:
+    """Return the dotted keys in which two tables differ."""
+    if not (isinstance(one, dict) and isinstance(other, dict)):
+        return [path] if one != other else []
+    found: list[str] = []
+    for key in dict.fromkeys([*one, *other]):
+        found += _different(one.get(key), other.get(key), f"{path}.{key}" if path else key)
+    return found

@@ -1,0 +1,325 @@
+"""One table of all that the runs of a study have found: an ``xarray.Dataset`` with units.
+
+Dimensions are those of the design (:attr:`Design.dimensions`; ``point`` for a list or a sample),
+``seed`` and ``time``. Variables are the columns of the histories, at common times, and the numbers
+of the summaries that histories do not have, under their names with ``_`` for dots. A run that is
+not done, has failed, or has ended before a time has NaN there; ``state`` and ``reason`` say which.
+"""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multicell.errors import OutputError
+from multicell.extras import needs
+from multicell.report.result import read_summary
+from multicell.results.folder import file_errors, versions
+from multicell.results.quantities import known_unit
+from multicell.studies.runs import MODEL_VERSION, digest
+
+if TYPE_CHECKING:
+    import xarray
+
+    from multicell.studies.plan import Plan
+    from multicell.studies.status import RunStatus
+
+NAME: Final = "study.nc"
+FORMAT: Final = 1
+_TEXTS: Final = ("state", "reason", "run")
+_SKIPPED: Final = ("units", "versions", "title", "notes", "seed")
+_RENAMED: Final = {"time": "end_time"}
+FloatArray = NDArray[np.float64]
+
+
+def common_times(plan: Plan) -> FloatArray:
+    """Return the times of a study's table, s: multiples of ``every`` and the end of the longest."""
+    every, end = plan.row_every, max(scene.duration for scene in plan.scenes)
+    count = int(end / every * (1.0 + 1e-12))
+    times = every * np.arange(count + 1, dtype=np.float64)
+    return times if times[-1] >= end * (1.0 - 1e-12) else np.append(times, end)
+
+
+def dataset(
+    plan: Plan, folder: Path, states: Sequence[RunStatus], before: xarray.Dataset | None = None
+) -> xarray.Dataset:
+    """Return the table of a study.
+
+    Histories are read one at a time, so that no more than the table itself is held in memory.
+
+    Parameters
+    ----------
+    plan
+    folder
+        Of the study, with ``runs/<name>``.
+    states
+        Of all runs, in the order of ``plan.names``.
+    before
+        An earlier table, from which runs that were done then are taken.
+
+    Returns
+    -------
+    xarray.Dataset
+        With attributes for its provenance, and for every variable its ``units``.
+
+    Raises
+    ------
+    OutputError
+        If the results of a run that is done cannot be read.
+    """
+    needs("xarray")
+    import xarray
+
+    times = common_times(plan)
+    known = _Known(before, times, set(plan.names))
+    columns: dict[str, FloatArray] = {}
+    scalars: dict[str, FloatArray] = {}
+    units: dict[str, str] = {}
+    count = len(states)
+    for place, state in enumerate(states):
+        if state.state != "done":
+            continue
+        rows, numbers, own_units = known.run(state.name) or _read(folder, state.name, times)
+        units |= own_units
+        for name, row in rows.items():
+            _column(columns, name, (count, len(times)))[place] = row
+        for name, number in numbers.items():
+            _column(scalars, name, (count,))[place] = number
+    scalars = {name: column for name, column in scalars.items() if name not in columns}
+    shape, dims, coordinates = _space(plan)
+    variables: dict[str, Any] = {
+        name: ((*dims, "time"), column.reshape(*shape, len(times)), _units(units, name))
+        for name, column in columns.items()
+    }
+    for name, column in scalars.items():
+        variables[name] = (dims, column.reshape(shape), _units(units, name))
+    for name, texts in _texts(states).items():
+        variables[name] = (dims, texts.reshape(shape))
+    coordinates["time"] = ("time", times, {"units": "s"})
+    return xarray.Dataset(variables, coordinates, provenance(plan))
+
+
+def _units(units: Mapping[str, str], name: str) -> dict[str, str]:
+    return {"units": units.get(name, "")}
+
+
+def _column(table: dict[str, FloatArray], name: str, shape: tuple[int, ...]) -> FloatArray:
+    if name not in table:
+        table[name] = np.full(shape, np.nan)
+    return table[name]
+
+
+def _texts(states: Sequence[RunStatus]) -> dict[str, NDArray[Any]]:
+    """Return the variables that tell how each run stands."""
+    entries = {
+        "state": [state.state for state in states],
+        "reason": [state.reason for state in states],
+        "run": [state.name for state in states],
+    }
+    return {name: np.array(texts, dtype=object) for name, texts in entries.items()}
+
+
+def _space(plan: Plan) -> tuple[tuple[int, ...], tuple[str, ...], dict[str, Any]]:
+    """Return shape, names and coordinates of the dimensions of points and seeds."""
+    coordinates: dict[str, Any] = {}
+    dimensions = plan.design.dimensions
+    if plan.design.kind == "grid":
+        shape, dims = tuple(map(len, dimensions)), tuple(d.name for d in dimensions)
+        for dimension in dimensions:
+            for axis in dimension.axes:
+                values = np.array(axis.coordinates, dtype=object if axis.numbers is None else float)
+                about = {"units": axis.unit, "key": axis.key}
+                coordinates[axis.name] = (dimension.name, values, about)
+    else:
+        shape, dims = (len(plan.points),), ("point",)
+        coordinates["point"] = ("point", np.arange(len(plan.points)))
+        for column in plan.design.axes:
+            found = [point.coordinates[column.name] for point in plan.points]
+            words = any(isinstance(value, str) for value in found)
+            about = {"units": column.unit, "key": column.key}
+            values = np.array(found, dtype=object if words else float)
+            coordinates[column.name] = ("point", values, about)
+    seeds = plan.scene.seed + np.arange(plan.seeds, dtype=np.int64)
+    coordinates["seed"] = ("seed", seeds)
+    return (*shape, plan.seeds), (*dims, "seed"), coordinates
+
+
+def _read(
+    folder: Path, name: str, times: FloatArray
+) -> tuple[dict[str, FloatArray], dict[str, float], dict[str, str]]:
+    """Return history at common times, numbers of the summary, and units of a run."""
+    from multicell.results.reader import Contents
+
+    place = folder / "runs" / name
+    history = Contents(place).history()
+    summary = read_summary(place / "summary.json")
+    if summary is None or "time" not in history:
+        raise OutputError(f"'{place}' holds no results of a run that is done")
+    rows = {
+        column: at_times(times, history["time"], values)
+        for column, values in history.items()
+        if column != "time"
+    }
+    numbers: dict[str, float] = {}
+    units = {column: known_unit(column) for column in rows}
+    for path, value in _flat(summary):
+        flat = _RENAMED.get(path, path.replace(".", "_"))
+        if flat not in rows:
+            numbers[flat], units[flat] = value, known_unit(path)
+    return rows, numbers, units
+
+
+def at_times(times: FloatArray, known: FloatArray, values: FloatArray) -> FloatArray:
+    """Return a column of a history at other times: linear between its rows, NaN beyond the last.
+
+    Where the value of a row does not exist (NaN), it does not between that row and the next ones
+    either; at the time of a row it is that of the row.
+    """
+    result = np.interp(times, known, values, right=np.nan)
+    # interpolation to the very time of a row beside one that is NaN must give the row
+    place = np.searchsorted(known, times * (1.0 - 1e-12)).clip(max=len(known) - 1)
+    exact = np.isclose(known[place], times, rtol=1e-12, atol=0.0)
+    result[exact] = values[place[exact]]
+    return result
+
+
+def _flat(summary: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, float]]:
+    """Yield the numbers of a summary by their dotted names; what does not exist is NaN."""
+    for name, value in summary.items():
+        if not path and name in _SKIPPED:
+            continue
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{path}{name}.")
+        elif value is None:
+            yield f"{path}{name}", float("nan")
+        elif isinstance(value, int | float) and not isinstance(value, bool):
+            yield f"{path}{name}", float(value)
+
+
+class _Known:
+    """Runs that an earlier table has."""
+
+    def __init__(self, before: xarray.Dataset | None, times: FloatArray, names: set[str]) -> None:
+        self._places: dict[str, int] = {}
+        self._columns: dict[str, FloatArray] = {}
+        self._scalars: dict[str, FloatArray] = {}
+        self._units: dict[str, str] = {}
+        if before is not None and self._fits(before, times, names):
+            self._take(before, len(times))
+
+    @staticmethod
+    def _fits(before: xarray.Dataset, times: FloatArray, names: set[str]) -> bool:
+        """Return whether a table is of this version, of these runs, and has the same times."""
+        if any(before.attrs.get(key) != value for key, value in _version().items()):
+            return False
+        if "run" not in before or not set(map(str, before["run"].values.ravel())) <= names:
+            return False
+        return np.array_equal(before["time"].values, times)
+
+    def _take(self, before: xarray.Dataset, count: int) -> None:
+        states = before["state"].values.ravel()
+        names = before["run"].values.ravel()
+        self._places = {str(n): k for k, n in enumerate(names) if states[k] == "done"}
+        for name, variable in before.data_vars.items():
+            if name in _TEXTS:
+                continue
+            values = np.asarray(variable.values, dtype=np.float64)
+            self._units[str(name)] = str(variable.attrs.get("units", ""))
+            if variable.dims[-1] == "time":
+                self._columns[str(name)] = values.reshape(len(names), count)
+            else:
+                self._scalars[str(name)] = values.reshape(len(names))
+
+    def run(
+        self, name: str
+    ) -> tuple[dict[str, FloatArray], dict[str, float], dict[str, str]] | None:
+        """Return what the table has of a run, as :func:`_read` does; None if it has none."""
+        place = self._places.get(name)
+        if place is None:
+            return None
+        rows = {column: values[place] for column, values in self._columns.items()}
+        numbers = {scalar: float(values[place]) for scalar, values in self._scalars.items()}
+        return rows, numbers, self._units
+
+
+def _version() -> dict[str, Any]:
+    return {"format": FORMAT, "model_version": MODEL_VERSION}
+
+
+def provenance(plan: Plan) -> dict[str, Any]:
+    """Return where a table comes from: versions, the digest and text of its scene, the command."""
+    return {
+        **_version(),
+        "title": plan.scene.title,
+        "scene": plan.scene.to_toml(),
+        "scene_digest": digest(plan.scene, plan.integrator),
+        "plan": plan.to_toml(),
+        "versions": json.dumps(versions()),
+        "command": shlex.join(sys.argv),
+    }
+
+
+def same(one: xarray.Dataset, other: xarray.Dataset) -> bool:
+    """Return whether two tables differ in nothing but the command that made them."""
+    mine, others = ({k: v for k, v in t.attrs.items() if k != "command"} for t in (one, other))
+    return bool(mine == others and one.equals(other))
+
+
+def save(table: xarray.Dataset, path: Path) -> None:
+    """Write a table as netCDF, so that the file is either the old one or complete.
+
+    Raises
+    ------
+    MissingPackage, OutputError
+    """
+    needs("xarray", "h5netcdf")
+    part = path.with_name(f"{path.name}.part")
+    packed = {
+        name: {"zlib": True, "complevel": 1, "shuffle": True}
+        for name, variable in table.data_vars.items()
+        if variable.dtype.kind == "f" and variable.size
+    }
+    with file_errors("write", path):
+        try:
+            table.to_netcdf(part, engine="h5netcdf", encoding=packed)
+            part.replace(path)
+        finally:
+            part.unlink(missing_ok=True)
+
+
+def load(path: Path) -> xarray.Dataset | None:
+    """Return a table that was written before; None where there is none that can be read."""
+    needs("xarray", "h5netcdf")
+    import xarray
+
+    if not path.is_file():
+        return None
+    try:
+        with xarray.open_dataset(path, engine="h5netcdf") as stored:
+            return stored.load()
+    except (OSError, ValueError, KeyError, RuntimeError):
+        return None  # it is made again from the runs
+
+
+def write_csv(table: xarray.Dataset, path: Path) -> None:
+    """Write a table as CSV, one row for each run and time, with units in the header.
+
+    Raises
+    ------
+    MissingPackage, OutputError
+    """
+    needs("pandas")
+    from multicell.results.folder import replacing
+    from multicell.results.tables import titled
+
+    frame = table.to_dataframe().reset_index()
+    names = {n: titled(n, table[n].attrs.get("units", "")) for n in frame if n in table.variables}
+    with replacing(path, "w", newline="", encoding="utf-8") as file:
+        frame.rename(columns=names).to_csv(file, index=False)

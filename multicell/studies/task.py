@@ -1,0 +1,199 @@
+"""What a worker does with one run: begin it or go on with it, and say how that ended."""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, final
+
+from multicell.errors import MulticellError, OutputError
+from multicell.results.folder import FILES, PASSING, locked, remove
+from multicell.studies.status import NOTE, Kind, RunStatus, run_folder, status, write_note
+
+if TYPE_CHECKING:
+    from multicell.scene.scene import Scene
+    from multicell.simulation import Simulation
+    from multicell.studies.runs import Run
+
+_ATTEMPTS: Final = 5  # how often a folder is looked at that another process changes meanwhile
+
+
+@final
+@dataclass(frozen=True)
+class Outcome:
+    """How a run ended.
+
+    Attributes
+    ----------
+    name
+        Of the run.
+    state
+        ``"done"``, ``"failed"``, or ``"held"`` where another process works on it.
+    reason
+        Why it failed, in words; otherwise an empty string.
+    wall, cpu
+        Wall time and CPU time that it took now, s; none for what was there.
+    reused
+        Whether it had been done, or had failed, before.
+    """
+
+    name: str
+    state: str
+    reason: str = ""
+    wall: float = 0.0
+    cpu: float = 0.0
+    reused: bool = False
+
+
+@final
+@dataclass(frozen=True)
+class Task:
+    """A run as it travels to a worker: plain values only.
+
+    Attributes
+    ----------
+    name
+    folder
+        Of the study.
+    scene
+        As a table in base units.
+    law, integrator
+        ``file.py:Name`` of the user's own, or empty.
+    retry
+        Whether a run that failed, or whose folder is damaged, is tried again.
+    """
+
+    name: str
+    folder: str
+    scene: Mapping[str, Any]
+    law: str
+    integrator: str
+    retry: bool
+
+
+def task(run: Run, folder: Path, retry: bool) -> Task:
+    """Return what a worker has to know of a run."""
+    return Task(run.name, str(folder), run.scene.to_dict(), run.law, run.integrator, retry)
+
+
+@final
+class Stopped(BaseException):
+    """Ends a run between two steps, since nobody waits for it any more."""
+
+
+def carried_out(work: Task, wanted: Callable[[], bool] = lambda: True) -> Outcome:
+    """Do one run in its folder, unless it is done; this is all that a worker does.
+
+    Parameters
+    ----------
+    work
+        The run.
+    wanted
+        Asked between steps; where it answers no the run ends there, and can be gone on with.
+    """
+    begin, cpu = clock.perf_counter(), clock.thread_time()
+    outcome = _told(work, wanted)
+    if outcome.reused:
+        return outcome
+    spent = clock.perf_counter() - begin, clock.thread_time() - cpu
+    return replace(outcome, wall=spent[0], cpu=spent[1])
+
+
+def _told(work: Task, wanted: Callable[[], bool]) -> Outcome:
+    """Do a run; put what kept it from its end into words, and into its folder."""
+    place = run_folder(Path(work.folder), work.name)
+    try:
+        return _attempted(work, place, wanted)
+    except Stopped:
+        return Outcome(work.name, "held", "stopped")
+    except Exception as error:
+        if isinstance(error, OutputError) and error.in_use:
+            return Outcome(work.name, "held")
+        reason, kind = _in_words(error)
+    with suppress(OutputError):  # where the disk is full there is no room for the reason either
+        write_note(place, reason, kind)
+    return Outcome(work.name, "failed", reason)
+
+
+def _in_words(error: Exception) -> tuple[str, Kind]:
+    """Return why a run failed, and what that was a matter of."""
+    if isinstance(error, OutputError):
+        if error.exit_code == 1 or getattr(error.__cause__, "errno", None) is not None:
+            return str(error), "machine"
+        return f"damaged: {error}", "damage"
+    if isinstance(error, MulticellError):
+        return str(error), "run"
+    if isinstance(error, MemoryError):
+        return "there was not enough memory for it", "machine"
+    said = " ".join(str(error).split())
+    return f"unexpected {type(error).__name__}: {said}. This is a bug of multicell", "run"
+
+
+def _attempted(work: Task, place: Path, wanted: Callable[[], bool]) -> Outcome:
+    """Do a run from wherever it stands; another process may come first at any moment."""
+    for left in reversed(range(_ATTEMPTS)):
+        found = status(work.name, Path(work.folder), work.integrator)
+        if found.state == "running":
+            return Outcome(work.name, "held")
+        known = settled(found, work.retry)
+        if known is not None:
+            return known
+        try:
+            _forward(work, place, found, wanted)
+            return Outcome(work.name, "done")
+        except OutputError as error:
+            if error.exit_code == 1 or not left:
+                raise
+    raise AssertionError("unreachable")
+
+
+def settled(found: RunStatus, retry: bool) -> Outcome | None:
+    """Return how a run ended that is not to be worked on any more; None for all others."""
+    if found.state == "done":
+        return Outcome(found.name, "done", reused=True)
+    if found.state == "failed" and not (retry or found.kind == "machine"):
+        return Outcome(found.name, "failed", found.reason, reused=True)
+    return None
+
+
+def _forward(work: Task, place: Path, found: RunStatus, wanted: Callable[[], bool]) -> None:
+    """Begin a run, or go on with it, up to its end."""
+    from multicell import runner
+
+    def between(_: Simulation) -> None:
+        if not wanted():
+            raise Stopped
+
+    scene, integrator = _scene(work), work.integrator or None
+    if not wanted():
+        raise Stopped
+    if found.frames and found.kind != "damage":
+        remove(place, [NOTE])
+        runner.gone_on(place, integrator=integrator, threads=1, progress=between, planned=True)
+    else:
+        _empty(work, place)
+        runner.recorded(scene, output=place, integrator=integrator, threads=1, progress=between)
+
+
+def _scene(work: Task) -> Scene:
+    """Return the scene of a run, with the user's own contact law loaded if it has one."""
+    from multicell.scene.scene import Scene
+
+    if work.law:
+        from multicell.contact.custom import load_law
+
+        load_law(work.law)
+    return Scene.from_dict(work.scene)
+
+
+def _empty(work: Task, place: Path) -> None:
+    """Remove what a run has left that was killed before its first frame, or damaged."""
+    if not place.is_dir():
+        return
+    with locked(place):
+        now = status(work.name, Path(work.folder), work.integrator, ours=True)
+        if now.kind == "damage" or not (now.frames or now.state == "done"):
+            remove(place, (*PASSING, *FILES, NOTE))

@@ -1,0 +1,335 @@
+"""Worker processes for the runs of a study: on the cores of this machine, or of a Dask cluster."""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from multiprocessing import resource_tracker
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from multicell import __version__
+from multicell.errors import ClusterError, SceneError
+from multicell.extras import needs
+from multicell.results.folder import file_errors, versions
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+ANSWER: Final = 5.0
+"""Time in s within which a scheduler must answer."""
+
+_STARTS: Final = 3  # attempts to start worker processes
+_QUIET: Final = ("asyncio", "distributed", "tornado")  # loggers
+_SETTINGS: Final[dict[str, Any]] = {
+    # runs hold the interpreter for whole coupling steps, so nothing may be concluded from silence
+    "distributed.scheduler.worker-ttl": None,
+    "distributed.worker.preload": [__name__],
+    # one thread a worker. Dask would also have the C library give memory back at once, which makes
+    # all larger arrays cost page faults
+    "distributed.nanny.pre-spawn-environ": {
+        "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1",
+    },
+    # a worker holds no data; only what takes the memory of the others is ended
+    "distributed.worker.memory.target": False,
+    "distributed.worker.memory.spill": False,
+    "distributed.worker.memory.pause": False,
+    # what looks at workers while they work takes their time
+    "distributed.worker.profile.enabled": False,
+    "distributed.scheduler.active-memory-manager.start": False,
+    "distributed.worker.memory.monitor-interval": "500ms",
+    "distributed.admin.tick.interval": "1s",
+    "distributed.admin.system-monitor.interval": "5s",
+    # processes that start again while the study ends have nothing to tell the user
+    "logging": dict.fromkeys((*_QUIET, "distributed.client", "tornado.application"), "critical"),
+}  # fmt: skip
+
+
+@contextmanager
+def workers(cores: int | None, scheduler: str | None) -> Iterator[Client]:
+    """Yield a Dask client whose workers can run scenes.
+
+    Parameters
+    ----------
+    cores
+        Number of worker processes on this machine, by default one for each core that this process
+        may use; each has one thread. Not for a ``scheduler``, which has its own workers.
+    scheduler
+        Address of the scheduler of a cluster, such as ``"tcp://10.0.0.7:8786"``.
+
+    Raises
+    ------
+    SceneError
+        For a number of cores that is none.
+    MissingPackage
+        If Dask is not installed.
+    ClusterError
+        If the scheduler does not answer, has no workers, or some of them cannot run the scenes as
+        this process would: without multicell, with other versions, or several threads to a process.
+    """
+    if cores is not None and cores < 1:
+        raise SceneError("cores", f"is {cores}, must be at least 1")
+    needs("dask", "distributed")
+    import dask
+    from distributed import Client
+
+    with ExitStack() as stack:
+        if scheduler is None:
+            stack.enter_context(dask.config.set(_SETTINGS))
+        stack.enter_context(_silence())
+        place = stack.enter_context(_local(cores)) if scheduler is None else scheduler
+        client = _client(Client, place)
+        stack.callback(_close, client)
+        if scheduler is not None:
+            _check(client, scheduler)
+        yield client
+
+
+@contextmanager
+def _local(cores: int | None) -> Iterator[Any]:
+    """Yield a cluster of processes of this machine, which end with this one."""
+    environment = dict(os.environ)
+    with _without_main():
+        cluster = _started(cores or own_cores())
+        try:
+            yield cluster
+        finally:
+            with suppress(TimeoutError):  # what does not end by itself is killed with this process
+                cluster.close(timeout=10.0)
+            # Dask sets in this process what it sets for those that it starts
+            for name in _SETTINGS["distributed.nanny.pre-spawn-environ"]:
+                os.environ.pop(name, None)
+                if name in environment:
+                    os.environ[name] = environment[name]
+
+
+def _started(count: int) -> Any:
+    """Return a cluster of so many processes."""
+    import distributed
+
+    local: Any = distributed.LocalCluster
+    for left in reversed(range(_STARTS)):
+        try:
+            with _without_interrupts():
+                return local(
+                    n_workers=count,
+                    threads_per_worker=1,
+                    processes=True,
+                    dashboard_address="127.0.0.1:0",  # any free port, and no pages there
+                    scheduler_kwargs={"dashboard": False},
+                    scheduler_sync_interval=5,
+                    silence_logs=logging.CRITICAL,
+                )
+        except Exception as error:  # one of them may have been killed
+            if not left:
+                raise ClusterError(
+                    f"{count} worker processes cannot be started on this machine ({error})",
+                    "There may be too little memory for them: use fewer cores. Nothing has run",
+                ) from error
+    raise AssertionError("unreachable")
+
+
+@contextmanager
+def _without_main() -> Iterator[None]:
+    """Let processes that are started not run the script again that is being run.
+
+    They would, up to where it starts them, as ``multiprocessing`` does on all systems that do not
+    fork: a script would need a guard for it.
+    """
+    main = sys.modules["__main__"]
+    hidden = {name: vars(main)[name] for name in ("__spec__", "__file__") if name in vars(main)}
+    vars(main).update({"__spec__": None} if "__spec__" in hidden else {})
+    vars(main).pop("__file__", None)
+    try:
+        yield
+    finally:
+        vars(main).update(hidden)
+
+
+@contextmanager
+def _without_interrupts() -> Iterator[None]:
+    """Let threads and processes that are started now, and all theirs, not hear Ctrl-C.
+
+    A terminal sends it to workers too. They are told by this process what to do.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    resource_tracker.ensure_running()  # it would make the thread that starts it hear them again
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
+def _silence() -> Iterator[None]:
+    """Let Dask say nothing on the terminal: what matters of it is said by errors of our own."""
+    inner = [name for name in logging.root.manager.loggerDict if name.startswith(_QUIET)]
+    loggers = [logging.getLogger(name) for name in {*_QUIET, *inner}]
+    before = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        for logger, level in zip(loggers, before, strict=True):
+            logger.setLevel(level)
+
+
+def _client(kind: type[Client], place: Any) -> Client:
+    """Return a client of a cluster or of an address."""
+    try:
+        return kind(place, timeout=ANSWER, set_as_default=False)
+    except Exception as error:
+        said = " ".join(str(error).split()) or type(error).__name__
+        raise ClusterError(
+            f"the scheduler '{place}' does not answer within {ANSWER:g} s ({said[:200]})",
+            "'dask scheduler' starts one and says its address, such as tcp://10.0.0.7:8786. "
+            "Nothing has run",
+        ) from error
+
+
+def _close(client: Any) -> None:
+    with suppress(Exception):  # it may have gone, and nothing depends on it any more
+        client.close(timeout=ANSWER)
+
+
+def _check(client: Any, scheduler: str) -> None:
+    """Refuse a cluster whose workers would not do what this process does."""
+    threads = client.nthreads()
+    if not threads:
+        raise ClusterError(
+            f"the scheduler '{scheduler}' has no workers",
+            f"'dask worker {scheduler} --nthreads 1 --nworkers auto' starts one process a core. "
+            "Nothing has run",
+        )
+    many = [f"{address} has {count} threads" for address, count in threads.items() if count != 1]
+    _refuse(many, "a run takes a process of its own", "Start workers with '--nthreads 1'")
+    python = ".".join(map(str, sys.version_info[:2]))
+    # an expression, not a function of ours, which workers without multicell could not load
+    found = client.run(eval, _WHAT, on_error="return")
+    wrong = [said for address, what in found.items() if (said := _other(address, what))]
+    hint = "Install the same packages where workers run as here"
+    _refuse(wrong, f"this process has multicell {__version__} and Python {python}", hint)
+    own = versions()
+    other = [
+        f"{address} has {name} {packages[name]}"
+        for address, packages in client.run(versions).items()
+        for name in own
+        if packages[name] != own[name]
+    ]
+    _refuse(other, ", ".join(f"{name} {number}" for name, number in own.items()), hint)
+
+
+_WHAT: Final = "(*__import__('sys').version_info[:2], __import__('multicell').__version__)"
+
+
+def _other(address: str, what: Any) -> str:
+    """Return what of a worker is not as here, or nothing."""
+    if isinstance(what, ModuleNotFoundError):
+        return f"{address} has no multicell"
+    if isinstance(what, BaseException):
+        return f"{address} cannot load multicell ({type(what).__name__}: {what})"
+    *python, version = what
+    if version != __version__:
+        return f"{address} has multicell {version}"
+    same = tuple(python) == sys.version_info[:2]
+    return "" if same else f"{address} has Python {'.'.join(map(str, python))}"
+
+
+def _refuse(wrong: list[str], right: str, hint: str) -> None:
+    """Raise an error about workers if there are wrong ones."""
+    if wrong:
+        more = f" and {len(wrong) - 1} more" if len(wrong) > 1 else ""
+        raise ClusterError(f"worker {wrong[0]}{more}, but {right}", f"{hint}. Nothing has run")
+
+
+def check_folder(client: Client, folder: Path) -> None:
+    """Refuse workers that do not see the folder of a study, or cannot write there.
+
+    Parameters
+    ----------
+    client
+    folder
+        An absolute path.
+
+    Raises
+    ------
+    OutputError
+        If this process cannot write there.
+    ClusterError
+        If a worker cannot.
+    """
+    import uuid
+
+    mark = uuid.uuid4().hex
+    path = folder / f".visible-{mark}"
+    with file_errors("write", path):
+        path.write_text(mark, encoding="ascii")
+        try:
+            seen = client.run(_sees, str(path))
+        finally:
+            path.unlink()
+    wrong = [f"{address} {said}" for address, said in seen.items() if said]
+    _refuse(
+        wrong, f"runs are written to '{folder}'",
+        "All workers need the folder of the study under the same path, on a shared file system",
+    )  # fmt: skip
+
+
+def _sees(path: str) -> str:
+    """Return why a worker cannot use the folder of a file, or nothing."""
+    try:
+        with open(path, encoding="ascii") as file:
+            if file.read() != path.rpartition("-")[2]:
+                return f"reads something else in '{path}'"
+        beside = f"{path}.{os.getpid()}"
+        with open(beside, "x"):
+            os.unlink(beside)
+    except OSError as error:
+        return f"cannot use '{path}': {os.strerror(error.errno or 0)}"
+    return ""
+
+
+def dask_setup(worker: object) -> None:
+    """Load in a worker what all runs need, and let it end with the process that started it.
+
+    Dask calls this where the module is named as a preload.
+    """
+    import multicell.results.writer
+    import multicell.runner  # noqa: F401
+
+    _end_with_parent()
+
+
+def _end_with_parent() -> None:
+    """Have this process killed when its parent has been.
+
+    Dask ends it then, too, as soon as the interpreter is free: a run may hold it for long.
+    """
+    if sys.platform != "linux":
+        return
+    import ctypes
+
+    with suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(1, signal.SIGKILL, 0, 0, 0)  # PR_SET_PDEATHSIG
+
+
+def own_cores() -> int:
+    """Return how many cores this process may use, as its group of processes is limited to.
+
+    Raises
+    ------
+    MissingPackage
+        If Dask is not installed.
+    """
+    needs("dask", "distributed")
+    from dask.system import CPU_COUNT
+
+    return int(CPU_COUNT)

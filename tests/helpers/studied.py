@@ -1,0 +1,108 @@
+"""Small studies, in this process or in one that may be killed.
+
+``python studied.py FOLDER COUNT [ADDRESS [DURATION]]`` carries out a study of as many runs and
+prints a line for each outcome; exit codes are those of the command ``multicell``.
+"""
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import psutil
+
+import multicell as mc
+from multicell.cli.process import exit_code
+from multicell.studies.engine import carry_out
+from multicell.studies.runs import Run, digest
+
+HERE = Path(__file__)
+# cells grow and divide; a field, several frames, half a second of work
+CHANGES = {
+    "duration": "10 h",
+    "initial.count": 60,
+    "initial.stage": "uniform",
+    "growth.cycle_time": "6 h",
+    "output.every": "1 h",
+}
+# a tenth of a second
+SHORT = {"duration": "20 h", "output.every": "4 h"}
+
+
+def run_of(scene, expected=1.0, **coordinates):
+    return Run(digest(scene), scene, coordinates, expected)
+
+
+def runs_of(count, name="spheroid", changes=CHANGES):
+    base = mc.load_scene(name).with_changes(changes)
+    return [run_of(base.with_changes({"seed": seed}), seed=seed) for seed in range(count)]
+
+
+def short_runs(count, **changes):
+    return runs_of(count, "growth", {**SHORT, **changes})
+
+
+def started(folder, count, *more, **options):
+    """Start a study in a process of its own, in a session of its own."""
+    package = Path(mc.__file__).parents[1]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(package), str(HERE.parent)])}
+    command = [sys.executable, str(HERE), str(folder), str(count), *map(str, more)]
+    return subprocess.Popen(
+        command, env=environment, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+        start_new_session=True, **options,
+    )  # fmt: skip
+
+
+def family(process):
+    """Return all processes that a process has started, directly or not."""
+    try:
+        return psutil.Process(process.pid).children(recursive=True)
+    except psutil.NoSuchProcess:
+        return []
+
+
+def is_worker(process):
+    """Return whether a process runs scenes."""
+    try:
+        return "spawn_main" in " ".join(process.cmdline()) and not _is_tracker(process)
+    except psutil.Error:
+        return False
+
+
+def _is_tracker(process):
+    return "resource_tracker" in " ".join(process.cmdline())
+
+
+def gone(processes, within=5.0):
+    """Return whether processes have ended, now or soon; those that wait for burial count."""
+    end = time.monotonic() + within
+    while time.monotonic() < end:
+        if not any(alive(process) for process in processes):
+            return True
+        time.sleep(0.05)
+    return False
+
+
+def alive(process):
+    try:
+        return process.is_running() and process.status() != psutil.STATUS_ZOMBIE
+    except psutil.Error:
+        return False
+
+
+def main(folder, count, scheduler=None, duration=CHANGES["duration"]):
+    def said(outcome):
+        print(outcome.name, outcome.state, outcome.reused, outcome.reason, flush=True)
+
+    def command():
+        carry_out(
+            runs_of(int(count), changes={**CHANGES, "duration": duration}), folder, cores=2,
+            scheduler=scheduler, progress=said,
+        )  # fmt: skip
+
+    return exit_code(command, as_json=False)
+
+
+if __name__ == "__main__":
+    sys.exit(main(*sys.argv[1:]))

@@ -1,0 +1,210 @@
+"""Axes and ranges: how they are read, and how what cannot be is told."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import multicell as mc
+from multicell import SceneError
+from multicell.studies.axes import check_axes, named, parse_axis, parse_range
+
+OXYGEN = "nutrients.oxygen.boundary"
+
+
+@pytest.fixture(scope="module")
+def emt6():
+    return mc.load_scene("emt6")
+
+
+@pytest.mark.parametrize(
+    ("key", "text", "values", "numbers"),
+    [
+        (OXYGEN, "0.07,0.14,0.28 mM", ("0.07 mM", "0.14 mM", "0.28 mM"), (0.07, 0.14, 0.28)),
+        (OXYGEN, "70 uM, 0.14 mM", ("70 uM", "0.14 mM"), (0.07, 0.14)),
+        (OXYGEN, "0.07, 0.14", (0.07, 0.14), (0.07, 0.14)),
+        (OXYGEN, "0.1:0.2:3 mM", ("0.1 mM", "0.15 mM", "0.2 mM"), (0.1, 0.15, 0.2)),
+        (OXYGEN, "log 0.05:0.2:3 mM", ("0.05 mM", "0.1 mM", "0.2 mM"), (0.05, 0.1, 0.2)),
+        (OXYGEN, [0.07, "140 uM"], (0.07, "140 uM"), (0.07, 0.14)),
+        (OXYGEN, np.array([0.07, 0.14]), (0.07, 0.14), (0.07, 0.14)),
+        (OXYGEN, (x for x in (0.07, 0.14)), (0.07, 0.14), (0.07, 0.14)),
+        ("contact.law", "jkr, hertz", ("jkr", "hertz"), None),
+        ("integrator", "cvode,rkc2", ("cvode", "rkc2"), None),
+        ("initial.count", "10:30:3", (10, 20, 30), (10.0, 20.0, 30.0)),
+        ("initial.count", "5", (5,), (5.0,)),
+        ("growth.phases.M.grows", "true,false", (True, False), None),
+        ("coupling_step", "auto,10 min", ("auto", "10 min"), None),
+        ("cells.heritable", '[["young"], []]', (["young"], []), None),
+    ],
+)  # fmt: skip
+def test_values_are_read(emt6, key, text, values, numbers):
+    axis = parse_axis(key, text, emt6)
+    assert axis.values == values
+    assert axis.numbers == (None if numbers is None else pytest.approx(numbers, rel=1e-14))
+
+
+def test_a_partial_pressure_becomes_a_concentration(emt6):
+    warm = emt6.with_changes({"nutrients.oxygen.temperature": 20})
+    body, cold = (parse_axis(OXYGEN, "40 mmHg", scene).numbers[0] for scene in (emt6, warm))
+    assert body == emt6.with_changes({OXYGEN: "40 mmHg"}).nutrients["oxygen"].boundary
+    assert cold == warm.with_changes({OXYGEN: "40 mmHg"}).nutrients["oxygen"].boundary
+    assert cold > body
+
+
+def test_an_entry_of_a_table_of_numbers_is_an_axis():
+    scene = mc.load_scene("sorting")
+    kind, other = list(scene.types)[:2]
+    key = f"types.{kind}.surface_energy.{other}"
+    axis = parse_axis(key, "0.1,0.2 mN/m", scene)
+    assert (axis.numbers, axis.unit) == ((0.1, 0.2), "nN/um")
+    with pytest.raises(SceneError, match="name one of its entries"):
+        parse_axis(f"types.{kind}.surface_energy", "0.1", scene)
+    with pytest.raises(SceneError, match="there is no entry 'x'"):
+        parse_axis(f"types.{kind}.surface_energy.x", "0.1", scene)
+
+
+def test_the_unit_of_a_rate_constant_follows_from_its_reaction():
+    scene = mc.load_scene("growth").with_changes(
+        {
+            "domain.x": ["-50 um", "50 um"],
+            "domain.y": ["-50 um", "50 um"],
+            "domain.z": ["-50 um", "50 um"],
+            "nutrients.a": {"spacing": 10.0},
+            "nutrients.b": {"spacing": 10.0},
+            "reactions.bind": {"rate": 0.1, "consumes": {"a": 1, "b": 1}},
+        }
+    )
+    axis = parse_axis("reactions.bind.rate", "0.1,0.2 1/mM/s", scene)
+    assert (axis.numbers, axis.unit) == ((0.1, 0.2), "1/mM/s")
+    with pytest.raises(SceneError, match="mass-action of order 2"):
+        parse_axis("reactions.bind.rate", "1 1/s", scene)
+
+
+@pytest.mark.parametrize(
+    ("key", "text", "said"),
+    [
+        ("nutrients.oxygen.boundry", "1 mM", "Did you mean 'nutrients.oxygen.boundary'"),
+        ("nutrient.oxygen.boundary", "1 mM", "Did you mean 'nutrients.oxygen.boundary'"),
+        ("nutrients.oxigen.boundary", "1 mM", "Did you mean 'nutrients.oxygen.boundary'"),
+        ("boundary", "1 mM", "'nutrients.oxygen.boundary' or 'nutrients.glucose.boundary'"),
+        ("wholly.unknown", "1 mM", "is not a key of this scene"),
+        ("nutrients.oxygen", "1 mM", "is a table, not a value"),
+        ("growth.phases", "1", "name one of its keys (G1, S, G2, M)"),
+        ("contact", "1", "name one of its keys (law, surface_energy"),
+        (f"{OXYGEN}.x", "1 mM", "is a value, not a table"),
+        ("friction.normal", "1,2 kPa s/um", "the scene has no 'friction'"),
+        ("types.a.young", "1 kPa", "the scene has no 'types'"),
+        (OXYGEN, "1,2 s", "must be a concentration"),
+        (OXYGEN, "1,2 mMol", "unknown unit"),
+        (OXYGEN, "1,,2 mM", "has an empty value"),
+        (OXYGEN, "", "has no values. For example '1,2,5 mM'"),
+        (OXYGEN, [], "has no values"),
+        (OXYGEN, 3, "must have a list"),
+        (OXYGEN, {"a": 1}, "must have a list"),
+        (OXYGEN, "1 mM, 2", "with units and without"),
+        (OXYGEN, "1000 uM, 1 mM", "has the value '1 mM' twice (as '1000 uM' is)"),
+        (OXYGEN, "3:1:5 mM", "the lower end first"),
+        (OXYGEN, "[1, 2", "not valid TOML"),
+        (OXYGEN, "high", "must be a number and a unit"),
+        ("cells.young", "-1 kPa", "must be above 0 kPa"),
+        ("seed", "1,2", "give the number of seeds"),
+        ("title", "a,b", "changes nothing in a run"),
+        ("contact.law", "jk,hertz", "Did you mean 'jkr'"),
+        ("integrator.method", "eular", "Did you mean 'euler'"),
+        ("initial.count", "1.5,2", "must be a whole number"),
+        ("growth.phases.M.grows", "yes", "must be true or false"),
+        ("", "1", "not a dotted key"),
+        ("a..b", "1", "not a dotted key"),
+    ],
+)  # fmt: skip
+def test_what_is_no_axis_is_told(emt6, key, text, said):
+    with pytest.raises(SceneError) as error:
+        parse_axis(key, text, emt6)
+    assert said in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "low", "high", "log"),
+    [
+        ("8:25 h", 28800.0, 90000.0, False),
+        ("log 8:25 h", 28800.0, 90000.0, True),
+        (("8 h", "25 h"), 28800.0, 90000.0, False),
+        ((28800, 90000, "log"), 28800.0, 90000.0, True),
+    ],
+)
+def test_ranges_are_read(emt6, text, low, high, log):
+    free = parse_range("growth.phases.G1.duration", text, emt6)
+    assert (free.low, free.high, free.log, free.unit, free.whole) == (low, high, log, "s", False)
+
+
+@pytest.mark.parametrize(
+    ("key", "text", "said"),
+    [
+        (OXYGEN, "1 mM", "two numbers with a colon"),
+        (OXYGEN, "1,2 mM", "two numbers with a colon"),
+        (OXYGEN, "2:1 mM", "the lower end first"),
+        (OXYGEN, "1:1 mM", "the lower end first"),
+        (OXYGEN, "log 0:1 mM", "has no logarithm"),
+        (OXYGEN, "1:2 s", "must be a concentration"),
+        (OXYGEN, (1.0,), "must be two values"),
+        (OXYGEN, (1.0, 2.0, 3.0), "must be two values"),
+        (OXYGEN, (math.nan, 1.0), "must be a finite number"),
+        ("contact.law", "1:2", "is no number"),
+        ("coupling_step", ("auto", "1 h"), "must have two numbers"),
+        ("initial.count", "0:5", "must be at least 1"),
+        ("growth.fases.G1.duration", "1:2 h", "growth.phases.G1.duration"),
+    ],
+)
+def test_what_is_no_range_is_told(emt6, key, text, said):
+    with pytest.raises(SceneError) as error:
+        parse_range(key, text, emt6)
+    assert said in str(error.value)
+
+
+@given(
+    st.floats(1e-3, 1e3), st.floats(1.001, 1e6), st.booleans(),
+    st.lists(st.floats(0.0, 1.0), max_size=9),
+)  # fmt: skip
+@settings(max_examples=100, deadline=None)
+def test_shares_of_a_range_rise_from_end_to_end(low, ratio, log, shares):
+    free = parse_range("duration", (low, low * ratio, *(["log"] if log else [])), GROWTH)
+    values = [free.value(share) for share in (0.0, *sorted(shares), 1.0)]
+    assert values == sorted(values)
+    assert (values[0], values[-1]) == (free.low, free.high)
+    for share in shares:
+        assert free.share(free.value(share)) == pytest.approx(share, abs=1e-9)
+
+
+GROWTH = mc.load_scene("growth")
+
+
+@pytest.mark.parametrize("log", [False, True])
+def test_whole_numbers_are_drawn_in_their_proportions(log):
+    free = parse_range("initial.count", (1, 4, *(["log"] if log else [])), GROWTH)
+    drawn = [free.value(share) for share in np.linspace(0.0, 1.0, 4001)]
+    weights = np.log([2, 3 / 2, 4 / 3, 5 / 4]) if log else np.ones(4)
+    found = np.bincount(np.array(drawn, dtype=int), minlength=5)[1:] / 4001
+    assert found == pytest.approx(weights / weights.sum(), abs=1e-3)
+    assert free.setting(drawn[7]) == drawn[7]
+    assert type(free.setting(drawn[7])) is int
+
+
+def test_names_are_as_long_as_makes_them_unique(emt6):
+    keys = {
+        OXYGEN: "oxygen.boundary",
+        "nutrients.glucose.boundary": "glucose.boundary",
+        "cells.young": "young",
+        "integrator.step": "integrator.step",  # histories have a column 'step'
+        "growth.phases.G1.duration": "G1.duration",
+        "duration": "duration",
+    }
+    axes = named(parse_axis(key, [1.0], emt6) for key in keys)
+    assert [axis.name for axis in axes] == list(keys.values())
+
+
+def test_a_key_is_varied_once(emt6):
+    axes = [parse_axis(OXYGEN, [0.1], emt6), parse_axis(OXYGEN, [0.2], emt6)]
+    with pytest.raises(SceneError, match="varied twice"):
+        check_axes(emt6, axes)

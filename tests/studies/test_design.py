@@ -1,0 +1,206 @@
+"""Designs: grids, lists, samples, and values that go together."""
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import qmc
+
+import multicell as mc
+from multicell import SceneError
+from multicell.studies.axes import parse_axis, parse_range
+from multicell.studies.design import Design, parse_column, parse_varied, read_points, split_unit
+
+OXYGEN, GLUCOSE = "nutrients.oxygen.boundary", "nutrients.glucose.boundary"
+LENGTH = "growth.phases.G1.duration"
+EMT6 = mc.load_scene("emt6")
+AXES = [
+    parse_axis(OXYGEN, "0.07,0.14,0.28 mM", EMT6),
+    parse_axis(GLUCOSE, "0.8,16.5 mM", EMT6),
+    parse_axis("contact.law", "hertz,jkr", EMT6),
+]
+RANGES = [
+    parse_range(LENGTH, "8:25 h", EMT6),
+    parse_range("cells.young", "log 0.1:10 kPa", EMT6),
+    parse_range("initial.count", "1:8", EMT6),
+]
+
+
+def changes(design):
+    return [dict(point.changes) for point in design.points]
+
+
+@given(st.permutations(AXES), st.integers(0, 3))
+@settings(max_examples=20)
+def test_a_grid_has_every_combination_once(axes, count):
+    axes = axes[:count]
+    design = Design(axes=tuple(axes))
+    values = itertools.product(*(axis.values for axis in axes))
+    keys = [axis.key for axis in axes]
+    assert changes(design) == [dict(zip(keys, row, strict=True)) for row in values]
+    assert [len(dimension) for dimension in design.dimensions] == [len(a.values) for a in axes]
+
+
+def test_coordinates_are_numbers_in_base_units_or_words():
+    design = Design(axes=tuple(AXES))
+    assert dict(design.points[1].coordinates) == {
+        "oxygen.boundary": 0.07, "glucose.boundary": 0.8, "law": "jkr",
+    }  # fmt: skip
+    assert [dimension.name for dimension in design.dimensions] == [
+        "oxygen.boundary", "glucose.boundary", "law",
+    ]  # fmt: skip
+
+
+def test_zipped_axes_are_one_dimension_of_a_grid():
+    group = (
+        parse_column(GLUCOSE, ["0.8 mM", "0.8 mM", "16.5 mM"], EMT6),
+        parse_column("cells.young", ["1 kPa", "2 kPa", "4 kPa"], EMT6),
+    )
+    design = Design(axes=(AXES[0],), zipped=(group,))
+    assert len(design.points) == 9
+    pairs = [(p[GLUCOSE], p["cells.young"]) for p in changes(design)[:3]]
+    assert pairs == [("0.8 mM", "1 kPa"), ("0.8 mM", "2 kPa"), ("16.5 mM", "4 kPa")]
+    # named by the axis whose values are all different
+    assert [dimension.name for dimension in design.dimensions] == ["oxygen.boundary", "young"]
+
+
+def test_a_zipped_dimension_without_unique_values_has_both_names():
+    group = (
+        parse_column(GLUCOSE, ["0.8 mM", "0.8 mM", "1 mM", "1 mM"], EMT6),
+        parse_column("cells.young", [1.0, 2.0, 1.0, 2.0], EMT6),
+    )
+    (dimension,) = Design(zipped=(group,)).dimensions
+    assert dimension.name == "boundary+young"
+
+
+@pytest.mark.parametrize("kind", ["lhs", "sobol"])
+def test_samples_fill_their_ranges_evenly(kind):
+    design = Design(kind, tuple(RANGES), size=64, sample_seed=3)
+    again = Design(kind, tuple(RANGES), size=64, sample_seed=3)
+    assert again.points == design.points
+    assert Design(kind, tuple(RANGES), size=64, sample_seed=4).points != design.points
+    rows = [[p.coordinates[name] for name in ("duration", "young", "count")] for p in design.points]
+    duration, young, count = np.array(rows).T
+    # one point in each of 64 equal parts, of the logarithm too, and 8 of each whole number
+    parts = np.sort(np.floor((duration / 3600.0 - 8.0) / 17.0 * 64))
+    assert parts.tolist() == list(range(64))
+    assert np.sort(np.floor((np.log10(young) + 1.0) / 2.0 * 64)).tolist() == list(range(64))
+    assert np.bincount(count.astype(int), minlength=9)[1:].tolist() == [8] * 8
+    assert all(type(p.changes["initial.count"]) is int for p in design.points)
+
+
+def test_a_sobol_sequence_is_scipys_and_goes_on_when_it_is_doubled():
+    design = Design("sobol", tuple(RANGES[:2]), size=16, sample_seed=5)
+    shares = qmc.Sobol(2, scramble=True, rng=5).random(16)
+    found = [p.coordinates["duration"] / 3600.0 for p in design.points]
+    assert found == pytest.approx((8.0 + 17.0 * shares[:, 0]).tolist(), rel=1e-12)
+    double = Design("sobol", tuple(RANGES[:2]), size=32, sample_seed=5)
+    assert double.points[:16] == design.points
+
+
+def test_words_are_sampled_equally_often():
+    design = Design("lhs", (RANGES[0], AXES[2]), size=20, sample_seed=1)
+    laws = [p.coordinates["law"] for p in design.points]
+    assert (laws.count("jkr"), laws.count("hertz")) == (10, 10)
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: Design("gird", tuple(AXES)), "Did you mean 'grid'"),
+        (lambda: Design("grid", (RANGES[0],)), "needs values. '28800:90000:5 s' are five"),
+        (lambda: Design("grid", (AXES[0], AXES[0])), "is varied twice"),
+        (lambda: Design("grid", (AXES[0],), size=5), "size: has no meaning"),
+        (lambda: Design("sobol", (RANGES[0],), size=12), "take 8 or 16"),
+        (lambda: Design("lhs", (), size=12), "vary: is empty"),
+        (lambda: Design("list", ()), "points: is empty"),
+        (lambda: Design("lhs", (RANGES[0],), (tuple(AXES[:2]),), 4), "zip: has no meaning"),
+        (lambda: Design(zipped=(tuple(AXES[:2]),)), "lists of other lengths"),
+        (
+            lambda: Design(axes=tuple(parse_axis(k, list(range(1, 600)), EMT6)
+                                      for k in ("cells.young", "duration"))),
+            "makes 358,801 points",
+        ),
+    ],
+)  # fmt: skip
+def test_what_is_no_design_is_told(make, said):
+    with pytest.raises(SceneError) as error:
+        make()
+    assert said in str(error.value)
+
+
+def test_a_row_stands_in_a_list_once():
+    columns = (
+        parse_column(GLUCOSE, ["0.8 mM", "800 uM", "1 mM"], EMT6),
+        parse_column("cells.young", [1.0, 1.0, 1.0], EMT6),
+    )
+    with pytest.raises(SceneError, match="the same point twice, as number 1 and 2"):
+        Design("list", columns)
+
+
+@pytest.mark.parametrize(
+    ("title", "parts"),
+    [
+        ("cells.young [kPa]", ("cells.young", "kPa")),
+        ("cells.young (kPa)", ("cells.young", "kPa")),
+        (" contact.law ", ("contact.law", "")),
+        ("a [nN/um]", ("a", "nN/um")),
+    ],
+)
+def test_titles_of_columns(title, parts):
+    assert split_unit(title) == parts
+
+
+def test_points_are_read_from_a_table(tmp_path):
+    file = tmp_path / "points.csv"
+    file.write_text(
+        "# of a measurement\n"
+        f"{OXYGEN} [mM], cells.young,contact.law, initial.count\n"
+        "0.07, 1000 Pa,jkr, 5\n\n0.28,2 kPa,hertz,6\n",
+        encoding="utf-8-sig",
+    )
+    design = Design("list", read_points(file, EMT6))
+    assert changes(design) == [
+        {OXYGEN: "0.07 mM", "cells.young": "1000 Pa", "contact.law": "jkr", "initial.count": 5},
+        {OXYGEN: "0.28 mM", "cells.young": "2 kPa", "contact.law": "hertz", "initial.count": 6},
+    ]
+    assert [p.coordinates["young"] for p in design.points] == [1.0, 2.0]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "has no points"),
+        ("cells.young [kPa]\n", "has no points"),
+        ("cells.yung [kPa]\n1\n", "Did you mean 'cells.young'"),
+        ("cells.young\n1\n", "has no unit in the header"),
+        ("cells.young [s]\n1\n", "line 2"),
+        ("cells.young [kPa]\n1\n-1\n", "line 3"),
+        ("cells.young [kPa],contact.law\n1\n", "line 2, has 1 values, its header 2"),
+        ("cells.young [kPa],contact.law\n1,\n", "is empty in"),
+        ("cells.young [kPa],\n1,2\n", "a column without a key"),
+        ("cells.young [kPa],cells.young [kPa]\n1,2\n", "is varied twice"),
+        ("contact.law\njkr\njkr\n", "the same point twice"),
+    ],
+)
+def test_tables_of_points_that_are_none_are_told(tmp_path, text, said):
+    file = tmp_path / "points.csv"
+    file.write_text(text)
+    with pytest.raises(SceneError) as error:
+        Design("list", read_points(file, EMT6))
+    assert said in str(error.value)
+
+
+def test_a_table_of_points_that_cannot_be_read_is_told(tmp_path):
+    with pytest.raises(SceneError, match="cannot be read"):
+        read_points(tmp_path / "absent.csv", EMT6)
+    (tmp_path / "bytes.csv").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(SceneError, match="not UTF-8"):
+        read_points(tmp_path / "bytes.csv", EMT6)
+
+
+def test_one_colon_is_a_range_two_are_values():
+    assert parse_varied(LENGTH, "8:25 h", EMT6) == parse_range(LENGTH, "8:25 h", EMT6)
+    assert parse_varied(LENGTH, "8:25:3 h", EMT6).numbers == (28800.0, 59400.0, 90000.0)

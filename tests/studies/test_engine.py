@@ -1,0 +1,316 @@
+"""Studies are carried out completely, once, and named where they cannot be."""
+
+import json
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+from stored import assert_same_bits
+from studied import run_of, runs_of, short_runs
+
+import multicell as mc
+from multicell.errors import ClusterError, SceneError
+from multicell.results.folder import locked
+from multicell.studies import engine
+from multicell.studies.engine import carry_out
+from multicell.studies.status import NOTE, statuses
+from multicell.studies.task import carried_out, task
+
+
+def states(runs, folder):
+    return [found.state for found in statuses(runs, folder)]
+
+
+def in_this_process(monkeypatch):
+    """Do without Dask: what is tested is no matter of it."""
+
+    class Future:
+        key, status = "", "finished"
+
+        def __init__(self, answer):
+            self.key, self.answer = str(id(self)), answer
+
+        def result(self, timeout=None):
+            return self.answer
+
+        def add_done_callback(self, call):
+            call(self)
+
+    class Client:
+        status, cluster = "running", None
+
+        def nthreads(self):
+            return {"here": 1}
+
+        def submit(self, function, work, **_):
+            return Future(carried_out(work))
+
+    class Workers:
+        def __init__(self, *_):
+            pass
+
+        def __enter__(self):
+            return Client()
+
+        def __exit__(self, *_):
+            pass
+
+    monkeypatch.setattr(engine, "workers", Workers)
+
+
+def test_a_study_is_done_once_and_each_run_is_what_it_would_be_alone(tmp_path):
+    runs = short_runs(5)
+    told = []
+    outcomes = carry_out([*runs, runs[0]], tmp_path / "study", cores=2, progress=told.append)
+    assert [o.name for o in outcomes] == [run.name for run in [*runs, runs[0]]]
+    assert {(o.state, o.reused) for o in outcomes} == {("done", False)}
+    assert sorted(o.name for o in told) == sorted(run.name for run in runs)
+    assert min(o.cpu for o in outcomes) > 0.01
+    for run in runs[:2]:
+        mc.run(run.scene, output=tmp_path / run.name, report=False, threads=1)
+        assert_same_bits(tmp_path / run.name, tmp_path / "study" / "runs" / run.name)
+    found = statuses(runs, tmp_path / "study")
+    assert {s.state for s in found} == {"done"}
+    assert {s.time for s in found} == {72000.0}
+    assert min(s.cells for s in found) > 1
+    assert min(s.wall for s in found) > 0.0
+
+
+def test_what_is_done_needs_no_dask(tmp_path):
+    runs = short_runs(2)
+    for run in runs:
+        assert carried_out(task(run, tmp_path, retry=False)).state == "done"
+    stamps = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
+    code = (
+        "import sys; from studied import short_runs; from multicell.studies.engine import carry_out"
+        f"; done = carry_out(short_runs(2), {str(tmp_path)!r})"
+        "; assert [(o.state, o.reused) for o in done] == [('done', True)] * 2"
+        "; assert not {'dask', 'distributed'} & set(sys.modules)"
+    )
+    helpers = Path(__file__).parents[1] / "helpers"
+    package = Path(mc.__file__).parents[1]
+    places = f"import sys; sys.path[:0] = {[str(helpers), str(package)]!r}; "
+    subprocess.run([sys.executable, "-c", places + code], check=True, timeout=60)
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")} == stamps
+
+
+def test_the_longest_come_first(tmp_path, monkeypatch):
+    in_this_process(monkeypatch)
+    expected = [1.0, 3.0, 2.0]
+    runs = [run_of(run.scene, e) for run, e in zip(short_runs(3), expected, strict=True)]
+    told = []
+    carry_out(runs, tmp_path, progress=lambda outcome: told.append(outcome.name))
+    assert told == [runs[1].name, runs[2].name, runs[0].name]
+
+
+def test_half_done_runs_go_on_with_the_same_bits(tmp_path, monkeypatch):
+    """Also where an interruption has added a frame that the scene does not ask for."""
+    in_this_process(monkeypatch)
+    (run,) = runs_of(1)
+    place = tmp_path / "runs" / run.name
+
+    def stop(simulation):
+        if simulation.step_index == 20:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        mc.run(run.scene, output=place, report=False, threads=1, progress=stop)
+    assert json.loads((place / "summary.json").read_text())["interrupted"] is True
+    (found,) = statuses([run], tmp_path)
+    assert (found.state, found.time) == ("partial", 12000.0)
+    assert found.cells >= 60
+    (outcome,) = carry_out([run], tmp_path)
+    assert (outcome.state, outcome.reused) == ("done", False)
+    mc.run(run.scene, output=tmp_path / "whole", report=False, threads=1)
+    assert_same_bits(tmp_path / "whole", place)
+    one, other = (mc.load_result(f).summary() for f in (place, tmp_path / "whole"))
+    for summary in (one, other):
+        del summary["wall"]
+    assert one == other
+
+
+FAILS = {"integrator.method": "cvode", "integrator.max_steps": 1}
+
+
+def test_a_run_that_fails_is_a_row_with_its_reason(tmp_path, monkeypatch):
+    in_this_process(monkeypatch)
+    good, bad = short_runs(1)[0], short_runs(1, **FAILS)[0]
+    outcomes = carry_out([good, bad], tmp_path)
+    assert [o.state for o in outcomes] == ["done", "failed"]
+    assert outcomes[1].reason.startswith("step failed")
+    found = statuses([good, bad], tmp_path)[1]
+    assert (found.state, found.reason, found.kind) == ("failed", outcomes[1].reason, "run")
+    again = carry_out([good, bad], tmp_path)
+    assert [(o.state, o.reused) for o in again] == [("done", True), ("failed", True)]
+    asked = carry_out([good, bad], tmp_path, retry=True)
+    assert [(o.state, o.reused) for o in asked] == [("done", True), ("failed", False)]
+    assert asked[1].reason == outcomes[1].reason
+
+
+def test_what_the_machine_refused_is_tried_again_unasked(tmp_path, monkeypatch):
+    in_this_process(monkeypatch)
+    (run,) = short_runs(1)
+    place = tmp_path / "runs" / run.name
+    place.mkdir(parents=True)
+    reason = "cannot write: No space left on device"
+    (place / NOTE).write_text(json.dumps({"reason": reason, "kind": "machine"}))
+    (found,) = statuses([run], tmp_path)
+    assert (found.state, found.reason) == ("failed", reason)
+    (outcome,) = carry_out([run], tmp_path)
+    assert (outcome.state, outcome.reused) == ("done", False)
+    assert not (place / NOTE).exists()
+
+
+def test_a_full_disk_is_a_reason_that_does_not_last(tmp_path, monkeypatch):
+    in_this_process(monkeypatch)
+    (run,) = runs_of(1)
+    from multicell.results import journal
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(journal.os, "write", full)
+        (outcome,) = carry_out([run], tmp_path)
+    assert outcome.state == "failed"
+    assert "No space left on device" in outcome.reason
+    (outcome,) = carry_out([run], tmp_path)
+    assert (outcome.state, outcome.reused) == ("done", False)
+
+
+DAMAGES = {
+    "summary": ("summary.json", lambda data: data[:50]),
+    "file cut short": ("frames.h5", lambda data: data[: len(data) // 2]),
+    "no results": ("frames.h5", lambda data: b""),
+    "another scene": ("scene.toml", lambda data: data.replace(b"seed = 0", b"seed = 7")),
+    "broken scene": ("scene.toml", lambda data: b"duration = "),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_what_is_damaged_is_named_and_computed_anew_where_asked_for(damage, tmp_path, monkeypatch):
+    in_this_process(monkeypatch)
+    (run,) = short_runs(1)
+    place = tmp_path / "runs" / run.name
+    carry_out([run], tmp_path)
+    name, change = DAMAGES[damage]
+    path = place / name
+    path.write_bytes(change(path.read_bytes()))
+    (found,) = statuses([run], tmp_path)
+    assert (found.state, found.kind) == ("failed", "damage")
+    assert found.reason.startswith("damaged: ")
+    (outcome,) = carry_out([run], tmp_path)
+    assert (outcome.state, outcome.reason, outcome.reused) == ("failed", found.reason, True)
+    (outcome,) = carry_out([run], tmp_path, retry=True)
+    assert (outcome.state, outcome.reused) == ("done", False)
+    mc.run(run.scene, output=tmp_path / "whole", report=False, threads=1)
+    assert_same_bits(tmp_path / "whole", place)
+
+
+def test_a_damaged_frame_of_a_half_done_run_is_named(tmp_path, monkeypatch):
+    in_this_process(monkeypatch)
+    (run,) = runs_of(1)
+    place = tmp_path / "runs" / run.name
+
+    def killed(simulation):
+        if simulation.step_index == 20:
+            raise SystemExit
+
+    monkeypatch.setattr("multicell.runner.Recorder.finish", lambda *_, **__: None)
+    with pytest.raises(SystemExit):
+        mc.run(run.scene, output=place, report=False, threads=1, progress=killed)
+    monkeypatch.undo()
+    in_this_process(monkeypatch)
+    path = place / "frames.journal"
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(bytes(data))
+    (outcome,) = carry_out([run], tmp_path)
+    assert outcome.state == "failed"
+    assert outcome.reason.startswith("damaged: ")
+    assert states([run], tmp_path) == ["failed"]
+    (outcome,) = carry_out([run], tmp_path, retry=True)
+    assert outcome.state == "done"
+
+
+def test_what_another_process_does_is_left_to_it_and_waited_for(tmp_path, monkeypatch):
+    in_this_process(monkeypatch)
+    runs = short_runs(2)
+    place = tmp_path / "runs" / runs[0].name
+    place.mkdir(parents=True)
+    told, ready, over = [], threading.Event(), threading.Event()
+
+    def other():
+        with locked(place):
+            ready.set()
+            over.wait(60)
+
+    holder = threading.Thread(target=other)
+    holder.start()
+    ready.wait(60)
+    assert states(runs, tmp_path) == ["running", "waiting"]
+    threading.Timer(1.5, over.set).start()
+    outcomes = carry_out(runs, tmp_path, progress=told.append)
+    holder.join()
+    # the other one has let go without a result, so it is done here
+    assert [(o.state, o.reused) for o in outcomes] == [("done", False)] * 2
+    assert [o.name for o in told] == [runs[1].name, runs[0].name]
+
+
+def test_what_is_left_of_a_run_without_frames_is_begun_anew(tmp_path, monkeypatch):
+    in_this_process(monkeypatch)
+    (run,) = short_runs(1)
+    place = tmp_path / "runs" / run.name
+    place.mkdir(parents=True)
+    (place / "scene.toml.part").write_text("half")
+    (place / "scene.toml").write_text("title =")
+    (place / "frames.journal.part").write_bytes(b"mcj")
+    assert states([run], tmp_path) == ["waiting"]
+    (outcome,) = carry_out([run], tmp_path)
+    assert (outcome.state, outcome.reused) == ("done", False)
+
+
+def test_files_that_are_not_ours_are_never_removed(tmp_path, monkeypatch):
+    in_this_process(monkeypatch)
+    (run,) = short_runs(1)
+    place = tmp_path / "runs" / run.name
+    place.mkdir(parents=True)
+    (place / "notes.txt").write_text("mine")
+    (outcome,) = carry_out([run], tmp_path)
+    assert outcome.state == "failed"
+    assert "notes.txt" in outcome.reason
+    assert (place / "notes.txt").read_text() == "mine"
+
+
+def test_a_script_needs_no_guard(tmp_path):
+    """Processes that start afresh would run the script again that has started them."""
+    helpers = Path(__file__).parents[1] / "helpers"
+    script = tmp_path / "script.py"
+    script.write_text(
+        f"import sys; sys.path[:0] = {[str(Path(mc.__file__).parents[1]), str(helpers)]!r}\n"
+        "print('script', flush=True)\n"
+        "from multicell.studies.engine import carry_out\n"
+        "from studied import short_runs\n"
+        f"outcomes = carry_out(short_runs(2), {str(tmp_path / 'study')!r}, cores=1)\n"
+        "print([outcome.state for outcome in outcomes], __file__)\n"
+    )
+    command = [sys.executable, str(script)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines() == ["script", f"['done', 'done'] {script}"]
+
+
+def test_cores_must_be_some(tmp_path):
+    with pytest.raises(SceneError, match="cores: is 0"):
+        carry_out(short_runs(1), tmp_path, cores=0)
+
+
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nowhere", "tcp://127.0.0.1:none"])
+def test_a_scheduler_that_does_not_answer_is_named_before_anything_runs(address, tmp_path, capfd):
+    with pytest.raises(ClusterError, match=f"the scheduler '{address}' does not answer") as caught:
+        carry_out(short_runs(1), tmp_path, scheduler=address)
+    assert caught.value.exit_code == 2
+    assert not any((tmp_path / "runs").iterdir())
+    assert capfd.readouterr() == ("", "")

@@ -1,0 +1,60 @@
+"""Numbers of short runs beside the version of the model: whoever changes them raises it."""
+
+import pytest
+
+import multicell as mc
+from multicell.studies.runs import MODEL_VERSION
+
+CHANGED = """
+The numbers of a run have changed. Results that studies keep are found by the scene and the
+version of the model: raise MODEL_VERSION in multicell/studies/runs.py, and give the new numbers
+here, or runs made before the change are taken for runs made after it."""
+
+SCENES = {
+    "growth": {"duration": "34 h"},
+    "spheroid": {
+        "duration": "3 h",
+        "initial.count": 60,
+        "initial.stage": "uniform",
+        "nutrients.oxygen.boundary": "0.032 mM",
+        "nutrients.oxygen.spacing": "12 um",
+    },
+    "sorting-signal": {"duration": "30 min", "initial.count": 40},
+}
+NUMBERS = {
+    1: {
+        "growth": {"cells": 4, "volume": 1186.5190148530758, "distance": 7.537163742614355},
+        "spheroid": {
+            "cells": 70,
+            "volume": 25700.91922344189,
+            "distance": 127.9547976122325,
+            "oxygen": 0.02791443928619018,
+        },
+        "sorting-signal": {
+            "cells": 40,
+            "volume": 16491.355589038554,
+            "distance": 90.06522234782545,
+            "factor": 2.5394713998141585e-07,
+        },
+    }
+}
+
+
+def numbers(name):
+    result = mc.run(mc.load_scene(name).with_changes(SCENES[name]))
+    frame = result.frames[-1]
+    found = {
+        "cells": len(frame.cells),
+        "volume": frame.cells.volume.sum(),
+        "distance": (frame.cells.position**2).sum() ** 0.5,
+    }
+    for field, levels in frame.concentrations.items():
+        found[field] = levels.mean()
+    return found
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_numbers_belong_to_the_version_of_the_model(name):
+    found = numbers(name)
+    known = NUMBERS[MODEL_VERSION][name]
+    assert found == pytest.approx(known, rel=1e-9), CHANGED

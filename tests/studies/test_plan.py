@@ -1,0 +1,311 @@
+"""Plans: written and read back exactly, refused with words before anything runs."""
+
+import random
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import multicell as mc
+from multicell import OutputError, SceneError
+from multicell.studies.plan import Plan, make_plan, read_plan
+from multicell.studies.runs import digest
+from multicell.studies.study import settle
+
+OXYGEN, GLUCOSE = "nutrients.oxygen.boundary", "nutrients.glucose.boundary"
+LENGTH = "growth.phases.G1.duration"
+EMT6 = mc.load_scene("emt6")
+GRID = {OXYGEN: "0.07,0.14,0.28 mM", GLUCOSE: [0.8, "1.8 mM"], "contact.law": "jkr,hertz"}
+
+
+def write(folder, text, scene=EMT6):
+    folder.mkdir(exist_ok=True)
+    (folder / "scene.toml").write_text(scene.to_toml(), encoding="utf-8")
+    (folder / "study.toml").write_text(text, encoding="utf-8")
+    return folder
+
+
+PLANS = {
+    "grid": {"vary": GRID, "seeds": 3},
+    "nothing": {},
+    "seeds": {"seeds": 4, "every": "90 min"},
+    "zip": {
+        "vary": {OXYGEN: [0.1, 0.2]},
+        "zipped": [
+            {GLUCOSE: "0.8,1.8 mM", "cells.young": "1,2 kPa"},
+            {"initial.count": "5,6,7", "drag.viscosity": "5,5,5 kPa s"},
+        ],
+    },
+    "list": {
+        "points": {OXYGEN: [0.1, 0.1], GLUCOSE: ["0.8 mM", "1.8 mM"], "contact.law": ["jkr"] * 2}
+    },
+    "rows": {"points": [{OXYGEN: 0.1, "stop_cells": 5}, {"stop_cells": 6, OXYGEN: 0.1}]},
+    "frame": {"points": pd.DataFrame({OXYGEN: [0.1, 0.2], "contact.law": ["jkr", "hertz"]})},
+    "lhs": {
+        "vary": {LENGTH: "8:25 h", "cells.young": "log 0.1:10 kPa"}, "design": "lhs", "size": 5
+    },
+    "sobol": {
+        "vary": {
+            LENGTH: (28800.1, 90000.3), "initial.count": "log 1:600", "contact.law": "jkr,hertz"
+        },
+        "design": "sobol", "size": 8, "sample_seed": 11,
+    },
+    "lists": {"vary": {"cells.heritable": [["young"], [], ["young", "cycle_time"]]}},
+    "true": {"vary": {"growth.phases.M.grows": [True, False]}},
+    "numpy": {"vary": {OXYGEN: np.array([0.1, 1 / 3]), "initial.count": np.arange(1, 4)}},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", PLANS)
+def test_a_plan_is_read_back_exactly(tmp_path, name):
+    plan = make_plan(EMT6, **PLANS[name])
+    settle(plan, tmp_path / "study")
+    again = read_plan(tmp_path / "study")
+    assert again == plan
+    assert again.points == plan.points
+    assert again.names == plan.names
+    assert again.to_toml() == plan.to_toml()
+
+
+@given(st.lists(st.floats(1e-6, 10.0), min_size=1, max_size=6, unique=True), st.integers(1, 9))
+@settings(max_examples=30)
+def test_numbers_are_read_back_exactly(tmp_path_factory, values, seeds):
+    plan = make_plan(EMT6, {OXYGEN: values}, seeds=seeds)
+    folder = tmp_path_factory.mktemp("plan")
+    settle(plan, folder / "study")
+    assert read_plan(folder / "study") == plan
+
+
+def test_every_run_is_named_by_what_it_is_of():
+    plan = make_plan(EMT6, GRID, seeds=3)
+    runs = plan.runs([1.0] * len(plan.points))
+    assert len({run.name for run in runs}) == 3 * 2 * 2 * 3 == len(runs)
+    for run in runs:
+        assert digest(run.scene) == run.name
+        assert run.scene.seed == run.coordinates["seed"]
+        assert run.scene.nutrients["oxygen"].boundary == run.coordinates["oxygen.boundary"]
+        assert run.scene.nutrients["glucose"].boundary == run.coordinates["glucose.boundary"]
+    assert [run.coordinates["seed"] for run in runs[:4]] == [7, 8, 9, 7]
+
+
+def test_seeds_are_shared_by_all_points():
+    plan = make_plan(EMT6, {OXYGEN: "0.1,0.2 mM"}, seeds=5)
+    by_point = [run.scene.seed for run in plan.runs([1.0, 1.0])]
+    assert by_point == [7, 8, 9, 10, 11] * 2
+
+
+def test_a_plan_says_what_is_expected_of_hands(tmp_path):
+    text = make_plan(EMT6, {LENGTH: "8:25 h", OXYGEN: "0.1,0.2 mM"}, design="lhs", size=3).to_toml()
+    for words in ("mM = amol/um^3", "# mM", "seed 7", "size = 3", "Latin hypercube"):
+        assert words in text
+
+
+HEAD = 'design = "grid"\n'
+BY_HAND = {
+    f'seeds = 2\n[vary]\n"{OXYGEN}" = "0.1, 0.2 mM"\n': 4,
+    f'[vary]\n{OXYGEN} = "0.1, 0.2 mM"\n{GLUCOSE} = [0.8, 1.8]\n': 4,
+    f'[vary]\n{OXYGEN} = "0.05:0.2:4 mM"\n': 4,
+    '[vary.nutrients.oxygen]\nboundary = ["0.1 mM"]\n[vary.contact]\nlaw = "jkr,hertz"': 2,
+    f'design = "lhs"\nsize = 6\n[vary]\n{LENGTH} = "8:25 h"\n': 6,
+    f'[[zip]]\n{OXYGEN} = "0.1,0.2 mM"\n{GLUCOSE} = "1,2 mM"\n': 2,
+    f'design = "list"\n[points]\n{OXYGEN} = "0.1,0.1 mM"\n{GLUCOSE} = "1,2 mM"\n': 2,
+    'design = "list"\npoints = "points.csv"\n': 1,
+    "": 1,
+}
+
+
+@pytest.mark.parametrize("text", BY_HAND)
+def test_plans_written_by_hand_are_read(tmp_path, text):
+    folder = write(tmp_path / "study", text)
+    (folder / "points.csv").write_text("cells.young [kPa]\n2\n")
+    assert len(read_plan(folder).names) == BY_HAND[text]
+
+
+BAD = {
+    f'[vary]\n{OXYGEN} = "0.1"\n{OXYGEN} = "0.2"\n': "not valid TOML",
+    f'[vary]\n{OXYGEN} = "0.1"\n"{OXYGEN}" = "0.2"\n': "is varied twice",
+    '[vary]\nnutrients.oxygen.boundry = "0.1 mM"\n': "Did you mean 'nutrients.oxygen.boundary'",
+    f'[vary]\n{OXYGEN} = "0.1 s"\n': "must be a concentration",
+    f"[vary]\n{OXYGEN} = []\n": "has no values",
+    f"[vary]\n{OXYGEN} = 0.1\n": "must have a list",
+    f'[vary]\n{OXYGEN} = "0.1:0.2 mM"\n': "needs values",
+    f'[vary]\n{OXYGEN} = ["0.1 mM", "100 uM"]\n': "twice",
+    "seeds = 0\n": "seeds: is 0, must be a whole number from 1",
+    "seeds = -1\n": "seeds: is -1",
+    "seeds = 2.5\n": "seeds: is 2.5",
+    "seeds = true\n": "seeds: is True",
+    'seeds = "5"\n': "seeds: is '5'",
+    "seeds = 1000000000\n": "seeds: is 1000000000",
+    'design = "gird"\n': "Did you mean 'grid'",
+    "design = 3\n": "design: is 3",
+    'design = "lhs"\nsize = 4\n': "vary: is empty",
+    f'design = "lhs"\n[vary]\n{LENGTH} = "8:25 h"\n': "size: is missing",
+    f'design = "sobol"\nsize = 5\n[vary]\n{LENGTH} = "8:25 h"\n': "a power of two",
+    f'design = "lhs"\nsize = 0\n[vary]\n{LENGTH} = "8:25 h"\n': "size: is 0",
+    "size = 4\n": "size: has no meaning",
+    'design = "list"\n': "points: is missing",
+    'design = "list"\npoints = "absent.csv"\n': "cannot be read",
+    'design = "list"\n[points]\ncells.young = []\n': "has no values",
+    'design = "lhs"\nsize = 2\n[points]\ncells.young = [1]\n': "points: has no meaning",
+    "[points]\ncells.young = [1]\n[vary]\nduration = [1]\n": "cannot stand beside keys",
+    "points = 3\n": "points: is 3",
+    "vary = 3\n": "vary: is 3",
+    "zip = 3\n": "zip: is 3",
+    '[[zip]]\ncells.young = "1,2 kPa"\n': "must have two or more",
+    f'[[zip]]\ncells.young = "1,2 kPa"\n{OXYGEN} = "1 mM"\n': "lists of other lengths",
+    "sead = 3\n": "Did you mean 'seeds'",
+    "every = 0\n": "every: is 0 s, must be above",
+    'every = "6 um"\n': "must be a time",
+    "scene = 3\n": "scene: is 3",
+    'scene = "absent.toml"\n': "does not exist",
+    "sample_seed = -1\n": "sample_seed: is -1",
+    'integrator = "mine.py:Mid"\n': "by --integrator 'mine.py:Mid'",
+    "[vary]\ngrowth.cycle_time = [1]\n": "has no effect: the phases",
+    '[vary]\ncontact.law = "jkr,hertz"\ncontact.surface_energy = "0.1,0.2 nN/um"\n':
+        "has no meaning where",
+    '[vary]\nnutrients.oxygen.necrosis = "0.001,0.03 mM"\n':
+        "(where nutrients.oxygen.necrosis = '0.03 mM')",
+    "x = [[[\n": "not valid TOML",
+    "x = " + "[" * 5000 + "\n": "not valid TOML",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("text", BAD)
+def test_plans_that_are_none_are_told(tmp_path, text):
+    folder = write(tmp_path / "study", text)
+    with pytest.raises(SceneError) as error:
+        read_plan(folder)
+    assert BAD[text] in str(error.value)
+
+
+def test_files_that_are_no_plans_are_told(tmp_path):
+    with pytest.raises(SceneError, match="holds no study"):
+        read_plan(tmp_path)
+    (tmp_path / "study.toml").write_bytes(b"\xff\xfe")
+    with pytest.raises(SceneError, match="not UTF-8"):
+        read_plan(tmp_path)
+
+
+def test_a_point_that_the_scene_refuses_is_told_with_its_values():
+    with pytest.raises(SceneError) as error:
+        make_plan(
+            EMT6,
+            {
+                "nutrients.oxygen.necrosis": "0.001,0.015 mM",
+                "nutrients.oxygen.quiescence": "0.01,0.02 mM",
+            },
+        )
+    assert error.value.path == "nutrients.oxygen.necrosis"
+    assert "necrosis = '0.015 mM', nutrients.oxygen.quiescence = '0.01 mM'" in str(error.value)
+
+
+def test_points_whose_scenes_are_equal_are_told():
+    law = {"contact.law": ["jkr", "hertz"], "contact.surface_energy": [0.02, 0.02]}
+    with pytest.raises(SceneError, match="has no meaning where"):
+        make_plan(EMT6, points=law)
+    # in units of their own two values are one number; as thresholds that differ by nothing
+    with pytest.raises(SceneError, match="makes no difference between"):
+        Plan(EMT6, double(make_plan(EMT6, {OXYGEN: [0.1, 0.2]}).design))
+
+
+def double(design):
+    """Return a design of which two points are the same, past its own checks."""
+    point = design.points[0]
+    object.__setattr__(design, "points", (point, type(point)(dict(point.changes), {})))
+    return design
+
+
+def test_seeds_must_fit_behind_that_of_the_scene():
+    scene = EMT6.with_changes({"seed": 2**63 - 2})
+    assert len(make_plan(scene, seeds=2).names) == 2
+    with pytest.raises(SceneError, match="end too high"):
+        make_plan(scene, seeds=3)
+
+
+def test_an_own_method_must_be_named_again(tmp_path):
+    file = tmp_path / "mine.py"
+    file.write_text(
+        "class Stay:\n"
+        "    def integrate(self, system, position):\n"
+        "        raise NotImplementedError\n"
+    )
+    plan = make_plan(EMT6, seeds=2, integrator=f"{file}:Stay")
+    assert plan.integrator == f"{file}:Stay"
+    settle(plan, tmp_path / "study")
+    with pytest.raises(SceneError, match="not loaded by itself"):
+        read_plan(tmp_path / "study")
+    again = read_plan(tmp_path / "study", integrator=f"{file}:Stay")
+    assert again.names == plan.names
+    file.write_text(file.read_text() + "\n# another\n")
+    assert set(make_plan(EMT6, seeds=2, integrator=f"{file}:Stay").names).isdisjoint(plan.names)
+
+
+WIDER = [
+    {"vary": {OXYGEN: [0.1, 0.2]}, "seeds": 2},
+    {"vary": {OXYGEN: [0.1, 0.2]}, "seeds": 3},
+    {"vary": {OXYGEN: [0.2, 0.15, 0.1]}, "seeds": 3},
+    {"vary": {OXYGEN: [0.2, 0.15, 0.1], GLUCOSE: ["5.5 mM", "0.8 mM"]}, "seeds": 3, "every": "6 h"},
+]
+
+
+def test_a_study_is_widened_step_by_step(tmp_path):
+    folder, before = tmp_path / "study", set()
+    for options in WIDER:
+        study = mc.study(EMT6, output=folder, **options)
+        names = set(study.plan.names)
+        assert names > before
+        before = names
+        assert mc.load_study(folder).plan == study.plan
+
+
+@pytest.mark.parametrize(
+    ("scene", "options", "said"),
+    [
+        (EMT6, {"seeds": 1}, "of which 4 are not in this one"),
+        (EMT6, {"vary": {OXYGEN: [0.1]}, "seeds": 9}, "of which 2 are not in this one"),
+        (EMT6.with_changes({"duration": "8 d", "cells.young": 2.0}), WIDER[0],
+         "another scene: it differs in duration, cells.young"),
+        (mc.load_scene("growth"), {}, "another scene"),
+    ],
+)  # fmt: skip
+def test_another_study_is_not_put_into_a_folder(tmp_path, scene, options, said):
+    folder = tmp_path / "study"
+    mc.study(EMT6, output=folder, **WIDER[0])
+    text = (folder / "study.toml").read_text()
+    with pytest.raises(OutputError) as error:
+        mc.study(scene, output=folder, **options)
+    assert said in str(error.value)
+    assert error.value.exit_code == 2
+    assert (folder / "study.toml").read_text() == text
+    mc.study(scene, output=folder, overwrite=True, **options)
+    assert mc.load_study(folder).plan.scene == scene
+
+
+def test_a_title_is_no_other_scene(tmp_path):
+    mc.study(EMT6, output=tmp_path / "study", **WIDER[0])
+    study = mc.study(EMT6.with_changes({"title": "x"}), output=tmp_path / "study", **WIDER[0])
+    assert study.plan.scene.title == "x"
+
+
+def test_a_folder_of_something_else_is_left_alone(tmp_path):
+    (tmp_path / "thesis.tex").write_text("precious")
+    with pytest.raises(OutputError, match="is not empty"):
+        mc.study(EMT6, output=tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+@given(st.randoms(use_true_random=False))
+@settings(max_examples=20)
+def test_text_that_was_damaged_is_read_or_told(tmp_path_factory, chance: random.Random):
+    text = make_plan(EMT6, GRID, seeds=3).to_toml()
+    folder = tmp_path_factory.mktemp("damaged")
+    place = chance.randrange(len(text))
+    damaged = text[:place] + chance.choice(["", "\n", '"', "=", "7", "é", "]"]) + text[place + 1 :]
+    write(folder, damaged)
+    try:
+        names = read_plan(folder).names
+    except (SceneError, OutputError) as error:
+        names = [str(error)]
+    assert all(names)
