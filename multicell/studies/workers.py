@@ -141,7 +141,9 @@ def _without_main() -> Iterator[None]:
     fork: a script would need a guard for it.
     """
     main = sys.modules["__main__"]
-    hidden = {name: vars(main)[name] for name in ("__spec__", "__file__") if name in vars(main)}
+    hidden: dict[str, Any] = {
+        name: vars(main)[name] for name in ("__spec__", "__file__") if name in vars(main)
+    }
     vars(main).update({"__spec__": None} if "__spec__" in hidden else {})
     vars(main).pop("__file__", None)
     try:

@@ -26,12 +26,12 @@ from multicell.random import Purpose
 from multicell.report.plots.colouring import SCALE, founder, limits_of, written
 from multicell.report.plots.style import COLOURS, type_colours
 from multicell.report.wording import cell_count, time_unit
+from multicell.results.frame import Frame
 from multicell.results.observables import centre
 from multicell.results.quantities import known_unit, unit_of
 
 if TYPE_CHECKING:
     from multicell.report.result import Result
-    from multicell.results.frame import Frame
 
 FRAMES: Final = 50
 """Frames that are shown at most."""
@@ -40,6 +40,8 @@ CELLS: Final = 10_000
 BYTES: Final = 5_500_000
 """Size of the packed columns at most; fewer cells are shown where it would be more."""
 
+_READ: Final = 3e6  # cells of all frames that are read at most
+_FEWEST: Final = 8  # frames, however large
 _POINTS: Final = 300  # of a curve
 _CURVES: Final = ("cells", "diameter", "viable_rim", "largest_pressure")
 _SHADES: Final = 64
@@ -94,19 +96,23 @@ def packed(result: Result) -> Packed | None:
     those are shown whose identities a random function ranks first, so that a cell that is shown
     once is shown as long as there is room. The note says both.
     """
-    numbers = _chosen(len(result.frames))
-    frames = [result.frames[k] for k in numbers]
-    frames = [frame for frame in frames if len(frame.cells)]
+    frames, counts = [], []
+    for number in _chosen(result):
+        frame = result.frames[number]
+        if len(frame.cells):
+            counts.append(len(frame.cells))
+            frames.append(_thinned(frame, CELLS))  # one whole frame in memory at a time
     if not frames:
         return None
     columns = _columns(result, frames)
     ranges = {column.name: _range(column, frames) for column in columns}
-    most = min(CELLS, max(len(frame.cells) for frame in frames))
-    body, contents = _body(frames, columns, ranges, most)
+    most = max(len(frame.cells) for frame in frames)
+    body, contents = _body(frames, counts, columns, ranges)
     squeezed = gzip.compress(body, 9, mtime=0)
     while len(squeezed) > BYTES and most > 100:
         most = int(most * 0.95 * BYTES / len(squeezed))
-        body, contents = _body(frames, columns, ranges, most)
+        frames = [_thinned(frame, most) for frame in frames]
+        body, contents = _body(frames, counts, columns, ranges)
         squeezed = gzip.compress(body, 9, mtime=0)
     about = {
         "frames": contents,
@@ -119,11 +125,25 @@ def packed(result: Result) -> Packed | None:
     return Packed(about, base64.b64encode(squeezed).decode("ascii"), _note(result, contents))
 
 
-def _chosen(count: int) -> list[int]:
-    """Return the numbers of the frames to show: first, last, and evenly between."""
-    if count <= FRAMES:
+def _chosen(result: Result) -> list[int]:
+    """Return the numbers of the frames to show: first, last, and evenly between.
+
+    Fewer of runs so large that reading frames would take long.
+    """
+    count = len(result.frames)
+    cells = result.history.get("cells", np.empty(0))
+    mean = float(cells.mean()) if len(cells) else 0.0
+    most = min(FRAMES, max(_FEWEST, int(_READ / mean))) if mean > 0.0 else FRAMES
+    if count <= most:
         return list(range(count))
-    return sorted({round(k) for k in np.linspace(0, count - 1, FRAMES)})
+    return sorted({round(k) for k in np.linspace(0, count - 1, most)})
+
+
+def _thinned(frame: Frame, most: int) -> Frame:
+    """Return a frame with at most so many cells, in the order of their identities, no fields."""
+    rows = _shown(frame.cells.id, most)
+    values = {name: column[rows] for name, column in frame.concentrations.items()}
+    return Frame(frame.time, frame.step, frame.cells.take(rows), values)
 
 
 def _columns(result: Result, frames: Sequence[Frame]) -> list[Column]:
@@ -209,19 +229,18 @@ def _top(column: Column) -> int:
 
 def _body(
     frames: Sequence[Frame],
+    counts: Sequence[int],
     columns: Sequence[Column],
     ranges: Mapping[str, tuple[float, float]],
-    most: int,
 ) -> tuple[bytes, list[dict[str, Any]]]:
     """Return the columns of all frames one after the other, and where each frame begins."""
     parts: list[bytes] = []
     contents: list[dict[str, Any]] = []
     at = 0
-    for frame in frames:
-        rows = _shown(frame.cells.id, most)
+    for frame, count in zip(frames, counts, strict=True):
         begin = at
         for column in columns:
-            values = _integers(column, column.values(frame)[rows], ranges[column.name])
+            values = _integers(column, column.values(frame), ranges[column.name])
             gap = -at % values.itemsize
             data = bytes(gap) + values.tobytes()
             parts.append(data)
@@ -230,8 +249,8 @@ def _body(
             {
                 "time": frame.time,
                 "label": time_unit(frame.time).text(frame.time),
-                "cells": len(frame.cells),
-                "shown": len(rows),
+                "cells": count,
+                "shown": len(frame.cells),
                 "offset": begin,
             }
         )
