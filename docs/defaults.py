@@ -34,6 +34,7 @@ from multicell.errors import MulticellError
 from multicell.integrators import registry
 
 HERE = Path(__file__).parent
+RICH = str(HERE / "rich-medium.toml")
 NAME = "defaults"
 SEEDS = 8
 REFERENCE = ("auto", 0.001)
@@ -77,7 +78,7 @@ CASES = (
          {"duration": "3 h", "types.sticky.receptor": 4.0, "types.sticky.ligand": 4.0}, 0.7),
     Case("chemotaxis, 3 h", "chemotaxis", {"duration": "3 h"}, 0.4),
     Case("spheroid, 5 d", "spheroid", {"duration": "5 d"}, 2.6),
-    Case("emt6, 12 h", "emt6", {"duration": "12 h"}, 0.8),
+    Case("emt6, 12 h", RICH, {"duration": "12 h"}, 0.8),
     Case("treatment, 2 d", "treatment", {"duration": "2 d"}, 1.0),
     Case("monolayer, 4 d", "monolayer", {"duration": "4 d"}, 1.1),
 )  # fmt: skip

@@ -82,7 +82,7 @@ FEW = (
 OTHERS = (
     Case("growth at 1.5 kPa s", "growth", {"drag.viscosity": 1.5}, 150, 24),
     Case("monolayer", "monolayer", {"duration": "6 d"}, 150, 24),
-    Case("emt6", "emt6", {"duration": "12 h"}, 200, 12),
+    Case("emt6", str(HERE / "rich-medium.toml"), {"duration": "12 h"}, 200, 12),
 )
 """Scenes by which nothing in `auto` was chosen."""
 CASES = (

@@ -22,6 +22,9 @@ import time
 from pathlib import Path
 from statistics import median
 
+RICH = Path(__file__).parents[2] / "docs" / "rich-medium.toml"
+"""The scene of the rows ``emt6``, the same for both trees."""
+
 
 def growing(count, duration, threads):
     """Return seconds and peak memory of many asynchronous cells that are well fed."""
@@ -157,7 +160,7 @@ def emt6(cells, threads):
     """Return the time of the spheroid of EMT6 cells up to a number of cells."""
     import multicell as mc
 
-    scene = mc.load_scene("emt6").with_changes({"stop_cells": cells, "duration": "40 d"})
+    scene = mc.load_scene(RICH).with_changes({"stop_cells": cells, "duration": "40 d"})
     begin, used = time.perf_counter(), time.process_time()
     result = mc.run(scene, threads=threads)
     last = result.history
