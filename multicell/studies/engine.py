@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.errors import ClusterError, OutputError
 from multicell.results.folder import file_errors, in_use
-from multicell.runner import between_steps
 from multicell.studies.status import RunStatus, run_folder, status, write_note
 from multicell.studies.task import Outcome, Task, carried_out, settled, task
 from multicell.studies.workers import check_folder, own_cores, workers
@@ -120,6 +119,8 @@ def _carry_out(
     told: Callable[[Outcome], None],
 ) -> None:
     """Have workers do tasks, in their order."""
+    from multicell.runner import between_steps  # numba is loaded where something is to be run
+
     if scheduler is None and cores is None:
         cores = own_cores()
     most = None if cores is None else min(cores, len(tasks))
@@ -289,8 +290,9 @@ def _on_worker(work: Task) -> Outcome:
     tasks = worker.state.tasks
 
     def wanted() -> bool:
-        """Say whether the client is there and has not taken the task back."""
+        """Say whether scheduler and client are there, and none has taken the task back."""
         known = tasks.get(key)
-        return known is not None and known.state == "executing"
+        here = worker.status.name in ("running", "paused")
+        return here and known is not None and known.state == "executing"
 
     return carried_out(work, wanted)

@@ -41,6 +41,7 @@ _SETTINGS: Final[dict[str, Any]] = {
     # what looks at workers while they work takes their time
     "distributed.worker.profile.enabled": False,
     "distributed.scheduler.active-memory-manager.start": False,
+    "distributed.worker.memory.monitor-interval": "500ms",
     "distributed.admin.tick.interval": "1s",
     "distributed.admin.system-monitor.interval": "5s",
     # processes that start again while the study ends have nothing to tell the user
@@ -120,6 +121,7 @@ def _started(count: int) -> Any:
                     processes=True,
                     dashboard_address="127.0.0.1:0",  # any free port, and no pages there
                     scheduler_kwargs={"dashboard": False},
+                    scheduler_sync_interval=5,
                     silence_logs=logging.CRITICAL,
                 )
         except Exception as error:  # one of them may have been killed
@@ -209,20 +211,12 @@ def _check(client: Any, scheduler: str) -> None:
         )
     many = [f"{address} has {count} threads" for address, count in threads.items() if count != 1]
     _refuse(many, "a run takes a process of its own", "Start workers with '--nthreads 1'")
-    found = client.get_versions(packages=["multicell"])["workers"]
-    python = f"{sys.version_info.major}.{sys.version_info.minor}."
-    wrong = []
-    for address, info in found.items():
-        packages = info["packages"]
-        here, there = (python, __version__), (packages["python"], packages["multicell"])
-        if there[1] is None:
-            wrong.append(f"{address} has no multicell")
-        elif there[1] != __version__:
-            wrong.append(f"{address} has multicell {there[1]}")
-        elif not there[0].startswith(here[0]):
-            wrong.append(f"{address} has Python {there[0]}")
+    python = ".".join(map(str, sys.version_info[:2]))
+    # an expression, not a function of ours, which workers without multicell could not load
+    found = client.run(eval, _WHAT, on_error="return")
+    wrong = [said for address, what in found.items() if (said := _other(address, what))]
     hint = "Install the same packages where workers run as here"
-    _refuse(wrong, f"this process has multicell {__version__} and Python {python[:-1]}", hint)
+    _refuse(wrong, f"this process has multicell {__version__} and Python {python}", hint)
     own = versions()
     other = [
         f"{address} has {name} {packages[name]}"
@@ -231,6 +225,22 @@ def _check(client: Any, scheduler: str) -> None:
         if packages[name] != own[name]
     ]
     _refuse(other, ", ".join(f"{name} {number}" for name, number in own.items()), hint)
+
+
+_WHAT: Final = "(*__import__('sys').version_info[:2], __import__('multicell').__version__)"
+
+
+def _other(address: str, what: Any) -> str:
+    """Return what of a worker is not as here, or nothing."""
+    if isinstance(what, ModuleNotFoundError):
+        return f"{address} has no multicell"
+    if isinstance(what, BaseException):
+        return f"{address} cannot load multicell ({type(what).__name__}: {what})"
+    *python, version = what
+    if version != __version__:
+        return f"{address} has multicell {version}"
+    same = tuple(python) == sys.version_info[:2]
+    return "" if same else f"{address} has Python {'.'.join(map(str, python))}"
 
 
 def _refuse(wrong: list[str], right: str, hint: str) -> None:

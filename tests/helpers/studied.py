@@ -1,7 +1,7 @@
 """Small studies, in this process or in one that may be killed.
 
-``python studied.py FOLDER COUNT [ADDRESS]`` carries out a study of as many runs and prints a line
-for each outcome; exit codes are those of the command ``multicell``.
+``python studied.py FOLDER COUNT [ADDRESS [DURATION]]`` carries out a study of as many runs and
+prints a line for each outcome; exit codes are those of the command ``multicell``.
 """
 
 import os
@@ -91,14 +91,14 @@ def alive(process):
         return False
 
 
-def main(folder, count, *scheduler):
+def main(folder, count, scheduler=None, duration=CHANGES["duration"]):
     def said(outcome):
         print(outcome.name, outcome.state, outcome.reused, outcome.reason, flush=True)
 
     def command():
         carry_out(
-            runs_of(int(count)), folder, cores=2,
-            scheduler=scheduler[0] if scheduler else None, progress=said,
+            runs_of(int(count), changes={**CHANGES, "duration": duration}), folder, cores=2,
+            scheduler=scheduler, progress=said,
         )  # fmt: skip
 
     return exit_code(command, as_json=False)

@@ -284,6 +284,24 @@ def test_files_that_are_not_ours_are_never_removed(tmp_path, monkeypatch):
     assert (place / "notes.txt").read_text() == "mine"
 
 
+def test_a_script_needs_no_guard(tmp_path):
+    """Processes that start afresh would run the script again that has started them."""
+    helpers = Path(__file__).parents[1] / "helpers"
+    script = tmp_path / "script.py"
+    script.write_text(
+        f"import sys; sys.path[:0] = {[str(Path(mc.__file__).parents[1]), str(helpers)]!r}\n"
+        "print('script', flush=True)\n"
+        "from multicell.studies.engine import carry_out\n"
+        "from studied import short_runs\n"
+        f"outcomes = carry_out(short_runs(2), {str(tmp_path / 'study')!r}, cores=1)\n"
+        "print([outcome.state for outcome in outcomes], __file__)\n"
+    )
+    command = [sys.executable, str(script)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines() == ["script", f"['done', 'done'] {script}"]
+
+
 def test_cores_must_be_some(tmp_path):
     with pytest.raises(SceneError, match="cores: is 0"):
         carry_out(short_runs(1), tmp_path, cores=0)

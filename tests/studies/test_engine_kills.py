@@ -3,8 +3,10 @@
 ``pytest tests/studies/test_engine_kills.py --kills 100`` kills as many processes as asked.
 """
 
+import os
 import random
 import signal
+import subprocess
 import time
 
 import psutil
@@ -105,6 +107,7 @@ def under_way(folder, count=1):
     return sum(found.state == "running" for found in statuses(runs_of(COUNT), folder)) >= count
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_runs_between_two_steps_and_leaves_nobody(undisturbed, tmp_path):
     whole, _ = undisturbed
     process = started(tmp_path, COUNT)
@@ -141,6 +144,7 @@ def test_ctrl_c_at_the_very_beginning(tmp_path):
         assert gone(members)
 
 
+@pytest.mark.slow
 def test_two_processes_share_a_study_and_both_end_with_all_of_it(undisturbed, tmp_path):
     whole, _ = undisturbed
     both = [started(tmp_path, COUNT) for _ in range(2)]
@@ -154,6 +158,7 @@ def test_two_processes_share_a_study_and_both_end_with_all_of_it(undisturbed, tm
     assert_complete(tmp_path, whole)
 
 
+@pytest.mark.slow
 def test_a_run_that_kills_its_worker_again_and_again_is_a_row(tmp_path):
     """A method of the user's own stands for all that ends a process: want of memory, a crash."""
     file = tmp_path / "deadly.py"
@@ -175,3 +180,46 @@ def test_a_run_that_kills_its_worker_again_and_again_is_a_row(tmp_path):
     assert statuses([bad], tmp_path / "study")[0].reason == outcomes[0].reason
     (again,) = carry_out([bad], tmp_path / "study", cores=1)
     assert (again.state, again.reused) == ("failed", True)
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """Give a function that makes a small disk, or gives it another size."""
+    if not hasattr(os, "geteuid") or os.geteuid() != 0:
+        pytest.skip("to mount a small disk one must be root")
+    place = tmp_path / "disk"
+    place.mkdir()
+    mounted = []
+
+    def mount(kilobytes):
+        options = ",".join([*(["remount"] if mounted else []), f"size={kilobytes}k"])
+        command = ["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(place)]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode != 0 and not mounted:
+            pytest.skip(f"a small disk cannot be mounted here: {done.stderr.strip()}")
+        assert done.returncode == 0, done.stderr
+        mounted.append(kilobytes)
+        return place
+
+    yield mount
+    if mounted:
+        subprocess.run(["umount", str(place)], check=True)
+
+
+@pytest.mark.slow
+def test_a_full_disk_is_a_reason_in_a_row_and_loses_nothing(undisturbed, small_disk):
+    whole, _ = undisturbed
+    size = sum(path.stat().st_size for path in whole.rglob("*") if path.is_file()) // 1024
+    for share in (0.3, 0.8):
+        folder = small_disk(int(share * size)) / "study"
+        code, text = ended(started(folder, COUNT))
+        assert code == 0, text
+        rows = [line.split(maxsplit=3) for line in text.splitlines()]
+        assert len(rows) == COUNT
+        failed = [row for row in rows if row[1] == "failed"]
+        assert failed
+        assert [row for row in failed if "No space left on device" not in row[3]] == []
+    folder = small_disk(20 * size) / "study"
+    code, text = ended(started(folder, COUNT))
+    assert code == 0, text
+    assert_complete(folder, whole)

@@ -1,0 +1,145 @@
+"""Studies on a Dask cluster of which only the address is known."""
+
+import shutil
+import time
+
+import psutil
+import pytest
+from clusters import Cluster
+from stored import assert_same_bits
+from studied import CHANGES, alive, gone, runs_of, short_runs, started
+
+import multicell as mc
+from multicell.errors import ClusterError
+from multicell.studies.engine import carry_out
+from multicell.studies.status import statuses
+from multicell.studies.workers import _sees, check_folder
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory):
+    with Cluster(tmp_path_factory.mktemp("cluster")) as made:
+        yield made
+
+
+def refused(runs, folder, cluster):
+    with pytest.raises(ClusterError) as caught:
+        carry_out(runs, folder, scheduler=cluster.address)
+    assert caught.value.exit_code == 2
+    assert not any((folder / "runs").iterdir())
+    return str(caught.value)
+
+
+def ended(*processes):
+    for process in processes:
+        process.terminate()
+        process.wait(20)
+
+
+def test_workers_are_used_that_others_have_started(cluster, tmp_path):
+    said = refused(short_runs(1), tmp_path, cluster)
+    assert "has no workers" in said
+    assert "dask worker tcp://127.0.0.1:" in said
+    worker = cluster.worker("--nworkers", "2")
+    runs = short_runs(3)
+    outcomes = carry_out(runs, tmp_path, scheduler=cluster.address)
+    assert [(o.state, o.reused) for o in outcomes] == [("done", False)] * 3
+    mc.run(runs[0].scene, output=tmp_path / "alone", report=False, threads=1)
+    assert_same_bits(tmp_path / "alone", tmp_path / "runs" / runs[0].name)
+    ended(worker)
+
+
+def test_workers_that_cannot_run_scenes_as_we_do_are_named(cluster, tmp_path):
+    runs, study = short_runs(1), tmp_path / "study"
+    for file, text, problem in (
+        ("sitecustomize", "import sys; sys.modules['multicell'] = None", "has no multicell"),
+        ("multicell", "raise ImportError", "cannot load multicell"),
+        ("multicell", "__version__ = '0.0.1'", "has multicell 0.0.1"),
+    ):
+        place = tmp_path / "other"
+        place.mkdir()
+        (place / f"{file}.py").write_text(text)
+        worker = cluster.worker(path=str(place))
+        said = refused(runs, study, cluster)
+        assert problem in said
+        assert f"but this process has multicell {mc.__version__}" in said
+        ended(worker)
+        shutil.rmtree(place)
+    worker = cluster.worker("--nthreads", "3")
+    said = refused(runs, study, cluster)
+    assert "has 3 threads" in said
+    assert "'--nthreads 1'" in said
+    ended(worker)
+
+
+class Elsewhere:
+    """Workers of another machine."""
+
+    def __init__(self, said):
+        self.said = said
+
+    def run(self, function, path):
+        assert function(path) == ""  # here it is seen
+        return {"tcp://10.0.0.7:4000": self.said, "tcp://10.0.0.8:4000": self.said}
+
+
+def test_workers_that_do_not_see_the_folder_are_named(tmp_path):
+    said = _sees(str(tmp_path / "other" / "mark"))
+    assert "No such file or directory" in said
+    with pytest.raises(ClusterError, match=r"worker tcp://10.0.0.7:4000 cannot use .* and 1 more"):
+        check_folder(Elsewhere(said), tmp_path)
+    assert list(tmp_path.iterdir()) == []
+    other = tmp_path / ".visible-1"
+    other.write_text("2")
+    assert "reads something else" in _sees(str(other))
+    other.unlink()
+    check_folder(Elsewhere(""), tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+LONG = "20 h"
+
+
+def wait_for(condition, within=60.0):
+    end = time.monotonic() + within
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+def states(runs, folder):
+    return [found.state for found in statuses(runs, folder)]
+
+
+@pytest.mark.slow
+def test_whatever_is_killed_of_a_cluster_nobody_goes_on_alone(tmp_path):
+    """The scheduler, the nanny of a worker, and the process that wants the runs."""
+    (run,) = runs = runs_of(1, changes={**CHANGES, "duration": LONG})
+    with Cluster(tmp_path) as cluster:
+        nanny = cluster.worker("--nworkers", "1", "--nanny")
+        # who wants the run goes
+        client = started(tmp_path / "study", 1, cluster.address, LONG)
+        wait_for(lambda: states(runs, tmp_path / "study") == ["running"])
+        client.kill()
+        client.communicate()
+        wait_for(lambda: states(runs, tmp_path / "study") == ["partial"], within=6.0)
+        # the nanny goes, and its worker with it
+        client = started(tmp_path / "study", 1, cluster.address, LONG)
+        wait_for(lambda: states(runs, tmp_path / "study") == ["running"])
+        workers = psutil.Process(nanny.pid).children(recursive=True)
+        nanny.kill()
+        assert gone(workers), [x.cmdline() for x in workers if alive(x)]
+        # another worker comes, and then the scheduler goes
+        nanny = cluster.worker("--nworkers", "1", "--nanny", "--death-timeout", "5")
+        wait_for(lambda: states(runs, tmp_path / "study") == ["running"])
+        workers = psutil.Process(nanny.pid).children(recursive=True)
+        cluster.main.kill()
+        text, _ = client.communicate(timeout=60)
+        assert client.returncode == 1, text
+        assert text.splitlines()[-1].startswith("Error: the scheduler has gone. All that")
+        assert "Traceback" not in text
+        wait_for(lambda: states(runs, tmp_path / "study") == ["partial"], within=10.0)
+    (outcome,) = carry_out(runs, tmp_path / "study", cores=1)
+    assert outcome.state == "done"
+    mc.run(run.scene, output=tmp_path / "whole", report=False, threads=1)
+    assert_same_bits(tmp_path / "whole", tmp_path / "study" / "runs" / run.name)
