@@ -239,7 +239,7 @@ def test_an_own_method_must_be_named_again(tmp_path):
         read_plan(tmp_path / "study")
     again = read_plan(tmp_path / "study", integrator=f"{file}:Stay")
     assert again.names == plan.names
-    with pytest.raises(SceneError, match="has '.*:Stay'"):
+    with pytest.raises(SceneError, match=r"has '.*:Stay'"):
         read_plan(tmp_path / "study", integrator=f"{file}:Go")
     settle(make_plan(EMT6), tmp_path / "usual")
     with pytest.raises(SceneError, match="has none"):
