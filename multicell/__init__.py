@@ -40,6 +40,10 @@ if TYPE_CHECKING:
     from multicell.scene.reactions import Reaction
     from multicell.scene.scene import Scene, load_scene, scene_names
     from multicell.simulation import Simulation
+    from multicell.studies.fit import fit
+    from multicell.studies.fitted import Fit
+    from multicell.studies.sensitivity import sensitivity
+    from multicell.studies.sensitivity_result import Sensitivity
     from multicell.studies.study import Study, load_study, study
 
 __version__ = "0.1.0"
@@ -50,6 +54,7 @@ __all__ = [
     "FieldComparison",
     "FieldEquation",
     "FieldProblem",
+    "Fit",
     "Hertz",
     "ImplicitFieldSolver",
     "Integrator",
@@ -64,6 +69,7 @@ __all__ = [
     "Scene",
     "SceneError",
     "Schedule",
+    "Sensitivity",
     "Simulation",
     "StabilityMap",
     "State",
@@ -77,6 +83,7 @@ __all__ = [
     "compare_fields",
     "export",
     "field_problem",
+    "fit",
     "load_law",
     "load_result",
     "load_scene",
@@ -87,6 +94,7 @@ __all__ = [
     "resume",
     "run",
     "scene_names",
+    "sensitivity",
     "stability",
     "study",
     "testing",
@@ -130,6 +138,10 @@ _LAZY = {
     "run": "multicell.runner",
     "scene_names": "multicell.scene.scene",
     "stability": "multicell.comparison.stability_limits.search",
+    "Sensitivity": "multicell.studies.sensitivity_result",
+    "sensitivity": "multicell.studies.sensitivity",
+    "Fit": "multicell.studies.fitted",
+    "fit": "multicell.studies.fit",
     "Study": "multicell.studies.study",
     "load_study": "multicell.studies.study",
     "study": "multicell.studies.study",

@@ -174,7 +174,7 @@ def read_data(
     """
     if not (isinstance(sd, int | float) and 0.0 < sd < math.inf):
         raise DataError("sd", f"is {sd!r}, must be a relative standard deviation above 0")
-    table = read_table(source)
+    table = source if isinstance(source, Table) else read_table(source)
     columns = columns_of(table, scene)
     rows = _Rows(table, columns, scene, start, float(sd))
     for number in range(len(table.rows)):
