@@ -141,7 +141,9 @@ def _without_main() -> Iterator[None]:
     fork: a script would need a guard for it.
     """
     names: dict[str, Any] = vars(sys.modules["__main__"])
-    hidden = {name: names[name] for name in ("__spec__", "__file__") if name in names}
+    hidden: dict[str, Any] = {
+        name: names[name] for name in ("__spec__", "__file__") if name in names
+    }
     names["__spec__"] = None
     names.pop("__file__", None)
     try:
