@@ -17,6 +17,7 @@ import click
 
 from multicell import __version__
 from multicell.cli.compare import compare, stability
+from multicell.cli.fit import fit
 from multicell.cli.movie import movie
 from multicell.cli.options import (
     as_json_option,
@@ -197,7 +198,7 @@ def export(
         click.echo(path, file=sys.stdout)
 
 
-for added in (scenes, init, schema, plot, view, movie, compare, stability, study, sensitivity):
+for added in (scenes, init, schema, plot, view, movie, compare, stability, study, sensitivity, fit):
     main.add_command(added)
 
 

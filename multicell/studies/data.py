@@ -82,6 +82,11 @@ class Datum:
     condition: int
     place: str
 
+    @property
+    def deviation(self) -> float:
+        """The standard deviation in base units; that of a logarithm times the value."""
+        return self.sigma * self.value if self.log else self.sigma
+
     def scaled(self, value: float) -> float:
         """Return a value on the scale of the comparison; NaN where it has none there."""
         if not self.log:

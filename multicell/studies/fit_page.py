@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from multicell.errors import OutputError
 from multicell.report.html import write_page
@@ -13,6 +13,16 @@ from multicell.studies.verdict import in_words
 
 if TYPE_CHECKING:
     from multicell.studies.fitted import Fit
+
+
+_DATA: Final = (
+    "Data with their standard deviations, the best runs (lines) and the band that the posterior "
+    "gives: what 95 % of tissues would show."
+)
+_POSTERIOR: Final = (
+    "Posterior of the parameters; axes are the ranges searched, or of narrow posteriors a part of "
+    "them. Red: best. Dashed: before the data. Dotted: ends of 95 % intervals."
+)
 
 
 def write_report(fit: Fit, folder: str | Path | None = None) -> Path:
@@ -27,12 +37,9 @@ def write_report(fit: Fit, folder: str | Path | None = None) -> Path:
     if place is None:
         raise OutputError("the fit has no folder to report to: name one")
     pictures = {
-        "data.png": (fit.plot.data, "Data with their standard deviations, the best runs (lines) "
-                     "and the band that the posterior gives: what 95 % of tissues would show."),
-        "parameters.png": (fit.plot.parameters, "Posterior of the parameters; axes are "
-                           "the ranges searched, or of narrow posteriors a part of them. Red: best. "
-                           "Dashed: before the data. Dotted: ends of 95 % intervals."),
-    }  # fmt: skip
+        "data.png": (fit.plot.data, _DATA),
+        "parameters.png": (fit.plot.parameters, _POSTERIOR),
+    }
     for name, (draw, _) in pictures.items():
         save(draw(), place / name)
     return write_page(
@@ -43,7 +50,7 @@ def write_report(fit: Fit, folder: str | Path | None = None) -> Path:
         subtitle=_subtitle(fit),
         tiles=_tiles(fit),
         pictures={place / name: caption for name, (_, caption) in pictures.items()},
-        parameters=_parameters(fit),
+        parameters=parameters_in_words(fit),
         undetermined=[str(entry) for entry in fit.undetermined],
         asked=fit.sample is not None,
         notes=fit.notes,
@@ -75,7 +82,7 @@ def _tiles(fit: Fit) -> dict[str, str]:
     }
 
 
-def _parameters(fit: Fit) -> list[dict[str, str]]:
+def parameters_in_words(fit: Fit) -> list[dict[str, str]]:
     """Return the parameters one by one in words."""
     known = fit.intervals() if fit.sample is not None else {}
     rows = []

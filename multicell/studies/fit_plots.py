@@ -12,7 +12,6 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 from multicell.report.plots.style import BLUE, INK, QUIET, RED, blank, counts, styled
 from multicell.report.wording import TimeUnit, time_unit
 from multicell.studies.distance import Array
-from multicell.studies.fitted import deviation
 from multicell.studies.verdict import quantiles
 
 if TYPE_CHECKING:
@@ -153,8 +152,8 @@ def _one_by_one(axes: Axes, fit: Fit, numbers: Sequence[int], band: Array) -> No
 def _bars(data: Sequence[Datum]) -> tuple[Array, Array]:
     """Return values and the lower and upper length of their bars, base units."""
     values = np.array([datum.value for datum in data])
-    lower = [d.value * -np.expm1(-d.sigma) if d.log else deviation(d) for d in data]
-    upper = [d.value * np.expm1(d.sigma) if d.log else deviation(d) for d in data]
+    lower = [d.value * -np.expm1(-d.sigma) if d.log else d.deviation for d in data]
+    upper = [d.value * np.expm1(d.sigma) if d.log else d.deviation for d in data]
     return values, np.array([lower, upper])
 
 

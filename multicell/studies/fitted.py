@@ -231,7 +231,7 @@ class Fit:
                     "time": np.nan if datum.time is None else datum.time,
                     "at": "" if datum.at is None else f"{datum.at[0]} = {datum.at[1]:g}",
                     "measured": datum.value,
-                    "sd": deviation(datum),
+                    "sd": datum.deviation,
                     "assumed": datum.assumed,
                     "run": float(best.readings[k]),
                     "residual": float(best.residuals[k]),
@@ -339,8 +339,3 @@ class Fit:
 def unscaled(data: Sequence[Datum], values: Array) -> Array:
     """Return values on the scales of comparison in base units."""
     return np.array([np.exp(v) if d.log else v for d, v in zip(data, values, strict=True)])
-
-
-def deviation(datum: Datum) -> float:
-    """Return the standard deviation of a datum in base units; of a logarithm, times the value."""
-    return datum.sigma * datum.value if datum.log else datum.sigma
