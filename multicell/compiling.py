@@ -2,22 +2,78 @@
 
 Numba puts the code of a function into each one that calls it, where LLVM optimises all of it once
 more. What is large and called from several loops is compiled once instead, and called at its
-address (:func:`address_of`, :func:`calling`).
+address (:func:`address_of`, :func:`calling`). What is small and called by other compiled code alone
+is neither optimised nor turned into machine code by itself (:data:`INNER`).
 """
 
 from __future__ import annotations
 
 import gc
+from collections.abc import Callable
+from types import FunctionType
 from typing import Any, final
 
 import numpy as np
-from numba import typeof, types
+from numba import njit, typeof, types
 from numba.core import cgutils, event
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
 
-KERNEL: dict[str, Any] = {"cache": True, "no_cfunc_wrapper": True}
+@final
+class _Piece(JITCodeLibrary):
+    """Code that other functions take in, and that has no machine code of its own."""
+
+    @property
+    def codegen(self) -> Any:
+        """What would be told of the function's environment, which no caller needs."""
+        return _Nowhere()
+
+    def get_pointer_to_function(self, name: str) -> int:
+        """Return that it is nowhere."""
+        self._ensure_finalized()  # type: ignore[no-untyped-call]
+        return 0
+
+    def _optimize_functions(self, module: Any) -> None:
+        """Leave that to those who take it in."""
+        module.data_layout = self._codegen._data_layout
+
+    def _optimize_final_module(self) -> None:
+        """Leave that to those who take it in."""
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()  # type: ignore[no-untyped-call]
+        self._verify_declare_only_symbols()  # type: ignore[no-untyped-call]
+        self._finalized = True
+
+    def serialize_using_object_code(self) -> Any:
+        """Return what the disk cache keeps."""
+        return self.serialize_using_bitcode()  # type: ignore[no-untyped-call]
+
+
+@final
+class _Nowhere:
+    def set_env(self, name: str, environment: Any) -> None:
+        """Do nothing."""
+
+
+@final
+class _PieceCompiler(Compiler):
+    """Compiles to a :class:`_Piece`."""
+
+    def __init__(
+        self, typing: Any, target: Any, library: Any, arguments: Any, result: Any, flags: Any,
+        local: Any,
+    ) -> None:  # fmt: skip
+        library = _Piece(target.codegen(), "piece")
+        super().__init__(typing, target, library, arguments, result, flags, local)  # type: ignore[no-untyped-call]
+
+
+KERNEL: dict[str, Any] = {"cache": True, "no_cfunc_wrapper": True, "error_model": "numpy"}
 """Options of functions that Python calls: what C would need to call them is not made."""
-INNER: dict[str, Any] = {**KERNEL, "error_model": "numpy", "no_cpython_wrapper": True}
-"""Options of functions that other compiled code calls alone: what Python needs is not made."""
+ADDRESSED: dict[str, Any] = {**KERNEL, "no_cpython_wrapper": True}
+"""Options of functions that are called at an address alone: what Python needs is not made."""
+INNER: dict[str, Any] = {**ADDRESSED, "pipeline_class": _PieceCompiler}
+"""Options of functions that other compiled code calls alone: they have no code of their own."""
 INLINED: dict[str, Any] = {**INNER, "forceinline": True}
 """Options of small functions of one pair, which must not cost a call."""
 
@@ -46,6 +102,20 @@ class _WithoutCollector(event.Listener):
         self.depth -= 1
         if self.depth == 0 and self.enabled:
             gc.enable()
+
+
+def arithmetic(body: Callable[..., Any]) -> Any:
+    """Compile a function that both Python and compiled code call, apart for each of them.
+
+    Most runs have one kind of callers, and only that is compiled.
+    """
+    outside = njit(**KERNEL)(body)
+    twin = FunctionType(body.__code__, body.__globals__, body.__name__, body.__defaults__)
+    # a file of its own in the disk cache
+    twin.__qualname__, twin.__module__ = f"{body.__qualname__}_inner", body.__module__
+    inside = njit(**INNER)(twin)
+    outside.get_call_template, outside.get_overload = inside.get_call_template, inside.get_overload
+    return outside
 
 
 _LISTENER = _WithoutCollector()

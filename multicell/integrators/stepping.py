@@ -24,7 +24,7 @@ from numba.core.errors import TypingError
 from numba.extending import intrinsic, overload, register_jitable
 from numpy.typing import NDArray
 
-from multicell.compiling import INNER, KERNEL, address_of, calling
+from multicell.compiling import ADDRESSED, KERNEL, address_of, arithmetic, calling
 from multicell.mechanics import forces, margins, neighbours
 from multicell.mechanics.motion import StateRejected
 from multicell.mechanics.system import Mechanics
@@ -114,7 +114,7 @@ def compiled(function: Callable[..., Any], **options: Any) -> Any:
     Numba compares the date of the function's own file only, but code of the other files
     is compiled into it.
     """
-    dispatcher = njit(**{**KERNEL, "error_model": "numpy", **options})(function)
+    dispatcher = njit(**{**KERNEL, **options})(function)
     inside = [
         _index(other)
         for other in (forces.forces, neighbours.rebuild, margins.widened, copy, dispatcher)
@@ -228,7 +228,7 @@ def addressed(source: Source, pairs: forces.PairData, *, shared: bool) -> Source
     return source._replace(forces_at=forces_at, rebuild_at=rebuild_at, evaluation_at=evaluation_at)
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def _is_finite(position):
     finite = True
     for value in position.reshape(-1):
@@ -236,7 +236,7 @@ def _is_finite(position):
     return finite
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def copy(source, out):
     """Copy an array: loops like this one compile four times faster than ``out[:] = source``."""
     x, y = source.reshape(-1), out.reshape(-1)
@@ -244,7 +244,7 @@ def copy(source, out):
         y[k] = x[k]
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def displace(position, step, direction, out):
     """Write position + step x direction; ``out`` may be either of them."""
     x, v, y = position.reshape(-1), direction.reshape(-1), out.reshape(-1)
@@ -252,7 +252,7 @@ def displace(position, step, direction, out):
         y[k] = x[k] + step * v[k]
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def combine(position, step, weights, slopes, count, out):
     """Write position + step Σ_j weights_j slopes_j over the first ``count`` slopes.
 
@@ -271,7 +271,7 @@ def combine(position, step, weights, slopes, count, out):
                     y[k] += w * slope[k]
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def error_of(step, weights, slopes, out):
     """Write step Σ_j weights_j slopes_j."""
     y = out.reshape(-1)
@@ -280,7 +280,7 @@ def error_of(step, weights, slopes, out):
     combine(out, step, weights, slopes, weights.size, out)
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def furthest_moved(before, after, radius):
     """Return the cell that moved furthest, in its radius, and how far; not a number is ∞."""
     cell, most = 0, -1.0
@@ -294,7 +294,7 @@ def furthest_moved(before, after, radius):
     return cell, most
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def largest_length(values):
     """Return the length of the longest row."""
     square = 0.0
@@ -304,7 +304,7 @@ def largest_length(values):
     return math.sqrt(square)
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def weighted_rms(values, before, after, rtol, atol):
     """Return the root mean square of values_k / (atol + rtol |x_k|), larger |x| of the two."""
     e, x, y = values.reshape(-1), before.reshape(-1), after.reshape(-1)
@@ -343,7 +343,7 @@ def starting_step(source, pairs, control, position, slope, trial, other, length,
     return length, pairs
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def begun(step):
     """Return the state of error control at the beginning: see ``ELAPSED`` and the others."""
     walk = np.zeros(5)
@@ -351,7 +351,7 @@ def begun(step):
     return walk
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def ended(walk, counts, control, length):
     """Return why no step can be tried, or ``DONE``."""
     if counts[STEPS] == control.most_steps:
@@ -360,7 +360,7 @@ def ended(walk, counts, control, length):
     return STALLED if stuck else DONE
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def refused(walk, counts, control, status, moved):
     """Return whether a step moved a cell too far or had no velocity; the next one is shorter."""
     if status == DONE and not moved > control.max_displacement:
@@ -371,7 +371,7 @@ def refused(walk, counts, control, status, moved):
     return True
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def accepted(walk, counts, control, length, position, trial, error, least, most, steady):
     """Take a step if its estimated error is small enough; choose the next step.
 
@@ -398,7 +398,7 @@ def accepted(walk, counts, control, length, position, trial, error, least, most,
     return True
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def again(step, error, order, least):
     """Return the step to try after one with too large an error, in units of the allowed one."""
     if not math.isfinite(error):
@@ -406,7 +406,7 @@ def again(step, error, order, least):
     return step * max(least, 0.9 * error ** (-1.0 / order))
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def next_step(step, error, previous, order):
     """Return the next step by PI control (Gustafsson)."""
     error = max(error, 1e-10)
@@ -414,7 +414,7 @@ def next_step(step, error, previous, order):
     return step * min(5.0, max(0.2, factor))
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def shorter(step, moved, allowed):
     """Return the step to try after one that moved a cell too far, or had no velocity."""
     if not moved > allowed:
@@ -422,7 +422,7 @@ def shorter(step, moved, allowed):
     return step * max(0.1, min(0.7, 0.8 * allowed / moved))
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def fitted(step, left):
     """Return a step that does not leave a tiny rest of the interval."""
     if step >= left * (1.0 - 1e-12):
@@ -430,7 +430,7 @@ def fitted(step, left):
     return min(step, 0.5 * left)
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def moved_on(position, trial, radius, allowed, counts):
     """Take a fixed step unless it moves a cell too far; return that cell and how far it moves."""
     cell, moved = furthest_moved(position, trial, radius)
@@ -440,4 +440,4 @@ def moved_on(position, trial, radius, allowed, counts):
     return cell, moved
 
 
-_EVALUATION = compiled(_evaluation, **INNER)
+_EVALUATION = compiled(_evaluation, **ADDRESSED)

@@ -18,6 +18,7 @@ import math
 
 import numpy as np
 
+from multicell.compiling import arithmetic
 from multicell.integrators.stepping import (
     _SHORTEST,
     DONE,
@@ -133,7 +134,7 @@ def adaptive_adams(source, pairs, position, length, radius, counts, control, pat
     return Report(DONE, length, walk[STEP], -1, 0.0, walk[WORST]), pairs
 
 
-@compiled
+@arithmetic
 def _weigh(a, u, b, v, position, out):
     """Write position + a u + b v."""
     x, p, q, y = position.reshape(-1), u.reshape(-1), v.reshape(-1), out.reshape(-1)
@@ -141,7 +142,7 @@ def _weigh(a, u, b, v, position, out):
         y[k] = x[k] + a * p[k] + b * q[k]
 
 
-@compiled
+@arithmetic
 def _difference(a, u, b, v, out):
     """Write a u + b v."""
     p, q, y = u.reshape(-1), v.reshape(-1), out.reshape(-1)
@@ -149,7 +150,7 @@ def _difference(a, u, b, v, out):
         y[k] = a * p[k] + b * q[k]
 
 
-@compiled
+@arithmetic
 def _milne(share, r, new, now, old, out):
     """Write share times what the trapezoidal rule and the Adams-Bashforth formula differ by."""
     p, q, s, y = new.reshape(-1), now.reshape(-1), old.reshape(-1), out.reshape(-1)
