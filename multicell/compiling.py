@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import gc
 from collections.abc import Callable
-from types import FunctionType
 from typing import Any, final
 
 import numpy as np
@@ -18,6 +17,7 @@ from numba import njit, typeof, types
 from numba.core import cgutils, event
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
+
 
 @final
 class _Piece(JITCodeLibrary):
@@ -45,10 +45,6 @@ class _Piece(JITCodeLibrary):
         self._verify_declare_only_symbols()  # type: ignore[no-untyped-call]
         self._finalized = True
 
-    def serialize_using_object_code(self) -> Any:
-        """Return what the disk cache keeps."""
-        return self.serialize_using_bitcode()  # type: ignore[no-untyped-call]
-
 
 @final
 class _Nowhere:
@@ -64,7 +60,7 @@ class _PieceCompiler(Compiler):
         self, typing: Any, target: Any, library: Any, arguments: Any, result: Any, flags: Any,
         local: Any,
     ) -> None:  # fmt: skip
-        library = _Piece(target.codegen(), "piece")
+        library = _Piece(target.codegen(), "piece")  # type: ignore[no-untyped-call]
         super().__init__(typing, target, library, arguments, result, flags, local)  # type: ignore[no-untyped-call]
 
 
@@ -72,8 +68,9 @@ KERNEL: dict[str, Any] = {"cache": True, "no_cfunc_wrapper": True, "error_model"
 """Options of functions that Python calls: what C would need to call them is not made."""
 ADDRESSED: dict[str, Any] = {**KERNEL, "no_cpython_wrapper": True}
 """Options of functions that are called at an address alone: what Python needs is not made."""
-INNER: dict[str, Any] = {**ADDRESSED, "pipeline_class": _PieceCompiler}
-"""Options of functions that other compiled code calls alone: they have no code of their own."""
+INNER: dict[str, Any] = {**ADDRESSED, "cache": False, "pipeline_class": _PieceCompiler}
+"""Options of functions that other compiled code calls alone: they have no code of their own, on
+disk neither, where those are that have taken it in."""
 INLINED: dict[str, Any] = {**INNER, "forceinline": True}
 """Options of small functions of one pair, which must not cost a call."""
 
@@ -109,11 +106,7 @@ def arithmetic(body: Callable[..., Any]) -> Any:
 
     Most runs have one kind of callers, and only that is compiled.
     """
-    outside = njit(**KERNEL)(body)
-    twin = FunctionType(body.__code__, body.__globals__, body.__name__, body.__defaults__)
-    # a file of its own in the disk cache
-    twin.__qualname__, twin.__module__ = f"{body.__qualname__}_inner", body.__module__
-    inside = njit(**INNER)(twin)
+    outside, inside = njit(**KERNEL)(body), njit(**INNER)(body)
     outside.get_call_template, outside.get_overload = inside.get_call_template, inside.get_overload
     return outside
 
