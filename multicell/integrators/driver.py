@@ -84,12 +84,20 @@ def equal_steps(
 
 
 def adaptive(
-    system: Mechanics, position: FloatArray, loop: Any, control: stepping.Control, *settings: Any
+    system: Mechanics,
+    position: FloatArray,
+    loop: Any,
+    control: stepping.Control,
+    *settings: Any,
+    passes: bool = False,
 ) -> tuple[Outcome, stepping.Report | None]:
-    """Run a loop under error control; return also its report, if it ran."""
+    """Run a loop under error control; return also its report, if it ran.
+
+    ``passes`` says whether it uses those of :mod:`.fused`.
+    """
     return _run(
         system, position, loop, (control, *settings), control.max_displacement, _TOLERANCE_HINT,
-        control.atol,
+        control.atol, passes=passes,
     )  # fmt: skip
 
 
@@ -101,6 +109,8 @@ def _run(
     max_displacement: float,
     hint: str,
     atol: float,
+    *,
+    passes: bool = False,
 ) -> tuple[Outcome, stepping.Report | None]:
     """Run a loop on a copy of the positions; count its work; put its end into words."""
     motion = system.motion
@@ -117,7 +127,7 @@ def _run(
         source: Any = stepping.Called(system)
         report, _ = loop.py_func(source, None, *common, *settings)
     else:
-        source, pairs = _borrow(system, counts)
+        source, pairs = _borrow(system, counts, passes=passes)
         report, pairs = loop(source, pairs, *common, *settings)
         _give_back(system, source, pairs)
     work = system.work
@@ -168,7 +178,7 @@ def _worst(state: FloatArray) -> int | None:
     return int(lost.argmax()) if lost.any() else None
 
 
-def _borrow(system: Mechanics, counts: Any) -> tuple[Any, forces.PairData]:
+def _borrow(system: Mechanics, counts: Any, *, passes: bool = False) -> tuple[Any, forces.PairData]:
     """Return what the kernels need, with a list of its own or one that is built at first use."""
     motion = system.motion
     chunks = -(-len(system) // system.chunk)
@@ -193,7 +203,7 @@ def _borrow(system: Mechanics, counts: Any) -> tuple[Any, forces.PairData]:
         cells, system._offsets.data, system._law, system._list_radius, system._least_margin,
         system._rows, counts,
     )  # fmt: skip
-    return stepping.addressed(source, pairs, shared=shared), pairs
+    return stepping.addressed(source, pairs, shared=shared, passes=passes), pairs
 
 
 def _give_back(system: Mechanics, source: Any, pairs: forces.PairData) -> None:

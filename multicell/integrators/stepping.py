@@ -24,7 +24,8 @@ from numba.core.errors import TypingError
 from numba.extending import intrinsic, overload, register_jitable
 from numpy.typing import NDArray
 
-from multicell.compiling import ADDRESSED, KERNEL, address_of, arithmetic, calling
+from multicell.compiling import ADDRESSED, KERNEL, address_of, arithmetic, calling, kind_of
+from multicell.integrators import fused
 from multicell.mechanics import forces, margins, neighbours
 from multicell.mechanics.motion import StateRejected
 from multicell.mechanics.system import Mechanics
@@ -54,7 +55,8 @@ class Source(NamedTuple):
     """What the kernels need besides the pairs; ``cells.reference`` and ``.margin`` are written.
 
     ``forces_at`` and ``rebuild_at`` are the addresses of the kernels, for one thread or for all,
-    ``evaluation_at`` that of the function that calls them.
+    ``evaluation_at`` that of the function that calls them. ``foresee_at`` and ``assess_at`` are
+    those of :mod:`.fused`, for loops that use it.
     """
 
     cells: forces.CellData
@@ -67,6 +69,8 @@ class Source(NamedTuple):
     forces_at: int = 0
     rebuild_at: int = 0
     evaluation_at: int = 0
+    foresee_at: int = 0
+    assess_at: int = 0
 
 
 Serial = Shared = Source
@@ -213,19 +217,46 @@ def _rebuild_at(context, address, position, radius, skin, chunk):
     return calling(listed, address, position, radius, skin, chunk)
 
 
-def addressed(source: Source, pairs: forces.PairData, *, shared: bool) -> Source:
-    """Return a source with the addresses of its kernels, which are compiled if need be."""
+def addressed(
+    source: Source, pairs: forces.PairData, *, shared: bool, passes: bool = False
+) -> Source:
+    """Return a source with the addresses of its kernels, which are compiled if need be.
+
+    Parameters
+    ----------
+    shared
+        Whether threads share them.
+    passes
+        Whether the loop uses :mod:`.fused`.
+    """
+    key = kind_of((source, pairs)), shared, passes
+    if key not in _PLACES:
+        _PLACES[key] = _addresses(source, pairs, shared=shared, passes=passes)
+    return source._replace(**_PLACES[key])
+
+
+_PLACES: dict[Any, dict[str, int]] = {}
+
+
+def _addresses(
+    source: Source, pairs: forces.PairData, *, shared: bool, passes: bool
+) -> dict[str, int]:
+    """Return the addresses of the kernels by their names in :class:`Source`."""
     place, found = np.empty((0, 3)), (True, *pairs[:5])
-    forces_at = address_of(
-        forces.forces_parallel if shared else forces.forces, True,
-        source.cells, pairs, source.offsets, source.law, place, 0.0, True, source.rows, place,
-    )  # fmt: skip
-    rebuild_at = address_of(
-        neighbours.rebuild_parallel if shared else neighbours.rebuild, found,
-        place, source.reach, 0.0, source.cells.chunk,
-    )  # fmt: skip
-    evaluation_at = address_of(_EVALUATION, (0, pairs), source, pairs, 0.0, place, place)
-    return source._replace(forces_at=forces_at, rebuild_at=rebuild_at, evaluation_at=evaluation_at)
+    run, build = forces.forces, neighbours.rebuild
+    if shared:
+        run, build = forces.forces_parallel, neighbours.rebuild_parallel
+    known = {
+        "forces_at": address_of(
+            run, True, source.cells, pairs, source.offsets, source.law, place, 0.0, True,
+            source.rows, place,
+        ),
+        "rebuild_at": address_of(build, found, place, source.reach, 0.0, source.cells.chunk),
+        "evaluation_at": address_of(_EVALUATION, (0, pairs), source, pairs, 0.0, place, place),
+    }  # fmt: skip
+    if passes:
+        known |= fused.addresses(source.cells.radius, shared=shared)
+    return known
 
 
 @arithmetic
@@ -378,16 +409,28 @@ def accepted(walk, counts, control, length, position, trial, error, least, most,
     ``least`` and ``most`` bound its length over that of a refused and of an accepted step; a
     ``steady`` one stays as it is where it would hardly change.
     """
+    size = weighted_rms(error, position, trial, control.rtol, control.atol)
+    if not judged(walk, counts, control, length, size, largest_length(error), least, most, steady):
+        return False
+    copy(trial, position)
+    return True
+
+
+@arithmetic
+def judged(walk, counts, control, length, size, worst, least, most, steady):
+    """Tell whether a step is taken, as :func:`accepted` does, by the size of its error.
+
+    ``size`` is its weighted root mean square, ``worst`` the longest error of a cell, µm.
+    """
     step = walk[STEP]
-    size = weighted_rms(error, position, trial, control.rtol, control.atol) / control.strictness
+    size /= control.strictness
     if not size <= 1.0:
         counts[REJECTIONS] += 1
         walk[STEP] = again(step, size, control.order, least)
         walk[HELD] += 1.0
         return False
     walk[ELAPSED] = length if step == length - walk[ELAPSED] else walk[ELAPSED] + step
-    copy(trial, position)
-    walk[WORST] = max(walk[WORST], largest_length(error))
+    walk[WORST] = max(walk[WORST], worst)
     counts[STEPS] += 1
     wanted = min(next_step(step, size, walk[PREVIOUS], control.order), most * step)
     if steady and 0.9 * step < wanted < 1.2 * step:
