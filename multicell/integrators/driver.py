@@ -183,8 +183,8 @@ def _borrow(system: Mechanics, counts: Any, *, passes: bool = False) -> tuple[An
     motion = system.motion
     chunks = -(-len(system) // system.chunk)
     if system._pairs is None:
-        index, ends = np.empty(0, dtype=np.int32), np.zeros(chunks, dtype=np.int64)
-        pairs = forces.PairData(index, index, ends, ends, ends, None, None, None)
+        ends = np.zeros(chunks, dtype=np.int64)
+        pairs = forces.PairData(*system.spare, ends, ends, ends, None, None, None)
         # no cell is close to a place that is not a number: the first evaluation builds
         reference = np.full((len(system), 3), np.nan)
     else:
@@ -208,10 +208,13 @@ def _borrow(system: Mechanics, counts: Any, *, passes: bool = False) -> tuple[An
 
 def _give_back(system: Mechanics, source: Any, pairs: forces.PairData) -> None:
     """Let the mechanics go on with the list that the loop has built last."""
-    if pairs.first.size == 0 and system._pairs is None:
+    if np.isnan(source.cells.reference[0, 0]):
+        system._pairs = None
         return
     system._cells = source.cells
     system._pair_data = pairs
+    # the list that was linearised may have been overwritten
+    system._linear = None
     system._pairs = PairList(
         pairs.first, pairs.second, pairs.start, pairs.inner_end, pairs.outer_end,
         system.chunk, len(system),

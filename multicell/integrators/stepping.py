@@ -188,10 +188,10 @@ def _evaluation(source, pairs, elapsed, position, out):
             position, cells.reference, source.reach, source.least_margin, cells.margin
         )
         crowded, first, second, start, inner_end, outer_end = _rebuild_at(
-            source.rebuild_at, position, reach, 0.0, cells.chunk
+            source.rebuild_at, position, reach, 0.0, cells.chunk, pairs.first, pairs.second
         )
         if crowded:
-            # the old list does not fit the new margins: the next state builds anew
+            # the old list is overwritten, and does not fit the new margins: the next state builds
             cells.reference[:] = np.nan
             return REJECTED, pairs
         copy(position, cells.reference)
@@ -210,11 +210,11 @@ def _forces_at(context, address, cells, pairs, offsets, law, position, elapsed, 
 
 
 @intrinsic
-def _rebuild_at(context, address, position, radius, skin, chunk):
+def _rebuild_at(context, address, position, radius, skin, chunk, first, second):
     """Call ``neighbours.rebuild``, or what shares its loops, at an address."""
     index, end = types.int32[::1], types.int64[::1]
     listed = types.Tuple((types.boolean, index, index, end, end, end))
-    return calling(listed, address, position, radius, skin, chunk)
+    return calling(listed, address, position, radius, skin, chunk, first, second)
 
 
 def addressed(
@@ -251,7 +251,9 @@ def _addresses(
             run, True, source.cells, pairs, source.offsets, source.law, place, 0.0, True,
             source.rows, place,
         ),
-        "rebuild_at": address_of(build, found, place, source.reach, 0.0, source.cells.chunk),
+        "rebuild_at": address_of(
+            build, found, place, source.reach, 0.0, source.cells.chunk, *pairs[:2]
+        ),
         "evaluation_at": address_of(_EVALUATION, (0, pairs), source, pairs, 0.0, place, place),
     }  # fmt: skip
     if passes:

@@ -143,7 +143,10 @@ def build(
         none = np.empty(0, dtype=np.int32)
         return PairList(none, none, empty, empty.copy(), empty.copy(), chunk, n)
     run = rebuild_parallel if threads > 1 and n > chunk else rebuild
-    crowded, first, second, start, inner_end, outer_end = run(position, radius, skin, chunk)
+    none = np.empty(0, dtype=np.int32)
+    crowded, first, second, start, inner_end, outer_end = run(
+        position, radius, skin, chunk, none, none
+    )
     if crowded:
         raise TooManyPairsError(f"more than {500 * n + _SPARE_PAIRS} pairs among {n} cells")
     return PairList(first, second, start, inner_end, outer_end, chunk, n)
@@ -403,10 +406,16 @@ def _mirror(chunk, base, room, found, first, second, end):
     return True
 
 
-def _rebuild(position, radius, skin, chunk):
+def _rebuild(position, radius, skin, chunk, first, second):
     """Do the work of :func:`build` for one cell and more.
 
     One function, and loops in place of array expressions: so it compiles many times faster.
+
+    Parameters
+    ----------
+    first, second : (m,) int32
+        Of a list that nobody needs any more, or empty: written to where they are long enough. With
+        many cells the system takes longer to find new memory than the search to fill it.
 
     Returns
     -------
@@ -436,7 +445,8 @@ def _rebuild(position, radius, skin, chunk):
         base[0] = 0
         for c in range(chunks):
             base[c + 1] = base[c] + room[c, 0] + room[c, 1]
-        first, second = np.empty(base[chunks], np.int32), np.empty(base[chunks], np.int32)
+        if min(first.size, second.size) < base[chunks]:
+            first, second = np.empty(base[chunks], np.int32), np.empty(base[chunks], np.int32)
         for c in prange(chunks):
             _search_chunk(c, chunk, bins, base, room, limit, first, second, counts)
         total, enough = 0, True
