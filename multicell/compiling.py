@@ -118,13 +118,17 @@ event.register("numba:compile", _LISTENER)  # type: ignore[no-untyped-call]
 _typeof: Any = typeof
 
 
+_OWNED = 0x4
+"""Flag of arrays whose memory is their own, which is no part of their type."""
+
+
 def kind_of(value: Any) -> Any:
     """Return what stands for the type of an argument: equal where numba's types are equal.
 
     Numba's own ``typeof`` takes a quarter of a millisecond for the tuples that loops are given.
     """
     if isinstance(value, np.ndarray):
-        return value.dtype.char, value.ndim, value.flags.num
+        return value.dtype.char, value.ndim, value.flags.num & ~_OWNED
     if isinstance(value, tuple):
         return type(value), *map(kind_of, value)
     return type(value)
