@@ -117,6 +117,7 @@ class Rehearsal:
         if self._process is not None:
             self._process.kill()
             self._process.wait()
+            self._process = None
 
     def _start(self, work: Work, acts: list[str] | None = None) -> None:
         """Start a process for what is not on disk yet."""

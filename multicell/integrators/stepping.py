@@ -235,12 +235,12 @@ def addressed(
     return source._replace(**_PLACES[key])
 
 
-_PLACES: dict[Any, dict[str, int]] = {}
+_PLACES: dict[Any, dict[str, Any]] = {}
 
 
 def _addresses(
     source: Source, pairs: forces.PairData, *, shared: bool, passes: bool
-) -> dict[str, int]:
+) -> dict[str, Any]:
     """Return the addresses of the kernels by their names in :class:`Source`."""
     place, found = np.empty((0, 3)), (True, *pairs[:5])
     run, build = forces.forces, neighbours.rebuild

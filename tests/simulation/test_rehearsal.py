@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 
 import multicell as mc
-from multicell import rehearsal
+from multicell import rehearsal, runner
 from multicell.nutrient.steady import MANY
 from multicell.rehearsal import FIRST_CONTACT, MANY_NODES, OTHER_METHODS, Rehearsal
 
@@ -120,7 +120,7 @@ def test_what_two_cells_need_is_compiled_while_there_is_one(started):
 
 @pytest.mark.parametrize(
     "changes",
-    [{"initial.count": 2}, {"motility": {}}, {"domain": {"size": "200 um", "walls": "elastic"}}],
+    [{"initial.count": 2}, {"motility": {}}, {"domain": {axis: [-50.0, 50.0] for axis in "xyz"}}],
     ids=["two cells", "one that moves", "walls"],
 )
 def test_what_the_first_step_needs_is_not_left_to_another_process(started, changes):
@@ -196,6 +196,7 @@ def test_a_process_that_cannot_do_what_it_is_asked_ends_silently():
 @pytest.mark.parametrize("fails", [False, True])
 def test_it_ends_with_the_run(started, monkeypatch, fails):
     monkeypatch.setattr(mc.Simulation, "shared_from", property(lambda self: SIZE))
+    monkeypatch.setattr(runner, "Rehearsal", lambda scene, threads: Rehearsal(scene))
     scene = mc.load_scene("settle").with_changes({"initial.count": SIZE // 4, "duration": "2 min"})
 
     def progress(simulation):

@@ -97,13 +97,13 @@ def test_two_cells_go_through_all_of_a_step_by_the_method_of_the_run(monkeypatch
 
 
 def test_fields_are_solved_for_by_multigrid(monkeypatch):
-    class Reached(Exception):
+    class ReachedError(Exception):
         pass
 
     def reached(*given):
-        raise Reached
+        raise ReachedError
 
     monkeypatch.setattr(steady, "MANY", steady.MANY)
     monkeypatch.setattr(multigrid, "MultigridSolver", reached)
-    with pytest.raises(Reached):
+    with pytest.raises(ReachedError):
         rehearsed.many_nodes(mc.load_scene("spheroid"))
