@@ -2,22 +2,75 @@
 
 Numba puts the code of a function into each one that calls it, where LLVM optimises all of it once
 more. What is large and called from several loops is compiled once instead, and called at its
-address (:func:`address_of`, :func:`calling`).
+address (:func:`address_of`, :func:`calling`). What is small and called by other compiled code alone
+is neither optimised nor turned into machine code by itself (:data:`INNER`).
 """
 
 from __future__ import annotations
 
 import gc
+from collections.abc import Callable
 from typing import Any, final
 
 import numpy as np
-from numba import typeof, types
+from numba import njit, typeof, types
 from numba.core import cgutils, event
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
 
-KERNEL: dict[str, Any] = {"cache": True, "no_cfunc_wrapper": True}
+
+@final
+class _Piece(JITCodeLibrary):
+    """Code that other functions take in, and that has no machine code of its own."""
+
+    @property
+    def codegen(self) -> Any:
+        """What would be told of the function's environment, which no caller needs."""
+        return _Nowhere()
+
+    def get_pointer_to_function(self, name: str) -> int:
+        """Return that it is nowhere."""
+        self._ensure_finalized()  # type: ignore[no-untyped-call]
+        return 0
+
+    def _optimize_functions(self, module: Any) -> None:
+        """Leave that to those who take it in."""
+        module.data_layout = self._codegen._data_layout
+
+    def _optimize_final_module(self) -> None:
+        """Leave that to those who take it in."""
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()  # type: ignore[no-untyped-call]
+        self._verify_declare_only_symbols()  # type: ignore[no-untyped-call]
+        self._finalized = True
+
+
+@final
+class _Nowhere:
+    def set_env(self, name: str, environment: Any) -> None:
+        """Do nothing."""
+
+
+@final
+class _PieceCompiler(Compiler):
+    """Compiles to a :class:`_Piece`."""
+
+    def __init__(
+        self, typing: Any, target: Any, library: Any, arguments: Any, result: Any, flags: Any,
+        local: Any,
+    ) -> None:  # fmt: skip
+        library = _Piece(target.codegen(), "piece")  # type: ignore[no-untyped-call]
+        super().__init__(typing, target, library, arguments, result, flags, local)  # type: ignore[no-untyped-call]
+
+
+KERNEL: dict[str, Any] = {"cache": True, "no_cfunc_wrapper": True, "error_model": "numpy"}
 """Options of functions that Python calls: what C would need to call them is not made."""
-INNER: dict[str, Any] = {**KERNEL, "error_model": "numpy", "no_cpython_wrapper": True}
-"""Options of functions that other compiled code calls alone: what Python needs is not made."""
+ADDRESSED: dict[str, Any] = {**KERNEL, "no_cpython_wrapper": True}
+"""Options of functions that are called at an address alone: what Python needs is not made."""
+INNER: dict[str, Any] = {**ADDRESSED, "cache": False, "pipeline_class": _PieceCompiler}
+"""Options of functions that other compiled code calls alone: they have no code of their own, on
+disk neither, where those are that have taken it in."""
 INLINED: dict[str, Any] = {**INNER, "forceinline": True}
 """Options of small functions of one pair, which must not cost a call."""
 
@@ -48,11 +101,25 @@ class _WithoutCollector(event.Listener):
             gc.enable()
 
 
+def arithmetic(body: Callable[..., Any]) -> Any:
+    """Compile a function that both Python and compiled code call, apart for each of them.
+
+    Most runs have one kind of callers, and only that is compiled.
+    """
+    outside, inside = njit(**KERNEL)(body), njit(**INNER)(body)
+    outside.get_call_template, outside.get_overload = inside.get_call_template, inside.get_overload
+    return outside
+
+
 _LISTENER = _WithoutCollector()
 event.register("numba:compile", _LISTENER)  # type: ignore[no-untyped-call]
 
 
 _typeof: Any = typeof
+
+
+_OWNED = 0x4
+"""Flag of arrays whose memory is their own, which is no part of their type."""
 
 
 def kind_of(value: Any) -> Any:
@@ -61,7 +128,7 @@ def kind_of(value: Any) -> Any:
     Numba's own ``typeof`` takes a quarter of a millisecond for the tuples that loops are given.
     """
     if isinstance(value, np.ndarray):
-        return value.dtype.char, value.ndim, value.flags.num
+        return value.dtype.char, value.ndim, value.flags.num & ~_OWNED
     if isinstance(value, tuple):
         return type(value), *map(kind_of, value)
     return type(value)

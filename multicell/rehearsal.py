@@ -1,11 +1,13 @@
 """What a run may need compiled later on, compiled before it is needed, by another process.
 
-From some size on, threads share the loops over cells, in code of its own that takes seconds to
-compile. While the population is well below that size, another process compiles it for the
-arguments that the run has met, into numba's cache on disk, where the run finds it. In the same way
-a run that takes long and chooses its method (``auto``) has RKC2 compiled, which contacts that
-become stiff may ask for at any time. This changes no result, nor can it make a run fail: what is
-not done by then is compiled when it is needed.
+A run that begins with one cell needs no forces before that has divided: meanwhile another process
+goes over a coupling step of two cells that touch, in the run's own way
+(:mod:`multicell.rehearsed`). What that compiles is in numba's cache on disk, where the run finds
+it. In the same way other processes do what is needed by other methods that the run may choose
+(``auto``) and by fields of many nodes. From some size on, threads share the loops over cells, in
+code of its own: while the population is well below that size, it is compiled for the arguments
+that the run has met. This changes no result, nor can it make a run fail: what is not done by then
+is compiled when it is needed.
 """
 
 from __future__ import annotations
@@ -22,15 +24,20 @@ from typing import TYPE_CHECKING, Any, final
 from multicell.threads import DRIVERS
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from multicell.scene.scene import Scene
     from multicell.simulation import Simulation
 
 Work = list[tuple[str, str, Any]]
 """Module and name of jitted functions, with numba's types of their arguments."""
 
+FIRST_CONTACT, OTHER_METHODS, MANY_NODES = "first_contact", "other_methods", "many_nodes"
+"""What :mod:`multicell.rehearsed` can do."""
+
 _EARLY = 0.125
-"""Part of the size from which threads share loops at which the other process starts."""
-_LONG = 10.0
+"""Part of the size from which on something else is needed at which the other process starts."""
+_LONG = 3.0
 """Wall time of a run, s, after which other methods are compiled."""
 _LONGEST_WAIT = 30.0
 """How long the run waits for it at that size, s: longer than it takes on a slow machine."""
@@ -38,15 +45,35 @@ _LONGEST_WAIT = 30.0
 
 @final
 class Rehearsal:
-    """The processes that compile ahead of a run, one after the other, never longer than the run."""
+    """The processes that compile ahead of a run, one after the other, never longer than the run.
 
-    def __init__(self, scene: Scene) -> None:
-        self._law = str(scene.to_dict()["contact"]["law"])
+    Parameters
+    ----------
+    scene
+        What the run is of.
+    threads
+        How many the run has: with one, no core but that is asked for.
+    """
+
+    def __init__(self, scene: Scene, threads: int = 2) -> None:
+        self._scene = scene.to_dict()
         self._process: subprocess.Popen[bytes] | None = None
-        self._over = not _worth_while()
-        self._drivers_wanted, self._reached = True, False
-        self._methods_wanted = scene.integrator.method == "auto"
+        self._over = threads == 1 or not _worth_while()
+        self._reached = False
+        self._wanted = {"drivers"}
+        if scene.integrator.method == "auto":
+            self._wanted.add(OTHER_METHODS)
+        if any(part.layout == "box" for part in scene.nutrients.values()):
+            self._wanted.add(MANY_NODES)
         self._begin = clock.perf_counter()
+        self._alone = False
+
+    def begin(self, scene: Scene) -> None:
+        """Start a process for what the first division will ask for, if the run has one cell."""
+        if self._over or not _begins_alone(scene) or _known(scene):
+            return
+        self._alone = True
+        self._process = _started(self._scene, [], [FIRST_CONTACT], urgent=True)
 
     def watch(self, simulation: Simulation) -> None:
         """Start a process when its time has come, and be ready when the size is reached."""
@@ -56,17 +83,33 @@ class Rehearsal:
         if size is None:  # one thread: no core but this one is asked for
             self._over = True
             return
+        if self._alone and cells > 1:
+            self._alone = False
+            self._wait()
         if cells >= size and not self._reached:
-            self._reached, self._drivers_wanted = True, False
+            self._reached = True
+            self._wanted.discard("drivers")
             self._wait()
         if self._process is not None and self._process.poll() is None:
             return
-        if self._drivers_wanted and cells >= _EARLY * size:
-            self._drivers_wanted = False
+        self._next(size, cells, simulation.nodes)
+
+    def _next(self, size: int, cells: int, nodes: int) -> None:
+        """Start the next process that is due."""
+        from multicell.nutrient.steady import MANY
+
+        lasting = clock.perf_counter() - self._begin > _LONG
+        if "drivers" in self._wanted and cells >= _EARLY * size:
+            self._wanted.discard("drivers")
             self._start(wanted_drivers())
-        elif self._methods_wanted and clock.perf_counter() - self._begin > _LONG:
-            self._methods_wanted = False
-            self._start(wanted_methods())
+        elif MANY_NODES in self._wanted and nodes >= _EARLY * MANY:
+            self._wanted.discard(MANY_NODES)
+            if nodes < MANY and not _any_on_disk("multicell.nutrient.multigrid_kernels", "prolong"):
+                self._start([], [MANY_NODES])
+        elif OTHER_METHODS in self._wanted and lasting and cells > 1:
+            self._wanted.discard(OTHER_METHODS)
+            if any(not _on_disk(*item) for item in wanted_methods()):
+                self._start([], [OTHER_METHODS])
 
     def close(self) -> None:
         """End the process."""
@@ -74,16 +117,58 @@ class Rehearsal:
         if self._process is not None:
             self._process.kill()
             self._process.wait()
+            self._process = None
 
-    def _start(self, work: Work) -> None:
+    def _start(self, work: Work, acts: list[str] | None = None) -> None:
         """Start a process for what is not on disk yet."""
         work = [item for item in work if not _on_disk(*item)]
-        self._process = _started(self._law, work) if work else None
+        if work or acts:
+            self._process = _started(self._scene, work, acts or [])
+        else:
+            self._process = None
 
     def _wait(self) -> None:
         if self._process is not None:
             with suppress(subprocess.TimeoutExpired):
                 self._process.wait(_LONGEST_WAIT)
+
+
+def _begins_alone(scene: Scene) -> bool:
+    """Return whether a run begins with one cell that nothing moves."""
+    moved = (scene.motility, scene.haptotaxis, scene.pull, scene.chemotaxis or None, scene.domain)
+    return scene.initial.count == 1 and scene.growth is not None and moved == (None,) * len(moved)
+
+
+def _known(scene: Scene) -> bool:
+    """Return whether the forces of a scene's law have been compiled, and the loop of ``auto``."""
+    from numba import typeof
+
+    from multicell.mechanics import forces
+    from multicell.rehearsed import touching
+
+    wanted = [forces.forces]
+    if scene.integrator.method == "auto":
+        from multicell.integrators.loops.adams_bashforth import adaptive_adams
+
+        wanted.append(adaptive_adams)
+    law = typeof(touching(scene, 2)[0]._law)  # type: ignore[no-untyped-call]
+    return all(any(_names(law, kinds) for kinds in _listed(function)) for function in wanted)
+
+
+def _names(wanted: Any, kinds: Any) -> bool:
+    """Return whether a type is among those of the arguments of a function, or in one of these."""
+    return any(wanted == kind or wanted in getattr(kind, "types", ()) for kind in kinds)
+
+
+def _listed(function: Any) -> list[Any]:
+    """Return for which types of arguments numba's cache holds a function."""
+    index = getattr(getattr(function, "_cache", None), "_cache_file", None)
+    return [] if index is None else [key[0] for key in index._load_index()]
+
+
+def _any_on_disk(module: str, name: str) -> bool:
+    """Return whether numba's cache holds a function for any types of arguments."""
+    return bool(_listed(_function(module, name)))
 
 
 def _worth_while() -> bool:
@@ -125,8 +210,10 @@ def _on_disk(module: str, name: str, types: Any) -> bool:
     return function._cache.load_overload(types, function.targetctx) is not None
 
 
-def _started(law: str, work: Work) -> subprocess.Popen[bytes] | None:
-    """Start a process, or do without."""
+def _started(
+    scene: Mapping[str, Any], work: Work, acts: list[str], *, urgent: bool = False
+) -> subprocess.Popen[bytes] | None:
+    """Start a process, or do without; with as little claim to a core as may be, if not urgent."""
     # an empty place is the folder that this process is in
     places = [place or os.getcwd() for place in sys.path]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(places)}
@@ -140,30 +227,39 @@ def _started(law: str, work: Work) -> subprocess.Popen[bytes] | None:
         return None
     assert process.stdin is not None
     with suppress(OSError), process.stdin as pipe:
-        pickle.dump(law, pipe)
-        pickle.dump(work, pipe)
+        pickle.dump((urgent, scene), pipe)
+        pickle.dump((work, acts), pipe)
     return process
 
 
-def compile_all(law: str, work: Work) -> None:
-    """Compile functions for types of arguments, with the law of the user's own if there is one."""
+def compile_all(entries: Mapping[str, Any], work: Work, acts: list[str]) -> None:
+    """Compile functions for types of arguments, and what a scene needs for what it may do."""
+    for module, name, types in work:
+        _function(module, name).compile(types)
+    if acts:
+        from multicell import rehearsed
+        from multicell.scene.scene import Scene
+
+        scene = Scene.from_dict(entries)
+        for act in acts:
+            getattr(rehearsed, act)(scene)
+
+
+def main() -> None:
+    """Compile what is asked for on standard input."""
+    urgent, entries = pickle.load(sys.stdin.buffer)
+    if hasattr(os, "nice") and not urgent:
+        os.nice(10)
+    law = str(entries["contact"]["law"])
+    # types of constants are looked up by name, and those of laws of the user's own once loaded
     if ":" in law:
         from multicell.contact.custom import load_law
 
         load_law(law)
     else:
         import_module("multicell.contact.registry")
-    for module, name, types in work:
-        _function(module, name).compile(types)
-
-
-def main() -> None:
-    """Compile what is asked for on standard input, with as little claim to a core as possible."""
-    if hasattr(os, "nice"):
-        os.nice(10)
-    law = pickle.load(sys.stdin.buffer)
-    # types of constants are looked up by name, and those of laws of the user's own once loaded
-    compile_all(law, pickle.load(sys.stdin.buffer))
+    work, acts = pickle.load(sys.stdin.buffer)
+    compile_all(entries, work, acts)
 
 
 if __name__ == "__main__":

@@ -124,10 +124,14 @@ def recorded(
         stack.enter_context(under_way())
         interrupt = stack.enter_context(between_steps())
         stack.callback(recorder.close)
+        rehearsal = Rehearsal(scene, threads)
+        stack.callback(rehearsal.close)
+        if own is None:
+            rehearsal.begin(scene)
         simulation = Simulation(scene, threads=threads, integrator=own, reactions=reactions)
         recorder.startup = clock.perf_counter() - begin
         recorder.record(simulation)
-        go_on(simulation, recorder, interrupt, progress)
+        go_on(simulation, recorder, interrupt, progress, rehearsal)
     return recorder
 
 
@@ -151,9 +155,10 @@ def go_on(
     recorder: Recorder,
     interrupt: Callable[[], None],
     progress: Callable[[Simulation], None] | None,
+    rehearsal: Rehearsal | None = None,
 ) -> None:
     """Advance to the scene's end and record each step; ``interrupt`` may end it between two."""
-    rehearsal = Rehearsal(simulation.scene)
+    rehearsal = rehearsal or Rehearsal(simulation.scene)
     try:
         while not simulation.finished:
             simulation.step()

@@ -17,11 +17,9 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from multicell.biology import adhesion
-from multicell.biology.active_forces import push
-from multicell.biology.cycle import parting
 from multicell.biology.growth import growth_factor
 from multicell.biology.initial import initial_cells
+from multicell.biology.motion import motion_of
 from multicell.biology.pace import Pace, end_of_step, first_pace, next_pace
 from multicell.biology.splitting import StepError, columns, held, jumps, step_error
 from multicell.biology.step import aged, bind, decide, divide_and_remove, grow
@@ -232,6 +230,11 @@ class Simulation:
         """Number of cells from which on threads share loops; None on one thread."""
         system = self._mechanics
         return (system.shared_chunks - 1) * system.chunk + 1 if system.threads > 1 else None
+
+    @property
+    def nodes(self) -> int:
+        """Number of nodes of the largest field in a box; zero without any."""
+        return 0 if self._feeding is None else self._feeding.nodes
 
     @property
     def concentrations(self) -> dict[str, FloatArray]:
@@ -448,19 +451,9 @@ class Simulation:
 
     def _motion(self, begin: float, end: float, radius: FloatArray) -> Motion:
         """Return what mechanics must know of the cells between two times."""
-        cells, scene = self.cells, self.scene
-        length = end - begin
-        rate = (radius - cells.radius) / length if length > 0.0 else np.zeros(len(cells))
-        apart = parting(scene, cells, length)
-        touching = contact_rows(cells, self.contacts) if summary.remembers_contacts(scene) else None
-        return Motion(
-            cells.radius, rate, cells.young, cells.poisson, begin, end,
-            bonds=adhesion.bonds(scene, cells, self.concentrations, begin, end),
-            push=push(scene, cells, begin, self._gradients()),
-            kind=cells.kind if scene.types else None,
-            touching=None if touching is None else np.sort(touching, axis=1),
-            offset_pairs=None if apart is None else apart[0],
-            offset=None if apart is None else apart[1],
+        return motion_of(
+            self.scene, self.cells, radius, begin, end, concentrations=self.concentrations,
+            gradients=self._gradients(), contacts=self.contacts,
         )  # fmt: skip
 
     def _gradients(self) -> dict[str, FloatArray]:

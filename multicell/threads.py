@@ -79,8 +79,8 @@ def two_drivers(body: Callable[..., Any]) -> tuple[Any, Any]:
     name = f"{body.__name__}_parallel"
     twin = FunctionType(body.__code__, body.__globals__, name, body.__defaults__, body.__closure__)
     twin.__qualname__, twin.__module__ = name, body.__module__
-    serial = njit(**KERNEL, error_model="numpy")
-    shared = njit(**KERNEL, error_model="numpy", parallel=True)
+    serial = njit(**KERNEL)
+    shared = njit(**KERNEL, parallel=True)
     DRIVERS[twin.__module__, name] = made = serial(body), shared(twin)
     return made
 

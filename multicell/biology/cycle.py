@@ -200,12 +200,15 @@ def newborn(scene: Scene, cells: Cells, progress: FloatArray) -> None:
     cells.cycle_time = growing_time(scene, lengths)
 
 
+_NO_PAIRS = np.empty((0, 2), dtype=np.int64), np.empty((0, 2))
+
+
 def parting(scene: Scene, cells: Cells, dt: float) -> tuple[IntArray, FloatArray] | None:
     """Return the sisters that part, (m, 2) indices, and their offset with its rate, (m, 2).
 
     At birth the offset is their overlap less the one at which their contact is at rest, so that
     they feel no force of each other; it falls linearly over M. Over a coupling step of length
-    ``dt`` it runs linearly to its value at the end.
+    ``dt`` it runs linearly to its value at the end. None in a scene whose cells never part so.
     """
     if scene.growth is None or scene.growth.division != "smooth":
         return None
@@ -213,7 +216,7 @@ def parting(scene: Scene, cells: Cells, dt: float) -> tuple[IntArray, FloatArray
     young = young[np.lexsort((cells.id[young], cells.parent[young]))]
     together = np.flatnonzero(cells.parent[young][1:] == cells.parent[young][:-1])
     if not together.size:
-        return None
+        return _NO_PAIRS
     pairs = np.sort(np.stack([young[together], young[together + 1]], axis=1), axis=1)
     first, second = pairs.T
     r = cells.radius

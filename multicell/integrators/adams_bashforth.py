@@ -65,7 +65,9 @@ class AdaptiveAdams(ErrorControl):
         from multicell.integrators.loops.adams_bashforth import adaptive_adams
 
         control = driver.control(self, system, 3.0, lower=2)
-        outcome, report = driver.adaptive(system, position, adaptive_adams, control, self.patience)
+        outcome, report = driver.adaptive(
+            system, position, adaptive_adams, control, self.patience, passes=True
+        )
         long = report is not None and report.status == stepping.TOO_LONG
         return outcome, float(report.moved) if report is not None and long else 0.0
 

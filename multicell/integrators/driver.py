@@ -84,12 +84,20 @@ def equal_steps(
 
 
 def adaptive(
-    system: Mechanics, position: FloatArray, loop: Any, control: stepping.Control, *settings: Any
+    system: Mechanics,
+    position: FloatArray,
+    loop: Any,
+    control: stepping.Control,
+    *settings: Any,
+    passes: bool = False,
 ) -> tuple[Outcome, stepping.Report | None]:
-    """Run a loop under error control; return also its report, if it ran."""
+    """Run a loop under error control; return also its report, if it ran.
+
+    ``passes`` says whether it uses those of :mod:`.fused`.
+    """
     return _run(
         system, position, loop, (control, *settings), control.max_displacement, _TOLERANCE_HINT,
-        control.atol,
+        control.atol, passes=passes,
     )  # fmt: skip
 
 
@@ -101,6 +109,8 @@ def _run(
     max_displacement: float,
     hint: str,
     atol: float,
+    *,
+    passes: bool = False,
 ) -> tuple[Outcome, stepping.Report | None]:
     """Run a loop on a copy of the positions; count its work; put its end into words."""
     motion = system.motion
@@ -117,7 +127,7 @@ def _run(
         source: Any = stepping.Called(system)
         report, _ = loop.py_func(source, None, *common, *settings)
     else:
-        source, pairs = _borrow(system, counts)
+        source, pairs = _borrow(system, counts, passes=passes)
         report, pairs = loop(source, pairs, *common, *settings)
         _give_back(system, source, pairs)
     work = system.work
@@ -168,13 +178,13 @@ def _worst(state: FloatArray) -> int | None:
     return int(lost.argmax()) if lost.any() else None
 
 
-def _borrow(system: Mechanics, counts: Any) -> tuple[Any, forces.PairData]:
+def _borrow(system: Mechanics, counts: Any, *, passes: bool = False) -> tuple[Any, forces.PairData]:
     """Return what the kernels need, with a list of its own or one that is built at first use."""
     motion = system.motion
     chunks = -(-len(system) // system.chunk)
     if system._pairs is None:
-        index, ends = np.empty(0, dtype=np.int32), np.zeros(chunks, dtype=np.int64)
-        pairs = forces.PairData(index, index, ends, ends, ends, None, None, None)
+        ends = np.zeros(chunks, dtype=np.int64)
+        pairs = forces.PairData(*system.spare, ends, ends, ends, None, None, None)
         # no cell is close to a place that is not a number: the first evaluation builds
         reference = np.full((len(system), 3), np.nan)
     else:
@@ -193,15 +203,18 @@ def _borrow(system: Mechanics, counts: Any) -> tuple[Any, forces.PairData]:
         cells, system._offsets.data, system._law, system._list_radius, system._least_margin,
         system._rows, counts,
     )  # fmt: skip
-    return stepping.addressed(source, pairs, shared=shared), pairs
+    return stepping.addressed(source, pairs, shared=shared, passes=passes), pairs
 
 
 def _give_back(system: Mechanics, source: Any, pairs: forces.PairData) -> None:
     """Let the mechanics go on with the list that the loop has built last."""
-    if pairs.first.size == 0 and system._pairs is None:
+    if np.isnan(source.cells.reference[0, 0]):
+        system._pairs = None
         return
     system._cells = source.cells
     system._pair_data = pairs
+    # the list that was linearised may have been overwritten
+    system._linear = None
     system._pairs = PairList(
         pairs.first, pairs.second, pairs.start, pairs.inner_end, pairs.outer_end,
         system.chunk, len(system),

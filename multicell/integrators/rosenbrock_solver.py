@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from multicell.mechanics.system import Mechanics
 
 _F = TypeVar("_F", bound=Callable[..., Any])
-_jit = cast(Callable[[_F], _F], njit(**KERNEL, error_model="numpy"))
+_jit = cast(Callable[[_F], _F], njit(**KERNEL))
 
 _D = 1.0 / (2.0 + math.sqrt(2.0))
 _E = 6.0 + math.sqrt(2.0)

@@ -24,7 +24,8 @@ from numba.core.errors import TypingError
 from numba.extending import intrinsic, overload, register_jitable
 from numpy.typing import NDArray
 
-from multicell.compiling import INNER, KERNEL, address_of, calling
+from multicell.compiling import ADDRESSED, KERNEL, address_of, arithmetic, calling, kind_of
+from multicell.integrators import fused
 from multicell.mechanics import forces, margins, neighbours
 from multicell.mechanics.motion import StateRejected
 from multicell.mechanics.system import Mechanics
@@ -54,7 +55,8 @@ class Source(NamedTuple):
     """What the kernels need besides the pairs; ``cells.reference`` and ``.margin`` are written.
 
     ``forces_at`` and ``rebuild_at`` are the addresses of the kernels, for one thread or for all,
-    ``evaluation_at`` that of the function that calls them.
+    ``evaluation_at`` that of the function that calls them. ``foresee_at`` and ``assess_at`` are
+    those of :mod:`.fused`, for loops that use it.
     """
 
     cells: forces.CellData
@@ -67,6 +69,8 @@ class Source(NamedTuple):
     forces_at: int = 0
     rebuild_at: int = 0
     evaluation_at: int = 0
+    foresee_at: int = 0
+    assess_at: int = 0
 
 
 Serial = Shared = Source
@@ -114,7 +118,7 @@ def compiled(function: Callable[..., Any], **options: Any) -> Any:
     Numba compares the date of the function's own file only, but code of the other files
     is compiled into it.
     """
-    dispatcher = njit(**{**KERNEL, "error_model": "numpy", **options})(function)
+    dispatcher = njit(**{**KERNEL, **options})(function)
     inside = [
         _index(other)
         for other in (forces.forces, neighbours.rebuild, margins.widened, copy, dispatcher)
@@ -184,10 +188,10 @@ def _evaluation(source, pairs, elapsed, position, out):
             position, cells.reference, source.reach, source.least_margin, cells.margin
         )
         crowded, first, second, start, inner_end, outer_end = _rebuild_at(
-            source.rebuild_at, position, reach, 0.0, cells.chunk
+            source.rebuild_at, position, reach, 0.0, cells.chunk, pairs.first, pairs.second
         )
         if crowded:
-            # the old list does not fit the new margins: the next state builds anew
+            # the old list is overwritten, and does not fit the new margins: the next state builds
             cells.reference[:] = np.nan
             return REJECTED, pairs
         copy(position, cells.reference)
@@ -206,29 +210,58 @@ def _forces_at(context, address, cells, pairs, offsets, law, position, elapsed, 
 
 
 @intrinsic
-def _rebuild_at(context, address, position, radius, skin, chunk):
+def _rebuild_at(context, address, position, radius, skin, chunk, first, second):
     """Call ``neighbours.rebuild``, or what shares its loops, at an address."""
     index, end = types.int32[::1], types.int64[::1]
     listed = types.Tuple((types.boolean, index, index, end, end, end))
-    return calling(listed, address, position, radius, skin, chunk)
+    return calling(listed, address, position, radius, skin, chunk, first, second)
 
 
-def addressed(source: Source, pairs: forces.PairData, *, shared: bool) -> Source:
-    """Return a source with the addresses of its kernels, which are compiled if need be."""
+def addressed(
+    source: Source, pairs: forces.PairData, *, shared: bool, passes: bool = False
+) -> Source:
+    """Return a source with the addresses of its kernels, which are compiled if need be.
+
+    Parameters
+    ----------
+    shared
+        Whether threads share them.
+    passes
+        Whether the loop uses :mod:`.fused`.
+    """
+    key = kind_of((source, pairs)), shared, passes
+    if key not in _PLACES:
+        _PLACES[key] = _addresses(source, pairs, shared=shared, passes=passes)
+    return source._replace(**_PLACES[key])
+
+
+_PLACES: dict[Any, dict[str, Any]] = {}
+
+
+def _addresses(
+    source: Source, pairs: forces.PairData, *, shared: bool, passes: bool
+) -> dict[str, Any]:
+    """Return the addresses of the kernels by their names in :class:`Source`."""
     place, found = np.empty((0, 3)), (True, *pairs[:5])
-    forces_at = address_of(
-        forces.forces_parallel if shared else forces.forces, True,
-        source.cells, pairs, source.offsets, source.law, place, 0.0, True, source.rows, place,
-    )  # fmt: skip
-    rebuild_at = address_of(
-        neighbours.rebuild_parallel if shared else neighbours.rebuild, found,
-        place, source.reach, 0.0, source.cells.chunk,
-    )  # fmt: skip
-    evaluation_at = address_of(_EVALUATION, (0, pairs), source, pairs, 0.0, place, place)
-    return source._replace(forces_at=forces_at, rebuild_at=rebuild_at, evaluation_at=evaluation_at)
+    run, build = forces.forces, neighbours.rebuild
+    if shared:
+        run, build = forces.forces_parallel, neighbours.rebuild_parallel
+    known = {
+        "forces_at": address_of(
+            run, True, source.cells, pairs, source.offsets, source.law, place, 0.0, True,
+            source.rows, place,
+        ),
+        "rebuild_at": address_of(
+            build, found, place, source.reach, 0.0, source.cells.chunk, *pairs[:2]
+        ),
+        "evaluation_at": address_of(_EVALUATION, (0, pairs), source, pairs, 0.0, place, place),
+    }  # fmt: skip
+    if passes:
+        known |= fused.addresses(source.cells.radius, shared=shared)
+    return known
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def _is_finite(position):
     finite = True
     for value in position.reshape(-1):
@@ -236,7 +269,7 @@ def _is_finite(position):
     return finite
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def copy(source, out):
     """Copy an array: loops like this one compile four times faster than ``out[:] = source``."""
     x, y = source.reshape(-1), out.reshape(-1)
@@ -244,7 +277,7 @@ def copy(source, out):
         y[k] = x[k]
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def displace(position, step, direction, out):
     """Write position + step x direction; ``out`` may be either of them."""
     x, v, y = position.reshape(-1), direction.reshape(-1), out.reshape(-1)
@@ -252,7 +285,7 @@ def displace(position, step, direction, out):
         y[k] = x[k] + step * v[k]
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def combine(position, step, weights, slopes, count, out):
     """Write position + step Σ_j weights_j slopes_j over the first ``count`` slopes.
 
@@ -271,7 +304,7 @@ def combine(position, step, weights, slopes, count, out):
                     y[k] += w * slope[k]
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def error_of(step, weights, slopes, out):
     """Write step Σ_j weights_j slopes_j."""
     y = out.reshape(-1)
@@ -280,7 +313,7 @@ def error_of(step, weights, slopes, out):
     combine(out, step, weights, slopes, weights.size, out)
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def furthest_moved(before, after, radius):
     """Return the cell that moved furthest, in its radius, and how far; not a number is ∞."""
     cell, most = 0, -1.0
@@ -294,7 +327,7 @@ def furthest_moved(before, after, radius):
     return cell, most
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def largest_length(values):
     """Return the length of the longest row."""
     square = 0.0
@@ -304,7 +337,7 @@ def largest_length(values):
     return math.sqrt(square)
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def weighted_rms(values, before, after, rtol, atol):
     """Return the root mean square of values_k / (atol + rtol |x_k|), larger |x| of the two."""
     e, x, y = values.reshape(-1), before.reshape(-1), after.reshape(-1)
@@ -343,7 +376,7 @@ def starting_step(source, pairs, control, position, slope, trial, other, length,
     return length, pairs
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def begun(step):
     """Return the state of error control at the beginning: see ``ELAPSED`` and the others."""
     walk = np.zeros(5)
@@ -351,7 +384,7 @@ def begun(step):
     return walk
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def ended(walk, counts, control, length):
     """Return why no step can be tried, or ``DONE``."""
     if counts[STEPS] == control.most_steps:
@@ -360,7 +393,7 @@ def ended(walk, counts, control, length):
     return STALLED if stuck else DONE
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def refused(walk, counts, control, status, moved):
     """Return whether a step moved a cell too far or had no velocity; the next one is shorter."""
     if status == DONE and not moved > control.max_displacement:
@@ -371,23 +404,35 @@ def refused(walk, counts, control, status, moved):
     return True
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def accepted(walk, counts, control, length, position, trial, error, least, most, steady):
     """Take a step if its estimated error is small enough; choose the next step.
 
     ``least`` and ``most`` bound its length over that of a refused and of an accepted step; a
     ``steady`` one stays as it is where it would hardly change.
     """
+    size = weighted_rms(error, position, trial, control.rtol, control.atol)
+    if not judged(walk, counts, control, length, size, largest_length(error), least, most, steady):
+        return False
+    copy(trial, position)
+    return True
+
+
+@arithmetic
+def judged(walk, counts, control, length, size, worst, least, most, steady):
+    """Tell whether a step is taken, as :func:`accepted` does, by the size of its error.
+
+    ``size`` is its weighted root mean square, ``worst`` the longest error of a cell, µm.
+    """
     step = walk[STEP]
-    size = weighted_rms(error, position, trial, control.rtol, control.atol) / control.strictness
+    size /= control.strictness
     if not size <= 1.0:
         counts[REJECTIONS] += 1
         walk[STEP] = again(step, size, control.order, least)
         walk[HELD] += 1.0
         return False
     walk[ELAPSED] = length if step == length - walk[ELAPSED] else walk[ELAPSED] + step
-    copy(trial, position)
-    walk[WORST] = max(walk[WORST], largest_length(error))
+    walk[WORST] = max(walk[WORST], worst)
     counts[STEPS] += 1
     wanted = min(next_step(step, size, walk[PREVIOUS], control.order), most * step)
     if steady and 0.9 * step < wanted < 1.2 * step:
@@ -398,7 +443,7 @@ def accepted(walk, counts, control, length, position, trial, error, least, most,
     return True
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def again(step, error, order, least):
     """Return the step to try after one with too large an error, in units of the allowed one."""
     if not math.isfinite(error):
@@ -406,7 +451,7 @@ def again(step, error, order, least):
     return step * max(least, 0.9 * error ** (-1.0 / order))
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def next_step(step, error, previous, order):
     """Return the next step by PI control (Gustafsson)."""
     error = max(error, 1e-10)
@@ -414,7 +459,7 @@ def next_step(step, error, previous, order):
     return step * min(5.0, max(0.2, factor))
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def shorter(step, moved, allowed):
     """Return the step to try after one that moved a cell too far, or had no velocity."""
     if not moved > allowed:
@@ -422,7 +467,7 @@ def shorter(step, moved, allowed):
     return step * max(0.1, min(0.7, 0.8 * allowed / moved))
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def fitted(step, left):
     """Return a step that does not leave a tiny rest of the interval."""
     if step >= left * (1.0 - 1e-12):
@@ -430,7 +475,7 @@ def fitted(step, left):
     return min(step, 0.5 * left)
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def moved_on(position, trial, radius, allowed, counts):
     """Take a fixed step unless it moves a cell too far; return that cell and how far it moves."""
     cell, moved = furthest_moved(position, trial, radius)
@@ -440,4 +485,4 @@ def moved_on(position, trial, radius, allowed, counts):
     return cell, moved
 
 
-_EVALUATION = compiled(_evaluation, **INNER)
+_EVALUATION = compiled(_evaluation, **ADDRESSED)

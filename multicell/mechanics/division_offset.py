@@ -32,7 +32,8 @@ class Offsets:
     Attributes
     ----------
     data
-        The pairs as the kernels take them, or None where no pair has an offset.
+        The pairs as the kernels take them, or None where pairs have no offsets. In a scene where
+        they may have, kernels are not compiled once more for the steps in which none has.
     """
 
     def __init__(self, data: forces.OffsetData | None) -> None:
@@ -70,8 +71,6 @@ class Offsets:
         if pairs is None or offset is None:
             raise ValueError("offset_pairs and offset go together, only one is given")
         check(n, pairs, offset)
-        if len(pairs) == 0:
-            return cls(None)
         own = np.concatenate([pairs[:, 0], pairs[:, 1]]).astype(np.int64)
         other = np.concatenate([pairs[:, 1], pairs[:, 0]]).astype(np.int64)
         order = np.lexsort((other, own))

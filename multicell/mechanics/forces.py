@@ -370,7 +370,7 @@ def _add_offset_forces(rows, offsets, law, elapsed, stokes, out):
             out[i, 2] -= change * dz
 
 
-@njit(**KERNEL, error_model="numpy")
+@njit(**KERNEL)
 def add_offset_virials(rows, offsets, law, elapsed, out):
     """Add what offsets change in :func:`half_virials`, nN µm; return their part of the energy, fJ.
 
@@ -407,7 +407,7 @@ def offset_places(pairs, offsets):
     return places[:count], entries[:count]
 
 
-@njit(**KERNEL, error_model="numpy")
+@njit(**KERNEL)
 def relinearise(rows, pairs, offsets, law, elapsed, places, entries, along, across):
     """Write dF/dh + F/d and F/d of the pairs with an offset over those of :func:`linearise`."""
     for k in range(places.size):

@@ -95,7 +95,7 @@ class Vectors(NamedTuple):
     s: FloatArray
 
 
-@njit(**KERNEL, error_model="numpy")
+@njit(**KERNEL)
 def _touching(begin, end, at, rows, first, second, offset, normal, tangential, near, link):
     """Append the touching pairs of ``begin:end`` at place ``at``; return the next place.
 
@@ -127,7 +127,7 @@ def _touching(begin, end, at, rows, first, second, offset, normal, tangential, n
     return at
 
 
-@njit(**KERNEL, error_model="numpy")
+@njit(**KERNEL)
 def _measure_chunk(c, gamma, pairs, rows, offset, normal, tangential, drag):
     """Store the touching pairs of one chunk and 1 / mean diagonal of Γ of its cells."""
     start, ends, near, link = gamma.start[c], gamma.ends, gamma.near, gamma.link

@@ -22,7 +22,7 @@ import numpy as np
 from numba import njit, objmode, prange
 from numpy.typing import NDArray
 
-from multicell.compiling import INLINED, INNER, KERNEL
+from multicell.compiling import ADDRESSED, INLINED, INNER
 from multicell.mechanics.binning import sorted_sparsely
 from multicell.threads import two_drivers
 
@@ -142,9 +142,11 @@ def build(
         empty = np.zeros(-(-n // chunk), dtype=np.int64)
         none = np.empty(0, dtype=np.int32)
         return PairList(none, none, empty, empty.copy(), empty.copy(), chunk, n)
-    # on one thread the few steps between the kernels run in Python: they are not compiled then
-    run = rebuild_parallel if threads > 1 and n > chunk else _rebuild
-    crowded, first, second, start, inner_end, outer_end = run(position, radius, skin, chunk)
+    run = rebuild_parallel if threads > 1 and n > chunk else rebuild
+    none = np.empty(0, dtype=np.int32)
+    crowded, first, second, start, inner_end, outer_end = run(
+        position, radius, skin, chunk, none, none
+    )
     if crowded:
         raise TooManyPairsError(f"more than {500 * n + _SPARE_PAIRS} pairs among {n} cells")
     return PairList(first, second, start, inner_end, outer_end, chunk, n)
@@ -193,7 +195,7 @@ class Bins(NamedTuple):
     ranges: OffsetArray
 
 
-@njit(**KERNEL, error_model="numpy")
+@njit(**INNER)
 def _dense_bins(position, radius, skin):
     """Sort by counting into a dense grid.
 
@@ -245,7 +247,7 @@ def _dense_bins(position, radius, skin):
     return Bins(order, place, cells, largest, low, shape, row, start, none)
 
 
-@njit(**KERNEL)
+@njit(**ADDRESSED)
 def _sparse_bins(position, radius, skin, none):
     """Bin far-flung cells; the rest of ``none``, bins that were not filled, is kept.
 
@@ -322,7 +324,7 @@ def _note(i, own, order, hits, count, at, stop, first, second):
     at[0], at[1] = inner, outer
 
 
-@njit(**KERNEL, error_model="numpy")
+@njit(**INNER)
 def _search_chunk(c, chunk, bins, base, room, limit, first, second, found):
     """Write the pairs that are found from one chunk's cells; count inner and outer to ``found[c]``.
 
@@ -375,7 +377,7 @@ def _search_chunk(c, chunk, bins, base, room, limit, first, second, found):
             second[at[0] + k] = second[stop[0] + k]
 
 
-@njit(**KERNEL, error_model="numpy")
+@njit(**INNER)
 def _mirror(chunk, base, room, found, first, second, end):
     """Give the outer pairs to the chunks of their second cells, too, and write where lists end.
 
@@ -404,10 +406,16 @@ def _mirror(chunk, base, room, found, first, second, end):
     return True
 
 
-def _rebuild(position, radius, skin, chunk):
+def _rebuild(position, radius, skin, chunk, first, second):
     """Do the work of :func:`build` for one cell and more.
 
     One function, and loops in place of array expressions: so it compiles many times faster.
+
+    Parameters
+    ----------
+    first, second : (m,) int32
+        Of a list that nobody needs any more, or empty: written to where they are long enough. With
+        many cells the system takes longer to find new memory than the search to fill it.
 
     Returns
     -------
@@ -437,7 +445,8 @@ def _rebuild(position, radius, skin, chunk):
         base[0] = 0
         for c in range(chunks):
             base[c + 1] = base[c] + room[c, 0] + room[c, 1]
-        first, second = np.empty(base[chunks], np.int32), np.empty(base[chunks], np.int32)
+        if min(first.size, second.size) < base[chunks]:
+            first, second = np.empty(base[chunks], np.int32), np.empty(base[chunks], np.int32)
         for c in prange(chunks):
             _search_chunk(c, chunk, bins, base, room, limit, first, second, counts)
         total, enough = 0, True

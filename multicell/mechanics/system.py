@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 
 _NOTHING = np.empty((0, 0))
+_ROOM = 50
+"""Places of a list for each cell up to which it is kept for the next: twice what is usual."""
 
 
 @final
@@ -102,6 +104,8 @@ class Mechanics:
             launch()
         self.drag = stokes_drag(self.viscosity)
         self._pairs: neighbours.PairList | None = None
+        # room for a list: that of the last coupling step
+        self.spare = np.empty(0, dtype=np.int32), np.empty(0, dtype=np.int32)
         self._cells: forces.CellData
         self._linear: Linearisation | None = None
         self._pair_friction: PairFriction | None = None
@@ -132,6 +136,8 @@ class Mechanics:
         self._list_radius = self._reaching(largest)
         self._least_margin = 0.5 * self.skin * float(largest.mean()) if n else 0.0
         self._margin = np.full(n, self._least_margin)
+        if self._pairs is not None and len(self._pairs.first) <= _ROOM * (n + 100):
+            self.spare = self._pairs.first, self._pairs.second
         self._pairs = self._linear = None
         self._offsets = Offsets.of(n, motion.offset_pairs, motion.offset, self._values_of)
         self._blocks = np.empty((n, 6))

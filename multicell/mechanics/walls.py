@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from multicell.cells import FloatArray
 
 
-@njit(**KERNEL, error_model="numpy")
+@njit(**KERNEL)
 def _add_forces(rows, low, high, soft, drag, out):
     """Add the forces of the sides, nN, or with ``drag`` what they add to velocities, µm/s."""
     for i in range(rows.shape[0]):
@@ -45,7 +45,7 @@ def _add_forces(rows, low, high, soft, drag, out):
                 out[i, a] -= strength * h * math.sqrt(h)
 
 
-@njit(**KERNEL, error_model="numpy")
+@njit(**KERNEL)
 def _stiffness(rows, low, high, soft, out):
     """Write minus the derivative of each component of the force by its coordinate, nN/µm."""
     for i in range(rows.shape[0]):
@@ -57,7 +57,7 @@ def _stiffness(rows, low, high, soft, out):
             out[i, a] = strength * (math.sqrt(near) + math.sqrt(far))
 
 
-@njit(**KERNEL, error_model="numpy")
+@njit(**KERNEL)
 def _energies_and_virials(rows, low, high, soft, virials):
     """Return the energy of all indentations, fJ; add F d of each cell to ``virials``, nN µm."""
     total = 0.0

@@ -25,7 +25,7 @@ from multicell.compiling import INNER, KERNEL
 
 Float32Array = NDArray[np.float32]
 _F = TypeVar("_F", bound=Callable[..., Any])
-_jit = cast(Callable[[_F], _F], njit(**KERNEL, error_model="numpy"))
+_jit = cast(Callable[[_F], _F], njit(**KERNEL))
 _inner = cast(Callable[[_F], _F], njit(**INNER))
 
 MOST = 48

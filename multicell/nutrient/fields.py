@@ -7,6 +7,7 @@ the cells: each field may have a grid and a geometry of its own.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, final
@@ -18,6 +19,7 @@ from multicell.errors import SceneError
 from multicell.nutrient.balance import Ledger
 from multicell.nutrient.choosing.grids import Grids
 from multicell.nutrient.field import FieldReport, NutrientField
+from multicell.nutrient.grid import BoxLayout
 from multicell.nutrient.parameters import FieldParameters
 from multicell.scene.checks import solving_order
 
@@ -303,6 +305,13 @@ class Feeding:
             name: FieldReport(**report)  # type: ignore[arg-type]
             for name, report in frame.progress.rates.items()
         }
+
+    @property
+    def nodes(self) -> int:
+        """Number of nodes of the largest field in a box; zero before there is one."""
+        laid = [field.layout for field in self.fields.values() if field.laid]
+        boxes = [layout.box.shape for layout in laid if isinstance(layout, BoxLayout)]
+        return max((math.prod(shape) for shape in boxes), default=0)
 
     def snapshot(self) -> dict[str, Field]:
         """Return the fields as they were last solved."""

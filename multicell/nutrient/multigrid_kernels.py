@@ -24,7 +24,7 @@ from numba import njit
 from multicell.compiling import INLINED, KERNEL
 
 _F = TypeVar("_F", bound=Callable[..., Any])
-_jit = cast(Callable[[_F], _F], njit(**KERNEL, error_model="numpy", nogil=True))
+_jit = cast(Callable[[_F], _F], njit(**KERNEL, nogil=True))
 # calls for each row would take as long as what they do
 _inline = cast(Callable[[_F], _F], njit(**INLINED, nogil=True))
 

@@ -12,7 +12,7 @@ from multicell.compiling import KERNEL
 from multicell.nutrient.uptake import uptake_and_slope
 
 _F = TypeVar("_F", bound=Callable[..., Any])
-_jit = cast(Callable[[_F], _F], njit(**KERNEL, error_model="numpy"))
+_jit = cast(Callable[[_F], _F], njit(**KERNEL))
 
 
 @_jit

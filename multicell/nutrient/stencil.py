@@ -32,7 +32,7 @@ Floats = FloatArray | Float32Array
 _F = TypeVar("_F", bound=Callable[..., Any])
 # No fastmath: with it, a function compiled now and the same one read from numba's disk cache were
 # seen to differ in the last bits. Division as NumPy does it has no branch.
-_jit = cast(Callable[[_F], _F], njit(**KERNEL, error_model="numpy", nogil=True))
+_jit = cast(Callable[[_F], _F], njit(**KERNEL, nogil=True))
 _inner = cast(Callable[[_F], _F], njit(**INNER, nogil=True))
 
 
@@ -66,12 +66,11 @@ def _around(p: FloatArray, ghost: FloatArray, i: int, j: int, k: int) -> float:
 def _fill_row(p: FloatArray, ghost: FloatArray, i: int, j: int, row: FloatArray) -> None:
     """Write the sums of neighbours along the last axis to ``row``."""
     nx, ny, nz = p.shape
-    if i == 0 or i == nx - 1 or j == 0 or j == ny - 1 or nz == 1:
-        for k in range(nz):
-            row[k] = _around(p, ghost, i, j, k)
-        return
-    for k in (0, nz - 1):
+    outer = i == 0 or i == nx - 1 or j == 0 or j == ny - 1
+    for k in range(0, nz, 1 if outer else max(nz - 1, 1)):
         row[k] = _around(p, ghost, i, j, k)
+    if outer:
+        return
     a, b, c, d, e = p[i - 1, j], p[i + 1, j], p[i, j - 1], p[i, j + 1], p[i, j]
     for k in range(1, nz - 1):  # no branches, for the vector units
         row[k] = (a[k] + b[k]) + (c[k] + d[k]) + (e[k - 1] + e[k + 1])
@@ -119,7 +118,9 @@ def apply_operator(
     ``rate`` (nx, ny, nz) is the linearised uptake at the nodes in 1/s.
     """
     nx, ny, nz = p.shape
-    row, diagonal = np.empty(nz), np.full(nz, 6.0)
+    row, diagonal = np.empty(nz), np.empty(nz)
+    for k in range(nz):
+        diagonal[k] = 6.0
     product = 0.0
     for i in range(nx):
         for j in range(ny):
@@ -196,7 +197,9 @@ def imbalance_of_planes(
     ``parts``, (3, planes / block), are the sums over each ``block`` of planes.
     """
     ny, nz = c.shape[1:]
-    row, diagonal = np.empty(nz), np.full(nz, 6.0)
+    row, diagonal = np.empty(nz), np.empty(nz)
+    for k in range(nz):
+        diagonal[k] = 6.0
     sinks = np.empty(nz)
     squares, total, size = 0.0, 0.0, 0.0
     for i in range(begin, end):

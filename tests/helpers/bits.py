@@ -58,9 +58,9 @@ class Watch:
             self.shared += answer
             return answer
 
-        def lent(source, pairs, *, shared):
+        def lent(source, pairs, *, shared, **rest):
             self.shared += shared
-            return addressed(source, pairs, shared=shared)
+            return addressed(source, pairs, shared=shared, **rest)
 
         Mechanics._shared, loops.addressed = watched, lent
 

@@ -384,7 +384,10 @@ def test_rebuild_inside_numba_gives_the_list_of_build(scale, chunk):
     expected = neighbours.build(position, radius, 0.7, chunk=chunk)
     launch()
     for run in (neighbours.rebuild, neighbours.rebuild_parallel):
-        crowded, first, second, start, inner_end, outer_end = run(position, radius, 0.7, chunk)
+        none = np.empty(0, dtype=np.int32)
+        crowded, first, second, start, inner_end, outer_end = run(
+            position, radius, 0.7, chunk, none, none
+        )
         assert not crowded
         for c in range(len(start)):
             part = slice(start[c], outer_end[c])

@@ -8,6 +8,8 @@ from strategies import cluster
 from multicell.mechanics import neighbours
 from multicell.threads import launch
 
+NONE = np.empty(0, dtype=np.int32)
+
 
 def stray(position):
     """Return the cells with two of them so far away that bins are sparse."""
@@ -25,7 +27,7 @@ def test_compiled_and_called_lists_are_the_same(place, chunk, run):
     position = place(position)
     found = neighbours.build(position, radius, 0.5, 1, chunk)
     launch()
-    crowded, *arrays = getattr(neighbours, run)(position, radius, 0.5, chunk)
+    crowded, *arrays = getattr(neighbours, run)(position, radius, 0.5, chunk, NONE, NONE)
     assert not crowded
     compiled = neighbours.PairList(*arrays, chunk, len(position))
     for name in ("start", "inner_end", "outer_end"):
@@ -42,5 +44,23 @@ def test_compiled_and_called_lists_are_the_same(place, chunk, run):
 
 
 def test_compiled_lists_tell_when_there_are_too_many_pairs():
-    crowded, *_ = neighbours.rebuild(np.zeros((20_000, 3)), np.full(20_000, 0.5), 0.0, 2048)
+    places, radius = np.zeros((20_000, 3)), np.full(20_000, 0.5)
+    crowded, *_ = neighbours.rebuild(places, radius, 0.0, 2048, NONE, NONE)
     assert crowded
+
+
+@pytest.mark.parametrize("run", ["rebuild", "rebuild_parallel"])
+def test_a_list_is_built_into_the_room_of_another_if_there_is_enough(run):
+    position, radius, _ = cluster(700, 3, variation=0.3)
+    launch()
+    found = neighbours.build(position, radius, 0.5, 1, 100)
+    for size in (len(found.first) - 1, len(found.first), 2 * len(found.first)):
+        room = np.full(size, -1, dtype=np.int32), np.full(size, -1, dtype=np.int32)
+        build = getattr(neighbours, run)
+        crowded, first, second, *ends = build(position, radius, 0.5, 100, *room)
+        assert not crowded
+        enough = size >= len(found.first)
+        assert np.shares_memory(first, room[0]) == enough
+        assert np.shares_memory(second, room[1]) == enough
+        again = neighbours.PairList(first, second, *ends, 100, 700)
+        np.testing.assert_array_equal(again.pairs(), found.pairs())

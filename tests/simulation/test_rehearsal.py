@@ -9,8 +9,9 @@ from types import SimpleNamespace
 import pytest
 
 import multicell as mc
-from multicell import rehearsal
-from multicell.rehearsal import Rehearsal
+from multicell import rehearsal, runner
+from multicell.nutrient.steady import MANY
+from multicell.rehearsal import FIRST_CONTACT, MANY_NODES, OTHER_METHODS, Rehearsal
 
 SIZE = 800
 SCENE = mc.load_scene("growth")
@@ -43,21 +44,22 @@ def started(monkeypatch):
     """Return the processes that are started, which do nothing."""
     processes = []
 
-    def start(law, work):
+    def start(scene, work, acts, urgent=False):
         processes.append(Process())
-        processes[-1].work = work
+        processes[-1].work, processes[-1].acts, processes[-1].urgent = work, acts, urgent
         return processes[-1]
 
     monkeypatch.setattr(rehearsal, "_started", start)
     monkeypatch.setattr(rehearsal, "_worth_while", lambda: True)
     monkeypatch.setattr(rehearsal, "_on_disk", lambda *item: False)
+    monkeypatch.setattr(rehearsal, "_listed", lambda function: [])
     monkeypatch.setattr(rehearsal, "wanted_drivers", lambda: [("drivers", "", ())])
     monkeypatch.setattr(rehearsal, "wanted_methods", lambda: [("methods", "", ())])
     return processes
 
 
-def grown(cells, size=SIZE):
-    return SimpleNamespace(cells=range(cells), shared_from=size)
+def grown(cells, size=SIZE, nodes=0):
+    return SimpleNamespace(cells=range(cells), shared_from=size, nodes=nodes)
 
 
 def test_one_process_starts_well_before_the_size_and_is_waited_for_there(started):
@@ -86,9 +88,9 @@ def test_a_long_run_has_another_method_compiled_after_what_was_asked_for_before(
     watching.watch(grown(SIZE // 2))
     now[0] = 2.0 * rehearsal._LONG
     watching.watch(grown(SIZE // 2))
-    assert [process.work[0][0] for process in started] == ["drivers"]
+    assert [process.work for process in started] == [[("drivers", "", ())]]
     watching.watch(grown(SIZE))
-    assert [process.work[0][0] for process in started] == ["drivers", "methods"]
+    assert [process.acts for process in started] == [[], [OTHER_METHODS]]
     for _ in range(3):
         watching.watch(grown(2 * SIZE))
     assert started[1].calls == []
@@ -100,6 +102,51 @@ def test_a_method_that_is_named_is_the_only_one(started, monkeypatch):
     monkeypatch.setattr(rehearsal, "_LONG", 0.0)
     watching = Rehearsal(SCENE.with_changes({"integrator": "euler"}))
     watching.watch(grown(1))
+    assert not started
+
+
+def test_what_two_cells_need_is_compiled_while_there_is_one(started):
+    scene = mc.load_scene("spheroid")
+    watching = Rehearsal(scene)
+    watching.begin(scene)
+    (process,) = started
+    assert (process.work, process.acts, process.urgent) == ([], [FIRST_CONTACT], True)
+    watching.watch(grown(1))
+    assert process.calls == []
+    watching.watch(grown(2))
+    watching.watch(grown(3))
+    assert process.calls == [("wait", rehearsal._LONGEST_WAIT)]
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"initial.count": 2}, {"motility": {}}, {"domain": {axis: [-50.0, 50.0] for axis in "xyz"}}],
+    ids=["two cells", "one that moves", "walls"],
+)
+def test_what_the_first_step_needs_is_not_left_to_another_process(started, changes):
+    scene = mc.load_scene("spheroid").with_changes(changes)
+    Rehearsal(scene).begin(scene)
+    assert not started
+
+
+def test_one_thread_asks_for_no_other_core(started):
+    scene = mc.load_scene("spheroid")
+    Rehearsal(scene, 1).begin(scene)
+    assert not started
+
+
+def test_the_solver_for_many_nodes_is_compiled_well_before_there_are_as_many(started):
+    scene = mc.load_scene("spheroid")
+    watching = Rehearsal(scene)
+    watching.watch(grown(SIZE // 100, nodes=MANY // 8 - 1))
+    assert not started
+    watching.watch(grown(SIZE // 100, nodes=MANY // 8))
+    watching.watch(grown(SIZE // 100, nodes=MANY))
+    assert [process.acts for process in started] == [[MANY_NODES]]
+
+
+def test_a_scene_without_fields_needs_no_solver_of_theirs(started):
+    Rehearsal(SCENE).watch(grown(1, nodes=MANY // 8))
     assert not started
 
 
@@ -134,11 +181,12 @@ def test_nothing_starts_where_there_is_no_core_for_it(started, monkeypatch):
 
 def test_a_run_does_without_where_no_process_can_be_started(monkeypatch):
     monkeypatch.setattr(sys, "executable", "/nowhere/python")
-    assert rehearsal._started("jkr", []) is None
+    assert rehearsal._started(SCENE.to_dict(), [], []) is None
 
 
 def test_a_process_that_cannot_do_what_it_is_asked_ends_silently():
-    code = pickle.dumps("jkr") + pickle.dumps([("multicell.nowhere", "nothing", ())])
+    wanted = [("multicell.nowhere", "nothing", ())], []
+    code = pickle.dumps((False, SCENE.to_dict())) + pickle.dumps(wanted)
     command = [sys.executable, "-m", "multicell.rehearsal"]
     done = subprocess.run(command, input=code, capture_output=True, check=False, timeout=60)
     assert done.returncode == 1
@@ -148,6 +196,7 @@ def test_a_process_that_cannot_do_what_it_is_asked_ends_silently():
 @pytest.mark.parametrize("fails", [False, True])
 def test_it_ends_with_the_run(started, monkeypatch, fails):
     monkeypatch.setattr(mc.Simulation, "shared_from", property(lambda self: SIZE))
+    monkeypatch.setattr(runner, "Rehearsal", lambda scene, threads: Rehearsal(scene))
     scene = mc.load_scene("settle").with_changes({"initial.count": SIZE // 4, "duration": "2 min"})
 
     def progress(simulation):

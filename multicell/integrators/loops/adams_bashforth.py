@@ -18,6 +18,7 @@ import math
 
 import numpy as np
 
+from multicell.integrators.fused import assess, chunks, foresee
 from multicell.integrators.stepping import (
     _SHORTEST,
     DONE,
@@ -28,14 +29,14 @@ from multicell.integrators.stepping import (
     TOO_LONG,
     WORST,
     Report,
-    accepted,
     begun,
     combine,
     compiled,
+    copy,
     displace,
     ended,
     evaluate,
-    furthest_moved,
+    judged,
     moved_on,
     refused,
 )
@@ -77,15 +78,16 @@ def adaptive_adams(source, pairs, position, length, radius, counts, control, pat
     present step; zero for any number.
     """
     slopes = np.empty((3, position.shape[0], 3))
-    trial, error = np.empty_like(position), np.empty_like(position)
+    # a step that is taken changes the places of the two
+    here, trial = position, np.empty_like(position)
+    found = chunks(position)
     old, now, new = 0, 1, 2
     last, tried, first = 0.0, 0, counts[EVALUATIONS]
-    status, pairs = evaluate(source, pairs, 0.0, position, slopes[now])
+    status, pairs = evaluate(source, pairs, 0.0, here, slopes[now])
     if status != DONE:
         return Report(status, 0.0, 0.0, -1, math.inf, math.nan), pairs
     # not further than the neighbour list reaches: a refused trial would cost two lists
-    displace(position, 1.0, slopes[now], trial)
-    cell, moved = furthest_moved(position, trial, radius)
+    cell, moved = foresee(source, 1.0, slopes[now], 0.0, slopes[now], here, radius, trial, found)
     walk = begun(0.5 * length)
     if moved * walk[STEP] > 0.14 * control.max_displacement:
         walk[STEP] = 0.14 * control.max_displacement / moved
@@ -96,62 +98,46 @@ def adaptive_adams(source, pairs, position, length, radius, counts, control, pat
         if step > _SHORTEST * length:
             step = walk[STEP] = left / np.ceil(left / step * (1.0 - 1e-12))
         status = ended(walk, counts, control, length)
-        if status != DONE:
-            return Report(status, elapsed, step, cell, moved, math.nan), pairs
-        if patience and tried >= _TRIED:
+        if status == DONE and patience and tried >= _TRIED:
             expected = counts[EVALUATIONS] - first + left / step
             if expected > patience:
-                return Report(TOO_LONG, elapsed, step, -1, expected, math.nan), pairs
+                status, cell, moved = TOO_LONG, -1, expected
+        if status != DONE:
+            copy(here, position)
+            return Report(status, elapsed, step, cell, moved, math.nan), pairs
         tried += 1
         r = step / last if last > 0.0 else 0.0
-        if last > 0.0:
-            _weigh(
-                step * (1.0 + 0.5 * r), slopes[now], -0.5 * r * step, slopes[old], position, trial
+        ahead, behind, other = step * (1.0 + 0.5 * r), -0.5 * r * step, old
+        if last == 0.0:
+            _, moved = foresee(
+                source, step, slopes[now], 0.0, slopes[now], here, radius, trial, found
             )
-        else:
-            displace(position, step, slopes[now], trial)
-            _, moved = furthest_moved(position, trial, radius)
+            ahead, behind, other = 0.5 * step, 0.5 * step, now
             if moved <= 4.0 * control.max_displacement:
                 status, pairs = evaluate(source, pairs, step, trial, slopes[old])
-                _weigh(0.5 * step, slopes[now], 0.5 * step, slopes[old], position, trial)
-        cell, moved = furthest_moved(position, trial, radius)
+                other = old
+        cell, moved = foresee(
+            source, ahead, slopes[now], behind, slopes[other], here, radius, trial, found
+        )
         if status == DONE and moved <= control.max_displacement:
             status, pairs = evaluate(source, pairs, elapsed + step, trial, slopes[new])
         if refused(walk, counts, control, status, moved):
             continue
         if last > 0.0:
             share = step * (3.0 + 2.0 * r) / (3.0 + 3.0 * r)
-            _milne(share, r, slopes[new], slopes[now], slopes[old], error)
             least = 0.2
         else:
-            _difference(0.5 * step, slopes[new], -0.5 * step, slopes[old], error)
-            least = 0.02
+            # of Heun's and its corrector once more; now counts for nothing
+            share, least = step, 0.02
+        b, c = (-0.5 * (1.0 + r), 0.5 * r) if last > 0.0 else (0.0, -0.5)
+        size, worst = assess(
+            source, 0.5 * share, slopes[new], b * share, slopes[now], c * share, slopes[old],
+            here, trial, control, found,
+        )  # fmt: skip
         # the formula is at its best with equal steps
-        if accepted(walk, counts, control, length, position, trial, error, least, 2.0, True):
+        if judged(walk, counts, control, length, size, worst, least, 2.0, True):
+            here, trial = trial, here
             old, now, new = now, new, old
             last = step
+    copy(here, position)
     return Report(DONE, length, walk[STEP], -1, 0.0, walk[WORST]), pairs
-
-
-@compiled
-def _weigh(a, u, b, v, position, out):
-    """Write position + a u + b v."""
-    x, p, q, y = position.reshape(-1), u.reshape(-1), v.reshape(-1), out.reshape(-1)
-    for k in range(y.size):
-        y[k] = x[k] + a * p[k] + b * q[k]
-
-
-@compiled
-def _difference(a, u, b, v, out):
-    """Write a u + b v."""
-    p, q, y = u.reshape(-1), v.reshape(-1), out.reshape(-1)
-    for k in range(y.size):
-        y[k] = a * p[k] + b * q[k]
-
-
-@compiled
-def _milne(share, r, new, now, old, out):
-    """Write share times what the trapezoidal rule and the Adams-Bashforth formula differ by."""
-    p, q, s, y = new.reshape(-1), now.reshape(-1), old.reshape(-1), out.reshape(-1)
-    for k in range(y.size):
-        y[k] = share * (0.5 * p[k] - (0.5 + 0.5 * r) * q[k] + 0.5 * r * s[k])

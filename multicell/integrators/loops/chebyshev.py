@@ -16,10 +16,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numba.extending import register_jitable
 
-from multicell.compiling import KERNEL
+from multicell.compiling import arithmetic
 from multicell.integrators.stepping import (
     DONE,
     ELAPSED,
@@ -51,7 +50,7 @@ _PROBE = 1e-5
 """Root mean square displacement of a difference quotient, in mean radii."""
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def stable_length(stages):
     """Return β(s): the largest stable product of step and decay rate."""
     w0 = 1.0 + DAMPING / stages**2
@@ -65,7 +64,7 @@ def stable_length(stages):
     return (w0 + 1.0) * b1 / d1
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def coefficients(stages):
     """Return (s + 1, 5) with μ, ν, μ~, γ~ and the time c of each stage."""
     w0 = 1.0 + DAMPING / stages**2
@@ -93,7 +92,7 @@ def coefficients(stages):
     return table
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def _recur(row, step, base, near, far, slope, slope0, out):
     """Write the next stage of the recurrence; as a displacement, to keep rounding small."""
     x0, x1, x2 = base.reshape(-1), near.reshape(-1), far.reshape(-1)
@@ -121,7 +120,7 @@ def _chebyshev(source, pairs, table, position, slope0, elapsed, step, work):
     return DONE, pairs
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def _estimate(step, before, after, slope0, slope, out):
     """Write the estimated error of a step."""
     x, y, f0, f, e = (
@@ -132,7 +131,7 @@ def _estimate(step, before, after, slope0, slope, out):
         e[k] = 0.8 * (x[k] - y[k]) + 0.4 * step * (f0[k] + f[k])
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def scaled(factor, values, out):
     """Write a multiple."""
     x, y = values.reshape(-1), out.reshape(-1)
@@ -140,7 +139,7 @@ def scaled(factor, values, out):
         y[k] = factor * x[k]
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def _dot(radius, a, b):
     total = 0.0
     for i in range(radius.size):
@@ -148,7 +147,7 @@ def _dot(radius, a, b):
     return total
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def _scramble(out):
     """Fill with numbers that have no pattern, the same every time (integer hash)."""
     flat = out.reshape(-1)
@@ -159,7 +158,7 @@ def _scramble(out):
         flat[k] = np.float64(h >> np.uint64(11)) / 2.0**52 - 1.0
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def _mix(radius, vector, other):
     """Replace a vector by the sum of two directions of unit length."""
     one = math.sqrt(_dot(radius, vector, vector))
@@ -171,7 +170,7 @@ def _mix(radius, vector, other):
             vector[i, a] = one * vector[i, a] + (two * other[i, a] if two > 0.0 else 0.0)
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def _dominant(alpha, beta, count):
     """Return the dominant eigenvalue of a small tridiagonal matrix, and its vector."""
     v, w = np.empty(count), np.empty(count)
@@ -238,7 +237,7 @@ def spectral_radius(source, pairs, elapsed, position, slope, radius, vector, cou
     return value + beta[used] * abs(small[used - 1]), pairs
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def stages_for(step, rate, most):
     """Return the number of stages that a step needs."""
     stages = 2

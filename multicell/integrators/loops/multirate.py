@@ -18,11 +18,10 @@ import math
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numba.extending import overload, register_jitable
 from numpy.typing import NDArray
 
-from multicell.compiling import KERNEL
+from multicell.compiling import arithmetic
 from multicell.integrators.stepping import (
     DONE,
     ELAPSED,
@@ -95,7 +94,7 @@ def _compiled_most_short_steps(source):
     return lambda source: most
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def _members(is_fast, pairs, offsets):
     """Return the fast cells and then all that they may touch; places; numbers of pairs."""
     n = is_fast.size
@@ -130,7 +129,7 @@ def _members(is_fast, pairs, offsets):
     return member[:count], fast, place, both, one
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def _fast_pairs(is_fast, pairs, place, both, one):
     """Return the pairs of fast cells: those of two, then those whose first cell is fast."""
     first, second = np.empty(both + one, np.int32), np.empty(both + one, np.int32)
@@ -156,7 +155,7 @@ def _fast_pairs(is_fast, pairs, place, both, one):
     return listed, (both + one) / max(total, 1)
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def _rows_of(values, member):
     """Return rows of an array that may be absent."""
     if values is None:
@@ -168,7 +167,7 @@ def _rows_of(values, member):
     return out
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def _entries_of(values, member):
     out = np.empty(member.size)
     for k in range(member.size):
@@ -176,7 +175,7 @@ def _entries_of(values, member):
     return out
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def _offsets_of(offsets, member, fast, place):
     """Return the division offsets of the fast cells."""
     if offsets is None:
@@ -221,7 +220,7 @@ def _compiled_part(source, pairs, is_fast):
     return run
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def _carry(part, slope, elapsed, step, trial):
     """Move the fast cells in ``trial`` by one short step that begins ``elapsed`` into the long one.
 
@@ -237,7 +236,7 @@ def _carry(part, slope, elapsed, step, trial):
                 part.position[k, a] += (elapsed + step) * slope[i, a]
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def _finish(is_fast, step, slope, trial):
     """Put the slow cells where they are at the end of a step."""
     for i in range(is_fast.size):
@@ -246,7 +245,7 @@ def _finish(is_fast, step, slope, trial):
                 trial[i, a] += step * slope[i, a]
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def _take(part, velocity):
     """Take over the velocities of the fast cells from those of all."""
     for k in range(part.fast):
@@ -286,7 +285,7 @@ def _short_steps(source, pairs, part, is_fast, position, slope, elapsed, step, r
     return DONE, pairs, part, spent
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def _estimate(is_fast, step, ratio, slope, new, error):
     """Write the estimated errors of a step; those of the short steps add up to the same form."""
     for i in range(is_fast.size):
@@ -295,7 +294,7 @@ def _estimate(is_fast, step, ratio, slope, new, error):
             error[i, a] = half * slope[i, a] - half * new[i, a]
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def _grouped(error, is_fast, ratio, most):
     """Choose the fast cells from the errors of a step; return their ratio and the next step.
 
@@ -341,7 +340,7 @@ def _grouped(error, is_fast, ratio, most):
     return chosen, (present / least) ** 0.25
 
 
-@njit(**KERNEL, error_model="numpy")
+@arithmetic
 def _cost(n, fast, ratio, squares):
     """Return the cost of a grouping over the length of step that its errors allow."""
     cost = 1.0 if ratio == 1 else 1.0 + _GROUPED + (ratio - 1) * _PARTIAL * fast / n

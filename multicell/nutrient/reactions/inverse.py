@@ -27,7 +27,7 @@ from multicell.nutrient.operators import AnyOperator, leak
 from multicell.nutrient.spherical import Shells
 
 _F = TypeVar("_F", bound=Callable[..., Any])
-_jit = cast(Callable[[_F], _F], njit(**KERNEL, error_model="numpy"))
+_jit = cast(Callable[[_F], _F], njit(**KERNEL))
 
 Solve = Callable[[FloatArray], FloatArray]
 

@@ -22,7 +22,7 @@ from multicell.schema import build, near_miss
 from multicell.units import shown
 
 _F = TypeVar("_F", bound=Callable[..., Any])
-_jit = cast(Callable[[_F], _F], njit(**KERNEL, error_model="numpy"))
+_jit = cast(Callable[[_F], _F], njit(**KERNEL))
 
 POWER, RISING, FALLING = 0, 1, 2
 """Forms of a factor."""

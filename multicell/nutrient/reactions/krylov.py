@@ -13,7 +13,7 @@ from multicell.compiling import KERNEL
 from multicell.nutrient.stencil import dot
 
 _F = TypeVar("_F", bound=Callable[..., Any])
-_jit = cast(Callable[[_F], _F], njit(**KERNEL, error_model="numpy"))
+_jit = cast(Callable[[_F], _F], njit(**KERNEL))
 
 Map = Callable[[FloatArray], FloatArray]
 

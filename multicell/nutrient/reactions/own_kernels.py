@@ -116,7 +116,7 @@ def _by_differences(rate: Any, m: int) -> Any:
     return at_node
 
 
-@njit(**KERNEL, error_model="numpy")
+@njit(**KERNEL)
 def all_nodes(p, c, tissue, out, slope):
     """Write rates and derivative at all nodes; below zero rates go on along their tangent."""
     m, nodes = c.shape

@@ -36,16 +36,16 @@ _NODE_FRAME: Final = 2.5
 _STEP_ROW: Final = 100.0  # of a row of the history
 _FILE: Final = 70e3  # of the structure of the file, and what is the same for all frames
 
-_START: Final = 1.0  # s until there is a first cell, once all is compiled
+_START: Final = 0.7  # s until there is a first cell, once all is compiled
 _CELL_START: Final = 1.2e-5  # s of placing a cell
-_STEP: Final = 1.5e-3  # s of a coupling step whatever it holds
-_EVALUATION: Final = 2e-5  # s of an evaluation of all forces
-_CELL_EVALUATION: Final = 2.5e-7  # and for each cell: forces, lists, and a share of everything else
+_STEP: Final = 7e-4  # s of a coupling step whatever it holds
+_EVALUATION: Final = 5e-6  # s of an evaluation of all forces
+_CELL_EVALUATION: Final = 2.1e-7  # and for each cell: forces, lists, and a share of everything else
 _FRICTION: Final = 5.0  # times as much where cells rub: velocities are solved for
-_FIELD: Final = 2.5e-3  # s of a field in a step
-_NODE_STEP: Final = 4e-7  # and for each node
-_TRIED: Final = 6e-2  # s of one with a tolerance, whose grid is tried now and then
-_TRIED_SHELLS: Final = 1e-2  # where it can only be shells
+_FIELD: Final = 4e-4  # s of a field in a step
+_NODE_STEP: Final = 1.7e-7  # and for each node
+_TRIED: Final = 8e-3  # s of one with a tolerance, whose grid is tried now and then
+_TRIED_SHELLS: Final = 9e-3  # where it can only be shells
 
 _USUAL_ATOL: Final = 0.1  # µm
 

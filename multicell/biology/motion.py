@@ -1,0 +1,64 @@
+"""What mechanics must know of a scene's cells between two times."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from multicell.biology import adhesion
+from multicell.biology.active_forces import push
+from multicell.biology.cycle import parting
+from multicell.cells import Cells, FloatArray
+from multicell.mechanics.motion import Motion
+from multicell.results import summary
+from multicell.results.observables import contact_rows
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from multicell.scene.scene import Scene
+
+
+def motion_of(
+    scene: Scene,
+    cells: Cells,
+    radius: FloatArray,
+    begin: float,
+    end: float,
+    *,
+    concentrations: Mapping[str, FloatArray],
+    gradients: Mapping[str, FloatArray],
+    contacts: NDArray[np.int64],
+) -> Motion:
+    """Return what mechanics must know of the cells between two times.
+
+    Parameters
+    ----------
+    cells
+        At ``begin``, n of them.
+    radius : (n,), µm
+        At ``end``.
+    begin, end
+        Time, s.
+    concentrations : name -> (n,), mM
+        At the cells; none before there are fields.
+    gradients : name -> (n, 3), mM/µm
+        Of the fields that chemotaxis follows, at the cells.
+    contacts : (m, 2)
+        Identities of the cells that have touched.
+    """
+    length = end - begin
+    rate = (radius - cells.radius) / length if length > 0.0 else np.zeros(len(cells))
+    apart = parting(scene, cells, length)
+    touching = contact_rows(cells, contacts) if summary.remembers_contacts(scene) else None
+    return Motion(
+        cells.radius, rate, cells.young, cells.poisson, begin, end,
+        bonds=adhesion.bonds(scene, cells, concentrations, begin, end),
+        push=push(scene, cells, begin, gradients),
+        kind=cells.kind if scene.types else None,
+        touching=None if touching is None else np.sort(touching, axis=1),
+        offset_pairs=None if apart is None else apart[0],
+        offset=None if apart is None else apart[1],
+    )  # fmt: skip

@@ -1,0 +1,164 @@
+"""Arithmetic of a step on whole populations, each in one pass that threads share.
+
+Memory is what takes the time of many cells, so that a step is made of few passes over it. Each
+works through chunks of cells and notes what it finds for each of them, from which the caller makes
+what holds for all, in the order of the chunks: it has the same bits for any number of threads.
+
+Like the kernels of forces the passes are compiled once, and called by loops at an address. Python
+calls them for one thread.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numba import prange, types
+from numba.extending import intrinsic, overload
+
+from multicell.compiling import address_of, arithmetic, calling
+from multicell.threads import two_drivers
+
+if TYPE_CHECKING:
+    from multicell.cells import FloatArray
+
+_CHUNK = 4096
+"""Cells in a chunk."""
+
+
+@arithmetic
+def chunks(position):
+    """Return room for what is found for each chunk of cells, (chunks, 2)."""
+    return np.empty((-(-position.shape[0] // _CHUNK), 2))
+
+
+def _foresee(a, u, b, v, position, radius, out, found):
+    """Write position + a u + b v; note of each chunk of cells how far one moves in its radius.
+
+    ``found`` is (chunks, 2): the largest square, not a number counting as infinite, and its cell.
+    """
+    for c in prange(found.shape[0]):
+        most, cell = -1.0, c * _CHUNK
+        for i in range(c * _CHUNK, min((c + 1) * _CHUNK, position.shape[0])):
+            x = a * u[i, 0] + b * v[i, 0]
+            y = a * u[i, 1] + b * v[i, 1]
+            z = a * u[i, 2] + b * v[i, 2]
+            out[i, 0] = position[i, 0] + x
+            out[i, 1] = position[i, 1] + y
+            out[i, 2] = position[i, 2] + z
+            square = (x * x + y * y + z * z) / (radius[i] * radius[i])
+            if not square <= most:
+                most, cell = square if square == square else math.inf, i
+        found[c, 0], found[c, 1] = most, cell
+    return found.shape[0]
+
+
+def _assess(a, new, b, now, c, old, position, trial, rtol, atol, found):
+    """Weigh the error a new + b now + c old of a step, slopes; note what each chunk has of it.
+
+    ``found`` is (chunks, 2): the sum of squares over the tolerance, and the largest square of a
+    cell, µm².
+    """
+    for k in prange(found.shape[0]):
+        # three sums, so that none waits for the other
+        x, y, z, worst = 0.0, 0.0, 0.0, 0.0
+        for i in range(k * _CHUNK, min((k + 1) * _CHUNK, position.shape[0])):
+            p = a * new[i, 0] + b * now[i, 0] + c * old[i, 0]
+            q = a * new[i, 1] + b * now[i, 1] + c * old[i, 1]
+            r = a * new[i, 2] + b * now[i, 2] + c * old[i, 2]
+            square = p * p + q * q + r * r
+            p /= atol + rtol * max(abs(position[i, 0]), abs(trial[i, 0]))
+            q /= atol + rtol * max(abs(position[i, 1]), abs(trial[i, 1]))
+            r /= atol + rtol * max(abs(position[i, 2]), abs(trial[i, 2]))
+            x, y, z = x + p * p, y + q * q, z + r * r
+            # keeps what is not a number
+            worst = worst if square <= worst else square
+        found[k, 0], found[k, 1] = x + y + z, worst
+    return found.shape[0]
+
+
+_FORESEE, _ASSESS = two_drivers(_foresee), two_drivers(_assess)
+
+
+def addresses(radius: FloatArray, *, shared: bool) -> dict[str, int]:
+    """Return where the passes are, for one thread or for all; compile them if need be."""
+    place, found = np.empty((0, 3)), np.empty((0, 2))
+    foresee_at = address_of(
+        _FORESEE[shared], 0, 0.0, place, 0.0, place, place, radius, place, found
+    )
+    assess_at = address_of(
+        _ASSESS[shared], 0, 0.0, place, 0.0, place, 0.0, place, place, place, 0.0, 0.0, found
+    )
+    return {"foresee_at": foresee_at, "assess_at": assess_at}
+
+
+def foresee(source, a, u, b, v, position, radius, out, found):
+    """Write position + a u + b v, (n, 3); return who moves furthest, and how far in its radius.
+
+    ``found`` is that of :func:`chunks`. Not a number counts as infinite.
+    """
+    _FORESEE[0](a, u, b, v, position, radius, out, found)
+    return _furthest(found)
+
+
+def assess(source, a, new, b, now, c, old, position, trial, control, found):
+    """Return the size of the error a new + b now + c old of a step, and the worst of a cell, µm.
+
+    The size is the root mean square over the tolerances.
+    """
+    _ASSESS[0](a, new, b, now, c, old, position, trial, control.rtol, control.atol, found)
+    return _overall(found, position.size)
+
+
+@overload(foresee)
+def _compiled_foresee(source, a, u, b, v, position, radius, out, found):
+    def run(source, a, u, b, v, position, radius, out, found):
+        _foresee_at(source.foresee_at, a, u, b, v, position, radius, out, found)
+        return _furthest(found)
+
+    return run
+
+
+@overload(assess)
+def _compiled_assess(source, a, new, b, now, c, old, position, trial, control, found):
+    def run(source, a, new, b, now, c, old, position, trial, control, found):
+        _assess_at(
+            source.assess_at, a, new, b, now, c, old, position, trial, control.rtol, control.atol,
+            found,
+        )  # fmt: skip
+        return _overall(found, position.size)
+
+    return run
+
+
+@intrinsic
+def _foresee_at(context: Any, address, a, u, b, v, position, radius, out, found):
+    """Call :func:`_foresee`, or what shares its loop, at an address."""
+    return calling(types.int64, address, a, u, b, v, position, radius, out, found)
+
+
+@intrinsic
+def _assess_at(context: Any, address, a, new, b, now, c, old, place, trial, rtol, atol, found):
+    """Call :func:`_assess`, or what shares its loop, at an address."""
+    return calling(types.int64, address, a, new, b, now, c, old, place, trial, rtol, atol, found)
+
+
+@arithmetic
+def _furthest(found):
+    """Return the cell that moves furthest, in its radius, and how far."""
+    k = 0
+    for c in range(found.shape[0]):
+        if found[c, 0] > found[k, 0]:
+            k = c
+    return np.int64(found[k, 1]), math.sqrt(found[k, 0])
+
+
+@arithmetic
+def _overall(found, numbers):
+    """Return the weighted root mean square of an error, and the longest error of a cell, µm."""
+    total, worst = 0.0, 0.0
+    for c in range(found.shape[0]):
+        total += found[c, 0]
+        worst = found[c, 1] if not found[c, 1] <= worst else worst
+    return math.sqrt(total / numbers), math.sqrt(worst)
