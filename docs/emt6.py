@@ -24,9 +24,11 @@ from emt6_fit import (
     EARLY,
     HALVES,
     RANGES,
+    RULES,
     Measured,
     deviations,
     fit,
+    fit_rule,
     growth_errors,
     measured,
     profile,
@@ -53,6 +55,7 @@ def main() -> None:
     known = Tissue.of(mc.load_scene("emt6"), PACKING)
     tell("scene emt6 as a ball along its radius", known, data)
     if "fit" in only:
+        rules(data)
         fits(data)
     if "profiles" in only:
         profiles(data, known)
@@ -98,6 +101,15 @@ def tell(name: str, tissue: Tissue, data: Measured) -> None:
         f"{diameters[-1]:+.2f}",
         flush=True,
     )
+
+
+def rules(data: Measured) -> None:
+    """Fit each rule of death to all rims."""
+    for name, free in RULES.items():
+        best, off = fit_rule(data, free)
+        told = {key: float(f"{getattr(best, key):.3g}") for key in free if hasattr(best, key)}
+        print(f"{name}: {len(free)} parameters {told}, thresholds {best.thresholds}")
+        print(f"  off by {np.round(off, 1).tolist()} sd: rms {rms(off):.2f}", flush=True)
 
 
 def fits(data: Measured) -> None:

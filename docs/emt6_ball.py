@@ -6,7 +6,9 @@ not stirred; living tissue takes them up, the core within radius a does not:
     D_o (r² o')' / r² = V_o f(g) o / (K_o + o),    f = 1 + e h / (h + g)      (Crabtree effect)
     D_g (r² g')' / r² = V_g g / (K_g + g),         no flow at a
 
-and the core ends where the ATP made, P = 5 q_o + 2 q_g, is the least that cells live on. A spheroid
+and the core ends where the ATP made, P = 5 q_o + 2 q_g, is the least that cells live on. For
+comparison it may end where either field is below a threshold of its own, and uptake of glucose may
+rise where oxygen is short, by 1 + e' h' / (h' + o) (Pasteur effect). A spheroid
 grows by ln 2 / T P / (K_P + P) in its living part and loses what is dead with a time τ:
 
     dV/dt = ∫ ln 2 / T P / (K_P + P) dV - V_core / τ
@@ -50,6 +52,10 @@ class Tissue:
         Tissue for each living cell.
     start : µm
         Radius at the start.
+    thresholds : mM
+        Of oxygen and glucose, for a core that ends where either is reached; or None.
+    pasteur, pasteur_half : 1, mM
+        e' and h'.
     """
 
     oxygen: float
@@ -67,6 +73,9 @@ class Tissue:
     half_glucose: float = 0.04
     diffusion: tuple[float, float] = (1750.0, 105.0)
     medium: tuple[float, float] = (2600.0, 650.0)
+    thresholds: tuple[float, float] | None = None
+    pasteur: float = 0.0
+    pasteur_half: float = 1.0
 
     @classmethod
     def of(cls, scene, packing: float) -> Tissue:
@@ -93,9 +102,11 @@ class Tissue:
     @property
     def packed(self) -> Array:
         """The parameters of the fields, as the kernels read them."""
+        either = self.thresholds or (0.0, 0.0)
         return np.array([
             self.oxygen, self.glucose, self.half_oxygen, self.half_glucose, self.crabtree,
             self.half, *self.diffusion, *self.medium, self.layer, self.least,
+            *either, self.pasteur, self.pasteur_half,
         ])  # fmt: skip
 
 
@@ -104,10 +115,10 @@ def _uptake(p: Array, o: float, g: float):
     """Return both uptakes, and those derivatives that are not zero: o by o, o by g, g by g."""
     factor = 1.0 + p[4] * p[5] / (p[5] + g)
     change = -p[4] * p[5] / (p[5] + g) ** 2
-    share, taken = o / (p[2] + o), p[1] * g / (p[3] + g)
+    share, most = o / (p[2] + o), p[1] * (1.0 + p[14] * p[15] / (p[15] + o))
     return (
-        p[0] * factor * share, taken, p[0] * factor * p[2] / (p[2] + o) ** 2,
-        p[0] * change * share, p[1] * p[3] / (p[3] + g) ** 2,
+        p[0] * factor * share, most * g / (p[3] + g), p[0] * factor * p[2] / (p[2] + o) ** 2,
+        p[0] * change * share, most * p[3] / (p[3] + g) ** 2,
     )  # fmt: skip
 
 
@@ -170,6 +181,8 @@ def _excess(p: Array, a: float, radius: float, medium: Array, o: Array, g: Array
                 # nothing flows there: a parabola through the two innermost
                 inner_o = max(o[0] - (o[1] - o[0]) / 8.0, 0.0)
                 inner_g = max(g[0] - (g[1] - g[0]) / 8.0, 0.0)
+                if p[12] > 0.0:
+                    return min(inner_o / p[12], inner_g / p[13]) - 1.0
                 return _made(p, inner_o, inner_g) - p[11]
         o[:] = medium[0]
         g[:] = medium[1]

@@ -152,3 +152,49 @@ def profile(
             near, squares = fit(data, everything, np.inf, fixed={name: value}, near=near)
             found.append((value, squares))
     return sorted(found)
+
+
+RULES = {
+    "either is short": ("oxygen", "glucose", "layer", "no", "ng"),
+    "either is short, Crabtree": ("oxygen", "glucose", "layer", "no", "ng", "crabtree", "half"),
+    "too little ATP": ("oxygen", "glucose", "layer", "least"),
+    "too little ATP, Crabtree": ("oxygen", "glucose", "layer", "least", "crabtree", "half"),
+    "too little ATP, Crabtree and Pasteur": (
+        "oxygen", "glucose", "layer", "least", "crabtree", "half", "pasteur", "pasteur_half",
+    ),
+}  # fmt: skip
+"""When cells die, and the parameters that are fitted to the rims alone."""
+MORE = {"no": (1e-4, 0.05), "ng": (1e-3, 3.0), "pasteur": (0.05, 5.0), "pasteur_half": (3e-3, 1.0)}
+PASTEUR = (1.4, 0.1)
+"""Uptake of glucose at 0.023 over that at 0.21 mM of oxygen (Casciari et al. 1992)."""
+
+
+def fit_rule(data: Measured, names: tuple[str, ...], starts: int = 8) -> tuple[Tissue, Array]:
+    """Return the best tissue of a rule, and its rims' deviations, fitted to all rims."""
+    ranges = RANGES | MORE
+    low, high = np.log(np.array([ranges[name] for name in names])).T
+
+    def made(place: Array) -> Tissue:
+        given = dict(zip(names, np.exp(place).tolist(), strict=True))
+        ends = (given.pop("no"), given.pop("ng")) if "no" in given else None
+        values = {"crabtree": 0.0, "half": 1.0, "least": 1.0} | given
+        return Tissue(**values, thresholds=ends)
+
+    def function(place: Array) -> Array:
+        tissue, known = made(place), []
+        if "crabtree" in names:
+            most = [1.0 + tissue.crabtree * tissue.half / (tissue.half + g) for g in (0.4, 5.5)]
+            known.append((most[0] / most[1] - CRABTREE[0]) / CRABTREE[1])
+        if "pasteur" in names:
+            h = tissue.pasteur_half
+            most = [1.0 + tissue.pasteur * h / (h + o) for o in (0.023, 0.21)]
+            known.append((most[0] / most[1] - PASTEUR[0]) / PASTEUR[1])
+        return np.nan_to_num(np.concatenate([deviations(tissue, data), known]), nan=100.0)
+
+    places = low + (high - low) * np.random.default_rng(0).random((400, len(names)))
+    places = sorted(places, key=lambda x: float(np.square(function(x)).sum()))[:starts]
+    found = [
+        least_squares(function, x, bounds=(low, high), diff_step=2e-3, max_nfev=80) for x in places
+    ]
+    best = made(min(found, key=lambda one: float(one.cost)).x)
+    return best, deviations(best, data)
