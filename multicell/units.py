@@ -52,6 +52,7 @@ COMMON = {
     "nN/um": {"mN/m": 1.0, "N/m": 1000.0, "nN/µm": 1.0},
     "kPa s": {"Pa s": 0.001, "kPa*s": 1.0, "Pa*s": 0.001},
     "um^2/s": {"µm^2/s": 1.0, "µm²/s": 1.0, "m^2/s": 1e12, "cm^2/s": 1e8, "mm^2/s": 1e6},
+    "mM/s": {"amol/s/um^3": 1.0, "amol/s/µm^3": 1.0},
     "mM": {"uM": 0.001, "µM": 0.001, "nM": 1e-6, "M": 1000.0, "mol/m^3": 1.0},
 }
 """What pint makes of common units, as numbers of the base unit that is the outer key."""

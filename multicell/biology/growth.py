@@ -32,7 +32,8 @@ def growth_factor(
 ) -> FloatArray:
     """Return how fast cells would grow here, as a fraction of unlimited growth.
 
-    The factor is the product of Monod's c / (K + c) over all nutrients that growth needs, of
+    The factor is the product of Monod's c / (K + c) over all nutrients that growth needs, and of
+    the ATP made in place of c where the scene has ``energy`` limit it, of
     I / (I + c) over those that inhibit it, and of min(1, max(0, 1 - p / p_crit)): pressure slows
     growth linearly and stops it at the critical pressure, tension does not speed it up. It
     describes the surroundings only; which cells do grow is decided by their state in
@@ -72,6 +73,9 @@ def growth_factor(
             factor *= c / (nutrient.growth_half_saturation + c)
         if nutrient.growth_inhibition is not None:
             factor *= nutrient.growth_inhibition / (nutrient.growth_inhibition + c)
+    if scene.energy is not None and scene.energy.growth_half_saturation is not None:
+        made = scene.energy.supply(scene.nutrients, concentrations)
+        factor *= made / (scene.energy.growth_half_saturation + made)
     critical = scene.growth.critical_pressure
     if critical is not None:
         factor *= np.minimum(1.0, np.maximum(0.0, 1.0 - pressure / critical))

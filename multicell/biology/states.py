@@ -39,12 +39,13 @@ def update_states(
     """Return the new state of each cell.
 
     A cell turns necrotic where a nutrient is below its ``necrosis`` threshold, or above
-    ``necrosis_above``, at once or at a rate (:func:`multicell.biology.death.necrotic`), and
-    stays so for ever; one whose life by apoptosis has run out turns apoptotic. Another cell
-    that is due to decide (:func:`deciding`) rests (quiescent) if a nutrient is below its
-    ``quiescence`` threshold or its pressure reaches the critical pressure, and proliferates if
-    neither holds. A scene that has neither nutrients nor a critical pressure leaves all states
-    as they are.
+    ``necrosis_above``, or where too little ATP is made (``energy``), at once or at a rate
+    (:func:`multicell.biology.death.necrotic`), and stays so for ever; one whose life by
+    apoptosis has run out turns apoptotic. Another cell that is due to decide (:func:`deciding`)
+    rests (quiescent) if a nutrient is below its ``quiescence`` threshold, if too little ATP is
+    made, or if its pressure reaches the critical pressure, and proliferates if none of them
+    holds. A scene that has neither nutrients nor a critical pressure leaves all states as they
+    are.
 
     Parameters
     ----------
@@ -115,6 +116,8 @@ def _beyond(
             beyond |= c < nutrient.necrosis
         if nutrient.necrosis_above is not None:
             beyond |= c > nutrient.necrosis_above
+    if scene.energy is not None and scene.energy.necrosis is not None:
+        beyond |= scene.energy.supply(scene.nutrients, concentrations) < scene.energy.necrosis
     return beyond
 
 
@@ -134,6 +137,8 @@ def unfavourable(
     for name, nutrient in scene.nutrients.items():
         if nutrient.quiescence is not None:
             resting |= np.asarray(concentrations[name]) < nutrient.quiescence
+    if scene.energy is not None and scene.energy.quiescence is not None:
+        resting |= scene.energy.supply(scene.nutrients, concentrations) < scene.energy.quiescence
     return resting
 
 

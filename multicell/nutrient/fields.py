@@ -375,7 +375,8 @@ class Feeding:
         """Return each cell's largest uptake, (n,) amol/s."""
         nutrient = self._nutrients[name]
         active = self._active("uptake", name, cells)
-        capacity = nutrient.uptake * active
+        volume = 0.0 if nutrient.uptake_per_volume is None else cells.volume
+        capacity = nutrient.largest_uptake(volume) * active
         if nutrient.uptake_on:
             capacity *= dependence(nutrient, self.concentrations, len(cells))
         return np.asarray(capacity)
@@ -466,6 +467,5 @@ def dependence(
     """
     factor = np.ones(count)
     for other, law in nutrient.uptake_on.items():
-        g = concentrations[other]
-        factor *= 1.0 + law.effect * law.half / (law.half + g)
+        factor *= law.factor(concentrations[other])
     return factor

@@ -135,11 +135,11 @@ def _check_names(scene: Scene, path: str, nutrient: Nutrient) -> None:
     for key in ("secretion_by_state", "secretion_by_phase"):
         if getattr(nutrient, key) and nutrient.secretion == 0.0:
             raise SceneError(f"{path}.{key}", "has no effect: secretion is zero")
-    if nutrient.uptake_on and nutrient.uptake == 0.0:
+    if nutrient.uptake_on and not nutrient.takes_up:
         hint = "Give an uptake, or remove uptake_on."
         raise SceneError(f"{path}.uptake_on", "has no effect: uptake is zero", hint)
     for other in nutrient.secretion_from or ():
-        if scene.nutrients[other].uptake == 0.0:
+        if not scene.nutrients[other].takes_up:
             hint = "What is secreted from a field's uptake needs that uptake."
             raise SceneError(f"{path}.secretion_from.{other}", "is a field with no uptake", hint)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import partial
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
@@ -24,6 +24,9 @@ from multicell.schema import (
 
 MOST = 1e5
 """Largest concentration, mM: more than pure water, 55,500 mM."""
+
+USUAL_UPTAKE = 20.0
+"""Largest uptake of a cell where a scene says nothing of it, amol/s: oxygen, by its order."""
 
 _DENSE = "Nothing dissolves to more: pure water is 55,500 mM."
 _FLUX = "A cell that takes up its own volume of pure water in a second has 3e7 amol/s."
@@ -95,6 +98,10 @@ class Dependence:
         at_least=-1, at_most=1e6, doc="relative change of the uptake where g is zero"
     )
     half: float = quantity("mM", above=0, at_most=MOST, doc="concentration g of half the effect")
+
+    def factor(self, g: Any) -> Any:
+        """Return the factor on the largest uptake where the other field's concentration is g."""
+        return 1.0 + self.effect * self.half / (self.half + g)
 
 
 _ends = partial(interval, "um", at_least=-1e6, at_most=1e6)
@@ -218,7 +225,17 @@ class Nutrient:
     )
     perfusion: float = _rate(doc="exchange with the medium everywhere, a flow through")
     decay: float = _rate(doc="first-order decay")
-    uptake: float = _flux(default=20.0, doc="largest uptake of a cell")
+    uptake: float | None = _flux(
+        default=None, doc="largest uptake of a cell; absent: 20 amol/s, or uptake_per_volume"
+    )
+    uptake_per_volume: float | None = quantity(
+        "mM/s",
+        default=None,
+        at_least=0,
+        at_most=1e6,
+        doc="largest uptake of a cell over its volume, amol/s/um^3, in place of uptake",
+        hint="A cell of 2000 um^3 that takes up 40 amol/s has 0.02 amol/s/um^3.",
+    )
     half_saturation: float = quantity(
         "mM",
         default=0.005,
@@ -327,7 +344,13 @@ class Nutrient:
     )
 
     def check(self) -> None:
-        """Raise ``SceneError`` for keys that do not fit together."""
+        """Raise ``SceneError`` for keys that do not fit together; fill in the usual uptake."""
+        if self.uptake_per_volume is None and self.uptake is None:
+            object.__setattr__(self, "uptake", USUAL_UPTAKE)
+        elif self.uptake_per_volume is not None and self.uptake is not None:
+            problem = "and uptake are given both, must be one of them"
+            hint = "uptake is that of a cell whatever its size; remove one of them."
+            raise SceneError("uptake_per_volume", problem, hint)
         if self.tolerance is not None and self.spacing is not None:
             problem = "cannot stand beside a spacing, which it chooses"
             raise SceneError("tolerance", problem, "Give one of them.")
@@ -348,6 +371,20 @@ class Nutrient:
                 "thresholds in the wrong order"
             )
             raise SceneError("necrosis", problem, "Starving cells first rest, then die.")
+
+    @property
+    def takes_up(self) -> bool:
+        """Whether any cell takes it up at all."""
+        return bool(self.uptake or self.uptake_per_volume)
+
+    def largest_uptake(self, volume: Any) -> Any:
+        """Return the largest uptake in amol/s of cells with these volumes in µm³.
+
+        A number where it does not depend on the volume, else what ``volume`` is.
+        """
+        if self.uptake_per_volume is None:
+            return self.uptake
+        return self.uptake_per_volume * volume
 
     @property
     def layout(self) -> str:

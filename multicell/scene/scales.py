@@ -96,7 +96,8 @@ class Scales:
 def scales(scene: Scene, name: str) -> Scales:
     """Return the scales of a field of a scene."""
     nutrient = scene.nutrients[name]
-    demand = nutrient.uptake / (SPHERE * _typical_radius(scene) ** 3)
+    typical = SPHERE * _typical_radius(scene) ** 3
+    demand = float(nutrient.largest_uptake(typical)) / typical
     supply = nutrient.diffusion * nutrient.highest
     depth = math.sqrt(2.0 * supply / demand) if demand > 0.0 else math.inf
     radius = tissue_radius(scene)

@@ -23,6 +23,7 @@ from multicell.plugins import OWN_OBJECT
 from multicell.scene.checks import check_integrator, check_nutrients, check_output, check_types
 from multicell.scene.coupling import AUTO, USUAL
 from multicell.scene.domain import check_domain
+from multicell.scene.energy import Energy, check_energy
 from multicell.scene.nutrient import Nutrient
 from multicell.scene.oxygen import in_concentrations
 from multicell.scene.parts import (
@@ -86,7 +87,7 @@ class Scene:
         The run ends after the coupling step in which this many cells exist.
     initial, cells, contact, drag, integrator, output
         The parts that each scene has.
-    growth, death, adhesion, friction, motility, pull, domain
+    growth, death, adhesion, friction, motility, pull, domain, energy
         None where the scene has no such part.
     types : mapping of name to CellType, read-only
         Empty where all cells are alike.
@@ -139,6 +140,7 @@ class Scene:
         doc="absent: no cell ever starves",
         prepare=in_concentrations,
     )
+    energy: Energy | None = table(Energy, default=None, doc="absent: fields act each by itself")
     reactions: Mapping[str, Reaction] = tables(
         Reaction, default_factory=Tables, doc="between fields; absent: none"
     )
@@ -160,6 +162,7 @@ class Scene:
             raise SceneError("contact.smoothing", problem, "0 turns it off.")
         check_domain(self)
         check_nutrients(self)
+        check_energy(self)
         if self.reactions:
             from multicell.scene.reaction_checks import check_reactions
 

@@ -32,6 +32,7 @@ NAMES = {
     "receptor_by": FIELDS,
     "ligand_by": FIELDS,
     "uptake_of": FIELDS,
+    "yields": FIELDS,
     "secretion_of": FIELDS,
     "secretion_by_state": tuple(state.name.lower() for state in State),
     "uptake_by_phase": tuple(Phase.__members__),
@@ -63,6 +64,7 @@ USUAL = {
     "kPa s/um": (1e-3, 1.0),
     "um^2/s": (10.0, 3000.0),
     "mM": (1e-3, 0.5),
+    "mM/s": (1e-4, 0.02),
     "mM/um": (1e-6, 1e-3),
     "amol/s": (0.1, 50.0),
     "amol/s/um^2": (1e-5, 1e-2),
@@ -81,6 +83,7 @@ OTHER_UNITS = {
     "um^2/s": ("mm**2/h", "um*um/s", "cm^2 s^-1"),
     "mM": ("mol/m^3", "uM", "amol/um^3"),
     "amol/s": ("fmol/min", "amol s**-1"),
+    "mM/s": ("amol/s/um^3", "mM/min"),
     "1/s": ("1/h", "Hz", "s^-1"),
 }
 """Other ways to write a unit, with other factors."""
@@ -320,6 +323,7 @@ def fitted(entries):
     for number, (name, field) in enumerate(fields.items()):
         _fit_field(scene, field, list(fields)[:number], fields, flat)
         assert name in fields
+    _fit_energy(scene, fields)
     scene["chemotaxis"] = {n: x for n, x in scene.get("chemotaxis", {}).items() if n in fields}
     if flat and scene.get("haptotaxis", {}).get("axis") == "z":
         scene["haptotaxis"]["axis"] = "y"
@@ -479,14 +483,20 @@ def _fit_types(scene, types, fields):
             del scene["adhesion"]
 
 
+def _takes_up(field):
+    return base(field.get("uptake_per_volume", field.get("uptake", 20.0))) > 0.0
+
+
 def _fit_field(scene, field, earlier, fields, flat):
     for key in ("uptake_on", "secretion_from"):
         if key in field:
             field[key] = {name: x for name, x in field[key].items() if name in earlier}
-    if field.get("uptake_on") and base(field.get("uptake", 20.0)) == 0.0:
+    if "uptake_per_volume" in field:
+        field.pop("uptake", None)
+    if field.get("uptake_on") and not _takes_up(field):
         del field["uptake_on"]
     for name in list(field.get("secretion_from", {})):
-        if base(fields[name].get("uptake", 20.0)) == 0.0:
+        if not _takes_up(fields[name]):
             del field["secretion_from"][name]
     _fit_secretion(scene, field)
     radius = base(scene.get("cells", {}).get("division_radius", 5.0))
@@ -520,6 +530,27 @@ def _fit_field(scene, field, earlier, fields, flat):
     if "necrosis" in field and "quiescence" in field:
         low, high = sorted((base(field["necrosis"]), base(field["quiescence"])))
         field["necrosis"], field["quiescence"] = low, high if high > low else 2.0 * low + 1e-3
+
+
+def _fit_energy(scene, fields):
+    """Let ATP come from fields whose uptake is that of a volume, and have an effect."""
+    energy = scene.get("energy")
+    if energy is None:
+        return
+    made = {
+        name: gain for name, gain in energy.get("yields", {}).items()
+        if gain > 0.0 and "uptake_per_volume" in fields.get(name, {})
+    }  # fmt: skip
+    if not made:
+        del scene["energy"]
+        return
+    energy["yields"] = made
+    effects = {"growth_half_saturation", "quiescence", "necrosis"}
+    if not effects & energy.keys():
+        energy["necrosis"] = 1e-4
+    if "necrosis" in energy and "quiescence" in energy:
+        low, high = sorted((base(energy["necrosis"]), base(energy["quiescence"])))
+        energy["necrosis"], energy["quiescence"] = low, high if high > low else 2.0 * low + 1e-6
 
 
 def _fit_secretion(scene, field):

@@ -35,10 +35,9 @@ def refusal(entries):
 
 def test_built_in_scenes_have_names_and_titles():
     assert scene_names() == [
-        "chemotaxis", "division-shock", "dosing", "doublet", "doublet-settle", "emt6", "grow-2000",
-        "growth", "monolayer", "settle", "settle-1000", "sorting", "sorting-cams",
-        "sorting-signal", "spheroid",
-        "stiff-inclusions", "treatment",
+        "chemotaxis", "division-shock", "dosing", "doublet", "doublet-settle", "emt6", "emt6-rim",
+        "grow-2000", "growth", "monolayer", "settle", "settle-1000", "sorting", "sorting-cams",
+        "sorting-signal", "spheroid", "stiff-inclusions", "treatment",
     ]  # fmt: skip
     titles = {load_scene(name).title for name in scene_names()}
     assert len(titles) == len(scene_names())

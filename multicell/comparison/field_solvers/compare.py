@@ -320,7 +320,7 @@ def _smallest(
     notes: list[str],
 ) -> Case | None:
     """Return the transient with fewest nodes, of the first field that cells take up."""
-    eaten = [x for x in ladders if scene.nutrients[x[0]].uptake > 0.0]
+    eaten = [x for x in ladders if scene.nutrients[x[0]].takes_up]
     if not eaten or not len(frame.cells):
         notes.append("no stability map: no cell takes up any field")
         return None

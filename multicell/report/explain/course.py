@@ -10,17 +10,21 @@ out are walls, motion, and whatever is not round.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Final, final
+from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from multicell.cells import SPHERE, FloatArray
+from multicell.scene.checks import solving_order
 from multicell.scene.pairs import drag
 from multicell.scene.sizes import birth_radius, typical_radius
 
 if TYPE_CHECKING:
+    from multicell.scene.energy import Energy
     from multicell.scene.nutrient import Nutrient
     from multicell.scene.parts import Death
     from multicell.scene.scene import Scene
@@ -99,8 +103,12 @@ class _Tissue:
             size = birth_radius(scene) / math.log(2.0) ** (1.0 / 3.0)
         own = SPHERE * size**3 if scene.dimensions == 3 else math.pi * size**2
         self._volume, self._cell_volume = own / _PACKING, SPHERE * size**3 / _PACKING
-        limiting = (f for f in scene.nutrients.values() if _limits(f))
-        self._fields = [_Profile(field, self._dimensions) for field in limiting]
+        needed = _needed(scene)
+        self._fields = {
+            name: _Profile(scene.nutrients[name], self._dimensions)
+            for name in (solving_order(scene.nutrients, scene.reactions) if needed else ())
+            if name in needed
+        }
 
     @property
     def cells(self) -> float:
@@ -134,10 +142,18 @@ class _Tissue:
         share = np.diff(shells**self._dimensions)
         share /= share.sum()
         growth, starved = np.ones(_SHELLS), np.zeros(_SHELLS, dtype=bool)
-        for field in self._fields:
-            level = field.solve(shells, begin, end, self._cell_volume)
-            growth *= _growth(field.nutrient, level)
-            starved |= _starved(field.nutrient, level)
+        levels: dict[str, FloatArray] = {}
+        for name, field in self._fields.items():
+            levels[name] = field.solve(shells, begin, end, self._cell_volume, levels)
+            growth *= _growth(field.nutrient, levels[name])
+            starved |= _starved(field.nutrient, levels[name])
+        energy = self._scene.energy
+        if energy is not None:
+            made = energy.supply(self._scene.nutrients, levels)
+            growth *= _of_energy(energy, made)
+            starved |= made < (energy.necrosis or 0.0)
+            for field in self._fields.values():
+                field.rest(made < (energy.quiescence or 0.0))
         growth[starved] = 0.0
         growth *= self._pressed(shells, growth)
         self._grow(float((share * growth).sum()), dt)
@@ -204,6 +220,29 @@ def _limits(field: Nutrient) -> bool:
     return any(effect is not None for effect in effects)
 
 
+def _needed(scene: Scene) -> set[str]:
+    """Return the fields that have an effect on how many cells there are, directly or over others.
+
+    What a field depends on that takes part in reactions is left out, as reactions are.
+    """
+    needed = {name for name, field in scene.nutrients.items() if _limits(field)}
+    if scene.energy is not None:
+        needed |= set(scene.energy.yields or ())
+    while more := {x for name in needed for x in scene.nutrients[name].uptake_on} - needed:
+        needed |= more
+    return needed
+
+
+def _of_energy(energy: Energy, made: FloatArray) -> FloatArray:
+    """Return the factor on growth of the ATP that is made."""
+    factor = np.ones(len(made))
+    if energy.growth_half_saturation is not None:
+        factor *= made / (energy.growth_half_saturation + made)
+    if energy.quiescence is not None:
+        factor *= made >= energy.quiescence
+    return factor
+
+
 def _growth(field: Nutrient, level: FloatArray) -> FloatArray:
     factor = np.ones(len(level))
     if field.growth_half_saturation is not None:
@@ -239,8 +278,16 @@ class _Profile:
         self._last = np.full(_SHELLS, nutrient.highest)
         self._medium = nutrient.medium(0.0)
         self._active = np.ones(_SHELLS)
+        self._factor: Any = 1.0  # of other fields on the uptake
 
-    def solve(self, shells: FloatArray, begin: float, end: float, volume: float) -> FloatArray:
+    def rest(self, resting: NDArray[np.bool_]) -> None:
+        """Note where cells rest for lack of something else, (n,) bool."""
+        self._active = np.where(resting, 0.0, self._active)
+
+    def solve(
+        self, shells: FloatArray, begin: float, end: float, volume: float,
+        others: Mapping[str, FloatArray] | None = None,
+    ) -> FloatArray:  # fmt: skip
         """Return the concentration in each shell, (n,) mM, and note what a finite medium loses.
 
         Parameters
@@ -251,8 +298,13 @@ class _Profile:
             The field is taken at the first, its medium lasts till the second.
         volume : µm³
             Of a cell.
+        others : name -> (n,), mM
+            Fields that are solved already, which uptake may depend on.
         """
         medium = self._now(begin)
+        self._factor = 1.0
+        for other, law in self.nutrient.uptake_on.items():
+            self._factor = self._factor * law.factor((others or {})[other])
         # a ball of 4 pi, or a disc of 2 pi, cancels
         d, field = self._dimensions, self.nutrient
         volumes = np.diff(shells**d) / d
@@ -310,7 +362,8 @@ class _Profile:
         """
         field = self.nutrient
         share = self._active + (1.0 - self._active) * field.quiescent_uptake
-        return np.asarray(share * field.uptake / volume / (field.half_saturation + level))
+        most = self._factor * (field.largest_uptake(volume) / volume)
+        return np.asarray(share * most / (field.half_saturation + level))
 
 
 def _tridiagonal(off: FloatArray, diagonal: FloatArray, right: FloatArray) -> FloatArray:

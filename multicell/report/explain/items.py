@@ -13,6 +13,7 @@ _ABSENT: Final = {
     "pull": "no external force",
     "growth": "the number of cells stays, no growth and no division is computed",
     "death": "necrotic cells keep their place and volume",
+    "energy": "every field acts by itself, none makes up for another",
     "nutrients": "no field is solved, no cell starves",
 }
 """What the absence of a part means."""

@@ -6,11 +6,13 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Final
 
+from multicell.cells import SPHERE
 from multicell.report.explain.items import Number, Part, hours, part
 from multicell.scene import checks, scales
 from multicell.scene import domain as box
 from multicell.scene.coupling import fixed_step, usual_step
 from multicell.scene.reactions import group_of
+from multicell.scene.sizes import typical_radius
 
 if TYPE_CHECKING:
     from multicell.scene.nutrient import Nutrient
@@ -29,7 +31,22 @@ def nutrient_parts(scene: Scene) -> list[Part]:
     order = checks.solving_order(scene.nutrients, scene.reactions)
     fields = [part(f"nutrients.{name}", _what(scene, name)) for name in order]
     known = scene.reactions.items()
+    fields += [part("energy", _energy_words(scene))] if scene.energy is not None else []
     return fields + [part(f"reactions.{name}", _reaction_words(r)) for name, r in known]
+
+
+def _energy_words(scene: Scene) -> str:
+    """Return what ATP is made from, and what cells do that make too little."""
+    energy = scene.energy
+    assert energy is not None
+    made = " + ".join(f"{gain:g} per {name}" for name, gain in (energy.yields or {}).items())
+    words = f"ATP: {made} taken up"
+    effects = {
+        "growth at half its rate at": energy.growth_half_saturation,
+        "rest below": energy.quiescence, "death below": energy.necrosis,
+    }  # fmt: skip
+    told = [f"{what} {value:g} mM/s" for what, value in effects.items() if value is not None]
+    return "; ".join([words, *told])
 
 
 def _reaction_words(reaction: Reaction) -> str:
@@ -166,8 +183,9 @@ def _numbers(scene: Scene, name: str) -> list[Number]:
             f"to settle over {found.length:.3g} um; {_step_words(scene)}",
         )
     ]  # fmt: skip
-    if nutrient.finite_medium is not None and nutrient.uptake > 0.0:
-        most = nutrient.uptake * scene.initial.count
+    if nutrient.finite_medium is not None and nutrient.takes_up:
+        volume = SPHERE * typical_radius(scene) ** 3
+        most = nutrient.largest_uptake(volume) * scene.initial.count
         lasts = nutrient.finite_medium.volume * nutrient.highest / most
         meaning = "until the cells of the start would have used up a finite medium at full uptake"
         numbers.append(Number(f"{name}: medium lasts", lasts, "s", meaning))
@@ -219,6 +237,7 @@ def nutrient_notes(scene: Scene) -> list[str]:
             read += [*other.uptake_on, *(other.secretion_from or ())]
         for reaction in scene.reactions.values():
             read += reaction.fields
+        read += [] if scene.energy is None else [*(scene.energy.yields or ())]
         for kind in scene.types.values():
             read += [*(kind.receptor_by or ()), *(kind.ligand_by or ())]
         if name not in read and all(getattr(nutrient, effect) is None for effect in effects):
