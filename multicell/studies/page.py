@@ -15,15 +15,15 @@ from multicell.results.folder import file_errors
 from multicell.studies.pictures.values import (
     SEED,
     TIME,
+    Places,
+    at_end,
     axes_of,
     axis_words,
     coordinates_of,
-    final,
     is_sampled,
     label,
     number_text,
     observables,
-    place_of,
     scale,
     scale_alone,
     sentence,
@@ -118,7 +118,7 @@ def key_observables(table: xr.Dataset) -> list[str]:
     found += [name for name in known if name.startswith("hypoxic_radius")]
     told: list[str] = []
     for name in found:
-        values = final(table, name).values
+        values = at_end(table, name).values
         values = values[np.isfinite(values)]
         if values.size and (values.min() < values.max() or name in ("cells", "diameter")):
             told.append(name)
@@ -205,14 +205,14 @@ def _run_table(
 ) -> dict[str, Any]:
     """Return heads and rows of the table of runs; each cell with its rank in its column."""
     axes = [(name, scale_alone(table, name)) for name in coordinates_of(table)]
-    ends = {name: final(table, name) for name in told}
+    ends = {name: at_end(table, name).values for name in told}
     heads = [*(shown.label for _, shown in axes), "seed", "state",
              *(label(table, name) for name in told), "wall time"]  # fmt: skip
-    rows = []
+    rows, places = [], Places(table)
     for run, state in zip(runs, states, strict=True):
         own: list[Any] = [_coordinate(run.coordinates.get(n), s.factor) for n, s in axes]
-        place = place_of(table, run.coordinates)
-        values = [float(ends[n].values[place]) if place is not None else np.nan for n in told]
+        place = places.of(run.coordinates)
+        values = [float(ends[n][place]) if place is not None else np.nan for n in told]
         if state.state != "done":
             values = [np.nan] * len(values)
         own += [run.coordinates.get(SEED, run.scene.seed), state.state, *values, state.wall]

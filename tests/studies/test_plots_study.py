@@ -12,10 +12,10 @@ from study_tables import AXES, grid, sampled, with_states
 
 from multicell.errors import SceneError
 from multicell.studies.pictures.values import (
+    Places,
+    at_end,
     axes_of,
-    final,
     number_text,
-    place_of,
     scale,
     statistics,
 )
@@ -57,7 +57,7 @@ def test_tiles_tell_what_failed_or_has_not_run(two):
 
 
 def test_numbers_count_the_seeds_that_are_there(two):
-    known = statistics(final(two, "diameter"))
+    known = statistics(at_end(two, "diameter"))
     assert int(known.number[2, 2]) == 4
     own = two["diameter"].values[2, 2, 1:, -1]
     assert float(known.mean[2, 2]) == pytest.approx(own.mean())
@@ -70,9 +70,9 @@ def test_the_end_is_that_of_each_run_and_nothing_is_shown_that_is_gone_then():
     for name in cut.data_vars:
         cut[name].values[0, 0, 21:] = np.nan  # this run ended sooner
     cut["viable_rim"].values[1, 1, -1] = np.nan  # here the core has gone
-    assert float(final(cut, "diameter")[0, 0]) == table["diameter"].values[0, 0, 20]
-    assert np.isnan(float(final(cut, "viable_rim")[1, 1]))
-    assert np.isfinite(float(final(cut, "diameter")[1, 1]))
+    assert float(at_end(cut, "diameter")[0, 0]) == table["diameter"].values[0, 0, 20]
+    assert np.isnan(float(at_end(cut, "viable_rim")[1, 1]))
+    assert np.isfinite(float(at_end(cut, "diameter")[1, 1]))
 
 
 def test_one_seed_is_said_to_have_no_scatter():
@@ -194,8 +194,8 @@ def test_values_that_go_together_are_one_axis():
     assert scale(table, OXYGEN).texts == ["0.07 · 0.8", "0.14 · 5.5", "0.28 · 5.5"]
     words = texts(plots(table).heatmap("diameter"))
     assert "0.14 · 5.5" in words
-    assert place_of(table, {OXYGEN: 0.14, "glucose": 5.5, "law": "jkr", "seed": 1}) == (1, 0, 1)
-    assert place_of(table, {OXYGEN: 0.14, "glucose": 0.8, "law": "jkr", "seed": 1}) is None
+    assert Places(table).of({OXYGEN: 0.14, "glucose": 5.5, "law": "jkr", "seed": 1}) == (1, 0, 1)
+    assert Places(table).of({OXYGEN: 0.14, "glucose": 0.8, "law": "jkr", "seed": 1}) is None
     assert len(plots(table).curves("diameter").axes) == 2
 
 

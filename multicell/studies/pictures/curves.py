@@ -95,11 +95,13 @@ def curves(
     size = (SIZE[0], SIZE[1] if rows == 1 else 0.9 + 3.9 * rows)
     figure = laid_out(title, _subtitle(table, name, at or {}), size)
     grid = figure.subplots(rows, columns, squeeze=False, sharey=True, sharex=True)
+    _limits(grid[0, 0], values.values / factor)
     held = {} if is_sampled(table) else middle(table, axes_of(table)) | dict(at or {})
     for place, panel in enumerate(grid.flat):
         if place >= len(names):
             panel.set_axis_off()
             continue
+        panel.set_autoscale_on(False)
         axis = names[place]
         others = {other: value for other, value in held.items() if other != axis}
         part = at_point(table, others)
@@ -116,7 +118,6 @@ def curves(
             panel.xaxis.set_tick_params(labelbottom=True)
             panel.xaxis.set_major_locator(MaxNLocator(6))
             panel.set_xlabel(f"time ({_unit(table).name})")
-    _limits(grid[0, 0], values.values / factor)
     return figure
 
 
@@ -239,16 +240,18 @@ def _mappable(shown: Scale) -> mpl.cm.ScalarMappable:
 
 
 def _limits(axes: Axes, values: FloatArray) -> None:
-    """Give the shared axis of values a logarithmic scale where they grow much, else zero below."""
+    """Set the shared axis of values: logarithmic where they grow much, from zero where it is near.
+
+    It is set before anything is drawn: to find it from hundreds of curves takes minutes.
+    """
     known = values[np.isfinite(values)]
-    if not known.size:
-        return
-    low, high = float(known.min()), float(known.max())
+    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
     if low > 0.0 and high >= _GROWTH * low:
         axes.set_yscale("log")
         axes.yaxis.set_minor_formatter(NullFormatter())
-        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.6g}"))
-    elif low >= 0.0:
-        if low < 0.6 * high:
-            axes.set_ylim(0.0, 1.08 * high or 1.0)
-        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.6g}"))
+        axes.set_ylim(low / 1.15, high * 1.15)
+    else:
+        room = 0.06 * (high - low) or 0.05 * abs(high) or 1.0
+        bottom = 0.0 if 0.0 <= low < 0.6 * high else low - room
+        axes.set_ylim(bottom, high + room)
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.6g}"))
