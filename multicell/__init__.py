@@ -40,6 +40,8 @@ if TYPE_CHECKING:
     from multicell.scene.reactions import Reaction
     from multicell.scene.scene import Scene, load_scene, scene_names
     from multicell.simulation import Simulation
+    from multicell.studies.fit import fit
+    from multicell.studies.fitted import Fit
     from multicell.studies.sensitivity import sensitivity
     from multicell.studies.sensitivity_result import Sensitivity
     from multicell.studies.study import Study, load_study, study
@@ -52,6 +54,7 @@ __all__ = [
     "FieldComparison",
     "FieldEquation",
     "FieldProblem",
+    "Fit",
     "Hertz",
     "ImplicitFieldSolver",
     "Integrator",
@@ -80,6 +83,7 @@ __all__ = [
     "compare_fields",
     "export",
     "field_problem",
+    "fit",
     "load_law",
     "load_result",
     "load_scene",
@@ -136,6 +140,8 @@ _LAZY = {
     "stability": "multicell.comparison.stability_limits.search",
     "Sensitivity": "multicell.studies.sensitivity_result",
     "sensitivity": "multicell.studies.sensitivity",
+    "Fit": "multicell.studies.fitted",
+    "fit": "multicell.studies.fit",
     "Study": "multicell.studies.study",
     "load_study": "multicell.studies.study",
     "study": "multicell.studies.study",

@@ -16,6 +16,7 @@ import click
 
 from multicell import __version__
 from multicell.cli.compare import compare, stability
+from multicell.cli.fit import fit
 from multicell.cli.options import (
     as_json_option,
     changes_option,
@@ -215,6 +216,7 @@ main.add_command(compare)
 main.add_command(stability)
 main.add_command(study)
 main.add_command(sensitivity)
+main.add_command(fit)
 
 
 def _simulate(

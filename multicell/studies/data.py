@@ -82,6 +82,11 @@ class Datum:
     condition: int
     place: str
 
+    @property
+    def deviation(self) -> float:
+        """The standard deviation in base units; that of a logarithm times the value."""
+        return self.sigma * self.value if self.log else self.sigma
+
     def scaled(self, value: float) -> float:
         """Return a value on the scale of the comparison; NaN where it has none there."""
         if not self.log:
@@ -174,7 +179,7 @@ def read_data(
     """
     if not (isinstance(sd, int | float) and 0.0 < sd < math.inf):
         raise DataError("sd", f"is {sd!r}, must be a relative standard deviation above 0")
-    table = read_table(source)
+    table = source if isinstance(source, Table) else read_table(source)
     columns = columns_of(table, scene)
     rows = _Rows(table, columns, scene, start, float(sd))
     for number in range(len(table.rows)):

@@ -11,7 +11,7 @@ import numpy as np
 
 from multicell.errors import SceneError
 from multicell.studies.axes import Range, check_axes, named, parse_range
-from multicell.studies.data import Condition, Measured
+from multicell.studies.data import Measured
 from multicell.studies.distance import Array, Misfit, misfit, scaled, scales, standardised
 from multicell.studies.simulating import Reading, SceneSimulator, Simulator
 
@@ -110,21 +110,14 @@ def ranges_of(free: Mapping[str, str | Sequence[object]], measured: Measured) ->
     scene = measured.conditions[0].scene
     ranges = named([parse_range(key, text, scene) for key, text in free.items()])
     for condition in measured.conditions:
-        check_axes(condition.scene, ranges)
-        for range_ in ranges:
-            for end in (range_.low, range_.high):
-                _accepted(condition, range_, end)
+        try:
+            check_axes(condition.scene, ranges)
+        except SceneError as error:
+            if not condition.changes:
+                raise
+            problem = f"{error.problem} (under the condition '{condition.label}')"
+            raise SceneError(error.path, problem, error.hint) from None
     return tuple(ranges)
-
-
-def _accepted(condition: Condition, free: Range, value: float) -> None:
-    """Refuse the end of a range that the scene refuses while all others are as they are."""
-    try:
-        condition.scene.with_changes({free.key: free.setting(value)})
-    except SceneError as error:
-        where = f" under the condition '{condition.label}'" if condition.changes else ""
-        problem = f"cannot be {value:g} {free.unit}".rstrip() + f"{where}: {error}"
-        raise SceneError(free.key, problem) from None
 
 
 def problem_of(

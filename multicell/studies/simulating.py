@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from multicell.errors import MulticellError
 from multicell.studies.axes import Range
 from multicell.studies.data import Datum, Measured
+from multicell.studies.runs import own_law
 
 OUTGROWN: Final = {"cells": 3.0, "diameter": 1.5}
 """A run ends when one of these is so many times the largest one measured in its condition."""
@@ -69,18 +70,22 @@ class SceneSimulator:
         The data of each condition.
     ranges
         The free parameters.
+    laws
+        Contact laws of the user's own, ``file.py:Name``, that workers load first.
     """
 
     scenes: tuple[Mapping[str, Any], ...]
     data: tuple[tuple[Datum, ...], ...]
     ranges: tuple[Range, ...]
+    laws: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, measured: Measured, ranges: Sequence[Range]) -> SceneSimulator:
         """Return the simulator that stands for the conditions of some data."""
         scenes = tuple(condition.scene.to_dict() for condition in measured.conditions)
         data = tuple(tuple(measured.of(k)) for k in range(len(scenes)))
-        return cls(scenes, data, tuple(ranges))
+        laws = {own_law(condition.scene) for condition in measured.conditions} - {""}
+        return cls(scenes, data, tuple(ranges), tuple(sorted(laws)))
 
     def __call__(self, shares: Sequence[float], condition: int, seed: int) -> Reading:
         """Run the scene; a run that fails is a reading of NaN with its reason."""
@@ -94,6 +99,10 @@ class SceneSimulator:
         from multicell.scene.scene import Scene
         from multicell.simulation import Simulation
 
+        for law in self.laws:
+            from multicell.contact.custom import load_law
+
+            load_law(law)
         data = self.data[condition]
         changes: dict[str, Any] = {
             free.key: free.setting(free.value(share))
@@ -106,9 +115,8 @@ class SceneSimulator:
         while not simulation.finished and not watch.done:
             simulation.step()
             watch.add(simulation.history_row())
-        summary = simulation.summary() if any("." in d.observable for d in data) else {}
-        if any(d.time is None and d.at is None for d in data) and not summary:
-            summary = simulation.summary()
+        of_the_end = any(datum.observable not in watch.columns for datum in data)
+        summary = simulation.summary() if of_the_end else {}
         return [watch.reading(datum, summary) for datum in data]
 
 
@@ -135,6 +143,11 @@ class _Watch:
             self.outgrown |= any(row[name] > limit > 0.0 for name, limit in self._limits.items())
 
     @property
+    def columns(self) -> Mapping[str, float]:
+        """The first row, whose names are those of the history."""
+        return self._rows[0]
+
+    @property
     def done(self) -> bool:
         """Whether no datum asks for more of the run."""
         return self.outgrown or all(map(self._passed, self._data))
@@ -151,7 +164,7 @@ class _Watch:
 
     def reading(self, datum: Datum, summary: Mapping[str, Any]) -> float:
         """Return what the run has in place of a datum, NaN if nothing."""
-        if datum.time is None and datum.at is None and datum.observable not in self._rows[0]:
+        if datum.observable not in self.columns:
             return _entry(summary, datum.observable)
         history = {name: np.array([row[name] for row in self._rows]) for name in self._rows[0]}
         return reading(history, datum, outgrown=self.outgrown)

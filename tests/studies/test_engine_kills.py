@@ -167,8 +167,8 @@ def test_a_run_that_kills_its_worker_again_and_again_is_a_row(tmp_path):
         "import multicell as mc\n"
         "class Deadly:\n"
         "    info = mc.MethodInfo(name='deadly', order=1, implicit=False)\n"
-        "    def integrate(self, system, position):\n"
-        "        os.kill(os.getpid(), signal.SIGKILL)\n"
+        "    def __init__(self): os.kill(os.getpid(), signal.SIGKILL)\n"
+        "    def integrate(self, system, position): pass\n"
     )
     good, other = short_runs(2)
     from dataclasses import replace

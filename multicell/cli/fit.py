@@ -1,0 +1,223 @@
+"""The command ``multicell fit``: parse, call, print."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any, Final, cast
+
+import click
+
+from multicell.cli.options import (
+    as_json_option,
+    changes_option,
+    console,
+    law_option,
+    output_option,
+    overwrite_option,
+    quiet_option,
+    scene_of,
+)
+from multicell.cli.process import Faltering, complain, print_json
+from multicell.cli.study import _ask, _cores, _pairs, cores_option, scheduler_option, yes_option
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from multicell.studies.fit import FitPlan
+    from multicell.studies.fitted import Fit
+
+_LINES: Final = 20  # lines of a log
+
+
+def _budget(context: click.Context, option: click.Parameter, value: str | None) -> int | str | None:
+    """Return a number of runs, or the text of a time."""
+    if value is None:
+        return None
+    return int(value) if value.strip().isdigit() else value
+
+
+@click.command()
+@click.argument("scene")
+@click.option(
+    "--data",
+    required=True,
+    type=click.Path(path_type=Path),
+    help="CSV file with a column for each quantity and its unit in the title, as 'time / h', "
+    "'diameter / um', 'diameter sd / um', 'nutrients.oxygen.boundary / mM'.",
+)
+@click.option(
+    "--free",
+    multiple=True,
+    metavar="KEY=LOW:HIGH",
+    help="A free parameter and its range, as growth.cycle_time='8:25 h' or "
+    "drag.viscosity='log 0.1:10 kPa s' (equal ratios count the same). May be given several times.",
+)
+@output_option("Folder of the fit; what is there of the same fit is gone on with.")
+@click.option(
+    "--method",
+    default="best",
+    show_default=True,
+    metavar="NAME",
+    help="best: the best point in few runs, with approximate intervals; posterior: sampled with "
+    "runs, some thousands; both.",
+)
+@click.option(
+    "--seeds",
+    type=int,
+    default=2,
+    show_default=True,
+    help="Runs of each set of parameters in the search, with the same seeds for all.",
+)
+@click.option(
+    "--budget",
+    callback=_budget,
+    metavar="RUNS|TIME",
+    help="Number of runs, or a time such as '2 h', in all.",
+)
+@click.option(
+    "--population",
+    type=int,
+    default=200,
+    show_default=True,
+    help="Draws in a generation of the posterior.",
+)
+@click.option("--start", metavar="TIME", help="Time of the data at which runs begin, as '102 h'.")
+@click.option(
+    "--sd",
+    type=float,
+    default=0.1,
+    show_default=True,
+    help="Relative standard deviation of data that come without one.",
+)
+@changes_option
+@law_option
+@cores_option
+@scheduler_option
+@yes_option
+@overwrite_option("Replace another fit in the folder.")
+@quiet_option
+@as_json_option
+def fit(
+    scene: str,
+    data: Path,
+    free: Sequence[str],
+    output: Path,
+    changes: Sequence[str],
+    law: str | None,
+    cores: int | None,
+    scheduler: str | None,
+    yes: bool,
+    overwrite: bool,
+    quiet: bool,
+    as_json: bool,
+    **options: Any,
+) -> None:
+    """Fit free parameters of a SCENE to measured data.
+
+    The result says how far each parameter is determined, and what the data leave open. A fit that
+    was stopped goes on with the same command; a larger --budget adds to it.
+    """
+    pairs = _pairs(free, "--free")
+    described = scene_of(scene, changes, law)
+    from multicell.studies.fit import carried_out, planned
+
+    plan = planned(described, data, pairs, **options)
+    count = _cores(cores, scheduler)
+    _ask(_cost(plan, count), count, yes, quiet or as_json)
+    try:
+        with _reporter(show=not quiet) as progress:
+            found = carried_out(
+                plan, output=output, cores=cores, scheduler=scheduler, overwrite=overwrite,
+                progress=progress,
+            )  # fmt: skip
+    except KeyboardInterrupt:
+        complain(f"What has run is kept in '{output}'; the same command goes on with it.")
+        raise
+    if as_json:
+        print_json(found.summary())
+    elif not quiet:
+        _print(console(), found, output)
+
+
+def _cost(plan: FitPlan, cores: int | None) -> Any:
+    """Return what a fit is expected to take, at most."""
+    from multicell.studies.cost import StudyCost, cost_of
+
+    core_seconds = min(plan.expected(), plan.seconds * (cores or 1))
+    memory = max(cost_of(c.scene).memory for c in plan.problem.measured.conditions)
+    return StudyCost(
+        runs=plan.runs,
+        core_seconds=core_seconds,
+        seconds=core_seconds / (cores or 1),
+        memory=memory * (cores or 1),
+        disk=0.0,
+    )
+
+
+@contextmanager
+def _reporter(*, show: bool) -> Iterator[Callable[[str, int, int], None] | None]:
+    """Yield what is called as a fit goes on: a bar in a terminal, lines elsewhere."""
+    if not show:
+        yield None
+        return
+    from rich.console import Console
+
+    stderr = Console(file=cast(IO[str], Faltering(sys.stderr)), highlight=False)
+    if not stderr.is_terminal:
+        yield _lines(stderr)
+        return
+    from rich import progress as rich_progress
+
+    columns = (
+        rich_progress.TextColumn("{task.description}", markup=False),
+        rich_progress.BarColumn(bar_width=24),
+        rich_progress.MofNCompleteColumn(),
+        rich_progress.TimeElapsedColumn(),
+        rich_progress.TimeRemainingColumn(),
+    )
+    with rich_progress.Progress(*columns, console=stderr, refresh_per_second=2) as bar:
+        task = bar.add_task("begins", total=None)
+
+        def note(what: str, done: int, wanted: int) -> None:
+            bar.update(task, description=what, completed=done, total=wanted)
+
+        yield note
+
+
+def _lines(stderr: Console) -> Callable[[str, int, int], None]:
+    """Return what prints a line now and then."""
+    printed = -1
+
+    def note(what: str, done: int, wanted: int) -> None:
+        nonlocal printed
+        part = done * _LINES // max(wanted, 1)
+        if part != printed:
+            printed = part
+            stderr.print(f"{what}: {done:,} of {wanted:,}", markup=False, soft_wrap=True)
+
+    return note
+
+
+def _print(out: Console, found: Fit, output: Path) -> None:
+    """Print the parameters, and what is to be known of them."""
+    from rich.table import Table
+    from rich.text import Text
+
+    from multicell.studies.fit_page import parameters_in_words
+
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for column in ("parameter", "best", "95 % interval", "of its range"):
+        table.add_column(column, justify="left" if column == "parameter" else "right")
+    for row in parameters_in_words(found):
+        table.add_row(*map(Text, (row["key"], row["best"], row["interval"], row["part"])))
+    out.print(table)
+    data = found.best
+    out.print(f"χ² = {data.chi_squared:.3g} for {len(data.residuals)} data", markup=False)
+    for entry in found.undetermined:
+        out.print(Text(f"{entry}.", style="yellow"))
+    for note in found.notes:
+        out.print(Text(f"Note: {note}", style="dim"))
+    out.print(f"Results are in '{output}'.", markup=False)

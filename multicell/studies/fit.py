@@ -1,0 +1,310 @@
+"""Fitting a scene to measured data: the best parameters in few runs, or their posterior."""
+
+from __future__ import annotations
+
+import math
+import time as clock
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, final
+
+from multicell.errors import SceneError
+from multicell.schema import chosen
+from multicell.studies.data import ASSUMED, read_data
+from multicell.studies.fitted import Fit
+from multicell.studies.hands import hands
+from multicell.studies.missing import needs
+from multicell.studies.problem import Problem, problem_of, ranges_of
+from multicell.studies.table_text import Table, read_table
+from multicell.units import to_base
+
+if TYPE_CHECKING:
+    from multicell.scene.scene import Scene
+    from multicell.studies.posterior import Draws
+    from multicell.studies.search import Evaluation
+    from multicell.studies.simulating import Simulator
+
+METHODS: Final = ("best", "posterior", "both")
+_LEAST: Final = 10
+"""Sets of parameters that a search must be able to try."""
+_SHARE: Final = 1.0 / 3.0
+"""Part of a budget that the search takes where both are wanted."""
+
+Progress = Callable[[str, int, int], None]
+"""Called with what goes on, how much of it is done and how much is wanted."""
+
+
+def fit(
+    scene: Scene | str | Path,
+    data: Any,
+    free: Mapping[str, Any],
+    *,
+    output: str | Path | None = None,
+    method: str = "best",
+    seeds: int = 2,
+    budget: int | str | None = None,
+    population: int = 200,
+    start: float | str | None = None,
+    sd: float = ASSUMED,
+    cores: int | None = None,
+    scheduler: str | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+    simulator: Simulator | None = None,
+) -> Fit:
+    """Fit parameters of a scene to measured data.
+
+    Parameters
+    ----------
+    scene
+        A scene, the name of a built-in one, or the path of a TOML file.
+    data
+        CSV file, ``DataFrame`` or mapping of titles to columns, with units in the titles; see
+        :mod:`multicell.studies.data`.
+    free
+        Key of the scene -> its range, ``"8:25 h"``, ``"log 1e-3:1 1/s"`` or two values. Within it
+        all values are equally likely beforehand (on a logarithmic range: all ratios).
+    output
+        Folder for everything. The same fit in the same folder goes on where it was: nothing is run
+        twice, and a larger budget adds to what is there.
+    method
+        ``"best"``: a best point in few runs, with intervals by polynomials fitted to them;
+        ``"posterior"``: the posterior, sampled with runs; ``"both"``.
+    seeds
+        Runs with different random numbers of each set of parameters in the search. Those of the
+        posterior take one run each, with random numbers of its own.
+    budget
+        Number of runs, or a time such as ``"2 h"``, in all. By default as many runs as the number
+        of free parameters asks for.
+    population
+        Draws in a generation of the posterior.
+    start
+        Time of the data at which runs begin, where no column ``start`` says so.
+    sd
+        Relative standard deviation of data that come without one.
+    cores
+        Processes on this machine, by default one for each core; 1 runs everything in this process.
+    scheduler
+        Address of a Dask scheduler whose workers are used instead.
+    overwrite
+        Whether another fit in the folder may be replaced.
+    progress
+        Called with what goes on, how much is done and how much is wanted.
+    simulator
+        What stands for the runs, for tests and emulators of one's own.
+
+    Returns
+    -------
+    Fit
+
+    Raises
+    ------
+    SceneError, DataError, MissingPackage
+        For input that cannot be used, before anything runs.
+    OutputError
+        For a folder that cannot be used.
+    FitFailed
+        If no run gives anything to compare, or a budget ends before there is a result.
+    """
+    plan = planned(
+        scene, data, free, method=method, seeds=seeds, budget=budget, population=population,
+        start=start, sd=sd, simulator=simulator,
+    )  # fmt: skip
+    return carried_out(
+        plan, output=output, cores=cores, scheduler=scheduler, overwrite=overwrite,
+        progress=progress,
+    )  # fmt: skip
+
+
+@final
+@dataclass(frozen=True)
+class FitPlan:
+    """A fit that was checked and not begun.
+
+    Attributes
+    ----------
+    points
+        Sets of parameters that the search will try.
+    draws
+        Most draws of the posterior.
+    seconds
+        Time in s that the budget allows; infinite where it is a number of runs.
+    """
+
+    problem: Problem
+    scene: Scene
+    table: Table
+    method: str
+    points: int
+    draws: int
+    seconds: float
+    population: int
+    sd: float
+
+    @property
+    def runs(self) -> int:
+        """How many runs there will be at most."""
+        conditions = len(self.problem.measured.conditions)
+        return self.points * len(self.problem.tasks()) + self.draws * conditions
+
+    def expected(self) -> float:
+        """Return the time on one core in s that the runs are expected to take together."""
+        from multicell.studies.cost import cost_of
+
+        each = [cost_of(c.scene).seconds for c in self.problem.measured.conditions]
+        whole = sum(each) * (self.points * len(self.problem.seeds) + self.draws)
+        return float(whole)
+
+
+def planned(
+    scene: Scene | str | Path,
+    data: Any,
+    free: Mapping[str, Any],
+    *,
+    method: str = "best",
+    seeds: int = 2,
+    budget: int | str | None = None,
+    population: int = 200,
+    start: float | str | None = None,
+    sd: float = ASSUMED,
+    simulator: Simulator | None = None,
+) -> FitPlan:
+    """Check all that a fit is given, and run nothing; parameters as of :func:`fit`."""
+    from multicell.scene.scene import load_scene
+
+    if isinstance(scene, str | Path):
+        scene = load_scene(scene)
+    chosen(method, METHODS, "method")
+    _whole("seeds", seeds, 1)
+    _whole("population", population, 10)
+    table = read_table(data)
+    measured = read_data(table, scene, start=start, sd=sd)
+    ranges = ranges_of(free, measured)
+    problem = problem_of(measured, ranges, seeds, scene.seed, simulator)
+    points, draws, seconds = _budgeted(problem, method, budget, population)
+    return FitPlan(problem, scene, table, method, points, draws, seconds, population, sd)
+
+
+def _whole(name: str, value: object, least: int) -> None:
+    if not isinstance(value, int) or isinstance(value, bool) or value < least:
+        raise SceneError(name, f"is {value!r}, must be a whole number of at least {least}")
+
+
+def _budgeted(
+    problem: Problem, method: str, budget: int | str | None, population: int
+) -> tuple[int, int, float]:
+    """Return sets of parameters of the search, draws of the posterior, and s."""
+    usual = 20 + 15 * len(problem.ranges)
+    points = usual if method != "posterior" else 0
+    draws = 25 * population if method != "best" else 0
+    if budget is None:
+        return points, draws, math.inf
+    if isinstance(budget, str):
+        seconds = to_base(budget, "s", "budget")
+        if seconds <= 0.0:
+            raise SceneError("budget", f"is {budget!r}, must be above 0")
+        return 10 * points, 100 * draws, seconds
+    _whole("budget", budget, 1)
+    conditions, each = len(problem.measured.conditions), len(problem.tasks())
+    if method == "both":
+        points = min(usual, int(budget * _SHARE) // each)
+    elif method == "best":
+        points = budget // each
+    draws = (budget - points * each) // conditions if method != "best" else 0
+    least = 2 * population
+    if method != "posterior" and points < _LEAST:
+        of = "a third of " if method == "both" else ""
+        words = f"is {budget} runs: {of}it tries {points} sets of parameters, {each} runs each"
+        raise SceneError("budget", words, f"It takes at least {_LEAST} sets.")
+    if method != "best" and draws < least:
+        words = f"leaves {draws} draws for the posterior, which takes at least {least}"
+        raise SceneError("budget", words, "A smaller population takes fewer.")
+    return points, draws, math.inf
+
+
+def carried_out(
+    plan: FitPlan,
+    *,
+    output: str | Path | None = None,
+    cores: int | None = None,
+    scheduler: str | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> Fit:
+    """Carry out a fit that was checked; parameters as of :func:`fit`."""
+    needs("optuna", "pyabc", "distributed", "pandas", "sqlalchemy")
+    with _place(plan, output, overwrite) as folder:
+        begin = clock.monotonic()
+        evaluations: list[Evaluation] = []
+        draws: Draws | None = None
+        with hands(cores, scheduler) as working:
+            if plan.method != "posterior":
+                evaluations = _searched(plan, folder, working, begin, progress)
+            if plan.method != "best":
+                draws = _sampled(plan, folder, working, begin, progress)
+        facts = {
+            "method": plan.method,
+            "sd": plan.sd,
+            "seeds": list(plan.problem.seeds),
+            "sets_of_parameters": len(evaluations),
+            "draws": 0 if draws is None else draws.drawn,
+            "generations": 0 if draws is None else draws.generations,
+            "temperature": None if draws is None else draws.temperature,
+            "seconds": clock.monotonic() - begin,
+        }
+        found = Fit(plan.problem, plan.scene, evaluations, draws, folder, facts)
+        if folder is not None:
+            from multicell.studies.fit_folder import write_result
+
+            write_result(found, folder)
+            found.report()
+        return found
+
+
+@contextmanager
+def _place(plan: FitPlan, output: str | Path | None, overwrite: bool) -> Iterator[Path | None]:
+    """Yield the folder of a fit, locked; None without one."""
+    if output is None:
+        yield None
+        return
+    from multicell.studies.fit_folder import described, opened
+
+    options = {"sd": plan.sd, "population": plan.population}
+    times = [datum.time for datum in plan.problem.measured.data]
+    about = described(plan.problem, plan.scene, plan.table, {**options, "times": times})
+    with opened(output, about, plan.scene, plan.table, overwrite=overwrite) as folder:
+        yield folder
+
+
+def _searched(
+    plan: FitPlan, folder: Path | None, working: Any, begin: float, progress: Progress | None
+) -> list[Evaluation]:
+    from multicell.studies.fit_folder import SEARCH
+    from multicell.studies.search import Search
+
+    search = Search(plan.problem, None if folder is None else folder / SEARCH)
+    share = _SHARE if plan.method == "both" else 1.0
+
+    def tell(done: int, wanted: int) -> None:
+        if progress is not None:
+            progress("runs of the search", done, wanted)
+
+    return search.run(working, plan.points, deadline=begin + share * plan.seconds, progress=tell)
+
+
+def _sampled(
+    plan: FitPlan, folder: Path | None, working: Any, begin: float, progress: Progress | None
+) -> Draws:
+    from multicell.studies.posterior import posterior
+
+    def tell(generation: int, accepted: int, wanted: int, drawn: int) -> None:
+        if progress is not None:
+            of = "calibration" if generation < 0 else f"generation {generation + 1}"
+            progress(f"posterior, {of}, {drawn:,} draws", accepted, wanted)
+
+    return posterior(
+        plan.problem, working, folder=folder, population=plan.population, most=plan.draws,
+        deadline=begin + plan.seconds, progress=tell,
+    )  # fmt: skip

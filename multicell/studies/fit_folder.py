@@ -1,0 +1,148 @@
+"""The folder of a fit: what it is a fit of, what was tried, what was found."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from multicell.errors import OutputError
+from multicell.results.folder import (
+    file_errors,
+    locked,
+    make_folder,
+    package_version,
+    remove,
+    to_json,
+    versions,
+    write_text,
+)
+from multicell.studies.problem import Problem
+from multicell.studies.runs import MODEL_VERSION, canonical
+from multicell.studies.table_text import Table
+
+if TYPE_CHECKING:
+    from multicell.scene.scene import Scene
+    from multicell.studies.fitted import Fit
+
+FIT: Final = "fit.json"
+"""What the folder is a fit of."""
+SEARCH: Final = "search.log"
+"""Optuna's storage."""
+FILES: Final = (
+    FIT, "scene.toml", "data.csv", SEARCH, f"{SEARCH}.lock", "posterior.db", "posterior.journal",
+    "result.json", "best.toml", "posterior.csv", "residuals.csv", "report.html", "data.png",
+    "parameters.png",
+)  # fmt: skip
+_PACKAGES: Final = ("optuna", "pyabc", "distributed", "pandas")
+
+
+def described(
+    problem: Problem, scene: Scene, table: Table, options: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return what decides all numbers of a fit; a fit of anything else is another one."""
+    return {
+        "model": MODEL_VERSION,
+        "scene": canonical(scene),
+        "data": {"titles": list(table.titles), "rows": [list(row) for row in table.rows]},
+        "free": {
+            free.key: {"low": free.low, "high": free.high, "unit": free.unit, "log": free.log}
+            for free in problem.ranges
+        },
+        "seeds": list(problem.seeds),
+        **options,
+    }
+
+
+@contextmanager
+def opened(
+    folder: str | Path,
+    problem: Mapping[str, Any],
+    scene: Scene,
+    table: Table,
+    *,
+    overwrite: bool = False,
+) -> Iterator[Path]:
+    """Make the folder of a fit, or open that of the same fit, and keep other processes out of it.
+
+    Raises
+    ------
+    OutputError
+        If the folder holds something else and may not be overwritten, another process works on
+        it, or it cannot be used.
+    """
+    folder = Path(folder)
+    name = digest(problem)
+    known = _held(folder)
+    if known is None or overwrite:
+        make_folder(folder, overwrite=overwrite)
+    elif known.get("digest") != name:
+        parts = known.get("problem", {})
+        other = [key for key in problem if parts.get(key) != problem[key]]
+        raise OutputError(
+            f"'{folder}' holds another fit: {', '.join(other) or 'its version'} differ. Choose "
+            "another folder, or allow overwriting (--overwrite, overwrite=True)"
+        )
+    with locked(folder):
+        if overwrite:
+            remove(folder, FILES)
+        if _held(folder) is None:
+            entry = {"digest": name, "multicell": package_version(), "problem": problem}
+            write_text(folder / "scene.toml", scene.to_toml())
+            write_text(folder / "data.csv", _csv([table.titles, *table.rows]))
+            write_text(folder / FIT, to_json(entry) + "\n")  # the last: then all is there
+        yield folder
+
+
+def digest(problem: Mapping[str, Any]) -> str:
+    """Return a digest of what decides all numbers of a fit."""
+    text = json.dumps(json.loads(to_json(problem)), sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()[:24]
+
+
+def write_result(fit: Fit, folder: Path) -> None:
+    """Write what was found: ``result.json``, ``best.toml`` and the tables.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be written.
+    """
+    about = {**versions(), **{name: package_version(name) for name in _PACKAGES}}
+    write_text(folder / "result.json", to_json({**fit.summary(), "versions": about}) + "\n")
+    write_text(folder / "best.toml", fit.best.scene.to_toml())
+    rows = fit.rows()
+    write_text(folder / "residuals.csv", _csv([list(rows[0]), *(list(r.values()) for r in rows)]))
+    if fit.sample is not None:
+        frame = fit.posterior
+        units = frame.attrs["units"]
+        titles = [f"{name} / {units[name]}" if units.get(name) else name for name in frame.columns]
+        lines = frame.to_numpy().tolist()
+        write_text(folder / "posterior.csv", _csv([titles, *lines]))
+
+
+def _held(folder: Path) -> dict[str, Any] | None:
+    """Return what a folder is a fit of, None where there is none."""
+    path = folder / FIT
+    with file_errors("read", path):
+        if not path.is_file():
+            return None
+        text = path.read_text(encoding="utf-8", errors="replace")
+    try:
+        entry = json.loads(text)
+    except ValueError:
+        entry = None
+    if not isinstance(entry, dict):
+        raise OutputError(f"'{path}' is damaged: allow overwriting to begin anew")
+    return entry
+
+
+def _csv(rows: Sequence[Sequence[Any]]) -> str:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue()

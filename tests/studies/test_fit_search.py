@@ -1,0 +1,190 @@
+"""Distances against closed forms; the search against problems whose best point is known."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from cheap_fits import Linear, calls_of, exact, linear, measured
+from scipy import stats
+
+from multicell.errors import FitFailed
+from multicell.studies.distance import ABSENT, misfit, scaled, standardised
+from multicell.studies.emulator import emulator
+from multicell.studies.hands import OwnHands
+from multicell.studies.problem import Problem
+from multicell.studies.search import Search, emulator_of
+from multicell.studies.simulating import Reading
+
+MATRIX = [[1.0, 0.0], [0.0, 1.0], [1.0, 1.0], [1.0, -1.0]]
+
+
+def test_the_loss_is_the_normal_likelihood_of_the_data_in_closed_form():
+    y, sigma = np.array([1.0, 2.0, 3.0]), np.array([0.1, 0.2, 0.3])
+    runs = np.array([[1.1, 2.5, 2.9], [0.9, 2.1, 3.5], [1.3, 2.2, 3.4]])
+    found = misfit(y, sigma, runs)
+    spread = np.sqrt(sigma**2 + runs.var(axis=0, ddof=1) * (1 + 1 / 3))
+    ours = [found.loss - misfit(y, sigma, runs + shift).loss for shift in (0.0, 0.2, -0.4)]
+    logs = [stats.norm.logpdf(y, runs.mean(axis=0) + s, spread).sum() for s in (0.0, 0.2, -0.4)]
+    np.testing.assert_allclose(ours, [-2.0 * (logs[0] - log) for log in logs], rtol=1e-12)
+    assert found.chi_squared == pytest.approx((((runs.mean(axis=0) - y) / spread) ** 2).sum())
+    assert found.per_datum == pytest.approx(found.chi_squared / 3)
+
+
+def test_one_run_has_no_scatter_and_absent_readings_cost_more_than_any_other():
+    y, sigma = np.array([1.0, 2.0]), np.array([0.5, 0.5])
+    found = misfit(y, sigma, np.array([[1.5, math.nan]]))
+    assert found.residuals.tolist() == [1.0, ABSENT]
+    assert found.loss == 1.0 + ABSENT**2
+    assert standardised(y, sigma, np.array([0.5, math.nan])).tolist() == [-1.0, ABSENT]
+
+
+def test_counts_are_compared_by_their_ratio():
+    data = measured([100.0], 5.0).data
+    (log,) = (datum.__class__(**{**vars(datum), "log": True, "sigma": 0.1}) for datum in data)
+    by_ratio = scaled([log], [110.0]) - log.scaled(100.0)
+    assert by_ratio[0] == pytest.approx(math.log(1.1))
+
+
+def test_scatter_of_runs_alone_makes_no_parameters_better():
+    """The variance that runs add must not hide that they are off: its logarithm counts."""
+    y, sigma = np.zeros(3), np.ones(3)
+    calm = misfit(y, sigma, np.array([[0.5] * 3, [0.5] * 3]))
+    wild = misfit(y, sigma, np.array([[20.5] * 3, [-19.5] * 3]))
+    assert wild.chi_squared < calm.chi_squared
+    assert wild.loss > calm.loss
+
+
+@pytest.mark.parametrize("bend", [0.0, 0.3])
+def test_polynomials_are_exact_where_the_runs_are(bend):
+    rng = np.random.default_rng(3)
+    problem = linear(MATRIX, [0.4, 0.6, 1.0, -0.2], 0.05, bend=bend)
+    shares = rng.random((30, 2))
+    runs = np.array([problem.simulator(x, 0, 0).values for x in shares])
+    residuals = (runs - problem.observed) / problem.sigma
+    loss = (residuals**2).sum(axis=1)
+    found = emulator(shares, residuals, np.zeros_like(residuals), loss)
+    assert found.degree == 2
+    elsewhere = rng.random((50, 2))
+    truth = np.array([problem.simulator(x, 0, 0).values for x in elsewhere])
+    expected = (truth - problem.observed) / problem.sigma
+    np.testing.assert_allclose(found.means(elsewhere), expected, atol=1e-5)
+    np.testing.assert_allclose(found.loss(elsewhere), (expected**2).sum(axis=1), rtol=1e-4)
+
+
+def test_draws_of_an_emulator_have_the_posterior_in_closed_form():
+    problem = linear(MATRIX, [0.45, 0.6, 1.0, -0.2], 0.05)
+    shares = np.random.default_rng(5).random((40, 2))
+    runs = np.array([problem.simulator(x, 0, 0).values for x in shares])
+    residuals = (runs - problem.observed) / problem.sigma
+    found = emulator(shares, residuals, np.zeros_like(residuals), (residuals**2).sum(axis=1))
+    draws = found.sample(seed=1, count=20_000)
+    mean, covariance = exact(problem)
+    np.testing.assert_allclose(draws.mean(axis=0), mean, atol=0.002)
+    np.testing.assert_allclose(np.cov(draws.T), covariance, atol=0.05 * covariance.max())
+
+
+def test_too_few_points_make_no_polynomial():
+    shares = np.array([[0.1, 0.2], [0.3, 0.4], [0.5, 0.9], [0.2, 0.2]])
+    none = emulator(shares, np.ones((4, 3)), np.zeros((4, 3)), np.ones(4))
+    assert none is None
+    five = np.vstack([shares, [[0.9, 0.1]]])
+    some = emulator(five, np.ones((5, 3)), np.zeros((5, 3)), np.ones(5))
+    assert some.degree == 1
+
+
+@pytest.mark.parametrize("bend", [0.0, 0.5])
+def test_the_search_finds_the_best_point_in_few_runs(bend):
+    problem = linear(MATRIX, [0.45, 0.62, 1.01, -0.21], 0.05, bend=bend)
+    known = Search(problem, None, seed=1).run(OwnHands(), 30)
+    best = min(known, key=lambda e: e.misfit.loss)
+    straight, _ = exact(problem)
+    x = (np.sqrt(1.0 + 4.0 * bend * straight) - 1.0) / (2.0 * bend) if bend else straight
+    np.testing.assert_allclose(best.shares, x, atol=0.01)
+    assert len(known) == 30
+
+
+def test_scatter_of_runs_widens_what_the_data_leave_open():
+    """With many seeds the draws' variance is that of σ² + s²."""
+    noisy = linear(MATRIX, [0.45, 0.62, 1.01, -0.21], 0.02, noise=0.04, seeds=60)
+    known = Search(noisy, None, seed=1).run(OwnHands(), 30)
+    draws = emulator_of(noisy, known).sample(seed=2, count=10_000)
+    _, covariance = exact(noisy)
+    np.testing.assert_allclose(draws.std(axis=0), np.sqrt(np.diag(covariance)), rtol=0.2)
+
+
+def test_all_points_have_the_same_random_numbers():
+    problem = linear(MATRIX, [0.4, 0.6, 1.0, -0.2], 0.05, noise=0.1, seeds=3)
+    _, calls = calls_of(lambda: Search(problem, None).run(OwnHands(), 12))
+    seeds = {}
+    for shares, _, seed in calls:
+        seeds.setdefault(shares, []).append(seed)
+    assert len(seeds) == 12
+    assert all(sorted(used) == [0, 1, 2] for used in seeds.values())
+
+
+class Stopping:
+    """Hands that stop after some calls, as a process does that is killed."""
+
+    def __init__(self, calls):
+        self._inner, self._left, self.count = OwnHands(), calls, 1
+
+    def give(self, *arguments):
+        self._inner.give(*arguments)
+
+    def take(self):
+        if self._left == 0:
+            raise KeyboardInterrupt
+        self._left -= 1
+        return self._inner.take()
+
+    def drop(self):
+        self._inner.drop()
+
+    @property
+    def busy(self):
+        return self._inner.busy
+
+
+@pytest.mark.parametrize("calls", [1, 20, 33])
+def test_a_search_that_is_stopped_goes_on_with_what_is_there(calls, tmp_path):
+    problem = linear(MATRIX, [0.4, 0.6, 1.0, -0.2], 0.05, noise=0.1, seeds=2)
+    path = tmp_path / "search.log"
+    whole = Search(problem, None, seed=4).run(OwnHands(), 25)
+    _, first = calls_of(lambda: Search(problem, path, seed=4).run(Stopping(calls), 25))
+    with path.open("a") as file:
+        file.write('{"op_code": 6, "half')  # what a kill leaves of a line
+    path.with_name("search.log.lock").symlink_to("search.log")
+    known, second = calls_of(lambda: Search(problem, path, seed=4).run(OwnHands(), 25))
+    assert (len(first), len(second)) == (calls, 50 - calls)
+    assert [e.shares.tolist() for e in known] == [e.shares.tolist() for e in whole]
+    assert [e.misfit.loss for e in known] == [e.misfit.loss for e in whole]
+
+
+class Failing:
+    def __call__(self, shares, condition, seed):
+        return Reading((math.nan,) * 4, "step failed (t = 7 s): too stiff")
+
+
+def test_a_search_whose_runs_all_fail_says_why():
+    good = linear(MATRIX, [0.4, 0.6, 1.0, -0.2], 0.05)
+    problem = Problem(good.measured, good.ranges, Failing(), (0,))
+    with pytest.raises(FitFailed, match=r"no run of the first 5 .* too stiff"):
+        Search(problem, None).run(OwnHands(), 30)
+
+
+class Patchy(Linear):
+    def __call__(self, shares, condition, seed):
+        if shares[0] > 0.7:
+            return Reading((math.nan,) * 4, "burst")
+        return super().__call__(shares, condition, seed)
+
+
+def test_parameters_whose_runs_fail_are_avoided():
+    good = linear(MATRIX, [0.69, 0.6, 1.29, 0.09], 0.05)
+    problem = Problem(good.measured, good.ranges, Patchy(good.simulator.matrix), (0,))
+    known = Search(problem, None).run(OwnHands(), 40)
+    best = min(known, key=lambda e: e.misfit.loss)
+    np.testing.assert_allclose(best.shares, [0.69, 0.6], atol=0.02)
+    assert any(e.reasons for e in known)
