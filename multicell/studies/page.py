@@ -45,6 +45,9 @@ KEY_OBSERVABLES: Final = (
 )  # fmt: skip
 """Observables that a page shows, if they are there and change; further ones by wish."""
 
+MOST_ROWS: Final = 4000
+"""Runs that the table of a page lists; a browser takes long over more."""
+
 _MAPS: Final = 4  # observables that have a map or a response
 _COURSES: Final = 3  # and of which courses
 _COLUMNS: Final = 6  # and columns of the table
@@ -206,10 +209,11 @@ def _run_table(
     """Return heads and rows of the table of runs; each cell with its rank in its column."""
     axes = [(name, scale_alone(table, name)) for name in coordinates_of(table)]
     ends = {name: at_end(table, name).values for name in told}
+    chosen = _listed(states)
     heads = [*(shown.label for _, shown in axes), "seed", "state",
              *(label(table, name) for name in told), "wall time"]  # fmt: skip
     rows, places = [], Places(table)
-    for run, state in zip(runs, states, strict=True):
+    for run, state in ((runs[k], states[k]) for k in chosen):
         own: list[Any] = [_coordinate(run.coordinates.get(n), s.factor) for n, s in axes]
         place = places.of(run.coordinates)
         values = [float(ends[n][place]) if place is not None else np.nan for n in told]
@@ -225,7 +229,15 @@ def _run_table(
              "number": not isinstance(value, str)}
             for k, value in enumerate(row.pop("own"))
         ]  # fmt: skip
-    return {"heads": heads, "rows": rows}
+    return {"heads": heads, "rows": rows, "left_out": len(states) - len(chosen)}
+
+
+def _listed(states: Sequence[RunStatus]) -> list[int]:
+    """Return which runs are listed: all, or of very many those that failed, then the first ones."""
+    if len(states) <= MOST_ROWS:
+        return list(range(len(states)))
+    order = sorted(range(len(states)), key=lambda k: states[k].state != "failed")
+    return sorted(order[:MOST_ROWS])
 
 
 def _coordinate(value: Any, factor: float) -> Any:
