@@ -176,6 +176,22 @@ def test_points_of_a_sample_stand_at_their_values_with_their_deviation():
     np.testing.assert_allclose(lengths, 2.0 * last.std(axis=1, ddof=1)[order])
 
 
+def test_many_curves_are_the_same_as_few():
+    table = sampled(OXYGEN, count=24, seeds=3)
+    for name in table.data_vars:
+        table[name].values[5, 1, 30:] = np.nan
+    axes = plots(table).curves("diameter").axes[0]
+    bands, thin, lines = axes.collections
+    values = table["diameter"].values
+    drawn = np.array([path.vertices[:, 1] for path in lines.get_paths()])
+    wanted = values.mean(axis=1)
+    np.testing.assert_allclose(drawn[np.arange(24) != 5], wanted[np.arange(24) != 5])
+    assert np.isnan(drawn[5, 30:]).all()
+    height = bands.get_paths()[0].vertices[:41, 1]
+    np.testing.assert_allclose(height, wanted[0] + values[0].std(axis=0, ddof=1))
+    assert len(thin.get_paths()) == 3
+
+
 def test_failed_runs_are_counted_beside_the_points():
     table = with_states(sampled(OXYGEN, GLUCOSE), failed=[(3, 0), (7, 0), (7, 1), (7, 2)])
     assert "failed (4)" in texts(plots(table).response("diameter"))
