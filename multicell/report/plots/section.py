@@ -108,7 +108,7 @@ def section(
     name = next((name for name in scene.nutrients if name in fields), "")
     if name and shade.title in ("state", "type"):
         _draw_behind(figure, axes, fields[name], level, scene.nutrients[name])
-    scale_bar(axes, middle, half)
+    _scale_bar(axes, middle, half)
     if dimensions == 3 and plane is not None:
         _name_axes(axes, plane, middle, half)
     if shade.group is not None:
