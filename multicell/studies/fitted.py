@@ -54,8 +54,8 @@ class Best:
         The sum of their squares.
     per_datum
         χ² over the number of data.
-    scene
-        With these values.
+    settings
+        By key: the values as :meth:`Scene.with_changes` takes them.
     """
 
     values: Mapping[str, float]
@@ -65,7 +65,13 @@ class Best:
     residuals: Array
     chi_squared: float
     per_datum: float
-    scene: Scene
+    settings: Mapping[str, Any]
+    _fitted: Scene
+
+    @cached_property
+    def scene(self) -> Scene:
+        """The scene with these values."""
+        return self._fitted.with_changes(self.settings)
 
 
 @final
@@ -120,7 +126,8 @@ class Fit:
             residuals=residuals,
             chi_squared=chi_squared,
             per_datum=chi_squared / len(residuals),
-            scene=self.scene.with_changes(settings),
+            settings=settings,
+            _fitted=self.scene,
         )
 
     @property

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from cheap_fits import Linear, calls_of, exact, linear, measured
+from cheap_fits import MATRIX, Linear, calls_of, exact, linear, measured
 from scipy import stats
 
 from multicell.errors import FitFailed
@@ -16,8 +16,6 @@ from multicell.studies.hands import OwnHands
 from multicell.studies.problem import Problem
 from multicell.studies.search import Search, emulator_of
 from multicell.studies.simulating import Reading
-
-MATRIX = [[1.0, 0.0], [0.0, 1.0], [1.0, 1.0], [1.0, -1.0]]
 
 
 def test_the_loss_is_the_normal_likelihood_of_the_data_in_closed_form():
