@@ -255,8 +255,8 @@ class Fit:
         if assumed:
             said = f"{assumed} of {len(data)} data" if assumed < len(data) else "The data"
             notes.append(
-                f"{said} come without a standard deviation: {self.facts['sd']:.0%} of the value "
-                "was assumed, on which all intervals depend."
+                f"{said} come without a standard deviation: {100.0 * self.facts['sd']:g} % of the "
+                "value was assumed, on which all intervals depend."
             )
         if self.evaluations and len(self.problem.seeds) == 1:
             notes.append("With one seed the scatter between runs is unknown and counted as none.")
