@@ -42,6 +42,8 @@ if TYPE_CHECKING:
     from multicell.simulation import Simulation
     from multicell.studies.fit import fit
     from multicell.studies.fitted import Fit
+    from multicell.studies.sensitivity import sensitivity
+    from multicell.studies.sensitivity_result import Sensitivity
     from multicell.studies.study import Study, load_study, study
 
 __version__ = "0.1.0"
@@ -67,6 +69,7 @@ __all__ = [
     "Scene",
     "SceneError",
     "Schedule",
+    "Sensitivity",
     "Simulation",
     "StabilityMap",
     "State",
@@ -91,6 +94,7 @@ __all__ = [
     "resume",
     "run",
     "scene_names",
+    "sensitivity",
     "stability",
     "study",
     "testing",
@@ -134,6 +138,8 @@ _LAZY = {
     "run": "multicell.runner",
     "scene_names": "multicell.scene.scene",
     "stability": "multicell.comparison.stability_limits.search",
+    "Sensitivity": "multicell.studies.sensitivity_result",
+    "sensitivity": "multicell.studies.sensitivity",
     "Fit": "multicell.studies.fitted",
     "fit": "multicell.studies.fit",
     "Study": "multicell.studies.study",

@@ -262,7 +262,7 @@ def test_public_names():
         "ode_problem", "testing", "load_law", "pair_law", "OwnReaction",
         "Reaction", "reaction", "FieldEquation", "FieldProblem", "FieldComparison",
         "compare_fields", "ImplicitFieldSolver", "Schedule", "SteadyFieldSolver", "Substance",
-        "field_problem", "Study", "study", "load_study", "Fit", "fit",
+        "field_problem", "Study", "study", "load_study", "Sensitivity", "sensitivity", "Fit", "fit",
     }  # fmt: skip
     assert all(hasattr(mc, name) for name in mc.__all__)
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):

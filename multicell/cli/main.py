@@ -33,6 +33,7 @@ from multicell.cli.options import (
     threads_option,
 )
 from multicell.cli.process import Commands, complain, print_json
+from multicell.cli.sensitivity import sensitivity
 from multicell.cli.study import study
 from multicell.errors import OutputError, StepFailed
 
@@ -214,6 +215,7 @@ def export(
 main.add_command(compare)
 main.add_command(stability)
 main.add_command(study)
+main.add_command(sensitivity)
 main.add_command(fit)
 
 

@@ -194,7 +194,8 @@ def _values(axis: Any) -> str:
     unit = f" {axis.unit}" if axis.unit else ""
     if hasattr(axis, "low"):
         return f"{axis.low:g} to {axis.high:g}{unit}{', by ratio' if axis.log else ''}"
-    shown = [str(value) for value in axis.values[:12]]
+    bare = [isinstance(x, int | float) and not isinstance(x, bool) for x in axis.values]
+    shown = [f"{x}{unit * b}" for x, b in zip(axis.values[:12], bare, strict=False)]
     return ", ".join(shown) + (f", ... ({len(axis.values)})" if len(axis.values) > 12 else "")
 
 
@@ -222,7 +223,7 @@ def _bytes(number: float) -> str:
     for unit, size in (("TB", 1e12), ("GB", 1e9)):
         if number >= size:
             return f"{number / size:.3g} {unit}"
-    return f"{number / 1e6:.0f} MB"
+    return f"{number / 1e6:.0f} MB" if number >= 1e6 else "less than 1 MB"
 
 
 @study.command()
@@ -317,11 +318,16 @@ def _ask(cost: StudyCost, cores: int | None, yes: bool, silent: bool) -> None:
         complain(f"{words}.")
     if seconds <= _ASKED or yes:
         return
-    if sys.stdin is None or not sys.stdin.isatty():
+    if not _terminal():
         raise click.UsageError(f"{words}. There is no terminal to ask at: --yes says go on.")
     if not click.confirm("Go on?", err=True):
         complain("Nothing has run.")
         raise click.exceptions.Exit(1)
+
+
+def _terminal() -> bool:
+    """Return whether there is somebody to ask."""
+    return sys.stdin is not None and sys.stdin.isatty()
 
 
 def _stopped(made: Study) -> None:

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
-from multicell.errors import MulticellError
-from multicell.report.explain.cost import predicted
+from multicell.errors import MulticellError, SceneError
 from multicell.report.result import read_summary
+from multicell.studies.cost import Cost, StudyCost, cost_of, together
 from multicell.studies.runs import Run, digest
-from multicell.studies.status import run_folder
+from multicell.studies.status import run_folder, status
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
@@ -50,11 +50,39 @@ Evaluate = Callable[["FloatArray"], Observed]
 """From points of the unit cube, (n, parameters), to what runs there come to."""
 
 
-def runs_at(
+@final
+@dataclass(frozen=True)
+class Ensemble:
+    """The runs at points of the unit cube.
+
+    Attributes
+    ----------
+    points : list of list of Run
+        For each point one run for each seed; points that are the same have the same runs.
+    costs : name of a run -> Cost
+    """
+
+    points: list[list[Run]]
+    costs: Mapping[str, Cost]
+
+    @property
+    def runs(self) -> list[Run]:
+        """All runs, each once."""
+        return list({run.name: run for point in self.points for run in point}.values())
+
+    def left(self, folder: Path, cores: int) -> StudyCost:
+        """Return what the runs are expected to take that are not done."""
+        open_ = [r for r in self.runs if status(r.name, folder, r.integrator).state != "done"]
+        return together((self.costs[run.name] for run in open_), cores)
+
+
+def ensemble(
     scene: Scene, ranges: Sequence[Range], shares: FloatArray, seeds: Sequence[int],
-    integrator: str = "",
-) -> list[list[Run]]:  # fmt: skip
-    """Return the runs at points of the unit cube: for each point one for each seed.
+    folder: Path | None = None,
+) -> Ensemble:  # fmt: skip
+    """Return the runs at points of the unit cube, (n, parameters).
+
+    What runs are expected to take is not worked out for points that are done in a ``folder``.
 
     Raises
     ------
@@ -62,37 +90,43 @@ def runs_at(
         If the scene refuses the values of a point, which are then part of the text.
     """
     known: dict[tuple[float, ...], list[Run]] = {}
-    result = []
+    costs: dict[str, Cost] = {}
+    points = []
     for row in shares:
         values = tuple(free.value(float(share)) for free, share in zip(ranges, row, strict=True))
         if values not in known:
-            known[values] = _runs(scene, ranges, values, seeds, integrator)
-        result.append(known[values])
-    return result
+            own = _at(scene, ranges, values)
+            scenes = {digest(one): one for one in (replace(own, seed=seed) for seed in seeds)}
+            there = folder is not None and all(_has_ended(folder, name) for name in scenes)
+            cost = Cost(0.0, 0.0, 0.0) if there else cost_of(own)
+            place = {free.name: value for free, value in zip(ranges, values, strict=True)}
+            known[values] = [
+                Run(name, one, {**place, "seed": one.seed}, cost.seconds)
+                for name, one in scenes.items()
+            ]
+            costs |= dict.fromkeys(scenes, cost)
+        points.append(known[values])
+    return Ensemble(points, costs)
 
 
-def _runs(
-    scene: Scene, ranges: Sequence[Range], values: Sequence[float], seeds: Sequence[int],
-    integrator: str,
-) -> list[Run]:  # fmt: skip
+def _has_ended(folder: Path, name: str) -> bool:
+    """Return whether a run has left a summary; the engine looks whether it is whole."""
+    return (run_folder(folder, name) / "summary.json").is_file()
+
+
+def _at(scene: Scene, ranges: Sequence[Range], values: Sequence[float]) -> Scene:
+    """Return the scene at a point."""
     pairs = list(zip(ranges, values, strict=True))
-    changed = scene.with_changes({free.key: free.setting(value) for free, value in pairs})
-    expected = predicted(changed).seconds
-    coordinates = {free.name: value for free, value in pairs}
-    own = [changed.with_changes({"seed": seed}) for seed in seeds]
-    return [
-        Run(digest(one, integrator), one, {**coordinates, "seed": seed}, expected, integrator)
-        for one, seed in zip(own, seeds, strict=True)
-    ]
-
-
-def each_once(runs: Sequence[Sequence[Run]]) -> list[Run]:
-    """Return all runs of all points, each once."""
-    return list({run.name: run for point in runs for run in point}.values())
+    try:
+        return scene.with_changes({free.key: free.setting(value) for free, value in pairs})
+    except SceneError as error:
+        where = ", ".join(f"{free.key} = {value:.4g} {free.unit}".strip() for free, value in pairs)
+        hint = error.hint or "Narrow the ranges."
+        raise SceneError(error.path, f"{error.problem}, at {where}", hint) from None
 
 
 def observe(
-    runs: Sequence[Sequence[Run]],
+    asked: Ensemble,
     outcomes: Sequence[Outcome],
     folder: Path,
     observables: Sequence[str],
@@ -104,8 +138,8 @@ def observe(
 
     Parameters
     ----------
-    runs
-        As of :func:`runs_at`.
+    asked
+        The runs.
     outcomes
         Of all runs.
     folder
@@ -116,7 +150,8 @@ def observe(
     states = {outcome.name: outcome for outcome in outcomes}
     failures = {o.name: o.reason for o in outcomes if o.state == "failed"}
     read: dict[str, _Read] = {}
-    for run in each_once(runs):
+    runs = asked.points
+    for run in asked.runs:
         if states[run.name].state != "done":
             continue
         try:

@@ -17,6 +17,7 @@ from multicell.studies.pictures.values import (
     TIME,
     axes_of,
     axis_words,
+    coordinates_of,
     final,
     is_sampled,
     label,
@@ -24,6 +25,7 @@ from multicell.studies.pictures.values import (
     observables,
     place_of,
     scale,
+    scale_alone,
     sentence,
     with_states,
 )
@@ -145,10 +147,10 @@ def _drawings(
             yield f"response-{name}", lambda name=name: plots.response(name), caption  # type: ignore[misc]
     courses = [name for name in told if TIME in table[name].dims and table.sizes[TIME] > 1]
     bands = "with bands of one standard deviation over the seeds" if several else "of the only seed"
-    for name in courses[:_COURSES] if names else ():
+    for name in courses[:_COURSES]:
         caption = f"{sentence(label(table, name))} over time, {bands}; one panel for each axis."
         yield f"curves-{name}", lambda name=name: plots.curves(name), caption  # type: ignore[misc]
-    if runs and names:
+    if runs:
         yield "sections", plots.sections, "Last frames of one seed side by side, on one scale."
 
 
@@ -183,7 +185,9 @@ def _axis_row(table: xr.Dataset, name: str) -> dict[str, str]:
     values = shown.texts
     if len(values) > 12:
         values = [values[0], "…", values[-1], f"({len(values)} values)"]
-    key = str(table[name].attrs.get("key", name))
+    along = [entry for entry in table.coords.values() if entry.dims == (name,)]
+    keys = [str(entry.attrs["key"]) for entry in along if "key" in entry.attrs]
+    key = ", ".join(keys) or str(table[name].attrs.get("key", name))
     return {"label": shown.label, "key": key, "values": ", ".join(values).replace("…, ", "… ")}
 
 
@@ -200,7 +204,7 @@ def _run_table(
     table: xr.Dataset, runs: Sequence[Run], states: Sequence[RunStatus], told: Sequence[str]
 ) -> dict[str, Any]:
     """Return heads and rows of the table of runs; each cell with its rank in its column."""
-    axes = [(name, scale(table, name)) for name in axes_of(table)]
+    axes = [(name, scale_alone(table, name)) for name in coordinates_of(table)]
     ends = {name: final(table, name) for name in told}
     heads = [*(shown.label for _, shown in axes), "seed", "state",
              *(label(table, name) for name in told), "wall time"]  # fmt: skip

@@ -335,15 +335,17 @@ def read_plan(folder: str | Path, *, integrator: str = "") -> Plan:
     source = entries.pop("scene", SCENE)
     if not isinstance(source, str):
         raise SceneError("scene", f"is {shown(source)}, must be the path of a scene file")
-    named = entries.pop("integrator", "")
-    if named and not integrator:
-        problem = f"is {shown(named)}, a method of the user's own, which is not loaded by itself"
-        hint = f"Hand it over as integrator=..., or by --integrator '{named}'."
-        raise SceneError("integrator", problem, hint)
+    _check_method(entries.pop("integrator", ""), integrator, path)
     scene = load_scene(folder / source)
     for key, kind in (("vary", dict), ("points", dict | str), ("zip", dict | list)):
         if key in entries and not isinstance(entries[key], kind):
             raise SceneError(key, f"is {shown(entries[key])}, must be a table")
+        below = entries[key] if isinstance(entries.get(key), dict) else ()
+        for name in (name for name in below if name in _KEYS and name != "integrator"):
+            problem = (
+                f"stands below [{key}] in '{path}', so that it is taken for a key of the scene"
+            )
+            raise SceneError(name, problem, "Put it above the first table.")
     points = entries.pop("points", None)
     if isinstance(points, str):
         points = folder / points
@@ -351,6 +353,18 @@ def read_plan(folder: str | Path, *, integrator: str = "") -> Plan:
         scene, entries.pop("vary", None), zipped=entries.pop("zip", None), points=points,
         integrator=integrator, **entries,
     )  # fmt: skip
+
+
+def _check_method(named: Any, given: str, path: Path) -> None:
+    """Refuse a method of the user's own that the plan names and nobody hands over, or otherwise."""
+    if named and not given:
+        problem = f"is {shown(named)}, a method of the user's own, which is not loaded by itself"
+        hint = f"Hand it over as integrator=..., or by --integrator '{named}'."
+        raise SceneError("integrator", problem, hint)
+    if given and str(named).rpartition(":")[2] != given.rpartition(":")[2]:
+        problem = f"is {given!r}, but '{path}' has {repr(named) if named else 'none'}"
+        hint = "The method belongs to the plan: 'multicell study new ... --integrator'."
+        raise SceneError("integrator", problem, hint)
 
 
 def _entries(path: Path) -> dict[str, Any]:

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
 from multicell.errors import OutputError, SceneError
 from multicell.results.folder import file_errors, write_text
 from multicell.results.quantities import known_unit
-from multicell.studies import ensemble
 from multicell.studies.axes import Range, check_axes, named, parse_range
+from multicell.studies.ensemble import Ensemble, Evaluate, Observed, ensemble, observe
 from multicell.studies.indices import (
     NOISE,
     USUAL,
@@ -54,7 +55,6 @@ def sensitivity(
     scheduler: str | None = None,
     retry: bool = False,
     report: bool = True,
-    ask: Callable[[Sequence[Run]], None] | None = None,
     progress: Callable[[Outcome], None] | None = None,
 ) -> Sensitivity:
     """Find out which parameters of a scene decide its observables.
@@ -88,8 +88,6 @@ def sensitivity(
         As in :func:`multicell.studies.engine.carry_out`.
     report
         Whether to write the page and its pictures.
-    ask
-        Called with all runs before the first of them; may raise.
     progress
         Called with the outcome of each run.
 
@@ -105,6 +103,59 @@ def sensitivity(
     ClusterError
         If the scheduler does not answer.
     """
+    plan = planned(
+        scene, free, method=method, size=size, seeds=seeds, observables=observables, output=output
+    )
+    prepare(plan, output, overwrite=overwrite)
+    result = carried_out(
+        plan, output, cores=cores, scheduler=scheduler, retry=retry, progress=progress
+    )
+    if report:
+        result.report()
+    return result
+
+
+@final
+@dataclass(frozen=True)
+class SensitivityPlan:
+    """An analysis that was checked and has not run.
+
+    Attributes
+    ----------
+    scene, method, ranges, size, seeds, observables
+        As in :func:`sensitivity`.
+    ensemble
+        Its runs.
+    """
+
+    scene: Scene
+    method: str
+    ranges: tuple[Range, ...]
+    size: int
+    seeds: tuple[int, ...]
+    observables: tuple[str, ...]
+    ensemble: Ensemble
+
+    @property
+    def runs(self) -> list[Run]:
+        """All runs, each once."""
+        return self.ensemble.runs
+
+
+def planned(
+    scene: Scene | str | Path,
+    free: Mapping[str, Any],
+    *,
+    method: str = "morris",
+    size: int | None = None,
+    seeds: int = 1,
+    observables: Sequence[str] | None = None,
+    output: str | Path | None = None,
+) -> SensitivityPlan:
+    """Return the plan of an analysis, in which everything is checked.
+
+    Parameters and errors are those of :func:`sensitivity`.
+    """
     needs("SALib", "distributed")
     described = _scene(scene)
     size = USUAL.get(method, 0) if size is None else size
@@ -113,25 +164,38 @@ def sensitivity(
     chosen = observables_of(described, observables)
     own = seeds_of(described, seeds)
     shares = sample(method, [one.name for one in ranges], size)
-    runs = ensemble.runs_at(described, ranges, shares, own)
-    if ask is not None:
-        ask(ensemble.each_once(runs))
-    folder = Path(output)
-    _prepare(folder, described, method, ranges, overwrite=overwrite)
+    folder = None if output is None else Path(output)
+    found = ensemble(described, ranges, shares, own, folder)
+    return SensitivityPlan(described, method, ranges, size, own, tuple(chosen), found)
 
-    def evaluate(_: Any) -> ensemble.Observed:
+
+def carried_out(
+    plan: SensitivityPlan,
+    output: str | Path,
+    *,
+    cores: int | None = None,
+    scheduler: str | None = None,
+    retry: bool = False,
+    progress: Callable[[Outcome], None] | None = None,
+) -> Sensitivity:
+    """Do all runs of a plan that are not done, and return what they tell.
+
+    Parameters and errors are those of :func:`sensitivity`.
+    """
+    folder = Path(output)
+
+    def evaluate(_: Any) -> Observed:
         from multicell.studies.engine import carry_out
 
-        unique = ensemble.each_once(runs)
         outcomes = carry_out(
-            unique, folder, cores=cores, scheduler=scheduler, retry=retry, progress=progress
+            plan.runs, folder, cores=cores, scheduler=scheduler, retry=retry, progress=progress
         )
-        return ensemble.observe(runs, outcomes, folder, chosen)
+        return observe(plan.ensemble, outcomes, folder, plan.observables)
 
-    result = analyse(described, method, ranges, size, own, chosen, evaluate, runs, folder)
-    if report:
-        result.report()
-    return result
+    return analyse(
+        plan.scene, plan.method, plan.ranges, plan.size, plan.seeds, plan.observables, evaluate,
+        plan.ensemble.points, folder,
+    )  # fmt: skip
 
 
 def analyse(
@@ -141,7 +205,7 @@ def analyse(
     size: int,
     seeds: Sequence[int],
     observables: Sequence[str],
-    evaluate: ensemble.Evaluate,
+    evaluate: Evaluate,
     runs: Sequence[Sequence[Run]] = (),
     folder: Path | None = None,
 ) -> Sensitivity:
@@ -237,18 +301,23 @@ def _scene(scene: Scene | str | Path) -> Scene:
     return load_scene(scene) if isinstance(scene, str | Path) else scene
 
 
-def _prepare(
-    folder: Path, scene: Scene, method: str, ranges: Sequence[Range], *, overwrite: bool
-) -> None:
-    """Make the folder, or see that it holds the same analysis; write down what is asked."""
+def prepare(plan: SensitivityPlan, output: str | Path, *, overwrite: bool = False) -> None:
+    """Make the folder of an analysis, or see that it holds the same one; write down what is asked.
+
+    Raises
+    ------
+    OutputError
+        If it holds something else, or cannot be used.
+    """
     import tomllib
 
     import tomli_w
 
-    plan = {
-        "method": method,
-        "free": {free.key: _range_text(free) for free in ranges},
-        "scene": scene.to_dict(),
+    folder = Path(output)
+    asked = {
+        "method": plan.method,
+        "free": {free.key: _range_text(free) for free in plan.ranges},
+        "scene": plan.scene.to_dict(),
     }
     path = folder / PLAN
     with file_errors("use the output folder", folder):
@@ -263,7 +332,7 @@ def _prepare(
             "sensitivity: choose another folder"
         )
     try:
-        same = before is None or tomllib.loads(before) == tomllib.loads(tomli_w.dumps(plan))
+        same = before is None or tomllib.loads(before) == tomllib.loads(tomli_w.dumps(asked))
     except ValueError:
         same = False
     if not same and not overwrite:
@@ -271,7 +340,7 @@ def _prepare(
             f"'{path}' asks something else (another scene, method or ranges): choose another "
             "folder, or allow overwriting (--overwrite, overwrite=True), which keeps all runs"
         )
-    write_text(path, tomli_w.dumps(plan))
+    write_text(path, tomli_w.dumps(asked))
 
 
 def _range_text(free: Range) -> str:
@@ -293,7 +362,7 @@ def _row(method: str, observable: str, free: Range, index: Index) -> Row:
 
 
 def _courses(
-    method: str, ranges: Sequence[Range], shares: np.ndarray[Any, Any], seen: ensemble.Observed
+    method: str, ranges: Sequence[Range], shares: np.ndarray[Any, Any], seen: Observed
 ) -> list[Row]:
     """Return the indices over time; times at which nothing can be told are left out."""
     rows, names = [], [free.name for free in ranges]
@@ -311,7 +380,7 @@ def _courses(
 
 def _notes(
     method: str, size: int, seeds: Sequence[int], found: Mapping[str, Analysis],
-    seen: ensemble.Observed, table: Sequence[Row],
+    seen: Observed, table: Sequence[Row],
 ) -> list[str]:  # fmt: skip
     """Return what the reader must know of the result."""
     what = "trajectories" if method == "morris" else "base points"
@@ -337,7 +406,7 @@ def _notes(
 
 
 def _run_rows(
-    runs: Sequence[Sequence[Run]], seen: ensemble.Observed, observables: Sequence[str]
+    runs: Sequence[Sequence[Run]], seen: Observed, observables: Sequence[str]
 ) -> list[Row]:
     rows: dict[str, Row] = {}
     for place, point in enumerate(runs):

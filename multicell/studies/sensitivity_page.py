@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING
 
 from multicell.report.html import write_page
 from multicell.report.plots.style import save
+from multicell.report.wording import time_unit
 from multicell.studies.indices import CLEAR, CLEAR_SINGLE, block
 from multicell.studies.pictures.values import key_words, sentence, words
 
 if TYPE_CHECKING:
+    from multicell.studies.axes import Range
     from multicell.studies.sensitivity_result import Sensitivity
 
 
@@ -26,8 +28,9 @@ def write_report(result: Sensitivity, folder: Path) -> Path:
     index = "Size of effects" if result.method == "morris" else "Parts of the variance"
     for name in result.observables:
         rows = result.ordered(name)
-        if all(row["verdict"] == "unknown" for row in rows):
-            continue
+        first = "mu_star" if result.method == "morris" else "st"
+        if not any(row[first] > 0.0 for row in rows):
+            continue  # nothing to draw: a note says why
         told = sentence(words(name))
         file = name.replace(".", "_")
         path = folder / f"sensitivity-{file}.png"
@@ -49,7 +52,18 @@ def write_report(result: Sensitivity, folder: Path) -> Path:
         tiles=_tiles(result),
         pictures=pictures,
         result=result,
+        ends={free.key: _ends(free) for free in result.ranges},
     )
+
+
+def _ends(free: Range) -> tuple[str, str]:
+    """Return both ends of a range with their unit; long times in minutes, hours or days."""
+    unit, factor = free.unit.replace("um", "µm"), 1.0
+    if unit == "s":
+        shown = time_unit(free.high)
+        unit, factor = shown.name, shown.seconds
+    log = ", by ratio" if free.log else ""
+    return f"{free.low / factor:.4g}", f"{free.high / factor:.4g} {unit}{log}".strip()
 
 
 def _subtitle(result: Sensitivity) -> str:

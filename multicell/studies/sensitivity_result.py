@@ -116,9 +116,9 @@ class Sensitivity:
         """Return the table as CSV."""
         return _csv(self.table)
 
-    def to_json(self) -> str:
-        """Return everything as strict JSON; NaN is null."""
-        entries = {
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as plain values."""
+        return {
             "method": self.method,
             "size": self.size,
             "seeds": self.seeds,
@@ -129,7 +129,10 @@ class Sensitivity:
             "versions": {**versions(), "SALib": package_version("SALib")},
             "scene": self.scene.to_dict(),
         }
-        return to_json(entries) + "\n"
+
+    def to_json(self) -> str:
+        """Return everything as strict JSON; NaN is null."""
+        return to_json(self.to_dict()) + "\n"
 
     def text(self) -> str:
         """Return the table in words, the largest index of each observable first."""

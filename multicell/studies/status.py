@@ -130,10 +130,32 @@ def _failed(found: RunStatus, place: Path) -> RunStatus:
     return replace(found, state="failed", reason=str(note.get("reason", "")), kind=known)
 
 
+_Stamps = tuple[tuple[int, int, int], ...]
+_KNOWN: Final[dict[tuple[Path, str], tuple[_Stamps, RunStatus]]] = {}
+"""Runs that are done, with the stamps of their files: what has not changed is not read again."""
+
+
 def _done(name: str, place: Path, integrator: str) -> RunStatus | None:
     """Return the state of a run that has come to its end; None before that."""
+    try:
+        if (place / journal.NAME).exists():
+            return None
+        files = [(place / file).stat() for file in ("summary.json", hdf5.NAME, "scene.toml")]
+    except OSError:  # missing, or worth an error where it is read
+        return _read_done(name, place, integrator)
+    stamps = tuple((file.st_ino, file.st_size, file.st_mtime_ns) for file in files)
+    before, found = _KNOWN.get((place, integrator), (None, None))
+    if before != stamps:
+        found = _read_done(name, place, integrator)
+        if found is not None:
+            _KNOWN[place, integrator] = stamps, found
+    return found
+
+
+def _read_done(name: str, place: Path, integrator: str) -> RunStatus | None:
+    """Return the state of a run that has come to its end, from its files."""
     summary = read_summary(place / "summary.json")
-    if summary is None or summary.get("interrupted") or (place / journal.NAME).exists():
+    if summary is None or summary.get("interrupted"):
         return None
     hdf5.check_whole(place / hdf5.NAME)
     if digest(load_scene(place / "scene.toml"), integrator) != name:

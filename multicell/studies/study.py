@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, final
 from multicell.errors import OutputError
 from multicell.studies.cost import StudyCost, costs_of, together
 from multicell.studies.plan import NAME, SCENE, Plan, make_plan, read_plan
-from multicell.studies.runs import Run, canonical
+from multicell.studies.runs import Run, canonical, digest
 
 if TYPE_CHECKING:
     import pandas
@@ -293,8 +293,8 @@ def _refuse_other(plan: Plan, there: Plan, folder: Path) -> None:
         "Choose another folder, or allow overwriting (--overwrite, overwrite=True): runs that are "
         "there stay, and are taken where they fit"
     )
-    old, new = canonical(there.scene), canonical(plan.scene)
-    if old != new:
+    if digest(there.scene, there.integrator) != digest(plan.scene, plan.integrator):
+        old, new = canonical(there.scene), canonical(plan.scene)
         keys = ", ".join(_different(old, new)[:4])
         raise OutputError(
             f"'{folder}' holds a study of another scene: it differs in {keys}. {way_out}"

@@ -140,14 +140,16 @@ def _without_main() -> Iterator[None]:
     They would, up to where it starts them, as ``multiprocessing`` does on all systems that do not
     fork: a script would need a guard for it.
     """
-    main = sys.modules["__main__"]
-    hidden = {name: vars(main)[name] for name in ("__spec__", "__file__") if name in vars(main)}
-    vars(main).update({"__spec__": None} if "__spec__" in hidden else {})
-    vars(main).pop("__file__", None)
+    names: dict[str, Any] = vars(sys.modules["__main__"])
+    hidden: dict[str, Any] = {
+        name: names[name] for name in ("__spec__", "__file__") if name in names
+    }
+    names["__spec__"] = None
+    names.pop("__file__", None)
     try:
         yield
     finally:
-        vars(main).update(hidden)
+        names.update(hidden)
 
 
 @contextmanager

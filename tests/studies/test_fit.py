@@ -5,6 +5,10 @@ from __future__ import annotations
 import importlib.util
 import json
 import math
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -320,6 +324,39 @@ def test_the_command_fits_and_says_what_is_open(tmp_path):
     assert document["data"] == 2
     assert len(document["notes"]) == 3
     assert document["chi_squared"] >= 0.0
+
+
+@pytest.mark.slow
+def test_a_command_that_is_killed_goes_on_to_the_same_bits(tmp_path):
+    """Killed (-9) three times while it runs: no run is made twice, and the result is the same."""
+    (tmp_path / "growth.csv").write_text("time / h, cells\n10, 7\n20, 9\n")
+
+    def command(folder):
+        return [
+            sys.executable, "-m", "multicell", "fit", "growth", "--data",
+            str(tmp_path / "growth.csv"), "--free", "growth.cycle_time=8:30 h", "--set",
+            "duration=20 h", "--set", "initial.count=6", "--set", "coupling_step=1 h", "--budget",
+            "24", "--seeds", "1", "--cores", "1", "--quiet", "-o", str(folder),
+        ]  # fmt: skip
+
+    def lines():
+        log = tmp_path / "killed" / "search.log"
+        return len(log.read_bytes().splitlines()) if log.exists() else 0
+
+    subprocess.run(command(tmp_path / "whole"), check=True)
+    for more in (1, 9, 17):
+        begun, wanted = subprocess.Popen(command(tmp_path / "killed")), lines() + more
+        while lines() < wanted and begun.poll() is None:
+            time.sleep(0.002)
+        begun.kill()
+        assert begun.wait() == -signal.SIGKILL
+    subprocess.run(command(tmp_path / "killed"), check=True)
+    for name in ("best.toml", "posterior.csv", "residuals.csv"):
+        assert (tmp_path / "killed" / name).read_text() == (tmp_path / "whole" / name).read_text()
+    runs = [
+        (tmp_path / f / "search.log").read_text().count('"values"') for f in ("killed", "whole")
+    ]
+    assert runs[0] == runs[1]
 
 
 def test_the_command_refuses_bad_data_with_exit_code_2(tmp_path):

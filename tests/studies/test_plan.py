@@ -167,6 +167,7 @@ BAD = {
         "has no meaning where",
     '[vary]\nnutrients.oxygen.necrosis = "0.001,0.03 mM"\n':
         "(where nutrients.oxygen.necrosis = '0.03 mM')",
+    f'[vary]\n{OXYGEN} = "0.1 mM"\nseeds = 3\n': "stands below [vary]",
     "x = [[[\n": "not valid TOML",
     "x = " + "[" * 5000 + "\n": "not valid TOML",
 }  # fmt: skip
@@ -238,6 +239,11 @@ def test_an_own_method_must_be_named_again(tmp_path):
         read_plan(tmp_path / "study")
     again = read_plan(tmp_path / "study", integrator=f"{file}:Stay")
     assert again.names == plan.names
+    with pytest.raises(SceneError, match=r"has '.*:Stay'"):
+        read_plan(tmp_path / "study", integrator=f"{file}:Go")
+    settle(make_plan(EMT6), tmp_path / "usual")
+    with pytest.raises(SceneError, match="has none"):
+        read_plan(tmp_path / "usual", integrator=f"{file}:Stay")
     file.write_text(file.read_text() + "\n# another\n")
     assert set(make_plan(EMT6, seeds=2, integrator=f"{file}:Stay").names).isdisjoint(plan.names)
 

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any, Final
 import matplotlib as mpl
 import numpy as np
 from matplotlib.colors import LogNorm, Normalize
-from matplotlib.ticker import FuncFormatter, NullFormatter
+from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 from numpy.typing import NDArray
 
 from multicell.errors import SceneError
-from multicell.report.plots.style import SIZE, styled, type_colours
+from multicell.report.plots.style import BLUE, SIZE, span, styled, type_colours
 from multicell.report.wording import time_unit
 from multicell.studies.pictures.heatmap import laid_out
 from multicell.studies.pictures.values import (
@@ -25,6 +25,7 @@ from multicell.studies.pictures.values import (
     at_point,
     axes_of,
     axis_named,
+    compact,
     is_sampled,
     label,
     label_with,
@@ -80,12 +81,14 @@ def curves(
     SceneError
         For an unknown observable or axis, or an observable that is a single number of each run.
     """
+    table = compact(table)
     values = observable(table, name)
     if TIME not in values.dims:
         courses = [str(n) for n, entry in table.data_vars.items() if TIME in entry.dims]
         hint = f"Those over time are {', '.join(courses)}."
         raise SceneError("", f"'{name}' is one number of each run and has no course", hint)
-    names = [axis_named(table, axis) for axis in axes or axes_of(table)]
+    names: list[str | None] = [axis_named(table, axis) for axis in axes or axes_of(table)]
+    names = names or [None]
     factor, told = power(values.values)
     columns = min(2, len(names))
     rows = -(-len(names) // columns)
@@ -97,9 +100,13 @@ def curves(
         if place >= len(names):
             panel.set_axis_off()
             continue
-        others = {axis: value for axis, value in held.items() if axis != names[place]}
+        axis = names[place]
+        others = {other: value for other, value in held.items() if other != axis}
         part = at_point(table, others)
-        _draw(figure, panel, part, name, names[place], factor)
+        if axis is None:
+            _draw_only(panel, part, name, factor)
+        else:
+            _draw(figure, panel, part, name, axis, factor)
         if others:
             told_others = textwrap.fill(point_text(table, others), 110 // columns)
             panel.set_title(told_others, fontsize=9.5, weight="normal")
@@ -107,6 +114,7 @@ def curves(
             panel.set_ylabel(label_with(label(table, name), told))
         if place + columns >= len(names):
             panel.xaxis.set_tick_params(labelbottom=True)
+            panel.xaxis.set_major_locator(MaxNLocator(6))
             panel.set_xlabel(f"time ({_unit(table).name})")
     _limits(grid[0, 0], values.values / factor)
     return figure
@@ -125,6 +133,14 @@ def _subtitle(table: xr.Dataset, name: str, at: Mapping[str, Any]) -> str:
     return f"{sentence(words(name))} over time, {over}"
 
 
+def _draw_only(axes: Axes, table: xr.Dataset, name: str, factor: float) -> None:
+    """Draw the one curve of a study that varies nothing but seeds."""
+    time = table[TIME].values / _unit(table).seconds
+    courses = (table[name].astype(float) / factor).transpose(SEED, TIME).values
+    _course(axes, time, courses, BLUE, 2.0)
+    axes.set_xlim(*span(time))
+
+
 def _draw(
     figure: Figure, axes: Axes, table: xr.Dataset, name: str, axis: str, factor: float
 ) -> None:
@@ -133,12 +149,16 @@ def _draw(
     along = POINT if is_sampled(table) else axis
     values = (table[name].astype(float) / factor).transpose(along, SEED, TIME).values
     time = table[TIME].values / _unit(table).seconds
-    own = [str(v) if shown.numbers is None else float(v) for v in table[axis].values]
+    own = list(shown.values)
+    if is_sampled(table):
+        own = [str(v) if shown.numbers is None else float(v) for v in table[axis].values]
     colour = _colours(shown)
     few = len(shown.values) <= _MOST_NAMED
     thin = len(own) > 2 * _MOST_NAMED
-    for value, courses in zip(own, values, strict=True):
-        _course(axes, time, courses, colour(value), thin=thin)
+    for order, (value, courses) in enumerate(zip(own, values, strict=True)):
+        # the first ones are the widest: they are seen also where others lie on top of them
+        wide = 1.1 if thin else 1.8 + 1.6 * (1.0 - order / max(len(own) - 1, 1))
+        _course(axes, time, courses, colour(value), wide)
     if few:
         lost = {} if is_sampled(table) else _lost(table, values, own, axis)
         entries = zip(shown.values, shown.texts, strict=True)
@@ -155,7 +175,7 @@ def _draw(
         bar.set_label(shown.label)
         bar.ax.yaxis.set_minor_formatter(NullFormatter())
         bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: number_text(value)))
-    axes.set_xlim(float(time[0]), float(time[-1]) if len(time) > 1 else float(time[0]) + 1.0)
+    axes.set_xlim(*span(time))
 
 
 def _lost(table: xr.Dataset, values: FloatArray, own: list[Any], axis: str) -> dict[Any, str]:
@@ -169,7 +189,7 @@ def _lost(table: xr.Dataset, values: FloatArray, own: list[Any], axis: str) -> d
     return told
 
 
-def _course(axes: Axes, time: FloatArray, courses: FloatArray, colour: Any, *, thin: bool) -> None:
+def _course(axes: Axes, time: FloatArray, courses: FloatArray, colour: Any, wide: float) -> None:
     """Draw mean and band over the seeds, (n, m), where all that have any value have one."""
     known = courses[np.isfinite(courses).any(axis=1)]
     if not len(known):
@@ -177,16 +197,22 @@ def _course(axes: Axes, time: FloatArray, courses: FloatArray, colour: Any, *, t
     whole: NDArray[np.bool_] = np.asarray(np.isfinite(known).all(axis=0))
     mean = np.where(whole, known.mean(axis=0), np.nan)
     style = "-" if whole.sum() > 1 else "o"
-    axes.plot(time, mean, style, color=colour, lw=1.1 if thin else 2.0, ms=4)
+    axes.plot(time, mean, style, color=colour, lw=wide, ms=4)
     if len(known) > 1:
         sd = known.std(axis=0, ddof=1)
         axes.fill_between(
-            time, mean - sd, mean + sd, where=whole, color=colour, alpha=0.1 if thin else 0.22, lw=0
+            time,
+            mean - sd,
+            mean + sd,
+            where=whole,
+            color=colour,
+            alpha=0.1 if wide < 1.5 else 0.22,
+            lw=0,
         )
         beyond = ~whole
         beyond[1:] |= ~whole[:-1]  # the thin lines begin where the mean ends
         beyond[:-1] |= ~whole[1:]
-        for course in known:
+        for course in known if not whole.all() else ():
             axes.plot(time, np.where(beyond, course, np.nan), color=colour, lw=0.7, alpha=0.7)
 
 

@@ -20,6 +20,7 @@ from multicell.studies.pictures.values import (
     at_point,
     axes_of,
     axis_named,
+    compact,
     final,
     is_sampled,
     label,
@@ -78,10 +79,13 @@ def heatmap(
     SceneError
         For an unknown observable or axis.
     ValueError
-        If the design is sampled: its points have no tiles.
+        If the design is sampled or varies nothing: there are no tiles.
     """
     if is_sampled(table):
         raise ValueError("a sampled design has no tiles: draw the response over each axis")
+    if not axes_of(table):
+        raise ValueError("nothing is varied: there are no axes to draw over")
+    table = compact(table)
     across, up, third, held = arranged(table, x, y, at or {})
     part = at_point(table, held)
     shown = _shown(part, third)

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 _ORANGE: Final = "#d98a1f"
 _MOST_LINES: Final = 7
+_NEAR_ORIGIN: Final = 0.02
 _HIGHEST: Final = 1.2  # of an axis of parts of the variance; intervals may go further
 
 
@@ -160,9 +161,17 @@ def _plane(axes: Axes, rows: list[Row]) -> None:
     ends = [v for v in (*(star + half), *sigma) if np.isfinite(v)]
     top = 1.12 * max(ends, default=1.0) or 1.0
     for row, x, y in zip(rows[:_MOST_LINES], star, sigma, strict=False):
+        if not max(x, y) > _NEAR_ORIGIN * top:
+            continue  # names of what has no effect would lie on each other
         side: dict[str, Any] = {"ha": "right" if x > 0.55 * top else "left"}
-        axes.annotate(_shown(row), (x, y), (-6 if x > 0.55 * top else 6, 5),
-                      textcoords="offset points", fontsize=8.5, **side)  # fmt: skip
+        axes.annotate(
+            _shown(row),
+            (x, y),
+            (-6 if x > 0.55 * top else 6, 5),
+            textcoords="offset points",
+            fontsize=8.5,
+            **side,
+        )
     axes.plot([0.0, top], [0.0, top], "--", color=QUIET, lw=1.0)
     axes.annotate("σ = μ*", (0.93 * top, 0.95 * top), ha="right", fontsize=9, color=QUIET)
     axes.set(xlim=(-0.02 * top, top), ylim=(-0.02 * top, top))

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from multicell.report.plots.style import BLUE, QUIET, RED, SIZE, styled
 from multicell.studies.pictures.heatmap import laid_out
@@ -15,6 +15,7 @@ from multicell.studies.pictures.values import (
     SEED,
     Scale,
     axes_of,
+    compact,
     final,
     is_sampled,
     label,
@@ -49,7 +50,12 @@ def response(table: xr.Dataset, title: str, name: str) -> Figure:
     ------
     SceneError
         For an unknown observable.
+    ValueError
+        If nothing is varied.
     """
+    if not axes_of(table):
+        raise ValueError("nothing is varied: there are no axes to draw over")
+    table = compact(table)
     values = final(table, name)
     factor, told = power(values.values)
     values = values / factor
@@ -109,7 +115,9 @@ def _draw(
     if shown.numbers is None:
         axes.set_xticks(range(len(shown.texts)), shown.texts)
         axes.set_xlim(-0.6, len(shown.texts) - 0.4)
-    elif shown.log:
+    elif not shown.log:
+        axes.xaxis.set_major_locator(MaxNLocator(5))
+    else:
         axes.set_xscale("log")
         axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
         axes.xaxis.set_minor_formatter(NullFormatter())
@@ -129,7 +137,7 @@ def _shaken(shape: tuple[int, ...], places: FloatArray, shown: Scale) -> FloatAr
     if shown.log or len(places) < 2:
         return np.zeros(shape[0] * shape[1])
     gap = float(np.diff(np.sort(places)).min())
-    offsets = np.linspace(-0.12, 0.12, shape[1]) * gap if shape[1] > 1 else np.zeros(1)
+    offsets = np.linspace(-0.05, 0.05, shape[1]) * gap if shape[1] > 1 else np.zeros(1)
     return np.tile(offsets, shape[0])
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from multicell.errors import MulticellError
+from multicell.errors import MulticellError, SceneError
 from multicell.report.plots.section import (
     Cut,
     cut,
@@ -28,9 +28,14 @@ from multicell.studies.pictures.values import (
     SEED,
     Scale,
     axes_of,
+    compact,
     is_sampled,
+    middle,
+    nearest,
+    place_of,
     point_text,
     scale,
+    sides_of,
 )
 
 if TYPE_CHECKING:
@@ -44,8 +49,7 @@ if TYPE_CHECKING:
 
 _MOST: Final = 6  # tiles in a row or column
 _SAMPLE: Final = 8  # tiles of a sample
-_LEFT, _RIGHT, _TOP, _FOOT, _GAP = 1.15, 0.35, 1.3, 0.45, 0.06  # inches
-_CLOSE: Final = 1e-9  # relative difference of one value in two tables
+_RIGHT, _TOP, _FOOT, _GAP = 0.35, 1.3, 0.45, 0.06  # inches
 
 
 class _Tile(NamedTuple):
@@ -88,17 +92,29 @@ def sections(
     SceneError
         For an unknown axis or value.
     """
-    chosen = int(table[SEED].values[0]) if seed is None else int(seed)
-    if is_sampled(table):
-        points, sides, told = _sample(table)
-    else:
-        points, sides, told = _grid(table, x, y, at or {})
+    table = compact(table)
+    seeds = [int(value) for value in table[SEED].values]
+    chosen = seeds[0] if seed is None else int(seed)
+    if chosen not in seeds:
+        told = f"Its seeds are {seeds[0]} to {seeds[-1]}."
+        raise SceneError("seed", f"is {chosen}, which is none of the study", told)
+    points, sides, told = _sample(table) if is_sampled(table) else _grid(table, x, y, at or {})
     known = {state.name: state for state in states}
-    tiles = [[_tile(p, chosen, runs, known, folder) for p in row] for row in points]
+    there = {place_of(table, run.coordinates): run for run in runs}
+    places = [
+        [None if point is None else (*point, seeds.index(chosen)) for point in row]
+        for row in points
+    ]
+    tiles = [
+        [_Tile(None, 0.0, "") if p is None else _tile(there.get(p), known, folder) for p in row]
+        for row in places
+    ]
     return _drawn(title, f"last frames of seed {chosen}, all on one scale{told}", tiles, sides)
 
 
-Points = list[list[dict[str, Any] | None]]
+Points = list[list[tuple[int, ...] | None]]
+"""Places in an array over the axes, row by row; None for a tile that stays empty."""
+
 Sides = tuple[str, list[str], str, list[str], list[list[str]]]
 """Label and texts across, label and texts up, and a heading of each tile."""
 
@@ -107,27 +123,27 @@ def _grid(
     table: xr.Dataset, x: str | None, y: str | None, at: Mapping[str, Any]
 ) -> tuple[Points, Sides, str]:
     """Return the points of a grid, the highest value of the second axis on top, and the labels."""
+    dimensions = sides_of(table)[:-1]
+    if not axes_of(table):
+        return [[(0,) * len(dimensions)]], ("", [""], "", [""], [[""]]), ""
     across, up, third, held = arranged(table, x, y, at)
     if third is not None:
-        held = held | {third: table[third].values[(table.sizes[third] - 1) // 2]}
+        held = held | middle(table, [third])
     told = f"; {point_text(table, held)}" if held else ""
     columns = spread(table.sizes[across], _MOST)
     rows = [0] if up is None else spread(table.sizes[up], _MOST)[::-1]
     if len(columns) < table.sizes[across] or (up is not None and len(rows) < table.sizes[up]):
         told += "; not all values"
-    points: Points = [
-        [
-            held
-            | {across: table[across].values[k]}
-            | ({} if up is None else {up: table[up].values[r]})
-            for k in columns
-        ]
-        for r in rows
-    ]
-    side = scale(table, across)
+    base = {name: nearest(table, name, value) for name, value in held.items()}
+    points: Points = []
+    for r in rows:
+        own = base if up is None else base | {up: r}
+        points.append([
+            tuple((own | {across: k}).get(name, 0) for name in dimensions) for k in columns
+        ])  # fmt: skip
     second = None if up is None else scale(table, up)
     headings = [["" for _ in columns] for _ in rows]
-    return points, _sides(side, columns, second, rows, headings), told
+    return points, _sides(scale(table, across), columns, second, rows, headings), told
 
 
 def _sides(
@@ -143,10 +159,11 @@ def _sample(table: xr.Dataset) -> tuple[Points, Sides, str]:
     names = axes_of(table)
     order = np.argsort(table[names[0]].values, kind="stable")
     places = [int(order[k]) for k in spread(table.sizes[POINT], _SAMPLE)]
-    found: list[dict[str, Any] | None] = [
-        {name: table[name].values[place] for name in names} for place in places
+    found: list[tuple[int, ...] | None] = [(place,) for place in places]
+    texts = [
+        point_text(table, {name: table[name].values[place] for name in names[:3]})
+        for place in places
     ]
-    texts = [point_text(table, dict(list(point.items())[:3])) for point in found if point]
     wide = min(4, len(found))
     found += [None] * (-len(found) % wide)
     texts += [""] * (len(found) - len(texts))
@@ -156,19 +173,13 @@ def _sample(table: xr.Dataset) -> tuple[Points, Sides, str]:
     return rows, ("", [""] * wide, "", [""] * len(rows), headings), told
 
 
-def _tile(
-    point: Mapping[str, Any] | None, seed: int, runs: Sequence[Run],
-    states: Mapping[str, RunStatus], folder: Path,
-) -> _Tile:  # fmt: skip
-    """Return the section of the run at a point, or why there is none."""
+def _tile(run: Run | None, states: Mapping[str, RunStatus], folder: Path) -> _Tile:
+    """Return the section of a run, or why there is none."""
     from multicell.studies.status import run_folder
 
-    if point is None:
-        return _Tile(None, 0.0, "")
-    run = next((run for run in runs if _is_at(run, point, seed)), None)
     state = None if run is None else states.get(run.name)
     if run is None or state is None:
-        return _Tile(None, 0.0, "not part of the study")
+        return _Tile(None, 0.0, "not run")
     failed = state.state == "failed"
     try:
         frame = _last_frame(run_folder(folder, run.name))
@@ -191,19 +202,6 @@ def _section(frame: Frame, scene: Scene, state: str) -> _Tile:
     return _Tile(shown, reach, words, state == "failed")
 
 
-def _is_at(run: Run, point: Mapping[str, Any], seed: int) -> bool:
-    own = run.coordinates
-    return int(own.get(SEED, seed)) == seed and all(
-        _same(own.get(name), value) for name, value in point.items()
-    )
-
-
-def _same(first: Any, second: Any) -> bool:
-    if isinstance(first, str) or isinstance(second, str) or first is None:
-        return str(first) == str(second)
-    return abs(float(first) - float(second)) <= _CLOSE * max(abs(float(first)), abs(float(second)))
-
-
 def _last_frame(place: Path) -> Frame | None:
     """Return the last frame in the folder of a run, or None where there is none yet."""
     from multicell.results.reader import Contents, Frames
@@ -218,7 +216,7 @@ def _drawn(title: str, subtitle: str, tiles: list[list[_Tile]], sides: Sides) ->
     """Lay out the tiles and draw them."""
     rows, columns = len(tiles), len(tiles[0])
     across, texts, up, marks, headings = sides
-    left = _LEFT if up else 0.4
+    left = 0.55 + 0.105 * max(map(len, marks)) if up else 0.4
     head = 0.42 if any(map(any, headings)) else 0.0
     side = min(2.9, (SIZE[0] - left - _RIGHT) / columns - _GAP)
     tall = _TOP + rows * (side + head + _GAP) + _FOOT + 0.2

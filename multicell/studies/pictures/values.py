@@ -92,7 +92,33 @@ def axes_of(table: xr.Dataset) -> list[str]:
         ]
     else:
         names = [str(name) for name in _dimensions(table) if name not in (SEED, TIME)]
-    return [name for name in names if len(np.unique(table[name].values)) > 1] or names
+    return [name for name in names if len(distinct(table[name].values)) > 1] or names
+
+
+def coordinates_of(table: xr.Dataset) -> list[str]:
+    """Return the names of all that the runs differ in beside their seeds, also what goes together.
+
+    Without what is the same in all, unless everything is.
+    """
+    sides = sides_of(table)[:-1]
+    names = [
+        str(name)
+        for name, entry in table.coords.items()
+        if len(entry.dims) == 1 and entry.dims[0] in sides and name != POINT
+    ]
+    return [name for name in names if len(distinct(table[name].values)) > 1] or names
+
+
+def compact(table: xr.Dataset) -> xr.Dataset:
+    """Return a table without dimensions of one value, beside those that a picture shows."""
+    kept = {SEED, TIME, *axes_of(table)}
+    alone = {name: 0 for name in sides_of(table) if table.sizes[name] == 1 and name not in kept}
+    return table if is_sampled(table) else table.isel(alone)
+
+
+def distinct(values: NDArray[Any]) -> NDArray[Any]:
+    """Return sorted numbers, or words, each once."""
+    return np.unique(values if values.dtype.kind in "fiu" else values.astype(str))
 
 
 def _dimensions(table: xr.Dataset) -> list[Hashable]:
@@ -189,9 +215,17 @@ def words(name: str) -> str:
 
 def scale(table: xr.Dataset, name: str) -> Scale:
     """Return how to show an axis; long times are told in minutes, hours or days."""
+    together = _together(table, name)
+    if together:
+        return _joined(name, [scale_alone(table, other) for other in together])
+    return scale_alone(table, name)
+
+
+def scale_alone(table: xr.Dataset, name: str) -> Scale:
+    """Return how to show one coordinate, also where its values go together with others."""
     found = table[name].values
     if is_sampled(table):
-        found = np.unique(found)
+        found = distinct(found)
     long = axis_words(table, name)
     if found.dtype.kind not in "fiu":
         values = [str(value) for value in found]
@@ -203,6 +237,20 @@ def scale(table: xr.Dataset, name: str) -> Scale:
     numbers = found / factor
     told = f"{long} ({unit})" if unit else long
     return Scale(name, told, list(found), numbers, [number_text(v) for v in numbers], factor)
+
+
+def _together(table: xr.Dataset, name: str) -> list[str]:
+    """Return the coordinates along a dimension of which several have values that go together."""
+    if is_sampled(table) or name not in table.dims:
+        return []
+    found = [str(n) for n, entry in table.coords.items() if entry.dims == (name,)]
+    return [] if found in ([], [name]) else found
+
+
+def _joined(name: str, sides: Sequence[Scale]) -> Scale:
+    """Return one side for values that go together."""
+    texts = [" · ".join(parts) for parts in zip(*(side.texts for side in sides), strict=True)]
+    return Scale(name, " · ".join(side.label for side in sides), texts, None, texts, 1.0)
 
 
 def axis_words(table: xr.Dataset, name: str) -> str:
@@ -267,11 +315,19 @@ def at_point(table: xr.Dataset, fixed: Mapping[str, Any]) -> xr.Dataset:
     """
     for name, wanted in fixed.items():
         axis_named(table, name)
-        table = table.isel({name: _nearest(table[name].values, wanted, name)})
+        table = table.isel({name: nearest(table, name, wanted)})
     return table
 
 
-def _nearest(values: NDArray[Any], wanted: Any, name: str) -> int:
+def nearest(table: xr.Dataset, name: str, wanted: Any) -> int:
+    """Return the place of the value of an axis that is nearest to a number, or is a word.
+
+    Raises
+    ------
+    SceneError
+        For a word that is not there.
+    """
+    values = table[name].values
     if values.dtype.kind in "fiu":
         return int(np.abs(values - float(wanted)).argmin())
     known = [str(value) for value in values]
@@ -289,13 +345,16 @@ def point_text(table: xr.Dataset, fixed: Mapping[str, Any]) -> str:
     """Return values of axes in words: ``"oxygen boundary 0.07 mM"``."""
     parts = []
     for name, value in fixed.items():
-        long = axis_words(table, name)
-        if isinstance(value, str):
-            parts.append(f"{long} {value}")
-            continue
         shown = scale(table, name)
-        unit = shown.label.removeprefix(long).strip(" ()")
-        parts.append(f"{long} {number_text(float(value) / shown.factor)} {unit}".strip())
+        long, unit, text = shown.label, "", str(value)
+        if not is_sampled(table):
+            text = shown.texts[nearest(table, name, value)]
+        elif shown.numbers is not None:
+            text = number_text(float(value) / shown.factor)
+        if shown.numbers is not None:
+            long = axis_words(table, name)
+            unit = shown.label.removeprefix(long).strip(" ()")
+        parts.append(f"{long} {text} {unit}".strip())
     return ", ".join(parts)
 
 
@@ -307,7 +366,7 @@ def with_states(table: xr.Dataset, runs: Sequence[Run], found: Sequence[RunStatu
     if not runs:
         return table
     own = {state.name: state.state for state in found}
-    sides = _sides(table)
+    sides = sides_of(table)
     data = np.full(tuple(table.sizes[name] for name in sides), "waiting", dtype="U8")
     for run in runs:
         place = place_of(table, run.coordinates)
@@ -316,7 +375,7 @@ def with_states(table: xr.Dataset, runs: Sequence[Run], found: Sequence[RunStatu
     return table.assign({STATE: (sides, data)})
 
 
-def _sides(table: xr.Dataset) -> list[str]:
+def sides_of(table: xr.Dataset) -> list[str]:
     """Return the dimensions of one number of each run, the seeds last."""
     names = [str(name) for name in _dimensions(table) if name not in (SEED, TIME)]
     return [*names, SEED]
@@ -324,18 +383,17 @@ def _sides(table: xr.Dataset) -> list[str]:
 
 def place_of(table: xr.Dataset, coordinates: Mapping[str, Any]) -> tuple[int, ...] | None:
     """Return where a run stands in an array over axes and seeds; None if it is not part of it."""
-    seed = np.flatnonzero(table[SEED].values == coordinates.get(SEED))
-    if not is_sampled(table):
-        names = _sides(table)[:-1]
-        found = [np.flatnonzero(_equal(table[name].values, coordinates[name])) for name in names]
-        places = [*found, seed]
-        return tuple(int(p[0]) for p in places) if all(len(p) for p in places) else None
-    there = np.ones(table.sizes[POINT], bool)
-    for name, entry in table.coords.items():
-        if entry.dims == (POINT,) and str(name) in coordinates:
-            there &= _equal(entry.values, coordinates[str(name)])
-    point = np.flatnonzero(there)
-    return (int(point[0]), int(seed[0])) if len(point) and len(seed) else None
+    place = []
+    for side in sides_of(table):
+        there = np.ones(table.sizes[side], bool)
+        for name, entry in table.coords.items():
+            if entry.dims == (side,) and name in coordinates:
+                there &= _equal(entry.values, coordinates[str(name)])
+        found = np.flatnonzero(there)
+        if not len(found):
+            return None
+        place.append(int(found[0]))
+    return tuple(place)
 
 
 def _equal(values: NDArray[Any], value: Any) -> NDArray[np.bool_]:

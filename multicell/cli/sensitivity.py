@@ -1,0 +1,134 @@
+"""The command ``multicell sensitivity``: parse, call, print."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+from multicell.cli.options import (
+    as_json_option,
+    changes_option,
+    console,
+    law_option,
+    no_report_option,
+    output_option,
+    overwrite_option,
+    quiet_option,
+    scene_of,
+)
+from multicell.cli.process import complain, print_json
+from multicell.cli.study import (
+    _ask,
+    _cores,
+    _pairs,
+    cores_option,
+    scheduler_option,
+    yes_option,
+)
+
+
+@click.command()
+@click.argument("scene")
+@output_option("Folder of the analysis; its runs are kept there.")
+@click.option(
+    "--free",
+    multiple=True,
+    metavar="KEY=LOW:HIGH",
+    help="A free parameter and its range, as growth.cycle_time='8:25 h' or "
+    "drag.viscosity='log 0.1:10 kPa s' (equal ratios count the same). May be given several times.",
+)
+@click.option(
+    "--method",
+    default="morris",
+    show_default=True,
+    metavar="NAME",
+    help="morris: which parameters matter, in few runs; sobol: which part of the variance each one "
+    "makes.",
+)
+@click.option(
+    "--size",
+    type=int,
+    help="Trajectories of Morris (10; each takes a run more than there are parameters) or base "
+    "points of Sobol' (64; each takes two more), a power of two.",
+)
+@click.option(
+    "--seeds",
+    type=int,
+    default=1,
+    show_default=True,
+    help="Runs at each point, with the same seeds at all points; from two on indices are set "
+    "against the noise.",
+)
+@click.option(
+    "--observable",
+    "observables",
+    multiple=True,
+    metavar="NAME",
+    help="What the indices are of, at the end of the runs: a column of the history, as diameter. "
+    "May be given several times; by default the usual ones of the scene.",
+)
+@changes_option
+@law_option
+@cores_option
+@scheduler_option
+@yes_option
+@click.option("--retry", is_flag=True, help="Try again what has failed.")
+@overwrite_option("Replace another analysis in the folder; its runs stay.")
+@no_report_option
+@quiet_option
+@as_json_option
+def sensitivity(
+    scene: str,
+    output: Path,
+    free: Sequence[str],
+    changes: Sequence[str],
+    law: str | None,
+    observables: Sequence[str],
+    cores: int | None,
+    scheduler: str | None,
+    yes: bool,
+    retry: bool,
+    overwrite: bool,
+    no_report: bool,
+    quiet: bool,
+    as_json: bool,
+    **options: Any,
+) -> None:
+    """Find out which parameters of a SCENE decide its observables.
+
+    Every index has its 95 % interval, and says whether it can be told from the noise over seeds.
+    An analysis that was stopped goes on with the same command; a larger --size or more --seeds
+    take the runs that are there.
+    """
+    pairs = _pairs(free, "--free")
+    described = scene_of(scene, changes, law)
+    from multicell.studies.sensitivity import carried_out, planned, prepare
+
+    plan = planned(described, pairs, observables=observables or None, output=output, **options)
+    count = _cores(cores, scheduler)
+    prepare(plan, output, overwrite=overwrite)
+    _ask(plan.ensemble.left(output, count or 1), count, yes, quiet or as_json)
+    from multicell.cli.study_progress import reporter
+
+    shown: Any = plan  # all that is asked of it are its runs
+    try:
+        with reporter(shown, count, show=not quiet) as progress:
+            result = carried_out(
+                plan, output, cores=cores, scheduler=scheduler, retry=retry, progress=progress
+            )
+    except KeyboardInterrupt:
+        complain("Stopped: the same command goes on with what is there.")
+        raise
+    page = None if no_report else result.report()
+    if as_json:
+        print_json(result.to_dict())
+    elif not quiet:
+        out = console()
+        out.print(result.text(), markup=False, highlight=False, soft_wrap=True)
+        if page is not None:
+            out.print(f"The report is '{page}'.", markup=False, soft_wrap=True)
+    if any(row["reason"] for row in result.runs):
+        raise click.exceptions.Exit(1)

@@ -1,0 +1,277 @@
+"""The commands of studies: what they write and print, what they refuse, exit codes."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from click.testing import CliRunner
+from studied import SHORT
+
+import multicell as mc
+from multicell.cli.main import main
+from multicell.cli.study_progress import Pace
+from multicell.studies import study as studies
+from multicell.studies.runs import Run
+from multicell.studies.task import Outcome
+
+SET = [f"--set={key}={value}" for key, value in SHORT.items()]
+OXYGEN, LENGTH = "nutrients.oxygen.boundary", "growth.phases.G1.duration"
+
+
+def call(*arguments, **options):
+    return CliRunner().invoke(main, ["study", *map(str, arguments)], **options)
+
+
+def line(*arguments):
+    """Return exit code and all that the command says, in a process of its own."""
+    command = [sys.executable, "-m", "multicell", "study", *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, stdin=subprocess.DEVNULL)
+    return done.returncode, done.stdout, done.stderr
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return tmp_path / "study"
+
+
+def test_every_command_has_help():
+    page = call("--help").output
+    for command in ("new", "run", "status", "report"):
+        assert command in page
+        answer = call(command, "--help")
+        assert answer.exit_code == 0
+        assert "--json" in answer.output
+
+
+def test_a_new_study_is_written_and_told(folder):
+    vary = [f"--vary={OXYGEN}=0.07,0.14,0.28 mM", "--vary=nutrients.glucose.boundary=0.8,1.8 mM"]
+    answer = call("new", "emt6", "-o", folder, *vary, "--seeds", 5)
+    assert answer.exit_code == 0
+    for words in (
+        f"{OXYGEN}: 0.07 mM, 0.14 mM, 0.28 mM", "6 points x 5 seeds = 30 runs",
+        "30 runs left, expected to take about", "of memory", f"multicell study run {folder}",
+    ):  # fmt: skip
+        assert words in answer.output
+    study = mc.load_study(folder)
+    assert study.plan.seeds == 5
+    assert len(study.runs) == 30
+    assert not (folder / "runs").exists()
+
+
+def test_a_new_study_as_json(folder):
+    answer = call("new", "emt6", "-o", folder, f"--vary={OXYGEN}=0.07,0.14 mM", "--json")
+    told = json.loads(answer.output)
+    assert (told["points"], told["seeds"], told["runs"], told["done"]) == (2, 1, 2, 0)
+    assert told["expected"]["core_seconds"] > 0.0
+
+
+def test_designs_by_option(folder, tmp_path):
+    sample = ["--design", "sobol", "--size", 8, f"--vary={LENGTH}=8:25 h"]
+    assert call("new", "emt6", "-o", folder, *sample).exit_code == 0
+    assert len(mc.load_study(folder).plan.points) == 8
+    table = tmp_path / "points.csv"
+    table.write_text("cells.young [kPa],initial.count\n1,5\n2,5\n")
+    assert call("new", "emt6", "-o", tmp_path / "list", "--points", table).exit_code == 0
+    assert len(mc.load_study(tmp_path / "list").plan.points) == 2
+    zipped = ["--zip=cells.young=1,2 kPa", "--zip=initial.count=5,6"]
+    more = ["--zip", f"{OXYGEN}=0.1,0.2,0.3 mM; {LENGTH}=8,9,10 h"]
+    assert call("new", "emt6", "-o", tmp_path / "zip", *zipped, *more).exit_code == 0
+    design = mc.load_study(tmp_path / "zip").plan.design
+    assert [len(dimension) for dimension in design.dimensions] == [2, 3]
+
+
+REFUSED = {
+    ("--vary=nutrients.oxygen.boundry=1,2 mM",): f"Did you mean '{OXYGEN}'",
+    (f"--vary={OXYGEN}=1,2 s",): "must be a concentration",
+    (f"--vary={OXYGEN}=1,,2 mM",): "has an empty value",
+    (f"--vary={OXYGEN}=",): "has no values",
+    (f"--vary={OXYGEN}",): "is not KEY=VALUES",
+    ("--vary==1",): "is not KEY=VALUES",
+    (f"--vary={OXYGEN}=1 mM", f"--vary={OXYGEN}=2 mM"): "is given twice",
+    (f"--vary={OXYGEN}=1 mM", f"--zip={OXYGEN}=2 mM", f"--zip={LENGTH}=1 h"): "is varied twice",
+    (f"--zip={OXYGEN}=2 mM",): "must have two or more",
+    ("--vary=growth.cycle_time=8,9 h",): "has no effect: the phases",
+    ("--vary=contact.law=jkr,hertz", "--vary=contact.surface_energy=0.1,0.2 nN/um"):
+        "has no meaning where contact.law = 'hertz'",
+    ("--vary=nutrients.oxygen.necrosis=0.001,0.5 mM",):
+        "(where nutrients.oxygen.necrosis = '0.5 mM')",
+    ("--seeds", "0"): "seeds: is 0",
+    ("--seeds", "many"): "is not a valid integer",
+    ("--design", "gird"): "Did you mean 'grid'",
+    ("--design", "lhs", "--size", "4"): "vary: is empty",
+    ("--design", "lhs", f"--vary={LENGTH}=8:25 h"): "size: is missing",
+    ("--design", "sobol", "--size", "6", f"--vary={LENGTH}=8:25 h"): "take 4 or 8",
+    (f"--vary={LENGTH}=8:25 h",): "needs values",
+    ("--size", "6"): "size: has no meaning",
+    ("--points", "absent.csv"): "cannot be read",
+    ("--every", "6 um"): "must be a time",
+    ("--set", "friction.normal=x"): "friction.normal",
+    ("--integrator", "eular"): "Did you mean 'euler'",
+    ("--law", "absent.py:x"): "there is no file",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("options", REFUSED)
+def test_what_is_no_study_is_refused_before_anything_is_written(folder, options):
+    answer = subprocess_free("new", "emt6", "-o", folder, *options)
+    assert answer[0] == 2
+    assert REFUSED[options] in answer[1]
+    assert not folder.exists()
+
+
+def subprocess_free(*arguments):
+    """Return exit code and message, by the door of the command but in this process."""
+    from multicell.cli.process import exit_code
+
+    given = ["study", *map(str, arguments)]
+    runner = CliRunner()
+    with runner.isolation() as (out, err, _):
+        code = exit_code(lambda: main.main(given, standalone_mode=False), as_json=False)
+        sys.stderr.flush()
+        said = err.getvalue().decode() + out.getvalue().decode()
+    return code, " ".join(said.split())
+
+
+def test_a_folder_without_a_study_is_told(tmp_path):
+    for command in ("run", "status", "report"):
+        code, said = subprocess_free(command, tmp_path / "absent")
+        assert code == 2
+        assert "holds no study" in said
+
+
+def test_another_study_is_refused_and_overwritten_on_demand(folder):
+    assert call("new", "emt6", "-o", folder, "--seeds", 3).exit_code == 0
+    code, said = subprocess_free("new", "growth", "-o", folder)
+    assert (code, "another scene" in said) == (2, True)
+    code, said = subprocess_free("new", "emt6", "-o", folder, "--seeds", 2)
+    assert (code, "not be widened, but changed" in said) == (2, True)
+    assert call("new", "emt6", "-o", folder, "--seeds", 2, "--overwrite").exit_code == 0
+
+
+def test_above_an_hour_it_is_asked_and_without_a_terminal_refused(folder):
+    long = ["--set=duration=20 d", "--set=stop_cells=1000000", "--seeds", 50]
+    assert call("new", "emt6", "-o", folder, *long).exit_code == 0
+    code, said = subprocess_free("run", folder)
+    assert code == 2
+    assert "--yes says go on" in said
+    assert "50 runs left, expected to take about" in said
+    assert not (folder / "runs").exists()
+
+
+def test_no_is_an_answer(folder, monkeypatch):
+    long = ["--set=duration=20 d", "--set=stop_cells=1000000", "--seeds", 50]
+    call("new", "emt6", "-o", folder, *long)
+    monkeypatch.setattr("multicell.cli.study._terminal", lambda: True)
+    answer = call("run", folder, input="n\n")
+    assert answer.exit_code == 1
+    assert "Nothing has run." in answer.output
+
+
+def test_the_whole_chain(folder):
+    vary = ["--vary=cells.young=1,2 kPa"]
+    assert call("new", "growth", "-o", folder, *SET, *vary).exit_code == 0
+    code, out, err = line("run", folder)
+    assert code == 0, err
+    assert "2 runs left, expected to take about" in err
+    assert "2 of 2 runs" in err
+    assert "2 runs: 2 done." in out
+    assert {"report.html", "study.nc", "study.csv"} <= {path.name for path in folder.iterdir()}
+    # again: nothing is left to do
+    begin = time.process_time()
+    answer = call("run", folder)
+    assert time.process_time() - begin < 2.0
+    assert "2 of them were there" in answer.output
+    told = json.loads(call("status", folder, "--json").output)
+    assert told["counts"] == {"done": 2}
+    assert told["core_seconds_left"] == 0.0
+    assert [run["coordinates"]["young"] for run in told["runs"]] == [1.0, 2.0]
+    assert "2 runs: 2 done" in call("status", folder).output
+    files = json.loads(call("report", folder, "--json").output)["files"]
+    assert [os.path.exists(file) for file in files] == [True] * 3
+
+
+def test_a_run_that_fails_is_told_with_its_reason(folder):
+    few = [*SET, "--set=integrator.max_steps=1", "--set=integrator=cvode", "--seeds", 1]
+    assert call("new", "growth", "-o", folder, *few, "--vary=cells.young=1,2 kPa").exit_code == 0
+    code, out, _ = line("run", folder, "--no-report", "--cores", 1)
+    assert code == 1
+    assert "failed at young = 1 kPa, seed = 1: step failed" in out
+    answer = call("status", folder)
+    assert "2 failed" in answer.output
+    assert "failed at young = 2 kPa, seed = 1: step failed" in answer.output
+    assert call("report", folder).exit_code == 0
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+def test_ctrl_c_says_how_to_go_on(folder):
+    slow = ["--set=duration=30 d", "--set=stop_cells=3000", "--seeds", 2]
+    assert call("new", "growth", "-o", folder, *slow).exit_code == 0
+    command = [sys.executable, "-m", "multicell", "study", "run", str(folder), "--cores", "1", "-y"]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    try:
+        deadline = time.monotonic() + 120.0
+        while not list(folder.glob("runs/*/frames.journal")):
+            assert time.monotonic() < deadline
+            assert process.poll() is None
+            time.sleep(0.1)
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=120.0)
+    finally:
+        process.kill()
+    assert process.returncode == 130
+    assert f"'multicell study run {folder}' goes on with them" in said
+    assert "begun" in call("status", folder).output
+
+
+def test_options_that_do_not_go_together(folder):
+    call("new", "growth", "-o", folder)
+    code, said = subprocess_free("run", folder, "--cores", 2, "--scheduler", "tcp://nowhere:1")
+    assert code == 2
+    assert "--cores has no meaning with --scheduler" in said
+
+
+def test_without_the_packages_it_is_said_how_to_install_them(folder, monkeypatch):
+    call("new", "growth", "-o", folder)
+    monkeypatch.setattr("multicell.studies.missing.find_spec", lambda name: None)
+    code, said = subprocess_free("run", folder)
+    assert code == 2
+    assert 'pip install "multicell[study]"' in said
+
+
+def _run(name, expected):
+    return Run(name, mc.load_scene("growth"), {}, expected)
+
+
+def test_the_time_left_is_corrected_by_what_was_measured():
+    runs = [_run(name, 10.0) for name in "abcd"]
+    pace = Pace(runs, 2, 0.0)
+    assert pace.remaining(0.0) == 20.0
+    assert pace.remaining(5.0) == 15.0
+    pace.note(Outcome("a", "done", wall=40.0), 40.0)
+    # 40 s in place of 10 s, the expectation counting once more: 50/20 of 30 s on two cores
+    assert pace.remaining(40.0) == pytest.approx(2.5 * 15.0)
+    assert pace.share == 0.25
+    pace.note(Outcome("b", "done", reused=True), 40.0)
+    pace.note(Outcome("c", "failed", "lost"), 41.0)
+    assert "3 of 4 runs · 1 failed" in pace.words(41.0)
+    assert pace.remaining(41.0) == pytest.approx(25.0)
+    pace.note(Outcome("d", "done", wall=10.0), 60.0)
+    assert (pace.share, pace.remaining(99.0)) == (1.0, 0.0)
+    assert pace.words(99.0) == "4 of 4 runs · 1 failed"
+    assert Pace(runs, None, 0.0).remaining(0.0) is None
+    assert Pace([], 2, 0.0).share == 1.0
+
+
+def test_the_longest_run_decides_over_many_cores():
+    pace = Pace([_run("a", 100.0), _run("b", 1.0)], 8, 0.0)
+    assert pace.remaining(0.0) == 100.0
+
+
+def test_public_names_are_those_of_the_room():
+    assert mc.study is studies.study
+    assert mc.load_study is studies.load_study
+    assert mc.Study is studies.Study

@@ -1,0 +1,243 @@
+"""The page of a study, and its sections: whole, alone, and true to the runs."""
+
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib.collections import EllipseCollection
+from study_tables import grid, sampled, with_states
+from synthetic import SCENE, spheroid
+
+from multicell.errors import OutputError, SceneError
+from multicell.studies.page import key_observables, write_report
+from multicell.studies.pictures import sections as tiles
+from multicell.studies.plots import StudyPlots
+from multicell.studies.runs import Run
+from multicell.studies.status import RunStatus
+
+OXYGEN, LAW = "oxygen.boundary", "law"
+BAD = "step failed <script>alert(1)</script> & so on"
+
+
+def runs_of(table, names):
+    """Return a run for each point and seed of a grid, and its state; one has failed."""
+    shape = [table.sizes[name] for name in names]
+    runs, states = [], []
+    for place in np.ndindex(*shape, table.sizes["seed"]):
+        values = {n: table[n].values[k].item() for n, k in zip(names, place, strict=False)}
+        seed = int(table["seed"].values[place[-1]])
+        name = f"run{'-'.join(map(str, place))}"
+        scene = replace(SCENE, seed=seed)
+        runs.append(Run(name, scene, {**values, "seed": seed}, 1.0))
+        failed = not any(place)
+        states.append(
+            RunStatus(name, "failed", BAD) if failed else RunStatus(name, "done", wall=60.0)
+        )
+    return runs, states
+
+
+@pytest.fixture(scope="module")
+def table():
+    return with_states(grid(OXYGEN, LAW, seeds=2), failed=[(0, 0, 0)])
+
+
+@pytest.fixture
+def frames(monkeypatch):
+    """Give the folder of each run the same last frame; keep which were asked for."""
+    asked, frame = [], spheroid(400)
+
+    def last(place):
+        asked.append(place.name)
+        return frame
+
+    monkeypatch.setattr(tiles, "_last_frame", last)
+    return asked
+
+
+class Page(HTMLParser):
+    def __init__(self, html):
+        super().__init__()
+        self.tags, self.images, self.rows, self.text = [], [], [], []
+        self._open = []
+        self.feed(html)
+
+    def handle_starttag(self, tag, attributes):
+        own = dict(attributes)
+        self.tags.append((tag, own))
+        if tag == "img":
+            self.images.append(own)
+        if tag == "tr" and "--r0" in own.get("style", ""):
+            ranks = dict(re.findall(r"--r(\d+):(\d+)", own["style"]))
+            self.rows.append({"ranks": {int(k): int(v) for k, v in ranks.items()}, "cells": []})
+            self._open = self.rows
+        if tag in ("td", "th") and self._open:
+            self._open[-1]["cells"].append("")
+
+    def handle_endtag(self, tag):
+        if tag == "tr":
+            self._open = []
+
+    def handle_data(self, data):
+        if data.strip():
+            self.text.append(data.strip())
+            if self._open and self._open[-1]["cells"]:
+                self._open[-1]["cells"][-1] += data.strip()
+
+
+def written(folder, table, names):
+    runs, states = runs_of(table, names)
+    path = write_report(folder, SCENE, table, runs, states)
+    return path.read_text("utf-8")
+
+
+@pytest.fixture(scope="module")
+def folder(table, tmp_path_factory):
+    """Write one page, which most tests look at."""
+    place = tmp_path_factory.mktemp("study")
+    frame = spheroid(400)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tiles, "_last_frame", lambda place: frame)
+        written(place, table, (OXYGEN, LAW))
+    return place
+
+
+@pytest.fixture(scope="module")
+def html(folder):
+    return (folder / "report.html").read_text("utf-8")
+
+
+@pytest.fixture(scope="module")
+def page(html):
+    return Page(html)
+
+
+def test_the_page_stands_alone_and_escapes_all(html):
+    bare = re.sub(r"base64,[\w+/=]+", "", html)
+    assert not re.search(r"https?:|//[a-z]|@import|url\(|<script", bare)
+    assert "default-src 'none'" in html
+    assert "alert(1)&lt;/script&gt; &amp; so on" in html
+
+
+def test_each_picture_has_a_text_and_the_page_follows_dark_and_narrow(folder, html, page):
+    assert len(page.images) == len(list(folder.glob("*.png")))
+    assert all(len(image["alt"]) > 20 for image in page.images)
+    assert "prefers-color-scheme:dark" in html
+    assert "max-width:34rem" in html
+
+
+def test_every_run_is_a_row_with_its_state_and_reason(table, page):
+    assert len(page.rows) == 18
+    failed = [row for row in page.rows if "failed" in row["cells"]]
+    assert len(failed) == 1
+    assert BAD in failed[0]["cells"][-1]
+    diameter = f"{table['diameter'].values[2, 1, 1, -1]:.4g}"
+    (row,) = [row for row in page.rows if row["cells"][-1] == "run2-1-1"]
+    assert diameter in row["cells"]
+    assert "hertz" in row["cells"]
+
+
+def test_ranks_order_the_rows_by_each_column(page):
+    heads = [own["aria-label"] for tag, own in page.tags if tag == "input"][::2]
+    for column, head in enumerate(heads):
+        ordered = sorted(page.rows, key=lambda row: row["ranks"][column])
+        cells = [row["cells"][column] for row in ordered]
+        missing = [text for text in cells if text == "—"]
+        assert cells[len(cells) - len(missing) :] == missing, head
+        known = cells[: len(cells) - len(missing)]
+        if "state" in head or "law" in head:
+            assert known == sorted(known), head
+        elif "wall" not in head:
+            numbers = [float(text.replace(",", "")) for text in known]
+            assert numbers == sorted(numbers), head
+
+
+def test_each_column_has_its_buttons_and_rules(html, page):
+    buttons = [own["id"] for tag, own in page.tags if tag == "input"]
+    assert sorted(buttons) == sorted(own["for"] for tag, own in page.tags if tag == "label")
+    for name in buttons:
+        assert f"#{name}:checked ~ .scroll tbody tr" in html
+
+
+def test_the_head_tells_what_is_not_done(page):
+    assert "Of 18 runs 1 failed" in page.text
+    assert "law (3)" in " ".join(page.text)
+
+
+def test_a_study_of_which_nothing_has_run_has_a_page(tmp_path):
+    table = grid(OXYGEN, seeds=2)
+    runs, _ = runs_of(table, (OXYGEN,))
+    states = [RunStatus(run.name, "waiting") for run in runs]
+    bare = table.drop_vars(list(table.data_vars))
+    bare["state"] = ((OXYGEN, "seed"), np.full((3, 2), "waiting", dtype=object))
+    text = write_report(tmp_path, SCENE, bare, runs, states).read_text("utf-8")
+    assert "Of 6 runs 6 not finished" in text
+    assert Page(text).rows[0]["cells"][2] == "not run"
+
+
+def test_a_sample_has_a_page_with_points_over_each_axis(tmp_path, frames):
+    table = sampled(OXYGEN, LAW, count=6, seeds=2)
+    runs, states = [], []
+    for point in range(6):
+        for seed in (0, 1):
+            own = {OXYGEN: float(table[OXYGEN][point]), LAW: str(table[LAW].values[point])}
+            name = f"run{point}-{seed}"
+            runs.append(Run(name, SCENE, {**own, "seed": seed}, 1.0))
+            states.append(RunStatus(name, "done", wall=1.0))
+    text = write_report(tmp_path, SCENE, table, runs, states).read_text("utf-8")
+    assert len(Page(text).rows) == 12
+    assert (tmp_path / "response-diameter.png").exists()
+    assert not list(tmp_path.glob("map-*.png"))
+    assert len(frames) == 6  # one seed of each point
+
+
+def test_observables_that_stay_the_same_are_left_out():
+    table = grid(OXYGEN)
+    table["packing_ratio"] = table["cells"] * 0.0 + 0.7
+    table["contacts"] = table["cells"] * np.nan
+    assert key_observables(table) == ["cells", "diameter", "viable_rim", "necrotic_radius"]
+
+
+def test_a_page_that_cannot_be_written_is_refused(table, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError, match="cannot use the output folder"):
+        written(tmp_path / "file", table, (OXYGEN, LAW))
+
+
+def test_sections_show_the_right_runs_on_one_scale(table, tmp_path, frames):
+    runs, states = runs_of(table, (OXYGEN, LAW))
+    figure = StudyPlots(table, "A study", runs, states, tmp_path).sections(seed=1)
+    # the second axis goes up
+    wanted = [f"run{i}-{j}-1" for j in (2, 1, 0) for i in range(3)]
+    assert frames == wanted
+    spans = {round(float(np.ptp(axes.get_xlim())), 6) for axes in figure.axes}
+    assert len(spans) == 1
+    circles = [c for axes in figure.axes for c in axes.collections]
+    assert len([c for c in circles if isinstance(c, EllipseCollection)]) == 9
+
+
+def test_a_tile_without_frames_says_why(table, tmp_path, monkeypatch):
+    monkeypatch.setattr(tiles, "_last_frame", lambda place: None)
+    runs, states = runs_of(table, (OXYGEN, LAW))
+    figure = StudyPlots(table, "A study", runs, states, tmp_path).sections()
+    words = [t.get_text() for t in figure.findobj(mpl.text.Text) if t.get_text()]
+    assert words.count("failed") == 1
+    assert words.count("no frame") == 8
+
+
+def test_the_axes_of_sections_can_be_chosen(table, tmp_path, frames):
+    runs, states = runs_of(table, (OXYGEN, LAW))
+    plots = StudyPlots(table, "A study", runs, states, tmp_path)
+    plots.sections(x=LAW, at={OXYGEN: 0.28})
+    assert frames == ["run2-0-0", "run2-1-0", "run2-2-0"]
+    with pytest.raises(SceneError, match="none of the study"):
+        plots.sections(seed=7)
+    with pytest.raises(SceneError, match="Did you mean 'jkr'"):
+        plots.sections(at={LAW: "jkl"})
+
+
+def test_times_of_all_runs_are_summed(page):
+    place = page.text.index("wall time of all runs")
+    assert page.text[place - 1] == "17 min 0 s"
