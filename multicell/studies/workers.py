@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import multiprocessing
 import os
 import signal
 import sys
@@ -24,6 +25,7 @@ ANSWER: Final = 5.0
 """Time in s within which a scheduler must answer."""
 
 _STARTS: Final = 3  # attempts to start worker processes
+_SET_BY_DASK: Final = ("PYTHONHASHSEED", "__DASK_PARENT_PID")
 _QUIET: Final = ("asyncio", "distributed", "tornado")  # loggers
 _SETTINGS: Final[dict[str, Any]] = {
     # runs hold the interpreter for whole coupling steps, so nothing may be concluded from silence
@@ -101,7 +103,7 @@ def _local(cores: int | None) -> Iterator[Any]:
             with suppress(TimeoutError):  # what does not end by itself is killed with this process
                 cluster.close(timeout=10.0)
             # Dask sets in this process what it sets for those that it starts
-            for name in _SETTINGS["distributed.nanny.pre-spawn-environ"]:
+            for name in (*_SETTINGS["distributed.nanny.pre-spawn-environ"], *_SET_BY_DASK):
                 os.environ.pop(name, None)
                 if name in environment:
                     os.environ[name] = environment[name]
@@ -315,8 +317,8 @@ def _end_with_parent() -> None:
 
     Dask ends it then, too, as soon as the interpreter is free: a run may hold it for long.
     """
-    if sys.platform != "linux":
-        return
+    if sys.platform != "linux" or multiprocessing.parent_process() is None:
+        return  # a shell that has started it may end
     import ctypes
 
     with suppress(OSError, AttributeError):

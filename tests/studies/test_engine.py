@@ -1,6 +1,8 @@
 """Studies are carried out completely, once, and named where they cannot be."""
 
 import json
+import logging
+import os
 import subprocess
 import sys
 import threading
@@ -17,6 +19,7 @@ from multicell.studies import engine
 from multicell.studies.engine import carry_out
 from multicell.studies.status import NOTE, statuses
 from multicell.studies.task import carried_out, task
+from multicell.studies.workers import workers
 
 
 def states(runs, folder):
@@ -282,6 +285,23 @@ def test_files_that_are_not_ours_are_never_removed(tmp_path, monkeypatch):
     assert outcome.state == "failed"
     assert "notes.txt" in outcome.reason
     assert (place / "notes.txt").read_text() == "mine"
+
+
+def test_workers_leave_this_process_as_it_was():
+    main, before = sys.modules["__main__"], dict(os.environ)
+    names = {name: vars(main).get(name) for name in ("__file__", "__spec__")}
+    import distributed  # noqa: F401 - it sets up its loggers
+
+    loggers = [logging.getLogger(name) for name in ("distributed", "distributed.client", "asyncio")]
+    levels = [logger.level for logger in loggers]
+    with workers(1, None) as client:
+        assert list(client.nthreads().values()) == [1]
+        (loaded,) = client.run(eval, "'multicell.runner' in __import__('sys').modules").values()
+        assert loaded is True
+        assert client.run(os.getenv, "OMP_NUM_THREADS").popitem()[1] == "1"
+    assert dict(os.environ) == before
+    assert {name: vars(main).get(name) for name in names} == names
+    assert [logger.level for logger in loggers] == levels
 
 
 def test_a_script_needs_no_guard(tmp_path):
