@@ -198,7 +198,7 @@ def _budgeted(
     """Return sets of parameters of the search, draws of the posterior, and s."""
     usual = 20 + 15 * len(problem.ranges)
     points = usual if method != "posterior" else 0
-    draws = 25 * population if method != "best" else 0
+    draws = 50 * population if method != "best" else 0
     if budget is None:
         return points, draws, math.inf
     if isinstance(budget, str):

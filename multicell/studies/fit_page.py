@@ -98,7 +98,7 @@ def parameters_in_words(fit: Fit) -> list[dict[str, str]]:
             row["median"] = in_words(interval.median, free.unit)
             low, high = in_words(interval.low, free.unit), in_words(interval.high, free.unit)
             row["interval"] = f"{low} to {high}"
-            row["part"] = f"{interval.part:.0%}"
+            row["part"] = f"{100.0 * interval.part:.0f} %"
         rows.append(row)
     return rows
 

@@ -11,6 +11,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
 from multicell.report.plots.style import BLUE, INK, QUIET, RED, blank, counts, styled
 from multicell.report.wording import TimeUnit, time_unit
+from multicell.results.quantities import unit_of
 from multicell.studies.distance import Array
 from multicell.studies.verdict import quantiles
 
@@ -26,6 +27,8 @@ _COLOURS: Final = (
 )  # fmt: skip
 _MOST: Final = 6
 """Parameters that are drawn pairwise; of more the first ones."""
+_UPRIGHT: Final = 9
+"""Single data whose labels stand beside each other."""
 _ZOOMED: Final = 0.35
 """Part of a range below which only that is drawn."""
 _BAND: Final = (0.025, 0.5, 0.975)
@@ -55,13 +58,16 @@ class FitPlots:
 def data(fit: Fit) -> Figure:
     """Draw each observable in a panel of its own: against time, or datum by datum."""
     panels = _panels(fit)
-    columns = min(len(panels), 2)
+    wide = any(not timed and len(numbers) > 4 for _, timed, numbers in panels)
+    columns = 1 if wide else min(len(panels), 2)
     rows = -(-len(panels) // columns)
-    figure = blank(_title(fit), _subtitle(fit), (10.0, 1.4 + 3.9 * rows))
-    height = figure.get_size_inches()[1]
+    labels = max((_lines(fit, numbers) for _, timed, numbers in panels if not timed), default=1)
+    below = 0.6 + 0.19 * labels  # inches for what stands under a panel
+    height = 1.15 + rows * (3.1 + below + 0.35)
+    figure = blank(_title(fit), _subtitle(fit), (10.0, height))
     grid = figure.add_gridspec(
-        rows, columns, left=0.09, right=0.97, top=1.0 - 1.15 / height, bottom=0.75 / height,
-        wspace=0.27, hspace=0.5,
+        rows, columns, left=0.09, right=0.97, top=1.0 - 1.15 / height, bottom=below / height,
+        wspace=0.27, hspace=(below + 0.45) / 3.1,
     )  # fmt: skip
     band = fit.predicted(_BAND)
     for k, (name, timed, numbers) in enumerate(panels):
@@ -140,11 +146,14 @@ def _one_by_one(axes: Axes, fit: Fit, numbers: Sequence[int], band: Array) -> No
         places, values, errors, fmt="o", color=INK, markersize=5, capsize=3,
         markeredgecolor="white", markeredgewidth=0.6,
     )  # fmt: skip
-    axes.set_xticks(places, [_place(fit, data[k]) for k in own], fontsize=9)
-    if max(len(_place(fit, data[k])) for k in own) * len(own) > 40:
-        axes.tick_params(axis="x", rotation=35)
-        for label in axes.get_xticklabels():
-            label.set_horizontalalignment("right")
+    names = [_place(fit, data[k]) for k in own]
+    if len(own) <= _UPRIGHT:
+        axes.set_xticks(places, [name.replace(", ", "\n") for name in names], fontsize=9)
+    else:
+        axes.set_xticks(places, names, fontsize=8, rotation=90)
+    same = {_when(data[k]) for k in own}
+    if len(same) == 1:
+        axes.set_xlabel(same.pop())
     axes.set_xlim(-0.6, len(own) - 0.4)
     axes.grid(False, axis="x")
 
@@ -157,17 +166,32 @@ def _bars(data: Sequence[Datum]) -> tuple[Array, Array]:
     return values, np.array([lower, upper])
 
 
+def _lines(fit: Fit, numbers: Sequence[int]) -> float:
+    """Return how many lines of text the labels under a panel of single data take."""
+    names = [_place(fit, fit.problem.measured.data[k]) for k in numbers]
+    if len(names) <= _UPRIGHT:
+        return float(max(name.count(", ") + 1 for name in names))
+    return 0.4 * max(map(len, names))  # turned by a right angle
+
+
 def _place(fit: Fit, datum: Datum) -> str:
-    """Return where a datum belongs, in words."""
+    """Return where a datum belongs, in words; what all of them share stands below the panel."""
+    measured = fit.problem.measured
+    same = {_when(d) for d in measured.data if d.observable == datum.observable}
     parts = []
-    if len(fit.problem.measured.conditions) > 1:
-        parts.append(fit.problem.measured.conditions[datum.condition].label)
+    if len(measured.conditions) > 1:
+        parts.append(measured.conditions[datum.condition].label)
+    if len(same) > 1:
+        parts.append(_when(datum))
+    return ", ".join(parts)
+
+
+def _when(datum: Datum) -> str:
+    """Return when a datum was measured, in words."""
     if datum.at is not None:
-        unit = "µm" if datum.at[0] == "diameter" else ""
-        parts.append(f"{datum.at[0].replace('_', ' ')} {datum.at[1]:g} {unit}".strip())
-    elif datum.time is not None:
-        parts.append(time_unit(datum.time).text(datum.time))
-    return ", ".join(parts) or "at the end"
+        unit = unit_of(datum.at[0]).replace("um", "µm")
+        return f"at a {datum.at[0].replace('_', ' ')} of {datum.at[1]:g} {unit}".strip()
+    return "at the end" if datum.time is None else f"after {time_unit(datum.time).text(datum.time)}"
 
 
 @styled
@@ -242,7 +266,9 @@ def _marginal(
         ends = quantiles(shares[:, k], weights, (0.025, 0.975))
         for x in _at(free, ends):
             axes.axvline(x, color=INK, linewidth=0.9, linestyle=":")
-        axes.set_title(f"95 %: {ends[1] - ends[0]:.0%} of its range", fontsize=10, weight="normal")
+        axes.set_title(
+            f"95 %: {100.0 * (ends[1] - ends[0]):.0f} % of its range", fontsize=10, weight="normal"
+        )
     axes.axhline(1.0, color=QUIET, linewidth=1.0, linestyle="--")
     axes.axvline(fit.best.values[free.key] / _unit(free)[1], color=RED, linewidth=1.6)
     axes.set_ylim(bottom=0.0)

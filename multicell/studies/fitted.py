@@ -54,8 +54,8 @@ class Best:
         The sum of their squares.
     per_datum
         χ² over the number of data.
-    scene
-        With these values.
+    settings
+        By key: the values as :meth:`Scene.with_changes` takes them.
     """
 
     values: Mapping[str, float]
@@ -65,7 +65,13 @@ class Best:
     residuals: Array
     chi_squared: float
     per_datum: float
-    scene: Scene
+    settings: Mapping[str, Any]
+    _fitted: Scene
+
+    @cached_property
+    def scene(self) -> Scene:
+        """The scene with these values."""
+        return self._fitted.with_changes(self.settings)
 
 
 @final
@@ -120,7 +126,8 @@ class Fit:
             residuals=residuals,
             chi_squared=chi_squared,
             per_datum=chi_squared / len(residuals),
-            scene=self.scene.with_changes(settings),
+            settings=settings,
+            _fitted=self.scene,
         )
 
     @property
@@ -248,8 +255,8 @@ class Fit:
         if assumed:
             said = f"{assumed} of {len(data)} data" if assumed < len(data) else "The data"
             notes.append(
-                f"{said} come without a standard deviation: {self.facts['sd']:.0%} of the value "
-                "was assumed, on which all intervals depend."
+                f"{said} come without a standard deviation: {100.0 * self.facts['sd']:g} % of the "
+                "value was assumed, on which all intervals depend."
             )
         if self.evaluations and len(self.problem.seeds) == 1:
             notes.append("With one seed the scatter between runs is unknown and counted as none.")

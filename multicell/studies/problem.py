@@ -8,11 +8,20 @@ from functools import cached_property
 from typing import final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from multicell.errors import SceneError
 from multicell.studies.axes import Range, check_axes, named, parse_range
 from multicell.studies.data import Measured
-from multicell.studies.distance import Array, Misfit, misfit, scaled, scales, standardised
+from multicell.studies.distance import (
+    Array,
+    Misfit,
+    groups_of,
+    misfit,
+    scaled,
+    scales,
+    standardised,
+)
 from multicell.studies.simulating import Reading, SceneSimulator, Simulator
 
 
@@ -80,7 +89,12 @@ class Problem:
 
     def misfit(self, readings: Mapping[tuple[int, int], Array]) -> Misfit:
         """Return how the runs of one set of parameters differ from the data."""
-        return misfit(self.observed, self.sigma, self.runs(readings, self.seeds))
+        runs = self.runs(readings, self.seeds)
+        return misfit(self.observed, self.sigma, runs, self._groups)
+
+    @cached_property
+    def _groups(self) -> tuple[NDArray[np.int64], Array]:
+        return groups_of(self.measured.data)
 
     def once(self, shares: Sequence[float], seed: int) -> Array:
         """Run all conditions once; return (reading - datum) / σ, (n,)."""

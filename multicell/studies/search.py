@@ -138,13 +138,23 @@ class Search:
         """Return the next trials."""
         import optuna
 
-        known = len(self._study.get_trials(deepcopy=False))
+        known = len(self._planned())
         self._study.sampler = optuna.samplers.TPESampler(
             seed=self._seed + known, multivariate=True, n_startup_trials=self._first_points
         )
+        trials = []
         for shares in self._proposed(known, count):
             self._study.enqueue_trial(dict(zip(self._problem.names, shares, strict=True)))
-        return [self._study.ask(self._space) for _ in range(count)]
+            trials.append(self._study.ask(self._space))
+        trials += [self._study.ask(self._space) for _ in range(count - len(trials))]
+        # a batch is begun once this is written: half of one is forgotten
+        self._study.set_user_attr(f"batch {known}", [trial.number for trial in trials])
+        return trials
+
+    def _planned(self) -> set[int]:
+        """Return the numbers of the trials of all batches that were begun."""
+        batches = self._study.user_attrs.values()
+        return {number for numbers in batches for number in numbers}
 
     @property
     def _first_points(self) -> int:
@@ -174,14 +184,16 @@ class Search:
         """Return the trials that were begun and not ended, by a search that was stopped."""
         from optuna.trial import Trial, TrialState
 
-        states = (TrialState.RUNNING,)
-        whole = []
-        for begun in self._study.get_trials(deepcopy=False, states=states):
-            if set(begun.params) == set(self._problem.names):
-                whole.append(Trial(self._study, begun._trial_id))
-            else:  # it was stopped before it had parameters
-                self._study.tell(begun.number, state=TrialState.FAIL)
-        return whole
+        waiting = self._study.get_trials(deepcopy=False, states=(TrialState.WAITING,))
+        for _ in waiting:  # each is handed out once, and not again
+            self._study.ask()
+        planned, begun = self._planned(), []
+        for trial in self._study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
+            if trial.number in planned:
+                begun.append(Trial(self._study, trial._trial_id))
+            else:
+                self._study.tell(trial.number, state=TrialState.FAIL)
+        return begun
 
     def _finish(
         self,

@@ -109,7 +109,7 @@ def undetermined(ranges: Sequence[Range], shares: Array, weights: Array) -> list
                     "open",
                     f"{free.name} is not determined: its 95 % interval, "
                     f"{in_words(interval.low, free.unit)} to {in_words(interval.high, free.unit)}, "
-                    f"covers {interval.part:.0%} of its range",
+                    f"covers {100.0 * interval.part:.0f} % of its range",
                 )
             )
             continue

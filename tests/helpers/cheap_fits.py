@@ -12,6 +12,9 @@ from multicell.studies.data import Condition, Datum, Measured
 from multicell.studies.problem import Problem
 from multicell.studies.simulating import Reading
 
+MATRIX = [[1.0, 0.0], [0.0, 1.0], [1.0, 1.0], [1.0, -1.0]]
+"""Four data of two parameters that determine both."""
+
 CALLS = []
 """Shares, condition and seed of every call of a simulator in this process."""
 
@@ -59,14 +62,17 @@ def measured(values, sigma):
     return Measured(data, (condition,), {"diameter": "um"}, "cheap")
 
 
-def linear(matrix, values, sigma, *, noise=0.0, bend=0.0, seeds=1):
+def linear(matrix, values, sigma, *, noise=0.0, bend=0.0, seeds=1, first=0):
     """Return a problem with as many parameters between 0 and 1 as the matrix has columns."""
     matrix = tuple(tuple(map(float, row)) for row in matrix)
     ranges = tuple(
         Range(f"toy.p{k}", 0.0, 1.0, "", False, f"p{k}", False) for k in range(len(matrix[0]))
     )
     return Problem(
-        measured(values, sigma), ranges, Linear(matrix, noise, bend), tuple(range(seeds))
+        measured(values, sigma),
+        ranges,
+        Linear(matrix, noise, bend),
+        tuple(range(first, first + seeds)),
     )
 
 

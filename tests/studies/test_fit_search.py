@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from cheap_fits import Linear, calls_of, exact, linear, measured
+from cheap_fits import MATRIX, Linear, calls_of, exact, linear, measured
 from scipy import stats
 
 from multicell.errors import FitFailed
@@ -16,8 +16,6 @@ from multicell.studies.hands import OwnHands
 from multicell.studies.problem import Problem
 from multicell.studies.search import Search, emulator_of
 from multicell.studies.simulating import Reading
-
-MATRIX = [[1.0, 0.0], [0.0, 1.0], [1.0, 1.0], [1.0, -1.0]]
 
 
 def test_the_loss_is_the_normal_likelihood_of_the_data_in_closed_form():
@@ -160,6 +158,30 @@ def test_a_search_that_is_stopped_goes_on_with_what_is_there(calls, tmp_path):
     assert (len(first), len(second)) == (calls, 50 - calls)
     assert [e.shares.tolist() for e in known] == [e.shares.tolist() for e in whole]
     assert [e.misfit.loss for e in known] == [e.misfit.loss for e in whole]
+
+
+@pytest.mark.parametrize("asked", [0, 2, 4])
+def test_half_a_batch_is_forgotten(asked, tmp_path, monkeypatch):
+    """A search that is stopped while it asks for its next points."""
+    problem = linear(MATRIX, [0.4, 0.6, 1.0, -0.2], 0.05, noise=0.1, seeds=2)
+    path = tmp_path / "search.log"
+    whole = Search(problem, None, seed=4).run(OwnHands(), 25)
+    stopped = Search(problem, path, seed=4)
+    stopped.run(OwnHands(), 15)
+    left = [asked]
+    ask = stopped._study.ask
+
+    def asking(*arguments):
+        if left[0] == 0:
+            raise KeyboardInterrupt
+        left[0] -= 1
+        return ask(*arguments)
+
+    monkeypatch.setattr(stopped._study, "ask", asking)
+    with pytest.raises(KeyboardInterrupt):
+        stopped.run(OwnHands(), 25)
+    known = Search(problem, path, seed=4).run(OwnHands(), 25)
+    assert [e.shares.tolist() for e in known] == [e.shares.tolist() for e in whole]
 
 
 class Failing:
