@@ -96,15 +96,15 @@ class Rehearsal:
 
     def _next(self, size: int, cells: int, nodes: int) -> None:
         """Start the next process that is due."""
-        from multicell.nutrient.steady import MANY
-
         lasting = clock.perf_counter() - self._begin > _LONG
         if "drivers" in self._wanted and cells >= _EARLY * size:
             self._wanted.discard("drivers")
             self._start(wanted_drivers())
-        elif MANY_NODES in self._wanted and nodes >= _EARLY * MANY:
+        elif MANY_NODES in self._wanted and nodes >= _EARLY * _many():
             self._wanted.discard(MANY_NODES)
-            if nodes < MANY and not _any_on_disk("multicell.nutrient.multigrid_kernels", "prolong"):
+            if nodes < _many() and not _any_on_disk(
+                "multicell.nutrient.multigrid_kernels", "prolong"
+            ):
                 self._start([], [MANY_NODES])
         elif OTHER_METHODS in self._wanted and lasting and cells > 1:
             self._wanted.discard(OTHER_METHODS)
@@ -131,6 +131,13 @@ class Rehearsal:
         if self._process is not None:
             with suppress(subprocess.TimeoutExpired):
                 self._process.wait(_LONGEST_WAIT)
+
+
+def _many() -> int:
+    """Return the number of nodes from which on multigrid solves for a field."""
+    from multicell.nutrient.steady import MANY  # scenes without fields load nothing of them
+
+    return MANY
 
 
 def _begins_alone(scene: Scene) -> bool:
