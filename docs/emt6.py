@@ -6,8 +6,8 @@ Data      docs/data/emt6-growth.csv (Freyer & Sutherland 1986), docs/data/emt6-r
           (Mueller-Klieser, Freyer & Sutherland 1986), with their standard deviations
 Fitted    ten parameters of docs/emt6_ball.py, by docs/emt6_fit.py: to all data (the scenes), and
           to every second rim with the growth of the first week, which predicts the rest
-Cost      CPU time of one thread: rims 7 s, fit 1.5 minutes, profiles 4 minutes, growth 8 minutes
-          and 0.6 GB of memory
+Cost      CPU time of one thread: rims 7 s, fit 1.5 minutes, profiles 4 minutes, growth some ten
+          minutes and 0.6 GB of memory
 Command   python docs/emt6.py            (all and the pictures; --only rims fit profiles growth)
 """
 
@@ -223,8 +223,11 @@ def draw_profiles(path: Path) -> None:
         axes.plot(values[rows], above[rows], "o-", color=BLUE, ms=4)
         for level in (1.0, 3.84):
             axes.axhline(level, color=GREY, lw=0.8, ls="--")
-        axes.set(xscale="log", ylim=(-0.3, 12), title=LABELS[name])
-        axes.tick_params(labelsize=8)
+        axes.set(xscale="log", ylim=(-0.3, 12))
+        axes.set_title(LABELS[name], fontsize=10)
+        ticks = np.exp(np.quantile(np.log(values[rows]), [0.0, 0.5, 1.0]))
+        axes.set_xticks(ticks, [f"{tick:.2g}" if tick < 100.0 else f"{tick:.0f}" for tick in ticks])
+        axes.minorticks_off()
         axes.grid(alpha=0.3)
     figure.supylabel("χ² above the least")
     figure.savefig(path, dpi=110)
