@@ -112,7 +112,8 @@ def draw() -> plt.Figure:
         name = f"{room}/ ({number})" if number > 1 else room
         axes.text(x, y + 0.09, name, ha="center", va="center", fontsize=9, weight="bold", zorder=3)
         axes.text(x, y - 0.14, WHAT[room], ha="center", va="center", fontsize=6.8, zorder=3)
-    axes.set(xlim=(-4.0, 4.0), ylim=(-len(levels) + 0.4, 0.6))
+    half = max(abs(x) + 0.5 * width for x, _, width in places.values()) + 0.1
+    axes.set(xlim=(-half, half), ylim=(-len(levels) + 0.4, 0.6))
     axes.set_title("Rooms of multicell: imports go down only (number of files)", fontsize=11)
     axes.axis("off")
     return figure

@@ -364,6 +364,9 @@ def _tell_outcomes(
         if page is not None:
             out.print(f"The report is '{page}'.", markup=False, soft_wrap=True)
     if failed:
+        if quiet and not as_json:
+            reason = outcomes[failed[0]].reason
+            complain(f"{_count(len(failed), 'run')} failed, the first of them: {reason}")
         raise click.exceptions.Exit(1)
 
 

@@ -15,15 +15,15 @@ from multicell.results.folder import file_errors
 from multicell.studies.pictures.values import (
     SEED,
     TIME,
+    Places,
+    at_end,
     axes_of,
     axis_words,
     coordinates_of,
-    final,
     is_sampled,
     label,
     number_text,
     observables,
-    place_of,
     scale,
     scale_alone,
     sentence,
@@ -44,6 +44,9 @@ KEY_OBSERVABLES: Final = (
     "pull", "largest_pressure", "contacts",
 )  # fmt: skip
 """Observables that a page shows, if they are there and change; further ones by wish."""
+
+MOST_ROWS: Final = 4000
+"""Runs that the table of a page lists; a browser takes long over more."""
 
 _MAPS: Final = 4  # observables that have a map or a response
 _COURSES: Final = 3  # and of which courses
@@ -118,7 +121,7 @@ def key_observables(table: xr.Dataset) -> list[str]:
     found += [name for name in known if name.startswith("hypoxic_radius")]
     told: list[str] = []
     for name in found:
-        values = final(table, name).values
+        values = at_end(table, name).values
         values = values[np.isfinite(values)]
         if values.size and (values.min() < values.max() or name in ("cells", "diameter")):
             told.append(name)
@@ -205,14 +208,15 @@ def _run_table(
 ) -> dict[str, Any]:
     """Return heads and rows of the table of runs; each cell with its rank in its column."""
     axes = [(name, scale_alone(table, name)) for name in coordinates_of(table)]
-    ends = {name: final(table, name) for name in told}
+    ends = {name: at_end(table, name).values for name in told}
+    chosen = _listed(states)
     heads = [*(shown.label for _, shown in axes), "seed", "state",
              *(label(table, name) for name in told), "wall time"]  # fmt: skip
-    rows = []
-    for run, state in zip(runs, states, strict=True):
+    rows, places = [], Places(table)
+    for run, state in ((runs[k], states[k]) for k in chosen):
         own: list[Any] = [_coordinate(run.coordinates.get(n), s.factor) for n, s in axes]
-        place = place_of(table, run.coordinates)
-        values = [float(ends[n].values[place]) if place is not None else np.nan for n in told]
+        place = places.of(run.coordinates)
+        values = [float(ends[n][place]) if place is not None else np.nan for n in told]
         if state.state != "done":
             values = [np.nan] * len(values)
         own += [run.coordinates.get(SEED, run.scene.seed), state.state, *values, state.wall]
@@ -225,7 +229,15 @@ def _run_table(
              "number": not isinstance(value, str)}
             for k, value in enumerate(row.pop("own"))
         ]  # fmt: skip
-    return {"heads": heads, "rows": rows}
+    return {"heads": heads, "rows": rows, "left_out": len(states) - len(chosen)}
+
+
+def _listed(states: Sequence[RunStatus]) -> list[int]:
+    """Return which runs are listed: all, or of very many those that failed, then the first ones."""
+    if len(states) <= MOST_ROWS:
+        return list(range(len(states)))
+    order = sorted(range(len(states)), key=lambda k: states[k].state != "failed")
+    return sorted(order[:MOST_ROWS])
 
 
 def _coordinate(value: Any, factor: float) -> Any:

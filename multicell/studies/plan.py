@@ -8,6 +8,7 @@ point's scene, before anything runs.
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -409,12 +410,12 @@ def _lines(plan: Plan) -> Iterator[str]:
     yield ""
     yield f"[{table}]" + ("  # key = values, or 'low:high unit' to sample" * (table == "vary"))
     for axis in design.axes:
-        yield _line(axis)
+        yield axis_line(axis)
     for group in design.zipped:
         yield ""
         yield "[[zip]]  # values at the same places go together"
         for axis in group:
-            yield _line(axis)
+            yield axis_line(axis)
 
 
 _WORDS: Final = {
@@ -425,14 +426,21 @@ _WORDS: Final = {
 }
 
 
-def _line(axis: Axis | Range) -> str:
+def axis_line(axis: Axis | Range) -> str:
     """Return what stands for an axis or a range in ``study.toml``."""
     unit = f"  # {axis.unit}" if axis.unit else ""
     if isinstance(axis, Range):
         low, high = (int(x) if axis.whole else x for x in (axis.low, axis.high))
         text = f"{'log ' if axis.log else ''}{low!r}:{high!r} {axis.unit}".strip()
-        return f'{axis.key} = "{text}"'
-    return f"{axis.key} = [{', '.join(map(_toml, axis.values))}]{unit}"
+        return f'{_dotted(axis.key)} = "{text}"'
+    return f"{_dotted(axis.key)} = [{', '.join(map(_toml, axis.values))}]{unit}"
+
+
+def _dotted(key: str) -> str:
+    """Return a dotted key as TOML has it: parts such as the side ``*`` need quotes."""
+    bare = re.compile(r"[A-Za-z0-9_-]+")
+    parts = (part if bare.fullmatch(part) else json.dumps(part) for part in key.split("."))
+    return ".".join(parts)
 
 
 def _toml(value: Any) -> str:

@@ -9,6 +9,7 @@ not done, has failed, or has ended before a time has NaN there; ``state`` and ``
 from __future__ import annotations
 
 import json
+import os
 import shlex
 import sys
 from collections.abc import Iterator, Mapping, Sequence
@@ -280,7 +281,7 @@ def save(table: xarray.Dataset, path: Path) -> None:
     MissingPackage, OutputError
     """
     needs("xarray", "h5netcdf")
-    part = path.with_name(f"{path.name}.part")
+    part = path.with_name(f"{path.name}.{os.getpid()}.part")  # two processes may write it
     packed = {
         name: {"zlib": True, "complevel": 1, "shuffle": True}
         for name, variable in table.data_vars.items()

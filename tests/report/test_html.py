@@ -12,7 +12,7 @@ from multicell.report.wording import clock
 
 NAMES = (
     "base.html", "parts.html", "run.html", "compare.html", "fields.html", "stability.html",
-    "study.html", "sorted.html", "sensitivity.html",
+    "study.html", "sorted.html", "sensitivity.html", "fit.html",
     "style.css",
 )  # fmt: skip
 

@@ -1,6 +1,7 @@
 """Axes and ranges: how they are read, and how what cannot be is told."""
 
 import math
+import tomllib
 
 import numpy as np
 import pytest
@@ -10,6 +11,8 @@ from hypothesis import strategies as st
 import multicell as mc
 from multicell import SceneError
 from multicell.studies.axes import check_axes, named, parse_axis, parse_range
+from multicell.studies.keys import all_keys
+from multicell.studies.plan import axis_line
 
 OXYGEN = "nutrients.oxygen.boundary"
 
@@ -208,3 +211,24 @@ def test_a_key_is_varied_once(emt6):
     axes = [parse_axis(OXYGEN, [0.1], emt6), parse_axis(OXYGEN, [0.2], emt6)]
     with pytest.raises(SceneError, match="varied twice"):
         check_axes(emt6, axes)
+
+
+@pytest.mark.parametrize("name", mc.scene_names())
+def test_every_value_of_a_scene_is_an_axis_of_itself(name):
+    """Each of its keys, taken for an axis of the value that is there, changes nothing."""
+    scene = mc.load_scene(name)
+    for key in all_keys(scene):
+        value = scene.to_dict()
+        for step in key.split("."):
+            value = value.get(step) if isinstance(value, dict) else None
+        if value is None:
+            continue
+        axis = parse_axis(key, [value], scene)
+        assert scene.with_changes({key: axis.values[0]}) == scene
+        assert axis.coordinates == (value if isinstance(value, str) else axis.coordinates[0],)
+        if isinstance(value, float):
+            assert axis.numbers == (value,)
+        written = tomllib.loads(axis_line(axis))
+        for step in key.split("."):
+            written = written[step]
+        assert parse_axis(key, written, scene) == axis

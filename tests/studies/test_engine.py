@@ -26,16 +26,28 @@ def states(runs, folder):
     return [found.state for found in statuses(runs, folder)]
 
 
-def in_this_process(monkeypatch):
-    """Do without Dask: what is tested is no matter of it."""
+def in_this_process(monkeypatch, *troubles):
+    """Do without Dask: what is tested is no matter of it.
+
+    ``troubles`` come in place of answers, first: strings are states of futures, errors those of
+    tasks, and types of errors what happens to answers on their way.
+    """
+    troubles = list(troubles)
 
     class Future:
-        key, status = "", "finished"
-
         def __init__(self, answer):
             self.key, self.answer = str(id(self)), answer
+            self.trouble = troubles.pop(0) if troubles else None
+            self.status = "error" if isinstance(self.trouble, Exception) else "finished"
+            if isinstance(self.trouble, str):
+                self.status = self.trouble
+
+        def exception(self):
+            return self.trouble
 
         def result(self, timeout=None):
+            if self.trouble is not None:
+                raise self.trouble
             return self.answer
 
         def add_done_callback(self, call):
@@ -320,6 +332,32 @@ def test_a_script_needs_no_guard(tmp_path):
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines() == ["script", f"['done', 'done'] {script}"]
+
+
+def test_a_worker_that_cannot_begin_a_run_is_a_reason_that_does_not_last(tmp_path, monkeypatch):
+    in_this_process(monkeypatch, ModuleNotFoundError("No module named 'multicell'"))
+    runs = short_runs(2)
+    outcomes = carry_out(runs, tmp_path)
+    first = next(outcome for outcome in outcomes if outcome.state == "failed")
+    assert first.reason == (
+        "its worker could not begin it: ModuleNotFoundError: No module named 'multicell'"
+    )
+    assert sorted(outcome.state for outcome in carry_out(runs, tmp_path)) == ["done", "done"]
+
+
+def test_an_answer_that_is_lost_is_found_in_the_folder(tmp_path, monkeypatch):
+    in_this_process(monkeypatch, TimeoutError)
+    (outcome,) = carry_out(short_runs(1), tmp_path)
+    assert (outcome.state, outcome.reused) == ("done", True)
+
+
+def test_a_scheduler_that_goes_is_an_error_that_keeps_all(tmp_path, monkeypatch):
+    in_this_process(monkeypatch, "cancelled")
+    with pytest.raises(ClusterError, match="the scheduler has gone") as caught:
+        carry_out(short_runs(2), tmp_path)
+    assert caught.value.exit_code == 1
+    in_this_process(monkeypatch)
+    assert {outcome.state for outcome in carry_out(short_runs(2), tmp_path)} == {"done"}
 
 
 def test_cores_must_be_some(tmp_path):

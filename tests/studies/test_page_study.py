@@ -241,3 +241,15 @@ def test_the_axes_of_sections_can_be_chosen(table, tmp_path, frames):
 def test_times_of_all_runs_are_summed(page):
     place = page.text.index("wall time of all runs")
     assert page.text[place - 1] == "17 min 0 s"
+
+
+def test_of_very_many_runs_those_that_failed_are_listed_first(table, tmp_path, monkeypatch, frames):
+    monkeypatch.setattr("multicell.studies.page.MOST_ROWS", 5)
+    monkeypatch.setattr("multicell.studies.page._drawings", lambda *given: iter(()))
+    runs, states = runs_of(table, (OXYGEN, LAW))
+    states[-1] = RunStatus(states[-1].name, "failed", "late")
+    text = write_report(tmp_path, SCENE, table, runs, states).read_text("utf-8")
+    rows = Page(text).rows
+    assert len(rows) == 5
+    assert sum("failed" in row["cells"] for row in rows) == 2
+    assert "13 runs are left out here" in text

@@ -12,10 +12,10 @@ from study_tables import AXES, grid, sampled, with_states
 
 from multicell.errors import SceneError
 from multicell.studies.pictures.values import (
+    Places,
+    at_end,
     axes_of,
-    final,
     number_text,
-    place_of,
     scale,
     statistics,
 )
@@ -57,7 +57,7 @@ def test_tiles_tell_what_failed_or_has_not_run(two):
 
 
 def test_numbers_count_the_seeds_that_are_there(two):
-    known = statistics(final(two, "diameter"))
+    known = statistics(at_end(two, "diameter"))
     assert int(known.number[2, 2]) == 4
     own = two["diameter"].values[2, 2, 1:, -1]
     assert float(known.mean[2, 2]) == pytest.approx(own.mean())
@@ -70,9 +70,9 @@ def test_the_end_is_that_of_each_run_and_nothing_is_shown_that_is_gone_then():
     for name in cut.data_vars:
         cut[name].values[0, 0, 21:] = np.nan  # this run ended sooner
     cut["viable_rim"].values[1, 1, -1] = np.nan  # here the core has gone
-    assert float(final(cut, "diameter")[0, 0]) == table["diameter"].values[0, 0, 20]
-    assert np.isnan(float(final(cut, "viable_rim")[1, 1]))
-    assert np.isfinite(float(final(cut, "diameter")[1, 1]))
+    assert float(at_end(cut, "diameter")[0, 0]) == table["diameter"].values[0, 0, 20]
+    assert np.isnan(float(at_end(cut, "viable_rim")[1, 1]))
+    assert np.isfinite(float(at_end(cut, "diameter")[1, 1]))
 
 
 def test_one_seed_is_said_to_have_no_scatter():
@@ -176,6 +176,22 @@ def test_points_of_a_sample_stand_at_their_values_with_their_deviation():
     np.testing.assert_allclose(lengths, 2.0 * last.std(axis=1, ddof=1)[order])
 
 
+def test_many_curves_are_the_same_as_few():
+    table = sampled(OXYGEN, count=24, seeds=3)
+    for name in table.data_vars:
+        table[name].values[5, 1, 30:] = np.nan
+    axes = plots(table).curves("diameter").axes[0]
+    bands, thin, lines = axes.collections
+    values = table["diameter"].values
+    drawn = np.array([path.vertices[:, 1] for path in lines.get_paths()])
+    wanted = values.mean(axis=1)
+    np.testing.assert_allclose(drawn[np.arange(24) != 5], wanted[np.arange(24) != 5])
+    assert np.isnan(drawn[5, 30:]).all()
+    height = bands.get_paths()[0].vertices[:41, 1]
+    np.testing.assert_allclose(height, wanted[0] + values[0].std(axis=0, ddof=1))
+    assert len(thin.get_paths()) == 3
+
+
 def test_failed_runs_are_counted_beside_the_points():
     table = with_states(sampled(OXYGEN, GLUCOSE), failed=[(3, 0), (7, 0), (7, 1), (7, 2)])
     assert "failed (4)" in texts(plots(table).response("diameter"))
@@ -194,8 +210,8 @@ def test_values_that_go_together_are_one_axis():
     assert scale(table, OXYGEN).texts == ["0.07 · 0.8", "0.14 · 5.5", "0.28 · 5.5"]
     words = texts(plots(table).heatmap("diameter"))
     assert "0.14 · 5.5" in words
-    assert place_of(table, {OXYGEN: 0.14, "glucose": 5.5, "law": "jkr", "seed": 1}) == (1, 0, 1)
-    assert place_of(table, {OXYGEN: 0.14, "glucose": 0.8, "law": "jkr", "seed": 1}) is None
+    assert Places(table).of({OXYGEN: 0.14, "glucose": 5.5, "law": "jkr", "seed": 1}) == (1, 0, 1)
+    assert Places(table).of({OXYGEN: 0.14, "glucose": 0.8, "law": "jkr", "seed": 1}) is None
     assert len(plots(table).curves("diameter").axes) == 2
 
 

@@ -370,3 +370,11 @@ def test_salib_is_loaded_for_analyses_only():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert set(done.stdout.split()) == {"False"}
+
+
+@pytest.mark.slow
+def test_workers_of_the_engine_give_the_same(tmp_path):
+    found = asked(tmp_path / "workers", cores=2)
+    assert found.index("diameter", "division_radius")["mu"] == pytest.approx(
+        6.0 / 2.0 ** (1.0 / 3.0)
+    )

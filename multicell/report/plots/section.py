@@ -69,7 +69,7 @@ def section(frame: Frame, scene: Scene) -> Figure:
     name = next((name for name in nutrients if name in frame.fields), "")
     if name:
         _draw_behind(figure, axes, frame.fields[name], float(middle[2]), nutrients[name])
-    scale_bar(axes, middle, half)
+    _scale_bar(axes, middle, half)
     _section_legend(figure, group, palette, "Cells in this section" if dimensions == 3 else "Cells")
     return figure
 
@@ -253,7 +253,7 @@ def _draw_behind(figure: Figure, axes: Axes, field: Field, z: float, nutrient: N
         figure.legend(handles=handles, loc="upper left", bbox_to_anchor=(0.713, 0.25))
 
 
-def scale_bar(axes: Axes, middle: FloatArray, half: float) -> None:
+def _scale_bar(axes: Axes, middle: FloatArray, half: float) -> None:
     """Draw a bar of a round length in the lower left corner."""
     length = max(
         n for n in (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000) if n <= 0.6 * half

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 from numpy.typing import NDArray
@@ -95,11 +96,13 @@ def curves(
     size = (SIZE[0], SIZE[1] if rows == 1 else 0.9 + 3.9 * rows)
     figure = laid_out(title, _subtitle(table, name, at or {}), size)
     grid = figure.subplots(rows, columns, squeeze=False, sharey=True, sharex=True)
+    _limits(grid[0, 0], values.values / factor)
     held = {} if is_sampled(table) else middle(table, axes_of(table)) | dict(at or {})
     for place, panel in enumerate(grid.flat):
         if place >= len(names):
             panel.set_axis_off()
             continue
+        panel.set_autoscale_on(False)
         axis = names[place]
         others = {other: value for other, value in held.items() if other != axis}
         part = at_point(table, others)
@@ -116,7 +119,6 @@ def curves(
             panel.xaxis.set_tick_params(labelbottom=True)
             panel.xaxis.set_major_locator(MaxNLocator(6))
             panel.set_xlabel(f"time ({_unit(table).name})")
-    _limits(grid[0, 0], values.values / factor)
     return figure
 
 
@@ -154,11 +156,13 @@ def _draw(
         own = [str(v) if shown.numbers is None else float(v) for v in table[axis].values]
     colour = _colours(shown)
     few = len(shown.values) <= _MOST_NAMED
-    thin = len(own) > 2 * _MOST_NAMED
+    if len(own) > 2 * _MOST_NAMED:
+        _crowd(axes, time, values, [colour(value) for value in own])
     for order, (value, courses) in enumerate(zip(own, values, strict=True)):
-        # the first ones are the widest: they are seen also where others lie on top of them
-        wide = 1.1 if thin else 1.8 + 1.6 * (1.0 - order / max(len(own) - 1, 1))
-        _course(axes, time, courses, colour(value), wide)
+        if len(own) <= 2 * _MOST_NAMED:
+            # the first ones are the widest: they are seen also where others lie on top of them
+            wide = 1.8 + 1.6 * (1.0 - order / max(len(own) - 1, 1))
+            _course(axes, time, courses, colour(value), wide)
     if few:
         lost = {} if is_sampled(table) else _lost(table, values, own, axis)
         entries = zip(shown.values, shown.texts, strict=True)
@@ -189,31 +193,71 @@ def _lost(table: xr.Dataset, values: FloatArray, own: list[Any], axis: str) -> d
     return told
 
 
-def _course(axes: Axes, time: FloatArray, courses: FloatArray, colour: Any, wide: float) -> None:
-    """Draw mean and band over the seeds, (n, m), where all that have any value have one."""
+class _Summary(NamedTuple):
+    """A curve over the seeds: (m,) each.
+
+    Mean and deviation where all seeds that have any value have one, else NaN; and the single
+    courses (k, m) where that is not so.
+    """
+
+    mean: FloatArray
+    sd: FloatArray
+    rest: FloatArray
+
+
+def _summary(courses: FloatArray) -> _Summary | None:
+    """Return the summary of courses (seeds, m); None if there are none."""
     known = courses[np.isfinite(courses).any(axis=1)]
     if not len(known):
-        return
+        return None
     whole: NDArray[np.bool_] = np.asarray(np.isfinite(known).all(axis=0))
     mean = np.where(whole, known.mean(axis=0), np.nan)
-    style = "-" if whole.sum() > 1 else "o"
-    axes.plot(time, mean, style, color=colour, lw=wide, ms=4)
-    if len(known) > 1:
-        sd = known.std(axis=0, ddof=1)
-        axes.fill_between(
-            time,
-            mean - sd,
-            mean + sd,
-            where=whole,
-            color=colour,
-            alpha=0.1 if wide < 1.5 else 0.22,
-            lw=0,
+    if len(known) == 1:
+        return _Summary(mean, np.full_like(mean, np.nan), known[:0])
+    beyond = ~whole
+    beyond[1:] |= ~whole[:-1]  # the single courses begin where the mean ends
+    beyond[:-1] |= ~whole[1:]
+    rest = np.where(beyond, known, np.nan)
+    return _Summary(mean, known.std(axis=0, ddof=1), rest[:0] if whole.all() else rest)
+
+
+def _course(axes: Axes, time: FloatArray, courses: FloatArray, colour: Any, wide: float) -> None:
+    """Draw mean and band over the seeds, and single courses where there is none."""
+    found = _summary(courses)
+    if found is None:
+        return
+    mean, sd, rest = found
+    whole = np.isfinite(mean)
+    axes.plot(time, mean, "-" if whole.sum() > 1 else "o", color=colour, lw=wide, ms=4)
+    if np.isfinite(sd).any():
+        axes.fill_between(time, mean - sd, mean + sd, where=whole, color=colour, lw=0, alpha=0.22)
+    for course in rest:
+        axes.plot(time, course, color=colour, lw=0.7, alpha=0.7)
+
+
+def _crowd(axes: Axes, time: FloatArray, values: FloatArray, colours: list[Any]) -> None:
+    """Draw many curves, (n, seeds, m), as few artists: one by one they would take a minute."""
+    found = [(one, c) for one, c in zip(map(_summary, values), colours, strict=True) if one]
+    bands, shades = [], []
+    for one, colour in found:
+        for part in _pieces(np.isfinite(one.mean) & np.isfinite(one.sd)):
+            upper, lower = (one.mean + one.sd)[part], (one.mean - one.sd)[part]
+            around = np.append(time[part], time[part][::-1])
+            bands.append(np.column_stack([around, np.append(upper, lower[::-1])]))
+            shades.append(colour)
+    axes.add_collection(PolyCollection(bands, facecolors=shades, alpha=0.1, lw=0))
+    thin = [(np.column_stack([time, course]), c) for one, c in found for course in one.rest]
+    lines = [(np.column_stack([time, one.mean]), c) for one, c in found]
+    for drawn, wide in ((thin, 0.5), (lines, 1.1)):
+        axes.add_collection(
+            LineCollection([line for line, _ in drawn], colors=[c for _, c in drawn], lw=wide)
         )
-        beyond = ~whole
-        beyond[1:] |= ~whole[:-1]  # the thin lines begin where the mean ends
-        beyond[:-1] |= ~whole[1:]
-        for course in known if not whole.all() else ():
-            axes.plot(time, np.where(beyond, course, np.nan), color=colour, lw=0.7, alpha=0.7)
+
+
+def _pieces(there: NDArray[np.bool_]) -> list[slice]:
+    """Return the parts without a gap, of two points at least."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], there, [False]]).astype(int)))
+    return [slice(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > 1]
 
 
 def _colours(shown: Scale) -> Any:
@@ -239,16 +283,18 @@ def _mappable(shown: Scale) -> mpl.cm.ScalarMappable:
 
 
 def _limits(axes: Axes, values: FloatArray) -> None:
-    """Give the shared axis of values a logarithmic scale where they grow much, else zero below."""
+    """Set the shared axis of values: logarithmic where they grow much, from zero where it is near.
+
+    It is set before anything is drawn: to find it from hundreds of curves takes minutes.
+    """
     known = values[np.isfinite(values)]
-    if not known.size:
-        return
-    low, high = float(known.min()), float(known.max())
+    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
     if low > 0.0 and high >= _GROWTH * low:
         axes.set_yscale("log")
         axes.yaxis.set_minor_formatter(NullFormatter())
-        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.6g}"))
-    elif low >= 0.0:
-        if low < 0.6 * high:
-            axes.set_ylim(0.0, 1.08 * high or 1.0)
-        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.6g}"))
+        axes.set_ylim(low / 1.15, high * 1.15)
+    else:
+        room = 0.06 * (high - low) or 0.05 * abs(high) or 1.0
+        bottom = 0.0 if 0.0 <= low < 0.6 * high else low - room
+        axes.set_ylim(bottom, high + room)
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.6g}"))

@@ -17,11 +17,11 @@ from multicell.studies.pictures.values import (
     SEED,
     Scale,
     Statistics,
+    at_end,
     at_point,
     axes_of,
     axis_named,
     compact,
-    final,
     is_sampled,
     label,
     label_with,
@@ -89,7 +89,7 @@ def heatmap(
     across, up, third, held = arranged(table, x, y, at or {})
     part = at_point(table, held)
     shown = _shown(part, third)
-    values = final(part, name)
+    values = at_end(part, name)
     factor, told = power(values.values)
     known = statistics(values / factor)
     subtitle = _subtitle(table, name, held, part.sizes[SEED])

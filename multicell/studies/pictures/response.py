@@ -14,9 +14,9 @@ from multicell.studies.pictures.values import (
     POINT,
     SEED,
     Scale,
+    at_end,
     axes_of,
     compact,
-    final,
     is_sampled,
     label,
     label_with,
@@ -56,7 +56,7 @@ def response(table: xr.Dataset, title: str, name: str) -> Figure:
     if not axes_of(table):
         raise ValueError("nothing is varied: there are no axes to draw over")
     table = compact(table)
-    values = final(table, name)
+    values = at_end(table, name)
     factor, told = power(values.values)
     values = values / factor
     names = axes_of(table)

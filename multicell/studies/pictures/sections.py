@@ -17,7 +17,6 @@ from multicell.report.plots.section import (
     cut,
     draw_circles,
     frame_window,
-    scale_bar,
 )
 from multicell.report.plots.style import INK, QUIET, RED, SIZE, blank, styled, type_label
 from multicell.report.wording import cell_count, time_unit
@@ -26,13 +25,13 @@ from multicell.studies.pictures.heatmap import arranged, spread
 from multicell.studies.pictures.values import (
     POINT,
     SEED,
+    Places,
     Scale,
     axes_of,
     compact,
     is_sampled,
     middle,
     nearest,
-    place_of,
     point_text,
     scale,
     sides_of,
@@ -47,6 +46,7 @@ if TYPE_CHECKING:
     from multicell.studies.runs import Run
     from multicell.studies.status import RunStatus
 
+_LENGTHS: Final = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000)  # µm
 _MOST: Final = 6  # tiles in a row or column
 _SAMPLE: Final = 8  # tiles of a sample
 _RIGHT, _TOP, _FOOT, _GAP = 0.35, 1.3, 0.45, 0.06  # inches
@@ -100,7 +100,8 @@ def sections(
         raise SceneError("seed", f"is {chosen}, which is none of the study", told)
     points, sides, told = _sample(table) if is_sampled(table) else _grid(table, x, y, at or {})
     known = {state.name: state for state in states}
-    there = {place_of(table, run.coordinates): run for run in runs}
+    whereabouts = Places(table)
+    there = {whereabouts.of(run.coordinates): run for run in runs}
     places = [
         [None if point is None else (*point, seeds.index(chosen)) for point in row]
         for row in points
@@ -222,7 +223,6 @@ def _drawn(title: str, subtitle: str, tiles: list[list[_Tile]], sides: Sides) ->
     tall = _TOP + rows * (side + head + _GAP) + _FOOT + 0.2
     figure = blank(title, subtitle[0].upper() + subtitle[1:], (SIZE[0], tall))
     half = max((tile.size for row in tiles for tile in row), default=0.0) or 1.0
-    barred = False
     for r, row in enumerate(tiles):
         base = tall - _TOP - (r + 1) * (side + head + _GAP)
         for k, tile in enumerate(row):
@@ -233,9 +233,6 @@ def _drawn(title: str, subtitle: str, tiles: list[list[_Tile]], sides: Sides) ->
             _fill(axes, tile, half, 0.9 + 2.6 * side)
             if headings[r][k]:
                 axes.set_title(textwrap.fill(headings[r][k], 34), fontsize=7.5, weight="normal")
-            if tile.section is not None and not barred:
-                scale_bar(axes, tile.section.middle, half)
-                barred = True
             if k == 0 and marks[r]:
                 axes.set_ylabel(marks[r], rotation=0, ha="right", va="center")
             if r == rows - 1:
@@ -245,6 +242,7 @@ def _drawn(title: str, subtitle: str, tiles: list[list[_Tile]], sides: Sides) ->
     upright = (tall - _TOP - 0.5 * rows * (side + _GAP)) / tall
     figure.text(0.03, upright, up, rotation=90, ha="center", va="center")
     _legend(figure, tiles, tall)
+    _scale_bar(figure, 2.0 * half / side, left + columns * (side + _GAP), tall)
     return figure
 
 
@@ -263,6 +261,16 @@ def _fill(axes: Axes, tile: _Tile, half: float, font: float) -> None:
     axes.text(0.97, 0.975, textwrap.fill(tile.words, 30), ha="right", va="top",
               color=colour if tile.failed else INK, fontsize=min(9.0, font),
               transform=axes.transAxes, zorder=6)  # fmt: skip
+
+
+def _scale_bar(figure: Figure, microns: float, right: float, tall: float) -> None:
+    """Draw a bar of a round length beside the legend; ``microns`` are those of an inch."""
+    length = max(n for n in _LENGTHS if n <= 1.2 * microns or n == _LENGTHS[0])
+    wide, high = length / microns / SIZE[0], 1.0 - 0.98 / tall
+    end = right / SIZE[0]
+    line = Line2D([end - wide, end], [high, high], color=INK, lw=4, solid_capstyle="butt")
+    figure.add_artist(line)
+    figure.text(end - wide - 0.012, high, f"{length:,} µm", ha="right", va="center", fontsize=10.5)
 
 
 def _legend(figure: Figure, tiles: list[list[_Tile]], tall: float) -> None:

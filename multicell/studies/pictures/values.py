@@ -8,7 +8,7 @@ sampled design ``point``, ``seed`` and ``time``, with the value of each axis as 
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -159,7 +159,7 @@ def axis_named(table: xr.Dataset, name: str) -> str:
     return name
 
 
-def final(table: xr.Dataset, name: str) -> xr.DataArray:
+def at_end(table: xr.Dataset, name: str) -> xr.DataArray:
     """Return an observable at the last time of each run: over the axes and seeds.
 
     What does not exist then, such as a viable rim without a core, is NaN, also where it existed
@@ -368,8 +368,9 @@ def with_states(table: xr.Dataset, runs: Sequence[Run], found: Sequence[RunStatu
     own = {state.name: state.state for state in found}
     sides = sides_of(table)
     data = np.full(tuple(table.sizes[name] for name in sides), "waiting", dtype="U8")
+    places = Places(table)
     for run in runs:
-        place = place_of(table, run.coordinates)
+        place = places.of(run.coordinates)
         if place is not None:
             data[place] = own.get(run.name, "waiting")
     return table.assign({STATE: (sides, data)})
@@ -381,22 +382,34 @@ def sides_of(table: xr.Dataset) -> list[str]:
     return [*names, SEED]
 
 
-def place_of(table: xr.Dataset, coordinates: Mapping[str, Any]) -> tuple[int, ...] | None:
-    """Return where a run stands in an array over axes and seeds; None if it is not part of it."""
-    place = []
-    for side in sides_of(table):
-        there = np.ones(table.sizes[side], bool)
-        for name, entry in table.coords.items():
-            if entry.dims == (side,) and name in coordinates:
-                there &= _equal(entry.values, coordinates[str(name)])
-        found = np.flatnonzero(there)
-        if not len(found):
-            return None
-        place.append(int(found[0]))
-    return tuple(place)
+@final
+class Places:
+    """Where runs stand in an array over the axes and seeds of a table."""
+
+    def __init__(self, table: xr.Dataset) -> None:
+        coordinates = {str(n): (c.dims, c.values) for n, c in table.coords.items()}
+        self._sides = [
+            [(n, values) for n, (dims, values) in coordinates.items() if dims == (side,)]
+            for side in sides_of(table)
+        ]
+        self._sizes = [table.sizes[side] for side in sides_of(table)]
+
+    def of(self, coordinates: Mapping[str, Any]) -> tuple[int, ...] | None:
+        """Return the place of a run with these coordinates; None if it is not part of the table."""
+        place = []
+        for size, side in zip(self._sizes, self._sides, strict=True):
+            there = np.ones(size, bool)
+            for name, values in side:
+                if name in coordinates:
+                    there &= _equal(values, coordinates[name])
+            found = np.flatnonzero(there)
+            if not len(found):
+                return None
+            place.append(int(found[0]))
+        return tuple(place)
 
 
 def _equal(values: NDArray[Any], value: Any) -> NDArray[np.bool_]:
     if values.dtype.kind in "fiu" and not isinstance(value, str):
-        return np.asarray(np.isclose(values.astype(float), float(value), rtol=1e-9, atol=0.0))
-    return np.array([str(entry) == str(value) for entry in values])
+        return np.asarray(np.abs(values - float(value)) <= 1e-9 * abs(float(value)))
+    return np.asarray((values == str(value)) | (values == value), dtype=bool)
