@@ -126,7 +126,7 @@ def fit(
 
     plan = planned(described, data, pairs, **options)
     count = _cores(cores, scheduler)
-    _ask(_cost(plan, count), count, yes, quiet or as_json)
+    _ask(_cost(plan, None if overwrite else output, count), count, yes, quiet or as_json)
     try:
         with _reporter(show=not quiet) as progress:
             found = carried_out(
@@ -142,14 +142,15 @@ def fit(
         _print(console(), found, output)
 
 
-def _cost(plan: FitPlan, cores: int | None) -> Any:
-    """Return what a fit is expected to take, at most."""
+def _cost(plan: FitPlan, folder: Path | None, cores: int | None) -> Any:
+    """Return what is left of a fit, and what it is expected to take at most."""
     from multicell.studies.cost import StudyCost, cost_of
 
-    core_seconds = min(plan.expected(), plan.seconds * (cores or 1))
+    runs, core_seconds = plan.left(folder)
+    core_seconds = min(core_seconds, plan.seconds * (cores or 1))
     memory = max(cost_of(c.scene).memory for c in plan.problem.measured.conditions)
     return StudyCost(
-        runs=plan.runs,
+        runs=runs,
         core_seconds=core_seconds,
         seconds=core_seconds / (cores or 1),
         memory=memory * (cores or 1),

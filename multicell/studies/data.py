@@ -359,6 +359,7 @@ class _Rows:
         own = [d for d in self._data if d.condition == condition]
         times = [d.time for d in own if d.time is not None]
         last = max(times, default=0.0)
+        self._refuse_stop(scene, own)
         if len(times) < len(own):
             late = next((d for d in own if (d.time or 0.0) > scene.duration), None)
             if late is None:
@@ -377,6 +378,17 @@ class _Rows:
         except SceneError as error:
             place = f"{self._table.name}, {own[times.index(last)].place}"
             raise DataError(place, f"{error.path} {error.problem}", error.hint) from None
+
+    def _refuse_stop(self, scene: Scene, own: Sequence[Datum]) -> None:
+        """Refuse data that a run cannot reach because it ends with fewer cells."""
+        stop = scene.stop_cells
+        late = next((d for d in own if d.observable == "cells" and stop and d.value > stop), None)
+        if late is not None:
+            raise DataError(
+                f"{self._table.name}, {late.place}",
+                f"has {late.value:,.0f} cells, where runs end with {stop:,} (stop_cells)",
+                "Set a larger stop_cells, or none: '--set stop_cells='.",
+            )
 
     def _all_units(self) -> dict[str, str]:
         known: dict[str, str] = {}

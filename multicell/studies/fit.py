@@ -146,16 +146,31 @@ class FitPlan:
     @property
     def runs(self) -> int:
         """How many runs there will be at most."""
-        conditions = len(self.problem.measured.conditions)
-        return self.points * len(self.problem.tasks()) + self.draws * conditions
+        return self.points * len(self.problem.tasks()) + self.draws * self._conditions
 
-    def expected(self) -> float:
-        """Return the time on one core in s that the runs are expected to take together."""
+    @property
+    def _conditions(self) -> int:
+        return len(self.problem.measured.conditions)
+
+    def described(self) -> dict[str, Any]:
+        """Return what decides all numbers of the fit."""
+        from multicell.studies.fit_folder import described
+
+        times = [datum.time for datum in self.problem.measured.data]
+        options = {"sd": self.sd, "population": self.population, "times": times}
+        return described(self.problem, self.scene, self.table, options)
+
+    def left(self, folder: str | Path | None) -> tuple[int, float]:
+        """Return how many runs are left at most, and the time on one core in s that they take."""
         from multicell.studies.cost import cost_of
+        from multicell.studies.fit_folder import made
 
+        runs, draws, finished = (0, 0, False) if folder is None else made(folder, self.described())
+        searched = max(0, self.points * len(self.problem.tasks()) - runs)
+        drawn = 0 if finished else max(0, self.draws - draws)
         each = [cost_of(c.scene).seconds for c in self.problem.measured.conditions]
-        whole = sum(each) * (self.points * len(self.problem.seeds) + self.draws)
-        return float(whole)
+        count = searched + drawn * self._conditions
+        return count, float(sum(each) / len(each) * count)
 
 
 def planned(
@@ -269,11 +284,9 @@ def _place(plan: FitPlan, output: str | Path | None, overwrite: bool) -> Iterato
     if output is None:
         yield None
         return
-    from multicell.studies.fit_folder import described, opened
+    from multicell.studies.fit_folder import opened
 
-    options = {"sd": plan.sd, "population": plan.population}
-    times = [datum.time for datum in plan.problem.measured.data]
-    about = described(plan.problem, plan.scene, plan.table, {**options, "times": times})
+    about = plan.described()
     with opened(output, about, plan.scene, plan.table, overwrite=overwrite) as folder:
         yield folder
 

@@ -6,8 +6,9 @@ import csv
 import hashlib
 import io
 import json
+import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -34,11 +35,13 @@ FIT: Final = "fit.json"
 """What the folder is a fit of."""
 SEARCH: Final = "search.log"
 """Optuna's storage."""
+_JOURNAL: Final = "posterior.journal"
 FILES: Final = (
-    FIT, "scene.toml", "data.csv", SEARCH, f"{SEARCH}.lock", "posterior.db", "posterior.journal",
+    FIT, "scene.toml", "data.csv", SEARCH, f"{SEARCH}.lock", "posterior.db", _JOURNAL,
     "result.json", "best.toml", "posterior.csv", "residuals.csv", "report.html", "data.png",
     "parameters.png",
 )  # fmt: skip
+_GENERATIONS: Final = "SELECT t, nr_samples, epsilon FROM populations"
 _PACKAGES: Final = ("optuna", "pyabc", "distributed", "pandas")
 
 
@@ -97,6 +100,34 @@ def opened(
             write_text(folder / "data.csv", _csv([table.titles, *table.rows]))
             write_text(folder / FIT, to_json(entry) + "\n")  # the last: then all is there
         yield folder
+
+
+def made(folder: str | Path, problem: Mapping[str, Any]) -> tuple[int, int, bool]:
+    """Return what a folder has of a fit: runs of the search, draws, whether the posterior is done.
+
+    Nothing of another fit counts.
+    """
+    folder = Path(folder)
+    known = _held(folder)
+    if known is None or known.get("digest") != digest(problem):
+        return 0, 0, False
+    log, database, journal = (folder / name for name in (SEARCH, "posterior.db", _JOURNAL))
+    with file_errors("read", folder):
+        runs = log.read_bytes().count(b'"reason"') if log.is_file() else 0
+        draws = journal.read_bytes().count(b"\n") if journal.is_file() else 0
+    finished = False
+    if database.is_file():
+        with closing(sqlite3.connect(database)) as connection:
+            try:
+                rows = connection.execute(
+                    "SELECT t, nr_samples, epsilon FROM populations"
+                ).fetchall()
+            except sqlite3.DatabaseError:
+                rows = []  # whoever opens it says what is wrong
+        # the journal may still hold the last generation: what is left is said to be at most so much
+        draws = max(draws, sum(int(samples) for _, samples, _ in rows))
+        finished = any(t >= 0 and temperature <= 1.0 for t, _, temperature in rows)
+    return runs, draws, finished
 
 
 def digest(problem: Mapping[str, Any]) -> str:

@@ -162,6 +162,11 @@ def test_what_cannot_be_used_is_named_with_row_and_column(text, tmp_path):
     assert caught.value.exit_code == 2
 
 
+def test_data_beyond_the_cells_at_which_runs_stop_are_refused(tmp_path):
+    with pytest.raises(DataError, match=r"line 3: has 24,000 cells, where runs end with 20,000"):
+        read("time / h, cells\n5, 700\n300, 24000\n", tmp_path, mc.load_scene("emt6"))
+
+
 def test_files_that_cannot_be_read_are_named(tmp_path):
     with pytest.raises(DataError, match=r"nothing\.csv: does not exist"):
         read_data(tmp_path / "nothing.csv", SCENE)

@@ -18,7 +18,7 @@ from click.testing import CliRunner
 
 import multicell as mc
 from multicell.cli.main import main
-from multicell.errors import DataError, FitFailed
+from multicell.errors import ClusterError, DataError, FitFailed
 from multicell.studies.data import Datum, read_data
 from multicell.studies.fit import planned
 from multicell.studies.fitted import Fit
@@ -171,7 +171,10 @@ def test_a_sampled_posterior_of_a_scene_has_the_best_point_in_it(tmp_path):
     assert frame.attrs["kind"] == "exact"
     inside = found.intervals(0.999)["division_radius"]
     assert inside.low < found.best.values["cells.division_radius"] < inside.high
-    assert (tmp_path / "posterior.db").exists()
+    plan = planned(SMALL, data, {"cells.division_radius": "4:10 um"}, method="both", seeds=1,
+                   population=12, budget=200)  # fmt: skip
+    assert plan.left(None)[0] == 200
+    assert plan.left(tmp_path) == (0, 0.0)
 
 
 def fitted(problem, points=30):
@@ -279,6 +282,12 @@ def test_bad_input_is_named_before_anything_runs(wrong, words, monkeypatch):
     assert words in str(caught.value)
 
 
+def test_a_scheduler_that_does_not_answer_is_named(tmp_path, monkeypatch):
+    monkeypatch.setattr(SceneSimulator, "__call__", None)
+    with pytest.raises(ClusterError, match=r"tcp://127\.0\.0\.1:9' does not answer"):
+        mc.fit(SMALL, DATA, FREE, scheduler="tcp://127.0.0.1:9", output=tmp_path / "out")
+
+
 def test_a_condition_cannot_be_fitted():
     data = {**DATA, "growth.cycle_time / h": [10, 12]}
     with pytest.raises(mc.SceneError, match=r"growth\.cycle_time: is a condition of the data"):
@@ -294,7 +303,7 @@ def test_budgets_are_shared_out():
     plan = planned(SMALL, DATA, FREE, budget="2 h")
     assert plan.seconds == 7200.0
     assert planned(SMALL, DATA, FREE, budget=41).points == 20
-    assert planned(SMALL, DATA, FREE).expected() > 0.0
+    assert planned(SMALL, DATA, FREE).left(None)[1] > 0.0
 
 
 def test_too_few_points_tell_a_best_one_and_no_intervals():
@@ -319,6 +328,9 @@ def test_the_command_fits_and_says_what_is_open(tmp_path):
     assert shown.exception is None
     assert "growth.cycle_time" in shown.stdout
     assert "runs of the search: 20 of 20" in shown.stderr
+    assert "20 runs left, expected to take" in shown.stderr
+    finished = CliRunner().invoke(main, arguments, standalone_mode=False)
+    assert finished.stderr == ""
     again = CliRunner().invoke(main, [*arguments, "--json"], standalone_mode=False)
     document = json.loads(again.stdout)
     assert document["data"] == 2
