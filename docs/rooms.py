@@ -26,7 +26,7 @@ WHAT = {
     "results": "frames, history, journal", "scene": "what there is", "integrators": "methods",
     "mechanics": "forces, Jacobian, lists", "contact": "pair laws", "plugins": "file.py:Name",
     "schema": "declarations", "units": "at the door", "random": "streams", "threads": "sharing",
-    "compiling": "by numba", "rehearsal": "compiling ahead",
+    "compiling": "by numba", "rehearsal": "compiling ahead", "rehearsed": "by a few cells",
     "memory": "given back",
     "philox": "random words", "cells": "the state", "errors": "what users meet",
 }  # fmt: skip

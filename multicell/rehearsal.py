@@ -34,6 +34,8 @@ Work = list[tuple[str, str, Any]]
 
 FIRST_CONTACT, OTHER_METHODS, MANY_NODES = "first_contact", "other_methods", "many_nodes"
 """What :mod:`multicell.rehearsed` can do."""
+SHARED_LOOPS = "shared_loops"
+"""The drivers for all threads (:data:`multicell.threads.DRIVERS`)."""
 
 _EARLY = 0.125
 """Part of the size from which on something else is needed at which the other process starts."""
@@ -59,20 +61,19 @@ class Rehearsal:
         self._scene = scene.to_dict()
         self._process: subprocess.Popen[bytes] | None = None
         self._over = threads == 1 or not _worth_while()
-        self._reached = False
-        self._wanted = {"drivers"}
+        self._doing = ""
+        self._wanted = {SHARED_LOOPS}
         if scene.integrator.method == "auto":
             self._wanted.add(OTHER_METHODS)
         if any(part.layout == "box" for part in scene.nutrients.values()):
             self._wanted.add(MANY_NODES)
         self._begin = clock.perf_counter()
-        self._alone = False
 
     def begin(self, scene: Scene) -> None:
         """Start a process for what the first division will ask for, if the run has one cell."""
         if self._over or not _begins_alone(scene) or _known(scene):
             return
-        self._alone = True
+        self._doing = FIRST_CONTACT
         self._process = _started(self._scene, [], [FIRST_CONTACT], urgent=True)
 
     def watch(self, simulation: Simulation) -> None:
@@ -83,54 +84,59 @@ class Rehearsal:
         if size is None:  # one thread: no core but this one is asked for
             self._over = True
             return
-        if self._alone and cells > 1:
-            self._alone = False
-            self._wait()
-        if cells >= size and not self._reached:
-            self._reached = True
-            self._wanted.discard("drivers")
-            self._wait()
+        if cells > 1:
+            self._wait(FIRST_CONTACT)
+        if cells >= size:
+            self._wanted.discard(SHARED_LOOPS)
+            self._wait(SHARED_LOOPS)
         if self._process is not None and self._process.poll() is None:
-            return
+            if self._doing != OTHER_METHODS or not self._asks_for_drivers(size, cells):
+                return
+            # what may be needed gives way to what will be
+            self._end()
+            self._wanted.add(OTHER_METHODS)
         self._next(size, cells, simulation.nodes)
+
+    def _asks_for_drivers(self, size: int, cells: int) -> bool:
+        return SHARED_LOOPS in self._wanted and cells >= _EARLY * size
 
     def _next(self, size: int, cells: int, nodes: int) -> None:
         """Start the next process that is due."""
         lasting = clock.perf_counter() - self._begin > _LONG
-        if "drivers" in self._wanted and cells >= _EARLY * size:
-            self._wanted.discard("drivers")
-            self._start(wanted_drivers())
+        if self._asks_for_drivers(size, cells):
+            work = [item for item in wanted_drivers() if not _on_disk(*item)]
+            self._start(SHARED_LOOPS, work, wanted=bool(work))
         elif MANY_NODES in self._wanted and nodes >= _EARLY * _many():
-            self._wanted.discard(MANY_NODES)
-            if nodes < _many() and not _any_on_disk(
-                "multicell.nutrient.multigrid_kernels", "prolong"
-            ):
-                self._start([], [MANY_NODES])
+            known = _any_on_disk("multicell.nutrient.multigrid_kernels", "prolong")
+            self._start(MANY_NODES, [], wanted=nodes < _many() and not known)
         elif OTHER_METHODS in self._wanted and lasting and cells > 1:
-            self._wanted.discard(OTHER_METHODS)
-            if any(not _on_disk(*item) for item in wanted_methods()):
-                self._start([], [OTHER_METHODS])
+            wanted = any(not _on_disk(*item) for item in wanted_methods())
+            self._start(OTHER_METHODS, [], wanted=wanted)
+
+    def _start(self, what: str, work: Work, *, wanted: bool) -> None:
+        """Start a process for something, if it is not on disk yet."""
+        self._wanted.discard(what)
+        self._doing, self._process = what, None
+        if wanted:
+            self._process = _started(self._scene, work, [] if work else [what])
+
+    def _wait(self, what: str) -> None:
+        """Wait for the process that does something, once."""
+        if self._doing == what and self._process is not None:
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(_LONGEST_WAIT)
+            self._doing = ""
 
     def close(self) -> None:
         """End the process."""
         self._over = True
+        self._end()
+
+    def _end(self) -> None:
         if self._process is not None:
             self._process.kill()
             self._process.wait()
             self._process = None
-
-    def _start(self, work: Work, acts: list[str] | None = None) -> None:
-        """Start a process for what is not on disk yet."""
-        work = [item for item in work if not _on_disk(*item)]
-        if work or acts:
-            self._process = _started(self._scene, work, acts or [])
-        else:
-            self._process = None
-
-    def _wait(self) -> None:
-        if self._process is not None:
-            with suppress(subprocess.TimeoutExpired):
-                self._process.wait(_LONGEST_WAIT)
 
 
 def _many() -> int:

@@ -98,6 +98,21 @@ def test_a_long_run_has_another_method_compiled_after_what_was_asked_for_before(
     assert started[1].calls == ["kill", ("wait", None)]
 
 
+def test_what_may_be_needed_gives_way_to_what_will_be(started, monkeypatch):
+    monkeypatch.setattr(rehearsal, "_LONG", -1.0)
+    watching = Rehearsal(SCENE)
+    watching.watch(grown(2))
+    watching.watch(grown(SIZE // 8))
+    methods, drivers = started
+    assert (methods.acts, methods.calls) == ([OTHER_METHODS], ["kill", ("wait", None)])
+    assert drivers.work == [("drivers", "", ())]
+    drivers.ended = 0
+    watching.watch(grown(SIZE // 4))
+    assert started[2].acts == [OTHER_METHODS]
+    watching.watch(grown(SIZE))
+    assert started[2].calls == []
+
+
 def test_a_method_that_is_named_is_the_only_one(started, monkeypatch):
     monkeypatch.setattr(rehearsal, "_LONG", 0.0)
     watching = Rehearsal(SCENE.with_changes({"integrator": "euler"}))
