@@ -28,6 +28,7 @@ WHAT = {
     "schema": "declarations", "units": "at the door", "random": "streams", "threads": "sharing",
     "compiling": "by numba", "rehearsal": "compiling ahead", "rehearsed": "by a few cells",
     "memory": "given back",
+    "extras": "there or not",
     "philox": "random words", "cells": "the state", "errors": "what users meet",
 }  # fmt: skip
 
