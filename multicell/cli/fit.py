@@ -21,7 +21,14 @@ from multicell.cli.options import (
     scene_of,
 )
 from multicell.cli.process import Faltering, complain, print_json
-from multicell.cli.study import _ask, _cores, _pairs, cores_option, scheduler_option, yes_option
+from multicell.cli.study import (
+    confirm,
+    cores_option,
+    cores_wanted,
+    key_values,
+    scheduler_option,
+    yes_option,
+)
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -120,13 +127,13 @@ def fit(
     The result says how far each parameter is determined, and what the data leave open. A fit that
     was stopped goes on with the same command; a larger --budget adds to it.
     """
-    pairs = _pairs(free, "--free")
+    pairs = key_values(free, "--free")
     described = scene_of(scene, changes, law)
     from multicell.studies.fit import carried_out, planned
 
     plan = planned(described, data, pairs, **options)
-    count = _cores(cores, scheduler)
-    _ask(_cost(plan, None if overwrite else output, count), count, yes, quiet or as_json)
+    count = cores_wanted(cores, scheduler)
+    confirm(_cost(plan, None if overwrite else output, count), count, yes, quiet or as_json)
     try:
         with _reporter(show=not quiet) as progress:
             found = carried_out(

@@ -21,10 +21,10 @@ from multicell.cli.options import (
 )
 from multicell.cli.process import complain, print_json
 from multicell.cli.study import (
-    _ask,
-    _cores,
-    _pairs,
+    confirm,
     cores_option,
+    cores_wanted,
+    key_values,
     scheduler_option,
     yes_option,
 )
@@ -103,14 +103,14 @@ def sensitivity(
     An analysis that was stopped goes on with the same command; a larger --size or more --seeds
     take the runs that are there.
     """
-    pairs = _pairs(free, "--free")
+    pairs = key_values(free, "--free")
     described = scene_of(scene, changes, law)
     from multicell.studies.sensitivity import carried_out, planned, prepare
 
     plan = planned(described, pairs, observables=observables or None, output=output, **options)
-    count = _cores(cores, scheduler)
+    count = cores_wanted(cores, scheduler)
     prepare(plan, output, overwrite=overwrite)
-    _ask(plan.ensemble.left(output, count or 1), count, yes, quiet or as_json)
+    confirm(plan.ensemble.left(output, count or 1), count, yes, quiet or as_json)
     from multicell.cli.study_progress import reporter
 
     shown: Any = plan  # all that is asked of it are its runs

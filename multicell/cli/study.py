@@ -124,7 +124,7 @@ def new(
 
     made = planned(
         base,
-        _pairs(vary, "--vary"),
+        key_values(vary, "--vary"),
         zipped=_groups(zipped),
         output=output,
         integrator=integrator or "",
@@ -133,7 +133,7 @@ def new(
     _tell_plan(made, quiet, as_json)
 
 
-def _pairs(items: Sequence[str], option: str) -> dict[str, str]:
+def key_values(items: Sequence[str], option: str) -> dict[str, str]:
     """Return the values of ``KEY=VALUES`` items by their keys."""
     pairs: dict[str, str] = {}
     for item in items:
@@ -151,7 +151,7 @@ def _groups(items: Sequence[str]) -> list[dict[str, str]]:
     """Return the sets of keys that go together: all that come alone are one."""
     alone = [item for item in items if ";" not in item]
     sets = [[part for part in item.split(";") if part.strip()] for item in items if ";" in item]
-    return [_pairs(group, "--zip") for group in ([alone] if alone else []) + sets]
+    return [key_values(group, "--zip") for group in ([alone] if alone else []) + sets]
 
 
 def _tell_plan(made: Study, quiet: bool, as_json: bool) -> None:
@@ -261,8 +261,8 @@ def run(
     needs("dask", "distributed", *(() if no_report else ("xarray", "h5netcdf", "pandas")))
     count = None
     if any(state.state != "done" for state in made.status()):
-        count = _cores(cores, scheduler)
-        _ask(made.expected(count or 1), count, yes, quiet or as_json)
+        count = cores_wanted(cores, scheduler)
+        confirm(made.expected(count or 1), count, yes, quiet or as_json)
     from multicell.cli.study_progress import reporter
 
     try:
@@ -287,7 +287,7 @@ def _opened(folder: Path, law: str | None, integrator: str | None) -> Study:
     return load_study(folder, integrator=integrator or "")
 
 
-def _cores(cores: int | None, scheduler: str | None) -> int | None:
+def cores_wanted(cores: int | None, scheduler: str | None) -> int | None:
     """Return on how many cores runs go; None if a cluster decides."""
     if scheduler is not None:
         if cores is not None:
@@ -310,7 +310,7 @@ def _known_cores() -> int:
         return os.cpu_count() or 1
 
 
-def _ask(cost: StudyCost, cores: int | None, yes: bool, silent: bool) -> None:
+def confirm(cost: StudyCost, cores: int | None, yes: bool, silent: bool) -> None:
     """Tell what is expected, and ask where it is more than an hour."""
     seconds = cost.core_seconds if cores is None else cost.seconds
     words = _cost_words(cost, cores)
