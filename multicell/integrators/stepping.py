@@ -121,8 +121,10 @@ def compiled(function: Callable[..., Any], **options: Any) -> Any:
     dispatcher = njit(**{**KERNEL, **options})(function)
     inside = [
         _index(other)
-        for other in (forces.forces, neighbours.rebuild, margins.widened, copy, dispatcher)
-    ]
+        for other in (
+            forces.forces, neighbours.rebuild, margins.widened, copy, fused.chunks, dispatcher
+        )
+    ]  # fmt: skip
     if all(inside):
         inside[-1]._source_stamp = tuple(index._source_stamp for index in inside)
     return dispatcher
