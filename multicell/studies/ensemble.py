@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Final, final
 
 import numpy as np
 
 from multicell.errors import MulticellError, SceneError
 from multicell.report.result import read_summary
 from multicell.studies.cost import Cost, StudyCost, cost_of, together
+from multicell.studies.observed import continued, entry_of
 from multicell.studies.runs import Run, digest
 from multicell.studies.status import run_folder, status
 
@@ -196,23 +197,12 @@ def _read(place: Path, observables: Sequence[str]) -> _Read:
 
     columns = Contents(place).history()
     summary = read_summary(place / "summary.json") or {}
-    history = {name: columns[name] for name in observables if name in columns}
-    if "viable_rim" in history:
-        whole = columns["necrotic_radius"] == 0.0
-        history["viable_rim"] = np.where(whole, 0.5 * columns["diameter"], history["viable_rim"])
+    history = {name: continued(columns, name) for name in observables if name in columns}
     last = {
-        name: float(history[name][-1]) if name in history else _entry(summary, name)
+        name: float(history[name][-1]) if name in history else entry_of(summary, name)
         for name in observables
     }
     return _Read(columns["time"], history, last)
-
-
-def _entry(summary: Mapping[str, Any], name: str) -> float:
-    """Return an entry of a summary by its dotted name, NaN where there is none."""
-    found: Any = summary
-    for part in name.split("."):
-        found = found.get(part) if isinstance(found, Mapping) else None
-    return float(found) if isinstance(found, int | float) else float("nan")
 
 
 def _moments(read: Mapping[str, _Read]) -> FloatArray:

@@ -8,6 +8,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 from multicell.results.quantities import UNITS, unit_of
 from multicell.results.summary import counts_contacts
 from multicell.schema import near_miss
@@ -81,3 +84,22 @@ def is_known_elsewhere(name: str) -> bool:
     except KeyError:
         return False
     return True
+
+
+def continued(history: Mapping[str, NDArray[np.float64]], name: str) -> NDArray[np.float64]:
+    """Return an observable over the steps of a run, (m,): the viable rim also without a core.
+
+    A rim grows into the radius as the core becomes smaller; where nothing is dead it is the radius.
+    """
+    values = history[name]
+    if name != "viable_rim":
+        return values
+    return np.where(history["necrotic_radius"] == 0.0, 0.5 * history["diameter"], values)
+
+
+def entry_of(summary: Mapping[str, Any], name: str) -> float:
+    """Return a number of a summary by its dotted name, NaN where there is none."""
+    found: Any = summary
+    for part in name.split("."):
+        found = found.get(part) if isinstance(found, Mapping) else None
+    return float(found) if isinstance(found, int | float) else float("nan")

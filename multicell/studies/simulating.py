@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from multicell.errors import MulticellError
 from multicell.studies.axes import Range
 from multicell.studies.data import Datum, Measured
+from multicell.studies.observed import continued, entry_of
 from multicell.studies.runs import own_law
 
 OUTGROWN: Final = {"cells": 3.0, "diameter": 1.5}
@@ -165,7 +166,7 @@ class _Watch:
     def reading(self, datum: Datum, summary: Mapping[str, Any]) -> float:
         """Return what the run has in place of a datum, NaN if nothing."""
         if datum.observable not in self.columns:
-            return _entry(summary, datum.observable)
+            return entry_of(summary, datum.observable)
         history = {name: np.array([row[name] for row in self._rows]) for name in self._rows[0]}
         return reading(history, datum, outgrown=self.outgrown)
 
@@ -180,7 +181,7 @@ def reading(
     was ended has its last values for later times.
     """
     times = history["time"]
-    values = _continued(history, datum.observable)
+    values = continued(history, datum.observable)
     if datum.at is not None:
         when = _crossing(times, history[datum.at[0]], datum.at[1])
     else:
@@ -189,14 +190,6 @@ def reading(
     if not when <= times[-1] * (1.0 + 1e-9):
         return float(values[-1]) if outgrown else float("nan")
     return float(np.interp(when, times, values))
-
-
-def _continued(history: Mapping[str, NDArray[np.float64]], name: str) -> NDArray[np.float64]:
-    """Return an observable, the viable rim with its limit where there is no core."""
-    values = history[name]
-    if name != "viable_rim":
-        return values
-    return np.where(history["necrotic_radius"] == 0.0, history["diameter"] / 2.0, values)
 
 
 def _crossing(times: NDArray[np.float64], values: NDArray[np.float64], level: float) -> float:
@@ -210,11 +203,3 @@ def _crossing(times: NDArray[np.float64], values: NDArray[np.float64], level: fl
     k = int(beyond[0])
     share = above[k - 1] / (above[k - 1] - above[k])
     return float(times[k - 1] + share * (times[k] - times[k - 1]))
-
-
-def _entry(summary: Mapping[str, Any], name: str) -> float:
-    """Return an entry of a summary by its dotted name, NaN where there is none."""
-    found: Any = summary
-    for part in name.split("."):
-        found = found.get(part) if isinstance(found, Mapping) else None
-    return float("nan") if found is None else float(found)
