@@ -10,6 +10,7 @@ import time
 import h5py
 import numpy as np
 import pytest
+from signals import listening
 
 import multicell as mc
 
@@ -203,7 +204,7 @@ def test_ctrl_c_leaves_a_readable_store(tmp_path):
     process = subprocess.Popen(
         [sys.executable, "-m", "multicell", "run", "growth", "-o", str(out), "--set",
          "initial.count=300", "--set", "output.every=10 min", "--set", "duration=30 d"],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=_listening,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=listening,
     )  # fmt: skip
     deadline = time.monotonic() + 60
     while _frames(out) < 3:
@@ -232,15 +233,10 @@ def test_a_second_ctrl_c_does_not_wait_for_the_step():
         "    print('never reached')"
     )
     done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, preexec_fn=_listening
+        [sys.executable, "-c", program], capture_output=True, text=True, preexec_fn=listening
     )
     assert done.stdout == "held back\n"
     assert "KeyboardInterrupt" in done.stderr
-
-
-def _listening():
-    """Let a process hear SIGINT; one that a shell starts in the background does not."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def _frames(out):

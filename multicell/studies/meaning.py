@@ -136,7 +136,8 @@ def _no_necrosis(scene: Scene, names: tuple[str, ...]) -> str:
         field.necrosis is not None or field.necrosis_above is not None
         for field in scene.nutrients.values()
     )
-    return "" if starve else "no nutrient has a threshold of necrosis"
+    starve |= scene.energy is not None and scene.energy.necrosis is not None
+    return "" if starve else "neither a nutrient nor ATP has a threshold of necrosis"
 
 
 def _no_swelling(scene: Scene, names: tuple[str, ...]) -> str:
@@ -176,7 +177,7 @@ def _steady(scene: Scene, names: tuple[str, ...]) -> str:
 
 def _no_uptake(scene: Scene, names: tuple[str, ...]) -> str:
     field = scene.nutrients[names[0]]
-    return f"the uptake of {names[0]} is 0" if field.uptake == 0.0 else ""
+    return "" if field.takes_up else f"the uptake of {names[0]} is 0"
 
 
 def _no_dependence(scene: Scene, names: tuple[str, ...]) -> str:

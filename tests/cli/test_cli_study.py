@@ -9,6 +9,8 @@ import time
 
 import pytest
 from click.testing import CliRunner
+from rich_medium import RICH
+from signals import listening
 from studied import SHORT
 
 import multicell as mc
@@ -49,7 +51,7 @@ def test_every_command_has_help():
 
 def test_a_new_study_is_written_and_told(folder):
     vary = [f"--vary={OXYGEN}=0.07,0.14,0.28 mM", "--vary=nutrients.glucose.boundary=0.8,1.8 mM"]
-    answer = call("new", "emt6", "-o", folder, *vary, "--seeds", 5)
+    answer = call("new", RICH, "-o", folder, *vary, "--seeds", 5)
     assert answer.exit_code == 0
     for words in (
         f"{OXYGEN}: 0.07 mM, 0.14 mM, 0.28 mM", "6 points x 5 seeds = 30 runs",
@@ -63,7 +65,7 @@ def test_a_new_study_is_written_and_told(folder):
 
 
 def test_a_new_study_as_json(folder):
-    answer = call("new", "emt6", "-o", folder, f"--vary={OXYGEN}=0.07,0.14 mM", "--json")
+    answer = call("new", RICH, "-o", folder, f"--vary={OXYGEN}=0.07,0.14 mM", "--json")
     told = json.loads(answer.output)
     assert (told["points"], told["seeds"], told["runs"], told["done"]) == (2, 1, 2, 0)
     assert told["expected"]["core_seconds"] > 0.0
@@ -71,15 +73,15 @@ def test_a_new_study_as_json(folder):
 
 def test_designs_by_option(folder, tmp_path):
     sample = ["--design", "sobol", "--size", 8, f"--vary={LENGTH}=8:25 h"]
-    assert call("new", "emt6", "-o", folder, *sample).exit_code == 0
+    assert call("new", RICH, "-o", folder, *sample).exit_code == 0
     assert len(mc.load_study(folder).plan.points) == 8
     table = tmp_path / "points.csv"
     table.write_text("cells.young [kPa],initial.count\n1,5\n2,5\n")
-    assert call("new", "emt6", "-o", tmp_path / "list", "--points", table).exit_code == 0
+    assert call("new", RICH, "-o", tmp_path / "list", "--points", table).exit_code == 0
     assert len(mc.load_study(tmp_path / "list").plan.points) == 2
     zipped = ["--zip=cells.young=1,2 kPa", "--zip=initial.count=5,6"]
     more = ["--zip", f"{OXYGEN}=0.1,0.2,0.3 mM; {LENGTH}=8,9,10 h"]
-    assert call("new", "emt6", "-o", tmp_path / "zip", *zipped, *more).exit_code == 0
+    assert call("new", RICH, "-o", tmp_path / "zip", *zipped, *more).exit_code == 0
     design = mc.load_study(tmp_path / "zip").plan.design
     assert [len(dimension) for dimension in design.dimensions] == [2, 3]
 
@@ -117,7 +119,7 @@ REFUSED = {
 
 @pytest.mark.parametrize("options", REFUSED)
 def test_what_is_no_study_is_refused_before_anything_is_written(folder, options):
-    answer = subprocess_free("new", "emt6", "-o", folder, *options)
+    answer = subprocess_free("new", RICH, "-o", folder, *options)
     assert answer[0] == 2
     assert REFUSED[options] in answer[1]
     assert not folder.exists()
@@ -144,17 +146,17 @@ def test_a_folder_without_a_study_is_told(tmp_path):
 
 
 def test_another_study_is_refused_and_overwritten_on_demand(folder):
-    assert call("new", "emt6", "-o", folder, "--seeds", 3).exit_code == 0
+    assert call("new", RICH, "-o", folder, "--seeds", 3).exit_code == 0
     code, said = subprocess_free("new", "growth", "-o", folder)
     assert (code, "another scene" in said) == (2, True)
-    code, said = subprocess_free("new", "emt6", "-o", folder, "--seeds", 2)
+    code, said = subprocess_free("new", RICH, "-o", folder, "--seeds", 2)
     assert (code, "not be widened, but changed" in said) == (2, True)
-    assert call("new", "emt6", "-o", folder, "--seeds", 2, "--overwrite").exit_code == 0
+    assert call("new", RICH, "-o", folder, "--seeds", 2, "--overwrite").exit_code == 0
 
 
 def test_above_an_hour_it_is_asked_and_without_a_terminal_refused(folder):
     long = ["--set=duration=20 d", "--set=stop_cells=1000000", "--seeds", 50]
-    assert call("new", "emt6", "-o", folder, *long).exit_code == 0
+    assert call("new", RICH, "-o", folder, *long).exit_code == 0
     code, said = subprocess_free("run", folder)
     assert code == 2
     assert "--yes says go on" in said
@@ -164,7 +166,7 @@ def test_above_an_hour_it_is_asked_and_without_a_terminal_refused(folder):
 
 def test_no_is_an_answer(folder, monkeypatch):
     long = ["--set=duration=20 d", "--set=stop_cells=1000000", "--seeds", 50]
-    call("new", "emt6", "-o", folder, *long)
+    call("new", RICH, "-o", folder, *long)
     monkeypatch.setattr("multicell.cli.study._terminal", lambda: True)
     answer = call("run", folder, input="n\n")
     assert answer.exit_code == 1
@@ -214,7 +216,7 @@ def test_ctrl_c_says_how_to_go_on(folder):
     slow = ["--set=duration=30 d", "--set=stop_cells=3000", "--seeds", 2]
     assert call("new", "growth", "-o", folder, *slow).exit_code == 0
     command = [sys.executable, "-m", "multicell", "study", "run", str(folder), "--cores", "1", "-y"]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, preexec_fn=listening)
     try:
         deadline = time.monotonic() + 120.0
         while not list(folder.glob("runs/*/frames.journal")):
@@ -239,7 +241,8 @@ def test_options_that_do_not_go_together(folder):
 
 def test_without_the_packages_it_is_said_how_to_install_them(folder, monkeypatch):
     call("new", "growth", "-o", folder)
-    monkeypatch.setattr("multicell.extras.find_spec", lambda name: None)
+    for package in ("dask", "distributed"):
+        monkeypatch.setitem(sys.modules, package, None)
     code, said = subprocess_free("run", folder)
     assert code == 2
     assert 'pip install "multicell[study]"' in said

@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 import psutil
+from signals import listening
 
 import multicell as mc
 from multicell.cli.process import exit_code
@@ -50,7 +51,7 @@ def started(folder, count, *more, **options):
     command = [sys.executable, str(HERE), str(folder), str(count), *map(str, more)]
     return subprocess.Popen(
         command, env=environment, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-        start_new_session=True, **options,
+        start_new_session=True, preexec_fn=listening, **options,
     )  # fmt: skip
 
 

@@ -15,7 +15,10 @@ place, radius = np.random.default_rng(0).normal(size=(300, 3)) * 30, np.full(300
 Mechanics(Hertz(), 5.0, threads=2)
 """
 INNER = CELLS + "neighbours.build(place, radius, 0.5, 2, 64)"
-OUTER = CELLS + "print(neighbours.rebuild_parallel(place, radius, 0.5, 64)[0])"
+OUTER = CELLS + (
+    "none = np.empty(0, np.int32)\n"
+    "print(neighbours.rebuild_parallel(place, radius, 0.5, 64, none, none)[0])"
+)
 
 
 @pytest.mark.slow

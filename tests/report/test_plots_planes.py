@@ -105,6 +105,13 @@ def test_descendants_of_one_cell_are_parted_by_a_generation():
     np.testing.assert_array_equal(founder(np.array([0]), lineage), [0])
 
 
+def test_cells_that_the_lineage_does_not_know_are_founders():
+    nothing = {"id": np.empty(0, np.int64), "parent": np.empty(0, np.int64)}
+    np.testing.assert_array_equal(founder(np.array([3, 0]), nothing), [3, 0])
+    few = {"id": np.array([0]), "parent": np.array([-1])}
+    np.testing.assert_array_equal(founder(np.array([5, 0]), few), [5, 0])
+
+
 def test_cells_behind_the_plane_are_paler_the_deeper_they_lie():
     n = 5
     position = np.zeros((n, 3))

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rich_medium import RICH
 
 import multicell as mc
 from multicell import SceneError
@@ -19,7 +20,7 @@ OXYGEN = "nutrients.oxygen.boundary"
 
 @pytest.fixture(scope="module")
 def emt6():
-    return mc.load_scene("emt6")
+    return mc.load_scene(RICH)
 
 
 @pytest.mark.parametrize(

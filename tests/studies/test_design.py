@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rich_medium import RICH
 from scipy.stats import qmc
 
 import multicell as mc
@@ -15,7 +16,7 @@ from multicell.studies.design import Design, parse_column, parse_varied, read_po
 
 OXYGEN, GLUCOSE = "nutrients.oxygen.boundary", "nutrients.glucose.boundary"
 LENGTH = "growth.phases.G1.duration"
-EMT6 = mc.load_scene("emt6")
+EMT6 = mc.load_scene(RICH)
 AXES = [
     parse_axis(OXYGEN, "0.07,0.14,0.28 mM", EMT6),
     parse_axis(GLUCOSE, "0.8,16.5 mM", EMT6),

@@ -1,5 +1,6 @@
 """Studies on a Dask cluster of which only the address is known."""
 
+import gc
 import shutil
 import time
 
@@ -13,7 +14,7 @@ import multicell as mc
 from multicell.errors import ClusterError
 from multicell.studies.engine import carry_out
 from multicell.studies.status import statuses
-from multicell.studies.workers import _sees, check_folder
+from multicell.studies.workers import _sees, check_folder, workers
 
 
 @pytest.fixture(scope="module")
@@ -143,3 +144,13 @@ def test_whatever_is_killed_of_a_cluster_nobody_goes_on_alone(tmp_path):
     assert outcome.state == "done"
     mc.run(run.scene, output=tmp_path / "whole", report=False, threads=1)
     assert_same_bits(tmp_path / "whole", tmp_path / "study" / "runs" / run.name)
+
+
+def test_a_client_that_cannot_be_made_is_closed_at_once():
+    """Left to the garbage collector one was closed while the next held a lock that both need."""
+    from distributed import Client
+
+    with pytest.raises(ClusterError, match="does not answer"), workers(None, "tcp://127.0.0.1:9"):
+        pass
+    clients = [thing for thing in gc.get_objects() if isinstance(thing, Client)]
+    assert {client.status for client in clients} <= {"closed"}

@@ -1,6 +1,7 @@
 """Keys without effect are refused, with the reason and where."""
 
 import pytest
+from rich_medium import RICH
 
 import multicell as mc
 from multicell import SceneError
@@ -9,27 +10,35 @@ from multicell.studies.keys import all_keys, key_of
 from multicell.studies.meaning import _KEYS, no_effect
 
 NONE = [
-    ("emt6", {}, "growth.cycle_time", "phases of the cycle"),
-    ("emt6", {}, "growth.cycle_variation", "phases of the cycle"),
+    (RICH, {}, "growth.cycle_time", "phases of the cycle"),
+    (RICH, {}, "growth.cycle_variation", "phases of the cycle"),
     ("spheroid", {}, "growth.restriction", "has no phases"),
-    ("emt6", {}, "growth.phases.S.variation", "a fixed duration"),
-    ("emt6", {}, "growth.phases.S.shift", "'fixed'"),
-    ("emt6", {}, "coupling_tolerance", "not 'auto'"),
-    ("emt6", {}, "integrator.step", "chooses its steps"),
-    ("emt6", {"integrator": "euler"}, "integrator.atol", "has no atol"),
-    ("emt6", {}, "death.swelling_time", "do not swell"),
-    ("emt6", {"death.apoptosis_rate": 0}, "death.apoptosis_time", "apoptosis_rate is 0"),
-    ("emt6", {}, "nutrients.oxygen.temperature", "only converts pressures"),
-    ("emt6", {"nutrients.oxygen.media": [[0, 0.1]]}, "nutrients.oxygen.boundary", "'media'"),
-    ("emt6", {}, "nutrients.oxygen.media_change", "no schedule"),
-    ("emt6", {"nutrients.oxygen.regime": "steady"}, "nutrients.oxygen.time_tolerance", "steady"),
-    ("emt6", {"nutrients.oxygen.uptake": 0}, "nutrients.oxygen.half_saturation", "uptake"),
-    ("emt6", {"nutrients.oxygen.geometry": "box"}, "nutrients.oxygen.roundness_limit", "'box'"),
-    ("emt6", {}, "nutrients.oxygen.height", "3 dimensions"),
+    (RICH, {}, "growth.phases.S.variation", "a fixed duration"),
+    (RICH, {}, "growth.phases.S.shift", "'fixed'"),
+    (RICH, {}, "coupling_tolerance", "not 'auto'"),
+    (RICH, {}, "integrator.step", "chooses its steps"),
+    (RICH, {"integrator": "euler"}, "integrator.atol", "has no atol"),
+    (RICH, {}, "death.swelling_time", "do not swell"),
+    (RICH, {"death.apoptosis_rate": 0}, "death.apoptosis_time", "apoptosis_rate is 0"),
+    (RICH, {}, "nutrients.oxygen.temperature", "only converts pressures"),
+    (RICH, {"nutrients.oxygen.media": [[0, 0.1]]}, "nutrients.oxygen.boundary", "'media'"),
+    (RICH, {}, "nutrients.oxygen.media_change", "no schedule"),
+    (RICH, {"nutrients.oxygen.regime": "steady"}, "nutrients.oxygen.time_tolerance", "steady"),
+    (RICH, {"nutrients.oxygen.uptake": 0}, "nutrients.oxygen.half_saturation", "uptake"),
+    (RICH, {"nutrients.oxygen.geometry": "box"}, "nutrients.oxygen.roundness_limit", "'box'"),
+    (RICH, {}, "nutrients.oxygen.height", "3 dimensions"),
     ("growth", {}, "initial.spacing", "one cell"),
     ("growth", {"death": {}}, "death.lysis_time", "threshold of necrosis"),
     ("sorting", {}, "contact.surface_energy", "surface energy of its own"),
     ("growth", {"haptotaxis": {}}, "haptotaxis.length", "'gradient'"),
+    (
+        "emt6",
+        {"nutrients.glucose.uptake_per_volume": 0},
+        "nutrients.glucose.half_saturation",
+        "uptake",
+    ),
+    ("emt6", {"energy.necrosis": None}, "death.lysis_time", "nor ATP has a threshold"),
+    ("emt6", {}, "nutrients.oxygen.margin", "'layer'"),
 ]
 
 
@@ -42,20 +51,23 @@ def test_keys_without_effect(name, changes, key, said):
 @pytest.mark.parametrize(
     ("name", "changes", "key"),
     [
-        ("emt6", {}, "growth.phases.G1.variation"),
-        ("emt6", {}, "growth.phases.G1.shift"),
+        (RICH, {}, "growth.phases.G1.variation"),
+        (RICH, {}, "growth.phases.G1.shift"),
         ("spheroid", {}, "growth.cycle_time"),
-        ("emt6", {"integrator": "euler"}, "integrator.step"),
-        ("emt6", {}, "integrator.atol"),
-        ("emt6", {}, "integrator.method"),
-        ("emt6", {}, "death.lysis_time"),
-        ("emt6", {}, "death.apoptosis_time"),
-        ("emt6", {}, "nutrients.oxygen.boundary"),
-        ("emt6", {"nutrients.oxygen.media": [["1 d", 0.1]]}, "nutrients.oxygen.boundary"),
-        ("emt6", {}, "nutrients.oxygen.margin"),
-        ("emt6", {}, "nutrients.oxygen.roundness_limit"),
-        ("emt6", {}, "cells.young"),
+        (RICH, {"integrator": "euler"}, "integrator.step"),
+        (RICH, {}, "integrator.atol"),
+        (RICH, {}, "integrator.method"),
+        (RICH, {}, "death.lysis_time"),
+        (RICH, {}, "death.apoptosis_time"),
+        (RICH, {}, "nutrients.oxygen.boundary"),
+        (RICH, {"nutrients.oxygen.media": [["1 d", 0.1]]}, "nutrients.oxygen.boundary"),
+        (RICH, {}, "nutrients.oxygen.margin"),
+        (RICH, {}, "nutrients.oxygen.roundness_limit"),
+        (RICH, {}, "cells.young"),
         ("growth", {}, "contact.surface_energy"),
+        ("emt6", {}, "death.lysis_time"),
+        ("emt6", {}, "death.removal_fraction"),
+        ("emt6", {}, "nutrients.oxygen.half_saturation"),
     ],
 )
 def test_keys_with_an_effect(name, changes, key):
@@ -74,7 +86,7 @@ def test_every_key_of_a_scene_is_found_and_can_be_asked_for_its_effect(name):
 
 def test_rules_name_keys_that_there_are():
     """Each rule is of a key that some scene has, so that renamed keys do not leave rules behind."""
-    rich = mc.load_scene("emt6").with_changes(
+    rich = mc.load_scene(RICH).with_changes(
         {
             "types": {"a": {}, "b": {}}, "haptotaxis": {},
             "nutrients.oxygen.uptake_on": {"glucose": {"effect": 0, "half": 1.0}},
@@ -130,18 +142,18 @@ def checked(scene, **given):
 )
 def test_axes_that_do_not_go_together_are_told(given, said):
     with pytest.raises(SceneError) as error:
-        checked(mc.load_scene("emt6"), **given)
+        checked(mc.load_scene(RICH), **given)
     assert said in str(error.value)
 
 
 def test_ranges_that_go_together_are_taken():
     """Each alone would leave the scene behind: the thresholds rise together."""
     checked(
-        mc.load_scene("emt6"),
+        mc.load_scene(RICH),
         **{
             "nutrients.oxygen.necrosis": "0.001:0.03 mM",
             "nutrients.oxygen.quiescence": "0.02:0.06 mM",
             "integrator.method": "euler,rkc2",
         },
     )
-    assert no_effect(mc.load_scene("emt6"), "nutrients.oxygen.necrosis") == ""
+    assert no_effect(mc.load_scene(RICH), "nutrients.oxygen.necrosis") == ""

@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rich_medium import RICH
 
 import multicell as mc
 from multicell import OutputError, SceneError
@@ -16,7 +17,7 @@ from multicell.studies.study import settle
 
 OXYGEN, GLUCOSE = "nutrients.oxygen.boundary", "nutrients.glucose.boundary"
 LENGTH = "growth.phases.G1.duration"
-EMT6 = mc.load_scene("emt6")
+EMT6 = mc.load_scene(RICH)
 GRID = {OXYGEN: "0.07,0.14,0.28 mM", GLUCOSE: [0.8, "1.8 mM"], "contact.law": "jkr,hertz"}
 
 

@@ -148,7 +148,8 @@ def _by_clone(cells: Cells, lineage: Mapping[str, NDArray[Any]]) -> Colouring:
 def founder(ids: IntArray, lineage: Mapping[str, NDArray[Any]]) -> IntArray:
     """Return the founder of each cell, (n,): the ancestor by which its clone is named."""
     known, parents = lineage["id"], lineage["parent"]
-    parent = np.full(int(known.max(initial=-1)) + 1, -1, np.int64)
+    # cells that the lineage does not know are founders
+    parent = np.full(int(max(known.max(initial=-1), ids.max(initial=-1))) + 1, -1, np.int64)
     parent[known] = parents
     first = known[parents < 0]
     wanted = 1 if len(first) >= _FOUNDERS else _FOUNDERS
@@ -157,9 +158,8 @@ def founder(ids: IntArray, lineage: Mapping[str, NDArray[Any]]) -> IntArray:
         if len(generation) >= wanted or len(generation) == 0:
             break
         generation = known[np.isin(parents, generation)]
-    named = np.zeros(len(parent) + 1, bool)
-    named[generation] = True
-    named[first] = named[first] | (len(generation) == 0)
+    named = np.zeros(len(parent), bool)
+    named[generation if len(generation) else first] = True
     found = np.asarray(ids).copy()
     while True:
         above = parent[found]
