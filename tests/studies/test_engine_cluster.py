@@ -152,5 +152,5 @@ def test_a_client_that_cannot_be_made_is_closed_at_once():
 
     with pytest.raises(ClusterError, match="does not answer"), workers(None, "tcp://127.0.0.1:9"):
         pass
-    clients = [thing for thing in gc.get_objects() if isinstance(thing, Client)]
+    clients = [thing for thing in gc.get_objects() if type(thing) is Client]
     assert {client.status for client in clients} <= {"closed"}
