@@ -21,13 +21,28 @@ from multicell.errors import OutputError
 
 @click.command()
 @click.argument("folder", type=click.Path(path_type=Path))
-@output_option("File for the movie: .gif, or .mp4 with multicell[movie].")
+@output_option("File for the movie: .gif, .webp, or .mp4 with multicell[movie].")
 @click.option(
     "--section", metavar="PLANE", help="The plane that is cut: x, y, z, x=0 or z='12 um'."
 )
 @click.option("--colour", "--color", metavar="NAME", help="Of the cells, as for plot.")
 @click.option(
     "--rate", type=float, default=8.0, show_default=True, help="Frames in a second, at most 60."
+)
+@click.option("--space", is_flag=True, help="Whole cells in space instead of a section.")
+@click.option(
+    "--cut",
+    type=click.Choice(("none", "half", "quarter")),
+    help="What is cut away in space.  [default: quarter]",
+)
+@click.option(
+    "--turn",
+    type=float,
+    metavar="DEGREES",
+    help="How far the eye swings round the cells in space.  [default: 90]",
+)
+@click.option(
+    "--transparent", is_flag=True, help="Without background: a .webp of cells in space only."
 )
 @law_option
 @overwrite_option("Replace the file.")
@@ -39,14 +54,21 @@ def movie(
     section: str | None,
     colour: str | None,
     rate: float,
+    space: bool,
+    cut: str | None,
+    turn: float | None,
+    transparent: bool,
     law: str | None,
     overwrite: bool,
     quiet: bool,
     as_json: bool,
 ) -> None:
-    """Write the sections of all frames of the run in FOLDER as a moving picture."""
+    """Write all frames of the run in FOLDER as a moving picture: sections, or cells in space."""
+    if not space and (cut is not None or turn is not None):
+        raise click.UsageError("--cut and --turn have a meaning with --space only")
     if law is not None:
         name_law(law)
+    from multicell.report.plots.movie import TURN
     from multicell.report.plots.movie import movie as written
     from multicell.report.result import load_result
 
@@ -54,7 +76,10 @@ def movie(
         raise OutputError(f"'{output}' exists already: name another file (-o) or overwrite it")
     run = load_result(folder)
     with counted("pictures", show=not quiet) as progress:
-        written(run, output, plane=section, colour=colour, rate=rate, progress=progress)
+        written(
+            run, output, plane=section, colour=colour, rate=rate, progress=progress, space=space,
+            cut=cut or "quarter", turn=TURN if turn is None else turn, transparent=transparent,
+        )  # fmt: skip
     if as_json:
         print_json({"file": str(output)})
     elif not quiet:

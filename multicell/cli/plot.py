@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from multicell.report.result import Result
 
-PICTURES = ("section", "growth", "fields", "profiles", "contacts", "pull")
+PICTURES = ("section", "space", "growth", "fields", "profiles", "contacts", "pull")
 
 
 @click.command()
@@ -41,8 +41,16 @@ PICTURES = ("section", "growth", "fields", "profiles", "contacts", "pull")
     "--colour",
     "--color",
     metavar="NAME",
-    help="Of the cells in a section: state, type, phase, clone, a quantity such as pressure, "
-    "radius or age, or the name of a field.",
+    help="Of the cells in a section or in space: state, type, phase, clone, a quantity such as "
+    "pressure, radius or age, or the name of a field.",
+)
+@click.option(
+    "--cut",
+    type=click.Choice(("none", "half", "quarter")),
+    help="What is cut away of the cells in space.  [default: quarter]",
+)
+@click.option(
+    "--turn", type=float, metavar="DEGREES", help="Where the eye stands round the cells in space."
 )
 @click.option("--time", "moment", metavar="TIME", help="The frame nearest to it, as '6 d'.")
 @click.option("--frame", type=int, help="Number of the frame; -1 is the last.  [default: -1]")
@@ -60,6 +68,8 @@ def plot(
     picture: str | None,
     section: str | None,
     colour: str | None,
+    cut: str | None,
+    turn: float | None,
     moment: str | None,
     frame: int | None,
     quantity: str | None,
@@ -68,7 +78,8 @@ def plot(
     as_json: bool,
 ) -> None:
     """Draw a picture of the run in FOLDERS, or a quantity of the runs in several of them."""
-    _refuse_mixed(folders, picture, section, colour, moment, frame, quantity)
+    in_space = {"--cut": cut, "--turn": turn}
+    _refuse_mixed(folders, picture, section, colour, in_space, moment, frame, quantity)
     if law is not None:
         name_law(law)
     from multicell.report.plots.style import save
@@ -80,7 +91,11 @@ def plot(
     if quantity is not None:
         figure = _quantity(folders, runs, quantity)
     else:
-        figure = _picture(runs[0], picture, section, colour, _number(runs[0], moment, frame))
+        number = _number(runs[0], moment, frame)
+        if picture == "space":
+            figure = _space(runs[0], number, cut or "quarter", turn or 0.0, colour)
+        else:
+            figure = _picture(runs[0], picture, section, colour, number)
     save(figure, output)
     if as_json:
         print_json({"file": str(output)})
@@ -93,23 +108,28 @@ def _refuse_mixed(
     picture: str | None,
     section: str | None,
     colour: str | None,
+    in_space: Mapping[str, object],
     moment: str | None,
     frame: int | None,
     quantity: str | None,
 ) -> None:
     """Refuse options that do not go together."""
     of_section = {"--section": section, "--colour": colour}
-    of_frame = {**of_section, "--time": moment, "--frame": frame, "--picture": picture}
+    of_frame = {**of_section, **in_space, "--time": moment, "--frame": frame, "--picture": picture}
     if quantity is not None:
         for name, value in of_frame.items():
             if value is not None:
                 raise click.UsageError(f"{name} has no meaning with --quantity")
     elif len(folders) > 1:
         raise click.UsageError("several runs go into one picture with --quantity only")
-    if picture not in (None, "section"):
-        for name, value in of_section.items():
-            if value is not None:
-                raise click.UsageError(f"{name} has a meaning for --picture section only")
+    known = {
+        "--section": (None, "section"), "--colour": (None, "section", "space"),
+        "--cut": ("space",), "--turn": ("space",),
+    }  # fmt: skip
+    for name, value in {**of_section, **in_space}.items():
+        if value is not None and picture not in known[name]:
+            named = " or ".join(f"--picture {one}" for one in known[name] if one)
+            raise click.UsageError(f"{name} has a meaning for {named} only")
     if picture in ("growth", "contacts", "pull") and (moment is not None or frame is not None):
         raise click.UsageError(f"--picture {picture} shows all times: leave --time and --frame out")
     if moment is not None and frame is not None:
@@ -122,11 +142,16 @@ def _number(run: Result, moment: str | None, frame: int | None) -> int:
     if moment is not None:
         import numpy as np
 
+        from multicell.report.wording import time_unit
         from multicell.results.reader import Frames
         from multicell.units import to_base
 
         assert isinstance(run.frames, Frames)
-        return int(np.argmin(np.abs(run.frames.times - to_base(moment, "s", "--time"))))
+        time, times = to_base(moment, "s", "--time"), run.frames.times
+        if not times[0] <= time <= times[-1]:
+            first, last = (time_unit(times[-1]).text(end) for end in (times[0], times[-1]))
+            raise OutputError(f"the run has no frame at {moment}: it goes from {first} to {last}")
+        return int(np.argmin(np.abs(times - time)))
     number = -1 if frame is None else frame
     if not -count <= number < count:
         raise OutputError(f"there is no frame {number}: the run has {count}")
@@ -147,6 +172,14 @@ def _picture(
         whole = {"growth": plots.growth, "contacts": plots.contacts, "pull": plots.pull}
         return whole[str(picture)]()
     except ValueError as error:  # there is nothing to draw
+        raise OutputError(f"no picture of '{run.folder}': {error}") from error
+
+
+def _space(run: Result, number: int, cut: str, turn: float, colour: str | None) -> Figure:
+    """Return the cells of a frame in space."""
+    try:
+        return run.plot.space(number, cut=cut, turn=turn, colour=colour)
+    except ValueError as error:
         raise OutputError(f"no picture of '{run.folder}': {error}") from error
 
 

@@ -5,22 +5,21 @@ A page holds its pictures and needs nothing else. Whatever a template is given i
 
 from __future__ import annotations
 
-import base64
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from multicell.report.wording import clock, time_unit
-from multicell.results.folder import file_errors, package_version, write_text
+from multicell.results.folder import package_version, write_text
 from multicell.results.quantities import known_unit
 
 if TYPE_CHECKING:
     from jinja2 import Environment
+    from matplotlib.figure import Figure
 
-    from multicell.report.plots.marks import Mark
     from multicell.scene.scene import Scene
 
 _LABELS: Final = {
@@ -37,8 +36,7 @@ def write_page(
     title: str,
     subtitle: str,
     tiles: Mapping[str, str],
-    pictures: Mapping[Path, str],
-    marks: Mapping[Path, Sequence[Mark]] | None = None,
+    pictures: Mapping[Path, tuple[Callable[[], Figure], str]],
     **context: Any,
 ) -> Path:
     """Write one page and return its path.
@@ -56,16 +54,15 @@ def write_page(
     tiles
         Key figures: name -> value in words.
     pictures
-        Path of a PNG file that is there -> caption.
-    marks
-        Path of a picture -> its places that have a name, shown under the pointer.
+        Path of a PNG file to write -> the function that draws it, and its caption. The page
+        holds it without its title, for light and for dark mode.
     **context
         What else the template asks for.
 
     Raises
     ------
     OutputError
-        If a picture cannot be read or the page cannot be written.
+        If a picture or the page cannot be written.
     """
     page = _environment().get_template(template)
     text = page.render(
@@ -73,8 +70,7 @@ def write_page(
         subtitle=subtitle,
         tiles=dict(tiles),
         pictures=[
-            _embedded(picture, caption, (marks or {}).get(picture, ()))
-            for picture, caption in pictures.items()
+            _embedded(picture, draw(), caption) for picture, (draw, caption) in pictures.items()
         ],
         blocks=list(_blocks(scene, "run")),
         version=package_version(),
@@ -99,19 +95,24 @@ def _environment() -> Environment:
         "clock": clock,
         "label": _label,
         "limit": _limit,
+        "present": _present,
         "setting": _setting,
+        "swatch": _swatch,
         "text": _text,
     }
     return environment
 
 
-def _embedded(path: Path, caption: str, marks: Sequence[Mark]) -> dict[str, Any]:
-    with file_errors("read", path):
-        data = base64.b64encode(path.read_bytes()).decode("ascii")
-    return {"caption": caption, "data": data, "marks": marks}
+def _embedded(path: Path, figure: Figure, caption: str) -> dict[str, Any]:
+    """Write a figure beside the page and return it as part of the page."""
+    from multicell.report.plots.embedded import embedded
+    from multicell.report.plots.style import save
+
+    save(figure, path)
+    return {"caption": caption, "shown": embedded(figure)}
 
 
-def _blocks(part: Any, title: str) -> Iterator[tuple[str, list[dict[str, str]]]]:
+def _blocks(part: Any, title: str) -> Iterator[tuple[str, list[dict[str, Any]]]]:
     """Yield the parameters of a part of a scene, then those of the parts in it."""
     rows, below = [], []
     for spec in fields(part):
@@ -125,7 +126,8 @@ def _blocks(part: Any, title: str) -> Iterator[tuple[str, list[dict[str, str]]]]
         else:
             parameter = spec.metadata["parameter"]
             text = _parameter_text(value, parameter.unit)
-            rows.append({"name": spec.name, "text": text, "doc": parameter.doc})
+            set_ = value is not None
+            rows.append({"name": spec.name, "text": text, "doc": parameter.doc, "set": set_})
     if rows:
         yield title, rows
     for value, name in below:
@@ -153,6 +155,21 @@ def _label(key: str, path: str = "") -> str:
 def _setting(row: Mapping[str, Any]) -> str:
     """Return the tolerance, or the step, of a row of a comparison."""
     return f"{row['setting']:.3g}{' s' if row['control'] == 'step' else ''}"
+
+
+def _present(entries: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Return the entries that are not zero: what a run has none of needs no row."""
+    return {name: value for name, value in (entries or {}).items() if value != 0}
+
+
+def _swatch(colour: str) -> str:
+    """Return the background of a key, for light and for dark mode."""
+    from matplotlib.colors import to_hex
+
+    from multicell.report.plots.night import at_night
+
+    # browsers that know no light-dark() keep the first
+    return f"background:{colour};background:light-dark({colour},{at_night(to_hex(colour))})"
 
 
 def _limit(value: float, unit: str = "", missing: str = "") -> str:

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 from multicell.errors import OutputError
 from multicell.report.html import write_page
-from multicell.report.plots.style import save
 from multicell.report.wording import MIXED, SEPARATION, measures, percent
 from multicell.results.folder import file_errors
 
@@ -63,10 +62,7 @@ def write_report(result: Result, folder: str | Path | None = None) -> Path:
     from multicell.report.viewer.embed import view
 
     captions = _CAPTIONS if result.scene.dimensions == 3 else _FLAT_CAPTIONS
-    pictures = {}
-    for name, draw in _drawings(result):
-        save(draw(), place / f"{name}.png")
-        pictures[place / f"{name}.png"] = captions[name]
+    pictures = {place / f"{name}.png": (draw, captions[name]) for name, draw in _drawings(result)}
     summary = result.summary()
     return write_page(
         place / "report.html",
@@ -134,5 +130,7 @@ def _accounts(summary: Mapping[str, Any]) -> dict[str, Any]:
     """Return the account of each field, and the entries that any of them has."""
     ledger = (summary.get("ledger") or {}).items()
     accounts = {name: account for name, account in ledger if isinstance(account, Mapping)}
-    entries = dict.fromkeys(key for account in accounts.values() for key in account)
+    entries = dict.fromkeys(
+        key for account in accounts.values() for key, amount in account.items() if amount != 0
+    )
     return {"accounts": accounts, "entries": list(entries)}

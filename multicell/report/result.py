@@ -178,11 +178,11 @@ def recorded_scene(contents: Contents) -> Scene:
     """
     import tomllib
 
-    from multicell.scene.scene import Scene, load_scene
+    from multicell.scene.scene import Scene, beside, load_scene
 
     path = contents.folder / "scene.toml"
     try:
-        run = Scene.from_dict(tomllib.loads(contents.scene))
+        run = Scene.from_dict(beside(tomllib.loads(contents.scene), path))
     except ValueError as error:
         raise OutputError(f"the scene in '{contents.folder}' is damaged: {error}") from error
     if path.exists() and not path.is_file():

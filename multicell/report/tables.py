@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from multicell.errors import OutputError
 from multicell.results.contacts import touching
 from multicell.results.quantities import known_unit, unit_of
-from multicell.results.tables import cells_table, data_frame, titled
+from multicell.results.tables import cells_table, data_frame
 from multicell.schema import near_miss
+from multicell.tables.titles import titled
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -9,6 +9,9 @@ SEPARATION: Final = "separation force"
 MIXED: Final = "contacts between unlike cells"
 
 
+_NOT_AS_ZERO: Final = ("necrotic_radius", "held_by_pressure", "divisions", "removals")
+
+
 class TimeUnit(NamedTuple):
     """A unit of time that suits a run."""
 
@@ -59,7 +62,9 @@ def measures(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     }
     for key, (name, shown) in formats.items():
         value = summary.get(key)
-        if value is not None and value == value:  # a rim without a core does not exist
+        if value is None or value != value:  # a rim without a core does not exist
+            continue
+        if value != 0 or key not in _NOT_AS_ZERO:
             yield name, shown(value)
     splitting = summary.get("splitting") or {}
     amiss = splitting.get("relative_volume_error")

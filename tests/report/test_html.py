@@ -5,6 +5,7 @@ import sys
 from importlib.resources import files
 
 import pytest
+from matplotlib.figure import Figure
 from synthetic import BARE
 
 from multicell.report.html import write_page
@@ -41,9 +42,9 @@ def written(tmp_path, **changed):
 
 def test_whatever_a_template_is_given_is_escaped(tmp_path):
     bad = "<script>&\"'"
-    (tmp_path / "p.png").write_bytes(b"")
     page = written(
-        tmp_path, title=bad, subtitle=bad, tiles={bad: bad}, pictures={tmp_path / "p.png": bad},
+        tmp_path, title=bad, subtitle=bad, tiles={bad: bad},
+        pictures={tmp_path / "p.png": (Figure, bad)},
         summary={"notes": [bad], "versions": {bad: bad}, "states": None},
         accounts={bad: {"inflow": 1.0}}, entries=["inflow"],
     )  # fmt: skip

@@ -161,7 +161,10 @@ REFUSED = {
     "time": (["--time", "3"], "without a unit"),
     "frame": (["--frame", "99"], "there is no frame 99"),
     "mixed": (["--quantity", "diameter", "--frame", "0"], "no meaning with --quantity"),
-    "colour of growth": (["--picture", "growth", "--colour", "age"], "for --picture section only"),
+    "colour of growth": (
+        ["--picture", "growth", "--colour", "age"],
+        "--picture section or --picture space only",
+    ),
     "frame of growth": (["--picture", "growth", "--frame", "0"], "shows all times"),
     "two frames": (["--time", "3 h", "--frame", "0"], "give one of them"),
     "nothing": (["--picture", "pull"], "no picture of"),

@@ -221,6 +221,20 @@ def test_the_page_shows_cells_and_its_controls_work(opened, run):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("opened", [(390, "light"), (800, "dark"), (1280, "light")], indirect=True)
+def test_curves_can_be_read_and_the_slider_is_at_the_cells(opened):
+    heights = opened.evaluate(
+        """[...document.querySelectorAll(".curves text:not(.small)")]
+        .filter((text) => text.textContent).map((text) => text.getBoundingClientRect().height)"""
+    )
+    assert len(heights) > 2
+    assert min(heights) > 11.0  # letters of 10 px and more
+    cells = opened.locator('[data-part="canvas"]').bounding_box()
+    slider = opened.locator('[data-part="time"]').bounding_box()
+    assert 0.0 < slider["y"] - (cells["y"] + cells["height"]) < 80.0
+
+
+@pytest.mark.slow
 def test_the_pointer_tells_the_numbers_of_the_cell_under_it(opened, run):
     box = opened.locator('[data-part="canvas"]').bounding_box()
     opened.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from multicell.contact.exact_jkr import ExactJKR
 from multicell.contact.jkr import JKR
 from multicell.contact.pair import Pair
+from multicell.report.explain.driven import drift, driven_parts
 from multicell.report.explain.items import Number, Part, hours, named, part
 from multicell.scene.coupling import longest_step
 from multicell.scene.packing import collapse_notes, strongest_attraction
@@ -17,11 +18,12 @@ from multicell.scene.pairs import daughters_stiffness, drag, pairs
 from multicell.scene.sizes import birth_radius, typical_radius
 
 if TYPE_CHECKING:
+    from multicell.scene.parts import Motility
     from multicell.scene.scene import Scene
 
 
 def contact_parts(scene: Scene) -> list[Part]:
-    """Return contact law, types, adhesion, friction, motility and pull, used or absent."""
+    """Return contact law and what else acts between and on cells, used or absent."""
     active, load = scene.motility, scene.pull
     return [
         part("contact", _law(scene)),
@@ -35,9 +37,7 @@ def contact_parts(scene: Scene) -> list[Part]:
         ),
         part(
             "motility",
-            active
-            and f"each living cell pushes itself with {active.force:g} nN, in a new direction "
-            f"every {hours(active.persistence)}",
+            active and _motility_words(active),
         ),
         part(
             "pull",
@@ -45,7 +45,18 @@ def contact_parts(scene: Scene) -> list[Part]:
             and f"outwards with {load.force:g} nN and {load.rate:g} nN/s more; the run ends when "
             "the last contact breaks",
         ),
+        *driven_parts(scene),
     ]
+
+
+def _motility_words(law: Motility) -> str:
+    when = "every" if law.renewal == "regular" else "at random moments, on average every"
+    words = f"each living cell pushes itself with {law.force:g} nN, in a new direction {when} "
+    words += hours(law.persistence)
+    if not law.bias:
+        return words
+    along = f"the gradient of {law.towards}" if law.towards else f"{list(law.direction or ())}"
+    return f"{words}; biased by {law.bias:g} along {along}"
 
 
 def contact_numbers(scene: Scene) -> list[Number]:
@@ -199,23 +210,29 @@ def _motility(scene: Scene) -> list[Number]:
     """Return how far motility carries a cell on its own.
 
     Steps of v τ in independent directions give a mean square displacement v² τ t, which is
-    2 d D t in d dimensions.
+    2 d D t in d dimensions. Exponential times with the mean τ give twice that.
     """
     if scene.motility is None:
         return []
     speed = scene.motility.force / drag(scene, typical_radius(scene))
     run = speed * scene.motility.persistence
     spread = speed * run / (2.0 * scene.dimensions)
-    return [
+    numbers = [
         Number("speed of motility", speed, "um/s", "of a cell without neighbours"),
         Number("run length of motility", run, "um", "of such a cell in one direction"),
-        Number("diffusion by motility", spread, "um^2/s", "of such a cell over many runs"),
     ]
+    if scene.motility.bias:
+        share = drift(scene.motility.bias, scene.dimensions)
+        return [*numbers, Number("drift by motility", share * speed, "um/s", "of such a cell")]
+    if scene.motility.renewal == "random":
+        spread *= 2.0
+    meaning = "of such a cell over many runs"
+    return [*numbers, Number("diffusion by motility", spread, "um^2/s", meaning)]
 
 
 def _loads(scene: Scene) -> list[tuple[str, float]]:
     """Return the load that separates two cells as they are at the start, for every two types."""
-    newborn = scene.initial.stage == "birth"
+    newborn = scene.initial.stage == "birth" and scene.initial.cells is None
     radius = birth_radius(scene) if newborn else typical_radius(scene)
     return [(label, pair.deepest()[0]) for label, pair in pairs(scene, radius)]
 

@@ -232,7 +232,7 @@ def nutrient_notes(scene: Scene) -> list[str]:
             notes.append(f"The medium has too little {name} for growth: all cells are quiescent.")
         effects = ("growth_half_saturation", "growth_inhibition", "quiescence", "necrosis",
                    "necrosis_above")  # fmt: skip
-        read = [*scene.chemotaxis]
+        read = [*checks.followed(scene)]
         for other in scene.nutrients.values():
             read += [*other.uptake_on, *(other.secretion_from or ())]
         for reaction in scene.reactions.values():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from multicell.errors import MulticellError
@@ -13,11 +14,13 @@ from multicell.report.explain.contact import contact_notes, contact_numbers, con
 from multicell.report.explain.cost import cost_numbers
 from multicell.report.explain.items import Number, Part, hours, part
 from multicell.report.explain.nutrient import nutrient_notes, nutrient_numbers, nutrient_parts
+from multicell.scene.arrangement import coverage, region
 from multicell.scene.coupling import fixed_step, longest_step, shortest_step, tolerance
 from multicell.scene.domain import sides
 from multicell.scene.pairs import daughters_stiffness, drag
 from multicell.scene.parts import PHASES
 from multicell.scene.sizes import birth_radius
+from multicell.scene.start_checks import deep_overlaps
 
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
@@ -51,10 +54,8 @@ def explain(scene: Scene, *, first_step: bool = False) -> dict[str, Any]:
 
 def _parts(scene: Scene, first_step: bool) -> list[Part]:
     """Return every part a scene can have, with the consequence of its presence or absence."""
-    start = scene.initial
-    shape = start.arrangement if scene.dimensions == 3 else "plane, where they stay"
     return [
-        part("initial", f"{start.count:,} cell(s) in a {shape}"),
+        part("initial", _start_words(scene)),
         *contact_parts(scene),
         part("growth", _growth_words(scene)),
         part("death", _death_words(scene)),
@@ -66,11 +67,31 @@ def _parts(scene: Scene, first_step: bool) -> list[Part]:
     ]
 
 
+def _start_words(scene: Scene) -> str:
+    """Say how many cells there are at the start, and what says where."""
+    start = scene.initial
+    if start.cells is not None:
+        name = Path(start.cells.file).name or "cells given in memory"
+        told = ", ".join(start.cells.given.columns)
+        return f"{start.count:,} cell(s) of the table '{name}', which gives {told}"
+    found = region(scene)
+    if found is not None:
+        share = 100.0 * coverage(scene, 2.0 * birth_radius(scene))
+        words = start.arrangement.removeprefix("random-")
+        return f"{start.count:,} cell(s) at random in a {words}, of which they cover {share:.3g} %"
+    shape = start.arrangement if scene.dimensions == 3 else "plane, where they stay"
+    return f"{start.count:,} cell(s) in a {shape}"
+
+
 def _growth_words(scene: Scene) -> str:
     growth = scene.growth
     if growth is None:
         return ""
     words = f"cells double their volume in {hours(growth.mean_cycle)} and divide"
+    if growth.law != "linear":
+        words += f"; growth is {growth.law}"
+    if growth.target is not None:
+        words += f" towards {growth.target:g} division volumes"
     if growth.phases:
         lengths = ", ".join(f"{name} {hours(growth.phases[name].duration)}" for name in PHASES)
         rest = "at the end of G1 only" if growth.restriction else "in any phase"
@@ -193,6 +214,12 @@ def _notes(scene: Scene) -> list[str]:
     notes = []
     if scene.death is not None and not scene.nutrients:
         notes.append("Without a nutrient no cell becomes necrotic: [death] has no effect.")
+    deep = 0 if scene.initial.cells is None else deep_overlaps(scene)
+    if deep:
+        notes.append(
+            f"{deep:,} pair(s) of cells in the table are nearer than half the sum of their radii: "
+            "they will part in the first minutes, as just divided ones do. Check radii and units."
+        )
     notes += contact_notes(scene)
     step = fixed_step(scene)
     if scene.growth is not None and (step or 0.0) > 0.05 * scene.growth.mean_cycle:

@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from multicell.cells import FloatArray, State
+from multicell.report.plots.necrosis import draw_necrotic
 from multicell.report.plots.section import draw_circles, draw_field, frame_window
 from multicell.report.plots.style import (
     COLOURS,
@@ -39,7 +40,7 @@ _MARKED: Final = 12  # switches of the medium, above which lines would hide the 
 def field_maps(frame: Frame, scene: Scene) -> Figure:
     """Draw the cells that the plane z = centre cuts, and beside them a map of every field.
 
-    Thresholds are drawn as contour lines.
+    A line shows where cells begin to rest, a dashed one where most are necrotic.
 
     Raises
     ------
@@ -71,6 +72,8 @@ def field_maps(frame: Frame, scene: Scene) -> Figure:
         nutrient, field = scene.nutrients[name], frame.fields[name]
         medium, viridis = medium_at(frame, name, nutrient), mpl.colormaps["viridis"]
         shades, _ = draw_field(axes, field, float(middle[2]), nutrient, medium, None, viridis)
+        if nutrient.necrosis is not None:
+            draw_necrotic(axes, cells, cells.position, float(middle[2]))
         bar = figure.colorbar(shades, cax=axes.inset_axes((1.03, 0.0, 0.05, 1.0)))
         bar.outline.set_visible(False)
         bar.ax.tick_params(labelsize=9)

@@ -98,6 +98,35 @@ class Plots:
             self._frames[frame], self._scene, plane=where, colour=colour, lineage=self._lineage
         )
 
+    def space(
+        self, frame: int = -1, *, cut: str = "quarter", turn: float = 0.0, colour: str | None = None
+    ) -> Figure:
+        """Show the cells in space as shaded spheres, at frame number ``frame``.
+
+        Parameters
+        ----------
+        frame
+            Its number; negative ones count from the last.
+        cut
+            What is cut away through the centre: ``"none"``, ``"half"`` or ``"quarter"``.
+        turn
+            Degrees by which the eye goes round the z axis, from where cuts open to it.
+        colour
+            As for :meth:`section`.
+
+        Raises
+        ------
+        OutputError
+            If the cells lie in a plane, and for a cut or a colour that is none.
+        """
+        from multicell.report.plots.space import space
+        from multicell.report.plots.spheres import View
+
+        return space(
+            self._frames[frame], self._scene, view=View(turn, cut), colour=colour,
+            lineage=self._lineage,
+        )  # fmt: skip
+
     def quantity(self, name: str, others: Mapping[str, Result] | None = None) -> Figure:
         """Draw a column of the history against time, also those of other runs.
 
@@ -210,7 +239,7 @@ def _draw_count(axes: Axes, time: FloatArray, cells: FloatArray) -> None:
         axes.set_yscale("log")
         counts(axes.yaxis)
         axes.yaxis.set_minor_formatter(NullFormatter())
-        axes.set_ylabel("number (log scale)")
+        axes.set_ylabel("number")
     else:
         _count_axis(axes, 1.08 * float(cells.max()))
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import matplotlib as mpl
 import numpy as np
 from matplotlib.collections import EllipseCollection
-from matplotlib.colors import Colormap, ListedColormap, Normalize, to_rgb
+from matplotlib.colors import Colormap, Normalize, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from multicell.cells import FloatArray, IntArray
 from multicell.errors import OutputError
 from multicell.report.plots.colouring import SCALE, Colouring, colouring
+from multicell.report.plots.necrosis import LABEL, STYLE, draw_necrotic
+from multicell.report.plots.night import WATER, fades
 from multicell.report.plots.plane import Plane, height, turned
 from multicell.report.plots.style import (
     HEADING,
@@ -25,7 +27,6 @@ from multicell.report.plots.style import (
     headed,
     moment,
     styled,
-    thresholds,
     type_label,
 )
 from multicell.report.wording import cell_count
@@ -34,16 +35,15 @@ from multicell.results.observables import centre, uniform_radius
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.colorbar import Colorbar
     from matplotlib.image import AxesImage
 
     from multicell.scene.nutrient import Nutrient
     from multicell.scene.scene import Scene
 
 
-# white to a light blue: cells must stand out against it
 _GONE = 1e-9  # part of the highest concentration of a field below which it is not drawn
 _DEEP: Final = 3.0  # mean diameters behind a plane within which cells are drawn
-_WATER: Final = ListedColormap(np.linspace(to_rgb("#ffffff"), to_rgb("#8fbce0"), 256))
 
 
 @styled
@@ -62,8 +62,9 @@ def section(
     Cells behind the plane are the paler the deeper they lie. Two or three cells without a field are
     cut by the plane that holds their centres, unless one is named. The colour shows the state or,
     where there is more than one type, the type; cells that are necrotic are dark in both. Behind
-    the cells is the scene's first field, with its thresholds as lines; where colours show the
-    values of a quantity, phases or clones there are no shades besides.
+    the cells is the scene's first field, with a line where cells begin to rest; a dashed line
+    goes round where most cells are necrotic, averaged over about a cell's diameter. Where colours
+    show the values of a quantity, phases or clones there is neither.
 
     Parameters
     ----------
@@ -106,17 +107,18 @@ def section(
     draw_discs(axes, place[inside, :2], np.sqrt(square[inside]), shade.rgb[inside])
     fields = turned(frame, where).fields
     name = next((name for name in scene.nutrients if name in fields), "")
-    if name and shade.title in ("state", "type"):
-        _draw_behind(figure, axes, fields[name], level, scene.nutrients[name])
-    _scale_bar(axes, middle, half)
+    if shade.title in ("state", "type"):
+        dead = draw_necrotic(axes, frame.cells, place, level) if fields else False
+        _draw_behind(figure, axes, fields.get(name), level, scene.nutrients.get(name), dead)
+    scale_bar(axes, middle, half)
     if dimensions == 3 and plane is not None:
         _name_axes(axes, plane, middle, half)
     if shade.group is not None:
         title = "Cells in this section" if dimensions == 3 else "Cells"
         title = title if shade.title in ("state", "type") else shade.title.capitalize()
-        _section_legend(figure, shade.group[inside], shade.palette or {}, title)
+        group_legend(figure, shade.group[inside], shade.palette or {}, title)
     else:
-        _scale_legend(figure, shade)
+        scale_legend(figure, shade)
     return figure
 
 
@@ -158,7 +160,9 @@ def _draw_deep(
     if len(order) == 0:
         return
     paler = (0.45 + 0.45 * depth[order] / reach)[:, None]
-    draw_discs(axes, place[order, :2], radius[order], rgb[order] * (1.0 - paler) + paler, edge=0.0)
+    pale = rgb[order] * (1.0 - paler) + paler
+    drawn = draw_discs(axes, place[order, :2], radius[order], pale, edge=0.0)
+    fades(drawn, rgb[order], paler)
 
 
 def _name_axes(axes: Axes, plane: Plane, middle: FloatArray, half: float) -> None:
@@ -175,7 +179,7 @@ def _name_axes(axes: Axes, plane: Plane, middle: FloatArray, half: float) -> Non
         axes.text(x + 1.35 * dx, y + 1.35 * dy, name, ha="center", va="center", zorder=5)
 
 
-def _scale_legend(figure: Figure, shade: Colouring) -> None:
+def scale_legend(figure: Figure, shade: Colouring) -> None:
     """Explain the colours of values."""
     assert shade.range is not None
     assert shade.values is not None
@@ -254,25 +258,25 @@ def draw_discs(
     radius: FloatArray,
     rgb: FloatArray,
     edge: float | None = None,
-) -> None:
+) -> EllipseCollection:
     """Draw circles of true size, each in its colour; ``edge`` is the width of their white line."""
     size = 2.0 * radius
     if edge is None:
         edge = 0.5 if len(size) > 200 else 1.2
-    axes.add_collection(
-        EllipseCollection(
-            size,
-            size,
-            np.zeros(len(size)),
-            units="xy",
-            offsets=position,
-            offset_transform=axes.transData,
-            facecolors=rgb,
-            edgecolors="white",
-            linewidths=edge,
-            zorder=2,
-        )
+    discs = EllipseCollection(
+        size,
+        size,
+        np.zeros(len(size)),
+        units="xy",
+        offsets=position,
+        offset_transform=axes.transData,
+        facecolors=rgb,
+        edgecolors="white",
+        linewidths=edge,
+        zorder=2,
     )
+    axes.add_collection(discs)
+    return discs
 
 
 def slice_at(field: Field, z: float) -> FloatArray:
@@ -314,8 +318,10 @@ def refined(field: Field, z: float) -> tuple[FloatArray, FloatArray, FloatArray]
 def draw_field(
     axes: Axes, field: Field, z: float, nutrient: Nutrient, medium: float, low: float | None,
     colours: Colormap,
-) -> tuple[AxesImage, list[tuple[str, float, str]]]:  # fmt: skip
-    """Draw a field on the plane at z as shades, and its thresholds as lines over all else.
+) -> tuple[AxesImage, float | None]:  # fmt: skip
+    """Draw a field on the plane at z as shades, and where cells rest as a line over all else.
+
+    There is no line at the threshold of necrosis: see :mod:`multicell.report.plots.necrosis`.
 
     Parameters
     ----------
@@ -327,8 +333,8 @@ def draw_field(
     Returns
     -------
     shades
-    thresholds
-        Meaning, value and line style of those that are drawn.
+    resting
+        Concentration below which cells rest, if there is a line for it.
     """
     x, y, plane = refined(field, z)
     low = min(float(plane.min()), medium) if low is None else low
@@ -342,36 +348,49 @@ def draw_field(
         plane, extent=extent, origin="lower", cmap=colours, vmin=low, vmax=top, zorder=0
     )
     axes.axis(window)
-    inside = [entry for entry in thresholds(nutrient) if plane.min() < entry[1] < plane.max()]
-    for _, level, style in inside:
-        line: dict[str, Any] = {"levels": [level], "zorder": 3}
-        axes.contour(x, y, plane, colors="white", linewidths=3.6, **line)
-        axes.contour(x, y, plane, colors=RED, linewidths=1.8, linestyles=style, **line)
-    return shades, inside
+    resting = nutrient.quiescence
+    if resting is None or not plane.min() < resting < plane.max():
+        return shades, None
+    line: dict[str, Any] = {"levels": [resting], "zorder": 3}
+    axes.contour(x, y, plane, colors="white", linewidths=3.6, **line)
+    axes.contour(x, y, plane, colors=RED, linewidths=1.8, **line)
+    return shades, resting
 
 
-def _draw_behind(figure: Figure, axes: Axes, field: Field, z: float, nutrient: Nutrient) -> None:
-    """Draw a field behind the cells of a section, and explain its shades and lines.
+def _draw_behind(
+    figure: Figure, axes: Axes, field: Field | None, z: float, nutrient: Nutrient | None, dead: bool
+) -> None:
+    """Draw a field behind the cells of a section, and explain its shades and all lines.
 
     What is left of one that has been used up or has decayed is not: shades of it would be rounding.
     """
-    if not max(float(field.values.max()), nutrient.boundary) > _GONE * nutrient.highest:
-        return
-    shades, inside = draw_field(axes, field, z, nutrient, nutrient.boundary, 0.0, _WATER)
-    bar = figure.colorbar(shades, cax=figure.add_axes((0.73, 0.28, 0.018, 0.27)))
-    bar.outline.set_visible(False)
-    bar.ax.grid(False)
-    figure.text(0.725, 0.585, f"{field.name.capitalize()} ({field.unit})", **HEADING)
-    handles = []
-    for meaning, level, style in inside:
-        bar.ax.axhline(level, color=RED, ls=style, lw=1.8)
-        label = f"below {level:.3g}: cells {meaning}"
-        handles.append(Line2D([], [], color=RED, ls=style, lw=1.8, label=label))
+    line: dict[str, Any] = {"color": RED, "lw": 1.8}
+    handles = [Line2D([], [], ls=STYLE, label=LABEL, **line)] if dead else []
+    if field is not None and nutrient is not None and _is_there(field, nutrient):
+        shades, resting = draw_field(axes, field, z, nutrient, nutrient.boundary, 0.0, WATER)
+        bar = _name_shades(figure, shades, f"{field.name.capitalize()} ({field.unit})")
+        if resting is not None:
+            bar.ax.axhline(resting, **line)
+            label = f"below {resting:.3g}: cells rest"
+            handles.insert(0, Line2D([], [], label=label, **line))
     if handles:
         figure.legend(handles=handles, loc="upper left", bbox_to_anchor=(0.713, 0.25))
 
 
-def _scale_bar(axes: Axes, middle: FloatArray, half: float) -> None:
+def _is_there(field: Field, nutrient: Nutrient) -> bool:
+    return max(float(field.values.max()), nutrient.boundary) > _GONE * nutrient.highest
+
+
+def _name_shades(figure: Figure, shades: AxesImage, title: str) -> Colorbar:
+    """Explain the shades of a field beside a section."""
+    bar = figure.colorbar(shades, cax=figure.add_axes((0.73, 0.28, 0.018, 0.27)))
+    bar.outline.set_visible(False)
+    bar.ax.grid(False)
+    figure.text(0.725, 0.585, title, **HEADING)
+    return bar
+
+
+def scale_bar(axes: Axes, middle: FloatArray, half: float) -> None:
     """Draw a bar of a round length in the lower left corner."""
     length = max(
         n for n in (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000) if n <= 0.6 * half
@@ -382,9 +401,7 @@ def _scale_bar(axes: Axes, middle: FloatArray, half: float) -> None:
     axes.text(left + 0.5 * length, low + 0.035 * half, f"{length} µm", ha="center", zorder=5)
 
 
-def _section_legend(
-    figure: Figure, group: IntArray, palette: Mapping[str, str], title: str
-) -> None:
+def group_legend(figure: Figure, group: IntArray, palette: Mapping[str, str], title: str) -> None:
     """Explain the colours, with the number of cells of each group in the section."""
     if not palette:
         figure.text(0.725, 0.84, title, **HEADING)

@@ -6,7 +6,7 @@ import io
 from collections.abc import Callable, Iterable, Mapping, Sized
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, final
 
 import matplotlib as mpl
 import numpy as np
@@ -38,6 +38,9 @@ INK, QUIET, BLUE, RED = "#22303c", "#6b7a86", "#2f6fb0", "#b5432f"
 # blue and orange first: they differ in lightness and for any colour vision (Okabe & Ito)
 _TYPES: Final = ("#0072b2", "#e69f00", "#7fd0a8", "#cc79a7", "#56b4e9", "#a04000", "#b8b000")
 DPI: Final = 160
+TITLE: Final = "title"
+SUBTITLE: Final = "subtitle"
+"""The ``gid`` of a figure's title, which pages leave out, and of what is said below it."""
 HEADING: Final[dict[str, Any]] = {"weight": "bold", "fontsize": 13, "parse_math": False}
 SIZE: Final = (10.0, 6.25)  # inches: 1600 x 1000 pixels
 _STYLE: Final[dict[Any, Any]] = {
@@ -96,14 +99,34 @@ def styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
     return drawn
 
 
+@final
+class Picture(Figure):
+    """A figure that a notebook shows where it is the value of a cell, without pyplot's help."""
+
+    def _repr_png_(self) -> bytes:
+        """Return what ``save`` would write as PNG."""
+        return drawn_as(self, "png")
+
+
 def blank(title: str, subtitle: str, size: tuple[float, float] = SIZE) -> Figure:
     """Return an empty figure of a size in inches with its heading."""
-    figure = Figure(figsize=size, dpi=DPI)
+    figure = Picture(figsize=size, dpi=DPI)
     first, second = (1.0 - inches / size[1] for inches in (0.3125, 0.59375))
     # a dollar sign in a title is not a formula
     shown = title if len(title) <= 70 else title[:69] + "…"
-    figure.text(0.04, first, shown, fontsize=16, weight="bold", va="center", parse_math=False)
-    figure.text(0.04, second, subtitle, fontsize=12, color=QUIET, va="center", parse_math=False)
+    figure.text(
+        0.04, first, shown, fontsize=16, weight="bold", va="center", parse_math=False, gid=TITLE
+    )
+    figure.text(
+        0.04,
+        second,
+        subtitle,
+        fontsize=12,
+        color=QUIET,
+        va="center",
+        parse_math=False,
+        gid=SUBTITLE,
+    )
     return figure
 
 
@@ -128,14 +151,18 @@ def save(figure: Figure, path: Path) -> None:
     if format is None:
         raise OutputError(f"'{path}' is no picture: its name must end in {', '.join(PICTURES)}")
     # drawn in memory: a picture is either complete or not there
+    write_bytes(path, drawn_as(figure, format))
+
+
+def drawn_as(figure: Figure, format: str) -> bytes:
+    """Return a figure as a file of a format of ``PICTURES``; the same figure is the same file."""
     picture = io.BytesIO()
     by = {"pdf": "Creator", "svg": "Creator", "png": "Software"}[format]
     metadata: dict[str, Any] = {by: "multicell"}
-    # the same figure is the same file
     metadata |= {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(format, {})
     with mpl.rc_context({"svg.hashsalt": "multicell", "svg.fonttype": "none"}):
         figure.savefig(picture, format=format, dpi=DPI, metadata=metadata)
-    write_bytes(path, picture.getvalue())
+    return picture.getvalue()
 
 
 def type_colours(names: Iterable[str]) -> dict[str, str]:

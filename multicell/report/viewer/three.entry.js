@@ -1,3 +1,3 @@
 // What viewer.js needs of three.js; the head of three.min.js says how that file is made of this one.
-export { WebGLRenderer, Scene, OrthographicCamera, InstancedBufferGeometry, InstancedBufferAttribute, BufferAttribute, RawShaderMaterial, Mesh, Vector3, GLSL3 } from "three";
+export { WebGLRenderer, Scene, OrthographicCamera, BufferGeometry, BufferAttribute, RawShaderMaterial, Mesh, Vector3, GLSL3, StreamDrawUsage } from "three";
 export { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";

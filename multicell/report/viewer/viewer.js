@@ -31,42 +31,51 @@ const scaled = (column, level) => column.low + (column.high - column.low) * leve
 const columnOf = Object.fromEntries(about.columns.map((column) => [column.name, column]));
 
 // ---- drawing: each cell is a square that faces the eye, on which a sphere is drawn point by point
+// (four corners of their own, not instances of one square: software draws each instance as a call)
 const VERTEX = `
-in vec3 position; in vec3 centre; in float radius; in vec3 colour;
-uniform mat4 modelViewMatrix, projectionMatrix;
-out vec2 corner; out vec3 middle; out float size; flat out vec3 tint;
+in vec4 position; in vec3 colour;
+uniform mat4 modelViewMatrix, projectionMatrix; uniform vec2 range;
+out vec2 corner; flat out vec3 middle; flat out float size; flat out vec3 tint; flat out float far;
 void main() {
-  corner = position.xy; size = radius; tint = colour;
-  middle = (modelViewMatrix * vec4(centre, 1.0)).xyz;
+  int k = gl_VertexID % 4;
+  corner = vec2(k == 1 || k == 2 ? 1.0 : -1.0, k >= 2 ? 1.0 : -1.0);
+  float radius = position.w;
+  size = radius; tint = colour;
+  middle = (modelViewMatrix * vec4(position.xyz, 1.0)).xyz;
+  far = 0.72 + 0.28 * clamp((middle.z - range.x) / (range.y - range.x), 0.0, 1.0);
   gl_Position = projectionMatrix * vec4(middle + vec3(corner * radius, 0.0), 1.0);
 }`;
 const FRAGMENT = `
 precision highp float;
-in vec2 corner; in vec3 middle; in float size; flat in vec3 tint;
+in vec2 corner; flat in vec3 middle; flat in float size; flat in vec3 tint; flat in float far;
 uniform mat4 projectionMatrix; uniform vec4 plane; uniform bool cutting;
 out vec4 shade;
 void main() {
   float out2 = dot(corner, corner);
   if (out2 > 1.0) discard;
   float high = sqrt(1.0 - out2);
-  vec3 normal = vec3(corner, high);
-  vec3 point = middle + size * normal;
-  float flatness = 0.0;
+  float depth = middle.z + size * high;
+  // daylight from above, a soft gleam, a darker rim that parts neighbours, and less light further off
+  float facing = dot(vec3(corner, high), vec3(0.30, 0.46, 0.836));
+  float light = (0.68 + 0.44 * facing) * (0.72 + 0.28 * smoothstep(1.0, 0.72, out2)) * far;
+  float gleam = max(facing, 0.0);
+  gleam *= gleam; gleam *= gleam; gleam *= gleam;
+  gleam *= 0.16 * gleam * far;
   if (cutting) {
-    float beyond = dot(plane.xyz, point) + plane.w;
+    vec2 aside = size * corner;
+    float beyond = dot(plane.xy, middle.xy + aside) + plane.z * depth + plane.w;
     if (beyond > 0.0) {  // the near side is cut away: is there a cut face behind it?
       if (plane.z <= 0.0) discard;
       float down = beyond / plane.z;
       if (down > 2.0 * size * high) discard;
-      point.z -= down;
-      flatness = 1.0;
+      depth -= down;
+      float inward = (depth - middle.z) / size;  // the line round the face is where the sphere ends
+      light = 0.74 + 0.26 * smoothstep(1.0, 0.8, out2 + inward * inward);
+      gleam = 0.0;
     }
   }
-  float light = mix(0.35 + 0.65 * max(dot(normal, vec3(0.32, 0.42, 0.85)), 0.0), 0.98, flatness);
-  float rim = mix(smoothstep(1.0, 0.86, out2), 1.0, flatness);
-  shade = vec4(tint * light * mix(0.72, 1.0, rim), 1.0);
-  vec4 place = projectionMatrix * vec4(point, 1.0);
-  gl_FragDepth = 0.5 * place.z / place.w + 0.5;
+  shade = vec4(tint * light + gleam, 1.0);
+  gl_FragDepth = 0.5 * (projectionMatrix[2][2] * depth + projectionMatrix[3][2]) + 0.5;  // seen without perspective
 }`;
 
 let renderer;
@@ -82,19 +91,19 @@ const frames = about.frames.map((frame) => ({ ...frame, columns: null }));
 const columnsAt = (k) => (frames[k].columns ??= frameColumns(buffer, frames[k]));
 const most = Math.max(1, ...about.frames.map((frame) => frame.shown));
 
-const geometry = new THREE.InstancedBufferGeometry();
-const square = new Float32Array([-1, -1, 0, 1, -1, 0, 1, 1, 0, -1, -1, 0, 1, 1, 0, -1, 1, 0]);
-geometry.setAttribute("position", new THREE.BufferAttribute(square, 3));
-const centres = new THREE.InstancedBufferAttribute(new Float32Array(3 * most), 3);
-const radii = new THREE.InstancedBufferAttribute(new Float32Array(most), 1);
-const colours = new THREE.InstancedBufferAttribute(new Float32Array(3 * most), 3);
-geometry.setAttribute("centre", centres);
-geometry.setAttribute("radius", radii);
+// four corners of each cell of the frame; the index names those that are not hidden behind others
+const geometry = new THREE.BufferGeometry();
+const spheres = new THREE.BufferAttribute(new Float32Array(16 * most), 4);
+const colours = new THREE.BufferAttribute(new Uint8Array(16 * most), 4, true);
+const corners = new THREE.BufferAttribute(new Uint32Array(6 * most), 1);
+corners.setUsage(THREE.StreamDrawUsage);
+geometry.setAttribute("position", spheres);
 geometry.setAttribute("colour", colours);
-// all cells of the frame; the attributes hold those that are not hidden behind others
-const place = new Float32Array(3 * most), extent = new Float32Array(most), tints = new Float32Array(3 * most);
+geometry.setIndex(corners);
+let drawnCells = 0;
+const place = new Float32Array(3 * most), extent = new Float32Array(most);
 const seen = new Float32Array(3 * most);  // places as the eye sees them
-const uniforms = { plane: { value: [0, 0, 1, 0] }, cutting: { value: false } };
+const uniforms = { plane: { value: [0, 0, 1, 0] }, cutting: { value: false }, range: { value: [0, 1] } };
 const material = new THREE.RawShaderMaterial({
   glslVersion: THREE.GLSL3, vertexShader: VERTEX, fragmentShader: FRAGMENT, uniforms,
 });
@@ -120,18 +129,23 @@ function home() {
 }
 
 // ---- what is shown
+const night = window.matchMedia("(prefers-color-scheme: dark)");
+const paletteOf = (entry) => (night.matches && entry.night) || entry.palette;
+night.addEventListener("change", () => show(shown));
 let shown = 0, colouring = about.colourings[0].name, pending = false;
 function fillColours() {
-  const column = columnOf[colouring], values = columnsAt(shown)[colouring], to = tints;
+  const column = columnOf[colouring], values = columnsAt(shown)[colouring];
   const about_ = about.colourings.find((entry) => entry.name === colouring);
-  const palette = about_.palette;
+  const palette = paletteOf(about_).map((rgb) => rgb.map((c) => Math.round(255 * c)));
+  const paint = (i, rgb) => { for (let k = 0; k < 4; k++) colours.array.set(rgb, 16 * i + 4 * k); };
+  colours.needsUpdate = true;
   if (column.words) {
-    for (let i = 0; i < values.length; i++) to.set(palette[values[i] % palette.length], 3 * i);
+    for (let i = 0; i < values.length; i++) paint(i, palette[values[i] % palette.length]);
   } else {
     const low = about_.low, wide = about_.high - about_.low, last = palette.length - 1;
     for (let i = 0; i < values.length; i++) {
       const share = (scaled(column, values[i]) - low) / wide;
-      to.set(palette[Math.round(last * Math.min(1, Math.max(0, share)))], 3 * i);
+      paint(i, palette[Math.round(last * Math.min(1, Math.max(0, share)))]);
     }
   }
 }
@@ -143,16 +157,25 @@ function fillPlaces() {
   });
   const column = columnOf.radius, values = columns.radius;
   for (let i = 0; i < count; i++) extent[i] = scaled(column, values[i]);
+  for (let i = 0; i < count; i++) {
+    for (let at = 16 * i; at < 16 * i + 16; at += 4) {
+      for (let k = 0; k < 3; k++) spheres.array[at + k] = place[3 * i + k];
+      spheres.array[at + 3] = extent[i];
+    }
+  }
+  spheres.needsUpdate = true;
 }
 
 // ---- what is hidden behind other cells is not drawn: of a dense ball that is all but its surface.
 // Each cell covers the squares of a grid that its disc contains, at the depth of its centre (at that
 // of its far end where it is cut); a cell is hidden where something covers every square that it meets.
+const SQUARE = [0, 1, 2, 0, 2, 3];
 let cover = new Float32Array(0), everything = false;
 function fillVisible() {
   const count = frames[shown].shown, m = camera.matrixWorldInverse.elements;
   const [a, b, c, d] = uniforms.plane.value, cutting = uniforms.cutting.value;
   let low0 = Infinity, low1 = Infinity, high0 = -Infinity, high1 = -Infinity, mean = 0;
+  let back = Infinity, front = -Infinity;
   for (let i = 0; i < count; i++) {
     const x = place[3 * i], y = place[3 * i + 1], z = place[3 * i + 2], r = extent[i];
     const u = m[0] * x + m[4] * y + m[8] * z + m[12], v = m[1] * x + m[5] * y + m[9] * z + m[13];
@@ -160,8 +183,10 @@ function fillVisible() {
     seen[3 * i + 2] = m[2] * x + m[6] * y + m[10] * z + m[14];
     low0 = Math.min(low0, u - r); high0 = Math.max(high0, u + r);
     low1 = Math.min(low1, v - r); high1 = Math.max(high1, v + r);
+    back = Math.min(back, seen[3 * i + 2]); front = Math.max(front, seen[3 * i + 2]);
     mean += r / count;
   }
+  uniforms.range.value = [0.5 * (back + front), Math.max(front, back + 1e-6)];
   const step = Math.max(0.4 * mean, (high0 - low0) / 1500, (high1 - low1) / 1500, 1e-6);
   const wide = Math.floor((high0 - low0) / step) + 2, high = Math.floor((high1 - low1) / step) + 2;
   if (cover.length < wide * high) cover = new Float32Array(wide * high);
@@ -184,23 +209,24 @@ function fillVisible() {
     }
   }
   let n = 0;
+  const list = corners.array;
   for (let i = 0; i < count; i++) {
     if (gone(i)) continue;
-    const r = extent[i], front = seen[3 * i + 2] + r;
+    const r = extent[i], near = seen[3 * i + 2] + r;
     const row0 = Math.floor((seen[3 * i + 1] - r - low1) / step), row1 = Math.floor((seen[3 * i + 1] + r - low1) / step);
     const from = Math.floor((seen[3 * i] - r - low0) / step), to = Math.floor((seen[3 * i] + r - low0) / step);
     let hidden = true;
     for (let row = row0; hidden && row <= row1; row++)
-      for (let at = row * wide + from; at <= row * wide + to; at++) if (cover[at] < front) { hidden = false; break; }
+      for (let at = row * wide + from; at <= row * wide + to; at++) if (cover[at] < near) { hidden = false; break; }
     if (hidden && !everything) continue;
-    for (let k = 0; k < 3; k++) {
-      centres.array[3 * n + k] = place[3 * i + k];
-      colours.array[3 * n + k] = tints[3 * i + k];
-    }
-    radii.array[n++] = r;
+    for (let k = 0; k < 6; k++) list[6 * n + k] = 4 * i + SQUARE[k];
+    n++;
   }
-  centres.needsUpdate = radii.needsUpdate = colours.needsUpdate = true;
-  geometry.instanceCount = n;
+  corners.clearUpdateRanges();
+  corners.addUpdateRange(0, 6 * n);
+  corners.needsUpdate = true;
+  geometry.setDrawRange(0, 6 * n);
+  drawnCells = n;
 }
 function legend() {
   const about_ = about.colourings.find((entry) => entry.name === colouring), box = find("legend");
@@ -212,7 +238,7 @@ function legend() {
     column.words.forEach((word, k) => {
       if (!counts.get(k)) return;
       const entry = document.createElement("span"), dot = document.createElement("i");
-      dot.style.background = `rgb(${about_.palette[k].map((c) => Math.round(255 * c)).join()})`;
+      dot.style.background = `rgb(${paletteOf(about_)[k].map((c) => Math.round(255 * c)).join()})`;
       entry.append(dot, `${word} (${counts.get(k).toLocaleString("en")})`);
       box.append(entry);
     });
@@ -247,7 +273,7 @@ function setPlane() {
   if (axis === "none") return;
   const k = "xyz".indexOf(axis), at = middle[k] + reach * (2 * slider.value / 1000 - 1);
   const side = camera.position.toArray()[k] >= middle[k] ? 1 : -1;  // what lies nearer to the eye goes
-  find("cut-text").textContent = `${axis} = ${at.toFixed(0)} µm`;
+  find("cut-text").textContent = `${axis} = ${Math.round(at) || 0} µm`;
   cut = { k, at, side };
 }
 let cut = null;
@@ -265,7 +291,6 @@ function planeInView() {
 function resize() {
   const wide = canvas.clientWidth, high = canvas.clientHeight;
   if (!wide || !high) return;
-  renderer.setPixelRatio(finest());
   renderer.setSize(wide, high, false);
   const half = 1.08 * reach, ratio = wide / high;
   camera.left = -half * Math.max(1, ratio); camera.right = -camera.left;
@@ -278,7 +303,7 @@ function draw() {
   pending = true;
   requestAnimationFrame(() => {
     pending = false;
-    if (!drawingSharp && renderer.getPixelRatio() !== finest() * sharpness) renderer.setPixelRatio(finest() * sharpness);
+    resolution(still ? Math.max(2, screen()) : screen() * sharpness);
     camera.updateMatrixWorld();
     if (cut && uniforms.cutting.value) {
       cut.side = camera.position.toArray()[cut.k] >= middle[cut.k] ? 1 : -1;
@@ -294,23 +319,22 @@ function draw() {
 }
 let drawn = 0, before = 0;
 
-// ---- where drawing is slow, moving pictures are coarser, and sharp again when nothing moves
-let sharpness = 1, sharp = null;
-const finest = () => Math.min(2, window.devicePixelRatio || 1);
-function settle(took) {
-  const moving = took < 300;
-  const wanted = !moving ? sharpness : took > 40 ? Math.max(0.4, sharpness * 0.75) : took < 20 ? Math.min(1, sharpness * 1.2) : sharpness;
-  if (sharp) clearTimeout(sharp);
-  sharp = null;
-  if (drawingSharp) { drawingSharp = false; return; }
-  if (wanted !== sharpness) setSharpness(wanted);
-  if (sharpness < 1) sharp = setTimeout(() => { drawingSharp = true; renderer.setPixelRatio(finest()); draw(); }, 250);
-  else if (renderer.getPixelRatio() !== finest()) renderer.setPixelRatio(finest());
+// ---- moving pictures are as coarse as they must be to follow the hand; still ones are drawn twice as
+// fine as the screen, which makes edges smooth
+let sharpness = 1, quick = 0, still = false, rest = null;
+const screen = () => Math.min(2, window.devicePixelRatio || 1);
+function resolution(ratio) {
+  if (renderer.getPixelRatio() !== ratio) renderer.setPixelRatio(ratio);
 }
-let drawingSharp = false;
-function setSharpness(value) {
-  sharpness = value;
-  renderer.setPixelRatio(finest() * value);
+function settle(took) {
+  clearTimeout(rest);
+  if (still) { still = false; return; }
+  if (took < 300) {  // it moves
+    quick = took < 20 ? quick + 1 : 0;
+    if (took > 40) sharpness = Math.max(0.42, 0.75 * sharpness);
+    else if (quick > 30) { sharpness = Math.min(1, sharpness / 0.75); quick = 0; }
+  }
+  rest = setTimeout(() => { still = true; draw(); }, 250);
 }
 
 // ---- under the pointer
@@ -455,7 +479,7 @@ resize();
 show(frames.length - 1);
 home();
 window.multicellViewer = {  // for tests
-  show, home, orbit, pick, frames, canvas, draws: () => drawn, visible: () => geometry.instanceCount, sharpness: () => sharpness,
+  show, home, orbit, pick, frames, canvas, draws: () => drawn, visible: () => drawnCells, sharpness: () => sharpness,
   all: (yes) => { everything = yes; draw(); },
 };
 })();

@@ -1,0 +1,198 @@
+"""Cells as shaded spheres, some of them cut open: drawn point by point, with a depth for each."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, final
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from multicell.compiling import KERNEL
+from multicell.errors import OutputError
+
+if TYPE_CHECKING:
+    from multicell.cells import FloatArray
+
+CUTS: Final = ("none", "half", "quarter")
+"""What can be cut away."""
+
+_AZIMUTH: Final = -60.0  # degrees: where the eye stands without a turn, and what a cut opens to
+_HEIGHT: Final = 24.0  # degrees above the horizon
+_LEVELS: Final = 3  # points along a side of which one pixel is the mean
+_LIGHT: Final = np.array([0.30, 0.46, 0.836])
+
+
+@final
+@dataclass(frozen=True)
+class View:
+    """From where a population is seen, and what is cut away of it.
+
+    Attributes
+    ----------
+    turn
+        Degrees by which the eye goes round the vertical axis z, from where cuts open to it.
+    cut
+        One of :data:`CUTS`: nothing, the half that lies nearer, or a quarter.
+    """
+
+    turn: float = 0.0
+    cut: str = "quarter"
+
+    def __post_init__(self) -> None:
+        if self.cut not in CUTS:
+            raise OutputError(f"{self.cut!r} is no cut: write {', '.join(CUTS)}")
+        if not math.isfinite(self.turn):
+            raise OutputError(f"a turn of {self.turn} degrees is none")
+
+    def axes(self) -> FloatArray:
+        """Return the directions to the right, upwards and to the eye as rows, (3, 3)."""
+        around, above = math.radians(_AZIMUTH + self.turn), math.radians(_HEIGHT)
+        right = np.array([-math.sin(around), math.cos(around), 0.0])
+        eye = np.array(
+            [
+                math.cos(above) * math.cos(around),
+                math.cos(above) * math.sin(around),
+                math.sin(above),
+            ]
+        )
+        return np.array([right, np.cross(eye, right), eye])
+
+    def planes(self) -> FloatArray:
+        """Return the normals of the cuts through the centre; away goes what all point to."""
+        wings = {"none": (), "half": (0.0,), "quarter": (-45.0, 45.0)}[self.cut]
+        turns = [math.radians(_AZIMUTH + wing) for wing in wings]
+        normals = [(math.cos(turn), math.sin(turn), 0.0) for turn in turns]
+        return np.array(normals).reshape(len(wings), 3)
+
+
+def spheres(
+    place: FloatArray, radius: FloatArray, rgb: FloatArray, view: View,
+    half: tuple[float, float], pixels: tuple[int, int],
+) -> NDArray[np.uint8]:  # fmt: skip
+    """Return a picture of spheres, seen without perspective.
+
+    Parameters
+    ----------
+    place : (n, 3) µm
+        Centres, from the centre of the picture.
+    radius : (n,) µm
+    rgb : (n, 3)
+        Colours, 0 to 1.
+    view
+        Direction, and what is cut away.
+    half
+        Half the width and half the height of the window, µm.
+    pixels
+        Width and height of the picture; both have the same scale.
+
+    Returns
+    -------
+    (height, width, 4) uint8
+        Red, green, blue and opacity, the first row uppermost.
+    """
+    wide, high = (_LEVELS * count for count in pixels)
+    axes = view.axes()
+    seen = np.ascontiguousarray(place @ axes.T)
+    planes = np.ascontiguousarray(view.planes() @ axes.T)
+    picture = np.zeros((high, wide, 4), np.uint8)
+    depth = np.full((high, wide), -np.inf, np.float32)
+    front, back = float(seen[:, 2].max()), float(seen[:, 2].min())
+    colours = np.ascontiguousarray(255.0 * rgb)
+    _draw(
+        seen, radius, colours, planes, _LIGHT, 0.5 * (front + back), front,
+        float(half[0]), float(half[1]), picture, depth,
+    )  # fmt: skip
+    return _averaged(picture)
+
+
+def _averaged(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return the means of squares of points; colours count as much as they are opaque."""
+    high, wide = picture.shape[0] // _LEVELS, picture.shape[1] // _LEVELS
+    blocks = picture.reshape(high, _LEVELS, wide, _LEVELS, 4)
+    opaque = blocks[..., 3] > 0
+    count = opaque.sum(axis=(1, 3))
+    # points where nothing is are black, and do not count
+    colour = blocks[..., :3].sum(axis=(1, 3), dtype=np.float64) / np.maximum(count, 1)[..., None]
+    alpha = 255.0 * count / _LEVELS**2
+    whole: FloatArray = np.concatenate([colour, alpha[..., None]], axis=2)
+    return np.rint(whole).astype(np.uint8)
+
+
+@njit(**KERNEL)  # type: ignore[untyped-decorator]
+def _draw(
+    seen: Any, radius: Any, rgb: Any, planes: Any, light: Any, middle: float, front: float,
+    half_wide: float, half_high: float, picture: Any, depth: Any,
+) -> None:  # fmt: skip
+    """Draw all spheres into a picture and its depths.
+
+    ``seen`` (n, 3) are centres in the eye's axes, µm, the third towards the eye; ``rgb`` (n, 3)
+    from 0 to 255; ``planes`` (k, 3) normals of cuts through the origin; ``light`` (3,) the
+    direction it comes from; between the depths ``middle`` and ``front`` what is nearer is brighter.
+    """
+    high, wide = depth.shape
+    step = 2.0 * half_wide / wide
+    for i in range(len(radius)):
+        r = radius[i]
+        near = min(1.0, max(0.0, (seen[i, 2] - middle) / max(front - middle, 1e-9)))
+        far = 0.72 + 0.28 * near
+        left = max(0, int((seen[i, 0] - r + half_wide) / step))
+        right = min(wide - 1, int((seen[i, 0] + r + half_wide) / step))
+        first = max(0, int((half_high - seen[i, 1] - r) / step))
+        last = min(high - 1, int((half_high - seen[i, 1] + r) / step))
+        for row in range(first, last + 1):
+            y = half_high - (row + 0.5) * step
+            v = (y - seen[i, 1]) / r
+            for column in range(left, right + 1):
+                x = (column + 0.5) * step - half_wide
+                u = (x - seen[i, 0]) / r
+                out2 = u * u + v * v
+                if out2 >= 1.0:
+                    continue
+                up = math.sqrt(1.0 - out2)
+                z = seen[i, 2] + r * up
+                down, face = _way_out(planes, x, y, z)
+                if down > 2.0 * r * up:
+                    continue
+                z -= down
+                if z <= depth[row, column]:
+                    continue
+                depth[row, column] = z
+                if face >= 0:  # the line round a face is where its sphere ends
+                    inward = (z - seen[i, 2]) / r
+                    rim = _step(1.0, 0.8, out2 + inward * inward)
+                    shade, gleam = (0.74 + 0.26 * rim) * (1.0 - 0.1 * face), 0.0
+                else:
+                    facing = u * light[0] + v * light[1] + up * light[2]
+                    shade = (0.68 + 0.44 * facing) * (0.72 + 0.28 * _step(1.0, 0.72, out2)) * far
+                    gleam = 255.0 * 0.16 * far * max(facing, 0.0) ** 16
+                for k in range(3):
+                    picture[row, column, k] = np.uint8(min(255.0, shade * rgb[i, k] + gleam))
+                picture[row, column, 3] = 255
+
+
+@njit(**KERNEL)  # type: ignore[untyped-decorator]
+def _way_out(planes: Any, x: float, y: float, z: float) -> tuple[float, int]:
+    """Return how far below a point, away from the eye, the cut ends, and at which of its faces.
+
+    Zero and -1 where the point is not cut away; infinity where nothing below it is left.
+    """
+    down, face = np.inf, -1
+    if len(planes) == 0:
+        return 0.0, -1
+    for k in range(len(planes)):
+        beyond = planes[k, 0] * x + planes[k, 1] * y + planes[k, 2] * z
+        if beyond <= 0.0:
+            return 0.0, -1
+        if planes[k, 2] > 0.0 and beyond / planes[k, 2] < down:
+            down, face = beyond / planes[k, 2], k
+    return down, face
+
+
+@njit(**KERNEL)  # type: ignore[untyped-decorator]
+def _step(low: float, high: float, value: float) -> float:
+    """Return a smooth step from 0 at ``low`` to 1 at ``high``."""
+    share = min(1.0, max(0.0, (value - low) / (high - low)))
+    return share * share * (3.0 - 2.0 * share)
