@@ -126,9 +126,9 @@ def test_a_case_mistake_gets_the_reason():
 
 
 def test_unit_without_an_entry_has_an_example_too():
-    assert to_base("2 m/s", "um/s") == 2e6
-    with pytest.raises(SceneError, match=r"a quantity in um/s.*'1 um/s'"):
-        to_base("2 m", "um/s")
+    assert to_base("2 m^3/s", "um^3/s") == 2e18
+    with pytest.raises(SceneError, match=r"a quantity in um\^3/s.*'1 um\^3/s'"):
+        to_base("2 m", "um^3/s")
 
 
 @given(

@@ -1,4 +1,4 @@
-"""The population at the start of a run, and the traits that every cell draws for itself."""
+"""The population at the start of a run."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell import random
-from multicell.biology.cycle import placed, scale
+from multicell.biology.cycle import placed, volume_ratio
 from multicell.biology.growth import birth_volume
+from multicell.biology.traits import draw_cycle_times, draw_kinds, draw_moduli, stages
 from multicell.cells import SPHERE, Cells, FloatArray, State
 from multicell.random import Purpose
 
@@ -61,61 +62,6 @@ def packed_disc(count: int) -> FloatArray:
     return np.asarray(sites[order] - sites[order].mean(axis=0))
 
 
-def draw_kinds(scene: Scene, ids: NDArray[np.int64]) -> NDArray[np.int16]:
-    """Return the type of each cell at the start, (n,): the scene's fractions, mixed at random.
-
-    The numbers of cells are the fractions rounded, not drawn: only who is what is random.
-    """
-    if len(scene.types) < 2:
-        return np.zeros(len(ids), dtype=np.int16)
-    share = np.cumsum([kind.fraction for kind in scene.types.values()])
-    ends = np.round(share / share[-1] * len(ids))
-    place = np.empty(len(ids))
-    place[np.argsort(random.uniform(scene.seed, Purpose.KIND, 0, ids)[:, 0])] = np.arange(len(ids))
-    return np.searchsorted(ends, place, side="right").astype(np.int16)
-
-
-def draw_moduli(
-    scene: Scene, step: int, ids: NDArray[np.int64], kind: NDArray[np.int16]
-) -> FloatArray:
-    """Return Young's moduli of new cells, (n,), kPa: see :func:`scattered`."""
-    cells = scene.cells
-    drawn = scattered(scene.seed, Purpose.MODULI, step, ids, cells.young, cells.young_variation)
-    own = [part.young for part in scene.types.values()]
-    if not any(own):
-        return drawn
-    ratio = np.array([1.0 if young is None else young / cells.young for young in own])
-    return np.asarray(drawn * ratio[kind])
-
-
-def draw_cycle_times(
-    scene: Scene, step: int, ids: NDArray[np.int64], kind: NDArray[np.int16]
-) -> FloatArray:
-    """Return cycle times of new cells, (n,), s; infinite in a scene without growth."""
-    growth = scene.growth
-    if growth is None:
-        return np.full(len(ids), np.inf)
-    drawn = scattered(
-        scene.seed, Purpose.CYCLE, step, ids, growth.cycle_time, growth.cycle_variation
-    )
-    return drawn * scale(scene, kind) if scene.types else drawn
-
-
-def scattered(
-    seed: int, purpose: Purpose, step: int, ids: NDArray[np.int64], mean: float, variation: float
-) -> FloatArray:
-    """Return positive numbers that scatter normally about ``mean``, (n,).
-
-    The normal distribution with coefficient of variation ``variation`` is cut on both sides at
-    three standard deviations, or at 90 % of the mean where that is nearer (variations above 0.3,
-    whose spread is then somewhat narrower than asked). The cut is symmetric: the mean stays.
-    """
-    if variation == 0.0:
-        return np.full(len(ids), mean)
-    z = random.truncated_normal(seed, purpose, step, ids, min(3.0, 0.9 / variation))
-    return np.asarray(mean * (1.0 + variation * z))
-
-
 def initial_cells(scene: Scene) -> Cells:
     """Return the cells that a run starts with.
 
@@ -130,13 +76,18 @@ def initial_cells(scene: Scene) -> Cells:
     -------
     Cells
         Identities 0 ... n - 1 from the centre outwards, parent -1, all proliferating, centroid of
-        the sites at the origin, pressure zero.
+        the sites at the origin, pressure zero; with a table what it says
+        (:func:`multicell.biology.tabled.tabled_cells`).
     """
     initial = scene.initial
+    if initial.cells is not None:
+        from multicell.biology.tabled import tabled_cells
+
+        return tabled_cells(scene)
     ids = np.arange(initial.count, dtype=np.int64)
     kind = draw_kinds(scene, ids)
     cycle_time = draw_cycle_times(scene, 0, ids, kind)
-    progress = _stages(scene, ids)
+    progress = stages(scene, ids)
     age = np.zeros(initial.count) if scene.growth is None else progress * cycle_time
     cells = Cells(
         id=ids,
@@ -151,28 +102,21 @@ def initial_cells(scene: Scene) -> Cells:
         pressure=np.zeros(initial.count),
         kind=kind,
     )
-    volume = 1.0 + progress
+    volume = volume_ratio(scene, progress)
     if scene.growth is not None and scene.growth.phases:
         volume = placed(scene, cells, progress)
     cells.radius = np.cbrt(birth_volume(scene) * volume / SPHERE)
-    cells.position = _positions(scene, ids, 2.0 * float(cells.radius.mean()))
+    cells.position = _positions(scene, ids, cells.radius)
     return cells
 
 
-def _stages(scene: Scene, ids: NDArray[np.int64]) -> FloatArray:
-    """Return the part of its cycle that each cell has behind it at the start, (n,).
+def _positions(scene: Scene, ids: NDArray[np.int64], radius: FloatArray) -> FloatArray:
+    """Return the starting positions (n, 3), µm, of cells with these radii, (n,) µm."""
+    if scene.initial.arrangement != "ball":
+        from multicell.biology.placing import random_places  # compiled where it is asked for
 
-    In a growing population with cycle time T ages have the density 2 ln2 / T 2^(-a/T), more
-    young cells than old ones (Powell, J. gen. Microbiol. 15 (1956) 492).
-    """
-    if scene.initial.stage == "birth":
-        return np.zeros(len(ids))
-    u = random.uniform(scene.seed, Purpose.STAGE, 0, ids)[:, 0]
-    return u if scene.initial.stage == "uniform" else -np.log2(1.0 - 0.5 * u)
-
-
-def _positions(scene: Scene, ids: NDArray[np.int64], diameter: float) -> FloatArray:
-    """Return the starting positions (n, 3), µm, of cells of a mean ``diameter`` in µm."""
+        return random_places(scene, ids, radius)
+    diameter = 2.0 * float(radius.mean())
     flat = scene.dimensions == 2
     packed = packed_disc if flat else packed_ball
     position = packed(len(ids)) * (scene.initial.spacing * diameter)

@@ -18,6 +18,7 @@ import click
 from multicell import __version__
 from multicell.cli.compare import compare, stability
 from multicell.cli.fit import fit
+from multicell.cli.importing import importing
 from multicell.cli.movie import movie
 from multicell.cli.options import (
     as_json_option,
@@ -102,18 +103,26 @@ def _simulating(command: Callable[..., None]) -> Callable[..., None]:
 @click.argument("scene")
 @output_option("Folder for the results; it must be empty or new.")
 @click.option("--seed", type=click.IntRange(min=0), help="Of the random numbers.")
+@click.option(
+    "--cells",
+    metavar="FILE",
+    help="Cells to start with, a CSV or Parquet table (--set initial.cells=FILE).",
+)
 @_simulating
 def run(
     scene: str,
     output: Path,
     seed: int | None,
+    cells: str | None,
     law: str | None,
     changes: Sequence[str],
     integrator: str | None,
     **options: Any,
 ) -> None:
     """Run a SCENE and write frames, summary, pictures and a report to a folder."""
-    described = scene_of(scene, changes, law)
+    described = scene_of(
+        scene, changes if cells is None else [f"initial.cells={cells}", *changes], law
+    )
     if seed is not None:
         described = described.with_changes({"seed": seed})
     # loaded after the scene was accepted: bad input is answered at once
@@ -200,6 +209,7 @@ def export(
 
 for added in (scenes, init, schema, plot, view, movie, compare, stability, study, sensitivity, fit):
     main.add_command(added)
+main.add_command(importing)
 
 
 def _simulate(

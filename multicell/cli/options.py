@@ -24,10 +24,25 @@ _DEEPEST = 20
 """Tables and lists of a scene stand at most five deep."""
 
 as_json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
+
+
+def with_values(
+    _: click.Context, parameter: click.Parameter, items: Sequence[str]
+) -> Sequence[str]:
+    """Refuse ``KEY VALUE`` in place of ``KEY=VALUE``, before the value is taken for an argument."""
+    for item in items:
+        if "=" not in item:
+            said = f"'{item}' is not {parameter.metavar}"
+            how = f"write the value without a space, as {parameter.opts[0]} {item}='…'"
+            raise click.BadParameter(f"{said}: {how}")
+    return items
+
+
 changes_option = click.option(
     "--set",
     "changes",
     multiple=True,
+    callback=with_values,
     metavar="KEY=VALUE",
     help="Change one value of the scene, for example --set duration='8 d' or "
     "--set nutrients.oxygen.boundary='0.07 mM'. An empty value removes an optional part "

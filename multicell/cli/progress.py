@@ -6,6 +6,7 @@ All of it goes to stderr; stdout belongs to results.
 from __future__ import annotations
 
 import math
+import os
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -13,6 +14,7 @@ from contextlib import contextmanager
 from typing import IO, TYPE_CHECKING, Any, Final, cast, final
 
 from multicell.cli.remaining import Remaining, in_words
+from multicell.report.wording import time_unit
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -30,13 +32,23 @@ def reporter(scene: Scene, *, show: bool = True) -> Iterator[Progress | None]:
     if not show:
         yield None
         return
+    console = on_stderr()
+    with _bar(scene, console) if console.is_terminal else _lines(scene, console) as progress:
+        yield progress
+
+
+def on_stderr() -> Console:
+    """Return the console that progress is told on; the cell of a notebook is no terminal.
+
+    IPython runs commands in a terminal of its own, but adds up what a terminal would redraw.
+    """
     from rich.console import Console
 
     from multicell.cli.process import Faltering
 
-    console = Console(file=cast(IO[str], Faltering(sys.stderr)), highlight=False)
-    with _bar(scene, console) if console.is_terminal else _lines(scene, console) as progress:
-        yield progress
+    stream = cast(IO[str], Faltering(sys.stderr))
+    notebook = "JPY_PARENT_PID" in os.environ
+    return Console(file=stream, highlight=False, force_terminal=False if notebook else None)
 
 
 @contextmanager
@@ -45,12 +57,9 @@ def counted(what: str, *, show: bool = True) -> Iterator[Callable[[int, int], No
 
     A bar in a terminal; elsewhere nothing, since such work is short.
     """
-    from rich.console import Console
     from rich.progress import Progress as Bar
 
-    from multicell.cli.process import Faltering
-
-    console = Console(file=cast(IO[str], Faltering(sys.stderr)), highlight=False)
+    console = on_stderr()
     if not show or not console.is_terminal:
         yield None
         return
@@ -63,8 +72,7 @@ def status(simulation: Any, wall: float, left: float | None = None) -> str:
     """Return time, cells, step, speed and time left in words, ``wall`` s after the start."""
     speed = simulation.time / 3600.0 / wall if wall > 0.0 else 0.0
     n = len(simulation.cells)
-    days = simulation.scene.duration >= 3.0 * 86400.0
-    unit, size = ("d", 86400.0) if days else ("h", 3600.0)
+    unit, size = time_unit(simulation.scene.duration)
     ahead = "" if left is None else f" · about {in_words(left)} left"
     return (
         f"{simulation.time / size:.2f} of {simulation.scene.duration / size:.2f} {unit} · "

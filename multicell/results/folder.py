@@ -17,9 +17,11 @@ from filelock import FileLock, Timeout
 
 from multicell import __version__
 from multicell.errors import OutputError
+from multicell.scene.start_table import COPIES
 
 FILES: Final = (
     "scene.toml",
+    *COPIES,
     "frames.h5",
     "summary.json",
     "report.html",

@@ -145,6 +145,10 @@ class Progress:
         What chooses the next coupling step, where that is not fixed.
     grids : nutrient -> name -> float
         What is known of grids that the run chooses or changes by itself.
+    driven : table of the scene -> identities
+        Cells that are driven from outside, where a table named them at the start.
+    springs : name -> numbers
+        Springs between cells: tables, identities and lengths at rest.
     """
 
     next_id: int
@@ -160,6 +164,8 @@ class Progress:
     splitting: float | None = None
     pace: Mapping[str, float] | None = None
     grids: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    driven: Mapping[str, list[int]] = field(default_factory=dict)
+    springs: Mapping[str, list[float]] = field(default_factory=dict)
 
 
 @final

@@ -105,7 +105,8 @@ class Contents:
                     f"'{beside}' does not belong to the {hdf5.NAME} beside it: one of them is from "
                     "another run"
                 )
-        raise OutputError(f"there are no results in '{self.folder}': {hdf5.NAME} is missing")
+        lacking = f"{hdf5.NAME} is missing" if self.folder.is_dir() else "there is no such folder"
+        raise OutputError(f"there are no results in '{self.folder}': {lacking}")
 
     def _follow_file(self, file: hdf5.File) -> None:
         self.scene, self.nutrients, self.columns = file.scene, file.nutrients, file.columns

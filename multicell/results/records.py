@@ -41,6 +41,9 @@ FIELD: Final[Mapping[str, FieldArray]] = {
     "radial": FieldArray("|i1", 0, "", 0),
 }
 
+_OF_PARTS: Final = ("driven", "springs")
+"""Entries of a progress that only runs of scenes with such parts have."""
+
 _DEEPEST: Final = 32
 
 
@@ -61,7 +64,7 @@ def arrays_of(frame: Frame, nutrients: Iterable[str]) -> Arrays:
     for name, values in frame.concentrations.items():
         if len(values) != len(frame.cells):
             raise ValueError(f"{len(values)} values of {name} for {len(frame.cells)} cells")
-    text = b"" if frame.progress is None else json.dumps(asdict(frame.progress)).encode()
+    text = b"" if frame.progress is None else json.dumps(_noted(frame.progress)).encode()
     arrays = {"time": np.array(frame.time, "<f8"), "step": np.array(frame.step, "<i8")}
     arrays |= {f"cells/{name}": column for name, column in frame.cells.columns()}
     for name in names:
@@ -73,6 +76,12 @@ def arrays_of(frame: Frame, nutrients: Iterable[str]) -> Arrays:
     arrays["contacts/pair"] = np.asarray(frame.contacts, "<i8").reshape(-1, 2)
     arrays["progress/text"] = np.frombuffer(text, "|u1")
     return arrays
+
+
+def _noted(progress: Progress) -> dict[str, Any]:
+    """Return the entries of a progress but those of parts that the scene does not have."""
+    entries = asdict(progress)
+    return {name: x for name, x in entries.items() if x or name not in _OF_PARTS}
 
 
 def _of_field(field: Field) -> Arrays:
@@ -165,7 +174,7 @@ def progress_of(text: bytes, nutrients: Iterable[str]) -> Progress | None:
         return None
     entries = parse_table(text)
     expected = {spec.name for spec in fields(Progress)}
-    if set(entries) != expected:
+    if not expected - set(_OF_PARTS) <= set(entries) <= expected:
         raise OutputError(f"its progress has other entries: {sorted(set(entries) ^ expected)}")
     known = set(nutrients)
     checks: dict[str, Callable[[Any], bool]] = {
@@ -178,9 +187,11 @@ def progress_of(text: bytes, nutrients: Iterable[str]) -> Progress | None:
         "ledger": lambda value: _of_nutrients(value, known),
         "rates": lambda value: _of_nutrients(value, known),
         "grids": lambda value: _of_nutrients(value, known),
+        "driven": _are_identities,
+        "springs": _are_springs,
     }
     for name, fits in checks.items():
-        if not fits(entries[name]):
+        if name in entries and not fits(entries[name]):
             raise OutputError(f"its progress has no usable {name}")
     return Progress(**entries)
 
@@ -195,6 +206,21 @@ def _is_number(value: Any) -> bool:
 
 def _are_numbers(value: Any) -> bool:
     return isinstance(value, dict) and all(map(_is_number, value.values()))
+
+
+def _are_identities(value: Any) -> bool:
+    inside = isinstance(value, dict) and all(isinstance(ids, list) for ids in value.values())
+    return inside and all(_is_count(x) for ids in value.values() for x in ids)
+
+
+def _are_springs(value: Any) -> bool:
+    if not isinstance(value, dict) or set(value) != {"table", "pair", "rest"}:
+        return False
+    if not all(isinstance(numbers, list) for numbers in value.values()):
+        return False
+    table, pair, rest = (value[name] for name in ("table", "pair", "rest"))
+    fits = 2 * len(table) == len(pair) == 2 * len(rest) and all(map(_is_number, rest))
+    return fits and all(_is_count(x) for x in (*table, *pair))
 
 
 def _of_nutrients(value: Any, known: set[str]) -> bool:

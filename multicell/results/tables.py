@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from multicell.cells import Cells, Phase, State
 from multicell.extras import needs
 from multicell.results.quantities import unit_of
+from multicell.tables.titles import titled
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -25,7 +26,6 @@ NAMED: Final[Mapping[str, list[str]]] = {
     "phase": [p.name for p in sorted(Phase)],
 }
 OF_PHASES = ("phase", "progress", "phase_length")
-_IN_NAMES = str.maketrans({"^": "", "/": "_per_", " ": "_"})
 
 
 def cells_table(
@@ -77,8 +77,3 @@ def data_frame(table: Mapping[str, NDArray[Any]]) -> DataFrame:
 
 def _axes(width: int) -> Sequence[str]:
     return _AXES if width == len(_AXES) else [str(k) for k in range(width)]
-
-
-def titled(name: str, unit: str) -> str:
-    """Return the title of a column: its name, and its unit where it has one."""
-    return f"{name}_{unit.translate(_IN_NAMES)}" if unit else name

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from multicell.cells import Cells
 from multicell.extras import needs
 from multicell.results.quantities import unit_of
-from multicell.results.tables import NAMED, titled
+from multicell.results.tables import NAMED
+from multicell.tables.titles import titled
 
 if TYPE_CHECKING:
     from pyvista import MultiBlock, PolyData

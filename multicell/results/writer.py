@@ -71,11 +71,14 @@ from multicell.results.journal import Journal
 from multicell.results.lineage import COLUMNS, Lineage
 from multicell.results.reader import Contents
 from multicell.results.records import Arrays, arrays_of, log_arrays
+from multicell.results.start_copy import with_copy
+from multicell.scene.start_table import COPIES
 
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 
+_OF_THE_START: Final = ("scene.toml", *COPIES)
 _HISTORY_EVERY: Final = 1.0  # s of the wall clock
 
 
@@ -125,8 +128,12 @@ class Store:
         with ExitStack() as stack:
             stack.enter_context(locked(folder))
             make_folder(folder, overwrite=overwrite)  # another run may have come first
-            remove(folder, (*PASSING, *FILES))
-            text = scene.to_toml(versions())
+            # a table of cells may be one of the files that are removed
+            scene = with_copy(scene, folder)
+            table = scene.initial.cells
+            kept = "" if table is None else Path(table.file).name
+            remove(folder, (name for name in (*PASSING, *FILES) if name != kept))
+            text = scene.to_toml(versions(), beside=folder)
             write_text(folder / "scene.toml", text)
             names = tuple(scene.nutrients)
             journal = Journal.create(folder, _opening(text, names, "", 0, 0))
@@ -153,7 +160,7 @@ class Store:
         """
         folder, names = contents.folder, contents.nutrients
         lineage = contents.lineage(place)
-        text = scene.to_toml(versions())
+        text = scene.to_toml(versions(), beside=folder)
         # beside its place, until the journal says that this is the scene from now on
         part = folder / "scene.toml.next"
         write_text(part, text)
@@ -170,7 +177,7 @@ class Store:
                 journal.sync()
             with file_errors("write", folder / "scene.toml"):
                 part.replace(folder / "scene.toml")
-            remove(folder, [name for name in FILES if name not in ("scene.toml", hdf5.NAME)])
+            remove(folder, [name for name in FILES if name not in (*_OF_THE_START, hdf5.NAME)])
             store = cls(folder, journal, names, stack.pop_all())
         store._frames, store._rows = place + 1, rows
         store._columns, store._logged = contents.columns, lineage.counts()

@@ -57,6 +57,25 @@ def check_integrator(scene: Scene) -> None:
         raise SceneError("integrator.method", *refused)
 
 
+def check_motility(scene: Scene) -> None:
+    """Raise ``SceneError`` for a bias along what the scene does not have."""
+    law = scene.motility
+    if law is None:
+        return
+    if law.towards and law.towards not in scene.nutrients:
+        problem = f"is {law.towards!r}, which is not {_FIELD}"
+        raise SceneError("motility.towards", problem, near_miss(law.towards, scene.nutrients))
+    if scene.dimensions == 2 and law.direction is not None and law.direction[2] != 0.0:
+        problem = "points out of the plane of a scene of 2 dimensions"
+        raise SceneError("motility.direction", problem)
+
+
+def followed(scene: Scene) -> tuple[str, ...]:
+    """Return the fields whose gradients cells follow, in the order of the scene."""
+    biased = "" if scene.motility is None else scene.motility.towards
+    return tuple(name for name in scene.nutrients if name in scene.chemotaxis or name == biased)
+
+
 def check_output(scene: Scene) -> None:
     """Raise ``SceneError`` for a record of something that the scene does not have."""
     if scene.output.instability and scene.friction is not None:

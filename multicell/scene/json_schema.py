@@ -110,7 +110,9 @@ def _one_table(spec: Parameter, parts: dict[str, Schema]) -> Schema:
     whole = _reference(spec.table, parts)
     if not spec.shorthand:
         return whole
-    return {"anyOf": [whole, {"enum": list(specs(spec.table)[spec.shorthand].options)}]}
+    short = specs(spec.table)[spec.shorthand]
+    names = {"enum": list(short.options)} if short.options else _KINDS[short.kind](short, parts)
+    return {"anyOf": [whole, names]}
 
 
 def _tables(spec: Parameter, parts: dict[str, Schema]) -> Schema:
@@ -163,10 +165,25 @@ _KINDS: Final[Mapping[str, Callable[[Parameter, dict[str, Schema]], Schema]]] = 
     "count": lambda spec, _: _number(spec.bounds, "integer"),
     "choice": lambda spec, _: _choice(spec),
     "text": lambda spec, _: {"type": "string", "pattern": r"^[^\n\r\t]*$"},
+    "file_path": lambda spec, _: {"type": "string", "minLength": 1},
     "flag": lambda spec, _: {"type": "boolean"},
     "names": lambda spec, _: {"type": "array", "items": {"enum": list(spec.options)}},
     "interval": lambda spec, _: {
         "type": "array", "items": _amount(spec.unit, spec.bounds), "minItems": 2, "maxItems": 2,
+    },
+    "vector": lambda spec, _: {
+        "type": "array", "items": _amount(spec.unit, spec.bounds), "minItems": 2, "maxItems": 3,
+    },
+    "whole_numbers": lambda spec, _: {
+        "type": "array", "items": {"type": "integer", "minimum": 0}, "minItems": 1,
+        "uniqueItems": True,
+    },
+    "joined": lambda spec, _: {
+        "type": "array", "minItems": 1, "uniqueItems": True,
+        "items": {
+            "type": "array", "items": {"type": "integer", "minimum": 0}, "minItems": 2,
+            "maxItems": 2,
+        },
     },
     "course": lambda spec, _: _course(spec),
     "schedule": lambda spec, _: _curve(_amount("s"), _amount(spec.unit, spec.bounds)),

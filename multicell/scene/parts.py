@@ -24,29 +24,9 @@ from multicell.schema import (
     quantity,
     responses,
     tables,
+    text,
+    vector,
 )
-
-
-@final
-@parameters
-class Initial:
-    """The cells at the start."""
-
-    count: int = count(
-        default=1, at_least=1, at_most=10**8, doc="number of cells", hint="A million is a lot."
-    )
-    arrangement: str = choice(
-        ["ball"], default="ball", doc="hexagonal close packing that is cut to a ball"
-    )
-    spacing: float = number(default=1.0, above=0, doc="centre distance / mean diameter")
-    jitter: float = number(
-        default=0.0, at_least=0, doc="standard deviation of a random shift / mean diameter"
-    )
-    stage: str = choice(
-        ["birth", "uniform", "asynchronous"],
-        default="birth",
-        doc="of the cycle: all at birth, spread uniformly, or as in a growing population",
-    )
 
 
 @final
@@ -135,10 +115,18 @@ class PhaseLength:
             raise SceneError("variation", f"is {self.variation:g}, must be at most 0.5", hint)
 
 
+GROWTH_LAWS = ("linear", "exponential", "relaxation", "logistic", "gompertz")
+"""Names of the laws by which volumes grow."""
+
+
 @final
 @parameters
 class Growth:
-    """Growth and division: the volume doubles, linearly in time, in one cycle.
+    """Growth and division: the volume doubles in one cycle, by a law of growth.
+
+    With T the cycle time, V_b and V_d the volumes at birth and at division, and K = ``target`` V_d:
+    linear V' = V_b / T; exponential V' = r V; and laws that saturate, relaxation V' = r (K - V),
+    logistic V' = r V (1 - V/K), gompertz V' = r V ln(K/V). The rate r follows from T.
 
     Without ``phases`` a cell divides at the division volume. With them it passes G1, S, G2 and M
     and divides at the end of M; the volume doubles in the phases in which it grows, and there
@@ -147,6 +135,14 @@ class Growth:
 
     cycle_time: float = quantity(
         "s", default=54000.0, above=0, doc="mean shortest cycle time; not used with phases"
+    )
+    law: str = choice(GROWTH_LAWS, default="linear", doc="how the volume grows in time")
+    target: float | None = number(
+        default=None,
+        above=1,
+        at_most=1000,
+        doc="volume that a law which saturates goes to / division volume",
+        hint="A cell never reaches the division volume otherwise.",
     )
     phases: Mapping[str, PhaseLength] = tables(
         PhaseLength, names=PHASES, default_factory=Tables, doc="absent: volume triggers division"
@@ -167,7 +163,13 @@ class Growth:
     )
 
     def check(self) -> None:
-        """Raise ``SceneError`` for phases that make no cycle."""
+        """Raise ``SceneError`` for phases that make no cycle, and for a law without a target."""
+        saturates = self.law in ("relaxation", "logistic", "gompertz")
+        if saturates and self.target is None:
+            hint = "For example target = 1.2; it must be above 1, so that cells come to divide."
+            raise SceneError("target", f"is missing: growth by the law {self.law!r} has one", hint)
+        if self.target is not None and not saturates:
+            raise SceneError("target", f"has no effect: the law is {self.law!r}")
         if not self.phases:
             if self.division == "smooth":
                 hint = "Daughters part during M: give the phases of the cycle."
@@ -368,7 +370,7 @@ class Pull:
 @final
 @parameters
 class Chemotaxis:
-    """A force along the gradient of a field: force · ∇c / (|∇c| + half), of every living cell."""
+    """A force along the gradient of a field: ``force · ∇c / (|∇c| + half)``, of living cells."""
 
     force: float = quantity("nN", default=0.1, doc="in a steep gradient; negative: down it")
     half: float = quantity("mM/um", default=1e-4, above=0, doc="gradient of half the force")
@@ -393,12 +395,39 @@ class Haptotaxis:
 @final
 @parameters
 class Motility:
-    """Persistent random motion: a constant force whose direction is drawn anew at intervals."""
+    """Persistent random motion: a constant force whose direction is drawn anew at intervals.
+
+    With a bias b its direction is that of ``b u + (1 - |b|) e``: e is drawn at random, u is the
+    fixed ``direction``, or that of the gradient of the field ``towards`` where the cell is.
+    """
 
     force: float = quantity("nN", default=0.1, at_least=0, doc="of every living cell")
     persistence: float = quantity(
         "s", default=600.0, above=0, doc="polarisation time, between two changes of direction"
     )
+    renewal: str = choice(
+        ["regular", "random"],
+        default="regular",
+        doc="each polarisation time, or at random moments (Poisson) with that mean between them",
+    )
+    bias: float = number(
+        default=0.0, at_least=-1, at_most=1, doc="b; 0: random, 1: always along u, negative: away"
+    )
+    direction: tuple[float, float, float] | None = vector(
+        "", default=None, doc="that a bias is along, of any length"
+    )
+    towards: str = text(default="", doc="name of the field whose gradient a bias is along")
+
+    def check(self) -> None:
+        """Raise ``SceneError`` for a bias along nothing, and for a way without a bias."""
+        given = [name for name in ("direction", "towards") if getattr(self, name)]
+        if self.bias and len(given) != 1:
+            problem = "needs a direction, or a field that it is towards; not both"
+            raise SceneError("bias", problem, "For example direction = [1, 0, 0].")
+        if given and not self.bias:
+            raise SceneError(given[0], "has no effect: motility.bias is 0")
+        if self.direction is not None and not any(self.direction):
+            raise SceneError("direction", "is zero, must point somewhere")
 
 
 @final

@@ -60,6 +60,9 @@ def _numbers(value: Any, spec: Parameter) -> Iterator[tuple[float, str, Bounds |
         return
     if spec.kind in ("quantity", "quantity_or_name", "number", "quantities"):
         yield value, spec.unit, spec.bounds
+    elif spec.kind == "vector":
+        for part in value:
+            yield part, spec.unit, spec.bounds
     elif spec.kind in ("course", "schedule", "responses"):
         first, second = (spec.unit, "") if spec.kind == "responses" else ("s", spec.unit)
         for x, y in value:

@@ -20,10 +20,19 @@ from multicell.contact.law import PairLaw
 from multicell.contact.registry import LAWS
 from multicell.errors import SceneError
 from multicell.plugins import OWN_OBJECT
-from multicell.scene.checks import check_integrator, check_nutrients, check_output, check_types
+from multicell.scene.arrangement import check_arrangement
+from multicell.scene.checks import (
+    check_integrator,
+    check_motility,
+    check_nutrients,
+    check_output,
+    check_types,
+)
 from multicell.scene.coupling import AUTO, USUAL
 from multicell.scene.domain import check_domain
+from multicell.scene.driven import Force, PrescribedMotion, check_driven
 from multicell.scene.energy import Energy, check_energy
+from multicell.scene.initial import Initial
 from multicell.scene.nutrient import Nutrient
 from multicell.scene.oxygen import in_concentrations
 from multicell.scene.parts import (
@@ -37,7 +46,6 @@ from multicell.scene.parts import (
     Friction,
     Growth,
     Haptotaxis,
-    Initial,
     IntegratorOptions,
     Motility,
     OutputOptions,
@@ -45,6 +53,7 @@ from multicell.scene.parts import (
 )
 from multicell.scene.ranges import check_sizes
 from multicell.scene.reactions import Reaction
+from multicell.scene.springs import Springs, check_springs, placed_pairs
 from multicell.schema import (
     Tables,
     build,
@@ -89,6 +98,10 @@ class Scene:
         The parts that each scene has.
     growth, death, adhesion, friction, motility, pull, domain, energy
         None where the scene has no such part.
+    forces, motions : mapping of name to Force or PrescribedMotion, read-only
+        What drives named cells from outside.
+    springs : mapping of name to Springs, read-only
+        Springs between given pairs of cells.
     types : mapping of name to CellType, read-only
         Empty where all cells are alike.
     nutrients : mapping of name to Nutrient, read-only
@@ -133,6 +146,15 @@ class Scene:
     )
     haptotaxis: Haptotaxis | None = table(Haptotaxis, default=None, doc="absent: even ground")
     pull: Pull | None = table(Pull, default=None, doc="absent: no external force")
+    forces: Mapping[str, Force] = tables(
+        Force, default_factory=Tables, doc="from outside, on named cells; absent: none"
+    )
+    motions: Mapping[str, PrescribedMotion] = tables(
+        PrescribedMotion, default_factory=Tables, doc="of named cells; absent: all move freely"
+    )
+    springs: Mapping[str, Springs] = tables(
+        Springs, default_factory=Tables, doc="between given pairs; absent: none"
+    )
     domain: Domain | None = table(Domain, default=None, doc="absent: fields follow the cells")
     nutrients: Mapping[str, Nutrient] = tables(
         Nutrient,
@@ -152,15 +174,23 @@ class Scene:
     def check(self) -> None:
         """Raise ``SceneError`` for parts that do not fit together."""
         check_sizes(self)
+        if self.initial.cells is not None and self.initial.cells.at_hand:
+            from multicell.scene.start_checks import check_start_table
+
+            check_start_table(self)
         check_types(self)
         check_integrator(self)
         check_output(self)
+        check_motility(self)
         smallest = 0.5 ** (1.0 / 3.0) * self.cells.division_radius
         smoothing = getattr(self.contact, "smoothing", 0.0)
         if smoothing > smallest:
             problem = f"is {smoothing:g} um, must be at most the birth radius {smallest:g} um"
             raise SceneError("contact.smoothing", problem, "0 turns it off.")
         check_domain(self)
+        check_arrangement(self)
+        check_driven(self)
+        check_springs(self)
         check_nutrients(self)
         check_energy(self)
         if self.reactions:
@@ -207,21 +237,28 @@ class Scene:
             _change(entries, key, value)
         return build(type(self), entries)
 
-    def to_toml(self, extra: Mapping[str, Any] | None = None) -> str:
+    def to_toml(self, extra: Mapping[str, Any] | None = None, *, beside: Path | None = None) -> str:
         """Return the scene as a TOML file that :func:`load_scene` reads back exactly.
 
         Parameters
         ----------
         extra
             Facts for the header, such as the versions of packages; one comment line each.
+        beside
+            Folder of the file: a table of the cells at the start that is there too is named without
+            its folder.
         """
         import tomli_w
+
+        entries = self.to_dict()
+        if beside is not None and self.initial.cells is not None:
+            entries["initial"]["cells"]["file"] = self.initial.cells.copied(beside)
 
         facts = {"units": BASE_UNITS, "seed": self.seed, **(extra or {})}
         header = [f"# {name}: {value}" for name, value in facts.items()]
         lines = [" ".join(line.split()) for line in ["# A scene of multicell", *header]]
         safe = [line.encode("ascii", "backslashreplace").decode() for line in lines]
-        return "\n".join([*safe, _with_units(self, tomli_w.dumps(self.to_dict()))])
+        return "\n".join([*safe, with_units(self, tomli_w.dumps(entries))])
 
 
 def scene_names() -> list[str]:
@@ -267,7 +304,15 @@ def load_scene(source: str | Path) -> Scene:
         raise SceneError("", f"{str(source)!r} is nested too deeply") from None
     except ValueError as error:  # tomllib's own error, and integers of thousands of digits
         raise SceneError("", f"{str(source)!r} is not valid TOML: {error}") from None
-    return Scene.from_dict(entries)
+    return Scene.from_dict(beside(entries, source))
+
+
+def beside(entries: dict[str, Any], source: str | Path) -> dict[str, Any]:
+    """Return the entries of a scene file with paths that count from its folder made whole."""
+    from multicell.scene.start_table import placed
+
+    folder = Path(os.path.expanduser(source)).parent
+    return placed_pairs(placed(entries, folder), folder)
 
 
 def _read(source: str | Path) -> str:
@@ -334,6 +379,11 @@ def _change(entries: dict[str, Any], key: str, value: Any) -> None:
             node[last] = deepcopy(value)  # a later key may write into it
         except RecursionError:
             raise SceneError(key, "is nested too deeply") from None
+    if key in ("initial.cells", "initial.cells.file") and value is not None:
+        # the new table says how many cells there are, and where
+        table = node[last] if key == "initial.cells" else {"file": node[last]}
+        stage = {k: v for k, v in entries["initial"].items() if k == "stage"}
+        entries["initial"] = {"cells": table, **stage}
     if key == "contact.law" and isinstance(value, str) and value in LAWS:
         allowed = {"law", *specs(LAWS[value])}
         entries["contact"] = {k: v for k, v in node.items() if k in allowed}
@@ -342,7 +392,7 @@ def _change(entries: dict[str, Any], key: str, value: Any) -> None:
 _KEY = re.compile(r'("(?:[^"\\]|\\.)*"|[\w-]+) = ')
 
 
-def _with_units(scene: Scene, toml: str) -> str:
+def with_units(scene: Scene, toml: str) -> str:
     """Return TOML text with the unit of each quantity as a comment behind it."""
     import tomllib
 

@@ -21,6 +21,6 @@ def typical_radius(scene: Scene) -> float:
 
     Where all cells are as at birth and none grows, it is the birth radius.
     """
-    if scene.growth is None and scene.initial.stage == "birth":
+    if scene.growth is None and scene.initial.stage == "birth" and scene.initial.cells is None:
         return birth_radius(scene)
     return math.sqrt(birth_radius(scene) * scene.cells.division_radius)

@@ -17,8 +17,10 @@ from multicell.schema.declarations import (
     choice,
     count,
     course,
+    file_path,
     flag,
     interval,
+    joined,
     names,
     number,
     parameters,
@@ -32,6 +34,9 @@ from multicell.schema.declarations import (
     tables,
     text,
     variant,
+    vector,
+    whole,
+    whole_numbers,
 )
 from multicell.schema.part import (
     Parameter,
@@ -45,8 +50,8 @@ from multicell.schema.part import (
 )
 
 __all__ = [
-    "Bounds", "Parameter", "Tables", "build", "choice", "chosen", "count", "course", "flag",
-    "interval", "leaves", "names", "near_miss", "number", "parameters", "plain", "quantities",
-    "quantity", "quantity_or_name", "rate_constant", "responses", "schedule", "specs", "table",
-    "tables", "text", "variant",
+    "Bounds", "Parameter", "Tables", "build", "choice", "chosen", "count", "course", "file_path",
+    "flag", "interval", "joined", "leaves", "names", "near_miss", "number", "parameters", "plain",
+    "quantities", "quantity", "quantity_or_name", "rate_constant", "responses", "schedule",
+    "specs", "table", "tables", "text", "variant", "vector", "whole", "whole_numbers",
 ]  # fmt: skip

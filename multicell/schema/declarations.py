@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, dataclass, fields
 from numbers import Integral
@@ -167,6 +168,18 @@ def text(*, default: Any = MISSING, doc: str = "") -> Any:
     return declared("text", convert, default, doc=doc)
 
 
+def file_path(*, doc: str = "") -> Any:
+    """Declare the path of a file; a relative one counts from the folder that this process is in."""
+
+    def convert(value: object, path: str) -> str:
+        given = os.fspath(value) if isinstance(value, os.PathLike) else value
+        if not isinstance(given, str) or not given.isprintable():
+            raise SceneError(path, f"is {shown(value)}, must be the path of a file")
+        return os.path.abspath(os.path.expanduser(given)) if given else ""
+
+    return declared("file_path", convert, MISSING, doc=doc)
+
+
 def flag(*, default: Any = MISSING, doc: str = "") -> Any:
     """Declare a yes or no."""
 
@@ -213,6 +226,83 @@ def interval(
         "interval", convert, None, plain=list, unit=unit, bounds=bounds, doc=doc,
         allowed=f"two quantities: {bounds.words(unit)}",
     )  # fmt: skip
+
+
+def vector(
+    unit: str,
+    *,
+    default: Any = MISSING,
+    at_least: float | None = None,
+    at_most: float | None = None,
+    doc: str = "",
+) -> Any:
+    """Declare a vector of quantities along x, y and z; stored as a tuple of three.
+
+    Of two quantities the third is zero, as it must be in two dimensions.
+    """
+    bounds = Bounds(at_least=at_least, at_most=at_most)
+    read, kind = reader(unit, bounds), "quantities" if unit else "numbers"
+
+    def convert(value: object, path: str) -> tuple[float, float, float]:
+        if not isinstance(value, list | tuple) or len(value) not in (2, 3):
+            hint = f"For example ['1 {unit}', 0, 0]." if unit else "For example [1, 0, 0]."
+            raise SceneError(path, f"is {shown(value)}, must be a list of three {kind}", hint)
+        x, y, z = (*(read(part, path) for part in value), 0.0)[:3]
+        return x, y, z
+
+    return declared(
+        "vector", convert, default, plain=list, unit=unit, bounds=bounds, doc=doc,
+        allowed=f"three {kind}, along x, y and z",
+    )  # fmt: skip
+
+
+def whole_numbers(*, doc: str = "") -> Any:
+    """Declare an optional list of different whole numbers from zero on; stored as a tuple."""
+
+    def convert(value: object, path: str) -> tuple[int, ...]:
+        if not isinstance(value, list | tuple) or not value:
+            hint = "For example [0, 7]."
+            raise SceneError(path, f"is {shown(value)}, must be a list of whole numbers", hint)
+        found = tuple(whole(entry, path) for entry in value)
+        if len(set(found)) < len(found):
+            raise SceneError(path, "names a number twice")
+        return found
+
+    return declared(
+        "whole_numbers", convert, None, plain=list, doc=doc, allowed="whole numbers, none twice"
+    )
+
+
+def joined(*, doc: str = "") -> Any:
+    """Declare an optional list of pairs of different whole numbers; stored with the smaller first.
+
+    No pair stands there twice, in either order.
+    """
+
+    def convert(value: object, path: str) -> tuple[tuple[int, int], ...]:
+        found = list(value) if isinstance(value, list | tuple) else []
+        if not found or not all(isinstance(p, list | tuple) and len(p) == 2 for p in found):
+            hint = "For example [[0, 1], [1, 2]]."
+            raise SceneError(path, f"is {shown(value)}, must be a list of pairs", hint)
+        pairs = []
+        for i, j in found:
+            first, second = sorted((whole(i, path), whole(j, path)))
+            if first == second:
+                raise SceneError(path, f"joins {first} to itself")
+            pairs.append((first, second))
+        if len(set(pairs)) < len(pairs):
+            raise SceneError(path, "holds a pair twice")
+        return tuple(pairs)
+
+    return declared("joined", convert, None, plain=lists, doc=doc, allowed="pairs of numbers")
+
+
+def whole(value: object, path: str) -> int:
+    """Return a whole number from zero on that fits into 64 bits."""
+    number = int(value) if isinstance(value, Integral) and not isinstance(value, bool) else -1
+    if not 0 <= number < 2**63:
+        raise SceneError(path, f"holds {shown(value)}, must hold whole numbers from 0 on")
+    return number
 
 
 def course(*, default: float, at_least: float | None = None, doc: str = "") -> Any:
@@ -393,8 +483,9 @@ def tables(
     frozen_default=True,
     kw_only_default=True,
     field_specifiers=(
-        quantity, quantity_or_name, rate_constant, number, count, choice, text, flag, names,
-        interval, course, schedule, responses, quantities, table, variant, tables,
+        quantity, quantity_or_name, rate_constant, number, count, choice, text, file_path, flag,
+        names, interval, vector, whole_numbers, joined, course, schedule, responses, quantities,
+        table, variant, tables,
     ),
 )  # fmt: skip
 def parameters(cls: type[T]) -> type[T]:

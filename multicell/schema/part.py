@@ -13,6 +13,9 @@ from multicell.units import shown
 
 T = TypeVar("T")
 
+_LISTED = 220
+"""Letters of all names together that an error lists."""
+
 
 V = TypeVar("V")
 
@@ -190,8 +193,17 @@ def near_miss(name: str, options: Iterable[str], *, listed: bool = True) -> str:
     near = difflib.get_close_matches(str(name).lower(), names, n=1, cutoff=0.6)
     parts = [f"Did you mean '{names[near[0]]}'?"] if near else []
     if listed:
-        parts.append(f"Allowed: {', '.join(names.values()) or 'no keys at all'}")
+        parts.append(f"Allowed: {_listed(list(names.values()))}")
     return " ".join(parts)
+
+
+def _listed(names: list[str]) -> str:
+    """Return names as one text; of very many the first ones and how many there are besides."""
+    text = ", ".join(names)
+    if len(text) <= _LISTED:
+        return text or "no keys at all"
+    shown = text[: text.rindex(", ", 0, _LISTED)]
+    return f"{shown} and {len(names) - shown.count(', ') - 1} more"
 
 
 def convert_fields(self: Any) -> None:

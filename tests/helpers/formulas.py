@@ -101,6 +101,16 @@ def generalised_linear(law, h, modulus, radius, rest, sigma):
     )  # fmt: skip
 
 
+def physicell(law, h, modulus, radius, rest, sigma):
+    """PhysiCell's velocities times the drag of a cell of the mean radius."""
+
+    def force(d):
+        push = modulus * law.length * np.maximum(1.0 - d / rest, 0.0) ** 2
+        return rest * (push - sigma * np.maximum(1.0 - d / (law.cutoff * rest), 0.0) ** 2)
+
+    return _spring(force, law, h, rest)
+
+
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(60)
 
 
@@ -124,6 +134,7 @@ FORMULAS = {
     "Linear": linear,
     "Cubic": cubic,
     "GeneralisedLinear": generalised_linear,
+    "PhysiCell": physicell,
 }
 
 

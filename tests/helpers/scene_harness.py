@@ -67,7 +67,7 @@ def load_case(entries):
 
 def _made(make, entries):
     """Return the scene, or the text of the error that names the place."""
-    from multicell.errors import SceneError
+    from multicell.errors import DataError, SceneError
 
     try:
         return make()
@@ -76,6 +76,10 @@ def _made(make, entries):
             raise Fault(f"path: {error.path[:80]!r} is no place in the scene: {error}") from error
         if not error.problem:
             raise Fault(f"words: no problem at {error.path!r}") from error
+        return str(error)
+    except DataError as error:  # of the table that the scene starts with
+        if not (error.place and error.problem):
+            raise Fault(f"words: nowhere, or no problem: {error}") from error
         return str(error)
 
 
@@ -175,13 +179,13 @@ def explained(scene, **options):
 
 def run_case(entries):
     """Run a scene to its end; return ``"ran"``, ``"refused"`` or the name of its failure."""
-    from multicell.errors import SceneError, StepFailed
+    from multicell.errors import DataError, SceneError, StepFailed
     from multicell.runner import run
     from multicell.scene.scene import Scene
 
     try:
         scene = Scene.from_dict(entries)
-    except SceneError:
+    except (SceneError, DataError):
         return "refused"
     explained(scene)
     with warnings.catch_warnings():

@@ -9,12 +9,16 @@ from __future__ import annotations
 
 import copy
 import datetime
+import hashlib
 import math
+import tempfile
+from pathlib import Path
 
 from hypothesis import strategies as st
 
 from multicell.cells import Phase, State
 from multicell.integrators.registry import METHODS
+from multicell.scene.arrangement import KEYS, OF_REGIONS
 from multicell.scene.nutrient import FACES
 from multicell.scene.parts import PHASES
 from multicell.scene.scene import Scene
@@ -49,6 +53,9 @@ NAMES = {
     "produces": FIELDS,
     "activated_by": FIELDS,
     "inhibited_by": FIELDS,
+    "forces": ("tug", "weight"),
+    "motions": ("base", "tip"),
+    "springs": ("net", "chain"),
 }
 """Names of the entries of the tables that have named entries."""
 
@@ -60,6 +67,7 @@ USUAL = {
     "nN": (1e-3, 1.0),
     "nN/s": (1e-5, 1e-2),
     "nN/um": (1e-3, 0.2),
+    "um/s": (1e-4, 1e-2),
     "kPa s": (0.05, 20.0),
     "kPa s/um": (1e-3, 1.0),
     "um^2/s": (10.0, 3000.0),
@@ -197,6 +205,15 @@ class Drawer:
     def _text(self, spec, field, path):
         return self.one_of(["", "A scene", 'with "quotes" \\ and # and = [x]', "é µ 🧫"])
 
+    def _file_path(self, spec, field, path):
+        # how many rows the table has that _fit_start writes
+        return self.one_of(["1", "2", "3", "8"])
+
+    def _point(self, spec, field, path):
+        least, most = USUAL[spec.unit]
+        x, y = (self.draw(st.floats(least, most)) for _ in range(2))
+        return [self.written(float(f"{x:.4g}"), spec.unit), float(f"{-y:.4g}")]
+
     def _flag(self, spec, field, path):
         return self.chance(0.5)
 
@@ -205,7 +222,8 @@ class Drawer:
 
     def _table(self, spec, field, path):
         if spec.shorthand and self.chance(0.2):
-            return self.one_of(specs(spec.table)[spec.shorthand].options)
+            short = specs(spec.table)[spec.shorthand]
+            return self.one_of(short.options or self._file_path(short, None, path))
         return self.part(spec.table, f"{path}.")
 
     def _variant(self, spec, field, path):
@@ -230,6 +248,19 @@ class Drawer:
             return [self.one_of([spec.bounds.at_least, 0.0]), spec.bounds.at_most]
         low, high = (self.draw(st.floats(least, most)) for _ in range(2))
         return [self.written(float(f"{-low:.4g}"), spec.unit), float(f"{high:.4g}")]
+
+    def _vector(self, spec, field, path):
+        low, high = USUAL[spec.unit]
+        parts = [float(f"{self.draw(st.floats(-high, high)):.4g}") for _ in range(3)]
+        parts = [part if abs(part) > low else 0.0 for part in parts]
+        parts[0] = parts[0] or high
+        return [self.written(part, spec.unit) for part in parts]
+
+    def _whole_numbers(self, spec, field, path):
+        return self.one_of([[0], [0, 1], [3, 1, 2]])
+
+    def _joined(self, spec, field, path):
+        return self.one_of([[[0, 1]], [[2, 1], [0, 1]], [[0, 3], [3, 4], [4, 0]]])
 
     def _course(self, spec, field, path):
         if self.chance(0.5):
@@ -317,7 +348,11 @@ def fitted(entries):
     fields, types = scene.get("nutrients", {}), scene.get("types", {})
     _fit_cells(scene)
     _fit_domain(scene, flat)
+    _fit_start(scene, flat)
     _fit_growth(scene)
+    _fit_driven(scene, flat)
+    _fit_springs(scene)
+    _fit_motility(scene, flat)
     _fit_types(scene, types, fields)
     _fit_reactions(scene, fields)
     for number, (name, field) in enumerate(fields.items()):
@@ -402,6 +437,158 @@ def _fit_domain(scene, flat):
         domain[axis] = [sign * unit * count for sign, count in zip((-1, 1), ends, strict=True)]
 
 
+def _fit_driven(scene, flat):
+    """Let drivers name cells that there are, and not move them far, nor two of them the same."""
+    count, types = scene.get("initial", {}).get("count", 1), scene.get("types", {})
+    drivers = [*scene.get("forces", {}).values(), *scene.get("motions", {}).values()]
+    for driver in drivers:
+        if "cells" in driver:
+            driver["cells"] = [i for i in driver["cells"] if i < count] or [0]
+        if "type" in driver and types:
+            driver["type"] = next(iter(types))
+        else:
+            driver.pop("type", None)
+        for axis in "xyz":
+            if axis in driver:
+                driver[axis] = [-1e5, "100 mm"]
+        if flat:
+            driver.pop("z", None)
+        if "end" in driver:
+            driver["begin"] = min(base(driver.get("begin", 0.0)), 1e11)
+            driver["end"] = driver["begin"] + min(base(driver["end"]), 1e11)
+        for key in {"force", "rate", "velocity"} & driver.keys():
+            driver[key] = [base(part) for part in driver[key]]
+            driver[key][2] *= not flat
+    if scene.get("types") and any("type" in driver for driver in drivers):
+        # with a region or identities besides it might name no cell
+        for driver in drivers:
+            if "type" in driver:
+                for key in ("cells", *"xyz"):
+                    driver.pop(key, None)
+    for force in scene.get("forces", {}).values():
+        if "rate" not in force:
+            force.setdefault("force", [0.1, 0.0, 0.0])
+    motions = scene.get("motions", {})
+    for name in list(motions)[1:]:
+        del motions[name]
+    step = scene.get("coupling_step", 600.0)
+    longest = 3600.0 if step == "auto" else base(step)
+    radius = base(scene.get("cells", {}).get("division_radius", 5.0))
+    for motion in motions.values():
+        if "velocity" in motion:
+            size = math.hypot(*motion["velocity"])
+            share = min(1.0, 0.1 * radius / longest / size)
+            motion["velocity"] = [share * part for part in motion["velocity"]]
+
+
+def _fit_springs(scene):
+    """Let springs join cells that there are, in one way, and break when they are long."""
+    count = scene.get("initial", {}).get("count", 1)
+    radius = base(scene.get("cells", {}).get("division_radius", 5.0))
+    springs = scene.get("springs", {})
+    for name, spring in list(springs.items()):
+        if count < 2:
+            del springs[name]
+            continue
+        if "file" in spring:
+            spring["file"] = str(Path(__file__).with_name("edges.csv"))
+            spring.pop("pairs", None)
+            spring.pop("within", None)
+        elif "within" in spring:
+            spring.pop("pairs", None)
+            spring["within"] = 20.0 * radius
+        else:
+            pairs = [pair for pair in spring.get("pairs", []) if max(pair) < count]
+            spring["pairs"] = pairs or [[0, 1]]
+        if "growth" not in scene:
+            spring.pop("sisters", None)
+        if "breaking_length" in spring:
+            spring["breaking_length"] = base(spring.get("rest", 0.0)) + 10.0 * radius
+
+
+def _fit_motility(scene, flat):
+    """Let a bias be along something, and nothing be given without one."""
+    law = scene.get("motility", {})
+    fields = list(scene.get("nutrients", {}))
+    if not law.get("bias"):
+        for key in ("direction", "towards"):
+            law.pop(key, None)
+    elif "towards" in law and fields:
+        law["towards"] = fields[-1]
+        law.pop("direction", None)
+    else:
+        law.pop("towards", None)
+        law["direction"] = [1.0, -2.0, 0.0 if flat else 0.5]
+
+
+_TABLES = Path(tempfile.mkdtemp(prefix="multicell-starts-"))
+_ARRANGED = ("count", "arrangement", "spacing", "jitter", *OF_REGIONS)
+
+
+def _fit_start(scene, flat):
+    """Write the table that a start names; give a region room, and only the keys that it takes."""
+    initial = scene.get("initial", {})
+    if "cells" in initial:
+        for key in _ARRANGED:
+            initial.pop(key, None)
+        named = initial["cells"]
+        rows = int(named if isinstance(named, str) else named["file"])
+        radius = base(scene.get("cells", {}).get("division_radius", 5.0))
+        file = written_table(rows, radius, bool(scene.get("types")) and rows > 1)
+        if isinstance(named, str):
+            initial["cells"] = str(file)
+            return
+        named["file"] = str(file)
+        if "rows" in named:
+            named["rows"] = rows
+        if "sha256" in named:
+            named["sha256"] = hashlib.sha256(file.read_bytes()).hexdigest()
+        return
+    kind = initial.get("arrangement", "ball")
+    for key in OF_REGIONS:
+        if key not in KEYS[kind]:
+            initial.pop(key, None)
+    if kind != "ball":
+        _fit_region(scene, initial, kind, flat)
+
+
+def _fit_region(scene, initial, kind, flat):
+    """Give all cells of a random start room, within the domain if there is one."""
+    initial.pop("jitter", None)
+    radius = base(scene.get("cells", {}).get("division_radius", 5.0))
+    initial["spacing"] = min(initial.get("spacing", 1.0), 1.0)
+    initial["count"] = min(initial.get("count", 1), 20)
+    room = 6.0 * radius
+    sizes = {"radius": room, "inner_radius": 0.5 * room, "length": 80.0 * radius}
+    boxed = "domain" in scene
+    for key in KEYS[kind]:
+        if key in sizes:
+            initial[key] = sizes[key]
+    if boxed and "length" in initial:
+        initial["count"], initial["length"] = min(initial["count"], 4), 12.0 * radius
+    if boxed or flat:
+        initial.pop("centre", None)
+    if kind == "random-box":
+        for axis in "xy" if flat else "xyz":
+            initial[axis] = [-room, room]
+    if flat:
+        initial.pop("z", None)
+        initial.pop("axis", None)
+
+
+def written_table(rows, radius, named):
+    """Write a table of cells that touch, whose size is that of half-grown ones; return its path."""
+    digits = f"{rows}-{radius:.17g}-{named}"
+    file = _TABLES / f"{digits}.csv"
+    if not file.exists():
+        lines = ["# drawn", "position_x_um,y_um,z_um,radius_um" + ",kind" * named]
+        for k in range(rows):
+            x, y = 1.5 * radius * (k % 3 - 1), 1.5 * radius * (k // 3 - 1)
+            lines.append(f"{x!r},{y!r},0,{0.9 * radius!r}" + ",0" * named)
+        file.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return file
+
+
 def _fit_coupling(scene):
     """Leave out what keeps a run from choosing its steps, or the tolerance where it does not."""
     if scene.get("coupling_step") != "auto":
@@ -418,6 +605,10 @@ def _fit_growth(scene):
     growth = scene.get("growth")
     if growth is None:
         return
+    if growth.get("law", "linear") in ("linear", "exponential"):
+        growth.pop("target", None)
+    else:
+        growth["target"] = max(growth.get("target", 1.3), 1.001)
     phases = growth.get("phases", {})
     if phases:
         for name in PHASES:
@@ -630,6 +821,8 @@ def plausible(draw, extreme=0.004, small=True):
     """Draw the entries of a scene that fits together; ``small``: that runs in a moment."""
     drawer = Drawer(draw, extreme)
     scene = drawer.part(Scene, "")
+    if drawer.chance(0.7):  # most starts are arranged
+        scene.get("initial", {}).pop("cells", None)
     if small:
         step = drawer.one_of([1.0, 10.0, 60.0, 600.0, 1800.0])
         scene["coupling_step"] = "auto" if drawer.chance(0.1) else step
@@ -662,6 +855,8 @@ def plausible(draw, extreme=0.004, small=True):
             across = base(field["spacing"]) if "spacing" in field else radius
             field["margin"] = min(base(field["margin"]), 12.0 * across)
         step = scene["coupling_step"]
+        if step == "auto" and _step_of_its_own(scene) < 1e-6:
+            step = scene["coupling_step"] = 1.0  # a run of its own steps would be too short
         step = _step_of_its_own(scene) if step == "auto" else step
         scene["duration"] = step * drawer.one_of([1.0, 2.0, 2.5, 3.0])
     return scene
@@ -701,7 +896,7 @@ def _loosen(scene):
                 energy = min(0.05, 0.1 * softest) if softest > 1e-8 else 0.0
                 kind["surface_energy"] = dict.fromkeys(kind["surface_energy"], energy)
     if "adhesion" in scene:
-        scene["adhesion"]["strength"] = 1e-3 * softest
+        scene["adhesion"]["strength"] = max(1e-3 * softest, 1e-9)
 
 
 @st.composite

@@ -49,6 +49,11 @@ SCENES = {
         "contact": {"law": "exact-jkr"}, "pull": {"force": 2.0, "rate": 0.01},
         "drag": {"viscosity": 0.5},
     },
+    "driven cells with springs": {
+        "duration": "2 min", "coupling_step": "30 s", "initial": {"count": 3},
+        "motions": {"plate": {"cells": [0], "velocity": [0.001, 0.0, 0.0]}},
+        "springs": {"net": {"stiffness": 0.01, "pairs": [[1, 2]]}},
+    },
     "bare mechanics": {
         "duration": "10 min", "initial": {"count": 3}, "integrator": {"method": "euler"},
         "output": {"instability": True},

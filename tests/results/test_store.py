@@ -23,6 +23,7 @@ from multicell.results.frame import Field, Frame
 from multicell.results.reader import Contents, Frames
 from multicell.results.writer import Store
 from multicell.scene.scene import load_scene
+from multicell.scene.start_table import COPIES
 
 # writes frames 0, 1, 2, ... of growing size for ever, and says which are done
 WRITER = """
@@ -300,8 +301,8 @@ def test_report_writes_only_files_that_overwriting_removes(tmp_path):
     folder = written(tmp_path / "out", frames)
     write_summary(folder, {"cells": len(frames[-1].cells)})
     load_result(folder).report()
-    # one cell type, no pull, one field
-    expected = set(FILES) - {"contacts.png", "pull.png", "fields.png"}
+    # one cell type, no pull, one field, no table of cells
+    expected = set(FILES) - {"contacts.png", "pull.png", "fields.png", *COPIES}
     assert {entry.name for entry in folder.iterdir()} == expected
 
 

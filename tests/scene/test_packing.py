@@ -19,7 +19,7 @@ from multicell.scene.pairs import pairs
 from multicell.scene.sizes import birth_radius
 from multicell.simulation import Simulation
 
-LAWS = ("hertz", "jkr", "exact-jkr", "linear", "cubic", "generalised-linear")
+LAWS = ("hertz", "jkr", "exact-jkr", "linear", "cubic", "generalised-linear", "physicell")
 
 
 def scene(**changes) -> mc.Scene:

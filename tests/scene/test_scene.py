@@ -35,7 +35,8 @@ def refusal(entries):
 
 def test_built_in_scenes_have_names_and_titles():
     assert scene_names() == [
-        "chemotaxis", "division-shock", "dosing", "doublet", "doublet-settle", "emt6", "emt6-rim",
+        "chemotaxis", "compression", "division-shock", "dosing", "doublet", "doublet-settle",
+        "emt6", "emt6-rim",
         "grow-2000", "growth", "monolayer", "settle", "settle-1000", "sorting", "sorting-cams",
         "sorting-signal", "spheroid", "stiff-inclusions", "treatment",
     ]  # fmt: skip
@@ -400,7 +401,8 @@ def test_dict_has_base_unit_numbers_and_no_absent_parts():
     entries = load_scene("growth").to_dict()
     assert entries["duration"] == 432000.0
     assert entries["growth"] == {
-        "cycle_time": 54000.0, "cycle_variation": 0.1, "division": "instant", "restriction": True
+        "cycle_time": 54000.0, "cycle_variation": 0.1, "division": "instant", "law": "linear",
+        "restriction": True,
     }  # fmt: skip
     assert entries["contact"] == {"law": "jkr", "surface_energy": 0.1, "smoothing": 0.0}
     assert {"death", "nutrients", "stop_cells"}.isdisjoint(entries)

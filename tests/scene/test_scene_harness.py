@@ -67,8 +67,11 @@ def test_every_declared_key_is_drawn():
     def look(entries):
         seen.update(drawn.keys_of(entries))
 
-    look()
-    missing = {key for key, _ in drawn.declared()} - seen
+    for _ in range(5):  # rare keys may want more draws
+        look()
+        missing = {key for key, _ in drawn.declared()} - seen
+        if not missing:
+            break
     assert not missing
 
 

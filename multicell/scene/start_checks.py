@@ -1,0 +1,175 @@
+"""Whether a table of cells fits to the scene that starts with it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multicell.cells import Phase, State
+from multicell.errors import DataError
+from multicell.scene.domain import strayed
+from multicell.scene.sizes import birth_radius
+from multicell.schema import near_miss
+from multicell.tables.titles import titled
+
+if TYPE_CHECKING:
+    from multicell.cells import FloatArray
+    from multicell.scene.scene import Scene
+    from multicell.scene.start_table import Given
+
+_ROUNDING: Final = 1e-6
+_BEYOND: Final = 2.0 ** (1.0 / 3.0)
+"""Radius that a cell with phases may have over the division radius: it divides by its clock."""
+_SWOLLEN: Final = 2.0
+"""Radius of a dead cell over the division radius: necrotic ones swell to 8 volumes at most."""
+
+
+def check_start_table(scene: Scene) -> None:
+    """Raise ``DataError`` with row and column for cells that cannot start in a scene."""
+    assert scene.initial.cells is not None
+    given = scene.initial.cells.given
+    _check_axes(scene, given)
+    kinds_of(scene, given)
+    _check_states(given)
+    _check_phases(scene, given)
+    _check_sizes(scene, given)
+    _check_places(scene, given)
+
+
+def deep_overlaps(scene: Scene) -> int:
+    """Return how many pairs of a table's cells are nearer than half the sum of their radii.
+
+    Cells whose radii the table does not give count as newborn.
+    """
+    from scipy.spatial import KDTree
+
+    assert scene.initial.cells is not None
+    given = scene.initial.cells.given
+    radius = given.columns.get("radius", np.full(len(given), birth_radius(scene)))
+    place = positions(given)
+    pairs = KDTree(place).query_pairs(float(radius.max()), output_type="ndarray")
+    apart = np.linalg.norm(place[pairs[:, 0]] - place[pairs[:, 1]], axis=1)
+    return int((apart < 0.5 * radius[pairs].sum(axis=1)).sum())
+
+
+def positions(given: Given) -> FloatArray:
+    """Return the places of the cells, (n, 3) µm."""
+    axes = (given.columns.get(f"position_{axis}", np.zeros(len(given))) for axis in "xyz")
+    return np.stack(list(axes), axis=1)
+
+
+def kinds_of(scene: Scene, given: Given) -> NDArray[np.int16] | None:
+    """Return the types that a table gives by their places in the scene, (n,); None if it does not.
+
+    Raises
+    ------
+    DataError
+        For a type that the scene does not have.
+    """
+    if "kind" not in given.columns:
+        return None
+    codes, names = given.columns["kind"], list(scene.types)
+    numbers = [_type_of(name, names) for name in given.kinds]
+    for code, number in enumerate(numbers):
+        if number is None:
+            row = int(np.argmax(codes == code))
+            problem = f"is {given.kinds[code]!r}, no type of this scene"
+            hint = near_miss(given.kinds[code], names) if names else "It has no [types]."
+            raise DataError(given.place(row, "kind"), problem, hint)
+    return np.asarray(np.array(numbers, dtype=np.int16)[codes])
+
+
+def _type_of(word: str, names: list[str]) -> int | None:
+    """Return the place of a type by its name, or by this number as text."""
+    if word in names:
+        return names.index(word)
+    number = int(word) if word.isdecimal() else -1
+    # in a scene without types all cells are of type 0
+    return number if 0 <= number < max(len(names), 1) else None
+
+
+def _check_axes(scene: Scene, given: Given) -> None:
+    """Check that cells have a place in the scene's dimensions."""
+    z = given.columns.get("position_z")
+    if scene.dimensions == 2 and z is not None:
+        hint = "Leave the column out, or set it to 0."
+        given.refuse(z != 0.0, "position_z", "is {}, but the scene has 2 dimensions", hint)
+    if scene.dimensions == 3 and z is None:
+        hint = f"Title it '{titled('position_z', 'um')}'; with dimensions = 2 there is none."
+        raise DataError(given.source.name, "has no column for z", hint)
+
+
+def _check_states(given: Given) -> None:
+    """Check that cells which rest in G0 are not said to proliferate."""
+    state, phase = given.columns.get("state"), given.columns.get("phase")
+    if state is None or phase is None or not phase.any():
+        return
+    wrong = (state == State.PROLIFERATING) & (phase == Phase.G0)
+    given.refuse(wrong, "phase", "is {}, but the cell proliferates", "Cells in G0 are quiescent.")
+
+
+def _check_phases(scene: Scene, given: Given) -> None:
+    """Check that the place in the cycle is one of this scene's cycles."""
+    phases = scene.growth is not None and bool(scene.growth.phases)
+    columns = given.columns
+    if phases:
+        _check_within(given)
+        return
+    for name in ("phase", "progress", "phase_length"):
+        if name in columns:
+            hint = "growth.phases gives them; else leave the column out."
+            given.refuse(columns[name] != 0, name, "is {}, but the scene has no phases", hint)
+
+
+def _check_within(given: Given) -> None:
+    """Check that cells with a phase are within it, and that what says where has one."""
+    columns = given.columns
+    for name in ("progress", "phase_length"):
+        if name in columns and "phase" not in columns:
+            where = f"{given.source.name}, '{given.titles[name]}'"
+            raise DataError(where, "has no meaning without a column 'phase'")
+    state = columns.get("state", np.zeros(len(given)))
+    living = state <= State.QUIESCENT
+    if "phase" in columns and not columns["phase"].any():
+        living_in_g0 = living & (state == State.PROLIFERATING)
+        hint = "Name G1, S, G2 or M, or leave the column out to draw them."
+        given.refuse(living_in_g0, "phase", "is {}, in which no cell proliferates", hint)
+    if "progress" in columns and "phase_length" in columns:
+        beyond = columns["progress"] > columns["phase_length"] * (1.0 + _ROUNDING)
+        problem = "is {}, more than the length of the phase"
+        given.refuse(beyond & living, "progress", problem)
+
+
+def _check_sizes(scene: Scene, given: Given) -> None:
+    """Check radii, Poisson ratios and cycle times against those that the scene allows."""
+    columns, limit = given.columns, scene.cells.division_radius
+    if "radius" in columns:
+        dead = columns.get("state", np.zeros(len(given))) > State.QUIESCENT
+        phases = scene.growth is not None and bool(scene.growth.phases)
+        most = np.where(dead, _SWOLLEN, _BEYOND if phases else 1.0) * limit
+        problem = f"is {{}}, beyond the radius of a dividing cell, {limit:g} um"
+        hint = "Set cells.division_radius to that of your cells, or check the unit."
+        given.refuse(columns["radius"] > most * (1.0 + _ROUNDING), "radius", problem, hint)
+    if "poisson" in columns:
+        most_poisson = 1.0 if scene.cells.allow_unphysical_poisson else 0.5
+        wrong = ~((columns["poisson"] > -1.0) & (columns["poisson"] <= most_poisson))
+        given.refuse(wrong, "poisson", f"is {{}}, must be above -1 and at most {most_poisson:g}")
+    if "cycle_time" in columns and scene.growth is not None:
+        endless = np.isinf(columns["cycle_time"])
+        hint = "Leave the column out to draw cycle times."
+        given.refuse(endless, "cycle_time", "is {}, but the cells of this scene grow", hint)
+
+
+def _check_places(scene: Scene, given: Given) -> None:
+    """Check that all centres are inside the domain."""
+    found = None if scene.domain is None else strayed(scene.domain, positions(given))
+    if found is None:
+        return
+    row, side = found
+    axis = f"position_{side[0]}"
+    value = given.columns[axis][row] if axis in given.columns else 0.0
+    problem = f"is {value:g} um, outside the domain: beyond its side {side}"
+    hint = "Widen the domain, or move the cells."
+    raise DataError(given.place(row, axis), problem, hint)

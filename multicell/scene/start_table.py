@@ -1,0 +1,446 @@
+"""The table of cells that a run starts with: read once, known by the digest of its bytes.
+
+What a file holds is read here, whatever the scene: columns, their units, numbers and names. What of
+it fits to a scene is checked by :mod:`multicell.scene.start_checks`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, final
+from weakref import WeakValueDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multicell.cells import Cells, Phase, State
+from multicell.errors import DataError, SceneError
+from multicell.schema import count, file_path, near_miss, parameters, text
+from multicell.tables.columns import PARQUET, Columns, from_bytes, from_object
+from multicell.tables.text import read_bytes
+from multicell.tables.titles import read_title, titled, unknown_title
+from multicell.units import RANGES
+
+if TYPE_CHECKING:
+    from multicell.scene.scene import Scene
+
+_LARGEST: Final = 16_000_000_000
+"""Bytes of a table: more than those of the largest number of cells."""
+MOST_IDS: Final = 10**8
+"""Identities of cells at the start are below."""
+
+COPIES: Final = ("cells.csv", "cells.parquet")
+"""Names of the copy of a table in the folder of a run."""
+
+READ: Final[Mapping[str, str]] = {
+    "id": "", "parent": "", "position_x": "um", "position_y": "um", "position_z": "um",
+    "radius": "um", "young": "kPa", "poisson": "", "state": "", "age": "s", "cycle_time": "s",
+    "pressure": "kPa", "kind": "", "phase": "", "progress": "s", "phase_length": "s",
+}  # fmt: skip
+"""Columns that a start takes, with their base units, in the order in which they are written."""
+ALSO: Final = {"x": "position_x", "y": "position_y", "z": "position_z", "type": "kind"}
+"""Other names of columns."""
+LEFT: Final[Mapping[str, str]] = {"receptor": "", "ligand": "", "frame": "", "time": "s"}
+"""Columns of an exported frame that say nothing of a start; with those of :data:`FOUND`."""
+_COINCIDING: Final = 0.01
+"""Distance of two centres over the sum of the radii below which they are at one place."""
+FOUND: Final = "concentration_"
+"""Beginning of the names of columns with what cells found of a field."""
+
+_NAMES: Final[Mapping[str, Mapping[str, int]]] = {
+    "state": {state.name.lower(): int(state) for state in State},
+    "phase": {phase.name: int(phase) for phase in Phase},
+}
+_POSITIVE: Final = ("radius", "young", "cycle_time")
+_NOT_NEGATIVE: Final = ("age", "progress", "phase_length")
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Given:
+    """What a table says of the cells at the start.
+
+    Attributes
+    ----------
+    columns : name -> (n,)
+        Of :data:`READ`, in base units; ``state`` and ``phase`` as numbers of :class:`State` and
+        :class:`Phase`, ``kind`` as places in ``kinds``.
+    kinds
+        The types that are named.
+    source
+        The table as it was read.
+    titles
+        Title in the source by name.
+    """
+
+    columns: Mapping[str, NDArray[Any]]
+    kinds: tuple[str, ...]
+    source: Columns
+    titles: Mapping[str, str]
+
+    def __len__(self) -> int:
+        return len(self.source)
+
+    def place(self, row: int, name: str = "") -> str:
+        """Return where the value of a column stands in the source, in words."""
+        return self.source.place(row, self.titles.get(name, ""))
+
+    def refuse(self, wrong: NDArray[np.bool_], name: str, problem: str, hint: str = "") -> None:
+        """Raise ``DataError`` for the first row that is wrong; ``{}`` stands for its value."""
+        if not wrong.any():
+            return
+        row = int(np.argmax(wrong))
+        value = self.source.columns[self.titles[name]][row]
+        others = int(wrong.sum()) - 1
+        more = f" (and {others:,} more)" if others else ""
+        said = repr(value) if isinstance(value, str) else f"{value:g}"
+        raise DataError(self.place(row, name), problem.format(said) + more, hint)
+
+    def content(self) -> bytes:
+        """Return the table as CSV that is read back bit by bit."""
+        columns = {titled(name, READ[name]): self._texts(name) for name in self.columns}
+        lines = [",".join(columns), *map(",".join, zip(*columns.values(), strict=True))]
+        return ("\n".join(lines) + "\n").encode()
+
+    def _texts(self, name: str) -> list[str]:
+        values = self.columns[name].tolist()
+        if name == "kind":
+            return [self.kinds[value] for value in values]
+        if name in _NAMES:
+            words = {number: word for word, number in _NAMES[name].items()}
+            return [words[value] for value in values]
+        return list(map(repr, values))
+
+
+_KNOWN: Final[WeakValueDictionary[str, Given]] = WeakValueDictionary()
+"""Tables by digest, as long as a scene holds them."""
+
+
+@final
+@parameters
+class StartTable:
+    """A file with one row for each cell at the start; columns are titled as exported ones are.
+
+    ``sha256`` and ``rows`` are what a scene keeps of it: a file with another content is refused.
+    """
+
+    file: str = file_path(doc="CSV or Parquet; relative paths count from the folder of the scene")
+    sha256: str | None = text(default=None, doc="digest of the file; absent: that which it has")
+    rows: int | None = count(default=None, at_least=1, at_most=10**8, doc="number of cells")
+
+    def check(self) -> None:
+        """Read the file, unless it is known what it must hold.
+
+        Raises
+        ------
+        SceneError
+            If there is no such file, or it is another one.
+        DataError
+            With row and column, for a table that cannot be a start.
+        """
+        given = None if self.sha256 is None else _KNOWN.get(self.sha256)
+        if given is None:
+            if self.sha256 is not None and self.rows is not None:
+                return
+            given = self._read()
+        if self.rows is not None and self.rows != len(given):
+            raise SceneError("rows", f"is {self.rows:,}, but the table has {len(given):,} rows")
+        object.__setattr__(self, "rows", len(given))
+        self._hold(given)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: getattr(self, name) for name in ("file", "sha256", "rows")}
+
+    @property
+    def at_hand(self) -> bool:
+        """Whether the table has been read and is known."""
+        return hasattr(self, "_given")
+
+    @property
+    def given(self) -> Given:
+        """What the table says; read now if it has not been.
+
+        Raises
+        ------
+        SceneError, DataError
+            As for a table that is read with its scene.
+        """
+        found: Given | None = getattr(self, "_given", None)
+        if found is None:
+            assert self.sha256 is not None
+            try:
+                found = _KNOWN.get(self.sha256)
+                found = self._read() if found is None else found
+                if len(found) != self.rows:
+                    raise SceneError("rows", f"is {self.rows}, but the table has {len(found):,}")
+            except SceneError as error:
+                raise SceneError(f"initial.cells.{error.path}", error.problem, error.hint) from None
+            self._hold(found)
+        return found
+
+    def content(self) -> tuple[str, bytes]:
+        """Return name and content of a file with this table, for the folder of a run.
+
+        Raises
+        ------
+        SceneError
+            If the file has changed, or is not there any more.
+        """
+        if not self.file:
+            return COPIES[0], self.given.content()
+        content = self._bytes()
+        return COPIES[content[:4] == PARQUET], content
+
+    def copied(self, folder: Path) -> str:
+        """Return how a file in a folder names the table: by its name alone if it is there too."""
+        place, name = os.path.split(self.file)
+        return name if place == os.path.abspath(folder) else self.file
+
+    def _hold(self, given: Given) -> None:
+        assert self.sha256 is not None
+        object.__setattr__(self, "_given", _KNOWN.setdefault(self.sha256, given))
+
+    def _read(self) -> Given:
+        content = self._bytes()
+        object.__setattr__(self, "sha256", hashlib.sha256(content).hexdigest())
+        return normalised(from_bytes(content, Path(self.file).name))
+
+    def _bytes(self) -> bytes:
+        """Return the content of the file if it is the one that is meant."""
+        if not self.file:
+            problem = "is empty: the cells were given in memory, to another run or process"
+            raise SceneError("file", problem, "Write them to a file and name it.")
+        try:
+            content = read_bytes(Path(self.file), _LARGEST)
+        except DataError as error:
+            hint = "Relative paths count from the folder of the scene file."
+            raise SceneError("file", f"'{self.file}' {error.problem}", hint) from None
+        if self.sha256 not in (None, hashlib.sha256(content).hexdigest()):
+            problem = f"'{self.file}' is not the table that the scene was made with"
+            raise SceneError("file", problem, "Leave sha256 and rows out to take it as it is now.")
+        return content
+
+
+def placed(entries: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Return the entries of a scene with the file of its table, if it has one, in a folder."""
+    initial = entries.get("initial")
+    cells = initial.get("cells") if isinstance(initial, dict) else None
+    file = cells.get("file") if isinstance(cells, dict) else cells
+    if not isinstance(file, str) or not file:
+        return entries
+    try:
+        whole = str(folder / os.path.expanduser(file))
+    except (OSError, ValueError):
+        return entries  # whoever reads it will say what is wrong
+    table = {**cells, "file": whole} if isinstance(cells, dict) else whole
+    return {**entries, "initial": {**(initial or {}), "cells": table}}
+
+
+def in_memory(source: Any) -> StartTable:
+    """Return the table of cells that are given as an object.
+
+    Parameters
+    ----------
+    source
+        A ``DataFrame`` or a mapping of titles to columns.
+
+    Raises
+    ------
+    DataError
+        With row and column, for what cannot be a start.
+    """
+    given = normalised(from_object(source, "cells"))
+    digest = hashlib.sha256(given.content()).hexdigest()
+    given = _KNOWN.setdefault(digest, given)
+    return StartTable(file="", sha256=digest, rows=len(given))
+
+
+def with_cells(scene: Scene, source: Any) -> Scene:
+    """Return a scene that starts with the cells of a table.
+
+    Parameters
+    ----------
+    scene
+        All but its start.
+    source
+        Path of a CSV or Parquet file, a ``DataFrame``, a mapping of titles to columns, or
+        :class:`Cells`.
+
+    Raises
+    ------
+    SceneError, DataError
+        For a table that cannot be a start of this scene.
+    """
+    if isinstance(source, str | Path):
+        return scene.with_changes({"initial.cells": str(source)})
+    table = in_memory(
+        _columns_of(source, tuple(scene.types)) if isinstance(source, Cells) else source
+    )
+    # the scene is checked with the table, which is known as long as it is held here
+    return scene.with_changes({"initial.cells": table.__getstate__()})
+
+
+def _columns_of(cells: Cells, types: tuple[str, ...]) -> dict[str, NDArray[Any]]:
+    """Return what a start takes of cells, by title; types by name where there are some."""
+    found = dict(zip(("position_x", "position_y", "position_z"), cells.position.T, strict=True))
+    for name in READ:
+        column = found[name] if name in found else getattr(cells, name)
+        if name in _NAMES:
+            words = np.array(sorted(_NAMES[name], key=_NAMES[name].__getitem__), dtype=object)
+            column = words[column]
+        if name == "kind":
+            column = np.array(types or [""], dtype=object)[column]
+        found[name] = column
+    return {titled(name, READ[name]): found[name] for name in READ}
+
+
+def normalised(source: Columns) -> Given:
+    """Return what a table says, in base units and under the names of :data:`READ`.
+
+    Raises
+    ------
+    DataError
+        For unknown columns and units, names that are none, numbers that no cell has, several
+        frames, and where a column for x or y is missing.
+    """
+    titles: dict[str, str] = {}
+    factors: dict[str, float] = {}
+    known = {**READ, **{alias: READ[name] for alias, name in ALSO.items()}, **LEFT}
+    for title in source.columns:
+        if title.startswith(FOUND):
+            continue
+        read = read_title(title, known, source.name)
+        if read is None:
+            raise unknown_title(title, READ, source.name)
+        name = ALSO.get(read.name, read.name)
+        if name in titles:
+            raise DataError(f"{source.name}, '{title}'", f"says the same as '{titles[name]}'")
+        titles[name], factors[name] = title, read.factor
+    made: dict[str, NDArray[Any]] = {}
+    given = Given(made, (), source, titles)
+    _one_frame(given)
+    for name in (name for name in READ if name in titles):
+        raw = source.columns[titles[name]]
+        if name != "kind":
+            made[name] = _read_column(given, name, raw, factors[name])
+    for axis in "xy":
+        if f"position_{axis}" not in made:
+            hint = f"Columns are titled with their units, as '{titled(f'position_{axis}', 'um')}'."
+            raise DataError(source.name, f"has no column for {axis}", hint)
+    _refuse_coinciding(given)
+    if "kind" not in titles:
+        return given
+    kinds, codes = _kinds(source.columns[titles["kind"]])
+    return Given({**made, "kind": codes} if kinds else made, kinds, source, titles)
+
+
+def _refuse_coinciding(given: Given) -> None:
+    """Refuse two cells at one place: between them no force has a direction."""
+    from scipy.spatial import KDTree
+
+    axes = [f"position_{axis}" for axis in "xyz" if f"position_{axis}" in given.columns]
+    place = np.stack([given.columns[name] for name in axes], axis=1)
+    radius = given.columns.get("radius")
+    nearest = 1e-2 if radius is None else 2.0 * _COINCIDING * float(radius.max())
+    pairs = KDTree(place).query_pairs(nearest, output_type="ndarray")
+    apart = np.linalg.norm(place[pairs[:, 0]] - place[pairs[:, 1]], axis=1)
+    if radius is not None:
+        pairs = pairs[apart < _COINCIDING * radius[pairs].sum(axis=1)]
+    if len(pairs):
+        first, second = sorted(pairs[np.lexsort(pairs.T)][0].tolist())
+        other = given.place(first).removeprefix(f"{given.source.name}, ")
+        problem = f"is at the place of {other}: their centres coincide"
+        raise DataError(given.place(second, "position_x"), problem, "One cell has one row.")
+
+
+def _one_frame(given: Given) -> None:
+    """Refuse a table of several frames."""
+    if "frame" not in given.titles:
+        return
+    frames = np.unique(given.source.columns[given.titles["frame"]])
+    if len(frames) > 1:
+        hint = "'multicell export --frame -1' writes the last one."
+        problem = f"holds {len(frames)} frames, but a run starts with one"
+        raise DataError(f"{given.source.name}, '{given.titles['frame']}'", problem, hint)
+
+
+def _kinds(column: NDArray[Any]) -> tuple[tuple[str, ...], NDArray[np.int64]]:
+    """Return the types that a column names, and which of them each row does; none if all empty.
+
+    Whole numbers, or digits, are the places of types in the scene.
+    """
+    if column.dtype.kind == "f" and np.isnan(column).all():
+        return (), np.zeros(len(column), np.int64)
+    words, codes = np.unique(column.astype(str), return_inverse=True)
+    return tuple(map(str, words)) if "".join(words) else (), codes.astype(np.int64)
+
+
+def _read_column(given: Given, name: str, raw: NDArray[Any], factor: float) -> NDArray[Any]:
+    """Return a column in base units, or as numbers of its names."""
+    if name in _NAMES:
+        return _named(given, name, raw)
+    title = given.titles[name]
+    if raw.dtype == object:
+        row = next(k for k, value in enumerate(raw) if not _number(value))
+        raise DataError(given.place(row, name), f"is {raw[row]!r}, must be a number")
+    if name == "id":
+        return _ids(given, raw)
+    if name == "parent":
+        wrong = ~((raw >= -1) & (raw < MOST_IDS) & (raw == np.floor(raw)))
+        given.refuse(wrong, name, "is {}, must be the identity of a cell, or -1")
+        return raw.astype(np.int64)
+    values = raw.astype(np.float64) * factor if factor != 1.0 else raw.astype(np.float64)
+    missing = np.isnan(values)
+    if missing.any():
+        hint = f"Leave the whole column '{title}' out where values are unknown."
+        if name.startswith("position"):
+            hint = "Every cell has a place."
+        given.refuse(missing, name, "is empty or NaN, must be a number", hint)
+    unit = READ[name]
+    largest = RANGES[unit][1]
+    beyond = np.abs(values) > largest
+    if name == "cycle_time":  # of cells that do not grow
+        beyond &= ~np.isposinf(values)
+    given.refuse(beyond, name, f"is {{}}, must be at most {largest:g} {unit} in size")
+    if name in _POSITIVE:
+        given.refuse(values <= 0.0, name, "is {}, must be above 0")
+    if name in _NOT_NEGATIVE:
+        given.refuse(values < 0.0, name, "is {}, must not be negative")
+    return values
+
+
+def _number(value: str) -> bool:
+    try:
+        float(value or "nan")
+    except ValueError:
+        return False
+    return True
+
+
+def _ids(given: Given, raw: NDArray[Any]) -> NDArray[np.int64]:
+    """Return identities: whole numbers, none twice."""
+    wrong = ~((raw >= 0) & (raw < MOST_IDS) & (raw == np.floor(raw)))
+    problem = f"is {{}}, must be a whole number from 0 to {MOST_IDS - 1:,}"
+    given.refuse(wrong, "id", problem, "Leave the column out to number cells by their rows.")
+    ids = raw.astype(np.int64)
+    order = np.argsort(ids, kind="stable")
+    twice = np.zeros(len(ids), dtype=bool)
+    twice[order[1:]] = ids[order[1:]] == ids[order[:-1]]
+    given.refuse(twice, "id", "is {}, which another row has too")
+    return ids
+
+
+def _named(given: Given, name: str, raw: NDArray[Any]) -> NDArray[np.int8]:
+    """Return a column of names as numbers."""
+    known = _NAMES[name]
+    words, codes = np.unique(raw.astype(str), return_inverse=True)
+    numbers = np.array([known.get(str(word), -1) for word in words])[codes]
+    if (numbers < 0).any():
+        row = int(np.argmax(numbers < 0))
+        word = str(raw[row])
+        raise DataError(given.place(row, name), f"is {word!r}, no {name}", near_miss(word, known))
+    return numbers.astype(np.int8)

@@ -1,0 +1,1 @@
+"""Tables that come from outside: text of CSV files, columns of several sources, their titles."""

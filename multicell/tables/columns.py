@@ -1,0 +1,225 @@
+"""Columns of a table from a CSV or Parquet file, a ``DataFrame`` or a mapping of columns."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from typing import Any, Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multicell.errors import DataError
+from multicell.extras import needs
+from multicell.tables.text import Row, lines_of, rows_of
+
+_CHUNK: Final = 8192
+"""Rows whose fields are in memory as text at one time."""
+
+PARQUET: Final = b"PAR1"
+"""What a Parquet file begins with."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """Columns of one length.
+
+    Attributes
+    ----------
+    name
+        Of the file, or ``"cells"``.
+    columns : title -> (n,)
+        float64, int64, or object (text) where a field is no number.
+    lines : (n,) int64 or None
+        The line of the file that each row stands in; None where there are rows only.
+    """
+
+    name: str
+    columns: Mapping[str, NDArray[Any]]
+    lines: NDArray[np.int64] | None = None
+
+    def __len__(self) -> int:
+        return len(next(iter(self.columns.values()), ()))
+
+    def place(self, row: int, title: str = "") -> str:
+        """Return where a value stands, in words: lines of a file, else rows counted from 0."""
+        where = f"row {row}" if self.lines is None else f"line {self.lines[row]}"
+        return ", ".join(filter(None, (self.name, where, f"'{title}'" if title else "")))
+
+
+def from_bytes(content: bytes, name: str) -> Columns:
+    """Return the columns of a CSV or Parquet file.
+
+    Raises
+    ------
+    DataError
+        For a file that cannot be read, has no rows, or two columns of one title.
+    MissingPackage
+        For Parquet without pyarrow.
+    """
+    read = _parquet if content[:4] == PARQUET else _csv
+    return _filled(read(content, name))
+
+
+def from_object(source: Any, name: str) -> Columns:
+    """Return the columns of a ``DataFrame`` or a mapping of titles to columns.
+
+    Raises
+    ------
+    DataError
+        For anything else, columns of different lengths, and a table without rows.
+    """
+    if hasattr(source, "columns") and hasattr(source, "itertuples"):
+        titles = [str(title).strip() for title in source.columns]
+        arrays = (source.iloc[:, k].to_numpy() for k in range(len(titles)))
+    elif isinstance(source, Mapping):
+        titles = [str(title).strip() for title in source]
+        arrays = (np.asarray(column) for column in source.values())
+    else:
+        problem = f"is a {type(source).__name__}, must be a file, a DataFrame or columns by title"
+        raise DataError(name, problem)
+    return _filled(_gathered(titles, arrays, name))
+
+
+def _gathered(titles: Sequence[str], arrays: Iterable[Any], name: str) -> Columns:
+    _refuse_twins(titles, name)
+    found: dict[str, NDArray[Any]] = {}
+    for title, array in zip(titles, arrays, strict=True):
+        if np.ndim(array) != 1:
+            raise DataError(f"{name}, '{title}'", "is not a column of single values")
+        found[title] = _typed(array)
+    lengths = {title: len(column) for title, column in found.items()}
+    if len(set(lengths.values())) > 1:
+        listed = ", ".join(f"'{title}' {length}" for title, length in lengths.items())
+        raise DataError(name, f"has columns of different lengths: {listed}")
+    return Columns(name, found)
+
+
+def _typed(array: Any) -> NDArray[Any]:
+    """Return a column as float64, int64 or text; what is missing is NaN or empty text."""
+    array = np.asarray(array)
+    if array.dtype.kind in "iu":
+        return np.asarray(array.astype(np.int64))
+    if array.dtype.kind == "f":
+        return np.asarray(array.astype(np.float64))
+    values = array.astype(object)
+    texts = [_text(value) for value in values]
+    if array.dtype.kind == "O" and not any(isinstance(value, str) for value in values):
+        return _parsed(texts)
+    return np.array(texts, dtype=object)
+
+
+def _text(value: Any) -> str:
+    if value is None or type(value).__name__ in ("NAType", "NaTType") or value != value:
+        return ""
+    return str(value).strip()
+
+
+def _refuse_twins(titles: Sequence[str], name: str) -> None:
+    for title in titles:
+        if titles.count(title) > 1:
+            raise DataError(f"{name}, '{title}'", "is the title of two columns")
+
+
+def _filled(columns: Columns) -> Columns:
+    if not len(columns):
+        raise DataError(columns.name, "holds no rows")
+    return columns
+
+
+def _parquet(content: bytes, name: str) -> Columns:
+    needs("pyarrow")
+    import pyarrow as arrow
+    import pyarrow.parquet
+
+    try:
+        table = arrow.parquet.read_table(arrow.BufferReader(content))
+    except (arrow.ArrowException, OSError) as error:
+        raise DataError(name, f"is no Parquet file: {error}") from None
+    arrays = (column.to_numpy() for column in table.columns)
+    return _gathered([str(title).strip() for title in table.column_names], arrays, name)
+
+
+def _csv(content: bytes, name: str) -> Columns:
+    """Return the columns of CSV text."""
+    quick = _quick(content, name)
+    return _slow(content, name) if quick is None else quick
+
+
+def _quick(content: bytes, name: str) -> Columns | None:
+    """Return the columns as NumPy's reader finds them by the types of the first row.
+
+    None where it does not understand the text: then it is read field by field, which knows what is
+    wrong and where. What it does understand it reads as that would.
+    """
+    rows = rows_of(content, name)
+    (_, titles), (_, sample) = next(rows), next(rows, (0, []))
+    _refuse_twins(titles, name)
+    if not sample:
+        return None
+    kinds = [_parsed([field]).dtype for field in sample]
+    numbers: list[int] = []
+    try:
+        lines = lines_of(content, numbers)
+        next(lines)
+        found = np.loadtxt(
+            lines, [(f"f{k}", kind) for k, kind in enumerate(kinds)], delimiter=",", ndmin=1,
+            comments=None, quotechar='"',
+        )  # fmt: skip
+    except (ValueError, IndexError):
+        return None
+    if len(numbers) != len(found) + 1:
+        return None  # a field of several lines
+    columns = {}
+    for k, title in enumerate(titles):
+        column = np.ascontiguousarray(found[f"f{k}"])
+        words = column.dtype.kind == "O"
+        columns[title] = np.array([word.strip() for word in column], object) if words else column
+    return Columns(name, columns, np.array(numbers[1:], np.int64))
+
+
+def _slow(content: bytes, name: str) -> Columns:
+    """Return the columns of CSV text; a chunk of rows at a time is in memory as text."""
+    rows = rows_of(content, name)
+    _, titles = next(rows)
+    parts: list[list[NDArray[Any]]] = [[] for _ in titles]
+    lines: list[NDArray[np.int64]] = []
+    for numbers, fields in _chunks(rows):
+        lines.append(np.array(numbers, np.int64))
+        for part, column in zip(parts, zip(*fields, strict=True), strict=True):
+            part.append(_parsed(column))
+    columns = {title: _joined(part) for title, part in zip(titles, parts, strict=True)}
+    return Columns(name, columns, np.concatenate(lines) if lines else np.empty(0, np.int64))
+
+
+def _chunks(rows: Iterator[Row]) -> Iterator[tuple[list[int], list[list[str]]]]:
+    while chunk := list(islice(rows, _CHUNK)):
+        yield [number for number, _ in chunk], [fields for _, fields in chunk]
+
+
+def _parsed(column: Sequence[str]) -> NDArray[Any]:
+    """Return fields as whole numbers, as numbers, or as they are."""
+    for kind, dtype in ((int, np.int64), (float, np.float64)):
+        try:
+            return np.array(list(map(kind, column)), dtype)
+        except (ValueError, OverflowError):
+            continue
+    try:
+        return np.array([float(field) if field else np.nan for field in column])
+    except ValueError:
+        return np.array(column, dtype=object)
+
+
+def _joined(parts: list[NDArray[Any]]) -> NDArray[Any]:
+    """Return the chunks of a column as one of the type that holds them all."""
+    if any(part.dtype == object for part in parts):
+        return np.concatenate([_as_text(part) for part in parts])
+    return np.concatenate(parts) if parts else np.empty(0)
+
+
+def _as_text(part: NDArray[Any]) -> NDArray[Any]:
+    if part.dtype == object:
+        return part
+    return np.array(["" if value != value else str(value) for value in part.tolist()], object)

@@ -1,0 +1,102 @@
+"""Rows of CSV text: remarks and blank lines are left out, and each row knows its line."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterator
+from pathlib import Path
+
+from multicell.errors import DataError
+
+Row = tuple[int, list[str]]
+"""Number of a row's (last) line in the file, and its fields without blanks around them."""
+
+
+def read_bytes(path: Path, largest: int) -> bytes:
+    """Return the content of a regular file.
+
+    Parameters
+    ----------
+    path
+        The file.
+    largest
+        Number of bytes that it may have.
+
+    Raises
+    ------
+    DataError
+        If there is no such file, it is too large or cannot be read.
+    """
+    try:
+        if not path.is_file():
+            raise DataError(str(path), "is no file" if path.exists() else "does not exist")
+        if path.stat().st_size > largest:
+            raise DataError(str(path), f"is larger than {largest // 10**6:,} MB")
+        return path.read_bytes()
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise DataError(str(path), f"cannot be read: {reason}") from None
+
+
+def rows_of(content: bytes, name: str) -> Iterator[Row]:
+    """Yield the header and then the other rows of a CSV file, one at a time.
+
+    Parameters
+    ----------
+    content
+        Of the file, UTF-8 with or without a byte order mark.
+    name
+        Of the file, for errors.
+
+    Raises
+    ------
+    DataError
+        For text that is not UTF-8, no rows at all, one column that holds semicolons or tabs, broken
+        quotes, and a row of another length than the header.
+    """
+    numbers: list[int] = []
+    reader = csv.reader(lines_of(content, numbers), skipinitialspace=True)
+    width = 0
+    try:
+        for fields in reader:
+            number = numbers[reader.line_num - 1]
+            row = [field.strip() for field in fields]
+            if not width:
+                width = len(row)
+                if width == 1 and any(mark in row[0] for mark in ";\t"):
+                    raise DataError(name, "has one column", "Columns are separated by commas.")
+            elif len(row) != width:
+                problem = f"has {len(row)} fields, the header has {width}"
+                raise DataError(f"{name}, line {number}", problem, "A decimal point is a point.")
+            yield number, row
+    except csv.Error as error:
+        raise DataError(f"{name}, line {numbers[reader.line_num - 1]}", str(error)) from None
+    except UnicodeDecodeError as error:
+        raise DataError(name, f"is not UTF-8 text (byte {_broken(content, error)})") from None
+    if not width:
+        raise DataError(name, "holds no data")
+
+
+def _broken(content: bytes, error: UnicodeDecodeError) -> int:
+    """Return the place of the first byte that is no text: a stream tells it within its buffer."""
+    try:
+        content.decode("utf-8-sig")
+    except UnicodeDecodeError as whole:
+        return whole.start
+    return error.start
+
+
+def lines_of(content: bytes, numbers: list[int]) -> Iterator[str]:
+    """Yield the lines of a file that are no remarks and not blank, and note their numbers.
+
+    Raises
+    ------
+    UnicodeDecodeError
+        For text that is not UTF-8; its place counts from that of a buffer.
+    """
+    text = io.TextIOWrapper(io.BytesIO(content), "utf-8-sig", newline=None)
+    for number, line in enumerate(text, start=1):
+        if line.strip(" \t,\n") and not line.lstrip().startswith("#"):
+            numbers.append(number)
+            yield line

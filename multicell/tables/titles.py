@@ -1,0 +1,84 @@
+"""Titles of columns: a name, and the unit of its numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple, final
+
+from multicell.errors import DataError, SceneError
+from multicell.schema import near_miss
+from multicell.units import to_base
+
+_IN_NAMES = str.maketrans({"^": "", "/": "_per_", " ": "_"})
+
+
+def titled(name: str, unit: str) -> str:
+    """Return the title of a column: its name, and its unit where it has one (``radius_um``)."""
+    return f"{name}_{unit.translate(_IN_NAMES)}" if unit else name
+
+
+@final
+class Title(NamedTuple):
+    """What the title of a column says: the known name, and the number of base units of its unit."""
+
+    name: str
+    factor: float
+
+
+def read_title(title: str, known: Mapping[str, str], place: str) -> Title | None:
+    """Return what a title says, or None if it begins with no known name.
+
+    The unit stands behind the name: ``radius_um``, ``radius / um``, ``radius [um]`` or
+    ``radius (um)``.
+
+    Parameters
+    ----------
+    title
+        Of the column.
+    known
+        Base unit by name, ``""`` for columns without a unit.
+    place
+        The table in words, for errors.
+
+    Raises
+    ------
+    DataError
+        For a name that needs a unit and has none, one that has none and is given one, and a unit
+        of another kind.
+    """
+    name, text = _parted(title, known)
+    if name not in known:
+        return None
+    unit, where = known[name], f"{place}, '{title}'"
+    if not unit:
+        if text:
+            problem = f"has the unit '{text}', but {name} is a number or a word without a unit"
+            raise DataError(where, problem, f"Title it '{name}'.")
+        return Title(name, 1.0)
+    hint = f"Title it '{titled(name, unit)}', or name another unit of this kind."
+    if not text:
+        raise DataError(where, "has no unit", hint)
+    try:
+        return Title(name, to_base(f"1 {text}", unit))
+    except SceneError:
+        raise DataError(where, f"has the unit '{text}', must be one like {unit}", hint) from None
+
+
+def _parted(title: str, known: Mapping[str, str]) -> tuple[str, str]:
+    """Return name and unit of a title, the unit empty where there is none."""
+    if title in known:
+        return title, ""
+    for mark, end in ((" / ", ""), ("[", "]"), ("(", ")")):
+        name, found, text = title.partition(mark)
+        if found and name.strip() in known:
+            return name.strip(), text.strip().removesuffix(end).strip()
+    for name in sorted(known, key=len, reverse=True):
+        if title.startswith(f"{name}_"):
+            return name, title.removeprefix(f"{name}_").replace("_per_", "/").replace("_", " ")
+    return title, ""
+
+
+def unknown_title(title: str, known: Mapping[str, str], place: str) -> DataError:
+    """Return the error of a column that nothing is known of."""
+    hint = near_miss(title, [titled(name, unit) for name, unit in known.items()])
+    return DataError(f"{place}, '{title}'", "is not a known column here", hint)

@@ -1,0 +1,69 @@
+"""Cells of a start table have their place in the cycle by their size, under every law of growth."""
+
+import numpy as np
+import pytest
+
+from multicell.biology.growth import birth_volume
+from multicell.biology.growth_laws import grown, share_behind
+from multicell.cells import SPHERE
+from multicell.scene.parts import GROWTH_LAWS, Growth
+from multicell.scene.scene import Scene
+from multicell.simulation import Simulation
+
+SATURATING = ("relaxation", "logistic", "gompertz")
+PHASES = {n: {"duration": f"{d} h"} for n, d in {"G1": 5, "S": 4, "G2": 2, "M": 1}.items()}
+
+
+def law_of(law):
+    return {"law": law, **({"target": 1.2} if law in SATURATING else {})}
+
+
+def scene_of(law, **growth):
+    times = {} if growth else {"cycle_time": "12 h", "cycle_variation": 0.0}
+    return Scene.from_dict({
+        "duration": "1 d",
+        "coupling_step": "10 min",
+        "contact": {"law": "hertz"},
+        "growth": {**times, **law_of(law), **growth},
+    })  # fmt: skip
+
+
+@pytest.mark.parametrize("law", GROWTH_LAWS)
+def test_share_behind_is_the_inverse_of_growth(law):
+    growth = Growth(**law_of(law))
+    share = np.linspace(0.0, 1.0, 21)
+    volume = grown(growth, 7.0, np.full(21, 7.0), share)
+    assert share_behind(growth, volume / 7.0) == pytest.approx(share, abs=1e-12)
+
+
+@pytest.mark.parametrize("law", GROWTH_LAWS)
+@pytest.mark.parametrize("phases", [{}, {"phases": PHASES}])
+def test_cells_that_are_described_by_their_radii_go_on_like_those_described_by_their_ages(
+    law, phases
+):
+    scene = scene_of(law, **phases)
+    share = np.array([0.0, 0.2, 0.5, 0.8])
+    place = np.array([[0.0, 0, 0], [40, 0, 0], [80, 0, 0], [120, 0, 0]])
+    columns = {f"position_{a}_um": place[:, k] for k, a in enumerate("xyz")}
+    by_age = Simulation(scene, cells={**columns, "age_h": 12.0 * share}).cells
+    by_radius = Simulation(scene, cells={**columns, "radius_um": by_age.radius}).cells
+    assert by_radius.age == pytest.approx(by_age.age, rel=1e-9, abs=1e-6)
+    assert by_radius.radius == pytest.approx(by_age.radius, rel=1e-12)
+    assert by_radius.phase.tolist() == by_age.phase.tolist()
+
+
+@pytest.mark.parametrize("law", GROWTH_LAWS)
+def test_volumes_of_ages_are_those_of_the_law(law):
+    scene = scene_of(law)
+    share = np.array([0.25, 0.75])
+    cells = Simulation(
+        scene,
+        cells={
+            "position_x_um": [0.0, 40.0], "position_y_um": [0.0, 0.0],
+            "position_z_um": [0.0, 0.0], "age_h": 12.0 * share,
+        },
+    ).cells  # fmt: skip
+    birth = birth_volume(scene)
+    assert SPHERE * cells.radius**3 == pytest.approx(
+        grown(scene.growth, birth, np.full(2, birth), share), rel=1e-12
+    )

@@ -1,0 +1,167 @@
+"""Columns of CSV and Parquet files, data frames and mappings: the same from each of them."""
+
+from __future__ import annotations
+
+import io
+import time
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from multicell.errors import DataError
+from multicell.tables import columns as reading
+from multicell.tables.columns import from_bytes, from_object
+from multicell.tables.titles import Title, read_title, titled
+
+KNOWN = {"radius": "um", "phase": "", "phase_length": "s", "stress": "kPa", "flow": "nN/um"}
+
+
+def equal(one, other):
+    assert list(one.columns) == list(other.columns)
+    for title, column in one.columns.items():
+        np.testing.assert_array_equal(column, other.columns[title], strict=True)
+
+
+def test_a_table_is_the_same_from_each_source():
+    frame = pd.DataFrame(
+        {
+            "n": [1, 2, 3],
+            "x": [0.1, -2.5e-7, 1e300],
+            "word": ["a", "b c", "ß"],
+            "whole": [1.0, 2, 3],
+        }
+    )
+    parquet = io.BytesIO()
+    frame.to_parquet(parquet)
+    tables = [
+        from_object(frame, "cells"),
+        from_object(dict(frame), "cells"),
+        from_object({title: list(column) for title, column in frame.items()}, "cells"),
+        from_bytes(frame.to_csv(index=False).encode(), "cells"),
+        from_bytes(parquet.getvalue(), "cells"),
+    ]
+    for table in tables[1:]:
+        equal(tables[0], table)
+    assert tables[0].place(1, "x") == "cells, row 1, 'x'"
+    assert tables[3].place(1, "x") == "cells, line 3, 'x'"
+
+
+FIELD = st.one_of(
+    st.integers(-(10**18), 10**18).map(str),
+    st.floats(allow_nan=False).map(repr),
+    st.sampled_from(["", "soft", "a b", " 1.5 ", '"quoted, too"', "nan", "inf", "1e5", "+3"]),
+)
+
+
+@settings(max_examples=150, deadline=None)
+@given(rows=st.lists(st.tuples(FIELD, FIELD), min_size=1, max_size=6), gaps=st.booleans())
+def test_the_quick_reader_reads_what_the_slow_one_reads(rows, gaps):
+    lines = ["# remark", "one, two", *(", ".join(row) for row in rows)]
+    if gaps:
+        lines.insert(3, "\n # another\n,")
+    content = "\n".join(lines).encode()
+    try:
+        slow = reading._slow(content, "t")
+    except DataError:
+        return
+    if not len(slow):
+        return
+    quick = reading._quick(content, "t")
+    if quick is not None:
+        equal(slow, quick)
+        np.testing.assert_array_equal(slow.lines, quick.lines)
+    assert len(from_bytes(content, "t")) == len(slow)
+
+
+def test_lines_are_those_of_the_file():
+    table = from_bytes(b"\xef\xbb\xbf# a\n\n x, y\r\n1,2\r\n,,\n# b\n3,4\n", "t.csv")
+    assert table.lines.tolist() == [4, 7]
+    assert table.columns["x"].tolist() == [1, 3]
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"", "t: holds no data"),
+        (b"# nothing\n\n", "t: holds no data"),
+        (b"x,y\n", "t: holds no rows"),
+        (b"x;y\n1;2\n", "t: has one column. Columns are separated by commas"),
+        (b"x,y\n1,2\n\n3\n", "t, line 4: has 1 fields, the header has 2"),
+        (b"x,x\n1,2\n", "t, 'x': is the title of two columns"),
+        (b"x,y\n1,\xff\n", r"t: is not UTF-8 text \(byte 6\)"),
+        (b"PAR1 and nothing more", "t: is no Parquet file"),
+    ],
+)
+def test_broken_files_are_refused_by_place(content, said):
+    with pytest.raises(DataError, match=said):
+        from_bytes(content, "t")
+
+
+@pytest.mark.parametrize(
+    ("source", "said"),
+    [
+        (3, "cells: is a int, must be a file, a DataFrame or columns by title"),
+        ({"x": [1, 2], "y": [1]}, "different lengths: 'x' 2, 'y' 1"),
+        ({"x": 5}, "'x': is not a column of single values"),
+        ({"x": [[1, 2], [3, 4]]}, "'x': is not a column of single values"),
+        ({}, "cells: holds no rows"),
+        (pd.DataFrame({"x": []}), "cells: holds no rows"),
+    ],
+)
+def test_objects_that_are_no_tables_are_refused(source, said):
+    with pytest.raises(DataError, match=said):
+        from_object(source, "cells")
+
+
+@pytest.mark.parametrize(
+    ("title", "name", "factor"),
+    [
+        ("radius_um", "radius", 1.0),
+        ("radius_µm", "radius", 1.0),
+        ("radius_mm", "radius", 1000.0),
+        ("radius / nm", "radius", 0.001),
+        ("radius [um]", "radius", 1.0),
+        ("radius / parsec", "radius", 3.0856775814913673e22),
+        ("radius (dm)", "radius", 1e5),
+        ("phase_length_h", "phase_length", 3600.0),
+        ("phase", "phase", 1.0),
+        ("flow_mN_per_m", "flow", 1.0),
+        ("stress_Pa", "stress", 0.001),
+    ],
+)
+def test_titles_name_columns_and_units(title, name, factor):
+    found = read_title(title, KNOWN, "t")
+    assert found.name == name
+    assert found.factor == pytest.approx(factor, rel=1e-9)
+
+
+def test_every_title_that_is_written_is_read():
+    for name, unit in KNOWN.items():
+        assert read_title(titled(name, unit), KNOWN, "t") == Title(name, 1.0)
+    assert read_title("radii_um", KNOWN, "t") is None
+
+
+@pytest.mark.parametrize(
+    ("title", "said"),
+    [
+        ("radius", "t, 'radius': has no unit. Title it 'radius_um'"),
+        ("radius_s", "has the unit 's', must be one like um"),
+        ("phase_um", "has the unit 'um', but phase is a number or a word without a unit"),
+    ],
+)
+def test_titles_with_wrong_units_are_refused(title, said):
+    with pytest.raises(DataError, match=said):
+        read_title(title, KNOWN, "t")
+
+
+def test_a_hundred_thousand_rows_take_about_a_second():
+    random = np.random.default_rng(1)
+    frame = pd.DataFrame(random.normal(size=(100_000, 10)), columns=list("abcdefghij"))
+    content = frame.to_csv(index=False).encode()
+    begin = time.process_time()
+    table = from_bytes(content, "t")
+    assert time.process_time() - begin < 5.0
+    np.testing.assert_array_equal(table.columns["j"], frame["j"])
