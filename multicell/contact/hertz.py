@@ -29,7 +29,7 @@ _Constants = constants_of(hertz)
 @final
 @parameters
 class Hertz(PairLaw):
-    """Elastic spheres without adhesion: F = E_ij √r_ij h^{3/2} (eq. 3.2)."""
+    """Elastic spheres without adhesion: F = E_ij √r_ij h^{3/2} (equation 3.2)."""
 
     def constants(self) -> Any:
         """Return nothing: the law has no constants."""

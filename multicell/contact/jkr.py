@@ -61,7 +61,7 @@ _SmoothConstants = constants_of(linear_onset, "smoothing")
 @final
 @parameters
 class JKR(PairLaw):
-    """Approximate Johnson–Kendall–Roberts contact (eq. 3.6).
+    """Approximate Johnson–Kendall–Roberts contact (equation 3.6).
 
     F = E_ij √r_ij h^{3/2} - √(6πσ E_ij r_ij^{3/2} h^{3/2}). The stiffness tends to -∞ as
     h → 0⁺: the force is continuous but not Lipschitz where a contact forms or breaks.

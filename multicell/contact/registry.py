@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, final
 from multicell.contact.exact_jkr import ExactJKR
 from multicell.contact.hertz import Hertz
 from multicell.contact.jkr import JKR
+from multicell.contact.physicell import PhysiCell
 from multicell.contact.springs import Cubic, GeneralisedLinear, Linear
 
 if TYPE_CHECKING:
@@ -64,6 +65,7 @@ LAWS = Laws(
         "linear": Linear,
         "cubic": Cubic,
         "generalised-linear": GeneralisedLinear,
+        "physicell": PhysiCell,
     }
 )
 """All pair laws; those of the user's own are entered by :func:`multicell.pair_law`."""

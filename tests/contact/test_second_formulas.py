@@ -9,6 +9,8 @@ from multicell.contact.exact_jkr import ExactJKR
 from multicell.contact.hertz import Hertz
 from multicell.contact.jkr import JKR
 from multicell.contact.law import effective_modulus, effective_radius
+from multicell.contact.physicell import PhysiCell
+from multicell.contact.registry import LAWS as REGISTERED
 from multicell.contact.springs import Cubic, GeneralisedLinear, Linear
 
 LAWS = {
@@ -20,8 +22,13 @@ LAWS = {
     "repulsive": Linear(stiffness_at_rest=1.7, cutoff=1.0),
     "cubic": Cubic(stiffness_at_rest=1.7, cutoff=1.3),
     "generalised linear": GeneralisedLinear(stiffness_at_rest=1.7, cutoff=1.4, decay=4.0),
+    "physicell": PhysiCell(length=0.8, surface_energy=0.3, cutoff=1.4),
 }
 RI, RJ, EI, EJ = np.array([4.0, 3.1, 8.0]), np.array([6.5, 3.1, 2.0]), 0.8, 2.5
+
+
+def test_every_law_of_the_package_has_a_second_formula():
+    assert {type(law) for law in LAWS.values()} == set(REGISTERED.values())
 
 
 def test_effective_constants_are_those_of_two_solids():
@@ -44,7 +51,8 @@ def test_force_and_energy(name, touching):
     got = law.energy(overlap, modulus, radius, **options)
     np.testing.assert_allclose(got, energy, rtol=1e-9, atol=1e-12 * np.abs(energy).max())
     assert ((force != 0.0) & (overlap < 0.0)).any() == (
-        name in ("linear", "cubic", "generalised linear") or (name == "exact jkr" and touching)
+        name in ("linear", "cubic", "generalised linear", "physicell")
+        or (name == "exact jkr" and touching)
     )
 
 

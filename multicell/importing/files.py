@@ -1,0 +1,36 @@
+"""Reading the files of other programs: regular ones of a reasonable size."""
+
+from __future__ import annotations
+
+import stat
+from pathlib import Path
+
+from multicell.errors import SceneError
+
+_LARGEST = 100_000_000
+
+
+def read_text(path: Path) -> str:
+    r"""Return the text of a file, with line ends as ``\n``.
+
+    Raises
+    ------
+    SceneError
+        If it is missing, no regular file, larger than 100 MB or not UTF-8.
+    """
+    name = str(path)
+    try:
+        if not stat.S_ISREG(path.stat().st_mode):
+            raise SceneError("", f"'{name}' is no regular file")
+        with path.open("rb") as file:
+            content = file.read(_LARGEST + 1)
+        if len(content) > _LARGEST:
+            raise SceneError("", f"'{name}' is larger than {_LARGEST // 10**6} MB")
+        text = content.decode("utf-8-sig")
+    except FileNotFoundError:
+        raise SceneError("", f"there is no file '{name}'") from None
+    except UnicodeDecodeError as error:
+        raise SceneError("", f"'{name}' is not UTF-8 text (byte {error.start})") from None
+    except OSError as error:
+        raise SceneError("", f"'{name}' cannot be read: {error.strerror}") from None
+    return text.replace("\r\n", "\n").replace("\r", "\n")

@@ -1,0 +1,210 @@
+"""Apoptosis and necrosis: rates, and how the dead lose their volume."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, final
+
+from multicell.importing.account import Fate
+from multicell.importing.physicell.model import MINUTE, Kind, Model
+
+if TYPE_CHECKING:
+    from multicell.importing.xml import Element
+
+APOPTOSIS, NECROSIS = "100", "101"
+_REMOVED = 0.1
+_USUAL = {
+    APOPTOSIS: {"unlysed_fluid_change_rate": 0.05, "lysed_fluid_change_rate": 0.0,
+                "cytoplasmic_biomass_change_rate": 1.0 / 60.0,
+                "nuclear_biomass_change_rate": 0.35 / 60.0, "relative_rupture_volume": 2.0},
+    NECROSIS: {"unlysed_fluid_change_rate": 0.67 / 60.0, "lysed_fluid_change_rate": 0.05 / 60.0,
+               "cytoplasmic_biomass_change_rate": 0.0032 / 60.0,
+               "nuclear_biomass_change_rate": 0.013 / 60.0, "relative_rupture_volume": 2.0},
+}  # fmt: skip
+
+
+@final
+@dataclass(frozen=True)
+class Dying:
+    """How a type dies in one way: 1/min, min; the last phase's length is None where unknown."""
+
+    element: Element | None
+    rate: float
+    parameters: dict[str, float]
+    last: float
+
+
+def read_death(model: Model) -> None:
+    """Read ``death`` of all types; what types share is that of the type with most cells."""
+    apoptosis = _dying(model.leader, APOPTOSIS)
+    if apoptosis.rate > 0.0:
+        death = model.part("death")
+        death["apoptosis_rate"] = apoptosis.rate / MINUTE
+        death["apoptosis_time"] = _fading(apoptosis.last) * MINUTE
+    if _necrotic(model):
+        _set_necrosis(model)
+    if "death" in model.scene:
+        model.part("death")["removal_fraction"] = _REMOVED
+    for kind in model.kinds:
+        _account_for(model, kind)
+
+
+def _necrotic(model: Model) -> bool:
+    """Return whether a rule lets cells become necrotic."""
+    return "necrosis_rate" in model.scene.get("death", {})
+
+
+def _set_necrosis(model: Model) -> None:
+    necrosis, death = _dying(model.leader, NECROSIS), model.part("death")
+    swelling = _time_to_burst(model.leader, necrosis)
+    if swelling is not None:
+        death["swelling"] = min(max(necrosis.parameters["relative_rupture_volume"], 1.0), 8.0)
+        death["swelling_time"] = swelling * MINUTE
+    lysed = necrosis.parameters["lysed_fluid_change_rate"]
+    death["lysis_time"] = (1.0 / lysed if lysed > 0.0 else _fading(necrosis.last)) * MINUTE
+
+
+def _fading(minutes: float) -> float:
+    """Return the mean time in which a cell must shrink to be removed after a time."""
+    return min(max(minutes, 1e-3), 1e7) / math.log(1.0 / _REMOVED)
+
+
+def _model(kind: Kind, code: str) -> Element | None:
+    table = kind.given("death")
+    found = [] if table is None else table.all("model")
+    return next((one for one in found if _code(one) == code), None)
+
+
+def _code(model: Element) -> str:
+    name = model.attributes.get("name", "").lower()
+    return model.attributes.get("code") or {"apoptosis": APOPTOSIS, "necrosis": NECROSIS}.get(
+        name, ""
+    )
+
+
+def _dying(kind: Kind, code: str) -> Dying:
+    found = _model(kind, code)
+    rate = None if found is None else found.find("death_rate") or found.find("rate")
+    table = None if found is None else found.find("parameters")
+    parameters = dict(_USUAL[code])
+    for tag in parameters:
+        one = None if table is None else table.find(tag)
+        if one is not None:
+            parameters[tag] = one.number()
+    last = 516.0 if code == APOPTOSIS else 86400.0
+    value = 0.0 if rate is None else rate.number()
+    if rate is not None and value < 0.0:
+        raise rate.error(f"is {value:g}, must not be negative")
+    return Dying(found, value, parameters, _last(found, code, last))
+
+
+def _last(found: Element | None, code: str, usual: float) -> float:
+    """Return how long the phase lasts at the end of which the dead are removed, min."""
+    index = "0" if code == APOPTOSIS else "1"
+    for one in [] if found is None else found.all("phase_durations/duration"):
+        if one.attributes.get("index") == index:
+            return one.number()
+    for one in [] if found is None else found.all("phase_transition_rates/rate"):
+        if one.attributes.get("start_index") == index and one.number() > 0.0:
+            return 1.0 / one.number()
+    return usual
+
+
+def _time_to_burst(kind: Kind, dying: Dying) -> float | None:
+    """Return when a necrotic cell reaches the volume at which it bursts, min; None if never.
+
+    Its solids s decay, and fluid F comes in as long as there are solids: dF/dt = k (V - F) = k s.
+    """
+    goal = dying.parameters["relative_rupture_volume"]
+    k = dying.parameters["unlysed_fluid_change_rate"]
+    fluid = kind.number_of("volume/fluid_fraction", 0.75)
+    nucleus = kind.number_of("volume/nuclear", 540.0) / kind.volume
+    parts = [
+        ((1.0 - fluid) * (1.0 - nucleus), dying.parameters["cytoplasmic_biomass_change_rate"]),
+        ((1.0 - fluid) * nucleus, dying.parameters["nuclear_biomass_change_rate"]),
+    ]
+
+    def volume(t: float) -> float:
+        solid = sum(part * math.exp(-rate * t) for part, rate in parts)
+        came = sum(
+            part * (-math.expm1(-rate * t) / rate if rate > 0.0 else t) for part, rate in parts
+        )
+        return fluid + solid + k * came
+
+    low, high = 0.0, 1e5
+    if not 1.0 < goal <= volume(high):
+        return None
+    for _ in range(100):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if volume(middle) < goal else (low, middle)
+    return high
+
+
+def _account_for(model: Model, kind: Kind) -> None:
+    table, account = kind.own("death"), model.account
+    for one in [] if table is None else table.all("model"):
+        code = _code(one)
+        if code not in (APOPTOSIS, NECROSIS):
+            note = "neither apoptosis nor necrosis"
+            account.take_all([one], Fate.LEFT_OUT, note=note)
+            continue
+        _account_for_rate(model, kind, one, code)
+        _account_for_course(model, kind, one, code)
+
+
+def _account_for_rate(model: Model, kind: Kind, one: Element, code: str) -> None:
+    rate = one.find("death_rate") or one.find("rate")
+    if rate is None:
+        return
+    leading = _dying(model.leader, code).rate
+    take = model.account.take
+    if code == NECROSIS and rate.number() == 0.0:
+        take(rate, Fate.OFF, note="unless C++ code or a rule sets it")
+    elif code == NECROSIS and kind is model.leader and _necrotic(model):
+        take(rate, Fate.APPROXIMATED, "death.necrosis_rate", "below a threshold, by a rule")
+    elif code == NECROSIS:
+        note = "cells become necrotic where a field falls below a threshold, not at any time"
+        take(rate, Fate.LEFT_OUT, note=note)
+    elif rate.number() == leading:
+        take(rate, Fate.MAPPED if leading else Fate.OFF, "death.apoptosis_rate" if leading else "")
+    else:
+        note = f"{leading:g}: types share one rate, that of '{model.leader.name}'"
+        take(rate, Fate.APPROXIMATED, "death.apoptosis_rate", note)
+
+
+_COURSE = {
+    APOPTOSIS: "volume falls exponentially, to a tenth in the time after which PhysiCell removes",
+    NECROSIS: "swells exponentially until it bursts, then shrinks exponentially",
+}
+
+
+def _account_for_course(model: Model, kind: Kind, one: Element, code: str) -> None:
+    """Account for phases and parameters of a model of death."""
+    if not (_necrotic(model) if code == NECROSIS else _dying(model.leader, code).rate > 0.0):
+        model.account.take_all([one], Fate.OFF, note="no cell dies in this way")
+        return
+    lead, own = _dying(model.leader, code), _dying(kind, code)
+    same = lead.parameters == own.parameters and lead.last == own.last
+    note = _COURSE[code] if same else f"as in '{model.leader.name}': types share how they die"
+    fades = "death.apoptosis_time" if code == APOPTOSIS else "death.lysis_time"
+    keys = {
+        "lysed_fluid_change_rate": "death.lysis_time",
+        "relative_rupture_volume": "death.swelling",
+        "unlysed_fluid_change_rate": "death.swelling_time",
+        "cytoplasmic_biomass_change_rate": "death.swelling_time",
+        "nuclear_biomass_change_rate": "death.swelling_time",
+    }
+    account, calcium = model.account, one.find("parameters/calcification_rate")
+    if calcium is not None:
+        on = calcium.number() != 0.0
+        account.take(calcium, Fate.LEFT_OUT if on else Fate.OFF, note="no calcium" if on else "")
+    for tag, key in keys.items():
+        for leaf in one.all(f"parameters/{tag}"):
+            if code == APOPTOSIS:
+                why = "one time tells how apoptotic cells shrink"
+                account.take(leaf, Fate.LEFT_OUT, note=why)
+            else:
+                account.take(leaf, Fate.APPROXIMATED, key, note)
+    for path in ("phase_durations", "phase_transition_rates", "transition_rates"):
+        account.take_all(one.all(path), Fate.APPROXIMATED, fades, note)

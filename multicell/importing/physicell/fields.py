@@ -1,0 +1,168 @@
+"""Substances: diffusion, decay, what is there at the start and on the sides of the box."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from multicell.importing.account import Fate
+from multicell.importing.physicell import run
+from multicell.importing.physicell.model import MINUTE, Model, keys_of
+from multicell.units import COMMON, oxygen_solubility
+
+if TYPE_CHECKING:
+    from multicell.importing.xml import Element
+
+_SLOWEST = 1e-6
+"""Least diffusion coefficient of a scene, µm²/s."""
+_BODY = 37.0
+
+
+def name_fields(model: Model) -> None:
+    """Find the names of substances here, and what one unit of each is."""
+    variables = model.root.all("microenvironment_setup/variable")
+    for variable in variables:
+        if not variable.attributes.get("name"):
+            raise variable.error("has no name")
+    names = [variable.attributes["name"] for variable in variables]
+    model.fields = dict(zip(names, keys_of(names, "field"), strict=True))
+    if len(model.fields) < len(variables):
+        raise variables[-1].error("has the name of another substance")
+    for variable, name in zip(variables, names, strict=True):
+        model.unit[name] = _unit(name, variable.attributes.get("units", ""))[0]
+
+
+def read_fields(model: Model) -> None:
+    """Read ``microenvironment_setup``; to be called when the size of cells is known."""
+    variables = model.root.all("microenvironment_setup/variable")
+    # BioFVM sets no side at all unless one substance has its condition on all of them
+    active = any(_on_all(variable) for variable in variables)
+    for variable in variables:
+        _read_variable(model, variable, active)
+    _read_options(model)
+
+
+def _on_all(variable: Element) -> bool:
+    found = variable.find("Dirichlet_boundary_condition")
+    return found is not None and found.says("enabled")
+
+
+def _read_variable(model: Model, variable: Element, active: bool) -> None:
+    name = variable.attributes["name"]
+    key = model.fields[name]
+    unit, fate, note = _unit(name, variable.attributes.get("units", ""))
+    called = "" if key == name else f"called {key} here; "
+    model.account.take_container(variable, name, fate, f"nutrients.{key}", called + note)
+    made = model.part("nutrients", key)
+    # nothing rests here: uptake is that of living cells, whatever they do
+    made |= {"uptake": 0.0, "quiescent_uptake": 1.0, "geometry": "box"}
+    made["spacing"] = _spacing(model)
+    thickness = model.root.find("domain/dz")
+    if model.scene["dimensions"] == 2 and thickness is not None:
+        made["height"] = thickness.number()
+    _read_transport(model, variable, made)
+    start = variable.find("initial_condition")
+    level = 0.0 if start is None else start.number()
+    made["boundary"] = _not_negative(start, level) * unit
+    if start is not None:
+        model.account.take(start, Fate.MAPPED, f"nutrients.{key}.boundary")
+    levels = _read_sides(model, variable, active, made)
+    model.top[name] = max([level, *levels])
+
+
+def _spacing(model: Model) -> float:
+    """Return the spacing of grids, µm: the voxels', unless cells are too small for them."""
+    return min(run.spacing(model.root), 4.0 * float(model.part("cells")["division_radius"]))
+
+
+def _not_negative(element: Element | None, value: float) -> float:
+    if element is not None and value < 0.0:
+        raise element.error(f"is {value:g}, must not be negative")
+    return value
+
+
+def _unit(name: str, said: str) -> tuple[float, Fate, str]:
+    """Return mM for one unit of a substance, and what that is."""
+    if said in ("mM", *COMMON["mM"]):
+        return COMMON["mM"].get(said, 1.0), Fate.MAPPED, f"{said} as {said}"
+    if name.lower() == "oxygen" and said.lower() in ("mmhg", "dimensionless", "none", ""):
+        factor = oxygen_solubility(_BODY) * COMMON["kPa"]["mmHg"]
+        how = f"1 mmHg as {factor:.4g} mM, the solubility in water at 37 °C (Battino et al. 1983)"
+        if said.lower() == "mmhg":
+            return factor, Fate.MAPPED, how
+        return factor, Fate.APPROXIMATED, f"'{said}' taken as mmHg, PhysiCell's usual unit: {how}"
+    note = f"1 {said or 'unit'} stands for 1 mM: no amount is known, and the equations are linear"
+    return 1.0, Fate.APPROXIMATED, note
+
+
+def _read_transport(model: Model, variable: Element, made: dict[str, Any]) -> None:
+    key, account = model.fields[variable.attributes["name"]], model.account
+    diffusion = variable.find("physical_parameter_set/diffusion_coefficient")
+    decay = variable.find("physical_parameter_set/decay_rate")
+    value = 0.0 if diffusion is None else _not_negative(diffusion, diffusion.number()) / MINUTE
+    made["diffusion"] = max(value, _SLOWEST)
+    if diffusion is not None and value < _SLOWEST:
+        note = f"{_SLOWEST:g} um^2/s, the least there is: it stays where it is"
+        account.take(diffusion, Fate.APPROXIMATED, f"nutrients.{key}.diffusion", note)
+    elif diffusion is not None:
+        account.take(diffusion, Fate.MAPPED, f"nutrients.{key}.diffusion")
+    if decay is not None:
+        made["decay"] = _not_negative(decay, decay.number()) / MINUTE
+        account.take(decay, Fate.MAPPED, f"nutrients.{key}.decay")
+
+
+def _read_sides(model: Model, variable: Element, active: bool, made: dict[str, Any]) -> list[float]:
+    """Set the sides of a field; return the values that they have, in the substance's unit."""
+    name = variable.attributes["name"]
+    unit, path = model.unit[name], f"nutrients.{model.fields[name]}.sides"
+    all_sides = variable.find("Dirichlet_boundary_condition")
+    value = all_sides.number() if all_sides is not None and _on_all(variable) else 0.0
+    axes = "xyz"[: model.scene["dimensions"]]
+    levels = {f"{a}{e}": (_on_all(variable), value) for a in axes for e in "-+"}
+    if all_sides is not None:
+        fate, note = (Fate.MAPPED, "") if _on_all(variable) else (Fate.OFF, "")
+        model.account.take(all_sides, fate, path if fate is Fate.MAPPED else "", note)
+    for one in variable.all("Dirichlet_options/boundary_value"):
+        side = one.attributes.get("ID", "")
+        face = side[:1] + {"min": "-", "max": "+"}.get(side[1:], "")
+        if face not in levels:
+            flat = side in ("zmin", "zmax")
+            fate = Fate.OFF if flat else Fate.LEFT_OUT
+            model.account.take(one, fate, note="" if flat else "no side of this name")
+            continue
+        on = one.says("enabled")
+        levels[face] = on, one.number() if on and active else 0.0
+        if on and not active:
+            note = "PhysiCell sets no side unless a Dirichlet_boundary_condition is enabled"
+            model.account.take(one, Fate.OFF, note=note)
+        else:
+            model.account.take(one, Fate.MAPPED, f"{path}.{face}", "" if on else "a wall")
+    held = {face: level for face, (on, level) in levels.items() if on and active}
+    wall: dict[str, Any] = {"type": "derivative", "derivative": 0.0}
+    sides = {
+        face: {"type": "value", "value": _not_negative(all_sides, held[face]) * unit}
+        if face in held
+        else wall
+        for face in levels
+    }
+    alike = all(side == sides["x-"] for side in sides.values())
+    made["sides"] = {"*": sides["x-"]} if alike else sides
+    return list(held.values())
+
+
+def _read_options(model: Model) -> None:
+    options, account = model.root.find("microenvironment_setup/options"), model.account
+    if options is None:
+        return
+    account.take_all(
+        options.all("calculate_gradients"), Fate.MAPPED, note="where chemotaxis asks for them"
+    )
+    for found in options.all("track_internalized_substrates_in_each_agent"):
+        note = "what a cell has taken up is not kept" if found.flag() else ""
+        account.take(found, Fate.LEFT_OUT if found.flag() else Fate.OFF, note=note)
+    for tag, note in (
+        ("initial_condition", "a field starts with one concentration everywhere"),
+        ("dirichlet_nodes", "concentrations are held on sides of the box, not inside"),
+    ):
+        for found in options.all(tag):
+            on = found.says("enabled")
+            account.take_all([found], Fate.LEFT_OUT if on else Fate.OFF, note=note if on else "")

@@ -1,0 +1,173 @@
+"""PhysiCell's settings while they are read: the types of cells, and what the scene is to say."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, final
+
+from multicell.cells import SPHERE, stokes_drag
+from multicell.importing.account import Account
+
+if TYPE_CHECKING:
+    from multicell.importing.physicell.start import Start
+    from multicell.importing.xml import Element
+
+MINUTE = 60.0
+"""Seconds."""
+
+VISCOSITY = 5.0
+"""Viscosity of the medium, kPa s: PhysiCell has none, and nothing but forces depends on it."""
+
+_FROM_ZERO = ("motility/options", "secretion", "cell_interactions", "cell_transformations")
+"""What a type does not take over from the first one, unless it names that as its parent."""
+
+
+@final
+@dataclass(eq=False)
+class Kind:
+    """A ``cell_definition``.
+
+    Attributes
+    ----------
+    name, key : str
+        In PhysiCell and in the scene.
+    number : int
+        Its ID, by which tables of cells name it.
+    element : Element
+        Its ``cell_definition``.
+    parent : Kind or None
+        From which it takes what it does not say itself.
+    declared : bool
+        Whether it names that parent.
+    count : int
+        Cells at the start.
+    entry : float or None
+        Rate of leaving the first phase where a rule lets a substance decide on it, 1/min.
+    limited : bool
+        Whether a rule lets a substance slow the cycle.
+    """
+
+    name: str
+    key: str
+    number: int
+    element: Element
+    parent: Kind | None
+    declared: bool
+    count: int = 0
+    entry: float | None = None
+    limited: bool = False
+
+    def own(self, path: str) -> Element | None:
+        """Return an element of its own phenotype, or None."""
+        return self.element.find(f"phenotype/{path}")
+
+    def given(self, path: str) -> Element | None:
+        """Return an element of its phenotype or else of its parent's, or None."""
+        found = self.own(path)
+        if found is not None or self.parent is None:
+            return found
+        if not self.declared and path.startswith(_FROM_ZERO):
+            return None
+        return self.parent.given(path)
+
+    def number_of(self, path: str, usual: float) -> float:
+        """Return a number of its phenotype; ``usual`` where neither it nor a parent says it."""
+        found = self.given(path)
+        return usual if found is None else found.number()
+
+    @property
+    def volume(self) -> float:
+        """Total volume, µm³."""
+        found = self.given("volume/total")
+        value = 2494.0 if found is None else found.number()
+        if found is not None and not value > 0.0:
+            raise found.error(f"is {value:g}, must be above 0")
+        return value
+
+    @property
+    def radius(self) -> float:
+        """Radius of a cell of its volume, µm."""
+        return math.cbrt(self.volume / SPHERE)
+
+    @property
+    def drag(self) -> float:
+        """Stokes drag of such a cell, nN s/µm."""
+        return stokes_drag(VISCOSITY) * self.radius
+
+
+@final
+@dataclass
+class Model:
+    """What is known of a model so far.
+
+    Attributes
+    ----------
+    root : Element
+    account : Account
+    kinds : list of Kind
+        In the order of the file.
+    scene : dict
+        The scene as nested tables.
+    fields : dict
+        Key in the scene of each substance by its name.
+    unit : dict
+        mM for one unit of a substance, by its name.
+    top : dict
+        The highest concentration of a substance that the settings name, in its own unit.
+    cells : Start or None
+        The cells at the start, once they are read.
+    """
+
+    root: Element
+    account: Account
+    kinds: list[Kind]
+    scene: dict[str, Any] = field(default_factory=dict)
+    fields: dict[str, str] = field(default_factory=dict)
+    unit: dict[str, float] = field(default_factory=dict)
+    top: dict[str, float] = field(default_factory=dict)
+    cells: Start | None = None
+
+    @property
+    def leader(self) -> Kind:
+        """The type of which there are most cells at the start; it decides what types share."""
+        return max(self.kinds, key=lambda kind: kind.count)
+
+    def kind_named(self, name: str) -> Kind | None:
+        """Return the type of a name, or None."""
+        return next((kind for kind in self.kinds if kind.name == name), None)
+
+    def part(self, *path: str) -> dict[str, Any]:
+        """Return a table of the scene, made if it is not there."""
+        node = self.scene
+        for name in path:
+            node = node.setdefault(name, {})
+        return node
+
+    def of_type(self, kind: Kind, name: str, value: Any) -> None:
+        """Set a key of a type; in a scene of one type there are no types to set it for."""
+        if len(self.kinds) > 1:
+            self.part("types", kind.key)[name] = value
+
+    def each(self, path: str) -> Iterator[tuple[Kind, Element]]:
+        """Yield the types that say something themselves, and where they say it."""
+        for kind in self.kinds:
+            found = kind.own(path)
+            if found is not None:
+                yield kind, found
+
+
+def keys_of(names: Iterable[str], prefix: str) -> list[str]:
+    """Return names of letters, digits and ``_`` for names of any kind, no two alike."""
+    made: list[str] = []
+    for name in names:
+        key = re.sub(r"\W+", "_", name.strip(), flags=re.ASCII).strip("_")
+        if not key or key[0].isdigit():
+            key = f"{prefix}_{key}".rstrip("_")
+        first, number = key, 2
+        while key in made:
+            key, number = f"{first}_{number}", number + 1
+        made.append(key)
+    return made

@@ -1,0 +1,187 @@
+"""Motion of cells by themselves, at random and along gradients."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, final
+
+from multicell.importing.account import Fate
+from multicell.importing.physicell.model import MINUTE, Kind, Model
+
+if TYPE_CHECKING:
+    from multicell.importing.xml import Element
+
+_STEEP = 1e-9
+"""Gradient of half the force over the largest concentration, 1/µm: any gradient is followed."""
+
+
+@final
+@dataclass(frozen=True)
+class Migration:
+    """How a type moves: µm/min, min, and the share of its speed along each gradient, with sign."""
+
+    speed: float
+    persistence: float
+    bias: float
+    along: tuple[tuple[str, float], ...]
+    summed: bool
+
+    @property
+    def pattern(self) -> tuple[object, ...]:
+        """What must be alike for types that differ in speed only."""
+        return self.persistence, self.bias if self.along else 0.0, self.along
+
+
+def read_motility(model: Model) -> None:
+    """Read ``motility`` of all types; to be called when the substances are known."""
+    moving = {kind: _migration(model, kind) for kind in model.kinds if _moves(kind)}
+    moving = {kind: how for kind, how in moving.items() if how.speed > 0.0}
+    # the pattern of most cells, at the largest speed that any of them has
+    lead = max(moving, key=lambda kind: (kind.count, moving[kind].speed), default=None)
+    if lead is not None:
+        _set_scene(model, lead, moving)
+    for kind in model.kinds:
+        if kind.own("motility") is not None:
+            _account_for(model, kind, moving.get(kind), moving[lead] if lead else None)
+
+
+def _moves(kind: Kind) -> bool:
+    found = kind.given("motility/options/enabled")
+    return found is not None and found.flag()
+
+
+def _migration(model: Model, kind: Kind) -> Migration:
+    along, summed = _directions(model, kind)
+    bias = kind.number_of("motility/migration_bias", 0.0)
+    found = kind.given("motility/migration_bias")
+    if found is not None and not 0.0 <= bias <= 1.0:
+        raise found.error(f"is {bias:g}, must be from 0 to 1")
+    return Migration(
+        kind.number_of("motility/speed", 1.0), kind.number_of("motility/persistence_time", 1.0),
+        bias, tuple(along), summed,
+    )  # fmt: skip
+
+
+def _on(kind: Kind, tag: str) -> Element | None:
+    """Return the table of a way of chemotaxis that is enabled, or None."""
+    found = kind.given(f"motility/options/{tag}")
+    enabled = None if found is None else found.find("enabled")
+    return found if enabled is not None and enabled.flag() else None
+
+
+def _directions(model: Model, kind: Kind) -> tuple[list[tuple[str, float]], bool]:
+    """Return the substances along which a type moves with their shares, and if they are summed."""
+    advanced = _on(kind, "advanced_chemotaxis")
+    if advanced is not None:
+        found = advanced.all("chemotactic_sensitivities/chemotactic_sensitivity")
+        known = {
+            one.attributes.get("substrate", ""): one.number()
+            for one in found
+            if one.attributes.get("substrate") in model.fields and one.number() != 0.0
+        }
+        total = sum(map(abs, known.values()))
+        each = advanced.find("normalize_each_gradient")
+        summed = len(known) > 1 and not (each is not None and each.flag())
+        return [(name, value / total) for name, value in known.items()], summed
+    simple = _on(kind, "chemotaxis")
+    if simple is None:
+        return [], False
+    name, direction = simple.find("substrate"), simple.find("direction")
+    if name is None or name.word() not in model.fields:
+        raise simple.error("follows no substance of the model")
+    sign = 1.0 if direction is None else direction.number()
+    return ([(name.word(), 1.0 if sign > 0.0 else -1.0)] if sign else []), False
+
+
+def _set_scene(model: Model, lead: Kind, moving: dict[Kind, Migration]) -> None:
+    how, fastest = moving[lead], max(moving, key=lambda kind: moving[kind].speed * kind.drag)
+    force = moving[fastest].speed * fastest.drag / MINUTE
+    bias = how.bias if how.along else 0.0
+    motility = model.part("motility")
+    motility.update(force=force, persistence=max(how.persistence * MINUTE, _step(model)))
+    # below the step of mechanics PhysiCell takes a new direction in every step
+    motility["renewal"] = "random" if how.persistence * MINUTE >= _step(model) else "regular"
+    if bias > 0.0 and len(how.along) == 1:
+        name, share = how.along[0]
+        motility.update(bias=math.copysign(bias, share), towards=model.fields[name])
+    elif bias > 0.0:
+        motility["force"] = force * (1.0 - bias)
+        for name, share in how.along:
+            level = max(model.top[name], 1e-6) * model.unit[name]
+            model.part("chemotaxis")[model.fields[name]] = {
+                "force": force * bias * share,
+                "half": max(_STEEP * level, 1e-15),
+            }
+    for kind in model.kinds:
+        own = moving[kind].speed * kind.drag / MINUTE if kind in moving else 0.0
+        model.of_type(kind, "motility_scale", own / force)
+    # forces are held in a coupling step
+    shortest = min(max(moving[kind].persistence * MINUTE, _step(model)) for kind in moving)
+    model.scene["coupling_step"] = min(model.scene["coupling_step"], shortest)
+
+
+def _step(model: Model) -> float:
+    """Return the step of PhysiCell's mechanics, s: no direction changes sooner."""
+    found = model.root.find("overall/dt_mechanics")
+    value = 0.1 if found is None else found.number()
+    if found is not None and not value > 0.0:
+        raise found.error(f"is {value:g}, must be above 0")
+    return value * MINUTE
+
+
+def _account_for(model: Model, kind: Kind, how: Migration | None, lead: Migration | None) -> None:
+    table, take = kind.own("motility"), model.account.take
+    assert table is not None
+    for path in ("options/use_2D",):
+        for one in table.all(path):
+            planar = one.flag() and model.scene["dimensions"] == 3 and how is not None
+            note = "motion in a plane within three dimensions" if planar else ""
+            take(one, Fate.LEFT_OUT if planar else Fate.OFF, note=note)
+    if how is None or lead is None:
+        model.account.take_all([table], Fate.OFF)
+        return
+    same = how.pattern == lead.pattern
+    other = "" if same else "types share one pattern, that of the type with most moving cells"
+    size = f"a force that gives a cell of {kind.volume:g} um^3 this speed"
+    fate = Fate.MAPPED if same else Fate.APPROXIMATED
+    _take(model, table, "speed", Fate.APPROXIMATED, "motility.force", size)
+    _take(model, table, "persistence_time", fate, "motility.persistence", other)
+    _take(model, table, "options/enabled", Fate.MAPPED, "motility")
+    bias = "motility.bias" if len(how.along) == 1 else "chemotaxis"
+    if not how.along:
+        _take(model, table, "migration_bias", Fate.OFF, "", "no gradient is followed")
+    elif len(how.along) == 1:
+        note = "along the gradient of the moment, not that of the last change of direction"
+        note = "; ".join(filter(None, (note, other)))
+        _take(model, table, "migration_bias", Fate.APPROXIMATED, bias, note)
+    else:
+        note = "random and directed part are added; PhysiCell gives their sum the full speed again"
+        note = "; ".join(filter(None, (note, other)))
+        _take(model, table, "migration_bias", Fate.APPROXIMATED, bias, note)
+    _account_for_taxis(model, kind, how, table, other)
+
+
+def _account_for_taxis(
+    model: Model, kind: Kind, how: Migration, table: Element, other: str
+) -> None:
+    used = _on(kind, "advanced_chemotaxis") or _on(kind, "chemotaxis")
+    key = "motility.towards" if len(how.along) == 1 else "chemotaxis"
+    for tag in ("chemotaxis", "advanced_chemotaxis"):
+        for one in table.all(f"options/{tag}"):
+            if one is not used:
+                model.account.take_all([one], Fate.OFF)
+            elif how.summed or other:
+                note = "gradients are followed each by itself, not their sum" if how.summed else ""
+                note = "; ".join(filter(None, (note, other)))
+                model.account.take_all([one], Fate.APPROXIMATED, key, note)
+            else:
+                model.account.take_all([one], Fate.MAPPED, key)
+
+
+def _take(
+    model: Model, table: Element, path: str, fate: Fate, key: str = "", note: str = ""
+) -> None:
+    one = table.find(path)
+    if one is not None:
+        model.account.take(one, fate, key, note)
