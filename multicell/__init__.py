@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from multicell.contact.custom import load_law, pair_law
     from multicell.contact.hertz import Hertz
     from multicell.contact.jkr import JKR
+    from multicell.importing.imported import Imported
+    from multicell.importing.physicell.reader import import_physicell
     from multicell.integrators.base import Integrator, MethodInfo, Outcome
     from multicell.mechanics.motion import StateRejected
     from multicell.nutrient.equations.equation import FieldEquation
@@ -57,6 +59,7 @@ __all__ = [
     "Fit",
     "Hertz",
     "ImplicitFieldSolver",
+    "Imported",
     "Integrator",
     "MethodInfo",
     "MulticellError",
@@ -84,6 +87,7 @@ __all__ = [
     "export",
     "field_problem",
     "fit",
+    "import_physicell",
     "load_law",
     "load_result",
     "load_scene",
@@ -115,6 +119,8 @@ _LAZY = {
     "Schedule": "multicell.nutrient.equations.schedule",
     "SteadyFieldSolver": "multicell.nutrient.equations.steady_solver",
     "Substance": "multicell.nutrient.equations.term",
+    "Imported": "multicell.importing.imported",
+    "import_physicell": "multicell.importing.physicell.reader",
     "Integrator": "multicell.integrators.base",
     "MethodInfo": "multicell.integrators.base",
     "OdeProblem": "multicell.ode",

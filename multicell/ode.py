@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
 from multicell.errors import SceneError
 from multicell.runner import integrated_by
+from multicell.scene.scene import load_scene
 from multicell.simulation import Simulation
 
 if TYPE_CHECKING:
@@ -27,7 +29,8 @@ class OdeProblem:
     in µm. Radii, receptors and external forces change linearly in time between t0 and t1.
 
     Evaluations raise :class:`~multicell.mechanics.motion.StateRejected` at states that are not
-    finite, or with thousands of cells in one place.
+    finite, or with thousands of cells in one place. Cells whose motion is prescribed are no
+    unknowns: they stand still in y, and ``system.at_end(y)`` puts them where they are at t1.
 
     Attributes
     ----------
@@ -97,7 +100,7 @@ class OdeProblem:
 
 
 def ode_problem(
-    scene: Scene,
+    scene: Scene | str | Path,
     step: int = 0,
     *,
     integrator: str | type[Integrator] | Integrator | None = None,
@@ -113,7 +116,7 @@ def ode_problem(
     Parameters
     ----------
     scene
-        What to simulate.
+        What to simulate: a scene, the name of a built-in one, or the path of a TOML file.
     step
         Number of coupling steps before the one that is wanted.
     integrator
@@ -130,13 +133,14 @@ def ode_problem(
     """
     if isinstance(step, bool) or not isinstance(step, int) or step < 0:
         raise SceneError("step", f"is {step!r}, must be a whole number from 0 on")
-    scene, own = integrated_by(scene, integrator)
-    simulation = Simulation(scene, threads=threads, integrator=own)
+    described = load_scene(scene) if isinstance(scene, str | Path) else scene
+    described, own = integrated_by(described, integrator)
+    simulation = Simulation(described, threads=threads, integrator=own)
     while simulation.step_index < step and not simulation.finished:
         simulation.step()
     if simulation.finished:
         problem = f"is {step}, but the run ends after {simulation.step_index} coupling steps"
-        raise SceneError("step", problem)
+        raise SceneError("step", problem, "Steps count from 0.")
     if len(simulation.cells) == 0:
         raise SceneError("step", f"is {step}, but no cells are left then")
     system = simulation.prepared()

@@ -44,6 +44,8 @@ class Purpose(IntEnum):
     CONDITIONING = 12
     EIGENVECTOR = 13
     VIEW = 14
+    RENEWAL = 15
+    ARRANGEMENT = 16
 
 
 def philox(counter: UIntArray, key: tuple[int, int]) -> UIntArray:

@@ -149,6 +149,8 @@ def _many() -> int:
 def _begins_alone(scene: Scene) -> bool:
     """Return whether a run begins with one cell that nothing moves."""
     moved = (scene.motility, scene.haptotaxis, scene.pull, scene.chemotaxis or None, scene.domain)
+    if scene.forces or scene.motions:
+        return False
     return scene.initial.count == 1 and scene.growth is not None and moved == (None,) * len(moved)
 
 

@@ -17,6 +17,7 @@ from multicell.integrators.auto import CANDIDATES, MILD, Auto, choose
 from multicell.integrators.rkc import Rkc2
 from multicell.results import summary
 from multicell.scene import start
+from multicell.scene.checks import followed
 from multicell.scene.coupling import longest_step
 
 if TYPE_CHECKING:
@@ -70,7 +71,7 @@ def touching(scene: Scene, count: int) -> tuple[Mechanics, FloatArray]:
     system = start.mechanics(scene, 1)
     motion = motion_of(
         scene, cells, cells.radius, 0.0, longest_step(scene), concentrations={},
-        gradients=dict.fromkeys(scene.chemotaxis, nothing),
+        gradients=dict.fromkeys(followed(scene), nothing),
         contacts=np.empty((0, 2), dtype=np.int64),
     )  # fmt: skip
     system.begin(motion)
@@ -79,6 +80,8 @@ def touching(scene: Scene, count: int) -> tuple[Mechanics, FloatArray]:
 
 def _cells(scene: Scene, count: int) -> Cells:
     """Return copies of a scene's first cell in rows, each of which touches the next."""
+    if scene.initial.cells is not None:
+        scene = scene.with_changes({"initial": {"stage": scene.initial.stage}})
     cells = initial_cells(scene).take(np.zeros(count, dtype=np.int64))
     cells.id = np.arange(count, dtype=cells.id.dtype)
     width = max(round(count ** (1.0 / scene.dimensions)), 2)

@@ -27,10 +27,12 @@ from multicell.report.result import (
     read_summary,
     recorded_scene,
 )
+from multicell.report.wording import time_unit
 from multicell.results.folder import locked, write_summary
 from multicell.results.frame import Frame
 from multicell.results.quantities import units_of
 from multicell.results.records import can_go_on
+from multicell.scene.scene import load_scene
 from multicell.simulation import Simulation
 from multicell.threads import thread_count
 
@@ -44,7 +46,7 @@ if TYPE_CHECKING:
 
 
 def run(
-    scene: Scene,
+    scene: Scene | str | Path,
     *,
     output: str | Path | None = None,
     integrator: str | type[Integrator] | Integrator | None = None,
@@ -53,13 +55,14 @@ def run(
     progress: Callable[[Simulation], None] | None = None,
     report: bool = True,
     reactions: Mapping[str, OwnReaction] | None = None,
+    cells: Any = None,
 ) -> Result:
     """Run a scene from its start to its end.
 
     Parameters
     ----------
     scene
-        What to run.
+        What to run: a scene, the name of a built-in one, or the path of a TOML file.
     output
         Folder for scene, frames, summary and report; None keeps all in memory.
     integrator
@@ -77,6 +80,11 @@ def run(
     reactions
         Name -> reaction of the user's own between fields (:func:`multicell.reaction`), besides
         those of the scene. The folder does not hold them: to resume the run needs them again.
+    cells
+        Cells to start with, in place of those of the scene: :class:`multicell.Cells` (of a frame),
+        a pandas ``DataFrame``, columns by title, or the path of a CSV or Parquet file, with columns
+        as an export has them (``position_x_um``). The folder holds them as ``initial.cells`` of its
+        scene, so that the run can be repeated.
 
     Returns
     -------
@@ -84,6 +92,8 @@ def run(
 
     Raises
     ------
+    DataError
+        With row and column, for cells that cannot start in the scene.
     SceneError, OutputError
         For input that cannot be used, before the first step.
     OutputError
@@ -93,9 +103,11 @@ def run(
         If a step cannot be solved. Like after Ctrl-C, the folder then holds all frames so far,
         the history and a summary with ``"interrupted": true``.
     """
+    if isinstance(scene, str | Path):
+        scene = load_scene(scene)
     recorder = recorded(
         scene, output=output, integrator=integrator, overwrite=overwrite, threads=threads,
-        progress=progress, reactions=reactions,
+        progress=progress, reactions=reactions, cells=cells,
     )  # fmt: skip
     return finished(recorder, report)
 
@@ -109,8 +121,17 @@ def recorded(
     threads: int | None = None,
     progress: Callable[[Simulation], None] | None = None,
     reactions: Mapping[str, OwnReaction] | None = None,
+    cells: Any = None,
 ) -> Recorder:
     """Run a scene as :func:`run` does, and read nothing back of what was written."""
+    if cells is not None:
+        from multicell.scene.start_table import with_cells
+
+        scene = with_cells(scene, cells)
+    if scene.initial.cells is not None:
+        from multicell.scene.start_checks import check_start_table
+
+        check_start_table(scene)  # before the folder is made
     scene, own = integrated_by(scene, integrator)
     begin = clock.perf_counter()
     threads = thread_count(threads)  # before the folder is made
@@ -494,9 +515,10 @@ def _simulation(
         scene, threads=threads, frame=start, lineage=lineage, integrator=own, reactions=reactions
     )
     if simulation.finished and _complete(contents):
+        end, twice = (time_unit(start.time).text(n * start.time) for n in (1, 2))
         raise OutputError(
-            f"the run in '{folder}' ends with the frame at {start.time:g} s. "
-            "To prolong it, change duration or stop_cells"
+            f"the run in '{folder}' is done: it ends with the frame at {end}. To prolong it, "
+            f"change duration or stop_cells: --set duration='{twice}'"
         )
     return simulation
 

@@ -17,11 +17,13 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
+from multicell.biology import driven, spring_graph
 from multicell.biology.growth import growth_factor
 from multicell.biology.initial import initial_cells
 from multicell.biology.motion import motion_of
 from multicell.biology.pace import Pace, end_of_step, first_pace, next_pace
 from multicell.biology.splitting import StepError, columns, held, jumps, step_error
+from multicell.biology.spring_graph import Springs
 from multicell.biology.step import aged, bind, decide, divide_and_remove, grow
 from multicell.cells import Cells, FloatArray
 from multicell.errors import NutrientFailed, SceneError, StepFailed
@@ -35,6 +37,7 @@ from multicell.results.frame import Field, Frame, Progress
 from multicell.results.lineage import Lineage
 from multicell.results.observables import contact_rows
 from multicell.scene import start
+from multicell.scene.checks import followed
 from multicell.scene.coupling import fixed_step, longest_step
 from multicell.scene.domain import check_inside, check_start
 from multicell.scene.ranges import check_memory
@@ -42,6 +45,7 @@ from multicell.threads import thread_count
 
 if TYPE_CHECKING:
     from multicell.biology.splitting import Held
+    from multicell.cells import IntArray
     from multicell.integrators.base import Integrator
     from multicell.nutrient.fields import Feeding
     from multicell.nutrient.reactions.own import OwnReaction
@@ -57,7 +61,8 @@ _NOTED = (
 )  # fmt: skip
 """What a run notes beside its cells; a frame's progress has entries of the same names."""
 
-_STATE = ("cells", "step_index", "contacts", "step_error", "pace", "_origin", *_NOTED)
+_STATE = ("cells", "step_index", "contacts", "step_error", "pace", "named", "springs", "_origin",
+          *_NOTED)  # fmt: skip
 """What a coupling step changes, beside fields, logs and counts of work."""
 
 _STALE_ORDER = 0.05
@@ -90,7 +95,9 @@ class Simulation:
         Number of threads for large populations, by default all that there are. The results
         have the same bits for any number.
     cells
-        Cells to start from instead of the scene's initial ones.
+        Cells to start from instead of the scene's initial ones: as they are, or as a table (path
+        of a CSV or Parquet file, a ``DataFrame``, columns by title) whose cells the scene takes as
+        with ``initial.cells``.
     frame
         State to go on from, of a run of this scene; what comes is what would have come.
     lineage
@@ -119,6 +126,10 @@ class Simulation:
     splitting : float or None, µm³
         The error that coupling steps have made so far with the volume of all cells, over their
         number; None without growth. What the last step has made of it is ``step_error``.
+    named : table of the scene -> (k,) identities
+        Cells that are driven from outside because of who or where they were at the start.
+    springs : Springs
+        Those that join cells; none where the scene has none.
     pace : Pace or None
         What chooses the next coupling step; None where the scene fixes it.
     wall : phase -> s
@@ -136,12 +147,16 @@ class Simulation:
         scene: Scene,
         *,
         threads: int | None = None,
-        cells: Cells | None = None,
+        cells: Cells | Any = None,
         frame: Frame | None = None,
         lineage: Lineage | None = None,
         integrator: Integrator | None = None,
         reactions: Mapping[str, OwnReaction] | None = None,
     ) -> None:
+        if cells is not None and not isinstance(cells, Cells):
+            from multicell.scene.start_table import with_cells
+
+            scene, cells = with_cells(scene, cells), None
         if cells is None and frame is None:
             check_memory(scene)
         self.scene = scene
@@ -158,6 +173,8 @@ class Simulation:
         # identities of the pairs in contact, (m, 2): what exact JKR remembers, and others count
         self.contacts = np.empty((0, 2), dtype=np.int64)
         self.separation: Mapping[str, float] | None = None
+        self.named: dict[str, IntArray] = {}
+        self.springs = Springs()
         self._integrator = integrator or registry.make(scene.integrator)
         self._feeding = _feeding(scene, reactions, self._mechanics.threads)
         self.lineage = Lineage() if lineage is None else lineage
@@ -169,10 +186,15 @@ class Simulation:
     def _start(self, cells: Cells) -> None:
         """Begin with these cells."""
         check_start(self.scene, cells)
+        self.named = driven.named_at_start(self.scene, cells)
+        if self.scene.springs:
+            self.springs = spring_graph.springs_at_start(self.scene, cells)
         self.cells = cells
         bind(self.scene, cells, cells, {}, self.time)
         self.next_id = int(cells.id.max(initial=-1)) + 1
-        self.lineage.born(cells.take(np.argsort(cells.id)), self.time)
+        first = cells.take(np.argsort(cells.id))
+        first.parent = np.full(len(first), -1)  # nothing is known of mothers before the start
+        self.lineage.born(first, self.time)
         self.unsorted = len(cells)
         self._sort()
         with self._phase("mechanics"):
@@ -202,6 +224,8 @@ class Simulation:
         self.cells = frame.cells.copy()
         check_start(self.scene, self.cells)
         self.contacts = np.array(frame.contacts)
+        self.named = {path: np.array(ids, np.int64) for path, ids in known.driven.items()}
+        self.springs = Springs.of(known.springs)
         for name in _NOTED:
             setattr(self, name, getattr(known, name))
         self._count(known.work)
@@ -218,6 +242,8 @@ class Simulation:
             work=asdict(self._mechanics.work),
             pace=None if self.pace is None else self.pace._asdict(),
             grids={} if feeding is None else feeding.grids.kept(),
+            driven={path: ids.tolist() for path, ids in self.named.items()},
+            springs=self.springs.kept(),
         )
 
     def _count(self, work: Mapping[str, int]) -> None:
@@ -320,6 +346,8 @@ class Simulation:
             if self.pace is not None:
                 self._origin = (self.step_index, end)
             self._divide_and_remove()
+            if len(self.springs):
+                self.springs = spring_graph.unbroken(scene, self.springs, self.cells)
             self._sort()
         with self._phase("nutrient"):
             if self._feeding is not None:
@@ -414,6 +442,11 @@ class Simulation:
         if self._feeding is not None:
             extra |= {f"medium_{name}": level for name, level in self._feeding.media.items()}
             extra |= self._feeding.grids.columns()
+        if self.scene.motions:
+            now = self._motion(self.time, self.time, self.cells.radius)
+            extra |= driven.columns(self.scene, self.cells, self.named, self._mechanics, now)
+        if self.scene.springs:
+            extra |= spring_graph.columns(self.scene, self.springs, self.cells)
         if self.scene.output.instability:
             extra["instability_rate"] = self._instability_rate()
         return summary.history_row(self.scene, self._view(whole=False), **extra)
@@ -453,17 +486,19 @@ class Simulation:
         """Return what mechanics must know of the cells between two times."""
         return motion_of(
             self.scene, self.cells, radius, begin, end, concentrations=self.concentrations,
-            gradients=self._gradients(), contacts=self.contacts,
+            gradients=self._gradients(), contacts=self.contacts, named=self.named,
+            springs=self.springs,
         )  # fmt: skip
 
     def _gradients(self) -> dict[str, FloatArray]:
-        """Return the gradients that chemotaxis follows, at the cells."""
-        if self._feeding is None or not self.scene.chemotaxis:
+        """Return the gradients that cells follow, where they are."""
+        names = followed(self.scene)
+        if self._feeding is None or not names:
             return {}
         if not self._feeding.concentrations:
             # contacts are looked for before there is a field, and need no forces
-            return {name: np.zeros((len(self.cells), 3)) for name in self.scene.chemotaxis}
-        return self._feeding.gradients(self.cells.position, self.scene.chemotaxis)
+            return {name: np.zeros((len(self.cells), 3)) for name in names}
+        return self._feeding.gradients(self.cells.position, names)
 
     def prepared(self) -> Mechanics:
         """Return the mechanics made ready for the next coupling step, which is not taken."""
@@ -483,16 +518,18 @@ class Simulation:
         if not outcome.done:
             cell = None if outcome.cell is None else int(cells.id[outcome.cell])
             raise StepFailed(outcome.time, outcome.problem, outcome.hint, cell)
-        check_inside(self.scene, cells.id, outcome.position, end)
+        position = self._mechanics.at_end(outcome.position)
+        check_inside(self.scene, cells.id, position, end)
         if not math.isnan(outcome.local_error):
             self.local_error = max(outcome.local_error, self.local_error or 0.0)
         pressure = self._mechanics.pressure(end, outcome.position)
         self._note_contacts(end, outcome.position)
-        return outcome.position, pressure
+        return position, pressure
 
     def _alone(self, motion: Motion) -> bool:
         """Return whether there is one cell that nothing acts on: it stays where it is."""
-        return len(self.cells) == 1 and motion.push is None and self._mechanics.walls is None
+        acting = (motion.push, motion.held, self._mechanics.walls)
+        return len(self.cells) == 1 and all(part is None for part in acting)
 
     def _find_first_contacts(self) -> None:
         """Find the pairs that overlap at the start, before any of them has touched."""
@@ -521,6 +558,11 @@ class Simulation:
         self.unsorted += born + after.removals
         if born or after.removals:
             self.lineage.events(before, self.cells, self.time)
+            self.named = driven.handed_on(self.named, self.cells, first)
+            if len(self.springs):
+                self.springs = spring_graph.after_divisions(
+                    self.scene, self.springs, before, self.cells
+                )
             if len(self.contacts):
                 self.contacts = self.cells.id[contact_rows(self.cells, self.contacts)]
 
@@ -537,6 +579,7 @@ class Simulation:
         dead = decide(scene, cells, self.concentrations, self.step_index, dt, self.time)
         if dead.any():
             self.lineage.died(np.sort(cells.id[dead]), self.time)
+            self.springs = spring_graph.without_dead(self.springs, cells)
 
 
 def _feeding(

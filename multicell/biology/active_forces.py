@@ -8,22 +8,28 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from multicell import random
+from multicell.biology.driven import Named, add_forces
 from multicell.cells import Cells, FloatArray
 from multicell.random import Purpose
 
 if TYPE_CHECKING:
+    from multicell.scene.parts import Motility
     from multicell.scene.scene import Scene
 
 
+_NONE: Mapping[str, FloatArray] = {}
 _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
 
-def active_force(scene: Scene, cells: Cells, time: float) -> FloatArray:
+def active_force(
+    scene: Scene, cells: Cells, time: float, gradients: Mapping[str, FloatArray] = _NONE
+) -> FloatArray:
     """Return the active force of each cell at a time, (n, 3) nN.
 
-    A living cell keeps its direction for the polarisation time and then takes another one at
-    random. The moments differ from cell to cell. The direction is a function of seed, cell and
-    number of the interval, so that no state has to be kept.
+    A living cell keeps its random direction for the polarisation time and then takes another one
+    at random. The moments differ from cell to cell. The direction is a function of seed, cell and
+    number of the interval, so that no state has to be kept. A bias along a gradient follows the
+    gradient of the moment.
 
     Parameters
     ----------
@@ -33,17 +39,45 @@ def active_force(scene: Scene, cells: Cells, time: float) -> FloatArray:
         The population, n cells.
     time
         Simulated time, s.
+    gradients : name -> (n, 3), mM/µm
+        At the cells; of the field that a bias is towards.
     """
-    assert scene.motility is not None
+    law = scene.motility
+    assert law is not None
+    if law.renewal == "regular":
+        random_part = _regular(scene, law, cells, time)
+    else:
+        from multicell.biology.renewal import directions_at
+
+        random_part = directions_at(scene, cells.id, time / law.persistence)
+    if law.bias:
+        return law.force * _biased(law, random_part, gradients)
+    return random_part * law.force
+
+
+def _regular(scene: Scene, law: Motility, cells: Cells, time: float) -> FloatArray:
+    """Return the random directions of cells that change them after equal times, (n, 3)."""
     shift = (cells.id + 1) * _GOLDEN % 1.0
-    interval = np.floor(time / scene.motility.persistence + shift).astype(np.int64)
+    interval = np.floor(time / law.persistence + shift).astype(np.int64)
     force = np.zeros((len(cells), 3))
     for number in np.unique(interval):
         now = interval == number
         force[now] = random.directions(
             scene.seed, Purpose.MOTILITY, int(number), cells.id[now], scene.dimensions
         )
-    return force * scene.motility.force
+    return force
+
+
+def _biased(
+    law: Motility, random_part: FloatArray, gradients: Mapping[str, FloatArray]
+) -> FloatArray:
+    """Return the directions of b u + (1 - |b|) e, (n, 3); u is zero where there is no gradient."""
+    along = np.array(law.direction) if law.direction else gradients.get(law.towards, np.zeros(3))
+    length = np.linalg.norm(along, axis=-1, keepdims=True)
+    unit = along / np.where(length > 0.0, length, 1.0)
+    total = law.bias * unit + (1.0 - abs(law.bias)) * random_part
+    size = np.linalg.norm(total, axis=1, keepdims=True)
+    return np.asarray(total / np.where(size > 0.0, size, 1.0))
 
 
 def chemotactic_force(
@@ -101,18 +135,24 @@ def pulling_force(scene: Scene, cells: Cells, time: float) -> FloatArray:
 
 
 def push(
-    scene: Scene, cells: Cells, time: float, gradients: Mapping[str, FloatArray]
+    scene: Scene,
+    cells: Cells,
+    time: float,
+    gradients: Mapping[str, FloatArray],
+    end: float | None = None,
+    named: Named | None = None,
 ) -> FloatArray | None:
     """Return all forces that are no contact forces, with their rates, (n, 6), or None.
 
     Only living cells move by themselves, each type as actively as its ``motility_scale`` says.
+    Forces from outside act on the cells that ``named`` says, from ``time`` to ``end``.
     """
     active = scene.motility is not None or bool(scene.chemotaxis) or scene.haptotaxis is not None
-    if not active and scene.pull is None:
+    if not active and scene.pull is None and not scene.forces:
         return None
     total = np.zeros((len(cells), 6))
     if scene.motility is not None:
-        total[:, :3] += active_force(scene, cells, time)
+        total[:, :3] += active_force(scene, cells, time, gradients)
     if scene.chemotaxis:
         total[:, :3] += chemotactic_force(scene, cells, gradients)
     if scene.haptotaxis is not None:
@@ -122,4 +162,6 @@ def push(
     total[cells.dead] = 0.0
     if scene.pull is not None:
         total += pulling_force(scene, cells, time)
+    if scene.forces:
+        add_forces(scene, cells, named or {}, (time, time if end is None else end), total)
     return total

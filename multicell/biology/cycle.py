@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from multicell import random
 from multicell.biology.growth import birth_volume
+from multicell.biology.growth_laws import grown, share_behind
 from multicell.cells import HALF, Cells, FloatArray, IntArray, Phase, State
 from multicell.contact.law import effective_modulus, effective_radius
 from multicell.contact.pair import rest_overlap
@@ -114,7 +115,6 @@ def advance(
     )  # fmt: skip
     left = np.where((cells.state == State.PROLIFERATING) & (cells.phase != Phase.G0), dt, 0.0)
     grows = _grows(scene)
-    gain = birth_volume(scene) / cells.cycle_time
     # a clock that stands still never comes to the end of its phase
     active = np.flatnonzero(left > 0.0)
     while active.size:
@@ -125,11 +125,37 @@ def advance(
         np.divide(to_go, rate, out=needed, where=rate > 0.0)
         spent = np.minimum(np.maximum(needed, 0.0), left[active])
         now.progress[active] += rate * spent
-        now.volume[active] += np.where(in_growth, gain[active] * factor[active] * spent, 0.0)
+        growing = active[in_growth]
+        _grow(scene, cells, now, growing, factor[growing], spent[in_growth])
         left[active] -= spent
         _change(scene, cells, now, active[needed <= spent], factor, unfavourable, left)
         active = active[(left[active] > 0.0) & (needed <= spent)]
     return now
+
+
+def _grow(
+    scene: Scene, cells: Cells, now: Cycling, index: IntArray, factor: FloatArray, time: FloatArray
+) -> None:
+    """Let cells grow for some time, s, at a part of their unlimited growth."""
+    assert scene.growth is not None
+    birth, cycle = birth_volume(scene), cells.cycle_time[index]
+    if scene.growth.law == "linear":
+        now.volume[index] += birth / cycle * factor * time
+        return
+    now.volume[index] = grown(scene.growth, birth, now.volume[index], factor * time / cycle)
+
+
+def _grow_as_two(
+    scene: Scene, cells: Cells, now: Cycling, index: IntArray, ahead: FloatArray
+) -> None:
+    """Let mothers grow as their two daughters do for some time without limits, s."""
+    assert scene.growth is not None
+    birth, cycle = birth_volume(scene), cells.cycle_time[index]
+    if scene.growth.law == "linear":
+        now.volume[index] += 2.0 * ahead * birth / cycle
+        return
+    half = 0.5 * now.volume[index]
+    now.volume[index] = 2.0 * grown(scene.growth, birth, half, ahead / cycle)
 
 
 def _change(
@@ -152,7 +178,7 @@ def _change(
         ahead = left[ripe] * (factor[ripe] if grow else 1.0)
         now.progress[ripe] = now.phase_length[ripe] + ahead
         if grow:
-            now.volume[ripe] += 2.0 * ahead * birth_volume(scene) / cells.cycle_time[ripe]
+            _grow_as_two(scene, cells, now, ripe, ahead)
         left[ripe] = 0.0
     resting = np.zeros(len(at_end), dtype=bool)
     if scene.growth.restriction:
@@ -266,9 +292,57 @@ def placed(scene: Scene, cells: Cells, share: FloatArray) -> FloatArray:
     cells.phase_length = lengths[rows, phase]
     cells.progress = elapsed - (ends[rows, phase] - lengths[rows, phase])
     before = np.arange(len(PHASES)) < phase[:, None]
-    grown = (lengths * grows * before).sum(axis=1) + cells.progress * grows[phase]
+    growing = (lengths * grows * before).sum(axis=1) + cells.progress * grows[phase]
     cells.age = elapsed
-    return np.asarray(1.0 + grown / cells.cycle_time)
+    return volume_ratio(scene, growing / cells.cycle_time)
+
+
+def volume_ratio(scene: Scene, share: FloatArray) -> FloatArray:
+    """Return the volumes of cells over that at birth after a share of their growing time, (n,)."""
+    if scene.growth is None:
+        return np.asarray(1.0 + share)
+    return grown(scene.growth, 1.0, np.ones(len(share)), share)
+
+
+def grown_share(scene: Scene, volume: FloatArray) -> FloatArray:
+    """Return the share of their growing time that cells of a volume have behind them, (n,).
+
+    Volumes are over that at birth; those outside growth have none or all of it behind them.
+    """
+    ratio = np.clip(volume, 1.0, 2.0)
+    return np.asarray(ratio - 1.0) if scene.growth is None else share_behind(scene.growth, ratio)
+
+
+def placed_by_volume(scene: Scene, cells: Cells, volume: FloatArray) -> None:
+    """Put cells of known cycle times where they have a volume, given over that at birth."""
+    lengths = drawn_lengths(scene, cells.id, cells.kind)[:, np.array(order(scene)) - 1]
+    grown_for = grown_share(scene, volume) * cells.cycle_time
+    ends = np.cumsum(lengths * _grows(scene)[order(scene)], axis=1)
+    place = np.minimum((grown_for[:, None] >= ends).sum(axis=1), len(PHASES) - 1)
+    rows = np.arange(len(cells))
+    before = np.where(place > 0, ends[rows, place - 1], 0.0)
+    cells.phase = np.array(order(scene), dtype=np.int8)[place]
+    cells.phase_length = lengths[rows, place]
+    cells.progress = np.minimum(grown_for - before, cells.phase_length)
+
+
+def begun(scene: Scene, cells: Cells) -> FloatArray:
+    """Return what cells have behind them before their phase, (n, 2) s: all time, time of growth.
+
+    Those in G0 have G1 behind them.
+    """
+    sequence = order(scene)
+    lengths = drawn_lengths(scene, cells.id, cells.kind)[:, np.array(sequence) - 1]
+    following = np.where(cells.phase == Phase.G0, Phase.S, cells.phase)
+    place = np.argmax(following[:, None] == np.array(sequence), axis=1)
+    earlier = lengths * (np.arange(len(PHASES)) < place[:, None])
+    return np.stack([earlier.sum(axis=1), earlier @ _grows(scene)[sequence]], axis=1)
+
+
+def grown_in_phase(scene: Scene, cells: Cells) -> FloatArray:
+    """Return the volumes of cells in their phases over those at birth, (n,)."""
+    elapsed = begun(scene, cells)[:, 1] + cells.progress * _grows(scene)[cells.phase]
+    return volume_ratio(scene, elapsed / cells.cycle_time)
 
 
 def phase_counts(cells: Cells) -> dict[str, int]:

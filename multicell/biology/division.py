@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from multicell import random
 from multicell.biology.cycle import newborn, order
 from multicell.biology.growth import division_volume
-from multicell.biology.initial import draw_cycle_times, draw_moduli
+from multicell.biology.traits import draw_cycle_times, draw_moduli
 from multicell.cells import HALF, Cells, State
 from multicell.random import Purpose
 

@@ -10,6 +10,8 @@ import numpy as np
 from multicell.biology import adhesion
 from multicell.biology.active_forces import push
 from multicell.biology.cycle import parting
+from multicell.biology.driven import Named, prescribed
+from multicell.biology.spring_graph import Springs, for_mechanics
 from multicell.cells import Cells, FloatArray
 from multicell.mechanics.motion import Motion
 from multicell.results import summary
@@ -31,6 +33,8 @@ def motion_of(
     concentrations: Mapping[str, FloatArray],
     gradients: Mapping[str, FloatArray],
     contacts: NDArray[np.int64],
+    named: Named | None = None,
+    springs: Springs | None = None,
 ) -> Motion:
     """Return what mechanics must know of the cells between two times.
 
@@ -48,17 +52,26 @@ def motion_of(
         Of the fields that chemotaxis follows, at the cells.
     contacts : (m, 2)
         Identities of the cells that have touched.
+    named
+        Cells that are driven from outside; see :mod:`multicell.biology.driven`.
+    springs
+        Between the cells.
     """
     length = end - begin
     rate = (radius - cells.radius) / length if length > 0.0 else np.zeros(len(cells))
     apart = parting(scene, cells, length)
+    given = prescribed(scene, cells, named or {}, begin, end) if scene.motions else None
+    held, velocity = given or (None, None)
+    graph = None if springs is None else for_mechanics(scene, cells, springs)
+    joined, spring = graph or (None, None)
     touching = contact_rows(cells, contacts) if summary.remembers_contacts(scene) else None
     return Motion(
         cells.radius, rate, cells.young, cells.poisson, begin, end,
         bonds=adhesion.bonds(scene, cells, concentrations, begin, end),
-        push=push(scene, cells, begin, gradients),
+        push=push(scene, cells, begin, gradients, end, named),
         kind=cells.kind if scene.types else None,
         touching=None if touching is None else np.sort(touching, axis=1),
         offset_pairs=None if apart is None else apart[0],
         offset=None if apart is None else apart[1],
+        held=held, velocity=velocity, spring_pairs=joined, spring=spring,
     )  # fmt: skip

@@ -15,6 +15,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, NamedTuple, final
 
 from multicell.scene.coupling import longest_step, shortest_step, tolerance
+from multicell.scene.driven import changes as driven_anew
 
 if TYPE_CHECKING:
     from multicell.biology.splitting import StepError
@@ -88,10 +89,11 @@ def next_pace(scene: Scene, pace: Pace, error: StepError, uptake: float, dt: flo
 def end_of_step(scene: Scene, pace: Pace, time: float) -> float:
     """Return when the step that begins at ``time`` ends, s.
 
-    At the next multiple of its length, where a medium changes, or with the run.
+    At the next multiple of its length, where a medium or what drives cells changes, or with the
+    run.
     """
     whole = math.floor(time / pace.step + _NEAR) + 1
     end = whole * pace.step
     after = time + _NEAR * pace.step
     changes = [t for field in scene.nutrients.values() for t in field.switches(after, end)]
-    return min([end, *changes, scene.duration])
+    return min([end, *changes, *driven_anew(scene, after, end), scene.duration])

@@ -9,7 +9,8 @@ of Δt gain Δt (g₀ + g₁), and half of their difference is the error of one 
 are known anyway, so that the estimate needs no second solution of anything.
 
 Without phases a mother grows beyond the division volume until the step ends, as one cell where two
-daughters would have grown: what she has grown beyond it is missing. (With phases what is left of a
+daughters would have grown: what they would have gained beyond her is missing, as much as she has
+grown beyond it with linear growth and nothing with exponential one. (With phases what is left of a
 step counts for both daughters, and nothing is missing.)
 
 Where a medium changes at once just when a step ends, and its field is steady, that step has rightly
@@ -27,6 +28,7 @@ from numpy.typing import NDArray
 
 from multicell.biology.cycle import may_grow
 from multicell.biology.growth import birth_volume
+from multicell.biology.growth_laws import missing_in_waiting, unlimited_rate
 from multicell.cells import Cells, FloatArray, State, rows_of
 from multicell.scene.scales import regime
 
@@ -108,16 +110,17 @@ def step_error(
         return StepError()
     birth = birth_volume(scene)
     # what each cell would gain in a second where nothing limits it, µm³/s
-    rate = birth / cells.cycle_time
+    rate = unlimited_rate(scene.growth, birth, cells.volume, cells.cycle_time)
     if scene.growth.phases:
         rate[~may_grow(scene, cells)] = 0.0
     began = now.factor if jumped else _inherited(before, now, cells)
     change = 0.5 * rate * (began - now.factor)
     error, volume = dt * change, cells.volume
+    missing = missing_in_waiting(scene.growth)
     if not scene.growth.phases:
         born = cells.id >= next_id
         if born.any():
-            error[born] -= volume[born] - birth
+            error[born] -= missing * (volume[born] - birth)
     living = ~cells.dead
     count = int(np.count_nonzero(living))
     if count == 0:
@@ -135,7 +138,7 @@ def step_error(
         float(np.abs(relative).max()),
         float(same.sum()) / free if free > 0.0 else 0.0,
         float(np.abs(other).sum()) / free if free > 0.0 else 0.0,
-        0.5 * math.log(2.0) * float((rate * now.factor).sum()) / (birth * count),
+        abs(missing) * 0.5 * math.log(2.0) * float((rate * now.factor).sum()) / (birth * count),
     )
 
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Final, cast
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
@@ -19,8 +18,10 @@ from multicell.cli.options import (
     overwrite_option,
     quiet_option,
     scene_of,
+    with_values,
 )
-from multicell.cli.process import Faltering, complain, print_json
+from multicell.cli.process import complain, print_json
+from multicell.cli.progress import on_stderr
 from multicell.cli.study import (
     confirm,
     cores_option,
@@ -58,6 +59,7 @@ def _budget(context: click.Context, option: click.Parameter, value: str | None) 
 @click.option(
     "--free",
     multiple=True,
+    callback=with_values,
     metavar="KEY=LOW:HIGH",
     help="A free parameter and its range, as growth.cycle_time='8:25 h' or "
     "drag.viscosity='log 0.1:10 kPa s' (equal ratios count the same). May be given several times.",
@@ -171,9 +173,7 @@ def _reporter(*, show: bool) -> Iterator[Callable[[str, int, int], None] | None]
     if not show:
         yield None
         return
-    from rich.console import Console
-
-    stderr = Console(file=cast(IO[str], Faltering(sys.stderr)), highlight=False)
+    stderr = on_stderr()
     if not stderr.is_terminal:
         yield _lines(stderr)
         return

@@ -23,6 +23,7 @@ from multicell.cli.options import (
     overwrite_option,
     quiet_option,
     scene_of,
+    with_values,
 )
 from multicell.cli.process import complain, print_json
 from multicell.errors import MissingPackage
@@ -61,6 +62,7 @@ def study() -> None:
 @click.option(
     "--vary",
     multiple=True,
+    callback=with_values,
     metavar="KEY=VALUES",
     help="Values of a key, as nutrients.oxygen.boundary='0.07,0.14,0.28 mM', '0.05:0.3:6 mM' (six "
     "of them) or contact.law=jkr,hertz; with lhs and sobol a range, '8:25 h' or "

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import IO, TYPE_CHECKING, Any, Final, cast, final
+from typing import TYPE_CHECKING, Any, Final, final
 
+from multicell.cli.progress import on_stderr
 from multicell.cli.remaining import in_words
 
 if TYPE_CHECKING:
@@ -92,11 +92,7 @@ def reporter(study: Study, cores: int | None, *, show: bool = True) -> Iterator[
     if not show:
         yield None
         return
-    from rich.console import Console
-
-    from multicell.cli.process import Faltering
-
-    console = Console(file=cast(IO[str], Faltering(sys.stderr)), highlight=False)
+    console = on_stderr()
     pace = Pace(study.runs, cores, time.perf_counter())
     with _bar(pace, console) if console.is_terminal else _lines(pace, console) as progress:
         yield progress

@@ -281,7 +281,7 @@ def _entries(result: WorkPrecision, looks: Mapping[str, Look]) -> float:
 def _pale_names(looks: Mapping[str, Look]) -> list[str]:
     """Return lines that name the methods in pale grey."""
     names = [name for name, (colour, _, _) in looks.items() if colour == PALE]
-    return textwrap.wrap(f"pale: {', '.join(names)}", 30, break_on_hyphens=False) if names else []
+    return textwrap.wrap(f"pale: {', '.join(names)}", 27, break_on_hyphens=False) if names else []
 
 
 def _legend(

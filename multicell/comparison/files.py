@@ -13,7 +13,6 @@ from multicell.results.folder import file_errors, make_folder, remove, write_tex
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from multicell.report.plots.marks import Mark
     from multicell.scene.scene import Scene
 
 Row = dict[str, Any]
@@ -85,20 +84,11 @@ def write(
         If the folder cannot be written to.
     """
     from multicell.report.html import write_page
-    from multicell.report.plots.marks import marks
-    from multicell.report.plots.style import save
 
     folder = Path(folder)
     with file_errors("use the output folder", folder):
         folder.mkdir(parents=True, exist_ok=True)
     for name, text in texts.items():
         write_text(folder / name, text)
-    places: dict[Path, list[Mark]] = {}
-    for name, (draw, _) in drawings.items():
-        figure = draw()
-        save(figure, folder / name)
-        places[folder / name] = marks(figure)
-    pictures = {folder / name: caption for name, (_, caption) in drawings.items()}
-    return write_page(
-        folder / "report.html", template, scene=scene, pictures=pictures, marks=places, **context
-    )
+    pictures = {folder / name: drawing for name, drawing in drawings.items()}
+    return write_page(folder / "report.html", template, scene=scene, pictures=pictures, **context)

@@ -87,7 +87,8 @@ class Recorder:
         start = None if self.samples is None else np.array(position)
         outcome = self.inner.integrate(system, position)
         if self.total % self.stride == 0:
-            self.held[self.total] = Held(system.motion, outcome.position, start)
+            end = system.at_end(outcome.position)
+            self.held[self.total] = Held(system.motion, end, start)
         self.total += 1
         most = math.inf if self.samples is None else _SPARE * self.samples
         while len(self.held) > most:

@@ -270,4 +270,4 @@ def advance(
         return f"{outcome.problem} (t = {outcome.time:.6g} s)", position
     if not np.isfinite(outcome.position).all():
         return f"a position is not a number (in the step from t = {begin:.6g} s)", position
-    return "", outcome.position
+    return "", system.at_end(outcome.position)

@@ -90,6 +90,9 @@ class Integrator(Protocol):
         position
             (n, 3) µm at the beginning; it must be left as it is.
 
+            Cells whose motion is prescribed stand still to a method: their velocity is zero, and
+            where it leaves them does not count.
+
         Returns
         -------
         Outcome

@@ -49,7 +49,11 @@ def _stiffness_scale(system: Mechanics) -> float:
     young, poisson = motion.young.item(at), motion.poisson.item(at)
     modulus = effective_modulus(young, poisson, young, poisson)
     _, slope, _ = system.law.evaluate(0.25 * radius, modulus, 0.5 * radius, rest=2.0 * radius)
-    return _CONTACTS * abs(float(slope)) / (system.drag * radius)
+    stiffness = _CONTACTS * abs(float(slope))
+    if system.springs is not None:
+        # no row of the Jacobian adds up to more than twice its diagonal
+        stiffness += 2.0 * system.springs.stiffest(len(system))
+    return stiffness / (system.drag * radius)
 
 
 def beyond(system: Mechanics, position: FloatArray, atol: float = 0.0) -> Outcome | None:

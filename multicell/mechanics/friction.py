@@ -28,6 +28,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 import numpy as np
 from numba import njit, prange
+from numpy.typing import NDArray
 
 from multicell.compiling import KERNEL
 from multicell.mechanics.neighbours import PairList
@@ -36,6 +37,7 @@ from multicell.threads import two_drivers
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
     from multicell.mechanics.neighbours import IndexArray, OffsetArray
+    from multicell.mechanics.prescribed import Prescribed
 
 _TINY = 1e-300
 _NO_OFFSET = np.empty(0)
@@ -73,6 +75,8 @@ class Gamma(NamedTuple):
         Stokes drag of each cell.
     inverse : (n,), µm/(nN s)
         One over the mean of each cell's three diagonal entries.
+    held : (n,) bool, or None
+        Cells whose velocity is given: the rows of Γ for them are zero.
     """
 
     chunk: int
@@ -83,6 +87,7 @@ class Gamma(NamedTuple):
     link: FloatArray
     stokes: FloatArray
     inverse: FloatArray
+    held: NDArray[np.bool_] | None = None
 
 
 class Vectors(NamedTuple):
@@ -190,6 +195,16 @@ def _pair_sums(begin, end, inner, sign, near, link, v, out):
 
 
 @njit(**KERNEL)
+def _clear_held(held, low, high, out):
+    """Clear the rows of the held cells of one chunk."""
+    if held is None:
+        return
+    for i in range(low, high):
+        if held[i]:
+            out[i, 0] = out[i, 1] = out[i, 2] = 0.0
+
+
+@njit(**KERNEL)
 def _apply_chunk(c, gamma, v, out):
     """Write Γ v for the cells of one chunk; return their share of v · Γ v."""
     low, high = c * gamma.chunk, min((c + 1) * gamma.chunk, v.shape[0])
@@ -201,6 +216,7 @@ def _apply_chunk(c, gamma, v, out):
         end = gamma.ends[c, side]
         _pair_sums(begin, end, side == 0, gamma.sign, gamma.near, gamma.link, v, out)
         begin = end
+    _clear_held(gamma.held, low, high, out)
     tx, ty, tz = 0.0, 0.0, 0.0
     for i in range(low, high):
         tx += v[i, 0] * out[i, 0]
@@ -395,6 +411,7 @@ class FrictionMatrix:
         velocity: FloatArray,
         tolerance: float | None = None,
         warm: bool = True,
+        held: NDArray[np.bool_] | None = None,
     ) -> int:
         """Solve Γ v = F and return the number of iterations.
 
@@ -410,13 +427,15 @@ class FrictionMatrix:
             Relative tolerance, if not that of the parameters.
         warm
             Whether ``velocity`` holds a guess; if not, the iteration starts from rest.
+        held
+            Cells that stand still: theirs are no unknowns, and have zero force and velocity.
 
         Raises
         ------
         FrictionNotSolvedError
             If the tolerance is not reached; ``velocity`` then has no meaning.
         """
-        gamma = self._measured()
+        gamma = self._measured() if held is None else self._measured()._replace(held=held)
         wanted = self.friction.tolerance if tolerance is None else tolerance
         if not warm:
             velocity[:] = 0.0
@@ -477,15 +496,22 @@ class PairFriction:
         self.force = np.empty((n, 3))
 
     def velocity(
-        self, rows: FloatArray, pairs: PairList, shared: bool, offset: FloatArray, out: FloatArray
-    ) -> int:
+        self, rows: FloatArray, pairs: PairList, shared: bool, offset: FloatArray, out: FloatArray,
+        given: Prescribed | None = None,
+    ) -> int:  # fmt: skip
         """Write the solution of Γ v = ``force``, µm/s; return the iterations it took.
 
         ``offset`` is the part of each listed pair's overlap that makes no contact; empty for none.
+        With ``given`` Γ_ff v_f = F_f - Γ_fh v_h is solved; zero is written for held cells.
         """
         self._present.measure(rows, pairs, shared, offset)
+        force, held = self.force, None
+        if given is not None:
+            dragged = np.empty_like(force)
+            self._present.apply(given.velocity, dragged)
+            force, held = given.released(force - dragged), given.held
         try:
-            iterations = self._present.solve(self.force, self._last)
+            iterations = self._present.solve(force, self._last, held=held)
         except FrictionNotSolvedError:
             self._last[:] = 0.0
             raise
@@ -510,11 +536,21 @@ class PairFriction:
         """
         return self._linearised.diagonal()
 
-    def divide(self, out: FloatArray) -> int:
+    def resistance(self, velocity: FloatArray) -> FloatArray:
+        """Return Γ v at the last state of :meth:`velocity`, (n, 3) nN."""
+        out = np.empty_like(velocity)
+        self._present.apply(velocity, out)
+        return out
+
+    def divide(self, out: FloatArray, given: Prescribed | None = None) -> int:
         """Replace forces by Γ⁻¹ times them, roughly; return the iterations it took.
 
-        The derivative of Γ itself is left out: it changed no more than one step in twenty.
+        Of held cells, which are ``given``, the forces are zero, and no unknowns of Γ. The
+        derivative of Γ itself is left out: it changed no more than one step in twenty.
         """
-        iterations = self._linearised.solve(out, self._product, tolerance=_INNER, warm=False)
+        held = None if given is None else given.held
+        iterations = self._linearised.solve(
+            out, self._product, tolerance=_INNER, warm=False, held=held
+        )
         out[:] = self._product
         return int(iterations)

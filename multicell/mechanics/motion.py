@@ -69,6 +69,16 @@ class Motion:
         :mod:`multicell.mechanics.division_offset`.
     offset : (m, 2), optional
         Their offset at ``begin``, µm, and its constant rate, µm/s; it ends where it reaches zero.
+    held : (n,) bool, optional
+        Cells whose motion is prescribed. To integrators they stand still where they are at
+        ``begin``; forces are those at their places in time, see
+        :mod:`multicell.mechanics.prescribed`.
+    velocity : (n, 3), optional
+        Their prescribed velocity, µm/s, zero for all others; given where ``held`` is.
+    spring_pairs : (m, 2) int, optional
+        Pairs that a spring joins, at any distance; see :mod:`multicell.mechanics.spring_graph`.
+    spring : (m, 2), optional
+        Stiffness of each spring, nN/µm, and its length at rest, µm.
     """
 
     radius: FloatArray
@@ -83,6 +93,10 @@ class Motion:
     touching: NDArray[Any] | None = None
     offset_pairs: NDArray[Any] | None = None
     offset: FloatArray | None = None
+    held: NDArray[Any] | None = None
+    velocity: FloatArray | None = None
+    spring_pairs: NDArray[Any] | None = None
+    spring: FloatArray | None = None
 
     @property
     def end_radius(self) -> FloatArray:

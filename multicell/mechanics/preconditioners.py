@@ -75,8 +75,8 @@ def _collect_chunk(
 ):  # fmt: skip
     """Write the diagonal blocks of one chunk of M, and its inner pairs that touch.
 
-    ``walls`` is the stiffness of each cell's walls along the axes, or has no rows. ``near`` and
-    ``link`` (n, w, s with P = w n nᵀ + s I, times γ) hold the pairs of cell i at
+    ``walls`` is the stiffness of each cell's walls and springs along the axes, or has no rows.
+    ``near`` and ``link`` (n, w, s with P = w n nᵀ + s I, times γ) hold the pairs of cell i at
     ``begin[i, 0]:begin[i, 1]``.
     """
     low, high = c * chunk, min((c + 1) * chunk, rows.shape[0])
@@ -257,20 +257,24 @@ class Sweeps:
         shared = system.threads > 1 and self._chunks >= system.shared_chunks
         factor, self._run = _DRIVERS[shared]
         factor(
-            system.chunk, system.rows, pairs.first, pairs.second, pairs.start, pairs.inner_end,
-            pairs.outer_end, linear.normal, linear.along, linear.across, gamma, system.drag,
-            linear.walls, self.incomplete, self._begin, self._near, self._link, self._blocks,
+            system.chunk, system.weighed_rows, pairs.first, pairs.second, pairs.start,
+            pairs.inner_end, pairs.outer_end, linear.normal, linear.along, linear.across, gamma,
+            system.drag, linear.local, self.incomplete, self._begin, self._near, self._link,
+            self._blocks,
         )  # fmt: skip
 
     def solve(self, system: Mechanics, vector: FloatArray, out: FloatArray) -> None:
         """Write the approximate solution for ``vector``, both (n, 3)."""
         system.work.preconditioner_solves += 1
-        vector = vector.view()
-        vector.flags.writeable = False
+        given = system.prescribed
+        free = vector.view() if given is None else given.released(vector)
+        free.flags.writeable = False
         self._run(
-            self._chunks, system.chunk, system.rows, system.drag, self._begin, self._near,
-            self._link, self._blocks, vector, out,
+            self._chunks, system.chunk, system.weighed_rows, system.drag, self._begin, self._near,
+            self._link, self._blocks, free, out,
         )  # fmt: skip
+        if given is not None:
+            out[given.held] = vector[given.held]
 
 
 PRECONDITIONERS: dict[str, Callable[[], Preconditioner]] = {

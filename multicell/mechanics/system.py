@@ -8,7 +8,7 @@ values at the two ends, so that volumes are exact at both ends.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,13 +16,16 @@ from numpy.typing import NDArray
 from multicell.cells import SPHERE, FloatArray, stokes_drag
 from multicell.contact.law import PairLaw, compliance, effective_radius
 from multicell.contact.springs import Spring
-from multicell.mechanics import blocks, forces, margins, neighbours
+from multicell.mechanics import blocks, forces, margins, neighbours, optional
 from multicell.mechanics.division_offset import Offsets, PairValues
+from multicell.mechanics.listed import are_listed, listed
 from multicell.mechanics.motion import Motion, StateRejected, Work
 from multicell.threads import launch
 
 if TYPE_CHECKING:
     from multicell.mechanics.friction import PairFriction
+    from multicell.mechanics.prescribed import Prescribed
+    from multicell.mechanics.spring_graph import SpringGraph
     from multicell.mechanics.walls import Walls
 
 
@@ -36,7 +39,8 @@ _ROOM = 50
 class Linearisation:
     """Direction, dF/dh + F/d and F/d of every pair at one state.
 
-    ``walls`` is the stiffness of each cell's walls along each axis, (n, 3) nN/µm, or empty.
+    ``walls`` is the stiffness of each cell's walls along each axis, (n, 3) nN/µm, or empty, and
+    ``local`` that of its walls and springs together; ``springs`` are those, linearised.
     """
 
     pairs: neighbours.PairList
@@ -45,6 +49,8 @@ class Linearisation:
     across: FloatArray
     data: forces.PairData | None = None
     walls: FloatArray = field(default_factory=lambda: _NOTHING)
+    local: FloatArray = field(default_factory=lambda: _NOTHING)
+    springs: FloatArray = field(default_factory=lambda: _NOTHING)
 
     @classmethod
     def room(cls, pairs: neighbours.PairList) -> Linearisation:
@@ -109,6 +115,8 @@ class Mechanics:
         self._cells: forces.CellData
         self._linear: Linearisation | None = None
         self._pair_friction: PairFriction | None = None
+        self.prescribed: Prescribed | None = None
+        self.springs: SpringGraph | None = None
         # of the coupling step, once multicell.integrators.limits has found it, 1/s
         self.stiffness_scale: float | None = None
 
@@ -143,7 +151,9 @@ class Mechanics:
         self._blocks = np.empty((n, 6))
         self._inverse = np.empty((n, 6))
         if max(self.friction) > 0.0:
-            self._pair_friction = _friction_of(self.friction, n, self.drag, self.chunk)
+            self._pair_friction = optional.friction(self.friction, n, self.drag, self.chunk)
+        self.prescribed = optional.prescribed(motion)
+        self.springs = optional.springs(motion)
 
     def __len__(self) -> int:
         """Return the number of cells."""
@@ -159,14 +169,16 @@ class Mechanics:
             solved for.
         """
         self.work.evaluations += 1
-        friction = self._pair_friction
+        friction, given = self._pair_friction, self.prescribed
         if friction is None:
             self._forces(time, position, True, out)
+            if given is not None:
+                out[given.held] = 0.0
             return
         pairs = self._forces(time, position, False, friction.force)
         try:
             iterations = friction.velocity(
-                self._rows, pairs, self._shared(pairs), self._listed_offsets(time), out
+                self._rows, pairs, self._shared(pairs), self._listed_offsets(time), out, given
             )
         except friction.failure as error:
             raise StateRejected(str(error)) from error
@@ -189,7 +201,11 @@ class Mechanics:
         )  # fmt: skip
         linear.data = self._pair_data
         if self.walls is not None:
-            linear.walls = self.walls.stiffness(self._rows)
+            linear.walls = linear.local = self.walls.stiffness(self._rows)
+        if self.springs is not None:
+            linear.springs = self.springs.linearised(self._rows)
+            local = self.springs.diagonal(linear.springs, len(self))
+            linear.local = local + linear.walls if linear.walls.size else local
         if self._offsets.data is not None:
             forces.relinearise(
                 self._rows, self._pair_data, self._offsets.data, self._law,
@@ -208,6 +224,11 @@ class Mechanics:
         return self._linearised()
 
     @property
+    def weighed_rows(self) -> FloatArray:
+        """The :attr:`rows` for preconditioners, to which held cells have an immense drag."""
+        return self._rows if self.prescribed is None else self.prescribed.weighed(self._rows)
+
+    @property
     def rows(self) -> FloatArray:
         """The cells at the last state seen, as :mod:`multicell.mechanics.forces` takes them."""
         return self._rows
@@ -224,6 +245,9 @@ class Mechanics:
         """
         self.work.jacobian_products += 1
         linear = self._linearised() if linear is None else linear
+        given = self.prescribed
+        if given is not None:
+            vector = given.released(vector)
         run = forces.products_parallel if self._shared(linear.pairs) else forces.products
         drag = self.drag if self._pair_friction is None else 0.0
         run(
@@ -232,10 +256,14 @@ class Mechanics:
         )  # fmt: skip
         if self.walls is not None:
             self.walls.subtract_products(self._rows, linear.walls, drag, _frozen(vector), out)
+        if self.springs is not None:
+            self.springs.add_products(self._rows, linear.springs, drag, _frozen(vector), out)
+        if given is not None:
+            out[given.held] = 0.0
         friction = self._pair_friction
         if friction is not None:
             try:
-                self.work.friction_iterations += friction.divide(out)
+                self.work.friction_iterations += friction.divide(out, given)
             except friction.failure as error:
                 raise StateRejected(str(error)) from error
 
@@ -255,7 +283,7 @@ class Mechanics:
         blocks.apply_blocks(self._inverse, _frozen(vector), out)
 
     def force(self, time: float, position: FloatArray) -> FloatArray:
-        """Return the force of contacts, of walls and from outside on each cell, (n, 3) nN."""
+        """Return the force of contacts, walls, springs and from outside on each cell, (n, 3) nN."""
         out = np.empty_like(position)
         self._forces(time, position, False, out)
         return out
@@ -277,13 +305,15 @@ class Mechanics:
         return found[np.lexsort((found[:, 1], found[:, 0]))]
 
     def energy(self, time: float, position: FloatArray) -> float:
-        """Return the contact energy Σ U(h) over all pairs, and over all walls, fJ."""
+        """Return the contact energy Σ U(h) over all pairs, and that of walls and springs, fJ."""
         self._settle(time, position)
         elapsed = time - self.motion.begin
         total = float(forces.energy(self._rows, self._pair_data, self._law, elapsed))
         total += self._add_offset_virials(elapsed, np.empty(len(self)))
         if self.walls is not None:
             total += self.walls.energy(self._rows)
+        if self.springs is not None:
+            total += self.springs.energy(self._rows)
         return total
 
     def pressure(self, time: float, position: FloatArray) -> FloatArray:
@@ -292,7 +322,7 @@ class Mechanics:
         p_i = 1/(3 V_i) ½ Σ_j F_ij d_ij with the volume V_i of the free sphere: a third of
         the trace of the contact stress of one cell. It is zero on average in a cluster at
         rest, where adhesion and repulsion balance. A wall at the distance d adds F d to the
-        sum, as a neighbour at 2 d would.
+        sum, as a neighbour at 2 d would; the tension of springs counts like that of contacts.
         """
         pairs = self._settle(time, position)
         virials = np.zeros(len(self))
@@ -302,6 +332,8 @@ class Mechanics:
         self._add_offset_virials(elapsed, virials)
         if self.walls is not None:
             self.walls.add_virials(self._rows, virials)
+        if self.springs is not None:
+            self.springs.add_virials(self._rows, virials)
         return np.asarray(virials / (3.0 * SPHERE * self._rows[:, 3] ** 3))
 
     def stiffness_bound(self, time: float, position: FloatArray) -> float:
@@ -325,12 +357,16 @@ class Mechanics:
         )
         if self.walls is not None:
             self._blocks[:, :3] += linear.walls
+        if self.springs is not None:
+            self.springs.add_blocks(linear.springs, self._blocks)
+        if self.prescribed is not None:
+            self._blocks[self.prescribed.held] = 0.0
 
     def _forces(
         self, time: float, position: FloatArray, stokes: bool, out: FloatArray
     ) -> neighbours.PairList:
         """Write forces or velocities; return the list that holds at this state."""
-        position = _frozen(position)
+        position = _frozen(self._placed(time, position))
         pairs = self._pairs if self._pairs is not None else self._rebuild(position)
         run = forces.forces_parallel if self._shared(pairs) else forces.forces
         while run(
@@ -340,11 +376,31 @@ class Mechanics:
             pairs = self._rebuild(position)
         if self.walls is not None:
             self.walls.add_forces(self._rows, self.drag if stokes else 0.0, out)
+        if self.springs is not None:
+            self.springs.add_forces(self._rows, self.drag if stokes else 0.0, out)
         return pairs
+
+    def _placed(self, time: float, position: FloatArray) -> FloatArray:
+        """Return where the cells are: those whose motion is prescribed have gone on."""
+        return position if self.prescribed is None else self.prescribed.placed(time, position)
+
+    def at_end(self, position: FloatArray) -> FloatArray:
+        """Return where the cells are at the end of the coupling step, (n, 3) µm.
+
+        ``position`` is what an integrator gives, for which cells whose motion is prescribed stand
+        still.
+        """
+        return self._placed(self.motion.end, position)
+
+    def resistance(self, velocity: FloatArray) -> FloatArray:
+        """Return Γ v, (n, 3) nN, for velocities in µm/s at the state of the last evaluation."""
+        if self._pair_friction is None:
+            return np.asarray(self.drag * self._rows[:, 3, None] * velocity)
+        return self._pair_friction.resistance(velocity)
 
     def _settle(self, time: float, position: FloatArray) -> neighbours.PairList:
         """Bring rows and list to a state; return the list."""
-        position = _frozen(position)
+        position = _frozen(self._placed(time, position))
         pairs = self._pairs if self._pairs is not None else self._rebuild(position)
         while forces.pack(self._cells, position, time - self.motion.begin, self._rows):
             pairs = self._rebuild(position)
@@ -376,7 +432,7 @@ class Mechanics:
             motion.bonds,
             motion.push,
         )
-        values = self._values_of(*_listed(pairs)) if self.has_pair_values else (None, None, None)
+        values = self._values_of(*listed(pairs)) if self.has_pair_values else (None, None, None)
         self._pair_data = forces.PairData(
             pairs.first, pairs.second, pairs.start, pairs.inner_end, pairs.outer_end, *values
         )
@@ -429,7 +485,7 @@ class Mechanics:
             return sticky, None, None
         adhesion = self.law.adhesion if sticky is None else sticky
         modulus = 1.0 / (self._rows[first, 4] + self._rows[second, 4])
-        touching = _are_listed(self.motion.touching, first, second, len(self))
+        touching = are_listed(self.motion.touching, first, second, len(self))
         (begin, onset), (end, _) = (
             self.law.pair_memory(
                 adhesion, modulus, effective_radius(radius[first], radius[second]), touching
@@ -450,34 +506,6 @@ class Mechanics:
 
     def _shared(self, pairs: neighbours.PairList) -> bool:
         return self.threads > 1 and len(pairs.start) >= self.shared_chunks
-
-
-def _friction_of(
-    coefficients: tuple[float, float], n: int, drag: float, chunk: int
-) -> PairFriction:
-    """Return the friction of a coupling step; scenes without it do not load its kernels."""
-    from multicell.mechanics.friction import PairFriction
-
-    return PairFriction(coefficients, n, drag, chunk)
-
-
-def _listed(pairs: neighbours.PairList) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the cells of all places of a list; spare room stands for cell 0 twice."""
-    used = np.zeros(len(pairs.first), dtype=np.bool_)
-    for start, end in zip(pairs.start, pairs.outer_end, strict=True):
-        used[start:end] = True
-    first = np.where(used, pairs.first, 0).astype(np.int64)
-    return first, np.where(used, pairs.second, 0).astype(np.int64)
-
-
-def _are_listed(
-    pairs: NDArray[Any] | None, first: NDArray[np.int64], second: NDArray[np.int64], n: int
-) -> NDArray[np.bool_]:
-    """Tell which pairs of the cells ``first`` and ``second`` are among ``pairs``, (m, 2)."""
-    if pairs is None:
-        return np.zeros(len(first), dtype=np.bool_)
-    known = pairs[:, 0] * np.int64(n) + pairs[:, 1]
-    return np.isin(np.minimum(first, second) * np.int64(n) + np.maximum(first, second), known)
 
 
 def _frozen(array: FloatArray) -> FloatArray:

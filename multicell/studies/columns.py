@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.errors import DataError, SceneError
 from multicell.schema import specs
-from multicell.studies.observed import SIGNED, at_the_end, in_history, is_known_elsewhere, likely
+from multicell.studies.observed import at_the_end, in_history, is_known_elsewhere, likely, signed
 from multicell.studies.table_text import Table
 from multicell.units import to_base
 
@@ -68,7 +68,7 @@ class Column:
             raise DataError(place, f"is {text}, must be a finite number", hint)
         if self.relative:
             return number / 100.0
-        if number < 0.0 and self.kind != "time" and self.name not in SIGNED:
+        if number < 0.0 and self.kind != "time" and not signed(self.name):
             raise DataError(place, f"is {text}, must not be negative")
         if not self.base:
             return number

@@ -23,6 +23,8 @@ from multicell.results.folder import (
     versions,
     write_text,
 )
+from multicell.results.start_copy import with_copy
+from multicell.scene.start_table import COPIES
 from multicell.studies.problem import Problem
 from multicell.studies.runs import MODEL_VERSION, canonical
 from multicell.studies.table_text import Table
@@ -39,7 +41,7 @@ _JOURNAL: Final = "posterior.journal"
 FILES: Final = (
     FIT, "scene.toml", "data.csv", SEARCH, f"{SEARCH}.lock", "posterior.db", _JOURNAL,
     "result.json", "best.toml", "posterior.csv", "residuals.csv", "report.html", "data.png",
-    "parameters.png",
+    "parameters.png", *COPIES,
 )  # fmt: skip
 _GENERATIONS: Final = "SELECT t, nr_samples, epsilon FROM populations"
 _PACKAGES: Final = ("optuna", "pyabc", "distributed", "pandas")
@@ -96,7 +98,8 @@ def opened(
             remove(folder, FILES)
         if _held(folder) is None:
             entry = {"digest": name, "multicell": package_version(), "problem": problem}
-            write_text(folder / "scene.toml", scene.to_toml())
+            kept = with_copy(scene, folder)
+            write_text(folder / "scene.toml", kept.to_toml(beside=folder))
             write_text(folder / "data.csv", _csv([table.titles, *table.rows]))
             write_text(folder / FIT, to_json(entry) + "\n")  # the last: then all is there
         yield folder
@@ -146,7 +149,8 @@ def write_result(fit: Fit, folder: Path) -> None:
     """
     about = {**versions(), **{name: package_version(name) for name in _PACKAGES}}
     write_text(folder / "result.json", to_json({**fit.summary(), "versions": about}) + "\n")
-    write_text(folder / "best.toml", fit.best.scene.to_toml())
+    best = with_copy(fit.best.scene, folder)
+    write_text(folder / "best.toml", best.to_toml(beside=folder))
     rows = fit.rows()
     write_text(folder / "residuals.csv", _csv([list(rows[0]), *(list(r.values()) for r in rows)]))
     if fit.sample is not None:

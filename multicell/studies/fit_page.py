@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 from multicell.errors import OutputError
 from multicell.report.html import write_page
-from multicell.report.plots.style import save
 from multicell.report.wording import clock, time_unit
 from multicell.studies.verdict import in_words
 
@@ -40,8 +39,6 @@ def write_report(fit: Fit, folder: str | Path | None = None) -> Path:
         "data.png": (fit.plot.data, _DATA),
         "parameters.png": (fit.plot.parameters, _POSTERIOR),
     }
-    for name, (draw, _) in pictures.items():
-        save(draw(), place / name)
     return write_page(
         place / "report.html",
         "fit.html",
@@ -49,7 +46,7 @@ def write_report(fit: Fit, folder: str | Path | None = None) -> Path:
         title=f"{fit.scene.title or 'Untitled scene'}: fit",
         subtitle=_subtitle(fit),
         tiles=_tiles(fit),
-        pictures={place / name: caption for name, (_, caption) in pictures.items()},
+        pictures={place / name: drawing for name, drawing in pictures.items()},
         parameters=parameters_in_words(fit),
         undetermined=[str(entry) for entry in fit.undetermined],
         asked=fit.sample is not None,

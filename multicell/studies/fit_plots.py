@@ -80,7 +80,9 @@ def data(fit: Fit) -> Figure:
             _one_by_one(axes, fit, numbers, band)
         if fit.problem.measured.data[numbers[0]].log:
             axes.set_yscale("log")
-            axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            low, high = axes.get_ylim()
+            few = high < 10.0 * low  # of 1, 2 and 5 perhaps a single one lies within
+            axes.yaxis.set_major_locator(LogLocator(subs=range(1, 10) if few else (1.0, 2.0, 5.0)))
             axes.yaxis.set_minor_formatter(NullFormatter())
             counts(axes.yaxis)
         else:

@@ -68,6 +68,11 @@ def _phases(scene: Scene, names: tuple[str, ...]) -> str:
     return "the phases of the cycle say how long it lasts" if scene.growth.phases else ""
 
 
+def _no_target(scene: Scene, names: tuple[str, ...]) -> str:
+    assert scene.growth is not None
+    return "" if scene.growth.target is not None else f"the law is {scene.growth.law!r}"
+
+
 def _no_phases(scene: Scene, names: tuple[str, ...]) -> str:
     assert scene.growth is not None
     return "" if scene.growth.phases else "the cycle has no phases"
@@ -117,6 +122,18 @@ def _own_young(scene: Scene, names: tuple[str, ...]) -> str:
 def _own_energies(scene: Scene, names: tuple[str, ...]) -> str:
     own = any(kind.surface_energy for kind in scene.types.values())
     return "every pair of types has a surface energy of its own" if own else ""
+
+
+def _told(scene: Scene, names: tuple[str, ...]) -> str:
+    """Say that the table of the cells tells at which stage they are."""
+    if scene.initial.cells is None:
+        return ""
+    told = scene.initial.cells.given.columns.keys()
+    phases = scene.growth is not None and bool(scene.growth.phases)
+    if phases and "phase" in told:
+        return "the table gives the progress of each cell" if "progress" in told else ""
+    known = [name for name in ("radius", "age") if name in told]
+    return f"the table gives the {known[0]} of each cell" if known else ""
 
 
 def _one_cell(scene: Scene, names: tuple[str, ...]) -> str:
@@ -217,6 +234,7 @@ _KEYS: Final[Mapping[str, Reason]] = {
     "growth.cycle_time": _phases,
     "growth.cycle_variation": _phases,
     "growth.division": _no_phases,
+    "growth.target": _no_target,
     "growth.restriction": _no_phases,
     "growth.phases.*.variation": _variation,
     "growth.phases.*.shift": _shift,
@@ -225,6 +243,7 @@ _KEYS: Final[Mapping[str, Reason]] = {
     "integrator.*": _no_setting,
     "cells.young": _own_young,
     "contact.surface_energy": _own_energies,
+    "initial.stage": _told,
     "initial.spacing": _one_cell,
     "initial.jitter": _one_cell,
     "types.*.fraction": _one_type,

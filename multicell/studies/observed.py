@@ -26,8 +26,11 @@ _OF_A_RUN: Final = ("divisions", "removals", "volume_released")
 _OF_A_LEDGER: Final = (
     "inflow", "outflow", "washed", "uptake", "secreted", "decayed", "stored", "content",
 )  # fmt: skip
-SIGNED: Final = frozenset({"instability_rate"})
-"""Observables that may be negative."""
+
+
+def signed(name: str) -> bool:
+    """Return whether an observable may be negative."""
+    return name == "instability_rate" or name.startswith("force_")
 
 
 def in_history(scene: Scene) -> dict[str, str]:
@@ -43,6 +46,9 @@ def in_history(scene: Scene) -> dict[str, str]:
         names.append("heterotypic_fraction")
     if scene.pull is not None:
         names.append("pull")
+    names += [f"force_{motion}_{axis}" for motion in scene.motions for axis in "xyz"]
+    if scene.springs:
+        names += ["springs", "largest_tension"]
     if scene.growth is not None and scene.growth.critical_pressure is not None:
         names += ["pressure_factor", "held_by_pressure"]
     if scene.output.instability:

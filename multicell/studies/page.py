@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from multicell.report.html import write_page
-from multicell.report.plots.style import save
 from multicell.report.wording import clock, time_unit
 from multicell.results.folder import file_errors
 from multicell.studies.pictures.values import (
@@ -26,7 +25,6 @@ from multicell.studies.pictures.values import (
     observables,
     scale,
     scale_alone,
-    sentence,
     with_states,
 )
 from multicell.studies.plots import StudyPlots
@@ -96,10 +94,8 @@ def write_report(
     table = with_states(table, runs, states)
     told = key_observables(table) if shown is None else list(shown)
     title = f"{scene.title or 'Untitled scene'}: study"
-    pictures: dict[Path, str] = {}
-    for name, draw, caption in _drawings(table, title, runs, states, place, told):
-        save(draw(), place / f"{name}.png")
-        pictures[place / f"{name}.png"] = caption
+    drawings = _drawings(table, title, runs, states, place, told)
+    pictures = {place / f"{name}.png": (draw, caption) for name, draw, caption in drawings}
     return write_page(
         place / "report.html",
         "study.html",
@@ -143,18 +139,22 @@ def _drawings(
     scatter = "mean ± standard deviation over the seeds" if several else "of the only seed"
     for name in told[:_MAPS] if names else ():
         if mapped:
-            caption = f"{sentence(label(table, name))} at the end of each run, {scatter}."
+            caption = f"One tile for each pair of values: {scatter}."
             yield f"map-{name}", lambda name=name: plots.heatmap(name), caption  # type: ignore[misc]
         else:
-            caption = f"{sentence(label(table, name))} at the end of each run over each axis."
+            caption = "One panel for each axis."
             yield f"response-{name}", lambda name=name: plots.response(name), caption  # type: ignore[misc]
     courses = [name for name in told if TIME in table[name].dims and table.sizes[TIME] > 1]
     bands = "with bands of one standard deviation over the seeds" if several else "of the only seed"
     for name in courses[:_COURSES]:
-        caption = f"{sentence(label(table, name))} over time, {bands}; one panel for each axis."
+        caption = f"One panel for each axis, {bands}."
         yield f"curves-{name}", lambda name=name: plots.curves(name), caption  # type: ignore[misc]
-    if runs:
-        yield "sections", plots.sections, "Last frames of one seed side by side, on one scale."
+    if any(state.state != "waiting" for state in states):
+        yield (
+            "sections",
+            plots.sections,
+            "Cells that a plane through their centre cuts in each run.",
+        )
 
 
 def _subtitle(table: xr.Dataset) -> str:

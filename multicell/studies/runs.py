@@ -24,7 +24,10 @@ holds observables of short runs beside it.
 """
 
 _LENGTH: Final = 24  # hexadecimal digits of a name: a clash is expected after 3e14 runs
-_ORDERED: Final = ("chemotaxis", "nutrients", "reactions", "regions", "sources", "types")
+_ORDERED: Final = (
+    "chemotaxis", "forces", "motions", "nutrients", "reactions", "regions", "sources", "springs",
+    "types",
+)  # fmt: skip
 """Tables whose order decides results: which cells are of which type, which sum comes first."""
 
 
@@ -100,6 +103,8 @@ def canonical(scene: Scene) -> dict[str, Any]:
     """Return what decides the results of a scene as plain values of which keys have no order."""
     entries = scene.to_dict()
     entries.pop("title", None)
+    if "cells" in entries["initial"]:
+        del entries["initial"]["cells"]["file"]  # where the table is makes no difference
     _keep_order(scene, entries)
     return entries
 

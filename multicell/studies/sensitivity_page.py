@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from multicell.report.html import write_page
-from multicell.report.plots.style import save
 from multicell.report.wording import time_unit
 from multicell.studies.indices import CLEAR, CLEAR_SINGLE, block
 from multicell.studies.pictures.values import key_words, sentence, words
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from multicell.studies.axes import Range
     from multicell.studies.sensitivity_result import Sensitivity
 
@@ -24,7 +27,7 @@ def write_report(result: Sensitivity, folder: Path) -> Path:
     OutputError
         If the folder cannot be written to.
     """
-    pictures: dict[Path, str] = {}
+    pictures: dict[Path, tuple[Callable[[], Figure], str]] = {}
     index = "Size of effects" if result.method == "morris" else "Parts of the variance"
     for name in result.observables:
         rows = result.ordered(name)
@@ -34,15 +37,15 @@ def write_report(result: Sensitivity, folder: Path) -> Path:
         told = sentence(words(name))
         file = name.replace(".", "_")
         path = folder / f"sensitivity-{file}.png"
-        save(result.plot(name), path)
-        pictures[path] = (
+        caption = (
             f"{told}: {index.lower()} at the end of the runs, with 95 % intervals; pale is what "
             "cannot be told from noise or zero."
         )
+        pictures[path] = partial(result.plot, name), caption
         if any(row["observable"] == name for row in result.courses):
             path = folder / f"course-{file}.png"
-            save(result.plot_course(name), path)
-            pictures[path] = f"{told}: {index.lower()} over time, with bands of 95 % intervals."
+            caption = f"{told}: {index.lower()} over time, with bands of 95 % intervals."
+            pictures[path] = partial(result.plot_course, name), caption
     return write_page(
         folder / "report.html",
         "sensitivity.html",

@@ -9,6 +9,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
@@ -275,6 +276,7 @@ def settle(plan: Plan, folder: str | Path, *, overwrite: bool = False) -> Study:
         something else, or cannot be written to.
     """
     from multicell.results.folder import make_folder, write_text
+    from multicell.results.start_copy import with_copy
 
     folder = Path(folder)
     there = (folder / NAME).is_file()
@@ -282,7 +284,9 @@ def settle(plan: Plan, folder: str | Path, *, overwrite: bool = False) -> Study:
         _refuse_other(plan, read_plan(folder, integrator=plan.integrator), folder)
     elif not there:
         make_folder(folder, overwrite=overwrite)
-    write_text(folder / SCENE, plan.scene.to_toml())
+    if plan.scene.initial.cells is not None:
+        plan = replace(plan, scene=with_copy(plan.scene, folder))
+    write_text(folder / SCENE, plan.scene.to_toml(beside=folder))
     write_text(folder / NAME, plan.to_toml())
     return Study(plan, folder)
 

@@ -318,7 +318,7 @@ def write_csv(table: xarray.Dataset, path: Path) -> None:
     """
     needs("pandas")
     from multicell.results.folder import replacing
-    from multicell.results.tables import titled
+    from multicell.tables.titles import titled
 
     frame = table.to_dataframe().reset_index()
     names = {n: titled(n, table[n].attrs.get("units", "")) for n in frame if n in table.variables}

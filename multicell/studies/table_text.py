@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Integral, Real
@@ -10,6 +9,7 @@ from pathlib import Path
 from typing import Any, Final, final
 
 from multicell.errors import DataError
+from multicell.tables.text import read_bytes, rows_of
 
 _LARGEST: Final = 10_000_000
 """Bytes of a file of measured data."""
@@ -69,43 +69,11 @@ def read_table(source: Any) -> Table:
 
 
 def _from_file(path: Path) -> Table:
-    try:
-        if not path.is_file():
-            problem = "is no file" if path.exists() else "does not exist"
-            raise DataError(str(path), problem)
-        if path.stat().st_size > _LARGEST:
-            raise DataError(str(path), f"is larger than {_LARGEST // 10**6} MB")
-        text = path.read_bytes().decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise DataError(str(path), f"is not UTF-8 text (byte {error.start})") from None
-    except OSError as error:
-        raise DataError(str(path), f"cannot be read: {error.strerror or error}") from None
-    return _from_text(text, path.name)
-
-
-def _from_text(text: str, name: str) -> Table:
-    """Return the table that CSV text spells; remarks and blank lines are left out."""
-    kept = [
-        (number, line)
-        for number, line in enumerate(text.splitlines(), start=1)
-        if line.strip(" \t,") and not line.lstrip().startswith("#")
-    ]
-    if not kept:
-        raise DataError(name, "holds no data")
-    reader = csv.reader([line for _, line in kept], skipinitialspace=True)
-    try:
-        fields = [(reader.line_num, [f.strip() for f in row]) for row in reader]
-    except csv.Error as error:
-        raise DataError(f"{name}, line {kept[reader.line_num - 1][0]}", str(error)) from None
-    (_, titles), *rows = fields
-    if len(titles) == 1 and any(mark in titles[0] for mark in ";\t"):
-        raise DataError(name, "has one column", "Columns are separated by commas.")
-    places = [f"line {kept[number - 1][0]}" for number, _ in rows]
-    for place, (_, row) in zip(places, rows, strict=True):
-        if len(row) != len(titles):
-            problem = f"has {len(row)} fields, the header has {len(titles)}"
-            raise DataError(f"{name}, {place}", problem, "A decimal point is a point.")
-    return Table(name, tuple(titles), tuple(tuple(row) for _, row in rows), tuple(places))
+    name = path.name
+    rows = list(rows_of(read_bytes(path, _LARGEST), name))
+    (_, titles), *rest = rows
+    places = tuple(f"line {number}" for number, _ in rest)
+    return Table(name, tuple(titles), tuple(tuple(row) for _, row in rest), places)
 
 
 def _from_columns(source: Mapping[Any, Any]) -> Table:

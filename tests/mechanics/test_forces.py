@@ -12,6 +12,7 @@ from multicell.contact.exact_jkr import ExactJKR
 from multicell.contact.hertz import Hertz
 from multicell.contact.jkr import JKR
 from multicell.contact.law import effective_modulus
+from multicell.contact.physicell import PhysiCell
 from multicell.contact.springs import Cubic, GeneralisedLinear, Linear
 from multicell.mechanics.motion import Motion
 from multicell.mechanics.system import Mechanics
@@ -26,6 +27,7 @@ LAWS = {
     "repulsive": Linear(stiffness_at_rest=2.0, cutoff=1.0),
     "cubic": Cubic(stiffness_at_rest=2.0),
     "generalised linear": GeneralisedLinear(stiffness_at_rest=2.0),
+    "physicell": PhysiCell(length=2.0, surface_energy=0.3),
 }
 
 

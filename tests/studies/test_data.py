@@ -191,15 +191,42 @@ def test_bad_options_are_named(tmp_path):
         read(text, tmp_path, sd=0)
 
 
+SPRINGS = mc.Scene.from_dict({
+    "duration": "1 min", "coupling_step": "30 s", "initial": {"count": 3},
+    "forces": {"tug": {"cells": [0], "force": [0.1, 0.0, 0.0]}},
+    "springs": {"net": {"stiffness": 0.01, "pairs": [[1, 2]]}},
+})  # fmt: skip
+
+
+def recorded_by(simulation):
+    """Return the columns of the history that tell of tissue, not of the computation."""
+    of_the_computation = ("time", "step", "splitting_", "spacing_", "grid_error_")
+    return {c for c in simulation.history_row() if not c.startswith(of_the_computation)}
+
+
+def test_observables_of_springs_are_those_of_a_run():
+    simulation = mc.Simulation(SPRINGS, threads=1)
+    assert set(in_history(SPRINGS)) == recorded_by(simulation)
+
+
+def test_only_what_has_a_sign_may_be_negative(tmp_path):
+    scene = mc.load_scene("compression")
+    measured = read("time / min, force_plate_z / nN\n1, -2.5\n", tmp_path, scene)
+    assert measured.data[0].value == -2.5
+    with pytest.raises(DataError, match="largest_pressure"):
+        read("time / min, largest_pressure / kPa\n1, -2.5\n", tmp_path, scene)
+
+
+FEW = ("doublet", "doublet-settle", "growth", "compression")
+"""Scenes that are small, or need their cells."""
+
+
 @pytest.mark.parametrize("name", mc.scene_names())
 def test_observables_of_a_scene_are_those_of_its_runs(name):
     """Columns that tell of the computation are no observables; all others are."""
-    small = {"initial.count": 12} if name not in ("doublet", "doublet-settle", "growth") else {}
+    small = {"initial.count": 12} if name not in FEW else {}
     simulation = mc.Simulation(mc.load_scene(name).with_changes(small), threads=1)
-    row = simulation.history_row()
-    of_the_computation = ("time", "step", "splitting_", "spacing_", "grid_error_")
-    recorded = {c for c in row if not c.startswith(of_the_computation)}
-    assert set(in_history(simulation.scene)) == recorded
+    assert set(in_history(simulation.scene)) == recorded_by(simulation)
     summary = simulation.summary()
     for dotted in at_the_end(simulation.scene):
         entry = summary

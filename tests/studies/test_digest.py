@@ -12,7 +12,10 @@ from multicell import SceneError
 from multicell.studies import runs
 from multicell.studies.runs import digest
 
-NAMED = {"types", "nutrients", "reactions", "chemotaxis", "sources", "regions"}
+NAMED = {
+    "types", "nutrients", "reactions", "chemotaxis", "sources", "regions", "forces", "motions",
+    "springs",
+}  # fmt: skip
 LAW = """
 import multicell as mc
 

@@ -175,6 +175,7 @@ def test_a_study_of_which_nothing_has_run_has_a_page(tmp_path):
     text = write_report(tmp_path, SCENE, bare, runs, states).read_text("utf-8")
     assert "Of 6 runs 6 not finished" in text
     assert Page(text).rows[0]["cells"][2] == "not run"
+    assert not list(tmp_path.glob("*.png"))  # not a picture of empty tiles
 
 
 def test_a_sample_has_a_page_with_points_over_each_axis(tmp_path, frames):

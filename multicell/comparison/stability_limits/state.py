@@ -174,7 +174,7 @@ def settled(scene: Scene, threads: int | None = None, ratio: float = 1.0) -> Sta
     Parameters
     ----------
     scene
-        External forces and motility are left out, growth stands still.
+        External forces, prescribed motion, springs and motility are left out, growth stands still.
     threads
         See :class:`multicell.simulation.Simulation`.
     ratio
@@ -264,7 +264,9 @@ def first_cells(scene: Scene, threads: int | None) -> tuple[Mechanics, Motion, F
     # the scene's own method moves nothing here, and may be one that is not at hand
     simulation = Simulation(scene, threads=threads, integrator=Cvode())
     cells = simulation.cells
-    motion = replace(simulation._motion(0.0, 0.0, cells.radius), push=None)
+    motion = simulation._motion(0.0, 0.0, cells.radius)
+    motion = replace(motion, push=None, held=None, velocity=None,
+                     spring_pairs=None, spring=None)  # fmt: skip
     return simulation._mechanics, motion, cells.position
 
 

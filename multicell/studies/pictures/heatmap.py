@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.colors import Normalize, to_rgb
 from matplotlib.ticker import FuncFormatter
 
+from multicell.report.plots.night import ON_COLOUR, luminance
 from multicell.report.plots.style import DPI, INK, QUIET, RED, SIZE, blank, styled
 from multicell.studies.pictures.values import (
     DONE,
@@ -166,7 +167,7 @@ def laid_out(title: str, subtitle: str, size: tuple[float, float]) -> Figure:
     """Return a figure whose panels find their own margins below the heading."""
     figure = blank(title, subtitle, size)
     figure.set_layout_engine(
-        "constrained", rect=(0.03, 0.05, 0.94, 1.0 - 0.85 / size[1] - 0.05), w_pad=0.08, h_pad=0.08
+        "constrained", rect=(0.03, 0.05, 0.94, 1.0 - 0.85 / size[1] - 0.05), w_pad=0.13, h_pad=0.08
     )
     figure.set_dpi(DPI)
     return figure
@@ -246,7 +247,7 @@ def _draw(
             axes.add_patch(mpl.patches.Rectangle(corner, 1, 1, facecolor=face, edgecolor="white"))
         if font:
             ink = _ink(colours(norm(mean))) if np.isfinite(mean) else _told_ink(text)
-            _write(axes, place, text, small, ink, font)
+            _write(axes, place, text, small, ink, font, told=bool(np.isfinite(mean)))
     axes.grid(False)
     axes.spines[:].set_visible(False)
     axes.tick_params(length=0)
@@ -282,22 +283,17 @@ def _ink(colour: Any) -> str:
 
     Contrast is the ratio of relative luminances, each with 0.05 added (WCAG 2).
     """
-    own = _luminance(colour)
-    dark = (own + 0.05) / (_luminance(to_rgb(INK)) + 0.05)
+    own = luminance(colour)
+    dark = (own + 0.05) / (luminance(to_rgb(INK)) + 0.05)
     return INK if dark > 1.05 / (own + 0.05) else "white"
 
 
-def _luminance(colour: Any) -> float:
-    value = np.array(colour[:3])
-    linear = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
-    return float(linear @ (0.2126, 0.7152, 0.0722))
-
-
 def _write(
-    axes: Axes, place: tuple[int, ...], text: str, small: str, ink: str, font: float
+    axes: Axes, place: tuple[int, ...], text: str, small: str, ink: str, font: float, told: bool
 ) -> None:
     x, y = place[1] + 0.5, place[0] + 0.5
     style: dict[str, Any] = {"ha": "center", "color": ink, "parse_math": False}
+    style["gid"] = ON_COLOUR if told else None
     if not small:
         axes.text(x, y, text, va="center", fontsize=font, weight="bold", **style)
         return

@@ -1,0 +1,150 @@
+"""Cells that are driven from outside during a run: who they are, and how they are driven.
+
+A driver that names cells by identity or by where they are at the start keeps a list of identities.
+When such a cell divides, the first daughter (the smaller identity) takes its place, so that the
+number of driven cells stays and the total force from outside with it; when it is removed, its
+place is empty. A driver that names a type, or all cells, needs no list.
+
+Forces and velocities act through whole coupling steps. Where one begins or ends within a step of
+fixed length, its mean over the step acts: impulse and displacement are right at the step's end.
+Steps that the run chooses end at such moments.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multicell.cells import Cells, FloatArray, IntArray
+from multicell.scene.driven import Driver, by_identity, check_members, drivers, members, within
+
+if TYPE_CHECKING:
+    from multicell.mechanics.motion import Motion
+    from multicell.mechanics.system import Mechanics
+    from multicell.scene.driven import Force
+    from multicell.scene.scene import Scene
+
+Named = Mapping[str, IntArray]
+"""Identities of the cells of each driver that keeps a list, by its path in the scene."""
+
+
+def named_at_start(scene: Scene, cells: Cells) -> dict[str, IntArray]:
+    """Return the cells of each driver that keeps a list.
+
+    Raises
+    ------
+    SceneError
+        If one names no cell, or one that is not there, or two motions move the same cell.
+    """
+    check_members(scene, cells)
+    return {
+        path: np.sort(cells.id[members(scene, driver, cells)])
+        for path, driver in drivers(scene)
+        if by_identity(driver)
+    }
+
+
+def handed_on(named: Named, cells: Cells, first: int) -> dict[str, IntArray]:
+    """Return the lists after events.
+
+    Parameters
+    ----------
+    named
+        The lists before.
+    cells
+        The population after the events.
+    first
+        First identity that was free before: the daughters' identities count from there, two by
+        two, the first daughter's first.
+    """
+    eldest = cells.id[(cells.id >= first) & ((cells.id - first) % 2 == 0)]
+    mothers = cells.parent[cells.rows_of(eldest)]
+    after = {}
+    for path, ids in named.items():
+        heirs = eldest[np.isin(mothers, ids)]
+        after[path] = np.sort(np.concatenate([ids[cells.rows_of(ids) >= 0], heirs]))
+    return after
+
+
+def add_forces(scene: Scene, cells: Cells, named: Named, span: tuple[float, float],
+               total: FloatArray) -> None:  # fmt: skip
+    """Add the forces from outside at the beginning of a span of time, s, and their rates.
+
+    ``total`` is (n, 6), nN and nN/s.
+    """
+    begin, end = span
+    for name, law in scene.forces.items():
+        share = within(law, begin, end)
+        if share > 0.0:
+            total[driven(scene, cells, named, f"forces.{name}")] += _load(law, begin, end, share)
+
+
+def _load(law: Force, begin: float, end: float, share: float) -> FloatArray:
+    """Return force and rate; where the law acts in a part of a span only, their mean over it."""
+    force, rate = np.array(law.force), np.array(law.rate)
+    if share == 1.0:
+        return np.concatenate([force + rate * (begin - law.begin), rate])
+    last = end if law.end is None else min(end, law.end)
+    middle = 0.5 * (max(begin, law.begin) + last)
+    return np.concatenate([share * (force + rate * (middle - law.begin)), np.zeros(3)])
+
+
+def prescribed(
+    scene: Scene, cells: Cells, named: Named, begin: float, end: float
+) -> tuple[NDArray[np.bool_], FloatArray] | None:
+    """Return which cells are moved in a span of time, (n,), and all velocities, (n, 3) µm/s.
+
+    The velocity of a cell that is not moved is zero. None if nothing is moved in the span.
+    """
+    shares = {name: within(motion, begin, end) for name, motion in scene.motions.items()}
+    if not any(shares.values()):
+        return None
+    held, velocity = np.zeros(len(cells), dtype=np.bool_), np.zeros((len(cells), 3))
+    for name, share in shares.items():
+        if share > 0.0:
+            chosen = driven(scene, cells, named, f"motions.{name}")
+            held |= chosen
+            velocity[chosen] += share * np.array(scene.motions[name].velocity)
+    return held, velocity
+
+
+def driven(scene: Scene, cells: Cells, named: Named, path: str) -> NDArray[np.bool_]:
+    """Return which cells a driver drives now, (n,)."""
+    table, _, name = path.partition(".")
+    driver: Driver = getattr(scene, table)[name]
+    if by_identity(driver):
+        return np.isin(cells.id, named.get(path, ()))
+    return members(scene, driver, cells)
+
+
+def columns(
+    scene: Scene, cells: Cells, named: Named, system: Mechanics, motion: Motion
+) -> dict[str, float]:
+    """Return the force that each prescribed motion takes at a moment, along each axis, nN.
+
+    Of all cells that it moves together; zero while it does not act. The work is not counted.
+
+    Parameters
+    ----------
+    motion
+        Of all cells at that moment; the mechanics are made ready for it.
+    """
+    from multicell.mechanics.prescribed import outside_force
+
+    counted = asdict(system.work)
+    system.begin(motion)
+    force = outside_force(system, motion.begin, cells.position)
+    for name, count in counted.items():
+        setattr(system.work, name, count)
+    found: dict[str, float] = {}
+    for name, law in scene.motions.items():
+        total = np.zeros(3)
+        if within(law, motion.begin, motion.begin):
+            total = force[driven(scene, cells, named, f"motions.{name}")].sum(axis=0)
+        parts = zip("xyz", total, strict=True)
+        found |= {f"force_{name}_{axis}": float(part) for axis, part in parts}
+    return found

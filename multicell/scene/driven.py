@@ -1,0 +1,198 @@
+"""Cells that are driven from outside: constant forces and prescribed velocities on named cells.
+
+Which cells a table names is said by their identities, by a region in which they are at the start,
+or by their type; what is given of these must all hold. Without any of them all cells are meant.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multicell.errors import SceneError
+from multicell.scene.coupling import longest_step
+from multicell.schema import interval, near_miss, parameters, quantity, text, vector, whole_numbers
+
+if TYPE_CHECKING:
+    from multicell.cells import Cells
+    from multicell.scene.scene import Scene
+
+Vector = tuple[float, float, float]
+
+
+def _span() -> Any:
+    return interval(
+        "um", at_least=-1e6, at_most=1e6, doc="where the cells' centres are at the start"
+    )
+
+
+@final
+@parameters
+class Force:
+    """A force from outside on each of the named cells: ``force`` + ``rate`` x time since ``begin``.
+
+    A cell keeps it until it is removed, also after its death. Of the daughters of a cell that was
+    named by identity or region the first one (the smaller identity) takes it over.
+    """
+
+    force: Vector = vector("nN", default=(0.0, 0.0, 0.0), doc="on each cell, at begin")
+    rate: Vector = vector("nN/s", default=(0.0, 0.0, 0.0), doc="at which the force grows")
+    cells: tuple[int, ...] | None = whole_numbers(doc="identities; absent: not chosen by them")
+    type: str = text(default="", doc="name of the cells' type; empty: any")
+    x: tuple[float, float] | None = _span()
+    y: tuple[float, float] | None = _span()
+    z: tuple[float, float] | None = _span()
+    begin: float = quantity("s", default=0.0, at_least=0, doc="when it begins to act")
+    end: float | None = quantity("s", default=None, above=0, doc="when it ends; absent: never")
+
+    def check(self) -> None:
+        """Raise ``SceneError`` for a force that is none, or a time that is none."""
+        if not any((*self.force, *self.rate)):
+            hint = "For example force = ['1 nN', '0 nN', '0 nN']."
+            raise SceneError("force", "is zero, and does not grow: it has no effect", hint)
+        _check_window(self)
+
+
+@final
+@parameters
+class PrescribedMotion:
+    """A velocity that the named cells have whatever pushes them; zero holds them where they are.
+
+    Until they are removed, also after their death. Of the daughters of a cell that was named by
+    identity or region the first one (the smaller identity) takes the motion over, the other one
+    is free.
+    """
+
+    velocity: Vector = vector("um/s", default=(0.0, 0.0, 0.0), doc="of each cell; zero: held")
+    cells: tuple[int, ...] | None = whole_numbers(doc="identities; absent: not chosen by them")
+    type: str = text(default="", doc="name of the cells' type; empty: any")
+    x: tuple[float, float] | None = _span()
+    y: tuple[float, float] | None = _span()
+    z: tuple[float, float] | None = _span()
+    begin: float = quantity("s", default=0.0, at_least=0, doc="when it takes hold of the cells")
+    end: float | None = quantity("s", default=None, above=0, doc="when it lets go; absent: never")
+
+    def check(self) -> None:
+        """Raise ``SceneError`` for times that do not follow each other."""
+        _check_window(self)
+
+
+Driver = Force | PrescribedMotion
+
+
+def _check_window(driver: Driver) -> None:
+    if driver.end is not None and not driver.end > driver.begin:
+        problem = f"is {driver.end:g} s, must be after begin, {driver.begin:g} s"
+        raise SceneError("end", problem)
+
+
+def drivers(scene: Scene) -> Iterator[tuple[str, Driver]]:
+    """Yield the tables of a scene that drive cells, each with its dotted path."""
+    tables: Mapping[str, Mapping[str, Driver]] = {
+        "forces": scene.forces, "motions": scene.motions
+    }  # fmt: skip
+    for table, entries in tables.items():
+        for name, driver in entries.items():
+            yield f"{table}.{name}", driver
+
+
+def by_identity(driver: Driver) -> bool:
+    """Return whether its cells are those of the start and who takes over from them."""
+    return any(part is not None for part in (driver.cells, driver.x, driver.y, driver.z))
+
+
+def within(driver: Driver, begin: float, end: float) -> float:
+    """Return the part of a span of time in which it acts; of a moment, 1 or 0."""
+    last = math.inf if driver.end is None else driver.end
+    if end <= begin:
+        return float(driver.begin <= begin < last)
+    return max(0.0, min(end, last) - max(begin, driver.begin)) / (end - begin)
+
+
+def changes(scene: Scene, begin: float, end: float) -> list[float]:
+    """Return when something begins or ends to act after ``begin`` and before ``end``, s."""
+    found = (t for _, driver in drivers(scene) for t in (driver.begin, driver.end))
+    return [t for t in found if t is not None and begin < t < end]
+
+
+def check_driven(scene: Scene) -> None:
+    """Raise ``SceneError`` for drivers that do not fit to the rest of the scene."""
+    for path, driver in drivers(scene):
+        _check_cells(scene, path, driver)
+        if scene.dimensions == 2:
+            _check_flat(path, driver)
+    for name, motion in scene.motions.items():
+        way = longest_step(scene) * math.hypot(*motion.velocity)
+        most = scene.cells.division_radius
+        if way > most:
+            problem = (
+                f"moves cells by {way:.3g} um in a coupling step of {longest_step(scene):g} s, "
+                f"must be at most the division radius, {most:g} um"
+            )
+            hint = f"Take a coupling_step of {most / math.hypot(*motion.velocity):.3g} s or less."
+            raise SceneError(f"motions.{name}.velocity", problem, hint)
+
+
+def _check_cells(scene: Scene, path: str, driver: Driver) -> None:
+    if driver.type and driver.type not in scene.types:
+        hint = near_miss(driver.type, scene.types)
+        problem = f"is {driver.type!r}, which is no type of this scene"
+        raise SceneError(f"{path}.type", problem, hint)
+
+
+def _check_flat(path: str, driver: Driver) -> None:
+    if driver.z is not None:
+        hint = "The cells lie in the plane z = 0; leave z out."
+        raise SceneError(f"{path}.z", "does not exist in a scene of 2 dimensions", hint)
+    keys = ("force", "rate") if isinstance(driver, Force) else ("velocity",)
+    for key in keys:
+        if getattr(driver, key)[2] != 0.0:
+            raise SceneError(f"{path}.{key}", "points out of the plane of a scene of 2 dimensions")
+
+
+def members(scene: Scene, driver: Driver, cells: Cells) -> NDArray[np.bool_]:
+    """Return which cells of the start a driver names, (n,)."""
+    chosen = np.ones(len(cells), dtype=np.bool_)
+    if driver.cells is not None:
+        chosen &= np.isin(cells.id, driver.cells)
+    if driver.type:
+        chosen &= cells.kind == list(scene.types).index(driver.type)
+    for axis, span in enumerate((driver.x, driver.y, driver.z)):
+        if span is not None:
+            chosen &= (cells.position[:, axis] >= span[0]) & (cells.position[:, axis] <= span[1])
+    return chosen
+
+
+def check_members(scene: Scene, cells: Cells) -> None:
+    """Raise ``SceneError`` for drivers that name no cell of the start, or one that is not there.
+
+    A cell that two motions would move at the same time is refused too.
+    """
+    moved: list[tuple[str, Driver, NDArray[np.bool_]]] = []
+    for path, driver in drivers(scene):
+        missing = np.setdiff1d(driver.cells or (), cells.id)
+        if len(missing):
+            problem = f"names the cell {int(missing[0])}, which is not there at the start"
+            hint = f"Identities at the start go from {cells.id.min()} to {cells.id.max()}."
+            raise SceneError(f"{path}.cells", problem, hint)
+        chosen = members(scene, driver, cells)
+        if not chosen.any() and by_identity(driver):
+            hint = "All of its cells, type, x, y and z must hold for a cell."
+            raise SceneError(path, "names no cell of the start", hint)
+        if isinstance(driver, PrescribedMotion):
+            for other, earlier, taken in moved:
+                both = np.flatnonzero(taken & chosen)
+                if len(both) and _overlap(earlier, driver):
+                    problem = f"moves the cell {cells.id[both[0]]}, which {other} moves as well"
+                    raise SceneError(path, problem, "Let one of them end before the other begins.")
+            moved.append((path, driver, chosen))
+
+
+def _overlap(first: Driver, second: Driver) -> bool:
+    """Return whether two drivers act at the same time."""
+    ends = [math.inf if driver.end is None else driver.end for driver in (first, second)]
+    return first.begin < ends[1] and second.begin < ends[0]

@@ -1,0 +1,219 @@
+"""Laws by which volumes grow, against closed forms, SciPy and known distributions."""
+
+import numpy as np
+import pytest
+from scipy import integrate, stats
+
+import multicell as mc
+from multicell.biology import growth_laws
+from multicell.biology.division import divide
+from multicell.biology.growth import birth_volume, volumes_after
+from multicell.biology.initial import initial_cells
+from multicell.biology.splitting import held, step_error
+from multicell.cells import SPHERE, State
+from multicell.errors import SceneError
+from multicell.scene.parts import GROWTH_LAWS, Growth
+from multicell.scene.scene import Scene
+from multicell.simulation import Simulation
+
+SATURATING = ("relaxation", "logistic", "gompertz")
+PHASES = {"G1": "5 h", "S": "4 h", "G2": "2 h", "M": "1 h"}
+
+
+def growth(law, target=1.3, **more):
+    return {"law": law, **({"target": target} if law in SATURATING else {}), **more}
+
+
+def scene_of(law, count=20, target=1.3, initial=None, **more):
+    return Scene.from_dict({
+        "duration": "3 d",
+        "coupling_step": "10 min",
+        "initial": {"count": count, "spacing": 3.0, **(initial or {})},
+        "contact": {"law": "hertz"},
+        "growth": growth(law, target, **more),
+    })  # fmt: skip
+
+
+def right_hand_side(law, largest):
+    """Return g(V) without its rate, written down once more."""
+    return {
+        "linear": lambda v: 1.0 + 0.0 * v,
+        "exponential": lambda v: v,
+        "relaxation": lambda v: largest - v,
+        "logistic": lambda v: v * (1.0 - v / largest),
+        "gompertz": lambda v: v * np.log(largest / v),
+    }[law]
+
+
+@pytest.mark.parametrize("law", GROWTH_LAWS)
+@pytest.mark.parametrize("target", [1.001, 1.3, 50.0])
+def test_a_law_solves_its_equation_and_doubles_the_volume_in_a_cycle(law, target):
+    """The rate that doubles V in a cycle comes from quadrature of dV/g, the course from SciPy."""
+    part = Growth(**growth(law, target))
+    birth = 261.8
+    g = right_hand_side(law, 2.0 * birth * target)
+    points = [2.0 * birth * (1.0 - 1e-3)] if target < 1.01 else None
+    rate = integrate.quad(
+        lambda v: 1.0 / g(v), birth, 2.0 * birth, epsrel=1e-12, points=points, limit=200
+    )[0]  # fmt: skip
+    share = np.linspace(0.0, 1.2, 13)
+    found = growth_laws.grown(part, birth, np.full(13, birth), share)
+    assert found[10] == pytest.approx(2.0 * birth, rel=1e-12)
+    course = integrate.solve_ivp(
+        lambda s, v: rate * g(v), (0.0, 1.2), [birth], t_eval=share, rtol=1e-11, atol=1e-9
+    ).y[0]
+    np.testing.assert_allclose(found, course, rtol=1e-8)
+    np.testing.assert_allclose(growth_laws.slope(part, birth, found), rate * g(found), rtol=1e-8)
+    # two parts of a step are the whole of it
+    half = growth_laws.grown(part, birth, np.full(13, birth), 0.4 * share)
+    np.testing.assert_allclose(growth_laws.grown(part, birth, half, 0.6 * share), found, rtol=1e-12)
+
+
+@pytest.mark.parametrize("law", GROWTH_LAWS)
+def test_the_factor_of_growth_slows_the_clock_and_resting_cells_stay(law):
+    scene = scene_of(law, cycle_time="10 h", cycle_variation=0.0)
+    cells = initial_cells(scene)
+    cells.state[0], cells.state[1] = State.QUIESCENT, State.QUIESCENT
+    factor = np.linspace(0.0, 1.0, len(cells))
+    after = volumes_after(scene, cells, factor, 18000.0)
+    slow = growth_laws.grown(
+        scene.growth, birth_volume(scene), cells.volume, 0.5 * factor
+    )  # fmt: skip
+    np.testing.assert_allclose(after[2:], slow[2:], rtol=1e-14)
+    np.testing.assert_array_equal(after[:2], cells.volume[:2])
+
+
+@pytest.mark.parametrize("law", GROWTH_LAWS)
+@pytest.mark.parametrize("phases", [False, True])
+def test_cells_divide_after_their_cycle_time_whatever_the_law(law, phases):
+    """Of 5 cells that start at birth all have divided once after 12 h and twice after 24 h."""
+    more = {"phases": {n: {"duration": d} for n, d in PHASES.items()}} if phases else {}
+    scene = scene_of(
+        law, 5, initial={"stage": "birth"}, cycle_time="12 h", cycle_variation=0.0, **more
+    )  # fmt: skip
+    simulation = Simulation(scene, threads=1)
+    numbers = [5]
+    while simulation.step_index < 150:
+        simulation.step()
+        numbers.append(len(simulation.cells))
+    assert list(dict.fromkeys(numbers)) == [5, 10, 20]
+    # steps of ten minutes: at 12 and 24 h, or one step later
+    np.testing.assert_allclose(np.flatnonzero(np.diff(numbers)) + 1, [72, 144], atol=1.0)
+    # what is beyond birth is an hour's growth: by the law
+    volume = simulation.cells.volume / birth_volume(scene)
+    aged = simulation.cells.age / 43200.0 if not phases else np.full(20, 1.0 / 12.0)
+    exact = growth_laws.grown(scene.growth, 1.0, np.ones(20), aged)
+    np.testing.assert_allclose(volume, exact, rtol=5e-3 if not phases else 1e-9)
+
+
+@pytest.mark.parametrize("phases", [False, True])
+def test_linear_growth_has_the_bits_of_the_formula(phases):
+    more = {"phases": {n: {"duration": d} for n, d in PHASES.items()}} if phases else {}
+    scene = scene_of("linear", 20, initial={"stage": "uniform"}, **more)
+    cells = initial_cells(scene)
+    factor = np.linspace(0.1, 1.0, 20)
+    if not phases:
+        exact = cells.volume + 600.0 * (factor * birth_volume(scene) / cells.cycle_time)
+        np.testing.assert_array_equal(volumes_after(scene, cells, factor, 600.0), exact)
+        return
+    from multicell.biology.cycle import advance
+
+    within = cells.phase_length - cells.progress > 600.0
+    found = advance(scene, cells, factor, np.zeros(20, bool), 600.0).volume
+    exact = cells.volume + birth_volume(scene) / cells.cycle_time * factor * 600.0
+    assert within.sum() > 15
+    np.testing.assert_array_equal(found[within], exact[within])
+
+
+def cumulated(law, target, ratio):
+    """Return the part of a growing population below a volume, over that at birth.
+
+    Ages have the density 2 ln2 2^-a in cycles (Powell 1956); V(a) rises, so that the part is
+    2 (1 - 2^-a(V)). For exponential growth that is 2 (1 - 1/V), the density 2 / V².
+    """
+    if law == "exponential":
+        return 2.0 * (1.0 - 1.0 / ratio)
+    k = 2.0 * target
+    age = {
+        "linear": lambda v: v - 1.0,
+        "relaxation": lambda v: np.log((k - 1) / (k - v)) / np.log((k - 1) / (k - 2)),
+    }[law](ratio)
+    return 2.0 * (1.0 - 2.0**-age)
+
+
+@pytest.mark.parametrize("law", ["linear", "exponential", "relaxation"])
+@pytest.mark.parametrize("later", [False, True])
+def test_volumes_of_a_growing_population_have_the_known_distribution(law, later):
+    """At the start, and after 1.4 cycles: the distribution of ages stays what it is."""
+    scene = scene_of(
+        law, 4000, cycle_time="10 h", cycle_variation=0.0,
+        initial={"stage": "asynchronous"},
+    )  # fmt: skip
+    cells, number = initial_cells(scene), scene.initial.count
+    for step in range(84 if later else 0):
+        cells.radius = np.cbrt(volumes_after(scene, cells, np.ones(len(cells)), 600.0) / SPHERE)
+        cells, number = divide(scene, cells, step, number)
+    ratio = cells.volume / birth_volume(scene)
+    test = stats.kstest(ratio, lambda v: cumulated(law, 1.3, np.clip(v, 1.0, 2.0)))
+    # divisions wait for the end of a step, a sixtieth of a cycle
+    assert test.statistic < 1.63 / np.sqrt(4000) + (0.03 if later else 0.0)
+    if later:
+        assert len(ratio) == pytest.approx(4000 * 2.0**1.4, rel=0.03)
+
+
+def test_division_waits_cost_nothing_with_exponential_growth():
+    """A mother who grows on for a while gains what her daughters would: V e^{rt} is linear in V."""
+    parts = {law: Growth(**growth(law, 1.3)) for law in GROWTH_LAWS}
+    missing = {law: growth_laws.missing_in_waiting(part) for law, part in parts.items()}
+    assert missing["linear"] == 1.0
+    assert missing["exponential"] == pytest.approx(0.0, abs=1e-15)
+    for law in SATURATING:
+        g = right_hand_side(law, 2.6)
+        assert missing[law] == pytest.approx(2 * g(1.0) / g(2.0) - 1, rel=1e-12)
+        assert missing[law] > 0.0
+
+
+@pytest.mark.parametrize("law", GROWTH_LAWS)
+def test_the_estimated_error_of_splitting_is_that_of_a_changing_factor(law):
+    """Held at f0 where f falls linearly to f1: the time that a cell grows is f dt, integrated."""
+    scene = scene_of(law, 50, cycle_variation=0.1, initial={"stage": "uniform"})
+    cells, dt = initial_cells(scene), 60.0
+    before, after = np.linspace(0.2, 1.0, 50), np.linspace(0.4, 0.7, 50)
+    held_at, true = (volumes_after(scene, cells, f, dt) for f in (before, 0.5 * (before + after)))
+    ends = cells.shared()
+    ends.radius = np.cbrt(held_at / SPHERE)
+    told = step_error(scene, held(cells, before), held(cells, after), ends, len(cells), dt)
+    assert told.volume == pytest.approx((held_at - true).sum(), rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("entries", "path", "words"),
+    [
+        ({"law": "logistic"}, "growth.target", "is missing"),
+        ({"law": "relaxation", "target": 1.0}, "growth.target", "above 1"),
+        ({"law": "gompertz", "target": 0.7}, "growth.target", "above 1"),
+        ({"law": "linear", "target": 1.5}, "growth.target", "has no effect"),
+        ({"law": "exponential", "target": 1.5}, "growth.target", "has no effect"),
+        ({"law": "cubic"}, "growth.law", "must be one of"),
+    ],
+)
+def test_a_law_that_never_comes_to_division_is_refused(entries, path, words):
+    with pytest.raises(SceneError) as caught:
+        Scene.from_dict({"duration": "1 h", "growth": entries})
+    assert caught.value.path == path
+    assert words in caught.value.problem
+
+
+def test_a_study_does_not_vary_a_target_that_nothing_goes_to():
+    from multicell.studies.meaning import no_effect
+
+    assert "law" in no_effect(scene_of("linear"), "growth.target")
+    assert no_effect(scene_of("logistic"), "growth.target") == ""
+
+
+def test_volumes_stay_those_of_spheres():
+    scene = scene_of("logistic", 3)
+    result = mc.run(scene.with_changes({"duration": "1 h"}))
+    cells = result.frames[-1].cells
+    np.testing.assert_allclose(cells.volume, SPHERE * cells.radius**3, rtol=1e-14)
+    assert (cells.volume > birth_volume(scene)).all()

@@ -1,0 +1,352 @@
+"""Runs with forces and prescribed motions on named cells: who is driven, when, and how."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import multicell as mc
+from multicell.biology.driven import handed_on, named_at_start
+from multicell.biology.initial import initial_cells
+from multicell.cells import State
+from multicell.comparison.record import record
+from multicell.comparison.replay import replay
+from multicell.errors import SceneError, StepFailed
+from multicell.integrators.cvode import Cvode
+from multicell.integrators.runge_kutta import Dopri5
+from multicell.results.quantities import unit_of
+from multicell.results.records import arrays_of, frame_of
+from multicell.scene.scene import Scene
+from multicell.simulation import Simulation
+
+RADIUS = 5.0 * 0.5 ** (1 / 3)
+DRAG = 6 * np.pi * 5.0 * RADIUS
+
+
+def scene_of(count=12, spacing=0.95, **parts):
+    return Scene.from_dict({
+        "duration": "10 min",
+        "coupling_step": "1 min",
+        "initial": {"count": count, "spacing": spacing},
+        "cells": {"young_variation": 0.0},
+        "integrator": {"atol": 1e-5, "rtol": 1e-8},
+        **parts,
+    })  # fmt: skip
+
+
+def course(scene, **options):
+    """Return the positions of the cells after each step in the order of identities, and the run."""
+    simulation = Simulation(scene, threads=1, **options)
+    found = [placed(simulation.cells)]
+    while not simulation.finished:
+        simulation.step()
+        found.append(placed(simulation.cells))
+    return np.array(found), simulation
+
+
+def placed(cells):
+    return cells.position[np.argsort(cells.id)]
+
+
+def test_a_force_moves_a_free_cell_as_stokes_says():
+    """From 90 s to 400 s, between coupling steps: the way at their ends is exact all the same."""
+    force = {"force": ["2 nN", 0, "-1000 pN"], "cells": [1], "begin": 90, "end": 400}
+    way, _ = course(scene_of(3, 30.0, forces={"tug": force}))
+    time = 60.0 * np.arange(11)
+    acted = np.clip(time, 90, 400) - 90
+    for axis, size in enumerate((2.0, 0.0, -1.0)):
+        exact = way[0, 1, axis] + size * acted / DRAG
+        np.testing.assert_allclose(way[:, 1, axis], exact, atol=1e-9)
+    np.testing.assert_array_equal(way[:, [0, 2]], way[:1, [0, 2]].repeat(11, axis=0))
+
+
+def test_a_force_that_grows_moves_a_cell_by_its_integral():
+    force = {"rate": [0, "0.01 nN/s", 0], "cells": [0], "begin": 30, "end": 330}
+    way, _ = course(scene_of(1, forces={"tug": force}))
+    acted = np.clip(60.0 * np.arange(11), 30, 330) - 30
+    np.testing.assert_allclose(way[:, 0, 1], 0.005 * acted**2 / DRAG, atol=1e-7)
+
+
+@pytest.mark.parametrize("method", ["auto", "euler", "cvode", "rkc2", "rosenbrock", "ab2"])
+def test_a_motion_is_exact_in_every_step_and_lets_go(method):
+    motion = {"velocity": [0, 0, "5 nm/s"], "cells": [4, 2], "begin": 60, "end": 270}
+    base = {"x": [-100, -4]}
+    scene = scene_of(integrator=method, motions={"up": motion, "base": base})
+    way, simulation = course(scene)
+    lasted = np.clip(60.0 * np.arange(11), 60, 270) - 60
+    held = simulation.named["motions.base"]
+    assert 0 < len(held) < 6
+    np.testing.assert_array_equal(way[:, held], way[:1, held].repeat(11, axis=0))
+    # the step in which it ends has its mean velocity
+    for cell in (2, 4):
+        exact = way[1, cell] + 0.005 * lasted[:, None] * [0, 0, 1]
+        np.testing.assert_allclose(way[1:6, cell], exact[1:6], atol=1e-12)
+        assert np.abs(way[-1, cell] - way[5, cell]).max() > 1e-4
+
+
+def test_forces_of_the_history_are_those_of_the_closed_forms():
+    """Two cells are pressed together by one that moves: Hertz, and Stokes."""
+    parts = {"contact": {"law": "hertz"}}
+    start = placed(initial_cells(scene_of(2, 1.0, **parts)))
+    distance = np.linalg.norm(start[1] - start[0])
+    axis = (start[1] - start[0]) / distance
+    motions = {"left": {"cells": [0]}, "right": {"cells": [1], "velocity": list(-0.001 * axis)}}
+    history = mc.run(scene_of(2, 1.0, motions=motions, **parts)).history
+    time = np.array(history["time"])
+    overlap = np.maximum(2 * RADIUS - distance + 0.001 * time, 0.0)
+    force = np.sqrt(RADIUS / 2) / (1.5 * 0.75) * overlap**1.5
+    found = {
+        name: np.stack([history[f"force_{name}_{a}"] for a in "xyz"], axis=1) for name in motions
+    }
+    # contact pushes the held cell away from the other one: it must be pushed towards it
+    np.testing.assert_allclose(found["left"], force[:, None] * axis, atol=1e-9)
+    towed = -(force + DRAG * 0.001)[:, None] * axis
+    np.testing.assert_allclose(found["right"], towed, atol=1e-9)
+    assert unit_of("force_left_x") == "nN"
+
+
+def pressed(speed=-0.01, **changes):
+    """Return a small version of the built-in scene."""
+    scene = mc.load_scene("compression").with_changes({"initial.count": 60, **changes})
+    motions = {"base": {"z": [-40, -5]}, "plate": {"z": [5, 40], "velocity": [0, 0, speed]}}
+    return scene.with_changes({"motions": motions})
+
+
+def test_all_that_is_held_from_outside_balances():
+    """Without drag of moving cells, the forces on both layers of a cluster at rest add up to 0."""
+    scene = pressed(speed=0.0, duration="1 h", coupling_step="1 min")
+    _, simulation = course(scene)
+    row = simulation.history_row()
+    for axis in "xyz":
+        total = row[f"force_base_{axis}"] + row[f"force_plate_{axis}"]
+        assert total == pytest.approx(0.0, abs=1e-2)
+    assert abs(row["force_base_z"]) > 0.1
+
+
+def growing(division="instant", **parts):
+    phases = {n: {"duration": "30 min"} for n in ("G1", "S", "G2", "M")}
+    growth = {"cycle_time": "2 h", "cycle_variation": 0.0}
+    if division == "smooth":
+        growth = {"phases": phases, "division": "smooth"}
+    return scene_of(4, initial={"count": 4, "spacing": 0.9, "stage": "uniform"}, growth=growth,
+                    duration="3 h", coupling_step="5 min", integrator="cvode", **parts)  # fmt: skip
+
+
+@pytest.mark.parametrize("division", ["instant", "smooth"])
+def test_the_first_daughter_takes_over_and_the_other_is_free(division):
+    scene = growing(division, motions={"held": {"cells": [0, 2]}}, forces={"f": {
+        "force": [0.001, 0, 0], "cells": [1]}})  # fmt: skip
+    simulation = Simulation(scene, threads=1)
+    places = {}
+    while not simulation.finished:
+        before, named = simulation.cells, dict(simulation.named)
+        simulation.step()
+        cells = simulation.cells
+        for path, ids in named.items():
+            heirs = simulation.named[path]
+            assert len(heirs) == len(ids)
+            for cell in ids:
+                daughters = np.sort(cells.id[cells.parent == cell])
+                assert (cell if (cells.id == cell).any() else daughters[0]) in heirs
+        for cell in simulation.named["motions.held"]:
+            where = cells.position[cells.id == cell][0]
+            np.testing.assert_array_equal(places.setdefault(int(cell), where), where)
+        assert len(before) <= len(cells)
+    assert simulation.divisions >= 8
+    assert min(simulation.named["motions.held"]) > 3
+
+
+def test_a_type_keeps_its_drivers_and_removed_cells_leave_their_list():
+    cells = initial_cells(scene_of(6))
+    named = {"forces.f": np.array([1, 3, 5])}
+    after = cells.take(np.array([0, 3, 2, 5, 4]))
+    after.id[4], after.parent[4] = 9, 3
+    left = handed_on(named, after, 6)
+    np.testing.assert_array_equal(left["forces.f"], [3, 5])
+    scene = scene_of(
+        6, types={"a": {}, "b": {}}, motions={"m": {"type": "b"}},
+        forces={"f": {"force": [1, 0, 0]}},
+    )  # fmt: skip
+    assert named_at_start(scene, initial_cells(scene)) == {}
+    way, simulation = course(scene)
+    kind = simulation.cells.kind[np.argsort(simulation.cells.id)]
+    moved = np.abs(way[-1] - way[0]).max(axis=1)
+    assert not moved[kind == 1].any()
+    assert (moved[kind == 0] > 0.1).all()
+
+
+def test_dead_cells_stay_driven_until_they_are_removed():
+    scene = scene_of(
+        6, motions={"m": {"cells": [0], "velocity": [0.001, 0, 0]}}, death={"lysis_time": "2 min"}
+    )  # fmt: skip
+    start = initial_cells(scene)
+    start.state[0] = State.NECROTIC
+    simulation = Simulation(scene, threads=1, cells=start.copy())
+    while not simulation.finished:
+        simulation.step()
+    assert 0 not in simulation.cells.id
+    assert len(simulation.named["motions.m"]) == 0
+    early = Simulation(scene, threads=1, cells=start.copy())
+    early.step()
+    np.testing.assert_allclose(placed(early.cells)[0] - start.position[0], [0.06, 0, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize("division", ["instant", "smooth"])
+def test_a_resumed_run_has_the_bits_of_the_whole(division):
+    scene = growing(
+        division,
+        motions={"held": {"cells": [0, 2]}, "x": {"cells": [1], "velocity": [0, 1e-4, 0]}},
+        forces={"f": {"force": [0.001, 0, 0], "cells": [3]}},
+        springs={"s": {"stiffness": 0.05, "pairs": [[0, 1], [2, 3]], "sisters": True}},
+    )  # fmt: skip
+    whole = Simulation(scene, threads=1)
+    while whole.step_index < 20:
+        whole.step()
+    frame = frame_of(arrays_of(whole.frame(), []), [])
+    assert sorted(frame.progress.driven) == ["forces.f", "motions.held", "motions.x"]
+    again = Simulation(scene, threads=1, frame=frame)
+    for _ in range(8):
+        whole.step()
+        again.step()
+    for name, column in whole.cells.columns():
+        np.testing.assert_array_equal(getattr(again.cells, name), column)
+    np.testing.assert_equal(again.history_row(), whole.history_row())
+    assert again.springs.kept() == whole.springs.kept()
+
+
+def test_frames_of_other_scenes_say_nothing_of_drivers():
+    simulation = Simulation(scene_of(2), threads=1)
+    text = arrays_of(simulation.frame(), [])["progress/text"].tobytes()
+    assert not {"driven", "springs"} & set(json.loads(text))
+
+
+def test_threads_give_the_same_bits(monkeypatch):
+    scene = mc.load_scene("compression").with_changes({"duration": "2 min", "initial.count": 400})
+    scene = scene.with_changes({"springs.net": {"stiffness": 0.1, "within": 7.0}})
+    found = []
+    for threads in (1, 2):
+        simulation = Simulation(scene, threads=threads)
+        simulation._mechanics.chunk, simulation._mechanics.shared_chunks = 32, 2
+        while not simulation.finished:
+            simulation.step()
+        found.append((simulation.cells.position, simulation.history_row()))
+    np.testing.assert_array_equal(found[0][0], found[1][0])
+    np.testing.assert_equal(found[0][1], found[1][1])
+
+
+def test_a_recorded_run_is_replayed_by_another_method():
+    """Work-precision charts: driven cells are exact in both, the others differ by the tolerance."""
+    scene = pressed(duration="1 min")
+    problem, reference = record(scene, Cvode(1e-8, 1e-6), threads=1)
+    other = replay(problem, Dopri5(1e-8, 1e-6))
+    assert other.problem == ""
+    held = problem.steps[-1].motion.held
+    np.testing.assert_array_equal(other.positions[-1][held], reference.positions[-1][held])
+    np.testing.assert_allclose(other.positions[-1], reference.positions[-1], atol=5e-3)
+    moved = reference.positions[-1] - problem.start
+    assert np.abs(moved[held]).max() == pytest.approx(0.6)
+
+
+def test_steps_that_a_run_chooses_end_where_a_driver_changes():
+    scene = Scene.from_dict({
+        "duration": "3 h", "coupling_step": "auto", "growth": {"cycle_time": "12 h"},
+        "initial": {"count": 4, "stage": "uniform"},
+        "forces": {"f": {"force": [0.01, 0, 0], "begin": "61 min", "end": "100.5 min"}},
+        "motions": {"m": {"cells": [0], "begin": "40 min"}},
+    })  # fmt: skip
+    simulation = Simulation(scene, threads=1)
+    times = []
+    while not simulation.finished:
+        simulation.step()
+        times.append(simulation.time)
+    assert {2400.0, 3660.0, 6030.0} <= set(times)
+
+
+def test_a_held_cell_beyond_a_side_ends_the_run_by_name():
+    scene = scene_of(
+        1, domain={"x": [-20, 20], "y": [-20, 20], "z": [-20, 20]},
+        motions={"m": {"velocity": [0.06, 0, 0]}},
+    )  # fmt: skip
+    with pytest.raises(StepFailed, match=r"left the domain through the side x\+"):
+        course(scene)
+
+
+def test_an_ode_problem_has_driven_cells_as_constants():
+    scene = pressed()
+    problem = mc.ode_problem(scene, step=1)
+    held = np.repeat(problem.system.motion.held, 3)
+    slope = problem.f(problem.t0, problem.y0)
+    assert not slope[held].any()
+    assert slope[~held].any()
+    end = problem.system.at_end(problem.y0.reshape(-1, 3)).ravel() - problem.y0
+    np.testing.assert_allclose(
+        end.reshape(-1, 3), 10.0 * problem.system.motion.velocity, atol=1e-13
+    )
+
+
+REFUSED = [
+    ({"forces": {"f": {}}}, "forces.f.force", "is zero"),
+    ({"forces": {"f": {"force": [1, 0]}}}, None, ""),
+    ({"forces": {"f": {"force": [1]}}}, "forces.f.force", "list of three"),
+    ({"forces": {"f": {"force": ["1 um", 0, 0]}}}, "forces.f.force", "must be a force"),
+    ({"forces": {"f": {"force": [1, 0, 0], "cells": []}}}, "forces.f.cells", "list of whole"),
+    ({"forces": {"f": {"force": [1, 0, 0], "cells": [-1]}}}, "forces.f.cells", "from 0 on"),
+    ({"forces": {"f": {"force": [1, 0, 0], "cells": [1, 1]}}}, "forces.f.cells", "twice"),
+    ({"forces": {"f": {"force": [1, 0, 0], "type": "a"}}}, "forces.f.type", "no type"),
+    ({"forces": {"f": {"force": [1, 0, 0], "begin": 9, "end": 9}}}, "forces.f.end", "after begin"),
+    ({"motions": {"m": {"velocity": [0.1, 0, 0]}}}, "motions.m.velocity", "in a coupling step"),
+    ({"motions": {"m": {"x": [3, 1]}}}, "motions.m.x", "lower end first"),
+    (
+        {"dimensions": 2, "motions": {"m": {"velocity": [0, 0, 1e-3]}}},
+        "motions.m.velocity",
+        "plane",
+    ),
+    ({"dimensions": 2, "motions": {"m": {"z": [0, 1]}}}, "motions.m.z", "2 dimensions"),
+]
+
+
+@pytest.mark.parametrize(("parts", "path", "words"), REFUSED)
+def test_drivers_without_meaning_are_refused(parts, path, words):
+    if path is None:
+        scene = scene_of(**parts)
+        assert scene.forces["f"].force == (1.0, 0.0, 0.0)
+        return
+    with pytest.raises(SceneError) as caught:
+        scene_of(**parts)
+    assert caught.value.path == path
+    assert words in caught.value.problem
+
+
+@pytest.mark.parametrize(
+    ("parts", "path", "words"),
+    [
+        ({"forces": {"f": {"force": [1, 0, 0], "cells": [99]}}}, "forces.f.cells", "the cell 99"),
+        ({"motions": {"m": {"x": [500, 600]}}}, "motions.m", "names no cell"),
+        (
+            {"motions": {"a": {"cells": [1, 2]}, "b": {"cells": [2], "begin": 60}}},
+            "motions.b",
+            "moves the cell 2, which motions.a moves as well",
+        ),
+        ({"motions": {"a": {"cells": [1]}, "b": {}}}, "motions.b", "moves the cell 1"),
+    ],
+)
+def test_drivers_that_find_no_cells_are_refused_at_the_start(parts, path, words):
+    with pytest.raises(SceneError) as caught:
+        Simulation(scene_of(**parts))
+    assert caught.value.path == path
+    assert words in caught.value.problem
+
+
+def test_scenes_with_drivers_come_back_as_they_were(tmp_path):
+    scene = scene_of(
+        forces={"f": {"force": [1, 0, 0], "rate": [0, 0, 1e-3], "z": ["-1 mm", 0], "end": "2 min"}},
+        motions={"m": {"cells": [3, 1], "velocity": [0, 1e-3, 0]}},
+    )  # fmt: skip
+    file = tmp_path / "scene.toml"
+    file.write_text(scene.to_toml())
+    again = mc.load_scene(file)
+    assert again == scene
+    assert hash(again) == hash(scene)
+    changed = scene.with_changes({"motions.m.velocity": [0, 0, 0], "forces.f": None})
+    assert replace(scene, forces=changed.forces, motions=changed.motions) == changed
