@@ -25,9 +25,10 @@ WHAT = {
     "simulation": "the coupling step", "nutrient": "fields", "biology": "what cells do",
     "results": "frames, history, journal", "scene": "what there is", "integrators": "methods",
     "mechanics": "forces, Jacobian, lists", "contact": "pair laws", "plugins": "file.py:Name",
+    "tables": "CSV, Parquet",
     "schema": "declarations", "units": "at the door", "random": "streams", "threads": "sharing",
     "compiling": "by numba", "rehearsal": "compiling ahead", "rehearsed": "by a few cells",
-    "memory": "given back",
+    "memory": "given back", "importing": "models of PhysiCell",
     "extras": "there or not",
     "philox": "random words", "cells": "the state", "errors": "what users meet",
 }  # fmt: skip

@@ -1,12 +1,21 @@
-"""Two sticky spheres pushed together, at rest and pulled apart, drawn to scale with their forces.
+"""Two sticky spheres pushed together, at rest and pulled apart, drawn to scale with their forces
+==============================================================================================
 
-Problem   Two cells of radius 10 um (or unlike ones) under the approximate JKR law with E = 1 kPa,
-          Poisson ratio 0.5 and surface energy 0.1 nN/um. At rest the elastic force and the
-          adhesion of each cell cancel; closer the elastic force wins, further apart adhesion.
-Scaling   None: three evaluations of a closed form. Lengths are to scale, in um; arrows are to one
-          scale of force in all panels.
-Cost      About a second, nearly all of it to load matplotlib.
-Command   python examples/figure_3_3.py [FOLDER]     writes FOLDER/figure_3_3.png
+Problem
+    Two cells of radius 10 um (or unlike ones) under the approximate JKR law with E = 1 kPa,
+    Poisson ratio 0.5 and surface energy 0.1 nN/um. At rest the elastic force and the
+    adhesion of each cell cancel; closer the elastic force wins, further apart adhesion.
+Scaling
+    None: three evaluations of a closed form. Lengths are to scale, in um; arrows are to one
+    scale of force in all panels.
+Cost
+    About a second, nearly all of it to load matplotlib.
+Command
+    .. code-block:: sh
+
+        python examples/figure_3_3.py [FOLDER]
+
+    It writes FOLDER/figure_3_3.png.
 """
 
 from __future__ import annotations

@@ -1,14 +1,23 @@
-"""A front of growing tissue without cells: an equation of py-pde's by its solvers and by ours.
+"""A front of growing tissue without cells: an equation of py-pde's by its solvers and by ours
+===========================================================================================
 
-Problem   Fisher-Kolmogorov: du/dt = D u'' + u (1 - u) in 1/growth rate and D = 1. The front
-          u = (1 + exp((x - c t) / sqrt(6)))^-2 with c = 5 / sqrt(6) is exact (Ablowitz & Zeppetella
-          1979). Nodes 0.1 apart carry it from t = 0 to 4, by `multicell-implicit`, by py-pde's
-          explicit Euler and Runge-Kutta solvers, by SciPy's RK45 through py-pde, and by
-          py-pde's Crank-Nicolson, whose fixed-point iteration fails beyond the explicit limit.
-Scaling   Explicit steps are at most h^2 / 2D = 0.005, 800 of them; the front crosses one unit
-          of length in 0.5.
-Cost      A few seconds, most of them to load libraries and for the explicit solvers.
-Command   python examples/fisher_front.py [FOLDER]     writes FOLDER/fisher_front.png
+Problem
+    Fisher-Kolmogorov: du/dt = D u'' + u (1 - u) in 1/growth rate and D = 1. The front
+    u = (1 + exp((x - c t) / sqrt(6)))^-2 with c = 5 / sqrt(6) is exact (Ablowitz & Zeppetella
+    1979). Nodes 0.1 apart carry it from t = 0 to 4, by `multicell-implicit`, by py-pde's
+    explicit Euler and Runge-Kutta solvers, by SciPy's RK45 through py-pde, and by
+    py-pde's Crank-Nicolson, whose fixed-point iteration fails beyond the explicit limit.
+Scaling
+    Explicit steps are at most h^2 / 2D = 0.005, 800 of them; the front crosses one unit
+    of length in 0.5.
+Cost
+    A few seconds, most of them to load libraries and for the explicit solvers.
+Command
+    .. code-block:: sh
+
+        python examples/fisher_front.py [FOLDER]
+
+    It writes FOLDER/fisher_front.png.
 """
 
 from __future__ import annotations

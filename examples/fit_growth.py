@@ -1,14 +1,26 @@
-"""A growth curve gives back what made it: cycle time and cell size, and how far it tells them.
+"""A growth curve gives back what made it: cycle time and cell size, and how far it tells them
+===========================================================================================
 
-Problem   A culture grows from 8 cells for 60 h; cells were counted and its diameter measured five
-          times (growth.csv). It was made by a run with a cycle of 17 h and cells that divide at a
-          radius of 6.5 um, with errors of 5 % and 1 um. The fit knows none of this: it tries
-          cycles of 10 to 30 h and radii of 4 to 10 um.
-Scaling   Runs of a fit are independent: twice the cores take half the time. Polynomials through the
-          runs need (n + 1)(n + 2)/2 of them for n parameters, and some more.
-Cost      60 runs of 0.2 s on one core, and a few seconds for pictures and page.
-Command   python examples/fit_growth.py [FOLDER]     writes FOLDER/report.html
+Problem
+    A culture grows from 8 cells for 60 h; cells were counted and its diameter measured five
+    times (growth.csv). It was made by a run with a cycle of 17 h and cells that divide at a
+    radius of 6.5 um, with errors of 5 % and 1 um. The fit knows none of this: it tries
+    cycles of 10 to 30 h and radii of 4 to 10 um.
+Scaling
+    Runs of a fit are independent: twice the cores take half the time. Polynomials through the
+    runs need (n + 1)(n + 2)/2 of them for n parameters, and some more.
+Cost
+    60 runs of 0.2 s on one core, and a few seconds for pictures and page. It is not run in the
+    documentation, which is to be built quickly.
+Command
+    .. code-block:: sh
+
+        python examples/fit_growth.py [FOLDER]
+
+    It writes FOLDER/report.html.
 """
+
+# sphinx_gallery_thumbnail_path = 'figures/fit-data.png'
 
 from __future__ import annotations
 

@@ -1,13 +1,22 @@
-"""A method of one's own: the explicit midpoint rule, checked, run and compared.
+"""A method of one's own: the explicit midpoint rule, checked, run and compared
+============================================================================
 
-Problem   50 cells come to rest by the midpoint rule and by CVODE.
-Scaling   Stable for steps below 2 / lambda_max: 107 s for a pair (`multicell explain settle`),
-          several times less in tissue. The step here is 5 s.
-Cost      A few seconds once the kernels are compiled.
-Command   python examples/own_integrator.py
-          multicell run settle --integrator examples/own_integrator.py:Midpoint -o out
-          multicell compare settle --methods cvode,heun,examples/own_integrator.py:Midpoint -o chart
+Problem
+    50 cells come to rest by the midpoint rule and by CVODE.
+Scaling
+    Stable for steps below 2 / lambda_max: 107 s for a pair (`multicell explain settle`),
+    several times less in tissue. The step here is 5 s.
+Cost
+    A few seconds once the kernels are compiled.
+Command
+    .. code-block:: sh
+
+        python examples/own_integrator.py
+        multicell run settle --integrator examples/own_integrator.py:Midpoint -o out
+        multicell compare settle --methods cvode,heun,examples/own_integrator.py:Midpoint -o chart
 """
+
+# sphinx_gallery_thumbnail_path = 'figures/compare-settle-1000.png'
 
 import math
 from dataclasses import dataclass

@@ -1,14 +1,22 @@
-"""A small spheroid in a medium so poor in oxygen that a few hundred cells feel it.
+"""A small spheroid in a medium so poor in oxygen that a few hundred cells feel it
+===============================================================================
 
-Problem   80 hungry cells (60 amol/s each) at all stages of the cycle, oxygen at 0.02 mM in the
-          medium around them, three days. Uptake makes a gradient of oxygen: cells inside come to
-          rest and the innermost ones die, while the rim grows on. Thresholds are lower than the
-          defaults, to suit the poor medium.
-Scaling   432 coupling steps of 10 min, up to about 530 cells; each step integrates the motion and
-          solves for the oxygen field once.
-Cost      About 5 s on one core, the pictures included; longer when numba compiles the first time.
-Command   python examples/small_spheroid.py [FOLDER]
-          writes FOLDER/report.html, growth.png, section.png, profiles.png and all results
+Problem
+    80 hungry cells (60 amol/s each) at all stages of the cycle, oxygen at 0.02 mM in the
+    medium around them, three days. Uptake makes a gradient of oxygen: cells inside come to
+    rest and the innermost ones die, while the rim grows on. Thresholds are lower than the
+    defaults, to suit the poor medium.
+Scaling
+    432 coupling steps of 10 min, up to about 530 cells; each step integrates the motion and
+    solves for the oxygen field once.
+Cost
+    About 5 s on one core, the pictures included; longer when numba compiles the first time.
+Command
+    .. code-block:: sh
+
+        python examples/small_spheroid.py [FOLDER]
+
+    It writes FOLDER/report.html, growth.png, section.png, profiles.png and all results.
 """
 
 from __future__ import annotations

@@ -1,14 +1,22 @@
-"""A study: how adhesion and stiffness decide how tightly a small cluster of cells packs.
+"""A study: how adhesion and stiffness decide how tightly a small cluster of cells packs
+=====================================================================================
 
-Problem   Growing clusters of two stiffnesses and three surface energies, two seeds each: twelve
-          runs of 30 h, from one cell. Between two points only the parameters differ: they share
-          their random numbers. All that the runs have found is one table with units.
-Scaling   Proportional to the number of runs, divided by the number of cores; the longest are
-          started first.
-Cost      About 10 s on two cores, the pictures included; longer when numba compiles the first
-          time. A second start computes no run again.
-Command   python examples/study.py [FOLDER]
-          writes FOLDER/study.toml, runs/, study.nc, study.csv, report.html and its pictures
+Problem
+    Growing clusters of two stiffnesses and three surface energies, two seeds each: twelve
+    runs of 30 h, from one cell. Between two points only the parameters differ: they share
+    their random numbers. All that the runs have found is one table with units.
+Scaling
+    Proportional to the number of runs, divided by the number of cores; the longest are
+    started first.
+Cost
+    About 10 s on two cores, the pictures included; longer when numba compiles the first time. A
+    second start computes no run again.
+Command
+    .. code-block:: sh
+
+        python examples/study.py [FOLDER]
+
+    It writes FOLDER/study.toml, runs/, study.nc, study.csv, report.html and its pictures.
 """
 
 from __future__ import annotations

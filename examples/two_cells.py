@@ -1,11 +1,20 @@
-"""Two cells that overlap too much relax to their equilibrium distance: three integrations.
+"""Two cells that overlap too much relax to their equilibrium distance: three integrations
+=======================================================================================
 
-Problem   Two cells of radius 10 um, released at a distance of 12 um, in a medium of 5 kPa s. Only
-          their distance d changes: dd/dt = 2 F(20 um - d) / (6 pi eta r). Integrated by CVODE,
-          by explicit Euler, and by SciPy's Radau, which gets the equation written out here.
-Scaling   Relaxation time 188 s at the equilibrium distance of 17.178 um; one hour is 19 of them.
-Cost      A few seconds, nearly all of it to load libraries.
-Command   python examples/two_cells.py [FOLDER]     writes FOLDER/two_cells.png
+Problem
+    Two cells of radius 10 um, released at a distance of 12 um, in a medium of 5 kPa s. Only
+    their distance d changes: dd/dt = 2 F(20 um - d) / (6 pi eta r). Integrated by CVODE,
+    by explicit Euler, and by SciPy's Radau, which gets the equation written out here.
+Scaling
+    Relaxation time 188 s at the equilibrium distance of 17.178 um; one hour is 19 of them.
+Cost
+    A few seconds, nearly all of it to load libraries.
+Command
+    .. code-block:: sh
+
+        python examples/two_cells.py [FOLDER]
+
+    It writes FOLDER/two_cells.png.
 """
 
 from __future__ import annotations

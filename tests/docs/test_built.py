@@ -1,0 +1,55 @@
+"""The pages as a browser shows them, where they have been built (``.ci/run`` does it before)."""
+
+import shutil
+
+import pytest
+from page_commands import ROOT
+
+BUILT = ROOT / "build" / "docs"
+PAGES = sorted(
+    str(page.relative_to(BUILT))
+    for page in BUILT.rglob("*.html")
+    if not {"_static", "_sources"} & set(page.relative_to(BUILT).parts)
+)
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+
+# what is wider than the window, unless something round it scrolls or cuts it off
+WIDE = """() => [...document.querySelectorAll("article *")].filter(element => {
+  if (element.getBoundingClientRect().right <= document.documentElement.clientWidth + 2) return false;
+  for (let e = element; e && e !== document.body; e = e.parentElement)
+    if (getComputedStyle(e).overflowX !== "visible") return false;
+  return true;
+}).map(element => element.outerHTML.slice(0, 120))"""  # noqa: E501
+BROKEN = """() => [...document.images].filter(
+  image => !image.hasAttribute("alt") || (image.complete && !image.naturalWidth)
+).map(image => image.src)"""
+
+pytestmark = pytest.mark.skipif(not PAGES, reason="build/docs is not there: sphinx-build makes it")
+
+
+@pytest.fixture(scope="module")
+def browser():
+    if CHROMIUM is None:
+        pytest.skip("there is no Chromium on this machine")
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as tools:
+        started = tools.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield started
+        started.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("wide", "scheme"), [(390, "dark"), (1280, "light")])
+def test_pages_fit_and_load_what_is_theirs(browser, wide, scheme):
+    context = browser.new_context(viewport={"width": wide, "height": 900}, color_scheme=scheme)
+    page, said = context.new_page(), []
+    page.on("console", lambda message: said.append(message.text))
+    page.on("pageerror", lambda error: said.append(str(error)))
+    page.on("request", lambda asked: said.append(asked.url) if asked.url[:4] == "http" else None)
+    for name in PAGES:
+        page.goto((BUILT / name).as_uri(), wait_until="load")
+        assert said == [], name
+        assert page.evaluate(WIDE) == [], name
+        assert page.evaluate(BROKEN) == [], name
+    context.close()

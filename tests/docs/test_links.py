@@ -1,0 +1,45 @@
+"""Links from files that Sphinx does not read lead to files and headings that are there."""
+
+import re
+
+import pytest
+from page_commands import ROOT, pages
+
+FILES = ["README.md", "CHANGELOG.md", "CONTRIBUTING.md"]
+LINK = re.compile(r"!?\[[^\]]*\]\(<?([^)\s>]+)>?\)")
+
+FIGURE = re.compile(r"^( *)(`{3,}|:{3,})\{(?:image|figure)\}.*?^\1\2", re.DOTALL | re.MULTILINE)
+
+
+def text_of(path):
+    """Return a page without its blocks."""
+    return re.sub(r"^( *)(`{3,}).*?^\1\2`*$", "", path.read_text("utf-8"), flags=re.S | re.M)
+
+
+def slugs(path):
+    """Return the names that headings of a page have in links."""
+    headings = re.findall(r"^#+ +(.+?) *$", text_of(path), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", head.lower()).replace(" ", "-") for head in headings}
+
+
+@pytest.mark.parametrize("name", [name for name in FILES if (ROOT / name).exists()])
+def test_links_lead_somewhere(name):
+    for target in LINK.findall(text_of(ROOT / name)):
+        if re.match(r"[a-z]+:", target):
+            continue
+        place, _, heading = target.partition("#")
+        path = ROOT / place if place else ROOT / name
+        assert path.exists(), target
+        if heading:
+            assert heading in slugs(path), target
+
+
+def test_pictures_have_a_text_for_those_who_do_not_see_them():
+    for page in pages():
+        text = text_of(page)
+        assert re.findall(r"!\[\s*\]\([^)]*\)", text) == [], page.name
+        source = page.read_text("utf-8")
+        for figure in re.finditer(
+            r"^( *)(`{3,}|:{3,})\{(?:image|figure)\}.*?^\1\2", source, re.S | re.M
+        ):
+            assert ":alt:" in figure[0], f"{page.name}: {figure[0][:60]}"
