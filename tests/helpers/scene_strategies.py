@@ -429,6 +429,9 @@ def _fit_domain(scene, flat):
         domain.pop("poisson", None)
     radius = base(scene.get("cells", {}).get("division_radius", 5.0))
     unit = 2.0 * radius
+    if 8.0 * unit > RANGES["um"][1]:
+        del scene["domain"]
+        return
     for axis in "xyz":
         low, high = (base(end) for end in domain.pop(axis, [-radius, radius]))
         if axis == "z" and flat:
@@ -630,7 +633,7 @@ def _fit_growth(scene):
 
 def _quickest_cycle(scene):
     """Return the mean cycle of the quickest type, s."""
-    growth = scene["growth"]
+    growth = scene.get("growth", {})
     phases = growth.get("phases", {}).values()
     cycle = sum(base(phase["duration"]) for phase in phases)
     if not phases:
@@ -826,6 +829,8 @@ def plausible(draw, extreme=0.004, small=True):
     if small:
         step = drawer.one_of([1.0, 10.0, 60.0, 600.0, 1800.0])
         scene["coupling_step"] = "auto" if drawer.chance(0.1) else step
+        if scene["coupling_step"] == "auto" and _step_of_its_own(scene) < 1e-6:
+            scene["coupling_step"] = step  # a run of its own steps would be too short
         scene.setdefault("initial", {})["count"] = drawer.one_of([1, 2, 3, 5, 8, 12, 20])
         near = scene["initial"].get("spacing", 0.9)
         scene["initial"]["spacing"] = near if drawer.chance(0.1) else min(max(near, 0.8), 1.3)
@@ -855,8 +860,6 @@ def plausible(draw, extreme=0.004, small=True):
             across = base(field["spacing"]) if "spacing" in field else radius
             field["margin"] = min(base(field["margin"]), 12.0 * across)
         step = scene["coupling_step"]
-        if step == "auto" and _step_of_its_own(scene) < 1e-6:
-            step = scene["coupling_step"] = 1.0  # a run of its own steps would be too short
         step = _step_of_its_own(scene) if step == "auto" else step
         scene["duration"] = step * drawer.one_of([1.0, 2.0, 2.5, 3.0])
     return scene
@@ -886,7 +889,7 @@ def _loosen(scene):
     kinds = scene.get("types", {}).values()
     young = [base(kind["young"]) for kind in kinds if "young" in kind]
     softest = min([*young, base(scene.get("cells", {}).get("young", 1.0))])
-    if scene.get("contact", {"law": "jkr"})["law"] in ("jkr", "exact-jkr"):
+    if scene.get("contact", {"law": "jkr"})["law"] in ("jkr", "exact-jkr", "physicell"):
         contact = scene.setdefault("contact", {"law": "jkr"})
         contact["surface_energy"] = min(base(contact.get("surface_energy", 0.1)), 0.1 * softest)
         if contact["surface_energy"] < 1e-9:
@@ -896,7 +899,12 @@ def _loosen(scene):
                 energy = min(0.05, 0.1 * softest) if softest > 1e-8 else 0.0
                 kind["surface_energy"] = dict.fromkeys(kind["surface_energy"], energy)
     if "adhesion" in scene:
-        scene["adhesion"]["strength"] = max(1e-3 * softest, 1e-9)
+        scene["adhesion"]["strength"] = 1e-3 * softest
+        if softest < 1e-6:  # no bond is weak enough
+            del scene["adhesion"]
+            for kind in kinds:
+                kind.pop("receptor", None)
+                kind.pop("ligand", None)
 
 
 @st.composite

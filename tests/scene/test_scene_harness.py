@@ -214,6 +214,12 @@ def test_empty_and_single_values_survive_a_round_trip(entries):
     assert load_case({"duration": 3600.0, **entries}) == "loaded"
 
 
+def test_a_table_known_by_its_digest_is_looked_for_when_it_is_needed():
+    known = {"file": "µ", "sha256": "0" * 64, "rows": 3}
+    assert load_case({"duration": 3600.0, "initial": {"cells": known}}) == "refused"
+    assert run_case({"duration": 3600.0, "initial": {"cells": known}}) == "refused"
+
+
 @pytest.mark.parametrize("text", ["1e-400 um", "-1e-999999999 um", "0.0e-5 um"])
 def test_a_quantity_is_never_rounded_to_nothing(text):
     if float(text.split("e")[0]) == 0.0:
