@@ -35,6 +35,7 @@ from multicell.results.records import can_go_on
 from multicell.scene.scene import load_scene
 from multicell.simulation import Simulation
 from multicell.threads import thread_count
+from multicell.units import shown
 
 if TYPE_CHECKING:
     from multicell.integrators.base import Integrator
@@ -479,6 +480,9 @@ def _planned(contents: Contents, place: int, simulation: Simulation) -> int:
 
 def _place(contents: Contents, frame: int) -> int:
     """Return the number of a frame from the first."""
+    if not hasattr(frame, "__index__"):
+        told = f"the frame to go on from is a whole number, not {shown(frame)}"
+        raise OutputError(f"{told}. Changes are given by name: changes={{...}}")
     count = len(contents.places)
     place = frame + count if frame < 0 else frame
     if not 0 <= place < count:
