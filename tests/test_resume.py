@@ -105,7 +105,7 @@ def test_what_cannot_be_resumed_is_refused_with_words(tmp_path):
     with pytest.raises(OutputError, match="has no frame 9: it has the frames 0 to 3"):
         mc.resume(folder, 9)
     for frame in ({"duration": "5 min"}, "9", 1.0, None):
-        with pytest.raises(OutputError, match="is a whole number.*Changes are given by name"):
+        with pytest.raises(OutputError, match=r"is a whole number.*Changes are given by name"):
             mc.resume(folder, frame)
     with pytest.raises(OutputError, match="there are no results"):
         mc.resume(tmp_path / "nothing")
