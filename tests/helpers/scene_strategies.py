@@ -14,6 +14,8 @@ import math
 import tempfile
 from pathlib import Path
 
+import hypothesis
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from multicell.cells import Phase, State
@@ -905,6 +907,17 @@ def _loosen(scene):
             for kind in kinds:
                 kind.pop("receptor", None)
                 kind.pop("ligand", None)
+
+
+def look_until(done, look, examples=100, most=60):
+    """Call ``look`` with plausible scenes of any size, of other seeds each time, until ``done``."""
+    for number in range(most):
+        drawing = given(entries=plausible(small=False))(lambda entries: look(entries))
+        limits = settings(max_examples=examples, deadline=None, phases=[hypothesis.Phase.generate],
+                          suppress_health_check=list(HealthCheck))  # fmt: skip
+        hypothesis.seed(number)(limits(drawing))()
+        if done():
+            return
 
 
 @st.composite

@@ -164,8 +164,8 @@ def test_every_quantity_of_a_written_scene_has_its_unit(name):
 def test_every_declared_quantity_is_written_with_its_unit():
     seen, units = set(), set()
 
-    @settings(max_examples=600, suppress_health_check=list(HealthCheck), deadline=None)
-    @given(entries=drawn.plausible(small=False))
+    with_units = {path: spec for path, spec in drawn.declared() if spec.unit}
+
     def look(entries):
         try:
             scene = Scene.from_dict(entries)
@@ -174,13 +174,10 @@ def test_every_declared_quantity_is_written_with_its_unit():
         units.update(check_units(scene))
         seen.update(drawn.keys_of(scene.to_dict()))
 
-    with_units = {path: spec for path, spec in drawn.declared() if spec.unit}
-    for _ in range(5):  # rare keys may want more draws
-        look()
-        if not set(with_units) - seen:
-            break
+    spelt = {spec.units for spec in with_units.values()}
+    drawn.look_until(lambda: seen >= set(with_units) and units >= spelt, look)
     assert not set(with_units) - seen
-    assert {spec.units for spec in with_units.values()} <= units
+    assert spelt <= units
     for unit in units:
         if not unit.startswith("["):
             assert to_base(f"1 {unit}", unit) == 1.0

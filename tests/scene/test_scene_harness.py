@@ -61,18 +61,9 @@ def test_small_scenes_run_to_finite_numbers_or_fail_by_name(request):
 def test_every_declared_key_is_drawn():
     """A key of a new kind needs a way to be drawn: ``Parameter.kind``, or ``examples``."""
     seen = set()
-
-    @settings(max_examples=900, suppress_health_check=list(HealthCheck))
-    @given(entries=drawn.plausible(small=False))
-    def look(entries):
-        seen.update(drawn.keys_of(entries))
-
-    for _ in range(5):  # rare keys may want more draws
-        look()
-        missing = {key for key, _ in drawn.declared()} - seen
-        if not missing:
-            break
-    assert not missing
+    declared = {key for key, _ in drawn.declared()}
+    drawn.look_until(lambda: seen >= declared, lambda entries: seen.update(drawn.keys_of(entries)))
+    assert not declared - seen
 
 
 @settings(max_examples=60, suppress_health_check=list(HealthCheck))
