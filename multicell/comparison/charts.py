@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from multicell.comparison.highlights import in_colour, points
 from multicell.comparison.norms import NORMS
@@ -21,7 +20,7 @@ from multicell.integrators.base import MethodInfo
 from multicell.integrators.registry import find
 from multicell.report.plots.colour_vision import PALE, told_apart
 from multicell.report.plots.marks import NAMED
-from multicell.report.plots.style import QUIET, RED, blank, styled
+from multicell.report.plots.style import QUIET, RED, blank, few_decades, styled
 from multicell.report.wording import cell_count, time_unit
 
 if TYPE_CHECKING:
@@ -166,12 +165,8 @@ def _limits(axes: Axes, costs: Range, errors: Range) -> None:
     axes.set_xlim(costs)
     axes.set_ylim(errors)
     axes.set_aspect("equal")
-    for axis, span in ((axes.xaxis, costs), (axes.yaxis, errors)):
-        if span[1] < 15.0 * span[0]:
-            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        # labels of minor ticks run into each other where an axis spans little more than a decade
-        axis.set_minor_formatter(NullFormatter())
+    few_decades(axes.xaxis)
+    few_decades(axes.yaxis)
 
 
 def _shift_words(known: Conditioning) -> str:

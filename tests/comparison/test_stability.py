@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from picture_texts import check_texts
 
 from multicell import OutputError, SceneError
 from multicell.comparison.ladders import Method, named
@@ -481,6 +482,19 @@ def test_files_hold_what_was_found(tmp_path):
     assert len(result.sweeps_figure().axes) == 1
     with pytest.raises(OutputError, match="not empty"):
         stability("settle", ["euler"], {}, folder)
+
+
+@pytest.mark.parametrize("viscosity", [5.5, 50.0], ids=["little", "much"])
+def test_no_text_of_the_pictures_leaves_them_or_covers_another(viscosity):
+    """Also where limits span less than a decade, or several."""
+    swept = {
+        "cells.young": [1.0, 1.5], "contact.surface_energy": [1e-3, 0.1],
+        "drag.viscosity": [5.0, viscosity], OVERLAP: [0.3, 0.7], RATIO: [1.0, 1e3],
+    }  # fmt: skip
+    scene = load_scene("settle").with_changes({"initial.count": 4})
+    result = stability(scene, ["euler"], swept, threads=1)
+    check_texts(result.sweeps_figure())
+    check_texts(result.figure())
 
 
 @pytest.mark.parametrize(

@@ -7,9 +7,9 @@ from itertools import pairwise
 import matplotlib as mpl
 import numpy as np
 import pytest
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import EllipseCollection
 from matplotlib.image import imread
+from picture_texts import check_texts, rendered
 from synthetic import BARE, SCENE, ball, cells_at, growing_frames, history_of, spheroid
 
 from multicell.cells import Cells, State
@@ -51,21 +51,6 @@ def texts(figure):
     return [text for text in found if text]
 
 
-def rendered(figure):
-    """Draw a figure and return its renderer."""
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    return canvas.get_renderer()
-
-
-def hidden_labels(axes):
-    for axis in (axes.xaxis, axes.yaxis):
-        low, high = sorted(axis.get_view_interval())
-        for tick in axis.get_major_ticks() + axis.get_minor_ticks():
-            if not low <= tick.get_loc() <= high:
-                yield from (tick.label1, tick.label2)
-
-
 @pytest.mark.parametrize("name", ["growth", "section", "profiles"])
 def test_picture_has_title_time_cells_and_size(result, tmp_path, name):
     figure = getattr(result.plot, name)()
@@ -79,24 +64,7 @@ def test_picture_has_title_time_cells_and_size(result, tmp_path, name):
 
 @pytest.mark.parametrize("name", ["growth", "section", "profiles"])
 def test_no_text_leaves_the_picture_or_covers_another(result, name):
-    figure = getattr(result.plot, name)()
-    drawn = rendered(figure)
-    box = figure.get_tightbbox()
-    assert box.x0 >= 0
-    assert box.y0 >= 0
-    assert box.x1 <= drawing.SIZE[0]
-    assert box.y1 <= drawing.SIZE[1]
-    # matplotlib keeps, but does not draw, the labels of ticks beyond the limits of an axis
-    hidden = {id(label) for axes in figure.axes for label in hidden_labels(axes)}
-    boxes = [
-        (text.get_text(), text.get_window_extent(drawn))
-        for text in figure.findobj(mpl.text.Text)
-        if text.get_text() and text.get_visible() and id(text) not in hidden
-    ]
-    assert len(boxes) > 10
-    for k, (text, box) in enumerate(boxes):
-        for other, second in boxes[k + 1 :]:
-            assert not box.overlaps(second), (text, other)
+    check_texts(getattr(result.plot, name)())
 
 
 def test_pictures_leave_matplotlib_as_it_was(result):

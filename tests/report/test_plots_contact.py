@@ -6,8 +6,9 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.collections import EllipseCollection
+from picture_texts import rendered
 from synthetic import BARE, ball, cells_at
-from test_plots import read, rendered, texts
+from test_plots import read, texts
 
 import multicell as mc
 from multicell.cells import State

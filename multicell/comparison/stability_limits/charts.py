@@ -15,7 +15,7 @@ from multicell.comparison.charts import Look, looks_apart
 from multicell.comparison.highlights import MOST
 from multicell.comparison.stability_limits.trial import BLOW_UP, DAMPED, STABLE, STALL, WRONG
 from multicell.report.plots.marks import NAMED
-from multicell.report.plots.style import INK, QUIET, blank, styled
+from multicell.report.plots.style import INK, QUIET, blank, few_decades, styled
 from multicell.report.wording import cell_count
 
 if TYPE_CHECKING:
@@ -89,6 +89,7 @@ def _strips(axes: Axes, result: StabilityMap, control: str, methods: Sequence[st
         if control == "step" and math.isfinite(theory):
             axes.plot([theory / scale] * 2, [level - 0.44, level + 0.44], color=INK, lw=2.0)
     axes.set_xscale("log")
+    few_decades(axes.xaxis)
     axes.set_yticks(range(len(methods)), methods)
     axes.set_ylim(len(methods) - 0.5, -0.5)
     axes.grid(visible=False, axis="y")
@@ -150,6 +151,9 @@ def sweeps(result: StabilityMap) -> Figure:
         axes.set_yscale("log")
         axes.set_xlabel(name, fontsize=10.5)
         axes.tick_params(labelsize=9.5)
+        few_decades(axes.yaxis)
+        if scale == "log":
+            few_decades(axes.xaxis)
         if column == 0:
             axes.set_ylabel("step (s)", fontsize=10.5)
     shown = [row for rows in limits.values() for row in rows]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter
+from matplotlib.ticker import FuncFormatter, LogFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
 from multicell.errors import OutputError
@@ -83,6 +83,18 @@ def counts(axis: Any) -> None:
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
 
 
+def few_decades(axis: Any) -> None:
+    """Label a logarithmic axis by plain numbers where it spans little, and no minor tick ever.
+
+    Labels of minor ticks run into each other where an axis spans little more than a decade.
+    """
+    low, high = axis.get_view_interval()
+    if high < 15.0 * low:
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
 def moment(frame: Frame) -> str:
     """Return the number of cells and the time of a frame in words."""
     return f"{cell_count(len(frame.cells))} after {time_unit(frame.time).text(frame.time)}"
@@ -94,9 +106,25 @@ def styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
     @wraps(draw)
     def drawn(*args: Any, **kwargs: Any) -> Figure:
         with mpl.rc_context(_STYLE):
-            return draw(*args, **kwargs)
+            figure = draw(*args, **kwargs)
+            _let_powers_be_formulas(figure)
+            return figure
 
     return drawn
+
+
+def _let_powers_be_formulas(figure: Figure) -> None:
+    """Let labels such as 10² be drawn: ticks made under the style would show their source."""
+    for axes in figure.axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            for formatter, ticks in (
+                (axis.get_major_formatter(), axis.get_major_ticks()),
+                (axis.get_minor_formatter(), axis.get_minor_ticks()),
+            ):
+                if isinstance(formatter, LogFormatter):
+                    for tick in ticks:
+                        tick.label1.set_parse_math(True)
+                        tick.label2.set_parse_math(True)
 
 
 @final

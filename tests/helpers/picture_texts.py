@@ -1,0 +1,45 @@
+"""What is written in a picture, and where."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import matplotlib as mpl
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+
+def rendered(figure):
+    """Draw a figure and return its renderer."""
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return canvas.get_renderer()
+
+
+def hidden_labels(axes):
+    """Yield labels of ticks beyond the limits of an axis, which matplotlib keeps undrawn."""
+    for axis in (axes.xaxis, axes.yaxis):
+        low, high = sorted(axis.get_view_interval())
+        for tick in axis.get_major_ticks() + axis.get_minor_ticks():
+            if not low <= tick.get_loc() <= high:
+                yield from (tick.label1, tick.label2)
+
+
+def check_texts(figure):
+    """Check that no text leaves the picture, covers another or is an undrawn formula."""
+    drawn = rendered(figure)
+    box, (wide, high) = figure.get_tightbbox(), figure.get_size_inches()
+    assert box.x0 >= 0
+    assert box.y0 >= 0
+    assert box.x1 <= wide
+    assert box.y1 <= high
+    hidden = {id(label) for axes in figure.axes for label in hidden_labels(axes)}
+    boxes = [
+        (text.get_text(), text.get_window_extent(drawn))
+        for text in figure.findobj(mpl.text.Text)
+        if text.get_text() and text.get_visible() and id(text) not in hidden
+    ]
+    assert len(boxes) > 10
+    for text in figure.findobj(mpl.text.Text):
+        assert text.get_parse_math() or "$\\mathdefault" not in text.get_text()
+    for (text, first), (other, second) in combinations(boxes, 2):
+        assert not first.overlaps(second), (text, other)
