@@ -29,7 +29,9 @@ def pytest_addoption(parser):
     group.addoption("--first-seed", type=int, default=0, help="of the scenes; others each time")
     group.addoption("--kills", type=int, default=4, help="runs that are killed")
     group.addoption("--full-disks", type=int, default=4, help="runs on a disk that gets full")
-    group.addoption("--damages", type=int, default=36, help="result folders that are damaged")
+    group.addoption("--damages", type=int, default=36, help="folders of each kind that are damaged")
+    group.addoption("--interrupts", type=int, default=6, help="processes that are interrupted")
+    group.addoption("--calibrations", type=int, default=0, help="repeats of fits on known data")
     group.addoption(
         "--coupling-steps", type=int, default=1000, help="of each run that must not leak"
     )
