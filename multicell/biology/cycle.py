@@ -24,13 +24,12 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell import random
+from multicell.biology.durations import drawn_lengths, newborn_lengths
 from multicell.biology.growth import birth_volume
 from multicell.biology.growth_laws import grown, share_behind
 from multicell.cells import HALF, Cells, FloatArray, IntArray, Phase, State
 from multicell.contact.law import effective_modulus, effective_radius
 from multicell.contact.pair import rest_overlap
-from multicell.random import Purpose
 from multicell.scene.pairs import surface_energies
 from multicell.scene.parts import PHASES
 
@@ -49,45 +48,6 @@ class Cycling:
     phase: NDArray[np.int8]
     progress: FloatArray
     phase_length: FloatArray
-
-
-def drawn_lengths(scene: Scene, ids: NDArray[np.int64], kind: NDArray[np.int16]) -> FloatArray:
-    """Return the durations of G1, S, G2 and M of each cell, (n, 4) s.
-
-    They depend on seed and identity only.
-    """
-    assert scene.growth is not None
-    u = random.uniform(scene.seed, Purpose.PHASES, 0, ids, len(PHASES))
-    columns = [quantile(scene.growth.phases[name], u[:, k]) for k, name in enumerate(PHASES)]
-    return np.stack(columns, axis=1) * scale(scene, kind)[:, None]
-
-
-def scale(scene: Scene, kind: NDArray[np.int16]) -> FloatArray:
-    """Return the factor of each cell's type on durations, (n,)."""
-    if not scene.types:
-        return np.ones(len(kind))
-    return np.array([part.cycle_scale for part in scene.types.values()])[kind]
-
-
-def quantile(phase: PhaseLength, u: FloatArray) -> FloatArray:
-    """Return the durations at which a phase's distribution has the probabilities ``u``, s.
-
-    The normal distribution is cut symmetrically at three standard deviations, or at 90 % of the
-    mean where that is nearer.
-    """
-    from scipy import special
-
-    mean, variation = phase.duration, phase.variation
-    if phase.distribution == "fixed":
-        return np.full(len(u), mean)
-    if phase.distribution == "normal":
-        edge = special.ndtr(-min(3.0, 0.9 / variation))
-        return np.asarray(mean * (1.0 + variation * special.ndtri(edge + u * (1.0 - 2.0 * edge))))
-    shift = phase.shift if phase.distribution == "shifted-gamma" else 0.0
-    # the variation is that of the whole duration, shift included
-    shape = ((1.0 - shift) / variation) ** 2
-    random = special.gammaincinv(shape, u) / shape
-    return np.asarray(mean * (shift + (1.0 - shift) * random))
 
 
 def growing_time(scene: Scene, lengths: FloatArray) -> FloatArray:
@@ -218,7 +178,7 @@ def newborn(scene: Scene, cells: Cells, progress: FloatArray) -> None:
     first = order(scene)[0]
     if first == Phase.M:
         parents = np.maximum(cells.parent, 0)
-        of_mother = drawn_lengths(scene, parents, cells.kind)[:, Phase.M - 1]
+        of_mother = newborn_lengths(scene, parents, cells.kind)[:, Phase.M - 1]
         lengths[:, Phase.M - 1] = np.where(cells.parent >= 0, of_mother, lengths[:, Phase.M - 1])
     cells.phase = np.full(len(cells), first, dtype=np.int8)
     cells.progress = progress
@@ -278,9 +238,11 @@ def _at_rest(scene: Scene, cells: Cells, first: IntArray, second: IntArray) -> F
     return found
 
 
-def placed(scene: Scene, cells: Cells, share: FloatArray) -> FloatArray:
-    """Put cells at a share of their cycle, in [0, 1); return their volumes over that at birth."""
-    lengths = drawn_lengths(scene, cells.id, cells.kind)
+def placed(scene: Scene, cells: Cells, lengths: FloatArray, share: FloatArray) -> FloatArray:
+    """Put cells at a share of their cycle, in [0, 1); return their volumes over that at birth.
+
+    ``lengths`` are those of their phases, (n, 4) s.
+    """
     cells.cycle_time = growing_time(scene, lengths)
     sequence = np.array(order(scene))
     lengths, grows = lengths[:, sequence - 1], _grows(scene)[sequence]

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from multicell import random
 from multicell.biology.cycle import newborn, order
+from multicell.biology.durations import draw_cycle_times
 from multicell.biology.growth import division_volume
-from multicell.biology.traits import draw_cycle_times, draw_moduli
+from multicell.biology.traits import draw_moduli
 from multicell.cells import HALF, Cells, State
 from multicell.random import Purpose
 

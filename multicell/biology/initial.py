@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from multicell import random
 from multicell.biology.cycle import placed, volume_ratio
+from multicell.biology.durations import draw_cycle_times, drawn_lengths, stages
 from multicell.biology.growth import birth_volume
-from multicell.biology.traits import draw_cycle_times, draw_kinds, draw_moduli, stages
+from multicell.biology.traits import draw_kinds, draw_moduli
 from multicell.cells import SPHERE, Cells, FloatArray, State
 from multicell.random import Purpose
 
@@ -86,8 +87,10 @@ def initial_cells(scene: Scene) -> Cells:
         return tabled_cells(scene)
     ids = np.arange(initial.count, dtype=np.int64)
     kind = draw_kinds(scene, ids)
-    cycle_time = draw_cycle_times(scene, 0, ids, kind)
-    progress = stages(scene, ids)
+    phases = scene.growth is not None and bool(scene.growth.phases)
+    lengths = drawn_lengths(scene, ids, kind) if phases else np.empty((initial.count, 0))
+    cycle_time = lengths.sum(axis=1) if phases else draw_cycle_times(scene, 0, ids, kind)
+    progress = stages(scene, ids, kind, cycle_time)
     age = np.zeros(initial.count) if scene.growth is None else progress * cycle_time
     cells = Cells(
         id=ids,
@@ -102,9 +105,7 @@ def initial_cells(scene: Scene) -> Cells:
         pressure=np.zeros(initial.count),
         kind=kind,
     )
-    volume = volume_ratio(scene, progress)
-    if scene.growth is not None and scene.growth.phases:
-        volume = placed(scene, cells, progress)
+    volume = placed(scene, cells, lengths, progress) if phases else volume_ratio(scene, progress)
     cells.radius = np.cbrt(birth_volume(scene) * volume / SPHERE)
     cells.position = _positions(scene, ids, cells.radius)
     return cells

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from multicell import random
 from multicell.biology.cycle import (
     begun,
-    drawn_lengths,
     growing_time,
     grown_in_phase,
     grown_share,
@@ -18,8 +17,9 @@ from multicell.biology.cycle import (
     placed_by_volume,
     volume_ratio,
 )
+from multicell.biology.durations import draw_cycle_times, drawn_lengths, stages
 from multicell.biology.growth import birth_volume
-from multicell.biology.traits import draw_cycle_times, draw_kinds, draw_moduli, stages
+from multicell.biology.traits import draw_kinds, draw_moduli
 from multicell.cells import SPHERE, Cells, FloatArray, Phase, State
 from multicell.random import Purpose
 from multicell.scene.start_checks import check_start_table, kinds_of, positions
@@ -126,7 +126,7 @@ def _without_phases(scene: Scene, cells: Cells, given: Given) -> FloatArray:
     elif "age" in given.columns and scene.growth is not None:
         progress = _share_of_cycle(cells, given, cells.cycle_time)
     else:
-        progress = stages(scene, cells.id)
+        progress = stages(scene, cells.id, cells.kind, cells.cycle_time)
     if scene.growth is not None:
         cells.age = progress * cells.cycle_time
     ratio = volume_ratio(scene, progress) if volume is None else volume
@@ -145,11 +145,11 @@ def _in_phases(scene: Scene, cells: Cells, given: Given) -> FloatArray:
     elif volume is not None:
         placed_by_volume(scene, cells, volume)
     else:
-        share = stages(scene, cells.id)
+        share = stages(scene, cells.id, cells.kind, lengths.sum(axis=1))
         if "age" in columns:
             share = _share_of_cycle(cells, given, lengths.sum(axis=1))
         own = cells.cycle_time
-        placed(scene, cells, share)
+        placed(scene, cells, lengths, share)
         cells.cycle_time = own
     cells.age = begun(scene, cells)[:, 0] + cells.progress
     return np.asarray(birth_volume(scene) * grown_in_phase(scene, cells))

@@ -14,10 +14,10 @@ from scipy.spatial import cKDTree
 
 from multicell.biology.death import remove_lysed
 from multicell.biology.division import divide
+from multicell.biology.durations import scattered
 from multicell.biology.growth import birth_volume, growth_factor, volumes_after
 from multicell.biology.initial import initial_cells, packed_ball
 from multicell.biology.states import deciding, update_states
-from multicell.biology.traits import scattered
 from multicell.cells import SPHERE, Cells, State
 from multicell.random import Purpose
 from multicell.scene.scene import Scene

@@ -7,8 +7,9 @@ import pytest
 from scipy import stats
 
 import multicell as mc
-from multicell.biology.cycle import advance, drawn_lengths, newborn, parting, phase_counts, quantile
+from multicell.biology.cycle import advance, newborn, parting, phase_counts
 from multicell.biology.division import divide
+from multicell.biology.durations import drawn_lengths, quantile
 from multicell.biology.growth import birth_volume
 from multicell.biology.initial import initial_cells
 from multicell.cells import Phase, State

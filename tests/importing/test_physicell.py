@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from scipy.stats import expon
 
 import multicell as mc
-from multicell.biology.cycle import quantile
+from multicell.biology.durations import quantile
 from multicell.importing.account import Fate
 from multicell.importing.xml import read_xml
 from multicell.scene.pairs import pair_of

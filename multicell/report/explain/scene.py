@@ -7,6 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from multicell.biology.durations import founders, malthusian_rate
 from multicell.errors import MulticellError
 from multicell.integrators.base import MethodInfo
 from multicell.integrators.registry import METHODS
@@ -73,14 +74,29 @@ def _start_words(scene: Scene) -> str:
     if start.cells is not None:
         name = Path(start.cells.file).name or "cells given in memory"
         told = ", ".join(start.cells.given.columns)
-        return f"{start.count:,} cell(s) of the table '{name}', which gives {told}"
+        return f"{start.count:,} cell(s) of the table '{name}', which gives {told}{_stage(scene)}"
     found = region(scene)
     if found is not None:
         share = 100.0 * coverage(scene, 2.0 * birth_radius(scene))
         words = start.arrangement.removeprefix("random-")
-        return f"{start.count:,} cell(s) at random in a {words}, of which they cover {share:.3g} %"
+        words = f"{start.count:,} cell(s) at random in a {words}, of which they cover {share:.3g} %"
+        return f"{words}{_stage(scene)}"
     shape = start.arrangement if scene.dimensions == 3 else "plane, where they stay"
-    return f"{start.count:,} cell(s) in a {shape}"
+    return f"{start.count:,} cell(s) in a {shape}{_stage(scene)}"
+
+
+def _stage(scene: Scene) -> str:
+    """State where in their cycle cells start that are not all newborn."""
+    growth, stage = scene.growth, scene.initial.stage
+    if growth is None or stage == "birth":
+        return ""
+    if stage == "uniform":
+        return "; spread evenly over their cycle"
+    rate = 3600.0 * malthusian_rate(growth)
+    words = f"; ages of a population that has long grown without limits, by {rate:.4g} 1/h"
+    if founders(scene):
+        words += ", with the longer cycles that its cells have"
+    return words
 
 
 def _growth_words(scene: Scene) -> str:

@@ -1,0 +1,250 @@
+"""How long the cycle of a cell and its phases last, and where in it a population is at the start.
+
+A newborn cell draws its durations from the distributions of the scene. The living cells of a
+population that has grown for long are no sample of newborn ones. Where nothing limits growth, and
+cells die at any age at the same rate, births grow as exp(λt), and with T the time from birth to
+division and μ the sum of λ and the rate of deaths
+
+    2 E[exp(-μT)] = 1                                                      (Euler and Lotka).
+
+Cells of age a and duration T then have the density 2μ exp(-μa) f(T) for 0 < a < T, f that of
+newborn cells: ages alone 2μ exp(-μa) P(T > a), durations alone 2 f(T) (1 - exp(-μT)), and at a
+given duration an exponential distribution that is cut off at T. Deaths leave it as it is: they
+take as many of the old as of the young.
+
+References
+----------
+E. O. Powell, J. gen. Microbiol. 15 (1956) 492, https://doi.org/10.1099/00221287-15-3-492
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multicell import random
+from multicell.cells import FloatArray
+from multicell.random import Purpose
+from multicell.scene.parts import PHASES
+
+if TYPE_CHECKING:
+    from multicell.scene.parts import Growth, PhaseLength
+    from multicell.scene.scene import Scene
+
+
+def drawn_lengths(scene: Scene, ids: NDArray[np.int64], kind: NDArray[np.int16]) -> FloatArray:
+    """Return the durations of G1, S, G2 and M of each cell, (n, 4) s.
+
+    They depend on seed and identity only; founders of a stable population (:func:`founders`) have
+    longer ones than newborn cells.
+    """
+
+    def draw(ids: NDArray[np.int64], attempt: int) -> FloatArray:
+        return _phases(scene, ids, attempt)
+
+    return _drawn(scene, ids, draw) * scale(scene, kind)[:, None]
+
+
+def newborn_lengths(scene: Scene, ids: NDArray[np.int64], kind: NDArray[np.int16]) -> FloatArray:
+    """Return durations as newborn cells draw them, (n, 4) s, independent of those of founders."""
+    return _phases(scene, ids, 0) * scale(scene, kind)[:, None]
+
+
+def draw_cycle_times(
+    scene: Scene, step: int, ids: NDArray[np.int64], kind: NDArray[np.int16]
+) -> FloatArray:
+    """Return cycle times of new cells, (n,), s; infinite in a scene without growth.
+
+    Those of founders (:func:`founders`) are longer than those of newborn cells.
+    """
+    growth = scene.growth
+    if growth is None:
+        return np.full(len(ids), np.inf)
+
+    def draw(ids: NDArray[np.int64], attempt: int) -> FloatArray:
+        # daughters have other identities and later steps
+        mean, variation = growth.cycle_time, growth.cycle_variation
+        return scattered(scene.seed, Purpose.CYCLE, step + attempt, ids, mean, variation)
+
+    drawn = _drawn(scene, ids, draw)
+    return drawn * scale(scene, kind) if scene.types else drawn
+
+
+def stages(
+    scene: Scene, ids: NDArray[np.int64], kind: NDArray[np.int16], duration: FloatArray
+) -> FloatArray:
+    """Return the part of its cycle that each cell has behind it at the start, (n,).
+
+    ``duration`` is the time from birth to division of each cell, (n,) s. Where all are alike, or
+    daughters inherit them, ages have the density 2 ln2 / T 2^(-a/T).
+    """
+    if scene.initial.stage == "birth":
+        return np.zeros(len(ids))
+    u = random.uniform(scene.seed, Purpose.STAGE, 0, ids)[:, 0]
+    if scene.initial.stage == "uniform":
+        return u
+    if scene.growth is None or not _varies(scene):
+        return np.asarray(-np.log2(1.0 - 0.5 * u))
+    cycle = malthusian_rate(scene.growth) * duration / scale(scene, kind)
+    return np.asarray(-np.log1p(u * np.expm1(-cycle)) / cycle)
+
+
+def founders(scene: Scene) -> int:
+    """Return below which identity cells are founders of a stable population.
+
+    Zero where the cycle does not vary or is inherited.
+    """
+    initial = scene.initial
+    if scene.growth is None or initial.stage != "asynchronous" or not _varies(scene):
+        return 0
+    if initial.cells is None:
+        return initial.count
+    given = initial.cells.given
+    return int(given.columns["id"].max()) + 1 if "id" in given.columns else len(given)
+
+
+def malthusian_rate(growth: Growth) -> float:
+    """Return μ, the rate at which an unlimited population without deaths grows, 1/s."""
+    from scipy import optimize
+
+    slowest = math.log(2.0) / growth.mean_cycle  # by Jensen's inequality
+    if growth.phases:
+        parts = [growth.phases[name] for name in PHASES]
+        fixed = all(part.distribution == "fixed" for part in parts)
+    else:
+        parts, fixed = [], growth.cycle_variation == 0.0
+    if fixed:
+        return slowest
+
+    def excess(rate: float) -> float:
+        if not parts:
+            return math.log(2.0) + _log_normal(rate * growth.cycle_time, growth.cycle_variation)
+        return math.log(2.0) + sum(_log_laplace(part, rate) for part in parts)
+
+    fastest = 2.0 * slowest
+    while excess(fastest) > 0.0:
+        fastest *= 2.0
+    # a variation that makes no difference leaves rounding at the lower end
+    if excess(slowest) <= 0.0:
+        return slowest
+    return float(optimize.brentq(excess, slowest, fastest, rtol=1e-14, xtol=1e-300))
+
+
+def scale(scene: Scene, kind: NDArray[np.int16]) -> FloatArray:
+    """Return the factor of each cell's type on durations, (n,)."""
+    if not scene.types:
+        return np.ones(len(kind))
+    return np.array([part.cycle_scale for part in scene.types.values()])[kind]
+
+
+def quantile(phase: PhaseLength, u: FloatArray) -> FloatArray:
+    """Return the durations at which a phase's distribution has the probabilities ``u``, s.
+
+    The normal distribution is cut symmetrically at three standard deviations, or at 90 % of the
+    mean where that is nearer.
+    """
+    from scipy import special
+
+    mean, variation = phase.duration, phase.variation
+    if phase.distribution == "fixed":
+        return np.full(len(u), mean)
+    if phase.distribution == "normal":
+        edge = special.ndtr(-_cut(variation))
+        return np.asarray(mean * (1.0 + variation * special.ndtri(edge + u * (1.0 - 2.0 * edge))))
+    shift = _shift(phase)
+    # the variation is that of the whole duration, shift included
+    shape = ((1.0 - shift) / variation) ** 2
+    random = special.gammaincinv(shape, u) / shape
+    return np.asarray(mean * (shift + (1.0 - shift) * random))
+
+
+def scattered(
+    seed: int, purpose: Purpose, step: int, ids: NDArray[np.int64], mean: float, variation: float
+) -> FloatArray:
+    """Return positive numbers that scatter normally about ``mean``, (n,).
+
+    The normal distribution with coefficient of variation ``variation`` is cut on both sides at
+    three standard deviations, or at 90 % of the mean where that is nearer (variations above 0.3,
+    whose spread is then somewhat narrower than asked). The cut is symmetric: the mean stays.
+    """
+    if variation == 0.0:
+        return np.full(len(ids), mean)
+    z = random.truncated_normal(seed, purpose, step, ids, _cut(variation))
+    return np.asarray(mean * (1.0 + variation * z))
+
+
+def _phases(scene: Scene, ids: NDArray[np.int64], attempt: int) -> FloatArray:
+    """Return one draw of the durations of all phases, (n, 4) s."""
+    assert scene.growth is not None
+    u = random.uniform(scene.seed, Purpose.PHASES, 0, ids, len(PHASES), attempt)
+    columns = [quantile(scene.growth.phases[name], u[:, k]) for k, name in enumerate(PHASES)]
+    return np.stack(columns, axis=1)
+
+
+def _drawn(
+    scene: Scene, ids: NDArray[np.int64], draw: Callable[[NDArray[np.int64], int], FloatArray]
+) -> FloatArray:
+    """Return durations: the first draw of newborn cells, a later one of founders.
+
+    Founders have the density 2 f(T) (1 - exp(-μT)): they repeat the draw until a random number is
+    below 1 - exp(-μT), twice on average.
+    """
+    out = draw(ids, 0)
+    left = np.flatnonzero(ids < founders(scene))
+    rate, attempt = 0.0, 0
+    if left.size and scene.growth is not None:
+        rate = malthusian_rate(scene.growth)
+    while left.size:
+        attempt += 1
+        drawn = draw(ids[left], attempt)
+        u = random.uniform(scene.seed, Purpose.STAGE, 0, ids[left], attempt=attempt)[:, 0]
+        good = u < -np.expm1(-rate * drawn.reshape(len(left), -1).sum(axis=1))
+        out[left[good]] = drawn[good]
+        left = left[~good]
+    return out
+
+
+def _varies(scene: Scene) -> bool:
+    """Return whether newborn cells draw durations that differ."""
+    growth = scene.growth
+    if growth is None:
+        return False
+    if growth.phases:
+        return any(part.distribution != "fixed" for part in growth.phases.values())
+    return growth.cycle_variation > 0.0 and "cycle_time" not in scene.cells.heritable
+
+
+def _log_laplace(phase: PhaseLength, rate: float) -> float:
+    """Return log E[exp(-rate L)] of the duration L of a phase."""
+    x, variation = rate * phase.duration, phase.variation
+    if phase.distribution == "fixed":
+        return -x
+    if phase.distribution == "normal":
+        return _log_normal(x, variation)
+    shift = _shift(phase)
+    shape = ((1.0 - shift) / variation) ** 2
+    return -x * shift - shape * math.log1p(x * (1.0 - shift) / shape)
+
+
+def _log_normal(x: float, variation: float) -> float:
+    """Return log E[exp(-x (1 + variation z))] of a standard normal z that is cut."""
+    from scipy import special
+
+    cut, shift = _cut(variation), x * variation
+    whole = special.ndtr(cut) - special.ndtr(-cut)
+    part = special.ndtr(shift + cut) - special.ndtr(shift - cut)
+    return -x + 0.5 * shift**2 + math.log(part / whole)
+
+
+def _cut(variation: float) -> float:
+    """Return where a normal distribution is cut, in standard deviations."""
+    return min(3.0, 0.9 / variation)
+
+
+def _shift(phase: PhaseLength) -> float:
+    """Return the part of the mean at which a phase's gamma distribution begins."""
+    return phase.shift if phase.distribution == "shifted-gamma" else 0.0
