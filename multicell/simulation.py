@@ -24,6 +24,7 @@ from multicell.biology.motion import motion_of
 from multicell.biology.pace import Pace, end_of_step, first_pace, next_pace
 from multicell.biology.splitting import StepError, columns, held, jumps, step_error
 from multicell.biology.spring_graph import Springs
+from multicell.biology.start_states import StartStates
 from multicell.biology.step import aged, bind, decide, divide_and_remove, grow
 from multicell.cells import Cells, FloatArray
 from multicell.errors import NutrientFailed, SceneError, StepFailed
@@ -57,7 +58,7 @@ PHASES = ("nutrient", "biology", "mechanics", "events", "record")
 
 _NOTED = (
     "divisions", "removals", "released", "separation", "local_error", "next_id", "unsorted",
-    "splitting",
+    "splitting", "first_states",
 )  # fmt: skip
 """What a run notes beside its cells; a frame's progress has entries of the same names."""
 
@@ -126,6 +127,9 @@ class Simulation:
     splitting : float or None, µm³
         The error that coupling steps have made so far with the volume of all cells, over their
         number; None without growth. What the last step has made of it is ``step_error``.
+    first_states : name -> int
+        Cells that rested and were dead at the start, as it found them, and whose state does not
+        fit the field.
     named : table of the scene -> (k,) identities
         Cells that are driven from outside because of who or where they were at the start.
     springs : Springs
@@ -166,6 +170,7 @@ class Simulation:
         self.released = 0.0
         self.local_error: float | None = None
         self.splitting: float | None = None if scene.growth is None else 0.0
+        self.first_states: Mapping[str, int] = {}
         self.step_error = StepError()
         self._known_factor: tuple[tuple[FloatArray, ...], FloatArray] = ((), np.empty(0))
         self.pace = None if fixed_step(scene) else first_pace(scene)
@@ -179,12 +184,15 @@ class Simulation:
         self._feeding = _feeding(scene, reactions, self._mechanics.threads)
         self.lineage = Lineage() if lineage is None else lineage
         if frame is None:
-            self._start(start.separated(scene, initial_cells(scene) if cells is None else cells))
+            table = scene.initial.cells
+            given = cells is not None or (table is not None and "state" in table.given.columns)
+            first = start.separated(scene, initial_cells(scene) if cells is None else cells)
+            self._start(first, given_states=given)
         else:
             self._restore(frame)
 
-    def _start(self, cells: Cells) -> None:
-        """Begin with these cells."""
+    def _start(self, cells: Cells, *, given_states: bool) -> None:
+        """Begin with these cells; states that are not given are found with the fields."""
         check_start(self.scene, cells)
         self.named = driven.named_at_start(self.scene, cells)
         if self.scene.springs:
@@ -203,11 +211,30 @@ class Simulation:
             if self._feeding is not None:
                 try:
                     self._feeding.begin(self.cells, self.time)
+                    if not given_states:
+                        self._find_states(self._feeding)
                 except NutrientFailed as failure:
                     raise StepFailed(self.time, failure.problem, failure.hint) from failure
                 bind(self.scene, self.cells, self.cells, self.concentrations, self.time)
-        with self._phase("biology"):
-            self._decide(0.0)
+        if self._feeding is None or given_states:
+            with self._phase("biology"):
+                self._decide(0.0)
+
+    def _find_states(self, feeding: Feeding) -> None:
+        """Find states of the cells that fit the fields which they make."""
+
+        def field(cells: Cells) -> dict[str, FloatArray]:
+            feeding.begin(cells, self.time, again=True)
+            return feeding.concentrations
+
+        search = StartStates(self.scene, self.cells, field)
+        self.cells, unfit = search.find(feeding.concentrations)
+        resting, dead = int((search.rests & ~search.dead).sum()), int(search.dead.sum())
+        if resting or dead or unfit:
+            self.first_states = {"quiescent": resting, "necrotic": dead, "unfit": unfit}
+        if dead:
+            self.lineage.died(np.sort(self.cells.id[search.dead]), self.time)
+            self.springs = spring_graph.without_dead(self.springs, self.cells)
 
     def _restore(self, frame: Frame) -> None:
         """Go on from a frame."""

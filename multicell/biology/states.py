@@ -91,34 +91,32 @@ def _with_deaths(
     time: float,
 ) -> NDArray[np.int8]:
     """Return the states that cells have if they live, but for those that are dead or die now."""
-    beyond = _beyond(scene, cells, concentrations)
+    lacking = beyond(scene, concentrations, len(cells))
     by_clock = scene.death is not None and scene.death.apoptosis_rate > 0.0
-    if not (by_clock or beyond.any() or cells.dead.any()):
+    if not (by_clock or lacking.any() or cells.dead.any()):
         return living.copy()
     apoptosis = cells.state == State.APOPTOTIC
     if by_clock:
         apoptosis |= apoptotic(scene, cells, time) & ~cells.dead
-    necrosis = (cells.state == State.NECROTIC) | necrotic(scene, cells, beyond, step, dt)
+    necrosis = (cells.state == State.NECROTIC) | necrotic(scene, cells, lacking, step, dt)
     state = living.copy()
     state[necrosis] = State.NECROTIC
     state[apoptosis] = State.APOPTOTIC
     return state
 
 
-def _beyond(
-    scene: Scene, cells: Cells, concentrations: Mapping[str, FloatArray]
-) -> NDArray[np.bool_]:
-    """Return which cells find less or more of a nutrient than they can live with, (n,)."""
-    beyond = np.zeros(len(cells), dtype=bool)
+def beyond(scene: Scene, concentrations: Mapping[str, FloatArray], count: int) -> NDArray[np.bool_]:
+    """Return which of a number of cells find less or more of a nutrient than they can live with."""
+    found = np.zeros(count, dtype=bool)
     for name, nutrient in scene.nutrients.items():
         c = np.asarray(concentrations[name])
         if nutrient.necrosis is not None:
-            beyond |= c < nutrient.necrosis
+            found |= c < nutrient.necrosis
         if nutrient.necrosis_above is not None:
-            beyond |= c > nutrient.necrosis_above
+            found |= c > nutrient.necrosis_above
     if scene.energy is not None and scene.energy.necrosis is not None:
-        beyond |= scene.energy.supply(scene.nutrients, concentrations) < scene.energy.necrosis
-    return beyond
+        found |= scene.energy.supply(scene.nutrients, concentrations) < scene.energy.necrosis
+    return found
 
 
 def restricted(scene: Scene) -> bool:

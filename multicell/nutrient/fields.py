@@ -90,8 +90,8 @@ class Feeding:
         self.content_errors = dict.fromkeys(may_move, 0.0)
         self._turnover: dict[str, tuple[float, float]] = {}
 
-    def begin(self, cells: Cells, time: float) -> None:
-        """Solve for the fields at the start of a run.
+    def begin(self, cells: Cells, time: float, *, again: bool = False) -> None:
+        """Solve for the fields at the start of a run; ``again`` for other states of its cells.
 
         Raises
         ------
@@ -99,16 +99,19 @@ class Feeding:
         """
         for name in self.order:
             group = self._groups.get(name)
+            if again:
+                # the account begins anew, and a finite medium with it
+                self.ledger[name], self.fields[name].stirred = Ledger(), None
             if group is None:
-                self._begin_one(name, cells, time)
+                self._begin_one(name, cells, time, choose=not again)
             elif name == group.names[0]:
                 self._begin_group(group, cells, time)
 
-    def _begin_one(self, name: str, cells: Cells, time: float) -> None:
-        """Solve for a field at the start of a run."""
+    def _begin_one(self, name: str, cells: Cells, time: float, *, choose: bool) -> None:
+        """Solve for a field at the start of a run; ``choose`` its grid where the run does so."""
         capacity, production = self.demand_now(name, cells)
         field = self.fields[name]
-        if name in self.grids.choosers:
+        if choose and name in self.grids.choosers:
             self.grids.begin(field, cells, capacity, production, time)
         if self._rests_first(name):
             self.reports[name] = field.solve(

@@ -149,6 +149,8 @@ class Progress:
         Cells that are driven from outside, where a table named them at the start.
     springs : name -> numbers
         Springs between cells: tables, identities and lengths at rest.
+    first_states : name -> int
+        Cells that rested, were dead, and did not fit the field at the start.
     """
 
     next_id: int
@@ -166,6 +168,7 @@ class Progress:
     grids: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     driven: Mapping[str, list[int]] = field(default_factory=dict)
     springs: Mapping[str, list[float]] = field(default_factory=dict)
+    first_states: Mapping[str, int] = field(default_factory=dict)
 
 
 @final

@@ -41,8 +41,8 @@ FIELD: Final[Mapping[str, FieldArray]] = {
     "radial": FieldArray("|i1", 0, "", 0),
 }
 
-_OF_PARTS: Final = ("driven", "springs")
-"""Entries of a progress that only runs of scenes with such parts have."""
+_OF_PARTS: Final = ("driven", "springs", "first_states")
+"""Entries of a progress that only runs of scenes with such parts, or such a start, have."""
 
 _DEEPEST: Final = 32
 
@@ -189,6 +189,7 @@ def progress_of(text: bytes, nutrients: Iterable[str]) -> Progress | None:
         "grids": lambda value: _of_nutrients(value, known),
         "driven": _are_identities,
         "springs": _are_springs,
+        "first_states": _are_first_states,
     }
     for name, fits in checks.items():
         if name in entries and not fits(entries[name]):
@@ -221,6 +222,11 @@ def _are_springs(value: Any) -> bool:
     table, pair, rest = (value[name] for name in ("table", "pair", "rest"))
     fits = 2 * len(table) == len(pair) == 2 * len(rest) and all(map(_is_number, rest))
     return fits and all(_is_count(x) for x in (*table, *pair))
+
+
+def _are_first_states(value: Any) -> bool:
+    names = {"quiescent", "necrotic", "unfit"}
+    return isinstance(value, dict) and set(value) == names and all(map(_is_count, value.values()))
 
 
 def _of_nutrients(value: Any, known: set[str]) -> bool:

@@ -1,0 +1,205 @@
+"""States of the cells at the start that fit the field which they make.
+
+If all cells took up at the full rate before any rests or is dead, the field of a large tissue would
+be far too low, and most of it would die at once. So the states are those of tissue that has been
+there for long: cells rest where they find too little, those who are dead take up nothing, and the
+field is that of the cells as they are. Each state that is taken up makes the field rise, so that
+as few as possible take it: the poorest cells, and no more than leave none of the others beyond the
+threshold. First the resting ones are found, with nobody dead; then the dead among these; then some
+of those that rest find enough and wake, which may cost more lives, until nothing changes. The dead
+become more and the resting ones fewer in each pass, so that this ends.
+
+How many of the poorest is found by bisection, to a small part of a layer of cells; the cells are
+ranked anew in each field. Who dies at a rate (``death.necrosis_rate``) is not dead at the start.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multicell.biology.cycle import begun, grown_in_phase
+from multicell.biology.growth import birth_volume
+from multicell.biology.states import beyond, restricted, unfavourable
+from multicell.cells import SPHERE, Cells, FloatArray, Phase, State
+
+if TYPE_CHECKING:
+    from multicell.scene.scene import Scene
+
+    Concentrations = Mapping[str, FloatArray]
+    Mask = NDArray[np.bool_]
+
+MAX_PASSES: Final = 20
+"""Passes in which resting and dead cells are found in turn."""
+
+_PART_OF_LAYER: Final = 0.05
+"""Cells in doubt that are left, over the number of cells to the power 2/3: 1 % of the surface."""
+
+_RESTS = ("state", "phase", "progress", "phase_length", "age", "radius")
+"""Columns that change where a cell rests from the start."""
+
+
+@final
+class StartStates:
+    """Search for the states at the start.
+
+    Parameters
+    ----------
+    scene
+    cells
+        As they are drawn; those that are dead or rest already stay as they are.
+    field
+        Solve the fields for cells; return what they find, name -> (n,) mM.
+    """
+
+    def __init__(
+        self, scene: Scene, cells: Cells, field: Callable[[Cells], Concentrations]
+    ) -> None:
+        self._scene, self._first, self._field = scene, cells, field
+        self._rested = _rested(scene, cells)
+        self._may_rest = cells.state == State.PROLIFERATING
+        if restricted(scene) and scene.initial.cells is not None:
+            self._may_rest[:] = False  # the table gives their places in the cycle
+        self._may_die = ~cells.dead
+        if scene.death is not None and scene.death.necrosis_rate is not None:
+            self._may_die[:] = False
+        self.rests = np.zeros(len(cells), dtype=bool)
+        self.dead = np.zeros(len(cells), dtype=bool)
+        self._few = int(_PART_OF_LAYER * len(cells) ** (2.0 / 3.0))
+
+    def find(self, found: Concentrations) -> tuple[Cells, int]:
+        """Return the cells in their states, and how many of them do not fit their field.
+
+        ``found`` is what they find with the states that they have now.
+        """
+        for _ in range(MAX_PASSES):
+            before = self.rests.copy(), self.dead.copy()
+            found = self._let_rest(found)
+            found = self._let_die(found)
+            if all(map(np.array_equal, before, (self.rests, self.dead))):
+                break
+        now = self._cells()
+        left = ~self.dead & self._may_die & beyond(self._scene, found, len(self.dead))
+        awake = ~self.dead & ~self.rests & self._may_rest
+        left |= awake & unfavourable(self._scene, now, found)
+        return now, int(left.sum())
+
+    def _let_rest(self, found: Concentrations) -> Concentrations:
+        """Let cells rest that find too little, and wake those that find enough."""
+
+        def poor(found: Concentrations) -> Mask:
+            lacking = unfavourable(self._scene, self._first, found)
+            return np.asarray(self._may_rest & ~self.dead & lacking)
+
+        here = poor(found)
+        pool = np.flatnonzero(np.where(self.rests, self._may_rest & ~here & ~self.dead, here))
+        # those who already rest and find enough are left where there are few of them
+        if not pool.size or (self.rests[pool].all() and pool.size <= self._few):
+            return found
+        return self._turn(self.rests, pool, poor, found, resting=True)
+
+    def _let_die(self, found: Concentrations) -> Concentrations:
+        """Let the cells die that cannot live with what they find."""
+
+        def starved(found: Concentrations) -> Mask:
+            return np.asarray(
+                self._may_die & ~self.dead & beyond(self._scene, found, len(self.dead))
+            )
+
+        pool = np.flatnonzero(starved(found))
+        return self._turn(self.dead, pool, starved, found, resting=False) if pool.size else found
+
+    def _turn(
+        self,
+        turned: Mask,
+        pool: NDArray[np.int64],
+        short: Callable[[Concentrations], Mask],
+        found: Concentrations,
+        *,
+        resting: bool,
+    ) -> Concentrations:
+        """Turn the poorest of a pool, as few as leave no other cell short; return what cells find.
+
+        ``turned`` is changed.
+        """
+        tried = -1
+
+        def enough(count: int) -> bool:
+            """Turn the first of the pool; return whether none of the other cells is short."""
+            nonlocal found, tried
+            turned[pool] = np.arange(len(pool)) < count
+            found, tried = self._field(self._cells()), count
+            return not (short(found) & ~turned).any()
+
+        def rank(begin: int, end: int) -> None:
+            """Put the poorest first in a part of the pool."""
+            part = pool[begin:end]
+            plenty = _plenty(self._scene, self._first, found, resting)[part]
+            pool[begin:end] = part[np.argsort(plenty, kind="stable")]
+
+        low, high, waking = 0, len(pool), bool(turned[pool[0]])
+        rank(low, high)
+        if waking and enough(0):
+            return found
+        while high - low > max(1, self._few):
+            middle = (low + high) // 2
+            if enough(middle):
+                high = middle
+            else:
+                low = middle
+                rank(low, high)
+        if tried != high:
+            enough(high)
+        return found
+
+    def _cells(self) -> Cells:
+        """Return the cells in the states that are being tried."""
+        now = self._first.shared()
+        for name in _RESTS:
+            mine, resting = getattr(self._first, name), getattr(self._rested, name)
+            setattr(now, name, np.where(self.rests & ~self.dead, resting, mine))
+        now.state[self.dead] = State.NECROTIC
+        now.age[self.dead] = 0.0
+        return now
+
+
+def _rested(scene: Scene, cells: Cells) -> Cells:
+    """Return the cells as they are if they have rested for long.
+
+    Where they rest in G0 only, they have come to the end of G1, and have the size of cells there.
+    """
+    rested = cells.copy()
+    rested.state[:] = State.QUIESCENT
+    if restricted(scene):
+        rested.phase[:] = Phase.G0
+        rested.progress[:] = rested.phase_length[:] = 0.0
+        rested.age = begun(scene, rested)[:, 0]
+        volume = birth_volume(scene) * grown_in_phase(scene, rested)
+        rested.radius = np.cbrt(volume / SPHERE)
+    return rested
+
+
+def _plenty(scene: Scene, cells: Cells, found: Concentrations, resting: bool) -> FloatArray:
+    """Return what cells find over their thresholds, the smallest ratio of each cell, (n,).
+
+    Those that rest because of pressure have less than none.
+    """
+    ratios = [np.full(len(cells), np.inf)]
+    if resting and scene.growth is not None and scene.growth.critical_pressure is not None:
+        ratios[0][cells.pressure >= scene.growth.critical_pressure] = -1.0
+    for name, nutrient in scene.nutrients.items():
+        c = np.asarray(found[name])
+        least = nutrient.quiescence if resting else nutrient.necrosis
+        if least is not None:
+            ratios.append(c / least)
+        if not resting and nutrient.necrosis_above is not None:
+            most = np.full(len(c), nutrient.necrosis_above)
+            ratios.append(np.divide(most, c, out=np.full(len(c), np.inf), where=c > 0.0))
+    if scene.energy is not None:
+        least = scene.energy.quiescence if resting else scene.energy.necrosis
+        if least is not None:
+            ratios.append(scene.energy.supply(scene.nutrients, found) / least)
+    return np.asarray(np.min(ratios, axis=0))
