@@ -107,6 +107,24 @@ class Walls:
         """Add the forces to ``out``, (n, 3) nN, or with a ``drag`` 6πη the velocities, µm/s."""
         _add_forces(rows, self.low, self.high, self.soft, drag, out)
 
+    def pressures(
+        self, position: FloatArray, radius: FloatArray, softness: FloatArray
+    ) -> FloatArray:
+        """Return the normal force of cells on each side over its area, (2, 3) kPa.
+
+        Of the lower and the upper sides across x, y and z, which all have to be there.
+
+        Parameters
+        ----------
+        position, radius, softness : (n, 3), (n,) µm; (n,) 1/kPa
+            Of the cells; :func:`multicell.contact.law.compliance` is their softness.
+        """
+        distance = np.stack([position - self.low, self.high - position])
+        pressed = np.maximum(radius[:, None] - distance, 0.0) ** 1.5
+        force = ((np.sqrt(radius) / (softness + self.soft))[:, None] * pressed).sum(axis=1)
+        lengths = self.high - self.low
+        return np.asarray(force * lengths / lengths.prod())
+
     def stiffness(self, rows: FloatArray) -> FloatArray:
         """Return -dF/dx of each cell along each axis, (n, 3) nN/µm, nowhere negative."""
         out = np.empty((len(rows), 3))

@@ -9,13 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, final
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from multicell.cells import Cells, FloatArray, IntArray, State
+from multicell.contact.law import compliance
 from multicell.results.frame import Field, Frame
+
+if TYPE_CHECKING:
+    from multicell.mechanics.walls import Walls
 
 Mask = NDArray[np.bool_]
 
@@ -182,6 +186,28 @@ def packing_ratio(cells: Cells, dimensions: int, extent: Extent | None = None) -
     return float(((cells.radius / radius) ** dimensions).sum())
 
 
+def confinement(cells: Cells, walls: Walls) -> dict[str, float]:
+    """Return how cells fill a box with elastic walls, and how they press against these.
+
+    Returns
+    -------
+    dict
+        ``volume_fraction``: the sum of the cells' volumes over the volume of the box, above 1
+        only where cells overlap. ``wall_pressure`` (kPa): normal force over area, mean of the six
+        sides. ``tissue_pressure`` (kPa): the sum of p_i V_i over the volume of the box, with the
+        pressures p_i of the cells; that is the virial stress, a third of its trace, and at rest it
+        is the pressure on the walls.
+    """
+    box = float((walls.high - walls.low).prod())
+    softness = np.asarray(compliance(cells.young, cells.poisson))
+    on_walls = walls.pressures(cells.position, cells.radius, softness)
+    return {
+        "volume_fraction": float(cells.volume.sum()) / box,
+        "wall_pressure": float(on_walls.mean()),
+        "tissue_pressure": float(cells.pressure @ cells.volume) / box,
+    }
+
+
 def pressure_summary(cells: Cells, critical: float) -> dict[str, float | int]:
     """Return how much pressure holds back the growth of the living cells.
 
@@ -240,7 +266,10 @@ def contact_rows(cells: Cells, contacts: IntArray) -> IntArray:
 
 
 def largest_pressure(cells: Cells) -> float:
-    """Return the largest pressure of any cell in kPa, 0 without cells."""
+    """Return the largest pressure of any cell in kPa, 0 without cells.
+
+    That of its own contacts over its own volume; see :func:`confinement` for that of the tissue.
+    """
     return float(cells.pressure.max()) if len(cells) else 0.0
 
 

@@ -34,6 +34,9 @@ UNITS: Final[Mapping[str, str]] = {
     "viable_rim": "um",
     "packing_ratio": "",
     "largest_pressure": "kPa",
+    "wall_pressure": "kPa",
+    "tissue_pressure": "kPa",
+    "volume_fraction": "",
     "pressure_factor": "",
     "held_by_pressure": "",
     "contacts": "",
@@ -55,6 +58,7 @@ UNITS: Final[Mapping[str, str]] = {
     **dict.fromkeys(_STATES, ""),
     # summary
     **{f"states.{name}": "" for name in _STATES},
+    **{f"start.{name}": "" for name in ("quiescent", "necrotic", "unfit")},
     "hypoxic_radius.*": "um",
     "seed": "",
     "steps": "",

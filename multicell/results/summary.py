@@ -10,6 +10,7 @@ from multicell.results.folder import versions
 from multicell.results.observables import known
 from multicell.results.quantities import units_of
 from multicell.scene.coupling import fixed_step
+from multicell.scene.domain import walls
 
 if TYPE_CHECKING:
     from multicell.results.frame import Frame
@@ -20,9 +21,9 @@ def history_row(scene: Scene, frame: Frame, **extra: float) -> dict[str, float]:
     """Return one row of a run's history: :func:`observables.history_row`, and what scenes add.
 
     Added are ``contacts`` where the run counts them, ``heterotypic_fraction`` where there are
-    types, ``hypoxic_radius_<field>`` (µm) where cells rest without a field, the ``pull`` (nN), and
-    ``pressure_factor`` and ``held_by_pressure`` where pressure limits growth, and what is given as
-    ``extra``.
+    types, ``hypoxic_radius_<field>`` (µm) where cells rest without a field, the ``pull`` (nN),
+    :func:`observables.confinement` within walls, and ``pressure_factor`` and ``held_by_pressure``
+    where pressure limits growth, and what is given as ``extra``.
     """
     own: dict[str, float] = {}
     if counts_contacts(scene):
@@ -33,6 +34,7 @@ def history_row(scene: Scene, frame: Frame, **extra: float) -> dict[str, float]:
     own |= extra
     if scene.pull is not None:
         own["pull"] = scene.pull.load(frame.time)
+    own |= _confined(scene, frame)
     own |= _held_back(scene, frame)
     return observables.history_row(
         frame.time, frame.step, frame.cells, scene.dimensions, extent, **own
@@ -71,16 +73,23 @@ def run_summary(
     assert progress is not None
     extent = observables.Extent(frame.cells, scene.dimensions)
     own = observables.state_summary(frame.time, frame.cells, scene.dimensions, extent)
+    confined = _confined(scene, frame)
     remainders = [entry["relative_remainder"] for entry in ledgers.values()]
     error = progress.local_error
     optional: dict[str, Any] = {
         "hypoxic_radius": _hypoxic(scene, frame, extent),
         "separation": progress.separation,
         "fields": fields,
-        "notes": [*packing_notes(scene, own["packing_ratio"]), *remarks],
+        "start": progress.first_states,
+        "notes": [
+            *packing_notes(scene, own["packing_ratio"], confined.get("volume_fraction")),
+            *_start_notes(progress.first_states),
+            *remarks,
+        ],
     }
     summary = {
         **own,
+        **confined,
         **{name: known(value) for name, value in _held_back(scene, frame).items()},
         **{name: known(value) for name, value in _mixing(scene, frame).items()},
         **_splitting(scene, frame),
@@ -112,6 +121,31 @@ def counts_contacts(scene: Scene) -> bool:
 def remembers_contacts(scene: Scene) -> bool:
     """Return whether the contact law needs to know which pairs were in contact."""
     return scene.contact.remembers
+
+
+def _start_notes(states: Mapping[str, int]) -> list[str]:
+    """Return remarks on the states of cells at the start."""
+    notes = []
+    if states.get("necrotic"):
+        notes.append(
+            f"At the start {states['quiescent']:,} cells rest and {states['necrotic']:,} are dead: "
+            "they find too little in the field that all cells make, as in tissue that has been "
+            "there for long."
+        )
+    if states.get("unfit"):
+        notes.append(
+            f"The states of {states['unfit']:,} cells at the start do not fit the field: resting "
+            "or dead cells lower what others find, and no states were found that fit."
+        )
+    return notes
+
+
+def _confined(scene: Scene, frame: Frame) -> dict[str, float]:
+    """Return how cells fill a box with elastic walls, where there is one in space."""
+    if scene.dimensions == 2:
+        return {}
+    box = walls(scene)
+    return {} if box is None else observables.confinement(frame.cells, box)
 
 
 def _held_back(scene: Scene, frame: Frame) -> dict[str, float]:

@@ -41,6 +41,7 @@ if TYPE_CHECKING:
 
 
 _NODES = 200
+_ROUNDING = 1e-9  # a single cell fills its own ball
 _TOUCHING = 4  # cells that are all nearest neighbours of each other: none is further away
 
 
@@ -189,19 +190,33 @@ def remedy(scene: Scene) -> str:
     return f"Take {' or '.join([', '.join(ways[:-1]), ways[-1]] if ways[1:] else ways)}."
 
 
-def packing_notes(scene: Scene, ratio: float | None) -> list[str]:
-    """Return remarks on a run that ended with a packing ratio: what it shows, what is to come."""
-    limit = densest(scene.dimensions)
+def packing_notes(scene: Scene, ratio: float | None, fraction: float | None = None) -> list[str]:
+    """Return remarks on a run that ended so densely packed: what it shows, what is to come.
+
+    Parameters
+    ----------
+    scene
+    ratio
+        Sum of the cells' volumes over the volume of the ball round them; None without cells.
+    fraction
+        The same over the volume of a box with walls; None without one.
+    """
     expected = list(collapse_notes(scene))
-    if ratio is None or not ratio > limit:
+    flat = scene.dimensions == 2
+    what, where = ("areas", "disc") if flat else ("volumes", "ball")
+    space = f"the {where} round them (packing_ratio)"
+    if fraction is not None and (ratio is None or fraction > ratio):
+        ratio, space = fraction, "the box (volume_fraction)"
+    if ratio is None or not ratio > 1.0 + _ROUNDING:
         return expected
-    what, where = ("volumes", "ball") if scene.dimensions == 3 else ("areas", "disc")
+    limit = densest(scene.dimensions)
     found = (
-        f"The cells' {what} add up to {ratio:.3g} times the {where} round them (packing_ratio): "
-        f"above {limit:.3g} second neighbours overlap even in the closest packing. "
+        f"The cells' {what} add up to {ratio:.3g} times {space}: more than there is space, which "
+        "only spheres that overlap can do. "
     )
-    if expected:
-        return [f"{found}The tissue has collapsed.", *expected]
-    return [
-        f"{found}The cells are strongly compressed: by attraction, by their start or by growth."
-    ]
+    if ratio > limit:
+        found += f"Above {limit:.3g} second neighbours overlap even in the closest packing. "
+        if expected:
+            return [f"{found}The tissue has collapsed.", *expected]
+    found += "The cells are compressed: by attraction, by their start or by growth."
+    return [found, *expected]

@@ -30,7 +30,7 @@ _OF_A_LEDGER: Final = (
 
 def signed(name: str) -> bool:
     """Return whether an observable may be negative."""
-    return name == "instability_rate" or name.startswith("force_")
+    return name in ("instability_rate", "tissue_pressure") or name.startswith("force_")
 
 
 def in_history(scene: Scene) -> dict[str, str]:
@@ -49,6 +49,8 @@ def in_history(scene: Scene) -> dict[str, str]:
     names += [f"force_{motion}_{axis}" for motion in scene.motions for axis in "xyz"]
     if scene.springs:
         names += ["springs", "largest_tension"]
+    if scene.dimensions == 3 and scene.domain is not None and scene.domain.wall == "elastic":
+        names += ["volume_fraction", "wall_pressure", "tissue_pressure"]
     if scene.growth is not None and scene.growth.critical_pressure is not None:
         names += ["pressure_factor", "held_by_pressure"]
     if scene.output.instability:
