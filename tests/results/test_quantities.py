@@ -57,6 +57,7 @@ SCENES = {
     "bare mechanics": {
         "duration": "10 min", "initial": {"count": 3}, "integrator": {"method": "euler"},
         "output": {"instability": True},
+        "domain": {axis: [-30.0, 30.0] for axis in "xyz"},
     },
 }  # fmt: skip
 
