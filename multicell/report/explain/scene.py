@@ -86,17 +86,31 @@ def _start_words(scene: Scene) -> str:
 
 
 def _stage(scene: Scene) -> str:
-    """State where in their cycle cells start that are not all newborn."""
-    growth, stage = scene.growth, scene.initial.stage
+    """State in which states, and where in their cycle, cells start."""
+    growth, stage, table = scene.growth, scene.initial.stage, scene.initial.cells
+    found = (
+        "; resting and dead ones are found with the fields"
+        if table is None and _may_lack(scene)
+        else ""
+    )
     if growth is None or stage == "birth":
-        return ""
+        return found
     if stage == "uniform":
-        return "; spread evenly over their cycle"
+        return f"; spread evenly over their cycle{found}"
     rate = 3600.0 * malthusian_rate(growth)
-    words = f"; ages of a population that has long grown without limits, by {rate:.4g} 1/h"
+    words = f"{found}; ages of a population that has long grown without limits, by {rate:.4g} 1/h"
     if founders(scene):
         words += ", with the longer cycles that its cells have"
     return words
+
+
+def _may_lack(scene: Scene) -> bool:
+    """Return whether cells rest or die by what they find."""
+    limits = [limit for n in scene.nutrients.values()
+              for limit in (n.quiescence, n.necrosis, n.necrosis_above)]  # fmt: skip
+    if scene.energy is not None:
+        limits += [scene.energy.quiescence, scene.energy.necrosis]
+    return any(limit is not None for limit in limits)
 
 
 def _growth_words(scene: Scene) -> str:
