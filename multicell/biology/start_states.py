@@ -190,16 +190,17 @@ def _plenty(scene: Scene, cells: Cells, found: Concentrations, resting: bool) ->
     ratios = [np.full(len(cells), np.inf)]
     if resting and scene.growth is not None and scene.growth.critical_pressure is not None:
         ratios[0][cells.pressure >= scene.growth.critical_pressure] = -1.0
-    for name, nutrient in scene.nutrients.items():
-        c = np.asarray(found[name])
-        least = nutrient.quiescence if resting else nutrient.necrosis
-        if least is not None:
-            ratios.append(c / least)
-        if not resting and nutrient.necrosis_above is not None:
-            most = np.full(len(c), nutrient.necrosis_above)
-            ratios.append(np.divide(most, c, out=np.full(len(c), np.inf), where=c > 0.0))
-    if scene.energy is not None:
-        least = scene.energy.quiescence if resting else scene.energy.necrosis
-        if least is not None:
-            ratios.append(scene.energy.supply(scene.nutrients, found) / least)
+    # over a threshold next to nothing a ratio may be infinite; one of zero excludes nobody
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        for name, nutrient in scene.nutrients.items():
+            c = np.asarray(found[name])
+            least = nutrient.quiescence if resting else nutrient.necrosis
+            if least:
+                ratios.append(c / least)
+            if not resting and nutrient.necrosis_above is not None:
+                ratios.append(np.where(c > 0.0, nutrient.necrosis_above / c, np.inf))
+        if scene.energy is not None:
+            least = scene.energy.quiescence if resting else scene.energy.necrosis
+            if least:
+                ratios.append(scene.energy.supply(scene.nutrients, found) / least)
     return np.asarray(np.min(ratios, axis=0))

@@ -240,6 +240,24 @@ def check_result(result):
         if name != "relative_remainder" and not ledger["relative_remainder"] <= REMAINDER:
             raise Fault(f"ledger: {name} is left open by {ledger['relative_remainder']:.3g}")
     _check_numbers(result, summary)
+    _check_start(result, summary)
+
+
+def _check_start(result, summary):
+    """Check that nobody lives at the start who cannot live with what the cells leave."""
+    scene, first = result.scene, result.frames[0]
+    table, death = scene.initial.cells, scene.death
+    given = table is not None and "state" in table.given.columns
+    if first.step or given or (death is not None and death.necrosis_rate is not None):
+        return
+    short = np.zeros(len(first.cells), bool)
+    for name, field_ in scene.nutrients.items():
+        c = first.concentrations[name]
+        short |= c < (field_.necrosis or 0.0)
+        short |= c > (np.inf if field_.necrosis_above is None else field_.necrosis_above)
+    number = int((short & ~first.cells.dead).sum())
+    if number > summary.get("start", {}).get("unfit", 0):
+        raise Fault(f"start: {number} cells live where they cannot")
 
 
 def _check_frame(frame):
