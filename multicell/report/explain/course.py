@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
+from multicell.biology.durations import malthusian_rate
 from multicell.cells import SPHERE, FloatArray
 from multicell.scene.checks import solving_order
 from multicell.scene.pairs import drag
@@ -98,7 +99,9 @@ class _Tissue:
         self._now = 0.0
         self._factor = np.ones(_SHELLS)
         size = typical_radius(scene)
+        self._rate = 0.0  # of an unlimited population, 1/s
         if scene.growth is not None:
+            self._rate = malthusian_rate(scene.growth)
             # of newborn cells over that of growing ones, whose ages fall off by half over a cycle
             size = birth_radius(scene) / math.log(2.0) ** (1.0 / 3.0)
         own = SPHERE * size**3 if scene.dimensions == 3 else math.pi * size**2
@@ -181,7 +184,7 @@ class _Tissue:
         if scene.growth is None or scene.growth.critical_pressure is None:
             return np.ones(_SHELLS)
         resistance = drag(scene, typical_radius(scene)) / self._cell_volume
-        rate = math.log(2.0) / scene.growth.mean_cycle * growth
+        rate = self._rate * growth
         width = np.diff(shells)
         factor = self._factor
         for _ in range(_ITERATIONS):
@@ -198,8 +201,7 @@ class _Tissue:
 
     def _grow(self, factor: float, dt: float) -> None:
         if self._scene.growth is not None:
-            rate = math.log(2.0) / self._scene.growth.mean_cycle * factor
-            self._living *= math.exp(min(rate * dt, _MOST_GROWTH))
+            self._living *= math.exp(min(self._rate * factor * dt, _MOST_GROWTH))
 
     def _die(self, starved: float, begin: float, dt: float) -> None:
         death: Death | None = self._scene.death

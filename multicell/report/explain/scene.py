@@ -234,7 +234,7 @@ def _growth(scene: Scene) -> list[Number]:
                    "ends of coupling steps")
         )  # fmt: skip
     if generations < 60.0:
-        most = scene.initial.count * 2.0**generations
+        most = scene.initial.count * math.exp(malthusian_rate(scene.growth) * scene.duration)
         numbers.append(Number("cells at most", most, "", "if nothing limited growth"))
     return numbers
 
