@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 
 _NODES = 200
-_ROUNDING = 1e-9  # a single cell fills its own ball
+_ROUNDING = 0.005  # a single cell fills its own ball, and three digits are shown
 _TOUCHING = 4  # cells that are all nearest neighbours of each other: none is further away
 
 
