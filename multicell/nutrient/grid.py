@@ -27,6 +27,9 @@ if TYPE_CHECKING:
     from multicell.scene.parts import Domain
 
 
+_ROUNDING = 1e-6
+"""Part of the spacing by which what is brought to a face stays inside of it."""
+
 _TISSUE = 0.5
 """Part of a node's volume that is cells from which on it is tissue."""
 
@@ -67,6 +70,9 @@ class Layout(Protocol):
     @property
     def volumes(self) -> FloatArray | float:
         """Volumes of the nodes, µm³; one number where they are equal."""
+
+    def nearest(self, position: FloatArray) -> FloatArray:
+        """Return the points of the grid nearest to positions (n, 3) in µm; those inside stay."""
 
     def scatter(self, position: FloatArray, amount: FloatArray) -> FloatArray:
         """Spread amounts of the cells, (n,), over the nodes as densities."""
@@ -147,6 +153,19 @@ class BoxLayout:
 
     def _points(self, position: FloatArray) -> FloatArray:
         return position if self.box.height is None else position * np.array([1.0, 1.0, 0.0])
+
+    def nearest(self, position: FloatArray) -> FloatArray:
+        """Return the points of the box nearest to positions (n, 3) in µm; those inside stay."""
+        axes = self._axes
+        low, high = np.array(self.box.origin[:axes]), np.array(self.box.upper[:axes])
+        inside = (position[:, :axes] >= low) & (position[:, :axes] <= high)
+        if inside.all():
+            return position
+        rounding = _ROUNDING * self.spacing  # which must leave no point outside
+        found = position.copy()
+        clipped = np.clip(position[:, :axes], low + rounding, high - rounding)
+        found[:, :axes] = np.where(inside, position[:, :axes], clipped)
+        return found
 
     def scatter(self, position: FloatArray, amount: FloatArray) -> FloatArray:
         """Spread amounts of the cells, (n,), over the nodes as densities."""
@@ -352,6 +371,17 @@ class ShellLayout:
     def volumes(self) -> FloatArray:
         """Volumes of the shells, µm³."""
         return SPHERE * np.diff(np.linspace(0.0, self.radius, self.count + 1) ** 3)
+
+    def nearest(self, position: FloatArray) -> FloatArray:
+        """Return the points of the ball nearest to positions (n, 3) in µm; those inside stay."""
+        distance = self._distance(position)
+        outside = distance > self.radius
+        if not outside.any():
+            return position
+        found = position.copy()
+        part = (self.radius / distance[outside])[:, None]
+        found[outside] = self.centre + part * (position[outside] - self.centre)
+        return found
 
     def _weights(self, position: FloatArray) -> tuple[Any, Any, FloatArray]:
         """Return for each cell the inner and the outer shell and the weight of the outer one."""

@@ -59,6 +59,17 @@ class FieldParameters:
         fixed = self.dimensions == 2 or self.domain is not None
         return "box" if fixed else self.nutrient.layout
 
+    @cached_property
+    def open_medium(self) -> bool:
+        """Whether stirred medium is all round: cells beyond the grid then find its concentration.
+
+        Not so in a domain, with conditions of its own on a side, with sources or regions that
+        stand somewhere, and where a finite medium has an unstirred layer of its own.
+        """
+        nutrient = self.nutrient
+        shaped = nutrient.sides or nutrient.sources or nutrient.regions
+        return self.domain is None and not shaped and nutrient.finite_medium is None
+
     def sides(self, time: float, medium: float | None = None) -> dict[str, Side]:
         """Return the condition on every face at a time, with the medium's value filled in.
 

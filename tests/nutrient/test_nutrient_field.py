@@ -194,9 +194,8 @@ def test_a_new_grid_starts_from_the_old_field():
     position, capacity = ball(150.0)
     cold, warm = oxygen(), oxygen()
     warm.solve(position, capacity)
-    larger = np.vstack([position, [[185.0, 0.0, 0.0]]])
-    uptake = np.append(capacity, 20.0)
-    reports = cold.solve(larger, uptake), warm.solve(larger, uptake)
+    larger = 1.1 * position
+    reports = cold.solve(larger, capacity), warm.solve(larger, capacity)
     assert warm.layings == 2
     assert warm.box == cold.box
     assert reports[1].cg < reports[0].cg

@@ -106,7 +106,7 @@ def balls(described, cells, spacing, points=150):
     place = spread.reshape(-1, 3)
     field = NutrientField(name, on_grid(p, "box", spacing))
     layout = BoxLayout.round(cells.position, p.nutrient.margin, spacing, None)
-    field._lay = lambda position, radius: (layout, False)
+    field.lay = lambda position, radius: (layout, False, position)
     each = np.repeat(capacity / points, points)
     field.solve(place, each, radius=np.ones(len(place)))
     mean = field.sample(place).reshape(-1, points).mean(axis=1)
