@@ -141,6 +141,14 @@ class BoxLayout:
         low, high = (np.array(corner) for corner in domain.corners())
         return cls(fill(low, high, spacing, height))
 
+    @classmethod
+    def round_ball(
+        cls, radius: float, margin: float, spacing: float, height: float | None
+    ) -> BoxLayout:
+        """Lay it round a ball or disc of tissue, its outermost centres at ``radius`` (µm)."""
+        reach = np.full(3, radius + margin)
+        return cls(lay(-reach, reach, spacing, height))
+
     @property
     def spacing(self) -> float:
         """Distance of neighbouring nodes, µm."""
@@ -341,9 +349,7 @@ class ShellLayout:
         that is farther.
         """
         if len(position) == 0:
-            beyond = margin if layer is None else layer
-            count = max(2, int(np.ceil(beyond / spacing)))
-            return cls(np.zeros(3), beyond / count, count)
+            return cls.to(np.zeros(3), margin if layer is None else layer, spacing)
         if not np.isfinite(position).all():
             extent(position, margin)  # raises with words
         centre = np.average(position, axis=0, weights=radius**3)
@@ -353,6 +359,11 @@ class ShellLayout:
             outer = max(outermost + margin, _CUBE * 0.5 * float((high - low).mean()))
         else:
             outer = max(tissue_radius(position, radius) + layer, outermost)
+        return cls.to(centre, outer, spacing)
+
+    @classmethod
+    def to(cls, centre: FloatArray, outer: float, spacing: float) -> ShellLayout:
+        """Lay it round a centre with a surface at a distance; ``spacing`` gives way."""
         count = int(np.ceil(outer / spacing * (1.0 - 1e-12)))
         if count > 1_000_000:
             raise NutrientFailed(
@@ -361,6 +372,14 @@ class ShellLayout:
             )
         count = max(2, count)
         return cls(centre, outer / count, count)
+
+    @staticmethod
+    def round_ball(
+        radius: float, margin: float, spacing: float, layer: float | None = None
+    ) -> ShellLayout:
+        """Lay it round a ball of tissue, of which the outermost centres are at ``radius`` (µm)."""
+        outer = _CUBE * (radius + margin) if layer is None else radius + layer
+        return ShellLayout.to(np.zeros(3), outer, spacing)
 
     @property
     def radius(self) -> float:

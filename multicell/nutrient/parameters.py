@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, final
 
-from multicell.scene.scales import _faces, _side, regime, spacing
+from multicell.scene.scales import _faces, _side, height, regime, spacing
 
 if TYPE_CHECKING:
     from multicell.scene.nutrient import Nutrient, Side
@@ -47,10 +47,9 @@ class FieldParameters:
     def of(cls, scene: Scene, name: str) -> FieldParameters:
         """Return the parameters of a field of a scene."""
         nutrient = scene.nutrients[name]
-        height = nutrient.height or 2.0 * scene.cells.division_radius
         return cls(
-            nutrient, spacing(scene, name), height, regime(scene, name), scene.dimensions,
-            scene.domain,
+            nutrient, spacing(scene, name), height(scene, name), regime(scene, name),
+            scene.dimensions, scene.domain,
         )  # fmt: skip
 
     @property
