@@ -141,11 +141,12 @@ def check_nutrients(scene: Scene) -> None:
         _check_sources(scene, path, nutrient)
         _check_regions(scene, path, nutrient)
         _check_layer(path, nutrient)
-        if scene.dimensions == 2:
-            _check_plane(scene, name)
         if scene.domain is not None:
             _check_in_domain(scene, name)
     solving_order(scene.nutrients, scene.reactions)
+    if scene.dimensions == 2:
+        for name in scene.nutrients:
+            _check_plane(scene, name)
 
 
 def _check_names(scene: Scene, path: str, nutrient: Nutrient) -> None:

@@ -235,7 +235,7 @@ def test_shells_serve_until_their_geometry_is_the_error():
 @pytest.mark.parametrize(
     "changes",
     [
-        {"dimensions": 2},
+        {"dimensions": 2, "nutrients.oxygen.height": "10 um"},
         {"domain": {axis: [-60, 60] for axis in "xyz"}},
         {"nutrients.oxygen.sides": {"x-": {"type": "derivative", "derivative": 0}}},
         {"nutrients.oxygen.sources": {"a": {"x": 0, "y": 0, "z": 0, "strength": 10}}},

@@ -26,6 +26,7 @@ from multicell.report.explain.items import Number, hours
 from multicell.scene import domain as box
 from multicell.scene.coupling import longest_step
 from multicell.scene.pairs import daughters_stiffness, drag
+from multicell.scene.scales import MAX_NODES
 from multicell.scene.sizes import birth_radius, typical_radius
 from multicell.scene.start import separated
 
@@ -137,7 +138,7 @@ def _fields(scene: Scene, found: Course, steps: float, frames: float) -> tuple[f
 def _nodes(scene: Scene, name: str, radius: FloatArray) -> FloatArray:
     """Return the number of nodes of a field round tissue of each radius, as a run lays them.
 
-    Infinite where that is more than a run allows.
+    Where that is more than a run allows, and so ends, it is the most that it does.
     """
     nutrient, p = scene.nutrients[name], FieldParameters.of(scene, name)
     if scene.domain is not None:
@@ -157,7 +158,7 @@ def _nodes(scene: Scene, name: str, radius: FloatArray) -> FloatArray:
                 cubes = BoxLayout.round_ball(outermost, nutrient.margin, p.spacing, flat)
                 found.append(float(cubes.box.nodes))
         except NutrientFailed:
-            found.append(math.inf)
+            found.append(float(MAX_NODES))
     return np.array(found)
 
 
@@ -174,7 +175,7 @@ def grid_sizes(scene: Scene, name: str) -> tuple[float, float]:
     try:
         layout = field.lay(cells.position, cells.radius)[0]
     except NutrientFailed:
-        return math.inf, float(nodes[-1])
+        return float(MAX_NODES), float(nodes[-1])
     first = float(layout.filled(0.0).size)
     # what neither grows nor dies stays as it starts
     grows = scene.growth is not None or scene.death is not None
