@@ -10,7 +10,7 @@ from multicell.errors import MulticellError, NutrientFailed
 from multicell.nutrient.cartesian import Box, extent, lay, moved
 from multicell.nutrient.field import NutrientField
 from multicell.nutrient.parameters import FieldParameters
-from multicell.scene.nutrient import Nutrient
+from multicell.scene.nutrient import Nutrient, Side
 from multicell.scene.scales import MAX_NODES
 
 OXYGEN = {
@@ -276,4 +276,8 @@ def test_bad_input_is_refused():
         field.solve(np.zeros(3), np.ones(1))
     field.solve(np.zeros((1, 3)), np.ones(1))
     with pytest.raises(ValueError, match="outside the nutrient grid"):
-        field.sample(np.array([[1e4, 0.0, 0.0]]))
+        field.sample(np.full((1, 3), np.nan))
+    walled = oxygen(sides={"x-": Side(type="derivative", derivative=0.0)})
+    walled.solve(np.zeros((1, 3)), np.ones(1))
+    with pytest.raises(ValueError, match="outside the nutrient grid"):
+        walled.sample(np.full((1, 3), 1e3))

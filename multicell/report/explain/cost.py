@@ -16,7 +16,7 @@ import numpy as np
 
 from multicell.biology.initial import initial_cells
 from multicell.cells import FloatArray
-from multicell.errors import NutrientFailed
+from multicell.errors import NutrientFailed, SceneError
 from multicell.integrators import runge_kutta
 from multicell.nutrient.field import NutrientField
 from multicell.nutrient.grid import BoxLayout, ShellLayout
@@ -184,10 +184,13 @@ def grid_sizes(scene: Scene, name: str) -> tuple[float, float]:
 
 @lru_cache(maxsize=1)
 def placed(scene: Scene) -> Cells | None:
-    """Return the cells of a scene's start; None where it would take long to place them."""
+    """Return the cells of a scene's start; None where they cannot be placed, or not at once."""
     if scene.initial.count > _PLACED:
         return None
-    return separated(scene, initial_cells(scene))
+    try:
+        return separated(scene, initial_cells(scene))
+    except SceneError:  # which the run will report
+        return None
 
 
 def cost_numbers(scene: Scene) -> list[Number]:

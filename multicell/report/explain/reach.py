@@ -73,14 +73,19 @@ class Tissue:
         """Return the radius inside which there is at most a concentration."""
         from scipy.optimize import brentq
 
-        r, d = self.radius, self.dimensions
-        bend = 2.0 * d * self.diffusion / self.demand
-        surface = self._surface(0.0)
-        if surface * bend >= r * r:
-            return math.sqrt(min(max(r * r - (surface - threshold) * bend, 0.0), r * r))
-        core = brentq(lambda x: self._surface(x) - self._rise(r, x), 0.0, r)
-        if self._surface(core) <= threshold:
+        r, surface = self.radius, self._surface(0.0)
+        if surface >= self._rise(r, 0.0):  # the middle is fed
+            if threshold >= surface:
+                return r
+            short = self._rise(r, 0.0) - (surface - threshold)
+            return r * math.sqrt(short / self._rise(r, 0.0)) if short > 0.0 else 0.0
+        if self._surface(r) <= self._rise(r, r):  # all but the surface starves, up to rounding
             return r
+        core = brentq(lambda x: self._surface(x) - self._rise(r, x), 0.0, r)
+        if self._rise(r, core) <= threshold:
+            return r
+        if self._rise(core, core) >= threshold:
+            return float(core)
         return float(brentq(lambda x: self._rise(x, core) - threshold, core, r))
 
     def _surface(self, core: float) -> float:
