@@ -14,12 +14,9 @@ from typing import TYPE_CHECKING, Final, final
 
 import numpy as np
 
-from multicell.biology.initial import initial_cells
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed, SceneError
 from multicell.integrators import runge_kutta
-from multicell.nutrient.field import NutrientField
-from multicell.nutrient.grid import BoxLayout, ShellLayout
 from multicell.nutrient.parameters import FieldParameters
 from multicell.report.explain.course import Course, course
 from multicell.report.explain.items import Number, hours
@@ -28,7 +25,6 @@ from multicell.scene.coupling import longest_step
 from multicell.scene.pairs import daughters_stiffness, drag
 from multicell.scene.scales import MAX_NODES
 from multicell.scene.sizes import birth_radius, typical_radius
-from multicell.scene.start import separated
 
 if TYPE_CHECKING:
     from multicell.cells import Cells
@@ -140,6 +136,8 @@ def _nodes(scene: Scene, name: str, radius: FloatArray) -> FloatArray:
 
     Where that is more than a run allows, and so ends, it is the most that it does.
     """
+    from multicell.nutrient.grid import BoxLayout, ShellLayout
+
     nutrient, p = scene.nutrients[name], FieldParameters.of(scene, name)
     if scene.domain is not None:
         counts = box.filling(box.sides(scene.domain), p.spacing)
@@ -167,6 +165,8 @@ def grid_sizes(scene: Scene, name: str) -> tuple[float, float]:
 
     The start is that of the scene's own cells where there are up to 200,000 of them.
     """
+    from multicell.nutrient.field import NutrientField
+
     nodes = _nodes(scene, name, course(scene).radius)
     cells = None if scene.domain is not None else placed(scene)
     if cells is None:
@@ -185,6 +185,9 @@ def grid_sizes(scene: Scene, name: str) -> tuple[float, float]:
 @lru_cache(maxsize=1)
 def placed(scene: Scene) -> Cells | None:
     """Return the cells of a scene's start; None where they cannot be placed, or not at once."""
+    from multicell.biology.initial import initial_cells
+    from multicell.scene.start import separated
+
     if scene.initial.count > _PLACED:
         return None
     try:

@@ -19,7 +19,6 @@ from multicell.cells import SPHERE
 from multicell.report.explain.cost import placed
 from multicell.report.explain.course import SHELLS, Profile
 from multicell.report.explain.items import Number
-from multicell.results.observables import diameter
 from multicell.scene import scales
 from multicell.scene.sizes import typical_radius
 
@@ -116,6 +115,8 @@ def tissue_of(scene: Scene, name: str) -> Tissue | None:
     d, cells = scene.dimensions, placed(scene)
     radius = typical_radius(scene) * scene.initial.count ** (1.0 / d)
     if cells is not None:
+        from multicell.results.observables import diameter
+
         radius = 0.5 * diameter(cells, d)
     own = SPHERE * typical_radius(scene) ** 3
     across = math.pi * radius**2 * scales.height(scene, name) if d == 2 else SPHERE * radius**3
