@@ -15,6 +15,7 @@ from multicell.nutrient.diffusion import Diffusion
 from multicell.nutrient.grid import BoxLayout, Layout, Operator, ShellLayout
 from multicell.nutrient.regions import coefficients
 from multicell.nutrient.steady import SolveReport
+from multicell.nutrient.tissue import drawn_in, drawn_to_ball
 from multicell.nutrient.transient import Amounts, March, TransientReport, march
 from multicell.nutrient.uptake import uptake
 
@@ -61,9 +62,11 @@ class FieldReport:
 class NutrientField:
     """One substance that diffuses, is taken up and secreted by cells, and decays.
 
-    The faces of its grid lie at ``margin`` from the outermost centres: a layer of medium without
-    convection lies round the cells, always as thick as that. With a ``domain`` they lie on its
-    sides, and stay there.
+    The faces of its grid lie at ``margin`` from the outermost centres of the tissue: a layer of
+    medium without convection lies round it, always as thick as that. Cells that have left the
+    tissue (:mod:`multicell.nutrient.tissue`) do not move the faces; beyond them they find the
+    medium, and take up and give off at the nearest point of the grid, whose account has it. With a
+    ``domain`` the faces lie on its sides, and stay there.
 
     Parameters
     ----------
@@ -152,7 +155,7 @@ class NutrientField:
             If shapes do not match or a capacity is negative or not finite.
         """
         position, radius = checked(position, capacity, production, radius)
-        layout, kept = self._lay(position, radius)
+        layout, kept, position = self.lay(position, radius)
         operator, conditions = self._operator_on(layout, kept, position, radius, time)
         p, medium = self.parameters, self.level(time)
         if kept:
@@ -195,7 +198,7 @@ class NutrientField:
             from multicell.nutrient import finite
 
             return finite.advance(self, position, capacity, production, radius, begin, end)
-        layout, kept = self._lay(position, radius)
+        layout, kept, position = self.lay(position, radius)
         before = self.stored()
         c = self._values
         if not kept:
@@ -256,7 +259,7 @@ class NutrientField:
             As for :meth:`solve`; the field then still is the last one.
         """
         position, radius = checked(position, capacity, production, radius)
-        layout, kept = self._lay(position, radius)
+        layout, kept, position = self.lay(position, radius)
         p, medium = self.parameters, self.level(end)
         c = self._values if kept else layout.carried(self._values, self.layout, medium)
         operator, conditions = self._operator_on(layout, kept, position, radius, end)
@@ -273,7 +276,7 @@ class NutrientField:
     def fill(self, position: FloatArray, *, radius: FloatArray | None, time: float) -> None:
         """Begin with the medium's concentration everywhere."""
         position, radius = checked(position, np.zeros(len(position)), None, radius)
-        layout, _ = self._lay(position, radius)
+        layout, _, position = self.lay(position, radius)
         operator, conditions = self._operator_on(layout, False, position, radius, time)
         values = layout.filled(self.level(time))
         self._take(layout, operator, conditions, values, False)
@@ -301,33 +304,38 @@ class NutrientField:
         """Return the concentration in mM at positions (n, 3) in µm, interpolated linearly.
 
         Between the last nodes and the faces by the conditions there: on a face with a value it is
-        that value.
+        that value. Outside the grid, where it lies in stirred medium, by the nearest face.
 
         Raises
         ------
         ValueError
-            Before the first solve, and for positions outside the grid.
+            Before the first solve, and for positions outside a grid that is not all round in
+            stirred medium.
         """
-        return self.layout.read(position, self._values, self._conditions)
+        return self.layout.read(self._reached(position), self._values, self._conditions)
 
     def gradient(self, position: FloatArray) -> FloatArray:
         """Return the gradient at positions (n, 3) in µm, (n, 3) mM/µm.
 
         Differences of the interpolated field over one spacing, along the axes of a box or the
-        radius of shells; exact for parabolas, up to the faces.
+        radius of shells; exact for parabolas, up to the faces. In stirred medium it is zero.
 
         Raises
         ------
         ValueError
-            Before the first solve, and for positions outside the grid.
+            As for :meth:`sample`.
         """
-        return self.layout.gradient(position, self._values)
+        reached = self._reached(position)
+        found = self.layout.gradient(reached, self._values)
+        if reached is not position:
+            found[(reached != position).any(axis=1)] = 0.0
+        return found
 
     def uptake(self, position: FloatArray, capacity: FloatArray) -> FloatArray:
         """Return what each cell takes up, (n,) amol/s."""
         c = self._values
         share = self.layout.gather(
-            position, uptake(1.0, c, self.parameters.nutrient.half_saturation)
+            self._reached(position), uptake(1.0, c, self.parameters.nutrient.half_saturation)
         )
         return np.asarray(capacity * share)
 
@@ -357,24 +365,40 @@ class NutrientField:
         # whose conditions may have been changed on the way
         self._operator, self._conditions = None, {}
 
-    def _lay(self, position: FloatArray, radius: FloatArray) -> tuple[Layout, bool]:
-        """Return the layout round the cells, and whether it is the last one."""
+    def _reached(self, position: FloatArray) -> FloatArray:
+        """Return where on the grid cells exchange with the field: strays at its surface."""
+        return self.layout.nearest(position) if self.parameters.open_medium else position
+
+    def lay(
+        self, position: FloatArray, radius: FloatArray, *, strays: bool = True
+    ) -> tuple[Layout, bool, FloatArray]:
+        """Return the layout round the tissue, whether it is the last one, and where cells reach it.
+
+        Without ``strays`` every cell is tissue.
+        """
         p = self.parameters
+        tissue, strays = position, strays and p.open_medium
+        if strays:
+            tissue = drawn_in(position, radius)
         radial = p.geometry == "radial"
         if p.geometry == "auto":
             now = isinstance(self._layout, ShellLayout)
-            radial = round_enough(position, radius, p.nutrient.roundness_limit, now_radial=now)
+            radial = round_enough(tissue, radius, p.nutrient.roundness_limit, now_radial=now)
         if radial:
-            return ShellLayout.round(
-                position, radius, p.nutrient.margin, p.spacing, p.nutrient.layer
-            ), False
+            if strays:
+                tissue = drawn_to_ball(tissue, radius)
+            shells = ShellLayout.round(
+                tissue, radius, p.nutrient.margin, p.spacing, p.nutrient.layer
+            )
+            return shells, False, shells.nearest(position) if strays else position
         height = p.height if p.dimensions == 2 else None
         if p.domain is None:
-            found = BoxLayout.round(position, p.nutrient.margin, p.spacing, height)
+            found = BoxLayout.round(tissue, p.nutrient.margin, p.spacing, height)
         else:
             found = BoxLayout.within(p.domain, p.spacing, height)
         same = self._layout is not None and found == self._layout
-        return (self.layout, True) if same else (found, False)
+        reached = found.nearest(position) if strays else position
+        return (self.layout, True, reached) if same else (found, False, reached)
 
     def _sides(self, layout: Layout, time: float) -> dict[str, Any]:
         """Return the conditions on the faces of a layout at a time in s, in py-pde's terms."""

@@ -172,7 +172,7 @@ class _Exchange:
         assert field.stirred is not None
         self.field, self.nutrient = field, field.parameters.nutrient
         self.steady = field.parameters.regime == "steady"
-        layout, self.kept = field._lay(position, radius)
+        layout, self.kept, position = field.lay(position, radius)
         self.layout, old = layout, field.stirred
         values = field._values
         if not self.kept:

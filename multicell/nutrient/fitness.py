@@ -8,6 +8,7 @@ from multicell.errors import NutrientFailed
 from multicell.nutrient.cartesian import departure
 from multicell.nutrient.discretisation import discretisation_error
 from multicell.nutrient.grid import ShellLayout, tissue_radius
+from multicell.nutrient.tissue import drawn_in, drawn_to_ball
 
 if TYPE_CHECKING:
     from multicell.cells import Cells
@@ -73,10 +74,11 @@ def _rate_layer(
     """Say how thick the layer round the tissue is, and whether a stray cell made it thicker."""
     if len(cells) == 0:
         return
-    found = shells.radius - tissue_radius(cells.position, cells.radius)
+    drawn = drawn_to_ball(drawn_in(cells.position, cells.radius), cells.radius)
+    found = shells.radius - tissue_radius(drawn, cells.radius)
     fields[name]["layer"] = found
     if found > wanted * (1.0 + 1e-9):
         notes.append(
-            f"A cell lies farther from the tissue than the layer of {name} is thick: shells "
-            f"reach to it, and the layer is {found:.3g} um instead of {wanted:.3g} um."
+            f"The tissue reaches farther from its middle than the layer of {name}: shells "
+            f"reach to its end, and the layer is {found:.3g} um instead of {wanted:.3g} um."
         )

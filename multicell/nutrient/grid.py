@@ -27,6 +27,9 @@ if TYPE_CHECKING:
     from multicell.scene.parts import Domain
 
 
+_ROUNDING = 1e-6
+"""Part of the spacing by which what is brought to a face stays inside of it."""
+
 _TISSUE = 0.5
 """Part of a node's volume that is cells from which on it is tissue."""
 
@@ -67,6 +70,9 @@ class Layout(Protocol):
     @property
     def volumes(self) -> FloatArray | float:
         """Volumes of the nodes, µm³; one number where they are equal."""
+
+    def nearest(self, position: FloatArray) -> FloatArray:
+        """Return the points of the grid nearest to positions (n, 3) in µm; those inside stay."""
 
     def scatter(self, position: FloatArray, amount: FloatArray) -> FloatArray:
         """Spread amounts of the cells, (n,), over the nodes as densities."""
@@ -135,6 +141,14 @@ class BoxLayout:
         low, high = (np.array(corner) for corner in domain.corners())
         return cls(fill(low, high, spacing, height))
 
+    @classmethod
+    def round_ball(
+        cls, radius: float, margin: float, spacing: float, height: float | None
+    ) -> BoxLayout:
+        """Lay it round a ball or disc of tissue, its outermost centres at ``radius`` (µm)."""
+        reach = np.full(3, radius + margin)
+        return cls(lay(-reach, reach, spacing, height))
+
     @property
     def spacing(self) -> float:
         """Distance of neighbouring nodes, µm."""
@@ -147,6 +161,19 @@ class BoxLayout:
 
     def _points(self, position: FloatArray) -> FloatArray:
         return position if self.box.height is None else position * np.array([1.0, 1.0, 0.0])
+
+    def nearest(self, position: FloatArray) -> FloatArray:
+        """Return the points of the box nearest to positions (n, 3) in µm; those inside stay."""
+        axes = self._axes
+        low, high = np.array(self.box.origin[:axes]), np.array(self.box.upper[:axes])
+        inside = (position[:, :axes] >= low) & (position[:, :axes] <= high)
+        if inside.all():
+            return position
+        rounding = _ROUNDING * self.spacing  # which must leave no point outside
+        found = position.copy()
+        clipped = np.clip(position[:, :axes], low + rounding, high - rounding)
+        found[:, :axes] = np.where(inside, position[:, :axes], clipped)
+        return found
 
     def scatter(self, position: FloatArray, amount: FloatArray) -> FloatArray:
         """Spread amounts of the cells, (n,), over the nodes as densities."""
@@ -322,9 +349,7 @@ class ShellLayout:
         that is farther.
         """
         if len(position) == 0:
-            beyond = margin if layer is None else layer
-            count = max(2, int(np.ceil(beyond / spacing)))
-            return cls(np.zeros(3), beyond / count, count)
+            return cls.to(np.zeros(3), margin if layer is None else layer, spacing)
         if not np.isfinite(position).all():
             extent(position, margin)  # raises with words
         centre = np.average(position, axis=0, weights=radius**3)
@@ -334,6 +359,11 @@ class ShellLayout:
             outer = max(outermost + margin, _CUBE * 0.5 * float((high - low).mean()))
         else:
             outer = max(tissue_radius(position, radius) + layer, outermost)
+        return cls.to(centre, outer, spacing)
+
+    @classmethod
+    def to(cls, centre: FloatArray, outer: float, spacing: float) -> ShellLayout:
+        """Lay it round a centre with a surface at a distance; ``spacing`` gives way."""
         count = int(np.ceil(outer / spacing * (1.0 - 1e-12)))
         if count > 1_000_000:
             raise NutrientFailed(
@@ -342,6 +372,14 @@ class ShellLayout:
             )
         count = max(2, count)
         return cls(centre, outer / count, count)
+
+    @staticmethod
+    def round_ball(
+        radius: float, margin: float, spacing: float, layer: float | None = None
+    ) -> ShellLayout:
+        """Lay it round a ball of tissue, of which the outermost centres are at ``radius`` (µm)."""
+        outer = _CUBE * (radius + margin) if layer is None else radius + layer
+        return ShellLayout.to(np.zeros(3), outer, spacing)
 
     @property
     def radius(self) -> float:
@@ -352,6 +390,17 @@ class ShellLayout:
     def volumes(self) -> FloatArray:
         """Volumes of the shells, µm³."""
         return SPHERE * np.diff(np.linspace(0.0, self.radius, self.count + 1) ** 3)
+
+    def nearest(self, position: FloatArray) -> FloatArray:
+        """Return the points of the ball nearest to positions (n, 3) in µm; those inside stay."""
+        distance = self._distance(position)
+        outside = distance > self.radius
+        if not outside.any():
+            return position
+        found = position.copy()
+        part = (self.radius / distance[outside])[:, None]
+        found[outside] = self.centre + part * (position[outside] - self.centre)
+        return found
 
     def _weights(self, position: FloatArray) -> tuple[Any, Any, FloatArray]:
         """Return for each cell the inner and the outer shell and the weight of the outer one."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, final
 
-from multicell.scene.scales import _faces, _side, regime, spacing
+from multicell.scene.scales import _faces, _side, height, regime, spacing
 
 if TYPE_CHECKING:
     from multicell.scene.nutrient import Nutrient, Side
@@ -47,10 +47,9 @@ class FieldParameters:
     def of(cls, scene: Scene, name: str) -> FieldParameters:
         """Return the parameters of a field of a scene."""
         nutrient = scene.nutrients[name]
-        height = nutrient.height or 2.0 * scene.cells.division_radius
         return cls(
-            nutrient, spacing(scene, name), height, regime(scene, name), scene.dimensions,
-            scene.domain,
+            nutrient, spacing(scene, name), height(scene, name), regime(scene, name),
+            scene.dimensions, scene.domain,
         )  # fmt: skip
 
     @property
@@ -58,6 +57,17 @@ class FieldParameters:
         """``"box"``, ``"radial"`` or ``"auto"``; a box in two dimensions and in a domain."""
         fixed = self.dimensions == 2 or self.domain is not None
         return "box" if fixed else self.nutrient.layout
+
+    @cached_property
+    def open_medium(self) -> bool:
+        """Whether stirred medium is all round: cells beyond the grid then find its concentration.
+
+        Not so in a domain, with conditions of its own on a side, with sources or regions that
+        stand somewhere, and where a finite medium has an unstirred layer of its own.
+        """
+        nutrient = self.nutrient
+        shaped = nutrient.sides or nutrient.sources or nutrient.regions
+        return self.domain is None and not shaped and nutrient.finite_medium is None
 
     def sides(self, time: float, medium: float | None = None) -> dict[str, Side]:
         """Return the condition on every face at a time, with the medium's value filled in.

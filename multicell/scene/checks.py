@@ -10,7 +10,7 @@ from multicell.cells import Phase, State
 from multicell.errors import SceneError
 from multicell.integrators.registry import METHODS
 from multicell.scene import domain as box
-from multicell.scene.scales import MAX_NODES, level_fixed, spacing, touches_medium
+from multicell.scene.scales import MAX_NODES, height, level_fixed, spacing, touches_medium
 from multicell.schema import near_miss
 
 if TYPE_CHECKING:
@@ -121,6 +121,9 @@ def _check_phases(scene: Scene, path: str, phases: Mapping[str, float] | None) -
         raise SceneError(path, "has no effect: the scene has no phases", hint)
 
 
+_DEEP = 2000.0
+"""Usual depth of medium over cells in a dish, µm: 2 ml in a dish of 35 mm."""
+
 _FINEST = 0.001
 """Least spacing of a grid over the radius of a dividing cell: below, cells are points to it."""
 
@@ -141,6 +144,9 @@ def check_nutrients(scene: Scene) -> None:
         if scene.domain is not None:
             _check_in_domain(scene, name)
     solving_order(scene.nutrients, scene.reactions)
+    if scene.dimensions == 2:
+        for name in scene.nutrients:
+            _check_plane(scene, name)
 
 
 def _check_names(scene: Scene, path: str, nutrient: Nutrient) -> None:
@@ -287,6 +293,25 @@ def _check_layer(path: str, nutrient: Nutrient) -> None:
             "'margin' from the outermost centres, farther at the corners."
         )
         raise SceneError(f"{path}.layer", problem, hint)
+
+
+def _check_plane(scene: Scene, name: str) -> None:
+    """Check that cells in a plane that take something up have medium over them."""
+    nutrient = scene.nutrients[name]
+    if not nutrient.takes_up or nutrient.height is not None or nutrient.perfusion > 0.0:
+        return
+    exchange = nutrient.diffusion / (height(scene, name) * _DEEP)
+    problem = (
+        f"is missing: in a plane cells take up {name}, and a layer as high as one cell would feed "
+        "them from its rim alone"
+    )
+    hint = (
+        f"height = '{_DEEP / 1000.0:g} mm' is medium of that depth over the cells, mixed from top "
+        f"to bottom; perfusion = '{exchange:.2g} 1/s' is supply from above through that much still "
+        "medium, diffusion / (depth x height of the layer of cells). For cells between two plates "
+        "height is the gap."
+    )
+    raise SceneError(f"nutrients.{name}.height", problem, hint)
 
 
 def _check_in_domain(scene: Scene, name: str) -> None:

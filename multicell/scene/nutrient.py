@@ -325,22 +325,24 @@ class Nutrient:
         default=50.0,
         above=0,
         at_most=1e6,
-        doc="of the grid around the cells; no meaning in a domain, or where layer is given",
+        doc="thickness of the unstirred layer of medium round the tissue, beyond which stirred "
+        "medium has its own concentration; no meaning in a domain, or where layer is given",
     )
     layer: float | None = quantity(
         "um",
         default=None,
         above=0,
         at_most=1e6,
-        doc="of medium that is not stirred, round a ball of tissue (geometry = 'radial'); "
-        "absent: by margin",
+        doc="thickness of the unstirred layer round a ball of tissue (geometry = 'radial'), in "
+        "place of margin",
     )
     height: float | None = quantity(
         "um",
         default=None,
         at_least=1e-3,
         at_most=1e6,
-        doc="of the layer in 2D; absent: the largest cell's diameter",
+        doc="of the medium in 2D that cells share, mixed from top to bottom; absent, where "
+        "perfusion feeds from above or nothing is taken up: the largest cell's diameter",
     )
 
     def check(self) -> None:

@@ -72,7 +72,8 @@ class Scales:
     Attributes
     ----------
     demand : float, mM/s
-        Largest uptake per volume of tissue of typical cells without gaps.
+        Largest uptake per volume of tissue of typical cells without gaps; in a plane, per volume
+        of the layer that they cover.
     depth : float, µm
         √(2 D c / q): how deep a thick tissue at the medium's concentration is fed (zeroth
         order); infinite without uptake.
@@ -96,8 +97,10 @@ class Scales:
 def scales(scene: Scene, name: str) -> Scales:
     """Return the scales of a field of a scene."""
     nutrient = scene.nutrients[name]
-    typical = SPHERE * _typical_radius(scene) ** 3
-    demand = float(nutrient.largest_uptake(typical)) / typical
+    radius = _typical_radius(scene)
+    typical = SPHERE * radius**3
+    room = typical if scene.dimensions == 3 else math.pi * radius**2 * height(scene, name)
+    demand = float(nutrient.largest_uptake(typical)) / room
     supply = nutrient.diffusion * nutrient.highest
     depth = math.sqrt(2.0 * supply / demand) if demand > 0.0 else math.inf
     radius = tissue_radius(scene)
@@ -124,12 +127,17 @@ def slowest(nutrient: Nutrient, lengths: list[float]) -> float:
 
 
 def tissue_radius(scene: Scene) -> float:
-    """Return the radius in µm of a ball of as many cells as there may be in the end."""
+    """Return the radius in µm of a ball (disc) of as many cells as there may be in the end."""
     cells = float(scene.initial.count)
     if scene.growth is not None:
         doublings = min(scene.duration / scene.growth.mean_cycle, 60.0)
         cells = min(cells * 2.0**doublings, float(scene.stop_cells or 1e6))
-    return float(_typical_radius(scene) * cells ** (1.0 / 3.0))
+    return float(_typical_radius(scene) * cells ** (1.0 / scene.dimensions))
+
+
+def height(scene: Scene, name: str) -> float:
+    """Return the height in µm of the layer that a field in a plane fills."""
+    return scene.nutrients[name].height or 2.0 * scene.cells.division_radius
 
 
 def _typical_radius(scene: Scene) -> float:

@@ -50,7 +50,7 @@ def test_laying_a_grid(benchmark):
     field, position, capacity = spheroid(100, 10.0)
 
     def anew():
-        return NutrientField("oxygen", field.parameters)._lay(position, np.ones(len(position)))[0]
+        return NutrientField("oxygen", field.parameters).lay(position, np.ones(len(position)))[0]
 
     assert benchmark(anew) == field.layout
     assert len(capacity) == len(position)

@@ -39,7 +39,7 @@ from multicell.comparison.field_solvers.solvers import SOLVERS, neighbours
 from multicell.comparison.files import DONE, FAILED
 from multicell.comparison.measure import Effort
 
-AIR = {"boundary": "0.07 mM", "uptake": "20 amol/s", "spacing": "15 um"}
+AIR = {"boundary": "0.07 mM", "uptake": "20 amol/s", "spacing": "15 um", "height": "10 um"}
 
 
 def scene_with(oxygen=None, **changes):

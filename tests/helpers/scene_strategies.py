@@ -356,6 +356,9 @@ def fitted(entries):
     _fit_springs(scene)
     _fit_motility(scene, flat)
     _fit_types(scene, types, fields)
+    if flat and any(_takes_up(x) and not base(x.get("perfusion", 0.0)) for x in fields.values()):
+        for field in fields.values():
+            field.setdefault("height", 10.0)
     _fit_reactions(scene, fields)
     for number, (name, field) in enumerate(fields.items()):
         _fit_field(scene, field, list(fields)[:number], fields, flat)

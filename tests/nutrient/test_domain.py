@@ -69,7 +69,9 @@ def test_faces_lie_on_the_sides_and_stay_there_while_tissue_grows(flat, regime):
     changes = {"dimensions": 2, "domain": FLAT} if flat else {}
     described = scene(
         growth={"cycle_time": "8 h"},
-        nutrients={"oxygen": {"regime": regime, "spacing": "7 um", "boundary": "0.2 mM"}},
+        nutrients={
+            "oxygen": {"regime": regime, "spacing": "7 um", "boundary": "0.2 mM", "height": "10 um"}
+        },
         coupling_step="10 min",
         **changes,
     )

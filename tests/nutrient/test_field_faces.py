@@ -177,6 +177,7 @@ def test_chemotaxis_and_explain_go_on_with_a_thin_margin(dimensions, geometry, m
             "initial.count": 40,
             "duration": "30 min",
             "nutrients.oxygen.margin": margin,
+            "nutrients.oxygen.height": "10 um",
             "nutrients.oxygen.geometry": geometry,
             "chemotaxis.oxygen": {"force": 0.2},
             "integrator": "auto",

@@ -40,7 +40,7 @@ def frames_of(scene):
             "nutrients.oxygen.perfusion": "0.02 1/s",
             "nutrients.oxygen.secretion": "1 amol/s",
         },
-        {"dimensions": 2},
+        {"dimensions": 2, "nutrients.oxygen.height": "10 um"},
         {
             "nutrients.oxygen.sources": {"pump": {"x": 5, "y": 0, "z": -8, "strength": 300.0}},
             "nutrients.oxygen.perfusion": "0.01 1/s",

@@ -61,8 +61,8 @@ def everywhere(key, value):
         everywhere("regime", "transient"),
         {**everywhere("regime", "transient"), **everywhere("geometry", "radial")},
         {"nutrients.glucose.regime": "transient", "nutrients.oxygen.geometry": "auto"},
-        {"dimensions": 2},
-        {"dimensions": 2, **everywhere("regime", "transient")},
+        {"dimensions": 2, **everywhere("height", "10 um")},
+        {"dimensions": 2, **everywhere("height", "10 um"), **everywhere("regime", "transient")},
     ],
 )
 def test_every_molecule_is_accounted_for_while_cells_divide(changes):
@@ -209,7 +209,8 @@ def test_the_summary_tells_what_each_field_lives_on():
     expected = departure(last.position, last.radius)
     assert run.history["departure_from_a_ball"][-1] == expected
     assert fields["oxygen"]["departure_from_a_ball"] == expected
-    flat = mc.run(scene(duration="20 min", dimensions=2, **{"nutrients.oxygen.geometry": "auto"}))
+    plane = {**everywhere("height", "10 um"), "nutrients.oxygen.geometry": "auto"}
+    flat = mc.run(scene(duration="20 min", dimensions=2, **plane))
     assert {field["geometry"] for field in flat.summary()["fields"].values()} == {"squares"}
     assert "departure_from_a_ball" not in flat.history
 

@@ -182,6 +182,7 @@ PLACES = {
     "shells": {"nutrients.glucose.geometry": "radial", "growth": {"cycle_time": "8 h"}},
     "a plane": {
         "dimensions": 2,
+        "nutrients.glucose.height": "10 um",
         "nutrients.glucose.finite_medium.volume": 5e7,
         "coupling_step": "40 min",
     },

@@ -10,7 +10,7 @@ from multicell.errors import MulticellError, NutrientFailed
 from multicell.nutrient.cartesian import Box, extent, lay, moved
 from multicell.nutrient.field import NutrientField
 from multicell.nutrient.parameters import FieldParameters
-from multicell.scene.nutrient import Nutrient
+from multicell.scene.nutrient import Nutrient, Side
 from multicell.scene.scales import MAX_NODES
 
 OXYGEN = {
@@ -194,9 +194,8 @@ def test_a_new_grid_starts_from_the_old_field():
     position, capacity = ball(150.0)
     cold, warm = oxygen(), oxygen()
     warm.solve(position, capacity)
-    larger = np.vstack([position, [[185.0, 0.0, 0.0]]])
-    uptake = np.append(capacity, 20.0)
-    reports = cold.solve(larger, uptake), warm.solve(larger, uptake)
+    larger = 1.1 * position
+    reports = cold.solve(larger, capacity), warm.solve(larger, capacity)
     assert warm.layings == 2
     assert warm.box == cold.box
     assert reports[1].cg < reports[0].cg
@@ -277,4 +276,8 @@ def test_bad_input_is_refused():
         field.solve(np.zeros(3), np.ones(1))
     field.solve(np.zeros((1, 3)), np.ones(1))
     with pytest.raises(ValueError, match="outside the nutrient grid"):
-        field.sample(np.array([[1e4, 0.0, 0.0]]))
+        field.sample(np.full((1, 3), np.nan))
+    walled = oxygen(sides={"x-": Side(type="derivative", derivative=0.0)})
+    walled.solve(np.zeros((1, 3)), np.ones(1))
+    with pytest.raises(ValueError, match="outside the nutrient grid"):
+        walled.sample(np.full((1, 3), 1e3))

@@ -149,7 +149,7 @@ def test_without_sources_there_is_no_such_entry():
 
 def test_in_a_plane():
     flat = {key: value for key, value in POINT.items() if key != "z"}
-    simulation = ran(scene({"sources": {"pump": flat}}, dimensions=2))
+    simulation = ran(scene({"sources": {"pump": flat}, "height": 10.0}, dimensions=2))
     assert simulation.ledger["a"].injected == pytest.approx(3000.0 * 3600.0)
     assert "given off by 1 source(s)" in str(explain(simulation.scene)["parts"])
 

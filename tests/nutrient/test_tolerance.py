@@ -106,7 +106,7 @@ def balls(described, cells, spacing, points=150):
     place = spread.reshape(-1, 3)
     field = NutrientField(name, on_grid(p, "box", spacing))
     layout = BoxLayout.round(cells.position, p.nutrient.margin, spacing, None)
-    field._lay = lambda position, radius: (layout, False)
+    field.lay = lambda position, radius: (layout, False, position)
     each = np.repeat(capacity / points, points)
     field.solve(place, each, radius=np.ones(len(place)))
     mean = field.sample(place).reshape(-1, points).mean(axis=1)
@@ -235,7 +235,7 @@ def test_shells_serve_until_their_geometry_is_the_error():
 @pytest.mark.parametrize(
     "changes",
     [
-        {"dimensions": 2},
+        {"dimensions": 2, "nutrients.oxygen.height": "10 um"},
         {"domain": {axis: [-60, 60] for axis in "xyz"}},
         {"nutrients.oxygen.sides": {"x-": {"type": "derivative", "derivative": 0}}},
         {"nutrients.oxygen.sources": {"a": {"x": 0, "y": 0, "z": 0, "strength": 10}}},

@@ -13,7 +13,7 @@ from multicell.simulation import Simulation
 
 
 def scene(geometry="box", **more):
-    field = {"geometry": geometry, "spacing": "15 um"}
+    field = {"geometry": geometry, "spacing": "15 um", "height": "10 um"}
     return Scene.from_dict(
         {
             "title": "Three fields",

@@ -8,7 +8,7 @@ from scipy.integrate import solve_bvp
 
 import multicell as mc
 from multicell.report.explain.cost import predicted
-from multicell.report.explain.course import _Profile, course
+from multicell.report.explain.course import Profile, course
 from multicell.report.explain.scene import explain
 
 DAY = 86400.0
@@ -63,7 +63,7 @@ def test_fields_of_the_forecast_are_those_of_a_boundary_value_solver():
     field = mc.load_scene("spheroid").nutrients["oxygen"]
     inner, outer, volume = 20.0, 120.0, 400.0
     shells = np.linspace(inner, outer, 41)
-    found = _Profile(field, 3).solve(shells, 0.0, 1.0, volume)
+    found = Profile(field, 3).solve(shells, 0.0, 1.0, volume)
     q, k, d = field.uptake / volume, field.half_saturation, field.diffusion
     resistance = field.margin / (outer * (outer + field.margin))
 

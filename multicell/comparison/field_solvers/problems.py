@@ -17,9 +17,11 @@ import numpy as np
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed, SceneError
 from multicell.nutrient.cartesian import Box, round_enough
+from multicell.nutrient.choosing.estimate import on_grid
 from multicell.nutrient.equations.equation import FieldEquation
 from multicell.nutrient.equations.problem import field_problem
 from multicell.nutrient.equations.schedule import Schedule
+from multicell.nutrient.field import NutrientField
 from multicell.nutrient.grid import BoxLayout, Layout, ShellLayout
 from multicell.nutrient.parameters import FieldParameters
 from multicell.scene.coupling import usual_step
@@ -138,17 +140,9 @@ def grids(scene: Scene, frame: Frame, field: str, geometry: str, count: int) -> 
         If no grid can be laid.
     """
     parameters, cells = FieldParameters.of(scene, field), frame.cells
-    nutrient, h = parameters.nutrient, parameters.spacing
-    height = parameters.height if geometry == SQUARES else None
-    if geometry == SHELLS:
-        own: Layout = ShellLayout.round(
-            cells.position, cells.radius, nutrient.margin, h, nutrient.layer
-        )
-    elif parameters.domain is not None:
-        own = BoxLayout.within(parameters.domain, h, height)
-    else:
-        own = BoxLayout.round(cells.position, nutrient.margin, h, height)
-    first = halved(own)
+    shape = "radial" if geometry == SHELLS else "box"
+    alone = NutrientField(field, on_grid(parameters, shape, parameters.spacing))
+    first = halved(alone.lay(cells.position, cells.radius)[0])
     return [refined(first, 2**k) for k in range(count)]
 
 

@@ -44,6 +44,7 @@ def own_dip(
         What each cell takes up less what it secretes.
     diffusion : float, µm²/s
     """
+    position = layout.nearest(position)
     if isinstance(layout, ShellLayout):
         distance = np.sqrt(np.square(position - layout.centre).sum(axis=1))
         reach = np.maximum(distance, _INNERMOST * layout.spacing)

@@ -86,12 +86,13 @@ def field_problem(
     together = frame.to_pde(names)
     known = _reactions({**scene.reactions, **(reactions or {})}, names)
     layout, cells = restored(frame.fields[names[0]])[0], frame.cells
+    position = layout.nearest(cells.position)  # strays exchange with the surface of the grid
     demands = _Demands(scene, frame, names)
     substances = {name: _substance(scene, frame, name, layout, demands) for name in names}
     equation = FieldEquation(
-        together.grid, substances, cells.position, layout=layout,
+        together.grid, substances, position, layout=layout,
         coupling=demands if demands.coupled else None, reactions=known,
-        tissue=tissue_share(layout, cells.position, cells.radius) if known else None,
+        tissue=tissue_share(layout, position, cells.radius) if known else None,
     )  # fmt: skip
     state = together if len(names) > 1 else frame.fields[names[0]].to_pde()
     return FieldProblem(equation, state, frame.time)
@@ -138,7 +139,7 @@ def _substance(
         return layout.conditions(parameters.sides(0.0, level))
 
     supply = injected(layout, nutrient.sources) if nutrient.sources else None
-    varied = coefficients(layout, cells.position, cells.radius, nutrient)
+    varied = coefficients(layout, layout.nearest(cells.position), cells.radius, nutrient)
     capacity, production = demands.of_frame(name)
     return Substance(
         nutrient.diffusion, conditions, nutrient.half_saturation, nutrient.decay,

@@ -142,7 +142,9 @@ class _Course:
         self.demand = demand
         for name in group.names:
             self.position, self.radius = checked(position, *demand[name], radius)
-        layout, kept = self.fields[0]._lay(self.position, self.radius)
+        # what finds no medium beyond its own sides must have all cells on the grid they share
+        strays = all(f.parameters.open_medium for f in self.fields)
+        layout, kept, self.position = self.fields[0].lay(self.position, self.radius, strays=strays)
         self.layout: Layout = layout
         self.kept = [kept and f._layout is not None for f in self.fields]
         # the operators' own ones stay as they are if this course comes to nothing

@@ -9,21 +9,25 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Final, final
 
 import numpy as np
 
 from multicell.cells import FloatArray
+from multicell.errors import NutrientFailed, SceneError
 from multicell.integrators import runge_kutta
+from multicell.nutrient.parameters import FieldParameters
 from multicell.report.explain.course import Course, course
 from multicell.report.explain.items import Number, hours
 from multicell.scene import domain as box
-from multicell.scene import scales
 from multicell.scene.coupling import longest_step
 from multicell.scene.pairs import daughters_stiffness, drag
-from multicell.scene.sizes import birth_radius
+from multicell.scene.scales import MAX_NODES
+from multicell.scene.sizes import birth_radius, typical_radius
 
 if TYPE_CHECKING:
+    from multicell.cells import Cells
     from multicell.scene.scene import Scene
 
 _PROCESS: Final = 190e6  # bytes that Python, its packages and compiled code take
@@ -46,6 +50,8 @@ _FIELD: Final = 4e-4  # s of a field in a step
 _NODE_STEP: Final = 1.7e-7  # and for each node
 _TRIED: Final = 8e-3  # s of one with a tolerance, whose grid is tried now and then
 _TRIED_SHELLS: Final = 9e-3  # where it can only be shells
+
+_PLACED: Final = 200_000  # cells up to which they are placed to see how large a grid they need
 
 _USUAL_ATOL: Final = 0.1  # µm
 
@@ -126,15 +132,68 @@ def _fields(scene: Scene, found: Course, steps: float, frames: float) -> tuple[f
 
 
 def _nodes(scene: Scene, name: str, radius: FloatArray) -> FloatArray:
-    """Return the number of nodes of a field round tissue of each radius."""
-    nutrient, spacing = scene.nutrients[name], scales.spacing(scene, name)
+    """Return the number of nodes of a field round tissue of each radius, as a run lays them.
+
+    Where that is more than a run allows, and so ends, it is the most that it does.
+    """
+    from multicell.nutrient.grid import BoxLayout, ShellLayout
+
+    nutrient, p = scene.nutrients[name], FieldParameters.of(scene, name)
     if scene.domain is not None:
-        counts = box.filling(box.sides(scene.domain), spacing)
+        counts = box.filling(box.sides(scene.domain), p.spacing)
         return np.full(len(radius), float(math.prod(counts or (1,))))
-    reach = radius + (nutrient.margin if nutrient.layer is None else nutrient.layer)
-    if nutrient.layout == "radial" or (nutrient.layout == "auto" and scene.dimensions == 3):
-        return np.asarray(reach / spacing)
-    return np.asarray((2.0 * reach / spacing) ** scene.dimensions)
+    flat = p.height if scene.dimensions == 2 else None
+    shells = flat is None and nutrient.layout != "box"
+    centres = np.maximum(radius - typical_radius(scene), 0.0)
+    found = []
+    for outermost in centres.tolist():
+        try:
+            if shells:
+                own = outermost if nutrient.layer is None else outermost + typical_radius(scene)
+                laid = ShellLayout.round_ball(own, nutrient.margin, p.spacing, nutrient.layer)
+                found.append(float(laid.count))
+            else:
+                cubes = BoxLayout.round_ball(outermost, nutrient.margin, p.spacing, flat)
+                found.append(float(cubes.box.nodes))
+        except NutrientFailed:
+            found.append(float(MAX_NODES))
+    return np.array(found)
+
+
+def grid_sizes(scene: Scene, name: str) -> tuple[float, float]:
+    """Return the number of nodes of a field at the start of a run and at its expected end.
+
+    The start is that of the scene's own cells where there are up to 200,000 of them.
+    """
+    from multicell.nutrient.field import NutrientField
+
+    nodes = _nodes(scene, name, course(scene).radius)
+    cells = None if scene.domain is not None else placed(scene)
+    if cells is None:
+        return float(nodes[0]), float(nodes[-1])
+    field = NutrientField(name, FieldParameters.of(scene, name))
+    try:
+        layout = field.lay(cells.position, cells.radius)[0]
+    except NutrientFailed:
+        return float(MAX_NODES), float(nodes[-1])
+    first = float(layout.filled(0.0).size)
+    # what neither grows nor dies stays as it starts
+    grows = scene.growth is not None or scene.death is not None
+    return first, float(nodes[-1]) if grows else first
+
+
+@lru_cache(maxsize=1)
+def placed(scene: Scene) -> Cells | None:
+    """Return the cells of a scene's start; None where they cannot be placed, or not at once."""
+    from multicell.biology.initial import initial_cells
+    from multicell.scene.start import separated
+
+    if scene.initial.count > _PLACED:
+        return None
+    try:
+        return separated(scene, initial_cells(scene))
+    except SceneError:  # which the run will report
+        return None
 
 
 def cost_numbers(scene: Scene) -> list[Number]:

@@ -22,6 +22,7 @@ from multicell.biology.durations import malthusian_rate
 from multicell.cells import SPHERE, FloatArray
 from multicell.scene.checks import solving_order
 from multicell.scene.pairs import drag
+from multicell.scene.scales import height
 from multicell.scene.sizes import birth_radius, typical_radius
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
     from multicell.scene.parts import Death
     from multicell.scene.scene import Scene
 
-_SHELLS: Final = 40
+SHELLS: Final = 40
 _IN_CYCLE: Final = 12  # steps of the forecast
 _MOST_STEPS: Final = 300
 _MOST_GROWTH: Final = 60.0  # exponent of growth in a step: then it is over
@@ -97,7 +98,7 @@ class _Tissue:
         self._living = float(scene.initial.count)
         self._dead: list[tuple[float, float]] = []
         self._now = 0.0
-        self._factor = np.ones(_SHELLS)
+        self._factor = np.ones(SHELLS)
         size = typical_radius(scene)
         self._rate = 0.0  # of an unlimited population, 1/s
         if scene.growth is not None:
@@ -108,7 +109,7 @@ class _Tissue:
         self._volume, self._cell_volume = own / _PACKING, SPHERE * size**3 / _PACKING
         needed = _needed(scene)
         self._fields = {
-            name: _Profile(scene.nutrients[name], self._dimensions)
+            name: Profile(scene.nutrients[name], self._dimensions, height(scene, name))
             for name in (solving_order(scene.nutrients, scene.reactions) if needed else ())
             if name in needed
         }
@@ -141,10 +142,10 @@ class _Tissue:
         dt = end - begin
         if self._living < _LEAST:
             return self._clear(end)
-        shells = np.linspace(self._radius(self._core()), self.radius, _SHELLS + 1)
+        shells = np.linspace(self._radius(self._core()), self.radius, SHELLS + 1)
         share = np.diff(shells**self._dimensions)
         share /= share.sum()
-        growth, starved = np.ones(_SHELLS), np.zeros(_SHELLS, dtype=bool)
+        growth, starved = np.ones(SHELLS), np.zeros(SHELLS, dtype=bool)
         levels: dict[str, FloatArray] = {}
         for name, field in self._fields.items():
             levels[name] = field.solve(shells, begin, end, self._cell_volume, levels)
@@ -182,7 +183,7 @@ class _Tissue:
         """
         scene, d = self._scene, self._dimensions
         if scene.growth is None or scene.growth.critical_pressure is None:
-            return np.ones(_SHELLS)
+            return np.ones(SHELLS)
         resistance = drag(scene, typical_radius(scene)) / self._cell_volume
         rate = self._rate * growth
         width = np.diff(shells)
@@ -271,15 +272,16 @@ def _starved(field: Nutrient, level: FloatArray) -> np.ndarray:
 
 
 @final
-class _Profile:
+class Profile:
     """A steady field along the radius, in shells of living tissue round a core without uptake."""
 
-    def __init__(self, nutrient: Nutrient, dimensions: int) -> None:
+    def __init__(self, nutrient: Nutrient, dimensions: int, height: float = 1.0) -> None:
         self.nutrient = nutrient
+        self._height = height  # of the layer in a plane, µm
         self._dimensions = dimensions
-        self._last = np.full(_SHELLS, nutrient.highest)
+        self._last = np.full(SHELLS, nutrient.highest)
         self._medium = nutrient.medium(0.0)
-        self._active = np.ones(_SHELLS)
+        self._active = np.ones(SHELLS)
         self._factor: Any = 1.0  # of other fields on the uptake
 
     def rest(self, resting: NDArray[np.bool_]) -> None:
@@ -319,11 +321,12 @@ class _Profile:
         diagonal[:-1] += between
         diagonal[1:] += between
         diagonal[-1] += surface
-        source = np.zeros(len(volumes))
-        source[-1] = surface * medium
+        source = field.perfusion * medium * volumes
+        source[-1] += surface * medium
         level: FloatArray = np.minimum(np.maximum(self._last, 0.0), max(medium, 1e-30))
         for _ in range(_ITERATIONS):
-            sink = volumes * self._uptake(level, volume) + volumes * field.decay
+            lost = field.decay + field.perfusion
+            sink = volumes * (self._uptake(level, volume) + lost)
             new = _tridiagonal(between, diagonal + sink, source)
             change = float(np.abs(new - level).max())
             level = 0.5 * (level + new)
@@ -364,7 +367,10 @@ class _Profile:
         """
         field = self.nutrient
         share = self._active + (1.0 - self._active) * field.quiescent_uptake
-        most = self._factor * (field.largest_uptake(volume) / volume)
+        room = volume
+        if self._dimensions == 2:
+            room = math.pi * (volume / SPHERE) ** (2.0 / 3.0) * self._height
+        most = self._factor * (field.largest_uptake(volume) / room)
         return np.asarray(share * most / (field.half_saturation + level))
 
 

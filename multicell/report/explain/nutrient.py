@@ -7,7 +7,9 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Final
 
 from multicell.cells import SPHERE
+from multicell.report.explain.cost import grid_sizes
 from multicell.report.explain.items import Number, Part, hours, part
+from multicell.report.explain.reach import reach_notes, reach_numbers
 from multicell.scene import checks, scales
 from multicell.scene import domain as box
 from multicell.scene.coupling import fixed_step, usual_step
@@ -192,14 +194,12 @@ def _numbers(scene: Scene, name: str) -> list[Number]:
     if not (math.isfinite(found.depth) and found.depth > 0.0):
         return numbers
     critical = math.sqrt(3.0) * found.depth
-    reach = min(critical, scales.tissue_radius(scene)) + nutrient.margin
-    across = math.ceil(2.0 * reach / scales.spacing(scene, name))
-    points = across**2 if scene.dimensions == 2 else across**3
-    if scene.domain is not None:
-        counts = box.filling(box.sides(scene.domain), scales.spacing(scene, name))
-        points = math.prod(counts or ())
     numbers += [
-        Number(f"{name}: largest uptake", found.demand, "mM/s", "of tissue without gaps"),
+        Number(
+            f"{name}: largest uptake", found.demand, "mM/s",
+            "of tissue without gaps" if scene.dimensions == 3 else
+            f"of a layer without gaps, {scales.height(scene, name):g} um high",
+        ),
         Number(f"{name}: diffusion length", found.depth, "um", "the depth to which tissue is fed"),
         Number(f"{name}: starving radius", critical, "um", "of a ball starved at its centre"),
         Number(
@@ -207,11 +207,13 @@ def _numbers(scene: Scene, name: str) -> list[Number]:
             "uptake over diffusion at the largest size; above 6 a ball starves inside",
         ),
     ]  # fmt: skip
+    numbers += reach_numbers(scene, name)
     if nutrient.tolerance is None and (nutrient.layout == "box" or scene.dimensions == 2):
         reacting = len(group_of(name, scene.reactions))
         arrays = _GRID_ARRAYS + (_BASIS + 3 * reacting if reacting else 0)
-        memory = 8e-6 * arrays * points
-        meaning = f"about, at that size: {points:,} points"
+        first, last = grid_sizes(scene, name)
+        memory = 8e-6 * arrays * max(first, last)
+        meaning = f"for {first:,.0f} nodes at the start, about {last:,.0f} at the expected end"
         numbers.append(Number(f"{name}: grid memory", memory, "MB", meaning))
     return numbers
 
@@ -226,7 +228,7 @@ def _step_words(scene: Scene) -> str:
 
 def nutrient_notes(scene: Scene) -> list[str]:
     """Return remarks on settings of fields that are allowed but may not be meant."""
-    notes = []
+    notes = reach_notes(scene)
     for name, nutrient in scene.nutrients.items():
         if nutrient.quiescence is not None and nutrient.highest < nutrient.quiescence:
             notes.append(f"The medium has too little {name} for growth: all cells are quiescent.")

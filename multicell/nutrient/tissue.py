@@ -1,0 +1,75 @@
+"""Which cells carry the unstirred layer of medium: the tissue, and not cells that have left it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from multicell.cells import FloatArray
+
+_GAP = 1.5
+"""Width of a gap, in diameters of the largest cell, up to which the tissue continues beyond it."""
+
+_FEW = 16.0
+_PART = 0.1
+"""Up to so many cells beyond a gap, and up to this part of all, are strays; twice as many are not.
+So few are no wider than a few cells, and deplete their surroundings by little."""
+
+
+def drawn_in(position: FloatArray, radius: FloatArray) -> FloatArray:
+    """Return the positions with strays moved to the sides of the box that holds the tissue.
+
+    They say where a grid lies. Strays are few cells beyond a gap along an axis, seen from the
+    outermost cells of the tissue. The result is continuous in all positions: a cell that leaves
+    pulls the border along up to a gap of 1.5 diameters, and the border then returns until the gap
+    is twice as wide. Without strays it is the same array.
+
+    Parameters
+    ----------
+    position : (n, 3), µm
+    radius : (n,), µm
+    """
+    few = _few(len(position))
+    if few < 1.0 or not np.isfinite(position).all():
+        return position
+    gap = _GAP * 2.0 * float(radius.max())
+    low = np.array([-_outermost(-position[:, axis], gap, few) for axis in range(3)])
+    high = np.array([_outermost(position[:, axis], gap, few) for axis in range(3)])
+    inside = (position >= low) & (position <= high)
+    return position if inside.all() else np.clip(position, low, high)
+
+
+def drawn_to_ball(position: FloatArray, radius: FloatArray) -> FloatArray:
+    """Do the same along the radius of a ball of tissue, seen from its centre of mass."""
+    few = _few(len(position))
+    if few < 1.0 or not np.isfinite(position).all():
+        return position
+    middle = np.average(position, axis=0, weights=radius**3)
+    away = position - middle
+    distance = np.sqrt(np.square(away).sum(axis=1))
+    surface = _outermost(distance, _GAP * 2.0 * float(radius.max()), few)
+    if distance.max() <= surface:
+        return position
+    return np.asarray(middle + away * (surface / np.maximum(distance, surface))[:, None])
+
+
+def _few(count: int) -> float:
+    """Return up to how many of so many cells beyond a gap are strays."""
+    return min(_PART * count, _FEW)
+
+
+def _outermost(along: FloatArray, gap: float, few: float) -> float:
+    """Return how far tissue reaches along a coordinate of its cells, (n,) µm."""
+    count = min(int(2.0 * few) + 1, len(along))
+    last = np.sort(np.partition(along, len(along) - count)[len(along) - count :])
+    if (np.diff(last) <= gap).all():
+        return float(last[-1])
+    reached = float(last[0])
+    for place, beyond in zip(last[1:].tolist(), range(count - 1, 0, -1), strict=True):
+        wide = place - reached
+        if wide <= gap:
+            reached = place
+            continue
+        # a group of twice as many cells as strays may be is tissue, whatever the gap
+        share = min(max(beyond / few - 1.0, 0.0), 1.0)
+        reached += max(2.0 * gap - wide, share * wide, 0.0)
+    return reached

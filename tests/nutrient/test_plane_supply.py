@@ -1,0 +1,137 @@
+"""Cells in a plane: the medium over them, and how far a field reaches into tissue."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_bvp
+
+import multicell as mc
+from multicell.cells import State
+from multicell.report.explain.cost import grid_sizes
+from multicell.report.explain.reach import Tissue, reach_numbers
+from multicell.report.explain.scene import explain
+
+AIR = {"boundary": "0.2 mM", "uptake": "20 amol/s", "necrosis": "0.008 mM"}
+PLANE = mc.load_scene("settle").with_changes({
+    "dimensions": 2, "initial.count": 1500, "duration": "10 min", "coupling_step": "10 min",
+})  # fmt: skip
+
+
+def plane(**keys):
+    return PLANE.with_changes({"nutrients": {"oxygen": {**AIR, **keys}}})
+
+
+def numbers(scene):
+    return {number.name: number.value for number in reach_numbers(scene, "oxygen")}
+
+
+# --- what a plane needs --------------------------------------------------------------------------
+
+
+def test_a_plane_with_uptake_asks_for_the_medium_over_it():
+    with pytest.raises(mc.SceneError, match=r"nutrients.oxygen.height: is missing") as refusal:
+        plane()
+    assert "height = '2 mm'" in str(refusal.value)
+    assert "perfusion = '0.1 1/s'" in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    "keys", [{"height": "2 mm"}, {"perfusion": "0.1 1/s"}, {"uptake": 0.0, "necrosis": None}]
+)
+def test_medium_over_it_supply_from_above_or_no_uptake_will_do(keys):
+    assert plane(**keys).nutrients["oxygen"].height == (2000.0 if "height" in keys else None)
+
+
+def test_a_monolayer_under_two_millimetres_of_air_saturated_medium_lives():
+    scene = plane(height="2 mm")
+    simulation = mc.Simulation(scene)
+    simulation.step()
+    assert (simulation.cells.state != State.NECROTIC).all()
+    assert simulation.concentrations["oxygen"].min() > 0.19
+    assert numbers(scene)["oxygen: below necrosis"] == 0.0
+
+
+@pytest.mark.parametrize("perfusion", [0.05, 0.1, 0.2])
+def test_supply_from_above_is_that_of_a_layer_of_still_medium(perfusion):
+    """The flux D (c0 - c) / depth feeds what is below; far from the rim nothing else does."""
+    scene = plane(perfusion=perfusion, necrosis=None).with_changes({"initial.count": 6000})
+    stated = numbers(scene)["oxygen: supply by perfusion"]
+    found = mc.Simulation(scene).concentrations["oxygen"].min()
+    assert found == pytest.approx(stated, abs=0.02 * 0.2)
+
+
+# --- how far a field reaches ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
+@pytest.mark.parametrize("medium", [0.02, 0.1, 0.3])
+def test_the_closed_form_is_that_of_a_boundary_value_solver(dimensions, medium):
+    """Uptake of nearly the zeroth order in a ball and a disc behind a layer of 60 µm."""
+    d, radius, outer, demand, diffusion = dimensions, 150.0, 210.0, 0.02, 2000.0
+    tissue = Tissue(d, radius, outer, demand, diffusion, diffusion, medium)
+    way = np.log(outer / radius) if d == 2 else 1.0 / radius - 1.0 / outer
+    half = 1e-4 * medium
+
+    def equations(r, y):
+        rate = demand / diffusion * y[0] / (half + np.abs(y[0]))
+        return np.vstack([y[1], rate - (d - 1) * y[1] / r])
+
+    def ends(a, b):
+        return np.array([a[1], b[0] + radius ** (d - 1) * b[1] * way - medium])
+
+    r = np.linspace(0.01, radius, 400)
+    # from much saturation to little
+    guess = np.vstack([np.full(400, 0.5 * medium), np.zeros(400)])
+    for half in medium * np.array([1.0, 0.1, 0.01, 1e-3, 1e-4]):  # noqa: B007
+        found = solve_bvp(equations, ends, r, guess, tol=1e-6, max_nodes=100_000)
+        r, guess = found.x, found.y
+    assert found.success
+    fine = np.linspace(0.01, radius, 20_001)
+    c = found.sol(fine)[0]
+    for threshold in (0.05 * medium, 0.3 * medium):
+        share = (fine[c < threshold].max(initial=0.0) / radius) ** d
+        assert tissue.below(threshold) == pytest.approx(share, abs=0.01)
+    reached = radius - fine[c < 1e-3 * medium].max(initial=0.0)
+    assert tissue.depth == pytest.approx(reached, abs=0.03 * radius)
+
+
+def test_a_thick_layer_is_fed_to_the_diffusion_length():
+    """A large ball whose surface has the medium's value: √(2 D c / q)."""
+    tissue = Tissue(3, 1e5, 1e5 * (1.0 + 1e-12), 0.02, 2000.0, 2000.0, 0.1)
+    assert tissue.depth == pytest.approx(np.sqrt(2.0 * 2000.0 * 0.1 / 0.02), rel=1e-3)
+
+
+@pytest.mark.parametrize("count", [400, 6000])
+def test_what_explain_states_is_what_cells_of_a_ball_find(count):
+    """With hardly any saturation the part below a threshold is that of the run's first field."""
+    scene = mc.load_scene("settle").with_changes({
+        "initial.count": count,
+        "nutrients": {"oxygen": {**AIR, "boundary": "0.05 mM", "half_saturation": 1e-6}},
+    })  # fmt: skip
+    stated = numbers(scene)["oxygen: below necrosis"]
+    found = np.mean(mc.Simulation(scene).concentrations["oxygen"] < 0.008)
+    assert stated == pytest.approx(found, abs=0.04)
+
+
+def test_explain_notes_tissue_that_would_starve_at_once():
+    starved = explain(plane(height="10 um").with_changes({"initial.count": 6000}))
+    assert "would die at once" in " ".join(starved["notes"])
+    assert "would die at once" not in " ".join(explain(plane(height="2 mm"))["notes"])
+
+
+# --- the grid that explain announces -------------------------------------------------------------
+
+
+@pytest.mark.parametrize("keys", [{}, {"geometry": "radial"}])
+def test_the_grid_that_is_announced_for_the_start_is_the_runs(keys):
+    scene = mc.load_scene("settle").with_changes({
+        "initial.count": 3000, "nutrients": {"oxygen": {**AIR, **keys}},
+    })  # fmt: skip
+    values = mc.Simulation(scene).fields["oxygen"].values
+    assert grid_sizes(scene, "oxygen") == (values.size, values.size)
+
+
+def test_the_grid_at_the_expected_end_is_that_of_the_tissue_then():
+    """The spheroid of the package ends on 27,000 nodes, beyond the starving radius."""
+    first, last = grid_sizes(mc.load_scene("spheroid"), "oxygen")
+    assert first == 1000.0
+    assert 27_000 / 1.5 < last < 27_000 * 1.5
