@@ -15,6 +15,7 @@ import numpy as np
 
 from multicell.cells import FloatArray
 from multicell.integrators import runge_kutta
+from multicell.integrators.base import MethodInfo
 from multicell.report.explain.course import Course, course
 from multicell.report.explain.items import Number, hours
 from multicell.scene import domain as box
@@ -46,8 +47,6 @@ _FIELD: Final = 4e-4  # s of a field in a step
 _NODE_STEP: Final = 1.7e-7  # and for each node
 _TRIED: Final = 8e-3  # s of one with a tolerance, whose grid is tried now and then
 _TRIED_SHELLS: Final = 9e-3  # where it can only be shells
-
-_USUAL_ATOL: Final = 0.1  # µm
 
 
 @final
@@ -109,7 +108,7 @@ def evaluations(scene: Scene) -> float:
     if options.method in fixed:
         return len(fixed[options.method].tableau.b) * step / options.step
     limit = drag(scene, birth_radius(scene)) / daughters_stiffness(scene)
-    ratio, tight = step / limit, math.sqrt(max(_USUAL_ATOL / options.atol, 0.1))
+    ratio, tight = step / limit, math.sqrt(max(MethodInfo.atol / options.tolerance, 0.1))
     return max(8.0, min(2.0 * tight * ratio, 40.0 * tight + ratio, 1000.0 * tight))
 
 
