@@ -23,7 +23,7 @@ from multicell.mechanics.motion import Motion
 from multicell.results.folder import file_errors, replacing, versions
 from multicell.scene.scene import Scene
 
-FORMAT: Final = 4
+FORMAT: Final = 5
 """Counts up whenever a reference is computed or written in another way."""
 
 _NO_NUMBERS: Final = ("cli", "comparison", "report", "studies")
@@ -101,6 +101,8 @@ def save(path: Path, problem: Problem, trajectory: Trajectory, about: Mapping[st
     arrays: dict[str, Any] = {
         "about": np.array(json.dumps(dict(about))),
         "total": np.array(problem.total),
+        "start": problem.start,
+        "radius": problem.radius,
     }
     for name, values in columns.items():
         arrays |= _packed(name, values)
@@ -119,7 +121,7 @@ def load(path: Path, blank: Problem) -> tuple[Problem, Trajectory, dict[str, Any
     path
         The file.
     blank
-        Problem with the scene and the mechanics, whose steps are still unknown.
+        Problem with the scene and the mechanics; where it starts and its steps are still unknown.
     """
     try:
         with np.load(path, allow_pickle=False) as file:
@@ -142,8 +144,9 @@ def _restored(
         steps.append(Step(motion, None if source is None else Events(source, offset)))
     about: dict[str, Any] = json.loads(str(arrays["about"]))
     problem = replace(
-        blank, steps=steps, starts=_unpacked(arrays, "starts"), total=int(arrays["total"])
-    )
+        blank, start=arrays["start"], radius=arrays["radius"], steps=steps,
+        starts=_unpacked(arrays, "starts"), total=int(arrays["total"]),
+    )  # fmt: skip
     return problem, Trajectory(ends), about
 
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from multicell.cells import Cells, FloatArray
 from multicell.comparison.replay import Events, Problem, Step, Trajectory
-from multicell.errors import SceneError, StepFailed
+from multicell.errors import SceneError
 from multicell.integrators.base import Integrator, Outcome
 from multicell.mechanics.motion import Motion
 from multicell.mechanics.system import Mechanics
@@ -80,15 +80,16 @@ class Recorder:
         self.system: Mechanics | None = None
         self.stride, self.total = 1, 0
         self.held: dict[int, Held] = {}
+        self.end: FloatArray = np.empty((0, 3))
 
     def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
         """Integrate by the inner method."""
         self.system = system
         start = None if self.samples is None else np.array(position)
         outcome = self.inner.integrate(system, position)
+        self.end = system.at_end(outcome.position)
         if self.total % self.stride == 0:
-            end = system.at_end(outcome.position)
-            self.held[self.total] = Held(system.motion, end, start)
+            self.held[self.total] = Held(system.motion, self.end, start)
         self.total += 1
         most = math.inf if self.samples is None else _SPARE * self.samples
         while len(self.held) > most:
@@ -118,6 +119,9 @@ def record(
 ) -> tuple[Problem, Trajectory]:
     """Simulate a scene and return what happened: the problem, and where the method led.
 
+    Coupling steps in which nothing can move (no cell, or one on which nothing acts) are left out:
+    the problem begins with the first step that a method has to solve.
+
     Parameters
     ----------
     scene
@@ -138,23 +142,37 @@ def record(
     Raises
     ------
     StepFailed
-        If a step cannot be solved, or if there is nothing that moves.
+        If a step cannot be solved.
+    SceneError
+        If there is nothing to move in any step.
     """
     begin, begin_cpu = clock.perf_counter(), clock.process_time()
     recorder = Recorder(integrator, samples)
     simulation = Simulation(scene, threads=threads, cells=cells, integrator=recorder)
-    first = simulation.cells
-    events: list[Events | None] = [None]
+    first: Cells | None = None
+    events: list[Events | None] = []
+    happened: Events | None = None
     while not simulation.finished and len(simulation.cells):
-        before = simulation.cells
+        before, seen = simulation.cells, recorder.total
         simulation.step()
+        moved = recorder.total > seen
+        if moved and first is None:
+            first, happened = before, None
         if samples is None:
-            end = recorder.held[recorder.total - 1].end
-            events.append(events_between(before, end, simulation.cells))
+            if moved:
+                events.append(happened)
+                happened = None
+            end = recorder.end if moved else before.position
+            happened = both(happened, events_between(before, end, simulation.cells))
         if progress is not None:
             progress(simulation.time / scene.duration)
-    if recorder.system is None:
-        raise StepFailed(0.0, "the scene has no cells to move", "Start from at least one cell")
+    if recorder.system is None or first is None:
+        raise SceneError(
+            "initial",
+            "leaves nothing to compare: at no time are there two cells, or one that a force from "
+            "outside, a motion or a wall acts on",
+            "Start from two cells, or let the only one divide: a longer duration, [growth]",
+        )
     held = recorder.chosen()
     starts = None if samples is None else [s.start for s in held if s.start is not None]
     steps = [
@@ -166,6 +184,14 @@ def record(
     wall, cpu = clock.perf_counter() - begin, clock.process_time() - begin_cpu
     ends = [state.end for state in held]
     return problem, Trajectory(ends, replace(recorder.system.work), wall, cpu)
+
+
+def both(first: Events | None, second: Events | None) -> Events | None:
+    """Return what two events do to the cells one after the other, None for nothing."""
+    if first is None or second is None:
+        return second if first is None else first
+    offset = first.offset[second.source] + second.offset
+    return Events(first.source[second.source], offset)
 
 
 def events_between(before: Cells, position: FloatArray, after: Cells) -> Events | None:

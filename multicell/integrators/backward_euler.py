@@ -1,9 +1,22 @@
-"""Backward Euler with a fixed step: Newton's method, conjugate gradients, line search.
+"""Backward Euler with a fixed step: the least energy downhill from where the step begins.
 
-In the scalar product ⟨u, v⟩ = Σ_i Γ_i u_i·v_i of the drag coefficients I - γJ is symmetric,
-so that conjugate gradients apply to it as it stands. It is not always positive definite: a
-compressed cluster buckles sideways. Where a direction of negative curvature shows up, GMRES
-takes over.
+Without friction between cells the end of a step minimises ½ ‖x - x_0‖² / Δt + U(x) in the norm
+of the scalar product ⟨u, v⟩ = Σ_i Γ_i u_i·v_i of the drag coefficients at the end of the step;
+external forces add a linear part to the energy U. Times Δt, the gradient is the residual
+x - x_0 - Δt v and the second derivative I - ΔtJ, which is symmetric in that product.
+So Newton's method finds the minimum: conjugate gradients, a line search along the
+energy, and where a direction has no positive curvature (a compressed cluster buckles sideways)
+cells go along it as far as they may (Steihaug 1983). Where Δt is short enough for I - ΔtJ to be
+positive, the minimum is the only solution; beyond, it is one that the energy falls to.
+
+With friction Γ is a matrix that depends on the positions, and there is no such energy. There, and
+where the energy of a user's law does not belong to its force closely enough, Newton's method with
+GMRES lowers the residual.
+
+References
+----------
+T. Steihaug, "The conjugate gradient method and trust regions in large scale optimization", SIAM
+J. Numer. Anal. 20 (1983), https://doi.org/10.1137/0720042
 """
 
 from __future__ import annotations
@@ -21,19 +34,21 @@ if TYPE_CHECKING:
     from multicell.mechanics.preconditioners import Preconditioner
     from multicell.mechanics.system import Mechanics
 
-_HALVINGS = 8
+_HALVINGS = 30
 _MOST_ITERATIONS = 200
 _RESIDUAL = 100.0
 """Largest residual at the end of Newton's method, in tolerances of its last correction.
 
-Since no eigenvalue of I - γJ of a cluster at rest is below 1, the error is at most the residual.
+Since no eigenvalue of I - ΔtJ of a cluster at rest is below 1, the error is at most the residual.
 The correction alone does not tell: where γλ is large, the linear solver's residual may hide a
 motion of the cluster as a whole.
 """
 _FINER = 1e-2
 """What ``forcing`` is multiplied by where that residual is exceeded."""
 _DECREASE = 1e-4
-"""Least relative decrease of the residual for a full Newton step (Armijo's rule)."""
+"""Least part of the promised decrease, of the residual or of the energy (Armijo's rule)."""
+_ROUNDING = 1e-14
+"""Of the energy, below which a difference of two energies is rounding."""
 
 
 @final
@@ -54,11 +69,11 @@ class BackwardEuler(EqualSteps):
     forcing
         Relative residual to which each linear system is solved.
     softening
-        As for :class:`~multicell.integrators.cvode.Cvode`.
+        As for :class:`~multicell.integrators.cvode.Cvode`; with friction between cells only.
     """
 
     info: ClassVar[MethodInfo] = MethodInfo(
-        "backward-euler", "implicit Euler with a fixed step, Newton with conjugate gradients",
+        "backward-euler", "implicit Euler with a fixed step, Newton's method along the energy",
         "step", order=1, implicit=True, stable=math.inf, colour="#0d4a3a", marker="v",
         make=lambda step, atol, max_displacement: BackwardEuler(
             step, max_displacement, tolerance=0.01 * atol
@@ -67,7 +82,7 @@ class BackwardEuler(EqualSteps):
 
     tolerance: float = 1e-4
     preconditioner: str = "gauss-seidel"
-    newton: int = 30
+    newton: int = 100
     forcing: float = 1e-2
     softening: float = 0.5
 
@@ -117,8 +132,13 @@ class _Step:
     ) -> None:
         self.method, self.system, self.start, self.end, self.step = method, system, start, end, step
         self.trial = start.copy()
-        self.weight = system.drag * system.motion.radius[:, None]
+        motion = system.motion
+        radius = motion.radius + motion.radius_rate * (end - motion.begin)
+        self.weight = system.drag * radius[:, None]
         self.forcing = method.forcing
+        self.room = self.most_room = 0.5 * float(radius.min(initial=np.inf))
+        # with friction between cells the drag is a matrix that depends on their places
+        self.descends = max(system.friction) == 0.0
         self.worst: int | None = None
 
     def solve(self) -> str:
@@ -129,13 +149,19 @@ class _Step:
         method, system = self.method, self.system
         approximate = preconditioner(method.preconditioner, system)
         residual = self._residual(self.trial)
+        self.energy = self._energy(self.trial) if self.descends else 0.0
         for _ in range(method.newton):
             system.work.newton_iterations += 1
             system.linearise(self.end, self.trial)
-            self.linear, _ = limited(system, method.softening)
+            self.linear = system.linearisation
+            if not self.descends:
+                self.linear, _ = limited(system, method.softening)
             approximate.setup(system, self.step, self.linear)
             correction = self._correction(residual, approximate)
             found = self._search(residual, correction)
+            if found is None and self.descends:
+                self.descends, self.room = False, self.most_room
+                continue
             if found is None:
                 self.worst = int(np.square(residual).sum(axis=1).argmax())
                 return (
@@ -161,25 +187,49 @@ class _Step:
     def _search(
         self, residual: FloatArray, correction: FloatArray
     ) -> tuple[FloatArray, float] | None:
-        """Take as much of a correction as lowers the residual; None if nothing does."""
-        before = self._norm(residual)
-        largest = float(np.sqrt(np.square(correction).sum(axis=1)).max(initial=0.0))
-        room = 0.5 * float(self.system.motion.radius.min(initial=np.inf))
-        taken = 1.0 if largest <= room else room / largest
-        for _ in range(_HALVINGS):
+        """Take as much of a correction as lowers the energy; None if nothing does.
+
+        The residual must fall instead where only rounding is left of the energy, and with friction.
+        """
+        before, slope = self._norm(residual), self._product(residual, correction)
+        largest = _length(correction)
+        taken = 1.0 if largest <= self.room else self.room / largest
+        for halvings in range(_HALVINGS):
             trial = self.trial + taken * correction
-            after = self._residual(trial)
-            # at the end of the iteration only rounding is left
-            if self._norm(after) <= (1.0 - _DECREASE * taken) * before or (
-                taken * largest <= self.method.tolerance
-            ):
-                self.trial = trial
-                return after, taken
+            energy = self._energy(trial) if self.descends else self.energy
+            fall = self.energy - energy
+            if fall >= -_ROUNDING * (abs(self.energy) + abs(energy)):
+                after = self._residual(trial)
+                # at the end of the iteration only rounding is left
+                if (
+                    (self.descends and fall >= -_DECREASE * taken * slope)
+                    or self._norm(after) <= (1.0 - _DECREASE * taken) * before
+                    or taken * largest <= self.method.tolerance
+                ):
+                    self.trial, self.energy = trial, energy
+                    if self.descends:
+                        wider = min(2.0 * self.room, self.most_room)
+                        self.room = taken * largest if halvings else wider
+                    return after, taken
             taken *= 0.5
         return None
 
+    def _energy(self, trial: FloatArray) -> float:
+        """Return ½ ‖x - x_0‖² + Δt (U - f·x), whose gradient is the residual, nN s µm."""
+        system, moved = self.system, trial - self.start
+        system.work.evaluations += 1
+        potential = system.energy(self.end, trial)
+        push = system.motion.push
+        if push is not None:
+            force = push[:, :3] + (self.end - system.motion.begin) * push[:, 3:]
+            potential -= float((force * moved).sum())
+        return 0.5 * self._product(moved, moved) + self.step * potential
+
+    def _product(self, first: FloatArray, second: FloatArray) -> float:
+        return float((self.weight * first * second).sum())
+
     def _norm(self, vector: FloatArray) -> float:
-        return float(np.sqrt((self.weight * vector * vector).sum()))
+        return math.sqrt(self._product(vector, vector))
 
     def _operator(self, vector: FloatArray) -> FloatArray:
         out = np.empty_like(vector)
@@ -188,35 +238,36 @@ class _Step:
         return np.asarray(vector - self.step * out)
 
     def _correction(self, residual: FloatArray, approximate: Preconditioner) -> FloatArray:
-        """Solve (I - ΔtJ) x = -residual as far as ``forcing`` asks."""
-        if max(self.system.friction) == 0.0:
-            found = self._conjugate_gradients(residual, approximate)
-            if found is not None:
-                return found
+        """Solve (I - ΔtJ) x = -residual as far as ``forcing`` asks, or find a way down."""
+        if self.descends:
+            return self._conjugate_gradients(residual, approximate)
         return self._gmres(residual, approximate)
 
-    def _conjugate_gradients(
-        self, residual: FloatArray, approximate: Preconditioner
-    ) -> FloatArray | None:
-        """Return the solution, or None where the curvature is not positive."""
+    def _conjugate_gradients(self, residual: FloatArray, approximate: Preconditioner) -> FloatArray:
+        """Return the solution, or a way down that ends where the curvature is not positive.
+
+        The last direction is then followed as far as cells may move (Steihaug 1983).
+        """
         solution, left = np.zeros_like(residual), -residual
         better = np.empty_like(residual)
         target = self.forcing * self._norm(residual)
         direction, before = np.zeros_like(residual), 1.0
         for _ in range(_MOST_ITERATIONS):
             if self._norm(left) <= target:
-                return solution
+                break
             approximate.solve(self.system, left, better)
-            product = float((self.weight * left * better).sum())
+            product = self._product(left, better)
             direction = better + product / before * direction
             before = product
             image = self._operator(direction)
-            curvature = float((self.weight * direction * image).sum())
+            curvature = self._product(direction, image)
             if curvature <= 0.0:
-                return None
+                return solution + self.room / (_length(direction) or 1.0) * direction
             solution += product / curvature * direction
             left -= product / curvature * image
-        return None
+            if _length(solution) > self.room:
+                break
+        return solution
 
     def _gmres(self, residual: FloatArray, approximate: Preconditioner) -> FloatArray:
         from scipy.sparse.linalg import LinearOperator, gmres
@@ -236,6 +287,11 @@ class _Step:
             restart=30, maxiter=10, M=LinearOperator(shape, matvec=approximately),
         )  # fmt: skip
         return np.asarray(solution).reshape(-1, 3)
+
+
+def _length(vector: FloatArray) -> float:
+    """Return the length of the longest row, µm."""
+    return float(np.sqrt(np.square(vector).sum(axis=1)).max(initial=0.0))
 
 
 METHODS = (BackwardEuler,)

@@ -126,7 +126,8 @@ class ErrorControl:
     Parameters
     ----------
     rtol, atol
-        Relative tolerance, and absolute tolerance in µm.
+        Relative tolerance, and absolute tolerance in µm; a scene has defaults of its own for each
+        method (:attr:`MethodInfo.atol`).
     max_steps
         Largest number of steps in a coupling step.
     max_displacement
@@ -180,6 +181,9 @@ class MethodInfo:
         Whether it is an outside reference, drawn with a broken line.
     friction : bool
         Whether it can solve scenes with friction between cells, where J is a full matrix.
+    atol : float, µm
+        Absolute tolerance in a scene that names none. What it means for single cells is measured
+        by ``docs/tolerances.py``.
     most_cells : int or None
         Most cells that it holds; None for any number.
     why_no_more : str
@@ -203,6 +207,7 @@ class MethodInfo:
     marker: str = "h"
     outside: bool = False
     friction: bool = True
+    atol: float = 0.1
     most_cells: int | None = None
     why_no_more: str = ""
     make: Callable[..., Integrator] | None = None

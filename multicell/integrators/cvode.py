@@ -66,7 +66,7 @@ class Cvode(ErrorControl):
 
     info: ClassVar[MethodInfo] = MethodInfo(
         "cvode", "implicit: SUNDIALS CVODE, BDF with Newton-Krylov", "tolerance", implicit=True,
-        stable=math.inf, colour="#1f7f54", marker="o",
+        stable=math.inf, colour="#1f7f54", marker="o", atol=0.01,
     )  # fmt: skip
 
     krylov_dim: int = 8
@@ -119,7 +119,7 @@ class CvodeAdams(ErrorControl):
 
     info: ClassVar[MethodInfo] = MethodInfo(
         "cvode-adams", "implicit: SUNDIALS CVODE, Adams formulas, solved by the same Newton-Krylov",
-        "tolerance", implicit=True, stable=math.inf, colour="#a3c644", marker="D",
+        "tolerance", implicit=True, stable=math.inf, colour="#a3c644", marker="D", atol=0.01,
     )  # fmt: skip
 
     def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:

@@ -41,7 +41,7 @@ class CvodeSparse(ErrorControl):
     info: ClassVar[MethodInfo] = MethodInfo(
         "cvode-sparse", "implicit: SUNDIALS CVODE, BDF with a direct sparse solver (SuperLU_MT)",
         "tolerance", implicit=True, stable=math.inf, colour="#58b368", marker="s", friction=False,
-        most_cells=10_000, why_no_more="its factors would fill the memory",
+        atol=0.01, most_cells=10_000, why_no_more="its factors would fill the memory",
     )  # fmt: skip
 
     softening: float = 0.5

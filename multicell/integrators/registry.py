@@ -78,7 +78,7 @@ def made(info: MethodInfo, options: IntegratorOptions) -> Integrator:
     return build(
         info,
         rtol=options.rtol,
-        atol=options.atol,
+        atol=info.atol if options.atol is None else options.atol,
         max_steps=options.max_steps,
         max_displacement=options.max_displacement,
         **step,

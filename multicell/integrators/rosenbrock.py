@@ -78,7 +78,7 @@ class Rosenbrock(ErrorControl):
     info: ClassVar[MethodInfo] = MethodInfo(
         "rosenbrock", "implicit, one step: Rosenbrock method of order 2, conjugate gradients",
         "tolerance", order=2, implicit=True, stable=math.inf, colour="#2e1cd2", marker="d",
-        friction=False,
+        friction=False, atol=0.01,
     )  # fmt: skip
 
     worst: float = 100.0

@@ -166,7 +166,7 @@ class Dopri5(_Adaptive):
 
     info: ClassVar[MethodInfo] = MethodInfo(
         "dopri5", "explicit Runge-Kutta of Dormand and Prince, order 5, under error control",
-        "tolerance", order=5, colour="#14919b", marker="P",
+        "tolerance", order=5, colour="#14919b", marker="P", atol=0.01,
     )  # fmt: skip
     tableau: ClassVar[Tableau] = DORMAND_PRINCE
     estimate: ClassVar[float] = 5.0

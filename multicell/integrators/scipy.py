@@ -153,6 +153,6 @@ class _Stepped:
 
 
 METHODS = tuple(
-    replace(info, control="tolerance", outside=True, make=partial(Scipy, name))
+    replace(info, control="tolerance", outside=True, atol=0.01, make=partial(Scipy, name))
     for name, info in _INFOS.items()
 )

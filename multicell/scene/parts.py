@@ -8,6 +8,7 @@ from typing import final
 import numpy as np
 
 from multicell.errors import SceneError
+from multicell.integrators.base import MethodInfo
 from multicell.integrators.registry import METHODS
 from multicell.plugins import OWN_OBJECT, recorded_object
 from multicell.schema import (
@@ -239,12 +240,20 @@ class IntegratorOptions:
         further=OWN_OBJECT,
     )
     rtol: float = number(default=1e-6, at_least=1e-14, at_most=0.1, doc="relative tolerance")
-    atol: float = quantity("um", default=0.1, above=0, at_least=1e-15, doc="absolute tolerance")
+    atol: float | None = quantity(
+        "um", default=None, above=0, at_least=1e-15,
+        doc="absolute tolerance; absent: that of the method",
+    )  # fmt: skip
     max_steps: int = count(default=10000, at_least=1, doc="most steps in one coupling step")
     step: float = quantity("s", default=10.0, above=0, doc="step of the methods with a fixed step")
     max_displacement: float = number(
         default=0.5, above=0, at_most=1, doc="largest move in one step / radius of the cell"
     )
+
+    @property
+    def tolerance(self) -> float:
+        """Absolute tolerance, µm: the one that is given, or that of the method."""
+        return METHODS.get(self.method, MethodInfo).atol if self.atol is None else self.atol
 
 
 @final

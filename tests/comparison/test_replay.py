@@ -8,8 +8,10 @@ from synthetic import cells_at
 from two_cells import GROWING
 
 from multicell import Simulation
-from multicell.comparison.record import Recorder, events_between, record
-from multicell.comparison.replay import replay
+from multicell.comparison.record import Recorder, both, events_between, record
+from multicell.comparison.replay import Events, replay
+from multicell.comparison.work_precision import compare
+from multicell.errors import SceneError
 from multicell.integrators.base import Outcome
 from multicell.integrators.runge_kutta import Euler
 
@@ -107,6 +109,92 @@ def test_division_removal_and_a_new_order_at_once():
     np.testing.assert_array_equal(events.offset[:, 1], [1.5, 0.0, -1.5, 0.0])
     np.testing.assert_array_equal(events.apply(before.position), after.position)
     assert events_between(before, before.position, before) is None
+
+
+# few cells: steps in which one is alone are no steps that a method solves
+
+MORTAL = GROWING.with_changes(
+    {
+        "initial.count": 1, "initial.stage": "birth", "duration": "14 h",
+        "growth.cycle_time": "2 h", "stop_cells": 12,
+        "death": {
+            "apoptosis_rate": "1e-4 1/s", "apoptosis_time": "20 min", "removal_fraction": 0.5
+        },
+    }
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("seed", "counts"),
+    [
+        (5, [1, 2, 0]),
+        (13, [1, 2, 1, 2, 1, 2, 1, 2, 1, 2, 0]),
+        (20, [1, 2, 1, 2, 3, 2, 1, 0]),
+        (24, [1, 2, 1, 2, 4, 3, 5, 6, 5, 4, 3, 2]),
+    ],
+)
+def test_a_replay_meets_the_run_however_few_cells_are_left(seed, counts):
+    scene = MORTAL.with_changes({"seed": seed})
+    problem, _ = record(scene, Euler(5.0))
+    again = replay(problem, Euler(5.0))
+    simulation = Simulation(scene, integrator=Euler(5.0))
+    seen, begins = [1], []
+    while not simulation.finished and len(simulation.cells):
+        if len(simulation.cells) > 1:
+            begins.append(simulation.cells.position)
+        simulation.step()
+        if len(simulation.cells) != seen[-1]:
+            seen.append(len(simulation.cells))
+    assert seen == counts  # the scene is the case that it stands for
+    assert again.done
+    assert len(begins) == len(problem.steps)
+    for k, begin in enumerate(begins):
+        reached = problem.start if k == 0 else again.positions[k - 1]
+        np.testing.assert_allclose(problem.beginning(k, reached), begin, rtol=0, atol=1e-11)
+    np.testing.assert_array_equal(problem.start, begins[0])
+
+
+def test_events_of_steps_that_are_left_out_are_carried_on():
+    """A mother divides, one daughter dies, and the other divides before any cell moves again."""
+    east, west = np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]])
+    divided = Events(np.array([0, 0, 1]), np.array([east, west, 0 * east]))
+    died = Events(np.array([1]), np.zeros((1, 3)))
+    again = Events(np.array([0, 0]), np.array([2 * east, 2 * west]))
+    position = np.array([[10.0, 0.0, 0.0], [50.0, 0.0, 0.0]])
+    whole = both(both(divided, died), again)
+    np.testing.assert_array_equal(whole.apply(position), [[11.0, 0.0, 0.0], [7.0, 0.0, 0.0]])
+    assert both(None, died) is both(died, None) is died
+
+
+@pytest.mark.parametrize("stepwise", [False, 3])
+def test_a_comparison_begins_where_the_only_cell_has_divided(tmp_path, stepwise):
+    scene = MORTAL.with_changes({"duration": "3 h", "death": None})
+    found = [
+        compare(scene, ["euler"], {"step": [60.0]}, cache=tmp_path, stepwise=stepwise,
+                references=[("euler", 10.0), ("euler", 20.0)])
+        for _ in range(2)
+    ]  # fmt: skip
+    for result in found:
+        assert result.table[0]["status"] == "done"
+        assert 0.0 < result.table[0]["error_position"] < 1.0
+    assert found[0].facts["cells"][0] == 2
+    assert found[1].facts["reference_cached"]
+    assert found[1].facts["cells"] == found[0].facts["cells"]
+    assert found[1].table[0]["error_position"] == found[0].table[0]["error_position"]
+
+
+@pytest.mark.parametrize("stepwise", [False, 3])
+def test_one_cell_on_which_nothing_acts_is_refused_in_words(stepwise):
+    alone = {"initial.count": 1, "growth": None, "duration": "2 h"}
+    with pytest.raises(SceneError, match="initial: leaves nothing to compare"):
+        compare(GROWING.with_changes(alone), ["euler"], stepwise=stepwise, cache=False)
+
+
+def test_one_cell_on_which_something_acts_is_compared():
+    crawls = {"initial.count": 1, "growth": None, "duration": "1 h",
+              "motility": {"force": "0.1 nN", "persistence": "10 min"}}  # fmt: skip
+    result = compare(GROWING.with_changes(crawls), ["euler"], {"step": [60.0]}, cache=False)
+    assert result.table[0]["status"] == "done"
 
 
 # a sample of its steps

@@ -17,6 +17,7 @@ import numpy as np
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed, SceneError
 from multicell.integrators import runge_kutta
+from multicell.integrators.base import MethodInfo
 from multicell.nutrient.parameters import FieldParameters
 from multicell.report.explain.course import Course, course
 from multicell.report.explain.items import Number, hours
@@ -52,8 +53,6 @@ _TRIED: Final = 8e-3  # s of one with a tolerance, whose grid is tried now and t
 _TRIED_SHELLS: Final = 9e-3  # where it can only be shells
 
 _PLACED: Final = 200_000  # cells up to which they are placed to see how large a grid they need
-
-_USUAL_ATOL: Final = 0.1  # µm
 
 
 @final
@@ -115,7 +114,7 @@ def evaluations(scene: Scene) -> float:
     if options.method in fixed:
         return len(fixed[options.method].tableau.b) * step / options.step
     limit = drag(scene, birth_radius(scene)) / daughters_stiffness(scene)
-    ratio, tight = step / limit, math.sqrt(max(_USUAL_ATOL / options.atol, 0.1))
+    ratio, tight = step / limit, math.sqrt(max(MethodInfo.atol / options.tolerance, 0.1))
     return max(8.0, min(2.0 * tight * ratio, 40.0 * tight + ratio, 1000.0 * tight))
 
 

@@ -19,14 +19,14 @@ def explained(scene: Scene) -> str:
     from multicell.simulation import Simulation
 
     options = scene.integrator
-    auto = Auto(options.rtol, options.atol, options.max_steps, options.max_displacement)
+    auto = Auto(options.rtol, options.tolerance, options.max_steps, options.max_displacement)
     start = Simulation(scene, threads=1)
     system, position = start.prepared(), start.cells.position
     _, choice = auto.begin(system, position)
     evaluations = system.work.evaluations
     where = f"in the first coupling step, with {len(position):,} cell(s),"
     if choice is None:
-        rate = choose(system, position, options.rtol, options.atol).rate
+        rate = choose(system, position, options.rtol, options.tolerance).rate
         stiffness = rate * (system.motion.end - system.motion.begin)
         return (
             f"{where} {MILD}, since it needs {evaluations} evaluations, too few for anything else "

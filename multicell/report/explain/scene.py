@@ -178,7 +178,10 @@ def _domain_words(scene: Scene) -> str:
 
 def _integrator_words(scene: Scene, first_step: bool) -> str:
     method = scene.integrator.method
-    words = f"{method}: {(METHODS.get(method) or MethodInfo(method)).words}"
+    info = METHODS.get(method) or MethodInfo(method)
+    words = f"{method}: {info.words}"
+    if info.control == "tolerance":
+        words += f"; absolute tolerance {scene.integrator.tolerance:g} um"
     if method != "auto" or not first_step:
         return words
     if scene.initial.count > _MOST_TRIED:
