@@ -28,6 +28,7 @@ from multicell.biology.step import aged, bind, decide, divide_and_remove, grow
 from multicell.cells import Cells, FloatArray
 from multicell.errors import NutrientFailed, SceneError, StepFailed
 from multicell.integrators import registry
+from multicell.integrators.shift import SHIFT, Replays, replayed, shifted_positions
 from multicell.mechanics import binning
 from multicell.mechanics.motion import Motion
 from multicell.mechanics.system import Mechanics
@@ -56,12 +57,13 @@ PHASES = ("nutrient", "biology", "mechanics", "events", "record")
 """Phases of the loop whose wall time is measured."""
 
 _NOTED = (
-    "divisions", "removals", "released", "separation", "local_error", "next_id", "unsorted",
+    "divisions", "removals", "released", "separation", "next_id", "unsorted",
     "splitting",
 )  # fmt: skip
 """What a run notes beside its cells; a frame's progress has entries of the same names."""
 
 _STATE = ("cells", "step_index", "contacts", "step_error", "pace", "named", "springs", "_origin",
+          "replays",
           *_NOTED)  # fmt: skip
 """What a coupling step changes, beside fields, logs and counts of work."""
 
@@ -120,9 +122,9 @@ class Simulation:
         First identity that is free, and new cells since all were last sorted in space.
     released : float, µm³
         Volume that dead cells have lost, their remains at removal included.
-    local_error : float or None, µm
-        The largest error that the integrator expects to have made with a cell in one of its steps
-        so far; None before cells have moved, and with a method that makes no estimate.
+    replays : Replays or None
+        What a small shift of all positions has done to the ends of some coupling steps, which were
+        taken twice (:mod:`multicell.integrators.shift`); None to take none twice.
     splitting : float or None, µm³
         The error that coupling steps have made so far with the volume of all cells, over their
         number; None without growth. What the last step has made of it is ``step_error``.
@@ -164,7 +166,7 @@ class Simulation:
         self.step_index = self.divisions = self.removals = 0
         self._origin = (0, 0.0)
         self.released = 0.0
-        self.local_error: float | None = None
+        self.replays: Replays | None = Replays()
         self.splitting: float | None = None if scene.growth is None else 0.0
         self.step_error = StepError()
         self._known_factor: tuple[tuple[FloatArray, ...], FloatArray] = ((), np.empty(0))
@@ -228,6 +230,7 @@ class Simulation:
         self.springs = Springs.of(known.springs)
         for name in _NOTED:
             setattr(self, name, getattr(known, name))
+        self.replays = Replays.of(known.replays)
         self._count(known.work)
         if self._feeding is not None:
             self._feeding.restore(frame)
@@ -244,6 +247,7 @@ class Simulation:
             grids={} if feeding is None else feeding.grids.kept(),
             driven={path: ids.tolist() for path, ids in self.named.items()},
             springs=self.springs.kept(),
+            replays={} if self.replays is None else self.replays._asdict(),
         )
 
     def _count(self, work: Mapping[str, int]) -> None:
@@ -430,7 +434,7 @@ class Simulation:
 
     def history_row(self) -> dict[str, float]:
         """Return the observables of the state (:func:`multicell.results.summary.history_row`)."""
-        extra = {}
+        extra = {"shift_effect": self._shift_effect()}
         round_fields = any(part.layout != "box" for part in self.scene.nutrients.values())
         if round_fields and self.scene.dimensions == 3:
             from multicell.nutrient.cartesian import departure
@@ -450,6 +454,11 @@ class Simulation:
         if self.scene.output.instability:
             extra["instability_rate"] = self._instability_rate()
         return summary.history_row(self.scene, self._view(whole=False), **extra)
+
+    def _shift_effect(self) -> float:
+        """Return what the last replay found, µm; NaN before the first."""
+        replays = self.replays
+        return replays.latest if replays is not None and replays.done else math.nan
 
     def energy(self) -> float:
         """Return the contact energy of the cells, fJ."""
@@ -514,17 +523,33 @@ class Simulation:
         self._mechanics.begin(self._motion(begin, end, radius))
         if len(cells) == 0 or self._alone(self._mechanics.motion):
             return cells.position.copy(), np.zeros(len(cells))
+        before = self._mechanics.work.effort
         outcome = self._integrator.integrate(self._mechanics, cells.position)
         if not outcome.done:
             cell = None if outcome.cell is None else int(cells.id[outcome.cell])
             raise StepFailed(outcome.time, outcome.problem, outcome.hint, cell)
         position = self._mechanics.at_end(outcome.position)
         check_inside(self.scene, cells.id, position, end)
-        if not math.isnan(outcome.local_error):
-            self.local_error = max(outcome.local_error, self.local_error or 0.0)
         pressure = self._mechanics.pressure(end, outcome.position)
         self._note_contacts(end, outcome.position)
+        cost = (self._mechanics.work.effort - before) * len(cells)
+        self._replay(outcome.position, float(cost))
         return position, pressure
+
+    def _replay(self, end: FloatArray, cost: float) -> None:
+        """Take the step again from shifted positions where that is due, and note the effect."""
+        replays, cells = self.replays, self.cells
+        if replays is None:
+            return
+        effect, spent = None, 0.0
+        if replays.due:
+            shifted = shifted_positions(
+                cells.position, SHIFT, self.scene.seed, self.step_index, cells.id,
+                self.scene.dimensions,
+            )  # fmt: skip
+            start = cells.position
+            effect, spent = replayed(self._integrator, self._mechanics, start, end, shifted)
+        self.replays = replays.after(cost, spent, effect)
 
     def _alone(self, motion: Motion) -> bool:
         """Return whether there is one cell that nothing acts on: it stays where it is."""

@@ -51,9 +51,6 @@ class Outcome:
         What to try then.
     cell : int or None
         Index of the cell that shows the problem most.
-    local_error : float
-        The largest error that the method expects to have made with any cell in one of its steps,
-        µm; NaN for a method that makes no estimate.
     """
 
     time: float
@@ -61,7 +58,6 @@ class Outcome:
     problem: str = ""
     hint: str = ""
     cell: int | None = None
-    local_error: float = math.nan
 
     @property
     def done(self) -> bool:

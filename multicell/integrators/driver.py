@@ -137,7 +137,7 @@ def _run(
     work.steps += int(counts[stepping.STEPS])
     work.rejections += int(counts[stepping.REJECTIONS])
     if report.status == stepping.DONE:
-        return Outcome(motion.end, state, local_error=float(report.error)), report
+        return Outcome(motion.end, state), report
     return _failure(motion.begin, state, report, source, max_displacement, hint), report
 
 

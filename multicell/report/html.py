@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 
 _LABELS: Final = {
     "discretisation_error": "estimated error at the cells",
-    "largest_local_error": "largest estimated error of a cell in a step",
+    "replays": "coupling steps taken again from shifted positions",
+    "largest_shift_effect": "farthest that a shift of 0.01 µm moved the end of a cell",
 }
 
 

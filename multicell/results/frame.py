@@ -136,8 +136,6 @@ class Progress:
         The account of each field, amol, and what a steady one exchanges now, amol/s.
     work : name -> int
         What the integration has cost.
-    local_error : float or None, µm
-        The largest estimated error of a cell in a step of the integration, where there is one.
     splitting : float or None, µm³
         The error that coupling steps have made with the volume of all cells, over their number;
         None without growth.
@@ -149,6 +147,8 @@ class Progress:
         Cells that are driven from outside, where a table named them at the start.
     springs : name -> numbers
         Springs between cells: tables, identities and lengths at rest.
+    replays : name -> float
+        What replays from shifted positions have found; see :mod:`multicell.integrators.shift`.
     """
 
     next_id: int
@@ -160,12 +160,12 @@ class Progress:
     ledger: Mapping[str, Mapping[str, float]]
     rates: Mapping[str, Mapping[str, float]]
     work: Mapping[str, int]
-    local_error: float | None = None
     splitting: float | None = None
     pace: Mapping[str, float] | None = None
     grids: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     driven: Mapping[str, list[int]] = field(default_factory=dict)
     springs: Mapping[str, list[float]] = field(default_factory=dict)
+    replays: Mapping[str, float] = field(default_factory=dict)
 
 
 @final

@@ -72,7 +72,6 @@ def run_summary(
     extent = observables.Extent(frame.cells, scene.dimensions)
     own = observables.state_summary(frame.time, frame.cells, scene.dimensions, extent)
     remainders = [entry["relative_remainder"] for entry in ledgers.values()]
-    error = progress.local_error
     optional: dict[str, Any] = {
         "hypoxic_radius": _hypoxic(scene, frame, extent),
         "separation": progress.separation,
@@ -93,7 +92,7 @@ def run_summary(
         "integrator": {
             "method": scene.integrator.method,
             **progress.work,
-            **({} if error is None else {"largest_local_error": error}),
+            **_shift(progress.replays),
         },
         "ledger": {**ledgers, **({"relative_remainder": max(remainders)} if remainders else {})},
         **{name: value for name, value in optional.items() if value},
@@ -102,6 +101,13 @@ def run_summary(
         "versions": versions(),
     }
     return {**summary, "units": units_of(summary)}
+
+
+def _shift(replays: Mapping[str, float]) -> dict[str, float]:
+    """Return what replays from shifted positions have found, where there were any."""
+    if not replays.get("done"):
+        return {}
+    return {"replays": int(replays["done"]), "largest_shift_effect": replays["largest"]}
 
 
 def counts_contacts(scene: Scene) -> bool:
