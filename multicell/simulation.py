@@ -27,8 +27,9 @@ from multicell.biology.spring_graph import Springs
 from multicell.biology.step import aged, bind, decide, divide_and_remove, grow
 from multicell.cells import Cells, FloatArray
 from multicell.errors import NutrientFailed, SceneError, StepFailed
-from multicell.integrators import registry
+from multicell.integrators import registry, stability
 from multicell.integrators.shift import SHIFT, Replays, replayed, shifted_positions
+from multicell.integrators.stability import Stability
 from multicell.mechanics import binning
 from multicell.mechanics.motion import Motion
 from multicell.mechanics.system import Mechanics
@@ -63,7 +64,7 @@ _NOTED = (
 """What a run notes beside its cells; a frame's progress has entries of the same names."""
 
 _STATE = ("cells", "step_index", "contacts", "step_error", "pace", "named", "springs", "_origin",
-          "replays",
+          "replays", "stability",
           *_NOTED)  # fmt: skip
 """What a coupling step changes, beside fields, logs and counts of work."""
 
@@ -125,6 +126,9 @@ class Simulation:
     replays : Replays or None
         What a small shift of all positions has done to the ends of some coupling steps, which were
         taken twice (:mod:`multicell.integrators.shift`); None to take none twice.
+    stability : Stability
+        How far a fixed step was from its limit, where it has one
+        (:mod:`multicell.integrators.stability`).
     splitting : float or None, µm³
         The error that coupling steps have made so far with the volume of all cells, over their
         number; None without growth. What the last step has made of it is ``step_error``.
@@ -167,6 +171,7 @@ class Simulation:
         self._origin = (0, 0.0)
         self.released = 0.0
         self.replays: Replays | None = Replays()
+        self.stability = Stability()
         self.splitting: float | None = None if scene.growth is None else 0.0
         self.step_error = StepError()
         self._known_factor: tuple[tuple[FloatArray, ...], FloatArray] = ((), np.empty(0))
@@ -178,6 +183,7 @@ class Simulation:
         self.named: dict[str, IntArray] = {}
         self.springs = Springs()
         self._integrator = integrator or registry.make(scene.integrator)
+        self._limit = stability.limit_of(self._integrator)
         self._feeding = _feeding(scene, reactions, self._mechanics.threads)
         self.lineage = Lineage() if lineage is None else lineage
         if frame is None:
@@ -231,6 +237,7 @@ class Simulation:
         for name in _NOTED:
             setattr(self, name, getattr(known, name))
         self.replays = Replays.of(known.replays)
+        self.stability = Stability.of(known.stability)
         self._count(known.work)
         if self._feeding is not None:
             self._feeding.restore(frame)
@@ -248,6 +255,7 @@ class Simulation:
             driven={path: ids.tolist() for path, ids in self.named.items()},
             springs=self.springs.kept(),
             replays={} if self.replays is None else self.replays._asdict(),
+            stability=self.stability._asdict() if self._limit > 0.0 else {},
         )
 
     def _count(self, work: Mapping[str, int]) -> None:
@@ -435,6 +443,8 @@ class Simulation:
     def history_row(self) -> dict[str, float]:
         """Return the observables of the state (:func:`multicell.results.summary.history_row`)."""
         extra = {"shift_effect": self._shift_effect()}
+        if self._limit > 0.0:
+            extra["stability_ratio"] = self.stability.latest
         round_fields = any(part.layout != "box" for part in self.scene.nutrients.values())
         if round_fields and self.scene.dimensions == 3:
             from multicell.nutrient.cartesian import departure
@@ -482,6 +492,8 @@ class Simulation:
             from multicell.nutrient.fitness import fitness
 
             fields, remarks = fitness(self._feeding, self.cells, self.time)
+        if self._limit > 0.0:
+            remarks = [*remarks, *self.stability.notes(self.scene.integrator.method)]
         ledgers = {name: ledger.summary() for name, ledger in self.ledger.items()}
         threads = self._mechanics.threads
         return summary.run_summary(
@@ -523,6 +535,7 @@ class Simulation:
         self._mechanics.begin(self._motion(begin, end, radius))
         if len(cells) == 0 or self._alone(self._mechanics.motion):
             return cells.position.copy(), np.zeros(len(cells))
+        self._check_begin(cells.position)
         before = self._mechanics.work.effort
         outcome = self._integrator.integrate(self._mechanics, cells.position)
         if not outcome.done:
@@ -533,8 +546,48 @@ class Simulation:
         pressure = self._mechanics.pressure(end, outcome.position)
         self._note_contacts(end, outcome.position)
         cost = (self._mechanics.work.effort - before) * len(cells)
+        self._check_end(outcome.position, float(cost))
         self._replay(outcome.position, float(cost))
         return position, pressure
+
+    def _check_begin(self, position: FloatArray) -> None:
+        """Measure, if that is due, how far a fixed step is from its limit before a step."""
+        if not self._limit > 0.0:
+            return
+        system, known, n = self._mechanics, self.stability, len(position)
+        product = self._limit / self._fixed_step()
+        if stability.is_due(known, n, product):
+            begin, dimensions = system.motion.begin, self.scene.dimensions
+            rate = stability.rate_at(system, begin, position, dimensions)
+            self.stability = stability.measured(known, rate, product, n)
+
+    def _check_end(self, position: FloatArray, cost: float) -> None:
+        """Refuse a fixed step that is beyond its limit after a coupling step as it was before.
+
+        ``cost`` is that of the step.
+        """
+        if not self._limit > 0.0:
+            return
+        system, n, end = self._mechanics, len(position), self._mechanics.motion.end
+        self.stability = known = self.stability._replace(total=self.stability.total + cost)
+        step = self._fixed_step()
+        product = self._limit / step
+        was_beyond, suspect = known.rate > product, False
+        if not was_beyond and stability.may_glance(known, n):
+            known = stability.glanced(known, n)
+            suspect = stability.glance(system, end, position) > product
+        if was_beyond or suspect:
+            rate = stability.rate_at(system, end, position, self.scene.dimensions)
+            known = stability.measured(known, rate, product, n)
+            if was_beyond and rate > product:
+                words = stability.refused(self._integrator, step, self._limit, rate)
+                raise StepFailed(system.motion.begin, *words)
+        self.stability = known
+
+    def _fixed_step(self) -> float:
+        """Return how long the equal steps of the coupling step are, s."""
+        motion = self._mechanics.motion
+        return stability.actual_step(self._integrator, motion.end - motion.begin)
 
     def _replay(self, end: FloatArray, cost: float) -> None:
         """Take the step again from shifted positions where that is due, and note the effect."""

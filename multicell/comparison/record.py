@@ -143,7 +143,8 @@ def record(
     begin, begin_cpu = clock.perf_counter(), clock.process_time()
     recorder = Recorder(integrator, samples)
     simulation = Simulation(scene, threads=threads, cells=cells, integrator=recorder)
-    simulation.replays = None  # the recorder notes every step that it sees
+    # the recorder notes every step that it sees
+    simulation.replays = None
     first = simulation.cells
     events: list[Events | None] = [None]
     while not simulation.finished and len(simulation.cells):

@@ -115,6 +115,11 @@ class EqualSteps:
     max_displacement: float = 0.5
 
 
+def equal_steps(length: float, longest: float) -> int:
+    """Return how many equal steps no longer than ``longest`` make up an interval; both in s."""
+    return max(1, math.ceil(length / longest * (1.0 - 1e-12)))
+
+
 @dataclass(frozen=True)
 class ErrorControl:
     """Options of the methods under error control; abstract.

@@ -149,6 +149,8 @@ class Progress:
         Springs between cells: tables, identities and lengths at rest.
     replays : name -> float
         What replays from shifted positions have found; see :mod:`multicell.integrators.shift`.
+    stability : name -> float
+        How far a fixed step was from its limit; see :mod:`multicell.integrators.stability`.
     """
 
     next_id: int
@@ -166,6 +168,7 @@ class Progress:
     driven: Mapping[str, list[int]] = field(default_factory=dict)
     springs: Mapping[str, list[float]] = field(default_factory=dict)
     replays: Mapping[str, float] = field(default_factory=dict)
+    stability: Mapping[str, float] = field(default_factory=dict)
 
 
 @final

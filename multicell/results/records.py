@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from multicell.cells import Cells, Phase, State
 from multicell.errors import OutputError
 from multicell.integrators.shift import Replays
+from multicell.integrators.stability import Stability
 from multicell.results.frame import Field, Frame, Progress
 from multicell.results.lineage import COLUMNS, Lineage
 
@@ -42,7 +43,7 @@ FIELD: Final[Mapping[str, FieldArray]] = {
     "radial": FieldArray("|i1", 0, "", 0),
 }
 
-_OF_PARTS: Final = ("driven", "springs", "replays")
+_OF_PARTS: Final = ("driven", "springs", "replays", "stability")
 """Entries of a progress that only some runs have."""
 
 _OF_OTHERS: Final = ("local_error",)
@@ -193,6 +194,7 @@ def progress_of(text: bytes, nutrients: Iterable[str]) -> Progress | None:
         "driven": _are_identities,
         "springs": _are_springs,
         "replays": lambda v: not v or (_are_numbers(v) and set(v) == set(Replays._fields)),
+        "stability": lambda v: not v or (_are_numbers(v) and set(v) == set(Stability._fields)),
     }
     for name, fits in checks.items():
         if name in entries and not fits(entries[name]):

@@ -93,6 +93,7 @@ def run_summary(
             "method": scene.integrator.method,
             **progress.work,
             **_shift(progress.replays),
+            **_stability(progress.stability),
         },
         "ledger": {**ledgers, **({"relative_remainder": max(remainders)} if remainders else {})},
         **{name: value for name, value in optional.items() if value},
@@ -108,6 +109,17 @@ def _shift(replays: Mapping[str, float]) -> dict[str, float]:
     if not replays.get("done"):
         return {}
     return {"replays": int(replays["done"]), "largest_shift_effect": replays["largest"]}
+
+
+def _stability(known: Mapping[str, float]) -> dict[str, float]:
+    """Return how far a fixed step was from its limit of stability, where it has one."""
+    if not known.get("measured"):
+        return {}
+    return {
+        "stability_checks": int(known["measured"]),
+        "checks_beyond_stability": int(known["beyond"]),
+        "largest_stability_ratio": known["largest"],
+    }
 
 
 def counts_contacts(scene: Scene) -> bool:
