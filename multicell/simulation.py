@@ -575,7 +575,7 @@ class Simulation:
         was_beyond, suspect = known.rate > product, False
         if not was_beyond and stability.may_glance(known, n):
             known = stability.glanced(known, n)
-            suspect = stability.glance(system, end, position) > product
+            suspect = stability.suspect(system, end, position, product)
         if was_beyond or suspect:
             rate = stability.rate_at(system, end, position, self.scene.dimensions)
             known = stability.measured(known, rate, product, n)

@@ -4,7 +4,8 @@ Beyond stable / λ, with the largest decay rate λ of the motion, an explicit me
 motions grow instead of decay. Contacts that open bound that growth: cells then rattle about, and
 nothing else shows it. So λ is measured as a run begins, and again as often as a fiftieth of the
 counted cost allows. What has grown dominates the velocity v: |J v| / |v|, which is never above λ,
-then is beyond the limit too, costs a twentieth and is looked at that much more often. A step that
+is then near the limit itself, costs an eighth and is looked at that much more often; where it is
+near the limit λ is measured at once. A step that
 is beyond the limit at both ends of a coupling step is refused; one that is beyond it at one end
 only, as just after a division, is marked.
 """
@@ -35,6 +36,8 @@ _FIRST = 2
 placed anew hardly press each other in the first."""
 _GLANCE = 5
 """Evaluations that a look at |J v| / |v| costs."""
+_NEAR = 0.8
+"""|J v| / |v| over the limit from which on λ is measured; rattling cells have 0.88 to 0.96."""
 _SAFE = 0.9
 """Part of the limit that is recommended."""
 
@@ -142,6 +145,11 @@ def rate_at(system: Mechanics, time: float, position: FloatArray, dimensions: in
     vars(system.work).update(counts)
     system.begin(system.motion)
     return rate if rate > 0.0 else 0.0
+
+
+def suspect(system: Mechanics, time: float, position: FloatArray, product: float) -> bool:
+    """Whether the motion at a state looks like rattling; ``product`` as in :func:`is_due`."""
+    return glance(system, time, position) > _NEAR * product
 
 
 def glance(system: Mechanics, time: float, position: FloatArray) -> float:

@@ -55,7 +55,7 @@ SCENES = {
         "springs": {"net": {"stiffness": 0.01, "pairs": [[1, 2]]}},
     },
     "bare mechanics": {
-        "duration": "10 min", "initial": {"count": 3}, "integrator": {"method": "euler"},
+        "duration": "80 min", "coupling_step": "1 min", "initial": {"count": 3}, "integrator": {"method": "euler"},
         "output": {"instability": True},
     },
 }  # fmt: skip
