@@ -13,7 +13,7 @@ import numpy as np
 from multicell.biology.initial import initial_cells
 from multicell.biology.motion import motion_of
 from multicell.integrators import registry
-from multicell.integrators.auto import CANDIDATES, MILD, Auto, choose
+from multicell.integrators.auto import MILD, Auto, candidates, choose
 from multicell.integrators.rkc import Rkc2
 from multicell.results import summary
 from multicell.scene import start
@@ -49,10 +49,8 @@ def other_methods(scene: Scene) -> None:
     assert isinstance(chosen, Auto)
     system, position = touching(scene, _FEW)
     choose(system, position, chosen.rtol, chosen.atol)
-    friction = max(system.friction) > 0.0
-    for name in [*sorted(set(CANDIDATES) - {MILD, LAST}), LAST]:
-        if CANDIDATES[name].info.refusal(_FEW, friction=friction) is None:
-            chosen.method(name).integrate(*touching(scene, _FEW))
+    for name in [*sorted(set(candidates(system)) - {MILD, LAST}), LAST]:
+        chosen.method(name).integrate(*touching(scene, _FEW))
 
 
 def many_nodes(scene: Scene) -> None:

@@ -28,7 +28,9 @@ from multicell.biology.start_states import StartStates
 from multicell.biology.step import aged, bind, decide, divide_and_remove, grow
 from multicell.cells import Cells, FloatArray
 from multicell.errors import NutrientFailed, SceneError, StepFailed
-from multicell.integrators import registry
+from multicell.integrators import registry, stability
+from multicell.integrators.shift import SHIFT, Replays, replayed, shifted_positions
+from multicell.integrators.stability import Stability
 from multicell.mechanics import binning
 from multicell.mechanics.motion import Motion
 from multicell.mechanics.system import Mechanics
@@ -57,12 +59,13 @@ PHASES = ("nutrient", "biology", "mechanics", "events", "record")
 """Phases of the loop whose wall time is measured."""
 
 _NOTED = (
-    "divisions", "removals", "released", "separation", "local_error", "next_id", "unsorted",
-    "splitting", "first_states",
+    "divisions", "removals", "released", "separation", "next_id", "unsorted", "splitting",
+    "first_states",
 )  # fmt: skip
 """What a run notes beside its cells; a frame's progress has entries of the same names."""
 
 _STATE = ("cells", "step_index", "contacts", "step_error", "pace", "named", "springs", "_origin",
+          "replays", "stability",
           *_NOTED)  # fmt: skip
 """What a coupling step changes, beside fields, logs and counts of work."""
 
@@ -121,9 +124,12 @@ class Simulation:
         First identity that is free, and new cells since all were last sorted in space.
     released : float, µm³
         Volume that dead cells have lost, their remains at removal included.
-    local_error : float or None, µm
-        The largest error that the integrator expects to have made with a cell in one of its steps
-        so far; None before cells have moved, and with a method that makes no estimate.
+    replays : Replays or None
+        What a small shift of all positions has done to the ends of some coupling steps, which were
+        taken twice (:mod:`multicell.integrators.shift`); None to take none twice.
+    stability : Stability
+        How far a fixed step was from its limit, where it has one
+        (:mod:`multicell.integrators.stability`).
     splitting : float or None, µm³
         The error that coupling steps have made so far with the volume of all cells, over their
         number; None without growth. What the last step has made of it is ``step_error``.
@@ -168,7 +174,8 @@ class Simulation:
         self.step_index = self.divisions = self.removals = 0
         self._origin = (0, 0.0)
         self.released = 0.0
-        self.local_error: float | None = None
+        self.replays: Replays | None = Replays()
+        self.stability = Stability()
         self.splitting: float | None = None if scene.growth is None else 0.0
         self.first_states: Mapping[str, int] = {}
         self.step_error = StepError()
@@ -181,6 +188,7 @@ class Simulation:
         self.named: dict[str, IntArray] = {}
         self.springs = Springs()
         self._integrator = integrator or registry.make(scene.integrator)
+        self._limit = stability.limit_of(self._integrator)
         self._feeding = _feeding(scene, reactions, self._mechanics.threads)
         self.lineage = Lineage() if lineage is None else lineage
         if frame is None:
@@ -255,6 +263,8 @@ class Simulation:
         self.springs = Springs.of(known.springs)
         for name in _NOTED:
             setattr(self, name, getattr(known, name))
+        self.replays = Replays.of(known.replays)
+        self.stability = Stability.of(known.stability)
         self._count(known.work)
         if self._feeding is not None:
             self._feeding.restore(frame)
@@ -271,6 +281,8 @@ class Simulation:
             grids={} if feeding is None else feeding.grids.kept(),
             driven={path: ids.tolist() for path, ids in self.named.items()},
             springs=self.springs.kept(),
+            replays={} if self.replays is None else self.replays._asdict(),
+            stability=self.stability._asdict() if self._limit > 0.0 else {},
         )
 
     def _count(self, work: Mapping[str, int]) -> None:
@@ -457,7 +469,9 @@ class Simulation:
 
     def history_row(self) -> dict[str, float]:
         """Return the observables of the state (:func:`multicell.results.summary.history_row`)."""
-        extra = {}
+        extra = {"shift_effect": self._shift_effect()}
+        if self._limit > 0.0:
+            extra["stability_ratio"] = self.stability.latest
         round_fields = any(part.layout != "box" for part in self.scene.nutrients.values())
         if round_fields and self.scene.dimensions == 3:
             from multicell.nutrient.cartesian import departure
@@ -477,6 +491,11 @@ class Simulation:
         if self.scene.output.instability:
             extra["instability_rate"] = self._instability_rate()
         return summary.history_row(self.scene, self._view(whole=False), **extra)
+
+    def _shift_effect(self) -> float:
+        """Return what the last replay found, µm; NaN before the first."""
+        replays = self.replays
+        return replays.latest if replays is not None and replays.done else math.nan
 
     def energy(self) -> float:
         """Return the contact energy of the cells, fJ."""
@@ -500,6 +519,8 @@ class Simulation:
             from multicell.nutrient.fitness import fitness
 
             fields, remarks = fitness(self._feeding, self.cells, self.time)
+        if self._limit > 0.0:
+            remarks = [*remarks, *self.stability.notes(self.scene.integrator.method)]
         ledgers = {name: ledger.summary() for name, ledger in self.ledger.items()}
         threads = self._mechanics.threads
         return summary.run_summary(
@@ -541,17 +562,74 @@ class Simulation:
         self._mechanics.begin(self._motion(begin, end, radius))
         if len(cells) == 0 or self._alone(self._mechanics.motion):
             return cells.position.copy(), np.zeros(len(cells))
+        self._check_begin(cells.position)
+        before = self._mechanics.work.effort
         outcome = self._integrator.integrate(self._mechanics, cells.position)
         if not outcome.done:
             cell = None if outcome.cell is None else int(cells.id[outcome.cell])
             raise StepFailed(outcome.time, outcome.problem, outcome.hint, cell)
         position = self._mechanics.at_end(outcome.position)
         check_inside(self.scene, cells.id, position, end)
-        if not math.isnan(outcome.local_error):
-            self.local_error = max(outcome.local_error, self.local_error or 0.0)
         pressure = self._mechanics.pressure(end, outcome.position)
         self._note_contacts(end, outcome.position)
+        cost = (self._mechanics.work.effort - before) * len(cells)
+        self._check_end(outcome.position, float(cost))
+        self._replay(outcome.position, float(cost))
         return position, pressure
+
+    def _check_begin(self, position: FloatArray) -> None:
+        """Measure, if that is due, how far a fixed step is from its limit before a step."""
+        if not self._limit > 0.0:
+            return
+        system, known, n = self._mechanics, self.stability, len(position)
+        product = self._limit / self._fixed_step()
+        if stability.is_due(known, n, product):
+            begin, dimensions = system.motion.begin, self.scene.dimensions
+            rate = stability.rate_at(system, begin, position, dimensions)
+            self.stability = stability.measured(known, rate, product, n)
+
+    def _check_end(self, position: FloatArray, cost: float) -> None:
+        """Refuse a fixed step that is beyond its limit after a coupling step as it was before.
+
+        ``cost`` is that of the step.
+        """
+        if not self._limit > 0.0:
+            return
+        system, n, end = self._mechanics, len(position), self._mechanics.motion.end
+        self.stability = known = self.stability._replace(total=self.stability.total + cost)
+        step = self._fixed_step()
+        product = self._limit / step
+        was_beyond, suspect = known.rate > product, False
+        if not was_beyond and stability.may_glance(known, n):
+            known = stability.glanced(known, n)
+            suspect = stability.suspect(system, end, position, product)
+        if was_beyond or suspect:
+            rate = stability.rate_at(system, end, position, self.scene.dimensions)
+            known = stability.measured(known, rate, product, n)
+            if was_beyond and rate > product:
+                words = stability.refused(self._integrator, step, self._limit, rate)
+                raise StepFailed(system.motion.begin, *words)
+        self.stability = known
+
+    def _fixed_step(self) -> float:
+        """Return how long the equal steps of the coupling step are, s."""
+        motion = self._mechanics.motion
+        return stability.actual_step(self._integrator, motion.end - motion.begin)
+
+    def _replay(self, end: FloatArray, cost: float) -> None:
+        """Take the step again from shifted positions where that is due, and note the effect."""
+        replays, cells = self.replays, self.cells
+        if replays is None:
+            return
+        effect, spent = None, 0.0
+        if replays.due:
+            shifted = shifted_positions(
+                cells.position, SHIFT, self.scene.seed, self.step_index, cells.id,
+                self.scene.dimensions,
+            )  # fmt: skip
+            start = cells.position
+            effect, spent = replayed(self._integrator, self._mechanics, start, end, shifted)
+        self.replays = replays.after(cost, spent, effect)
 
     def _alone(self, motion: Motion) -> bool:
         """Return whether there is one cell that nothing acts on: it stays where it is."""

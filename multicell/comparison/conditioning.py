@@ -19,9 +19,9 @@ from multicell.cells import FloatArray
 from multicell.comparison.files import Row
 from multicell.comparison.norms import Observed, apart, errors
 from multicell.comparison.replay import Problem
-from multicell.random import Purpose, normal
+from multicell.integrators import shift as online
 
-SHIFT: Final = 0.01
+SHIFT: Final = online.SHIFT
 """Root mean square of the shift of each coordinate, µm, unless another one is asked for."""
 
 
@@ -99,9 +99,11 @@ def shifted(problem: Problem, shift: float) -> Problem:
     """
     if problem.starts is None:
         raise ValueError("only single coupling steps start from positions that can be shifted")
-    free = np.arange(3) < problem.scene.dimensions
+    scene = problem.scene
     starts = [
-        start + shift * free * _noise(problem.scene.seed, k, len(start))
+        online.shifted_positions(
+            start, shift, scene.seed, k, np.arange(len(start)), scene.dimensions
+        )
         for k, start in enumerate(problem.starts)
     ]
     return replace(problem, starts=starts)
@@ -122,8 +124,3 @@ def measured(problem: Problem, shift: float, found: Observed, exact: Observed) -
     begin = np.array([step.motion.begin for step in problem.steps])
     rms, worst = apart(found.positions, exact.positions)
     return Conditioning(shift, begin, rms, worst, errors(problem, found, exact))
-
-
-def _noise(seed: int, step: int, n: int) -> FloatArray:
-    """Return standard normal numbers, (n, 3)."""
-    return normal(seed, Purpose.CONDITIONING, step, np.arange(n), 3)

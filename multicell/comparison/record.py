@@ -149,6 +149,7 @@ def record(
     begin, begin_cpu = clock.perf_counter(), clock.process_time()
     recorder = Recorder(integrator, samples)
     simulation = Simulation(scene, threads=threads, cells=cells, integrator=recorder)
+    simulation.replays = None  # the recorder notes every step that it sees
     first: Cells | None = None
     events: list[Events | None] = []
     happened: Events | None = None

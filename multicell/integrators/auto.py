@@ -9,9 +9,10 @@ the coupling step from its beginning. With many cells, or where evaluations are 
 cost more than a method that is not the best, and Adams-Bashforth's own steps decide, unless λΔt is
 large by the order of magnitude of λ: then it is measured at once.
 
-The choice depends on the state at the beginning of the coupling step and on the options, on
-nothing else: a run that is resumed chooses as the uninterrupted one. Costs are counted in
-evaluations of the velocity, calibrated with ``tests/benchmarks/calibrate_auto.py``: coupling
+Only methods that can hold the scene, by their own ``info``, are chosen from. The choice depends on
+the state at the beginning of the coupling step and on the options, on nothing else: a run that is
+resumed chooses as the uninterrupted one. Costs are counted in evaluations of the velocity,
+calibrated with ``tests/benchmarks/calibrate_auto.py``: coupling
 steps of 20 to 1,350 cells at rest, growing, freshly divided and some minutes after, z = λΔt from
 17 to 10⁶, tolerances from 0.001 to 0.3 µm. With θ = (atol + rtol r) / 0.01 µm, n cells, and δ the
 way that fast modes carry the fastest cell, its speed over λ, in tolerances:
@@ -31,8 +32,9 @@ way that fast modes carry the fastest cell, its speed over λ, in tolerances:
   1 + 0.6 z^0.02 θ^-0.17 n^0.17 and 8.5 z^0.18 n^0.08 θ^-0.19; geometric means between. Steady
   tissue that grows takes a few steps, however stiff it is, one with fresh daughters nearly as many
   as an explicit method. All that times 1.25: what an implicit method is off by differs more;
-- ``cvode``, where friction between cells rules that out: a ((6 + 2.5 lg z) θ^0.1 + 2000 / n) with
-  a = 8 z^0.22 θ^-0.25 steps, at the same part of the tolerances;
+- ``cvode``, where friction between cells rules ``rosenbrock`` out:
+  a ((6 + 2.5 lg z) θ^0.1 + 2000 / n) with a = 8 z^0.22 θ^-0.25 steps, at the same part of the
+  tolerances;
 - ``cvode`` in place of ``rosenbrock`` also where there are no fast modes to follow (δ < 0.001):
   (73 + 10600 / n) θ^-0.12, however stiff. Its order pays where motion is smooth: in growing tissue
   of 1,000 cells it takes a half of the time and is no further off.
@@ -43,13 +45,14 @@ What runs through Python at every evaluation costs the explicit methods 300 / n 
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, final
 
 import numpy as np
 
 from multicell.integrators.adams_bashforth import AdaptiveAdams
-from multicell.integrators.base import ErrorControl, Integrator, MethodInfo, Outcome
+from multicell.integrators.base import ErrorControl, Integrator, MethodInfo, Outcome, refusal
 from multicell.integrators.cvode import Cvode
 from multicell.integrators.rkc import Rkc2
 from multicell.integrators.rosenbrock import Rosenbrock
@@ -176,20 +179,24 @@ class Auto(ErrorControl):
         from multicell.integrators.limits import stiffness_scale
 
         n = max(len(system), 1)
+        able = candidates(system)
         dear = needs_python(system)
         length = system.motion.end - system.motion.begin
         patience = PATIENCE + _CHOICE / n
         scale = stiffness_scale(system) * length
         if n < _LOOK_FROM and scale > _IN_VAIN * patience and not dear:
-            choice = choose(system, position, self.rtol, self.atol)
+            choice = choose(system, position, self.rtol, self.atol, able=able)
             if choice.stiffness > _IN_VAIN * patience:
                 return Outcome(system.motion.begin, position, "it is not mild"), choice
         if scale > _SUSPECT and (n >= _LOOK_FROM or dear):
-            choice = at_a_glance(system, position, self.rtol, self.atol)
+            choice = at_a_glance(system, position, self.rtol, self.atol, able)
             if choice.method not in (MILD, Dopri5.info.name):
                 if n >= _LOOK_FROM and not choice.clear:
-                    choice = choose(system, position, self.rtol, self.atol)
+                    choice = choose(system, position, self.rtol, self.atol, able=able)
                 return Outcome(system.motion.begin, position, "it is not mild"), choice
+        if MILD not in able:
+            choice = choose(system, position, self.rtol, self.atol, able=able)
+            return Outcome(system.motion.begin, position, "nothing else is tried"), choice
         before = system.work.steps
         first = AdaptiveAdams(
             self.rtol, self.atol, self.max_steps, self.max_displacement, int(patience)
@@ -202,10 +209,10 @@ class Auto(ErrorControl):
             # stability holds Adams-Bashforth down, and its steps tell z, from above
             theta = (self.atol + self.rtol * float(system.motion.radius.mean())) / 0.01
             z = expected / 1.2
-            costs = predicted(n, z, theta, _TENS, expected)
+            costs = predicted(n, z, theta, _TENS, expected, able=able)
             if min(costs.values()) < _CHOICE / n:
                 return outcome, Choice(z / length, z, costs, _finer(_TENS))
-        return outcome, choose(system, position, self.rtol, self.atol, expected)
+        return outcome, choose(system, position, self.rtol, self.atol, expected, able=able)
 
     def method(self, name: str, finer: float = 1.0) -> Integrator:
         """Return a candidate with these options; an implicit one with finer tolerances."""
@@ -223,6 +230,11 @@ MILD = AdaptiveAdams.info.name
 """What every coupling step is begun by."""
 
 
+def candidates(system: Mechanics) -> list[str]:
+    """Return the names of those methods that can hold a system, by their own ``info``."""
+    return [name for name, kind in CANDIDATES.items() if refusal(kind.info, system) is None]
+
+
 def _count(system: Mechanics, name: str, before: int) -> None:
     """Count the steps since ``before`` as those of a method."""
     work = system.work
@@ -231,12 +243,18 @@ def _count(system: Mechanics, name: str, before: int) -> None:
 
 
 def choose(
-    system: Mechanics, position: FloatArray, rtol: float, atol: float, expected: float = 0.0
+    system: Mechanics,
+    position: FloatArray,
+    rtol: float,
+    atol: float,
+    expected: float = 0.0,
+    *,
+    able: Collection[str] | None = None,
 ) -> Choice:
     """Return the cheapest method for the coupling step of ``system`` at its beginning.
 
     ``expected`` is the number of evaluations that ``ab2-adaptive`` expects; without it that method
-    is no candidate.
+    is no candidate. ``able`` are the :func:`candidates`, if they are known.
     """
     from multicell.integrators.driver import needs_python
 
@@ -248,12 +266,14 @@ def choose(
     theta = tolerance / 0.01
     called = _STAGE / n if needs_python(system) else 0.0
     fast = _fastest(system, position) / rate / tolerance if rate > 0.0 else 0.0
-    friction = Rosenbrock.info.refusal(n, friction=max(system.friction) > 0.0) is not None
-    costs = predicted(n, z, theta, fast, expected, called=called, friction=friction)
+    able = candidates(system) if able is None else able
+    costs = predicted(n, z, theta, fast, expected, called=called, able=able)
     return Choice(rate, z, costs, _finer(fast))
 
 
-def at_a_glance(system: Mechanics, position: FloatArray, rtol: float, atol: float) -> Choice:
+def at_a_glance(
+    system: Mechanics, position: FloatArray, rtol: float, atol: float, able: Collection[str]
+) -> Choice:
     """Return what :func:`choose` would if |J v| / |v| were the largest decay rate.
 
     With fresh daughters it is, since nothing else moves; in quiet tissue it is far below.
@@ -276,15 +296,15 @@ def at_a_glance(system: Mechanics, position: FloatArray, rtol: float, atol: floa
     tolerance = atol + rtol * float(motion.radius.mean() if len(system) else 1.0)
     fast = float(speed) / rate / tolerance if rate > 0.0 else 0.0
     called = _STAGE / n if needs_python(system) else 0.0
-    costs = predicted(n, z, tolerance / 0.01, fast, 4.4 * z, called=called)
+    costs = predicted(n, z, tolerance / 0.01, fast, 4.4 * z, called=called, able=able)
     return Choice(rate, z, costs, _finer(fast))
 
 
 def predicted(
     n: int, z: float, theta: float, fast: float, expected: float = 0.0,
-    *, called: float = 0.0, friction: bool = False,
+    *, called: float = 0.0, able: Collection[str] | None = None,
 ) -> dict[str, float]:  # fmt: skip
-    """Return what each candidate is expected to cost, in evaluations.
+    """Return what each candidate that can hold the scene is expected to cost, in evaluations.
 
     Parameters
     ----------
@@ -294,9 +314,10 @@ def predicted(
         What ``ab2-adaptive`` expects; zero where it is no candidate.
     called
         Share by which an evaluation through Python costs an explicit method more.
-    friction
-        Whether friction between cells rules the Rosenbrock method out.
+    able
+        Names of the methods that can hold the scene; without them all.
     """
+    able = CANDIDATES if able is None else able
     accurate, stable = 12.0 * theta**-0.1, z / 3.0
     rattle = 2.5 if stable > accurate and theta > _TIGHT else 1.0
     dopri5 = 6.0 * max(accurate, stable) * rattle
@@ -310,15 +331,15 @@ def predicted(
             explicit["dopri5"] = max(dopri5, 1.01 * explicit["ab2-adaptive"])
     costs = {name: cost * (1.0 + called) for name, cost in explicit.items()}
     finer = _finer(fast)
-    if friction:
+    if "rosenbrock" not in able:
         theta *= finer
         steps = 8.0 * z**0.22 * theta**-0.25
         costs["cvode"] = steps * ((6.0 + 2.5 * math.log10(z)) * theta**0.1 + _CALL / n)
-    elif fast <= _QUIET:
+    elif fast <= _QUIET and "cvode" in able:
         costs["cvode"] = _CAUTION * (_SMOOTH + _CALLS / n) * theta**-0.12
     else:
         costs["rosenbrock"] = _CAUTION * _rosenbrock(n, z, finer * theta, fast / finer)
-    return costs
+    return {name: cost for name, cost in costs.items() if name in able}
 
 
 def _shaken(fast: float) -> float:
@@ -363,19 +384,19 @@ def decay_rate(system: Mechanics, position: FloatArray) -> float:
 
     if len(system) < 2 and system.walls is None:
         return 0.0
-    try:
-        system.linearise(system.motion.begin, position)
-    except StateRejected:
-        return 0.0
     weight = system.motion.radius[:, None]
     vector = np.random.default_rng(0).normal(size=position.shape)
     image = np.empty_like(vector)
     rate = 0.0
-    for _ in range(_ITERATIONS):
-        vector /= math.sqrt(float((weight * vector * vector).sum()))
-        system.jacobian_product(vector, image)
-        rate = math.sqrt(float((weight * image * image).sum()))
-        if rate == 0.0:
-            return 0.0
-        vector, image = image, vector
+    try:
+        system.linearise(system.motion.begin, position)
+        for _ in range(_ITERATIONS):
+            vector /= math.sqrt(float((weight * vector * vector).sum()))
+            system.jacobian_product(vector, image)
+            rate = math.sqrt(float((weight * image * image).sum()))
+            if rate == 0.0:
+                return 0.0
+            vector, image = image, vector
+    except StateRejected:
+        return 0.0
     return rate

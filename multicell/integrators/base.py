@@ -51,9 +51,6 @@ class Outcome:
         What to try then.
     cell : int or None
         Index of the cell that shows the problem most.
-    local_error : float
-        The largest error that the method expects to have made with any cell in one of its steps,
-        µm; NaN for a method that makes no estimate.
     """
 
     time: float
@@ -61,7 +58,6 @@ class Outcome:
     problem: str = ""
     hint: str = ""
     cell: int | None = None
-    local_error: float = math.nan
 
     @property
     def done(self) -> bool:
@@ -117,6 +113,11 @@ class EqualSteps:
 
     step: float
     max_displacement: float = 0.5
+
+
+def equal_steps(length: float, longest: float) -> int:
+    """Return how many equal steps no longer than ``longest`` make up an interval; both in s."""
+    return max(1, math.ceil(length / longest * (1.0 - 1e-12)))
 
 
 @dataclass(frozen=True)
@@ -235,9 +236,14 @@ class MethodInfo:
         return None
 
 
+def refusal(info: MethodInfo, system: Mechanics) -> tuple[str, str] | None:
+    """Return why a method cannot hold a system, and what to try, or None if it can."""
+    return info.refusal(len(system), friction=max(system.friction) > 0.0)
+
+
 def hold(info: MethodInfo, system: Mechanics) -> None:
     """Raise ``SceneError`` if a method cannot hold the cells of a system."""
-    refused = info.refusal(len(system), friction=max(system.friction) > 0.0)
+    refused = refusal(info, system)
     if refused is not None:
         raise SceneError("integrator.method", *refused)
 

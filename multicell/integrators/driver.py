@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from multicell.cells import FloatArray
-from multicell.integrators import stepping
+from multicell.integrators import base, stepping
 from multicell.integrators.base import Outcome
 from multicell.integrators.limits import beyond
 from multicell.mechanics import forces
@@ -78,8 +78,7 @@ def equal_steps(
     system: Mechanics, position: FloatArray, loop: Any, method: EqualSteps | Rkc2, *settings: Any
 ) -> Outcome:
     """Run a loop with equal steps no longer than ``method.step``; see :class:`Integrator`."""
-    length = system.motion.end - system.motion.begin
-    steps = max(1, math.ceil(length / method.step * (1.0 - 1e-12)))
+    steps = base.equal_steps(system.motion.end - system.motion.begin, method.step)
     allowed = method.max_displacement
     return _run(system, position, loop, (steps, allowed, *settings), allowed, _STEP_HINT, 0.0)[0]
 
@@ -137,7 +136,7 @@ def _run(
     work.steps += int(counts[stepping.STEPS])
     work.rejections += int(counts[stepping.REJECTIONS])
     if report.status == stepping.DONE:
-        return Outcome(motion.end, state, local_error=float(report.error)), report
+        return Outcome(motion.end, state), report
     return _failure(motion.begin, state, report, source, max_displacement, hint), report
 
 

@@ -57,24 +57,20 @@ def _foresee(a, u, b, v, position, radius, out, found):
 def _assess(a, new, b, now, c, old, position, trial, rtol, atol, found):
     """Weigh the error a new + b now + c old of a step, slopes; note what each chunk has of it.
 
-    ``found`` is (chunks, 2): the sum of squares over the tolerance, and the largest square of a
-    cell, µm².
+    ``found`` is (chunks, 2): its first column is given the sums of squares over the tolerance.
     """
     for k in prange(found.shape[0]):
         # three sums, so that none waits for the other
-        x, y, z, worst = 0.0, 0.0, 0.0, 0.0
+        x, y, z = 0.0, 0.0, 0.0
         for i in range(k * _CHUNK, min((k + 1) * _CHUNK, position.shape[0])):
             p = a * new[i, 0] + b * now[i, 0] + c * old[i, 0]
             q = a * new[i, 1] + b * now[i, 1] + c * old[i, 1]
             r = a * new[i, 2] + b * now[i, 2] + c * old[i, 2]
-            square = p * p + q * q + r * r
             p /= atol + rtol * max(abs(position[i, 0]), abs(trial[i, 0]))
             q /= atol + rtol * max(abs(position[i, 1]), abs(trial[i, 1]))
             r /= atol + rtol * max(abs(position[i, 2]), abs(trial[i, 2]))
             x, y, z = x + p * p, y + q * q, z + r * r
-            # keeps what is not a number
-            worst = worst if square <= worst else square
-        found[k, 0], found[k, 1] = x + y + z, worst
+        found[k, 0] = x + y + z
     return found.shape[0]
 
 
@@ -103,10 +99,7 @@ def foresee(source, a, u, b, v, position, radius, out, found):
 
 
 def assess(source, a, new, b, now, c, old, position, trial, control, found):
-    """Return the size of the error a new + b now + c old of a step, and the worst of a cell, µm.
-
-    The size is the root mean square over the tolerances.
-    """
+    """Return the root mean square over the tolerances of a step's error a new + b now + c old."""
     _ASSESS[0](a, new, b, now, c, old, position, trial, control.rtol, control.atol, found)
     return _overall(found, position.size)
 
@@ -156,9 +149,8 @@ def _furthest(found):
 
 @arithmetic
 def _overall(found, numbers):
-    """Return the weighted root mean square of an error, and the longest error of a cell, µm."""
-    total, worst = 0.0, 0.0
+    """Return the weighted root mean square of an error."""
+    total = 0.0
     for c in range(found.shape[0]):
         total += found[c, 0]
-        worst = found[c, 1] if not found[c, 1] <= worst else worst
-    return math.sqrt(total / numbers), math.sqrt(worst)
+    return math.sqrt(total / numbers)

@@ -19,8 +19,6 @@ import math
 from collections.abc import Callable
 from typing import Any, Protocol, final
 
-import numpy as np
-
 from multicell.cells import FloatArray
 from multicell.integrators.base import Outcome
 from multicell.integrators.limits import beyond
@@ -85,8 +83,6 @@ class Run:
         ``elapsed`` when the present solver was started.
     latest : float
         Time of the last evaluation, on the present solver's clock.
-    local_error : float
-        The largest estimated error of a cell in an accepted step, µm; NaN while none is known.
     share : float
         Part of the tolerances that a solver gets whose norm is a mean over all coordinates.
 
@@ -118,7 +114,6 @@ class Run:
         self.elapsed = 0.0
         self.offset = 0.0
         self.latest = 0.0
-        self.local_error = math.nan
         self.steps = 0
         self.problem = ""
         self.hint = ""
@@ -167,8 +162,7 @@ class Run:
             ceiling = 4.0 * ceiling if 4.0 * ceiling < self.length else 0.0
         time = self.system.motion.begin + self.elapsed
         if self.elapsed >= self.length:
-            end = self.system.motion.end
-            return Outcome(end, self.position, local_error=self.local_error)
+            return Outcome(self.system.motion.end, self.position)
         return Outcome(time, self.position, self.problem, self.hint, self.cell)
 
     def _started(self, start: Start, ceiling: float) -> Solver:
@@ -214,7 +208,6 @@ class Run:
                 f"radius (allowed: {self.max_displacement:g})", reached - before, cell,
             )  # fmt: skip
         self.position = moved_to
-        self.local_error = float(np.fmax(self.local_error, expected))
         self.elapsed = self.length if reached >= self.left else self.offset + reached
         self.steps += 1
         self.system.work.steps += 1

@@ -250,7 +250,7 @@ class Walk:
         self.method, self.system = method, system
         self.position = position
         self.length = system.motion.end - system.motion.begin
-        self.elapsed, self.local_error = 0.0, 0.0
+        self.elapsed = 0.0
         self.velocity = np.empty_like(position)
         self._middle, self._end, self._later = (np.empty_like(position) for _ in range(3))
         self._slope, self._last = np.zeros_like(position), np.zeros_like(position)
@@ -287,7 +287,7 @@ class Walk:
             # no growth right after a refusal
             step = min(step, wanted) if held else wanted
             held, previous = False, max(size, 1e-4)
-        return Outcome(self.system.motion.end, self.position, local_error=self.local_error)
+        return Outcome(self.system.motion.end, self.position)
 
     def _ended(self, step: float) -> Outcome | None:
         """Return how the integration ends if no further step can be tried."""
@@ -331,7 +331,6 @@ class Walk:
         self.position = trial
         self.velocity, self._end = self._end, self.velocity
         self._slope, self._last = self._last, self._slope
-        self.local_error = max(self.local_error, largest_length(error))
         self.elapsed = self.length if last else self.elapsed + step
         self._linearised = False
         self._steps += 1

@@ -38,9 +38,9 @@ DONE, REJECTED, NOT_FINITE, MOVED, STALLED, OUT_OF_STEPS, TOO_LONG = range(7)
 """How a loop, or one evaluation, ended."""
 EVALUATIONS, LIST_BUILDS, STEPS, REJECTIONS = range(4)
 """Places in the array of counts."""
-ELAPSED, STEP, PREVIOUS, HELD, WORST = range(5)
+ELAPSED, STEP, PREVIOUS, HELD = range(4)
 """Places in the state of error control: time since the beginning and next step, s; size of the last
-error; steps refused since the last accepted one; largest error of a cell so far, µm."""
+error; steps refused since the last accepted one."""
 
 _SHORTEST = 1e-13
 """Steps below this fraction of the interval are lost in rounding."""
@@ -93,17 +93,13 @@ class Control(NamedTuple):
 
 
 class Report(NamedTuple):
-    """How a loop ended: time since the beginning and last step tried, s; the worst cell.
-
-    ``error`` is the largest estimated error of a cell in an accepted step, µm, or NaN.
-    """
+    """How a loop ended: time since the beginning and last step tried, s; the worst cell."""
 
     status: int
     elapsed: float
     step: float
     cell: int
     moved: float
-    error: float
 
 
 def _index(dispatcher: Any) -> Any:
@@ -381,7 +377,7 @@ def starting_step(source, pairs, control, position, slope, trial, other, length,
 @arithmetic
 def begun(step):
     """Return the state of error control at the beginning: see ``ELAPSED`` and the others."""
-    walk = np.zeros(5)
+    walk = np.zeros(4)
     walk[STEP], walk[PREVIOUS] = step, 1.0
     return walk
 
@@ -414,17 +410,17 @@ def accepted(walk, counts, control, length, position, trial, error, least, most,
     ``steady`` one stays as it is where it would hardly change.
     """
     size = weighted_rms(error, position, trial, control.rtol, control.atol)
-    if not judged(walk, counts, control, length, size, largest_length(error), least, most, steady):
+    if not judged(walk, counts, control, length, size, least, most, steady):
         return False
     copy(trial, position)
     return True
 
 
 @arithmetic
-def judged(walk, counts, control, length, size, worst, least, most, steady):
+def judged(walk, counts, control, length, size, least, most, steady):
     """Tell whether a step is taken, as :func:`accepted` does, by the size of its error.
 
-    ``size`` is its weighted root mean square, ``worst`` the longest error of a cell, µm.
+    ``size`` is its weighted root mean square.
     """
     step = walk[STEP]
     size /= control.strictness
@@ -434,7 +430,6 @@ def judged(walk, counts, control, length, size, worst, least, most, steady):
         walk[HELD] += 1.0
         return False
     walk[ELAPSED] = length if step == length - walk[ELAPSED] else walk[ELAPSED] + step
-    walk[WORST] = max(walk[WORST], worst)
     counts[STEPS] += 1
     wanted = min(next_step(step, size, walk[PREVIOUS], control.order), most * step)
     if steady and 0.9 * step < wanted < 1.2 * step:

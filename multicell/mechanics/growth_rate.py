@@ -119,6 +119,37 @@ def largest_growth_rate(
     return found
 
 
+def largest_decay_rate(
+    system: Mechanics,
+    time: float,
+    position: FloatArray,
+    *,
+    products: int = RECORDED,
+    dimensions: int = 3,
+) -> float:
+    """Return the largest decay rate λ at a state, 1/s: the largest eigenvalue of -J.
+
+    Found as by :func:`largest_growth_rate`, and from below; with friction between cells, where the
+    drag is no diagonal matrix, by a sweep of Arnoldi's method. Parameters and errors are those of
+    :func:`largest_growth_rate`. NaN if ARPACK does not give it.
+    """
+    if not len(system):
+        return 0.0
+    system.linearise(time, position)
+    size = dimensions * len(system)
+    inner = _symmetric(system, dimensions)
+    friction = max(system.friction) > 0.0
+
+    def product(vector: FloatArray) -> FloatArray:
+        return -inner(vector)
+
+    if size <= products:
+        matrix = np.stack([product(unit) for unit in np.eye(size)], axis=1)
+        found = np.linalg.eigvals(matrix) if friction else np.linalg.eigvalsh(matrix)
+        return float(found.real.max())
+    return (_by_arnoldi if friction else _by_lanczos)(product, size, products).rate
+
+
 def recorded_rate(
     system: Mechanics, motion: Motion, position: FloatArray, dimensions: int
 ) -> float:
@@ -161,6 +192,26 @@ def _by_lanczos(
     image = counted(vector)
     rate = float(vector @ image)
     return GrowthRate(rate, float(np.linalg.norm(image - rate * vector)), spent)
+
+
+def _by_arnoldi(
+    product: Callable[[FloatArray], FloatArray], size: int, products: int
+) -> GrowthRate:
+    """Return the largest real eigenvalue of an operator after one sweep of ARPACK."""
+    from scipy.sparse.linalg import ArpackError, LinearOperator, eigs
+
+    start = normal(0, Purpose.EIGENVECTOR, 0, np.arange(size))[:, 0]
+    if not product(start).any():
+        return GrowthRate(0.0, 0.0, 1)
+    operator: Any = LinearOperator((size, size), matvec=product, dtype=float)
+    try:
+        values = eigs(
+            operator, 1, which="LR", v0=start, ncv=products - 3, tol=_ANY, maxiter=1,
+            return_eigenvectors=False,
+        )  # fmt: skip
+    except ArpackError as error:
+        return _not_given(str(error), products)
+    return GrowthRate(float(values.real.max()), float("nan"), products)
 
 
 def _symmetric(system: Mechanics, dimensions: int) -> Callable[[FloatArray], FloatArray]:

@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
 
+_LIST = 7
+"""Evaluations that a neighbour list costs."""
+
 
 class StateRejected(Exception):  # noqa: N818 - what happened to a trial state, not a fault
     """A trial state that has no meaning: not finite, or with too many cells in one place."""
@@ -36,6 +39,19 @@ class Work:
     steps_rosenbrock: int = 0
     steps_cvode: int = 0
     friction_iterations: int = 0
+
+    @property
+    def effort(self) -> int:
+        """Number of passes over all cells: what a step costs, in evaluations."""
+        return (
+            self.evaluations
+            + self.linearisations
+            + self.jacobian_products
+            + self.preconditioner_setups
+            + self.preconditioner_solves
+            + self.friction_iterations
+            + _LIST * self.list_builds
+        )
 
     def add(self, other: Work) -> None:
         """Add the counts of ``other`` to these."""

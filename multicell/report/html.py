@@ -24,7 +24,11 @@ if TYPE_CHECKING:
 
 _LABELS: Final = {
     "discretisation_error": "estimated error at the cells",
-    "largest_local_error": "largest estimated error of a cell in a step",
+    "largest_stability_ratio": "largest fixed step over its limit of stability",
+    "stability_checks": "coupling steps in which that was measured",
+    "checks_beyond_stability": "of these beyond the limit",
+    "replays": "coupling steps taken again from shifted positions",
+    "largest_shift_effect": "farthest that a shift of 0.01 µm moved the end of a cell",
 }
 
 

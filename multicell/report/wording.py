@@ -72,6 +72,9 @@ def measures(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         yield "volume changed by coupling steps", f"about {100.0 * amiss:+.2g} %"
     if "mean_step" in splitting:
         yield "mean coupling step", clock(splitting["mean_step"])
+    effect = (summary.get("integrator") or {}).get("largest_shift_effect")
+    if effect is not None:
+        yield "effect of a shift of 0.01 µm", f"up to {effect:.2g} µm in a step"
     total = (summary.get("wall") or {}).get("total")
     if total is not None:
         yield "wall time", clock(total)

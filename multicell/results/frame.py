@@ -136,8 +136,6 @@ class Progress:
         The account of each field, amol, and what a steady one exchanges now, amol/s.
     work : name -> int
         What the integration has cost.
-    local_error : float or None, µm
-        The largest estimated error of a cell in a step of the integration, where there is one.
     splitting : float or None, µm³
         The error that coupling steps have made with the volume of all cells, over their number;
         None without growth.
@@ -151,6 +149,10 @@ class Progress:
         Springs between cells: tables, identities and lengths at rest.
     first_states : name -> int
         Cells that rested, were dead, and did not fit the field at the start.
+    replays : name -> float
+        What replays from shifted positions have found; see :mod:`multicell.integrators.shift`.
+    stability : name -> float
+        How far a fixed step was from its limit; see :mod:`multicell.integrators.stability`.
     """
 
     next_id: int
@@ -162,13 +164,14 @@ class Progress:
     ledger: Mapping[str, Mapping[str, float]]
     rates: Mapping[str, Mapping[str, float]]
     work: Mapping[str, int]
-    local_error: float | None = None
     splitting: float | None = None
     pace: Mapping[str, float] | None = None
     grids: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     driven: Mapping[str, list[int]] = field(default_factory=dict)
     springs: Mapping[str, list[float]] = field(default_factory=dict)
     first_states: Mapping[str, int] = field(default_factory=dict)
+    replays: Mapping[str, float] = field(default_factory=dict)
+    stability: Mapping[str, float] = field(default_factory=dict)
 
 
 @final

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from multicell.cells import Cells, Phase, State
 from multicell.errors import OutputError
+from multicell.integrators.shift import Replays
+from multicell.integrators.stability import Stability
 from multicell.results.frame import Field, Frame, Progress
 from multicell.results.lineage import COLUMNS, Lineage
 
@@ -41,8 +43,11 @@ FIELD: Final[Mapping[str, FieldArray]] = {
     "radial": FieldArray("|i1", 0, "", 0),
 }
 
-_OF_PARTS: Final = ("driven", "springs", "first_states")
-"""Entries of a progress that only runs of scenes with such parts, or such a start, have."""
+_OF_PARTS: Final = ("driven", "springs", "first_states", "replays", "stability")
+"""Entries of a progress that only some runs have."""
+
+_OF_OTHERS: Final = ("local_error",)
+"""Entries that earlier versions noted: they are left out."""
 
 _DEEPEST: Final = 32
 
@@ -172,7 +177,7 @@ def progress_of(text: bytes, nutrients: Iterable[str]) -> Progress | None:
     """
     if not text:
         return None
-    entries = parse_table(text)
+    entries = {name: x for name, x in parse_table(text).items() if name not in _OF_OTHERS}
     expected = {spec.name for spec in fields(Progress)}
     if not expected - set(_OF_PARTS) <= set(entries) <= expected:
         raise OutputError(f"its progress has other entries: {sorted(set(entries) ^ expected)}")
@@ -180,7 +185,6 @@ def progress_of(text: bytes, nutrients: Iterable[str]) -> Progress | None:
     checks: dict[str, Callable[[Any], bool]] = {
         **dict.fromkeys(("next_id", "divisions", "removals", "unsorted"), _is_count),
         "released": _is_number,
-        "local_error": lambda value: value is None or _is_number(value),
         "splitting": lambda value: value is None or _is_number(value),
         **dict.fromkeys(("separation", "pace"), lambda v: v is None or _are_numbers(v)),
         "work": lambda value: isinstance(value, dict) and all(map(_is_count, value.values())),
@@ -190,6 +194,8 @@ def progress_of(text: bytes, nutrients: Iterable[str]) -> Progress | None:
         "driven": _are_identities,
         "springs": _are_springs,
         "first_states": _are_first_states,
+        "replays": lambda v: not v or (_are_numbers(v) and set(v) == set(Replays._fields)),
+        "stability": lambda v: not v or (_are_numbers(v) and set(v) == set(Stability._fields)),
     }
     for name, fits in checks.items():
         if name in entries and not fits(entries[name]):

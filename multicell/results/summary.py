@@ -75,7 +75,6 @@ def run_summary(
     own = observables.state_summary(frame.time, frame.cells, scene.dimensions, extent)
     confined = _confined(scene, frame)
     remainders = [entry["relative_remainder"] for entry in ledgers.values()]
-    error = progress.local_error
     optional: dict[str, Any] = {
         "hypoxic_radius": _hypoxic(scene, frame, extent),
         "separation": progress.separation,
@@ -102,7 +101,8 @@ def run_summary(
         "integrator": {
             "method": scene.integrator.method,
             **progress.work,
-            **({} if error is None else {"largest_local_error": error}),
+            **_shift(progress.replays),
+            **_stability(progress.stability),
         },
         "ledger": {**ledgers, **({"relative_remainder": max(remainders)} if remainders else {})},
         **{name: value for name, value in optional.items() if value},
@@ -111,6 +111,24 @@ def run_summary(
         "versions": versions(),
     }
     return {**summary, "units": units_of(summary)}
+
+
+def _shift(replays: Mapping[str, float]) -> dict[str, float]:
+    """Return what replays from shifted positions have found, where there were any."""
+    if not replays.get("done"):
+        return {}
+    return {"replays": int(replays["done"]), "largest_shift_effect": replays["largest"]}
+
+
+def _stability(known: Mapping[str, float]) -> dict[str, float]:
+    """Return how far a fixed step was from its limit of stability, where it has one."""
+    if not known.get("measured"):
+        return {}
+    return {
+        "stability_checks": int(known["measured"]),
+        "checks_beyond_stability": int(known["beyond"]),
+        "largest_stability_ratio": known["largest"],
+    }
 
 
 def counts_contacts(scene: Scene) -> bool:

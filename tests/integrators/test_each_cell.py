@@ -4,7 +4,9 @@ import functools
 
 import numpy as np
 import pytest
+from estimates import accepted_steps
 from formulas import end_of
+from oracles import reference, smooth_scene
 from strategies import mechanics
 
 from multicell.contact.jkr import JKR
@@ -42,21 +44,38 @@ def system(radius):
 @pytest.mark.parametrize(
     ("method", "n"), [(Cvode, 300), (Cvode, 1300), (CvodeAdams, 1300), (CvodeSparse, 300)]
 )
-def test_no_step_is_accepted_in_which_one_cell_is_wrong_by_many_tolerances(method, n):
+def test_no_step_is_accepted_in_which_one_cell_is_wrong_by_many_tolerances(method, n, monkeypatch):
+    taken = accepted_steps(monkeypatch)
     position, radius = divided(n, 1, share=0.004)
     used = system(radius)
     outcome = method(atol=1e-2).integrate(used, position)
     assert outcome.done
-    assert outcome.local_error <= 3.0 * (1e-2 + 1e-6 * 5.0)
+    assert np.nanmax([step[4] for step in taken]) <= 3.0 * (1e-2 + 1e-6 * 5.0)
     # a share of a tenth is enough for few cells
     assert (used.work.rejections > 0) is (n > 1000)
 
 
-def test_the_norm_of_sundials_lets_a_cell_be_wrong_by_many_tolerances():
+def test_the_norm_of_sundials_lets_a_cell_be_wrong_by_many_tolerances(monkeypatch):
+    taken = accepted_steps(monkeypatch)
     position, radius = divided(300, 1, share=0.004)
     outcome = Cvode(atol=1e-2, each_cell=False).integrate(system(radius), position)
     assert outcome.done
-    assert outcome.local_error > 10.0 * 1e-2
+    assert np.nanmax([step[4] for step in taken]) > 10.0 * 1e-2
+
+
+@pytest.mark.parametrize("light", [True, False])
+@pytest.mark.parametrize("atol", [1e-5, 1e-7])
+def test_cvode_steps_have_the_errors_that_are_estimated(light, atol, monkeypatch):
+    position, make = smooth_scene()
+    with monkeypatch.context() as patch:
+        taken = accepted_steps(patch)
+        assert Cvode(1e-12, atol, light=light).integrate(make(), position).done
+    true = []
+    for begin, start, end, stop, _ in taken:
+        part = make()
+        part.motion.begin, part.motion.end = begin, end
+        true.append(np.linalg.norm(stop - reference(part, start), axis=1).max())
+    assert 0.5 < np.nanmax([step[4] for step in taken]) / max(true) < 3.0
 
 
 @pytest.mark.parametrize(("n", "share"), [(1, 1.0 / 3.0**0.5), (2, 1.0 / 6.0**0.5), (1000, 0.1)])

@@ -90,7 +90,6 @@ def test_error_follows_the_tolerance(atol):
     outcome = Rosenbrock(1e-12, atol).integrate(system, position)
     assert outcome.done
     assert np.abs(outcome.position - exact).max() < 10.0 * atol
-    assert outcome.local_error <= 100.0 * math.sqrt(atol / 5.0) * atol
     assert system.work.steps > 0
     assert system.work.linear_iterations > 2 * system.work.steps
 

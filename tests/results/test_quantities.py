@@ -55,8 +55,8 @@ SCENES = {
         "springs": {"net": {"stiffness": 0.01, "pairs": [[1, 2]]}},
     },
     "bare mechanics": {
-        "duration": "10 min", "initial": {"count": 3}, "integrator": {"method": "euler"},
-        "output": {"instability": True},
+        "duration": "80 min", "coupling_step": "1 min", "initial": {"count": 3},
+        "integrator": {"method": "euler"}, "output": {"instability": True},
         "domain": {axis: [-30.0, 30.0] for axis in "xyz"},
     },
 }  # fmt: skip

@@ -200,7 +200,15 @@ SPRINGS = mc.Scene.from_dict({
 
 def recorded_by(simulation):
     """Return the columns of the history that tell of tissue, not of the computation."""
-    of_the_computation = ("time", "step", "splitting_", "spacing_", "grid_error_")
+    of_the_computation = (
+        "time",
+        "step",
+        "splitting_",
+        "spacing_",
+        "grid_error_",
+        "shift_",
+        "stability_",
+    )
     return {c for c in simulation.history_row() if not c.startswith(of_the_computation)}
 
 

@@ -27,7 +27,6 @@ from multicell.integrators.stepping import (
     MOVED,
     STEP,
     TOO_LONG,
-    WORST,
     Report,
     begun,
     combine,
@@ -62,12 +61,12 @@ def fixed_adams(source, pairs, position, length, radius, counts, steps, allowed)
         elif k > 0:
             weights[new], weights[1 - new] = 1.5, -0.5
         if status != DONE:
-            return Report(status, elapsed, step, -1, math.inf, math.nan), pairs
+            return Report(status, elapsed, step, -1, math.inf), pairs
         combine(position, step, weights, slopes, 2, trial)
         cell, moved = moved_on(position, trial, radius, allowed, counts)
         if not moved <= allowed:
-            return Report(MOVED, elapsed, step, cell, moved, math.nan), pairs
-    return Report(DONE, length, step, -1, 0.0, math.nan), pairs
+            return Report(MOVED, elapsed, step, cell, moved), pairs
+    return Report(DONE, length, step, -1, 0.0), pairs
 
 
 @compiled
@@ -85,7 +84,7 @@ def adaptive_adams(source, pairs, position, length, radius, counts, control, pat
     last, tried, first = 0.0, 0, counts[EVALUATIONS]
     status, pairs = evaluate(source, pairs, 0.0, here, slopes[now])
     if status != DONE:
-        return Report(status, 0.0, 0.0, -1, math.inf, math.nan), pairs
+        return Report(status, 0.0, 0.0, -1, math.inf), pairs
     # not further than the neighbour list reaches: a refused trial would cost two lists
     cell, moved = foresee(source, 1.0, slopes[now], 0.0, slopes[now], here, radius, trial, found)
     walk = begun(0.5 * length)
@@ -104,7 +103,7 @@ def adaptive_adams(source, pairs, position, length, radius, counts, control, pat
                 status, cell, moved = TOO_LONG, -1, expected
         if status != DONE:
             copy(here, position)
-            return Report(status, elapsed, step, cell, moved, math.nan), pairs
+            return Report(status, elapsed, step, cell, moved), pairs
         tried += 1
         r = step / last if last > 0.0 else 0.0
         ahead, behind, other = step * (1.0 + 0.5 * r), -0.5 * r * step, old
@@ -130,14 +129,14 @@ def adaptive_adams(source, pairs, position, length, radius, counts, control, pat
             # of Heun's and its corrector once more; now counts for nothing
             share, least = step, 0.02
         b, c = (-0.5 * (1.0 + r), 0.5 * r) if last > 0.0 else (0.0, -0.5)
-        size, worst = assess(
+        size = assess(
             source, 0.5 * share, slopes[new], b * share, slopes[now], c * share, slopes[old],
             here, trial, control, found,
         )  # fmt: skip
         # the formula is at its best with equal steps
-        if judged(walk, counts, control, length, size, worst, least, 2.0, True):
+        if judged(walk, counts, control, length, size, least, 2.0, True):
             here, trial = trial, here
             old, now, new = now, new, old
             last = step
     copy(here, position)
-    return Report(DONE, length, walk[STEP], -1, 0.0, walk[WORST]), pairs
+    return Report(DONE, length, walk[STEP], -1, 0.0), pairs

@@ -24,7 +24,6 @@ from multicell.integrators.stepping import (
     ELAPSED,
     MOVED,
     STEP,
-    WORST,
     Report,
     accepted,
     begun,
@@ -271,11 +270,11 @@ def fixed_chebyshev(
         if status == DONE:
             status, pairs = _chebyshev(source, pairs, table, position, slope, elapsed, step, work)
         if status != DONE:
-            return Report(status, elapsed, step, -1, math.inf, math.nan), pairs
+            return Report(status, elapsed, step, -1, math.inf), pairs
         cell, moved = moved_on(position, work[0], radius, allowed, counts)
         if not moved <= allowed:
-            return Report(MOVED, elapsed, step, cell, moved, math.nan), pairs
-    return Report(DONE, length, step, -1, 0.0, math.nan), pairs
+            return Report(MOVED, elapsed, step, cell, moved), pairs
+    return Report(DONE, length, step, -1, 0.0), pairs
 
 
 @compiled
@@ -289,7 +288,7 @@ def adaptive_chebyshev(source, pairs, position, length, radius, counts, control,
     cell, moved = -1, 0.0
     status, pairs = evaluate(source, pairs, 0.0, position, slope)
     if status != DONE:
-        return Report(status, 0.0, 0.0, -1, math.inf, math.nan), pairs
+        return Report(status, 0.0, 0.0, -1, math.inf), pairs
     step, pairs = starting_step(
         source, pairs, control, position, slope, work[0], work[1], length, radius
     )
@@ -310,7 +309,7 @@ def adaptive_chebyshev(source, pairs, position, length, radius, counts, control,
         step = walk[STEP] = fitted(walk[STEP], length - elapsed)
         status = ended(walk, counts, control, length)
         if status != DONE:
-            return Report(status, elapsed, step, cell, moved, math.nan), pairs
+            return Report(status, elapsed, step, cell, moved), pairs
         stages = stages_for(step, _SAFETY * rate, most_stages)
         if stages != table.shape[0] - 1:
             table = coefficients(stages)
@@ -332,4 +331,4 @@ def adaptive_chebyshev(source, pairs, position, length, radius, counts, control,
         else:
             # refused twice in a row: the rate is known here already
             products = _COLD if age > 0 else 0
-    return Report(DONE, length, walk[STEP], -1, 0.0, walk[WORST]), pairs
+    return Report(DONE, length, walk[STEP], -1, 0.0), pairs

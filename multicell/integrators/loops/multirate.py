@@ -28,7 +28,6 @@ from multicell.integrators.stepping import (
     EVALUATIONS,
     LIST_BUILDS,
     STEP,
-    WORST,
     Report,
     Source,
     accepted,
@@ -357,7 +356,7 @@ def adaptive_multirate(source, pairs, position, length, radius, counts, control)
     cell, moved, spent, age = -1, 0.0, 0.0, 0
     status, pairs = evaluate(source, pairs, 0.0, position, slope)
     if status != DONE:
-        return Report(status, 0.0, 0.0, -1, math.inf, math.nan), pairs
+        return Report(status, 0.0, 0.0, -1, math.inf), pairs
     step, pairs = starting_step(
         source, pairs, control, position, slope, trial, error, length, radius
     )
@@ -368,7 +367,7 @@ def adaptive_multirate(source, pairs, position, length, radius, counts, control)
         step = walk[STEP] = fitted(walk[STEP], length - elapsed)
         status = ended(walk, counts, control, length)
         if status != DONE:
-            return Report(status, elapsed, step, cell, moved, math.nan), pairs
+            return Report(status, elapsed, step, cell, moved), pairs
         if ratio == 1:
             displace(position, step, slope, trial)
         else:
@@ -401,4 +400,4 @@ def adaptive_multirate(source, pairs, position, length, radius, counts, control)
         if factor != 1.0:
             walk[STEP] = min(walk[STEP] * min(factor, 5.0), longest)
             built = -1
-    return Report(DONE, length, walk[STEP], -1, 0.0, walk[WORST]), pairs
+    return Report(DONE, length, walk[STEP], -1, 0.0), pairs

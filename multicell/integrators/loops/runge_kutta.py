@@ -12,7 +12,6 @@ from multicell.integrators.stepping import (
     ELAPSED,
     MOVED,
     STEP,
-    WORST,
     Report,
     accepted,
     begun,
@@ -53,12 +52,12 @@ def fixed_runge_kutta(source, pairs, position, length, radius, counts, steps, al
         if status == DONE:
             status, pairs = _stages(source, pairs, tableau, slopes, position, elapsed, step, trial)
         if status != DONE:
-            return Report(status, elapsed, step, -1, math.inf, math.nan), pairs
+            return Report(status, elapsed, step, -1, math.inf), pairs
         combine(position, step, tableau.b, slopes, tableau.c.size, trial)
         cell, moved = moved_on(position, trial, radius, allowed, counts)
         if not moved <= allowed:
-            return Report(MOVED, elapsed, step, cell, moved, math.nan), pairs
-    return Report(DONE, length, step, -1, 0.0, math.nan), pairs
+            return Report(MOVED, elapsed, step, cell, moved), pairs
+    return Report(DONE, length, step, -1, 0.0), pairs
 
 
 @compiled
@@ -70,7 +69,7 @@ def adaptive_runge_kutta(source, pairs, position, length, radius, counts, contro
     cell, moved = -1, 0.0
     status, pairs = evaluate(source, pairs, 0.0, position, slopes[0])
     if status != DONE:
-        return Report(status, 0.0, 0.0, -1, math.inf, math.nan), pairs
+        return Report(status, 0.0, 0.0, -1, math.inf), pairs
     step, pairs = starting_step(
         source, pairs, control, position, slopes[0], trial, error, length, radius
     )
@@ -80,7 +79,7 @@ def adaptive_runge_kutta(source, pairs, position, length, radius, counts, contro
         step = walk[STEP] = fitted(walk[STEP], length - elapsed)
         status = ended(walk, counts, control, length)
         if status != DONE:
-            return Report(status, elapsed, step, cell, moved, math.nan), pairs
+            return Report(status, elapsed, step, cell, moved), pairs
         status, pairs = _stages(source, pairs, tableau, slopes, position, elapsed, step, trial)
         # the result, where the last stage was
         cell, moved = furthest_moved(position, trial, radius)
@@ -89,4 +88,4 @@ def adaptive_runge_kutta(source, pairs, position, length, radius, counts, contro
         error_of(step, tableau.error, slopes, error)
         if accepted(walk, counts, control, length, position, trial, error, 0.2, 5.0, False):
             copy(slopes[last], slopes[0])
-    return Report(DONE, length, walk[STEP], -1, 0.0, walk[WORST]), pairs
+    return Report(DONE, length, walk[STEP], -1, 0.0), pairs

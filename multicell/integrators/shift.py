@@ -1,0 +1,133 @@
+"""What a small shift of all positions does to the end of a coupling step: its conditioning.
+
+Fresh daughters and contacts that form are unstable: there a coupling step amplifies whatever is
+wrong at its beginning, and now and then a cell falls into another pocket. Elsewhere it forgets a
+shift. No method can tell the place of a cell better than that, and where the effect of a shift is
+large the errors of methods are large too, which their own estimates do not show: those are of
+single internal steps.
+
+So a run takes some of its coupling steps twice, the second time from shifted positions, whose end
+is compared with the first one and dropped. By the counted cost of the steps this takes at most
+a fiftieth of the integration: which steps are replayed depends on counts, not on clocks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Final, NamedTuple, final
+
+import numpy as np
+
+from multicell.random import Purpose, normal
+
+if TYPE_CHECKING:
+    from multicell.cells import FloatArray, IntArray
+    from multicell.integrators.base import Integrator
+    from multicell.mechanics.system import Mechanics
+
+SHIFT: Final = 0.01
+"""Root mean square of the shift of each coordinate, µm."""
+
+SHARE: Final = 0.02
+"""Part of the cost of the integration that checks may have."""
+
+
+@final
+class Replays(NamedTuple):
+    """What replays of coupling steps from shifted positions have found, and what they cost.
+
+    Attributes
+    ----------
+    done : float
+        Number of coupling steps that were replayed to their end.
+    latest, largest : float, µm
+        How far the shift moved the end of the worst cell: in the last of them, and at most.
+    total, spent : float
+        Cost of all coupling steps so far, and of the replays, in evaluations of one cell.
+    step : float
+        Cost of the last coupling step.
+    """
+
+    done: float = 0.0
+    latest: float = 0.0
+    largest: float = 0.0
+    total: float = 0.0
+    spent: float = 0.0
+    step: float = 0.0
+
+    @classmethod
+    def of(cls, noted: Mapping[str, float]) -> Replays:
+        """Return what a frame's progress noted; nothing yet where it noted nothing."""
+        return cls(**noted)
+
+    @property
+    def due(self) -> bool:
+        """Whether the next coupling step can be replayed within :data:`SHARE`.
+
+        The last step tells what it will cost, so that dear steps are not passed over.
+        """
+        return 0.0 < self.spent + self.step <= SHARE * self.total
+
+    def after(self, cost: float, replay: float = 0.0, effect: float | None = None) -> Replays:
+        """Return what is known after a coupling step of some cost, and perhaps its replay."""
+        noted = self._replace(total=self.total + cost, spent=self.spent + replay, step=cost)
+        if effect is None:
+            return noted
+        largest = max(effect, self.largest)
+        return noted._replace(done=self.done + 1.0, latest=effect, largest=largest)
+
+
+def shifted_positions(
+    position: FloatArray, shift: float, seed: int, step: int, ids: IntArray, dimensions: int
+) -> FloatArray:
+    """Return shifted positions, (n, 3) µm.
+
+    Each coordinate is moved by ``shift`` µm times a standard normal number, which depends on the
+    seed, the step and the identity alone; cells of a plane stay in it.
+    """
+    free = np.arange(3) < dimensions
+    noise = normal(seed, Purpose.CONDITIONING, step, ids, 3)
+    return np.asarray(position + shift * free * noise)
+
+
+def replayed(
+    integrator: Integrator,
+    system: Mechanics,
+    start: FloatArray,
+    end: FloatArray,
+    shifted: FloatArray,
+) -> tuple[float | None, float]:
+    """Take the coupling step of ``system`` again from another start.
+
+    Counts of work stay as they were; the system is left made ready for the coupling step.
+
+    Parameters
+    ----------
+    integrator
+    system
+    start, end
+        Where it began and ended, (n, 3) µm.
+    shifted
+        Where it begins now, (n, 3) µm; cells whose motion is prescribed are left at ``start``.
+
+    Returns
+    -------
+    float or None
+        Largest distance of a cell from ``end``, µm; None if the end is not reached from there.
+    float
+        What it cost, in evaluations of one cell.
+    """
+    system.begin(system.motion)
+    work, counts = system.work, vars(system.work).copy()
+    before = work.effort
+    held = system.motion.held
+    if held is not None:
+        shifted = np.where(held[:, None], start, shifted)
+    outcome = integrator.integrate(system, shifted)
+    cost = float((work.effort - before) * len(system))
+    vars(work).update(counts)
+    system.begin(system.motion)
+    if not outcome.done:
+        return None, cost
+    away = np.sqrt(np.square(outcome.position - end).sum(axis=1))
+    return float((away if held is None else away[~held]).max(initial=0.0)), cost

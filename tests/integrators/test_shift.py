@@ -1,0 +1,197 @@
+"""What a small shift of all positions does to the end of a coupling step, in runs."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from stored import assert_same_bits
+
+import multicell as mc
+from multicell.comparison.conditioning import shifted
+from multicell.comparison.record import record
+from multicell.integrators import shift
+from multicell.integrators.auto import Auto
+from multicell.integrators.shift import SHARE, SHIFT, Replays, replayed, shifted_positions
+from multicell.mechanics.motion import Work
+from multicell.results.records import progress_of
+from multicell.simulation import Simulation
+
+METHODS = ["auto", "cvode", "rkc2", "euler-adaptive", "rosenbrock", "ab2", "multirate-euler"]
+
+
+def scene_of(**changes):
+    usual = {"duration": "14 h", "initial.count": 30, "initial.stage": "uniform"}
+    return mc.load_scene("growth").with_changes(usual | {"output.every": "2 h"} | changes)
+
+
+def often(monkeypatch):
+    """Let every second coupling step or so be replayed."""
+    monkeypatch.setattr(shift, "SHARE", 0.5)
+
+
+def course(scene, replays=True):
+    simulation = Simulation(scene, threads=1)
+    if not replays:
+        simulation.replays = None
+    while not simulation.finished:
+        simulation.step()
+    return simulation
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_replays_change_no_bit_and_no_count_of_a_run(method, monkeypatch):
+    """Also where contacts, receptors and what a method remembers would show it."""
+    often(monkeypatch)
+    scene = scene_of(duration="4 h", integrator={"method": method, "step": 10.0})
+    found, plain = course(scene), course(scene, replays=False)
+    assert found.replays.done > 5
+    assert found.replays.largest > 0.0
+    assert found.cells.position.tobytes() == plain.cells.position.tobytes()
+    assert found.cells.pressure.tobytes() == plain.cells.pressure.tobytes()
+    assert found._mechanics.work == plain._mechanics.work
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        {"contact": {"law": "exact-jkr", "surface_energy": 0.1}},
+        {"motions": {"m": {"cells": [0, 1], "velocity": [0.001, 0, 0]}}},
+        {"friction": {"normal": 0.1}},
+        {"springs": {"s": {"stiffness": 0.1, "within": "10 um"}}},
+        {"dimensions": 2},
+    ],
+    ids=lambda parts: next(iter(parts)),
+)
+def test_replays_change_nothing_with_parts_that_keep_something(parts, monkeypatch):
+    often(monkeypatch)
+    scene = scene_of(duration="2 h", **parts)
+    found, plain = course(scene), course(scene, replays=False)
+    assert found.replays.done > 2
+    assert found.cells.position.tobytes() == plain.cells.position.tobytes()
+    assert found.contacts.tobytes() == plain.contacts.tobytes()
+
+
+def test_the_effect_is_that_of_two_integrations():
+    """The end from the shifted start by hand, by a method at a tight tolerance."""
+    simulation = Simulation(scene_of(), threads=1)
+    simulation.step()
+    system, start = simulation.prepared(), simulation.cells.position
+    motion, method = system.motion, Auto(1e-9, 1e-6)
+    end = method.integrate(system, start).position
+    moved = shifted_positions(start, SHIFT, 7, 3, simulation.cells.id, 3)
+    effect, cost = replayed(method, system, start, end, moved)
+    system.begin(motion)
+    other = method.integrate(system, moved).position
+    assert effect == np.linalg.norm(other - end, axis=1).max()
+    assert cost > len(start)
+
+
+def test_free_cells_keep_their_shift():
+    """Nothing moves cells that touch nothing."""
+    start = np.array([[0.0, 0, 0], [100.0, 0, 0]])
+    scene = scene_of(duration="20 min")
+    simulation = Simulation(scene.with_changes({"initial.count": 2, "growth": None}), threads=1)
+    simulation.cells.position = start
+    system = simulation.prepared()
+    moved = shifted_positions(start, SHIFT, 1, 0, simulation.cells.id, 3)
+    effect, _ = replayed(Auto(), system, start, start, moved)
+    assert effect == np.linalg.norm(moved - start, axis=1).max()
+
+
+def test_shifts_are_normal_numbers_by_identity_and_stay_in_a_plane():
+    ids = np.arange(4000)[::-1].copy()
+    place = np.zeros((4000, 3))
+    noise = shifted_positions(place, 0.01, 5, 2, ids, 2)
+    assert not noise[:, 2].any()
+    assert abs(noise[:, :2].std() - 0.01) < 3e-4
+    again = shifted_positions(place[:7], 0.01, 5, 2, ids[:7], 2)
+    np.testing.assert_array_equal(again, noise[:7])
+    assert not np.array_equal(shifted_positions(place, 0.01, 5, 3, ids, 2), noise)
+
+
+def test_comparisons_shift_by_the_same_numbers():
+    problem, _ = record(scene_of(duration="2 h"), Auto(), samples=3)
+    moved = shifted(problem, 0.02)
+    seed = problem.scene.seed
+    for k, (before, after) in enumerate(zip(problem.starts, moved.starts, strict=True)):
+        ids = np.arange(len(before))
+        expected = shifted_positions(before, 0.02, seed, k, ids, 3)
+        np.testing.assert_array_equal(after, expected)
+
+
+def test_replays_take_a_fiftieth_of_the_counted_cost():
+    replays = Replays()
+    costs = np.random.default_rng(1).uniform(10.0, 1000.0, 5000)
+    for cost in costs:
+        replays = replays.after(cost, *((cost, 0.1) if replays.due else ()))
+        # one step more, where it is dearer than the one before it
+        assert replays.spent <= SHARE * replays.total + 1000.0
+    assert replays.total == pytest.approx(costs.sum())
+    assert replays.spent > 0.9 * SHARE * replays.total
+
+
+def test_a_replay_that_does_not_reach_the_end_costs_and_finds_nothing():
+    replays = Replays(1.0, 0.2, 0.3, 1e4, 10.0, 100.0)
+    after = replays.after(90.0, 80.0, None)
+    assert after == Replays(1.0, 0.2, 0.3, 10090.0, 90.0, 90.0)
+
+
+def test_effort_counts_every_pass_over_all_cells():
+    one = Work(evaluations=3, linearisations=2, jacobian_products=5, list_builds=1, steps=100)
+    assert one.effort == 3 + 2 + 5 + 7
+
+
+def test_history_and_summary_give_the_effect_and_a_resumed_run_the_same_bits(tmp_path):
+    scene = scene_of()
+    whole = mc.run(scene, output=tmp_path / "whole", report=False)
+    work = whole.summary()["integrator"]
+    column = np.array(whole.history["shift_effect"])
+    assert work["replays"] >= 1
+    assert work["largest_shift_effect"] == np.nanmax(column) > 0.0
+    assert np.isnan(column[0])
+    assert np.isfinite(column[-1])
+    assert whole.summary()["units"]["integrator.largest_shift_effect"] == "um"
+    resumed = mc.resume(tmp_path / "whole", 2, output=tmp_path / "again", report=False)
+    assert resumed.summary()["integrator"] == work
+    assert_same_bits(tmp_path / "whole", tmp_path / "again")
+
+
+def test_the_effect_is_the_same_for_any_number_of_threads():
+    scene = scene_of()
+    found = [mc.run(scene, threads=n).history["shift_effect"] for n in (1, 2)]
+    np.testing.assert_array_equal(*found)
+
+
+def test_a_run_without_replays_tells_none():
+    result = mc.run(scene_of(duration="1 h"))
+    assert "largest_shift_effect" not in result.summary()["integrator"]
+    assert all(math.isnan(x) for x in result.history["shift_effect"])
+
+
+def test_the_page_and_the_closing_lines_give_the_effect(tmp_path):
+    from multicell.report.wording import measures
+
+    result = mc.run(scene_of(), output=tmp_path / "out")
+    figures = dict(measures(result.summary()))
+    assert "µm in a step" in figures["effect of a shift of 0.01 µm"]
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "farthest that a shift of 0.01 µm moved the end of a cell" in page
+
+
+def test_progress_of_earlier_versions_is_read_without_their_estimate():
+    frame = course(scene_of(duration="1 h")).frame()
+    noted = vars(frame.progress) | {"local_error": 0.01}
+    del noted["replays"]
+    noted = {name: x for name, x in noted.items() if name not in ("springs", "driven")}
+    found = progress_of(json.dumps(noted).encode(), [])
+    assert found.replays == {}
+    assert found.next_id == frame.progress.next_id
+
+
+@pytest.mark.parametrize("damage", [{"done": 1.0}, {"done": "x"}, [1.0], {"much": 1.0}])
+def test_progress_with_damaged_replays_is_refused(damage):
+    frame = course(scene_of(duration="1 h")).frame()
+    noted = {name: x for name, x in vars(frame.progress).items() if name != "springs"}
+    with pytest.raises(mc.OutputError, match="replays"):
+        progress_of(json.dumps(noted | {"replays": damage}).encode(), [])
