@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 _LABELS: Final = {
     "discretisation_error": "estimated error at the cells",
+    "startup": "start-up",
     "largest_local_error": "largest estimated error of a cell in a step",
 }
 
@@ -145,10 +146,10 @@ def _parameter_text(value: Any, unit: str) -> str:
 
 def _label(key: str, path: str = "") -> str:
     """Return the name of an entry; ``path`` leads to it in the summary, which knows its unit."""
+    name = str(_LABELS.get(key, key)).replace("_", " ")
     if not path:
-        return str(key).replace("_", " ")
+        return name
     unit = known_unit(f"{path}.{key}").replace("um", "µm").replace("^3", "³")
-    name = _LABELS.get(key, key).replace("_", " ")
     return f"{name} ({unit})" if unit else name
 
 
