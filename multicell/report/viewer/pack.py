@@ -152,7 +152,11 @@ def _thinned(frame: Frame, most: int) -> Frame:
 def _groups(frame: Frame) -> dict[str, list[int]]:
     """Return how many of all cells are in each state, of each type and in each phase."""
     cells = frame.cells
-    members = {"state": cells.state, "type": cells.kind, "phase": cells.phase}
+    members: dict[str, NDArray[Any]] = {
+        "state": cells.state,
+        "type": cells.kind,
+        "phase": cells.phase,
+    }
     return {name: np.bincount(column).tolist() for name, column in members.items()}
 
 
