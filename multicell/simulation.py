@@ -27,6 +27,7 @@ from multicell.biology.spring_graph import Springs
 from multicell.biology.step import aged, bind, decide, divide_and_remove, grow
 from multicell.cells import Cells, FloatArray
 from multicell.compiling import compile_time
+from multicell.contact.custom import compiling
 from multicell.errors import NutrientFailed, SceneError, StepFailed
 from multicell.integrators import registry
 from multicell.mechanics import binning
@@ -200,7 +201,7 @@ class Simulation:
         self.lineage.born(first, self.time)
         self.unsorted = len(cells)
         self._sort()
-        with self.phase("mechanics"):
+        with self.phase("mechanics"), compiling(self.scene.contact):
             self._find_first_contacts()
         with self.phase("nutrient"):
             if self._feeding is not None:
@@ -323,7 +324,8 @@ class Simulation:
         """
         kept = self._kept()
         try:
-            self._advance()
+            with compiling(self.scene.contact):
+                self._advance()
         except NutrientFailed as failure:
             self._take_back(kept)
             raise StepFailed(self.time, failure.problem, failure.hint) from failure
