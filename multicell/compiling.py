@@ -9,6 +9,7 @@ is neither optimised nor turned into machine code by itself (:data:`INNER`).
 from __future__ import annotations
 
 import gc
+import time as clock
 from collections.abc import Callable
 from typing import Any, final
 
@@ -77,7 +78,7 @@ INLINED: dict[str, Any] = {**INNER, "forceinline": True}
 
 @final
 class _WithoutCollector(event.Listener):
-    """Holds Python's search for cyclic garbage back while numba compiles.
+    """Times numba's compiling, and holds Python's search for cyclic garbage back meanwhile.
 
     Numba makes millions of objects that live until it is done: to look through them again and
     again takes a sixth of the time.
@@ -86,10 +87,12 @@ class _WithoutCollector(event.Listener):
     def __init__(self) -> None:
         self.depth = 0
         self.enabled = False
+        self.begin = self.seconds = 0.0
 
     def on_start(self, event: event.Event) -> None:
         """Note whether the collector runs, and stop it."""
         if self.depth == 0:
+            self.begin = clock.perf_counter()
             self.enabled = gc.isenabled()
             gc.disable()
         self.depth += 1
@@ -97,8 +100,10 @@ class _WithoutCollector(event.Listener):
     def on_end(self, event: event.Event) -> None:
         """Let it run again."""
         self.depth -= 1
-        if self.depth == 0 and self.enabled:
-            gc.enable()
+        if self.depth == 0:
+            self.seconds += clock.perf_counter() - self.begin
+            if self.enabled:
+                gc.enable()
 
 
 def arithmetic(body: Callable[..., Any]) -> Any:
@@ -113,6 +118,11 @@ def arithmetic(body: Callable[..., Any]) -> Any:
 
 _LISTENER = _WithoutCollector()
 event.register("numba:compile", _LISTENER)  # type: ignore[no-untyped-call]
+
+
+def compile_time() -> float:
+    """Return the wall time in s that this process has spent compiling so far."""
+    return _LISTENER.seconds
 
 
 _typeof: Any = typeof

@@ -6,20 +6,34 @@ file or a result folder names is text, which is never executed.
 
 from __future__ import annotations
 
+import builtins
+import difflib
 import hashlib
+import linecache
+import os
 import re
 import sys
+import sysconfig
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dis import get_instructions
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
+from token import NAME
+from tokenize import generate_tokens
+from traceback import walk_tb
 from types import ModuleType
 from typing import Any
 
-from multicell.errors import SceneError
+from multicell.errors import MulticellError, SceneError
 from multicell.schema import near_miss
 
 OWN_OBJECT = r"^.+\.py:[A-Za-z_].*$"
 """Pattern of how a scene names an object of the user's own, for editors."""
 _NAMED = re.compile(r"(?P<file>.+):(?P<name>[^\W\d]\w*(\.[^\W\d]\w*)*)")
+_COMPILED = re.compile(r'File "([^"]+)", line (\d+)')
+"""How numba names a line of what it compiles."""
+_MISSING = re.compile(r"(?:name|attribute) '(\w+)'")
 _RECORDED = re.compile(_NAMED.pattern + r"(\(.*\))?")
 
 
@@ -122,3 +136,96 @@ def _line(error: BaseException, path: Path) -> str:
             line = trace.tb_lineno
         trace = trace.tb_next
     return "" if line is None else f" in line {line}"
+
+
+def own_fault(
+    error: BaseException,
+    own: Callable[[str], bool] | None = None,
+    function: Callable[..., Any] | None = None,
+) -> str | None:
+    """Return in words where code of the user's has failed; None if it has no part in an error.
+
+    Parameters
+    ----------
+    error
+        Raised by that code, or by numba where it cannot be compiled.
+    own
+        Whether a file is the user's, by default those that :func:`load_object` has loaded, and
+        what they import from their folders.
+    function
+        What was compiled: numba does not always say in which line a name is missing.
+    """
+    own = _loaded if own is None else own
+    known: BaseException | None = error
+    while known is not None:
+        for file, line in reversed(list(_lines(known))):
+            if not _installed(file) and own(file):
+                return f"'{file}', line {line}, {_said(known, file)}"
+        known = known.__cause__ or known.__context__
+    if function is None:
+        return None
+    code = function.__code__
+    uses = (part for part in get_instructions(code) if part.argval == _missing(error))
+    at = next((part.positions.lineno for part in uses if part.positions), code.co_firstlineno)
+    return f"'{code.co_filename}', line {at}, {_said(error, code.co_filename)}"
+
+
+@contextmanager
+def own_code(path: str, function: Callable[..., Any] | None = None) -> Iterator[None]:
+    """Raise ``SceneError`` where code that is not ours fails in the block, with file and line.
+
+    ``function`` is what the block compiles, if it does nothing else.
+    """
+    try:
+        yield
+    except MulticellError:
+        raise
+    except Exception as error:
+        fault = own_fault(error, lambda file: True, function)
+        if fault is None:
+            raise
+        raise SceneError(path, fault) from error
+
+
+def _lines(error: BaseException) -> Iterator[tuple[str, int]]:
+    """Yield file and line of each frame of an error, the last one innermost; numba's ones first."""
+    if type(error).__module__.startswith("numba."):
+        for file, line in _COMPILED.findall(str(error)):
+            yield os.path.realpath(file), int(line)
+    else:
+        for frame, number in walk_tb(error.__traceback__):
+            yield frame.f_code.co_filename, number
+
+
+def _installed(file: str) -> bool:
+    """Return whether a file belongs to this package, to Python or to another package."""
+    places = [Path(__file__).parent, *map(Path, sysconfig.get_paths().values())]
+    path = os.path.realpath(file)
+    return file.startswith("<frozen") or any(Path(path).is_relative_to(p.resolve()) for p in places)
+
+
+def _loaded(file: str) -> bool:
+    known = [
+        module for module in list(sys.modules.values()) if hasattr(module, "_multicell_source")
+    ]
+    folders = [Path(str(module.__file__)).parent for module in known]
+    return any(Path(os.path.realpath(file)).is_relative_to(folder) for folder in folders)
+
+
+def _said(error: BaseException, file: str) -> str:
+    """Return what an error says in one line, with the name that was likely meant."""
+    missing = _missing(error)
+    told = [line.strip() for line in str(error).splitlines()]
+    told = [line for line in told if line and not line.startswith("Failed in")]
+    text = next((line for line in told if f"'{missing}'" in line), next(iter(told), ""))
+    lines = iter(linecache.getlines(file))
+    names = {part.string for part in generate_tokens(lines.__next__) if part.type == NAME}
+    names |= {*dir(getattr(error, "obj", None)), *dir(builtins)}
+    near = difflib.get_close_matches(missing, names - {missing}, 1, 0.7)
+    hint = f" (did you mean '{near[0]}'?)" if near else ""
+    return f"raises {type(error).__name__}: {text}".rstrip(": ") + hint
+
+
+def _missing(error: BaseException) -> str:
+    """Return the name that an error says does not exist, or nothing."""
+    return str(getattr(error, "name", None) or "".join(_MISSING.findall(str(error))[:1]))

@@ -151,7 +151,7 @@ def recorded(
         if own is None:
             rehearsal.begin(scene)
         simulation = Simulation(scene, threads=threads, integrator=own, reactions=reactions)
-        recorder.startup = clock.perf_counter() - begin
+        recorder.started(simulation, begin)
         recorder.record(simulation)
         go_on(simulation, recorder, interrupt, progress, rehearsal)
     return recorder
@@ -245,20 +245,24 @@ class Recorder:
         self._last_frame = -1
         self._summary: dict[str, Any] = {}
         self._memory = Returns()
-        self.startup = 0.0
+        self._begin = self._startup = 0.0
+
+    def started(self, simulation: Simulation, begin: float) -> None:
+        """Note that all is ready since a moment of the clock, for the account of wall time."""
+        self._begin = begin
+        self._startup = clock.perf_counter() - begin - sum(simulation.wall.values())
 
     def record(self, simulation: Simulation) -> None:
         """Add a row to the history, and a frame if one is due."""
-        begin = clock.perf_counter()
-        row = simulation.history_row()
-        if self._store is None:
-            self._rows.append(row)
-        else:
-            self._store.append_history(row)
-        if frame_due(simulation.time, self._next_frame) or simulation.finished:
-            self._frame(simulation)
-        self._memory.now_and_then(len(simulation.cells))
-        simulation.wall["record"] += clock.perf_counter() - begin
+        with simulation.phase("record"):
+            row = simulation.history_row()
+            if self._store is None:
+                self._rows.append(row)
+            else:
+                self._store.append_history(row)
+            if frame_due(simulation.time, self._next_frame) or simulation.finished:
+                self._frame(simulation)
+            self._memory.now_and_then(len(simulation.cells))
 
     def skip(self, frame: Frame) -> None:
         """Go on after a frame that is recorded already."""
@@ -267,16 +271,24 @@ class Recorder:
 
     def finish(self, simulation: Simulation, *, interrupted: bool) -> None:
         """Write the last state and the summary."""
-        if simulation.step_index > self._last_frame:
-            self._frame(simulation)
+        with simulation.phase("record"):
+            if simulation.step_index > self._last_frame:
+                self._frame(simulation)
+            if self._store is not None:
+                self._store.settle()
         self._summary = simulation.summary()
-        self._summary["wall"]["startup"] = self.startup
+        self._summary["wall"] = self._account(simulation)
         self._summary["units"] = units_of(self._summary)
         if interrupted:
             self._summary["interrupted"] = True
         if self._store is not None:
-            self._store.settle()
             write_summary(self._store.folder, self._summary)
+
+    def _account(self, simulation: Simulation) -> dict[str, float]:
+        """Return the wall time from the start on by phases, which add up to the total, s."""
+        parts = {"startup": self._startup, **simulation.wall}
+        total = clock.perf_counter() - self._begin
+        return {**parts, "rest": total - sum(parts.values()), "total": total}
 
     def close(self) -> None:
         """Close the files."""
@@ -464,7 +476,7 @@ def gone_on(
         if not here:
             store.copy(contents, place, rows)
         recorder.skip(contents.frame(kept))
-        recorder.startup = clock.perf_counter() - begin
+        recorder.started(simulation, begin)
         go_on(simulation, recorder, interrupt, progress)
     return recorder
 

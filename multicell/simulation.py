@@ -27,6 +27,8 @@ from multicell.biology.spring_graph import Springs
 from multicell.biology.start_states import StartStates
 from multicell.biology.step import aged, bind, decide, divide_and_remove, grow
 from multicell.cells import Cells, FloatArray
+from multicell.compiling import compile_time
+from multicell.contact.custom import compiling
 from multicell.errors import NutrientFailed, SceneError, StepFailed
 from multicell.integrators import registry, stability
 from multicell.integrators.shift import SHIFT, Replays, replayed, shifted_positions
@@ -55,8 +57,8 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 
-PHASES = ("nutrient", "biology", "mechanics", "events", "record")
-"""Phases of the loop whose wall time is measured."""
+PHASES = ("compile", "nutrient", "biology", "mechanics", "events", "record")
+"""Phases of the loop whose wall time is measured; no moment belongs to two of them."""
 
 _NOTED = (
     "divisions", "removals", "released", "separation", "next_id", "unsorted", "splitting",
@@ -75,16 +77,18 @@ _STALE_ORDER = 0.05
 
 @final
 class _Phase:
-    """Adds the wall time of a block to that of a phase."""
+    """Adds the wall time of a block to that of a phase, and what numba took of it to another."""
 
     def __init__(self, wall: dict[str, float], name: str) -> None:
         self.wall, self.name = wall, name
 
     def __enter__(self) -> None:
-        self.begin = clock.perf_counter()
+        self.begin, self.compiled = clock.perf_counter(), compile_time()
 
     def __exit__(self, *_: object) -> None:
-        self.wall[self.name] += clock.perf_counter() - self.begin
+        compiled = compile_time() - self.compiled
+        self.wall["compile"] += compiled
+        self.wall[self.name] += clock.perf_counter() - self.begin - compiled
 
 
 @final
@@ -213,9 +217,9 @@ class Simulation:
         self.lineage.born(first, self.time)
         self.unsorted = len(cells)
         self._sort()
-        with self._phase("mechanics"):
+        with self.phase("mechanics"), compiling(self.scene.contact):
             self._find_first_contacts()
-        with self._phase("nutrient"):
+        with self.phase("nutrient"):
             if self._feeding is not None:
                 try:
                     self._feeding.begin(self.cells, self.time)
@@ -225,7 +229,7 @@ class Simulation:
                     raise StepFailed(self.time, failure.problem, failure.hint) from failure
                 bind(self.scene, self.cells, self.cells, self.concentrations, self.time)
         if self._feeding is None or given_states:
-            with self._phase("biology"):
+            with self.phase("biology"):
                 self._decide(0.0)
 
     def _find_states(self, feeding: Feeding) -> None:
@@ -359,7 +363,8 @@ class Simulation:
         """
         kept = self._kept()
         try:
-            self._advance()
+            with compiling(self.scene.contact):
+                self._advance()
         except NutrientFailed as failure:
             self._take_back(kept)
             raise StepFailed(self.time, failure.problem, failure.hint) from failure
@@ -370,14 +375,14 @@ class Simulation:
     def _advance(self) -> None:
         """Do one coupling step; an exception leaves parts of it behind."""
         scene, begin, end = self.scene, self.time, self._next_time
-        with self._phase("biology"):
+        with self.phase("biology"):
             factor = self._growth_factor()
             grown = grow(scene, self.cells, self.concentrations, factor, end - begin)
             before = None if scene.growth is None else held(self.cells, factor)
             first, began = self.next_id, self.cells
-        with self._phase("mechanics"):
+        with self.phase("mechanics"):
             position, pressure = self._move(begin, end, grown.radius)
-        with self._phase("events"):
+        with self.phase("events"):
             self.cells, lost = aged(scene, self.cells, grown, self.concentrations, begin, end)
             self.cells.position, self.cells.pressure = position, pressure
             self.released += lost
@@ -388,11 +393,11 @@ class Simulation:
             if len(self.springs):
                 self.springs = spring_graph.unbroken(scene, self.springs, self.cells)
             self._sort()
-        with self._phase("nutrient"):
+        with self.phase("nutrient"):
             if self._feeding is not None:
                 earlier = None if before is None else began
                 self._feeding.advance(self.cells, begin, end, before=earlier)
-        with self._phase("biology"):
+        with self.phase("biology"):
             self._decide(end - begin)
             if before is not None:
                 self._estimate(before, first, begin, end)
@@ -527,7 +532,8 @@ class Simulation:
             self.scene, self._view(), ledgers, fields, remarks, self.wall, threads
         )
 
-    def _phase(self, name: str) -> _Phase:
+    def phase(self, name: str) -> _Phase:
+        """Return a context that adds the wall time of its block to one of :data:`PHASES`."""
         return _Phase(self.wall, name)
 
     def _motion(self, begin: float, end: float, radius: FloatArray) -> Motion:

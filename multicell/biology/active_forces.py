@@ -127,7 +127,7 @@ def pulling_force(scene: Scene, cells: Cells, time: float) -> FloatArray:
     It points away from the centroid of all cells; a cell that lies there is not pulled.
     """
     assert scene.pull is not None
-    away = cells.position - cells.position.mean(axis=0)
+    away = cells.position - cells.position.sum(axis=0) / max(len(cells), 1)
     length = np.linalg.norm(away, axis=1, keepdims=True)
     direction = away / np.where(length > 0.0, length, 1.0)
     size = scene.pull.force + scene.pull.rate * time

@@ -21,6 +21,7 @@ from typing import Any, NoReturn, final
 import click
 
 from multicell.errors import MulticellError
+from multicell.plugins import own_fault
 
 
 def print_json(document: Any) -> None:
@@ -142,6 +143,9 @@ def in_words(error: Exception) -> tuple[str, int]:
         return f"'{error.filename}' cannot be used: {reason}", 1
     if isinstance(error, MemoryError):
         return "there is not enough memory for this", 1
+    fault = own_fault(error)
+    if fault is not None:
+        return f"your own code fails: {fault}. {DEBUG}=1 shows how it was called", 1
     said = " ".join(str(error).split())
     return (
         f"unexpected {type(error).__name__}{f': {said}' if said else ''}. This is a bug of "

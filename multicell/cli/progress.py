@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import IO, TYPE_CHECKING, Any, Final, cast, final
 
-from multicell.cli.remaining import Remaining, in_words
+from multicell.cli.remaining import Forecast, Remaining, in_words
 from multicell.report.wording import time_unit
 
 if TYPE_CHECKING:
@@ -82,6 +82,7 @@ def status(simulation: Any, wall: float, left: float | None = None) -> str:
 
 
 _TELL_EVERY: Final = 0.5  # s between two looks ahead
+_WORTH: Final = 10.0  # s that are left, from which on the scene is asked for a forecast
 
 
 @final
@@ -93,6 +94,7 @@ class _Clock:
         self._remaining = Remaining(scene.duration, scene.stop_cells, cycle)
         self._start = self._before = self._told = time.perf_counter()
         self._left: float | None = None
+        self._scene = scene
 
     def status(self, simulation: Any) -> str:
         """Return where the run stands in words."""
@@ -101,7 +103,20 @@ class _Clock:
         self._before = now
         if now - self._told > _TELL_EVERY:
             self._told, self._left = now, self._remaining.left()
+            if self._remaining.forecast is None and (self._left or 0.0) > _WORTH:
+                self._remaining.forecast = _forecast(self._scene)
+                self._left = self._remaining.left()
+                self._before = time.perf_counter()
         return status(simulation, now - self._start, self._left)
+
+
+def _forecast(scene: Scene) -> Forecast:
+    """Return how a scene's population is expected to grow; it takes about half a second."""
+    from multicell.report.explain.cost import cost_of_step
+    from multicell.report.explain.course import course
+
+    found = course(scene)
+    return Forecast(found.times, found.cells, *cost_of_step(scene))
 
 
 @contextmanager

@@ -8,11 +8,18 @@ more. The population is continued from its course over the last half of the simu
 with its present rate of growth g = n'/n and the rate's derivative g'. That is exponential growth
 where the rate is constant (m without end), and the power of time that it has become where only a
 rim still grows (n ~ t^3: m = 3).
+
+The beginning of a run does not show what will hold its growth back: there a forecast of the scene
+says it, such as that of ``explain``. It is read from where it has as many cells as the run, and
+counts the less the more of the time is done: log n is the mean of both, with weights of 1 - (t/T)^2
+and (t/T)^2. What a step costs with more cells than there have been is unknown as well: one step of
+the forecast counts like a measured one.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from statistics import median
 from typing import Final, final
 
@@ -28,6 +35,25 @@ _MOST_COURSE: Final = 4096  # points of the course that are kept
 
 
 @final
+@dataclass(frozen=True)
+class Forecast:
+    """How a population is expected to grow, and what a step costs with it.
+
+    Attributes
+    ----------
+    times, cells : (k,)
+        Simulated times from 0 on, s, and the number of cells then.
+    constant, slope
+        Of the cost of a step, constant + slope n, in any unit.
+    """
+
+    times: np.ndarray
+    cells: np.ndarray
+    constant: float
+    slope: float
+
+
+@final
 class Remaining:
     """Notes steps and tells the wall time that is left.
 
@@ -39,6 +65,11 @@ class Remaining:
         Number of cells at which the run ends before, or None.
     cycle : s
         Time in which cells double at the fastest.
+
+    Attributes
+    ----------
+    forecast : Forecast or None
+        Of the scene.
     """
 
     def __init__(
@@ -53,6 +84,7 @@ class Remaining:
         self._sums = [0.0] * 5
         self._count = 0
         self._length = 0.0
+        self.forecast: Forecast | None = None
 
     def note(self, time: float, cells: int, wall: float) -> None:
         """Note a step that ended at a simulated time with so many cells, and its wall time, s."""
@@ -86,14 +118,23 @@ class Remaining:
         cells = self._population(points)
         if self._stop is not None and cells[-1] > self._stop:
             cells = cells[cells < self._stop]
-        constant, slope = self._cost()
+        constant, slope = self._cost(float(cells.mean()) if len(cells) else 0.0)
         share = len(cells) / len(points)
         mean = float(cells.mean()) if len(cells) else 0.0
         return (constant + slope * mean) * share * ahead / self._length
 
-    def _cost(self) -> tuple[float, float]:
-        """Return a and b of a step's cost a + b n, s; neither is negative."""
-        one, n, squares, cost, product = self._sums
+    def _cost(self, ahead: float) -> tuple[float, float]:
+        """Return a and b of a step's cost a + b n, s; neither is negative.
+
+        With a forecast a step with ``ahead`` cells counts as one that has been measured.
+        """
+        sums = self._sums
+        if self.forecast is not None:
+            mean, a, b = sums[1] / sums[0], self.forecast.constant, self.forecast.slope
+            dearer = (a + b * ahead) / (a + b * mean) * sums[3] / sums[0]
+            new = (1.0, ahead, ahead * ahead, dearer, ahead * dearer)
+            sums = [old + x for old, x in zip(sums, new, strict=True)]
+        one, n, squares, cost, product = sums
         spread = one * squares - n * n
         if spread > 1e-4 * n * n:
             slope = (one * product - n * cost) / spread
@@ -108,12 +149,31 @@ class Remaining:
 
     def _population(self, ahead: np.ndarray) -> np.ndarray:
         """Return the numbers of cells expected at times from now on."""
+        logs = self._continued(ahead)
+        if self.forecast is not None:
+            done = (self._times[-1] / self._duration) ** 2
+            logs = done * logs + (1.0 - done) * self._foreseen(self.forecast, ahead)
+        return np.asarray(np.exp(np.minimum(logs, 700.0)))
+
+    def _foreseen(self, forecast: Forecast, ahead: np.ndarray) -> np.ndarray:
+        """Return log n at times from now on as the forecast has it after as many cells."""
+        logs, now = np.log(np.maximum(forecast.cells, 1.0)), self._times[-1]
+        if (np.diff(logs) >= 0.0).all():
+            now = float(np.interp(self._logs[-1], logs, forecast.times))
+        last = float(forecast.times[-1])
+        course = np.interp(np.minimum(now + ahead, last), forecast.times, logs)
+        slope = (logs[-1] - logs[-2]) / (last - float(forecast.times[-2]))
+        course += slope * np.maximum(now + ahead - last, 0.0)
+        return np.asarray(self._logs[-1] + course - np.interp(now, forecast.times, logs))
+
+    def _continued(self, ahead: np.ndarray) -> np.ndarray:
+        """Return log n at times from now on as the population has grown of late."""
         rate, bend = self._growth()
         now = self._logs[-1]
         if rate <= 0.0 or bend >= -1e-6 * rate * rate:
-            return np.asarray(np.exp(now + np.minimum(rate * ahead, 700.0 - now)))
+            return np.asarray(now + rate * ahead)
         power = rate * rate / -bend
-        return np.asarray(np.exp(now + power * np.log1p(rate * ahead / power)))
+        return np.asarray(now + power * np.log1p(rate * ahead / power))
 
     def _growth(self) -> tuple[float, float]:
         """Return the rate of growth now and its derivative, over the last half of the time.

@@ -12,21 +12,25 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import MISSING
+from inspect import signature
+from numbers import Real
 from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from multicell.contact.constants import constants_of, fingerprint, further_arguments
+from multicell.contact.constants import constants_of, fingerprint, further_arguments, helpers_of
 from multicell.contact.derived import Scalar, arranged, force_alone, whole_law, without_energy
 from multicell.contact.law import PairLaw
 from multicell.contact.registry import LAWS
 from multicell.errors import SceneError
-from multicell.plugins import load_object
+from multicell.plugins import load_object, own_code
 from multicell.schema import number, quantity, specs
 from multicell.schema import parameters as declare
+from multicell.units import shown
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
@@ -55,6 +59,7 @@ class UserLaw(PairLaw):
     _type_of_constants: ClassVar[Any]
     _reach: ClassVar[Scalar | None]
     _asks_rest: ClassVar[bool]
+    _parts: ClassVar[Mapping[str, Scalar]]
 
     @classmethod
     def scene_name(cls) -> str:
@@ -68,6 +73,48 @@ class UserLaw(PairLaw):
             given["surface_energy"] = energy
         parts = [f"{name.replace('_', ' ')} {value.strip()}" for name, value in given.items()]
         return f"{self.source}, a law of your own: {', '.join(parts) or 'no parameters'}"
+
+    def evaluate(self, *given: Any, **named: Any) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return force (nN), stiffness (nN/µm) and energy (fJ) as :meth:`PairLaw.evaluate`.
+
+        Raises
+        ------
+        SceneError
+            With file and line, where the user's function fails or returns no numbers.
+        """
+        with own_code("contact.law"):
+            try:
+                return super().evaluate(*given, **named)
+            except TypeError as error:
+                self._check_results(error)
+                raise
+
+    def _check_results(self, error: TypeError) -> None:
+        """Raise ``SceneError`` from an error if a function of the law returns what is no number."""
+        given = {"overlap": 0.1, "modulus": 1.0, "radius": 2.5, "rest": 10.0, "adhesion": 1.0}
+        for what, part in self._parts.items():
+            asked = {name: given.get(name, self.constants()) for name in signature(part).parameters}
+            found = part(**asked)
+            if not isinstance(found, Real):
+                code = part.__code__
+                place = f"'{code.co_filename}', line {code.co_firstlineno}"
+                problem = f"{place}, '{part.__name__}' returns {shown(found)}"
+                hint = f"The {what} is one number."
+                raise SceneError("contact.law", problem, hint) from error
+
+    def refuse_uncompilable(self) -> None:
+        """Raise ``SceneError`` with file and line if numba cannot compile a function of the law."""
+        from numba import njit, typeof, types
+        from numba.extending import register_jitable
+
+        for part in self._parts.values():
+            for helper in helpers_of(part):
+                register_jitable(helper)
+            own = typeof(self.constants())  # type: ignore[no-untyped-call]
+            names = signature(part).parameters
+            given = tuple(own if name == "p" else types.float64 for name in names)
+            with own_code("contact.law", part):
+                njit(given)(part)
 
     def constants(self) -> Any:
         """Return the parameters as the law's function takes them."""
@@ -162,6 +209,7 @@ def pair_law(
         taken = [n for n in parameters if hasattr(UserLaw, n) and n not in _HIDDEN]
         if taken:
             raise TypeError(f"{taken[0]!r} cannot be the name of a parameter of a law")
+        parts = {"force": force, "stiffness": stiffness, "energy": energy, "reach": reach}
         push = arranged(force)
         slope = None if stiffness is None else arranged(stiffness)
         work = None if energy is None else arranged(energy)
@@ -187,6 +235,7 @@ def pair_law(
             "fingerprint": mark,
             "_type_of_constants": constants,
             "_reach": None if reach is None else staticmethod(reach),
+            "_parts": {name: part for name, part in parts.items() if part is not None},
             "_asks_rest": reach is not None or "rest" in further_arguments(force),
         }
         law: type[UserLaw] = declare(type(force.__name__, (UserLaw,), attributes))
@@ -194,6 +243,17 @@ def pair_law(
         return law
 
     return make
+
+
+@contextmanager
+def compiling(law: PairLaw) -> Iterator[None]:
+    """Name the line of a law of the user's where numba cannot compile kernels with it."""
+    try:
+        yield
+    except Exception as error:
+        if isinstance(law, UserLaw) and type(error).__module__.startswith("numba."):
+            law.refuse_uncompilable()
+        raise
 
 
 def load_law(spec: str) -> type[UserLaw]:

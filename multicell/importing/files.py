@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import stat
 from pathlib import Path
 
@@ -34,3 +35,22 @@ def read_text(path: Path) -> str:
     except OSError as error:
         raise SceneError("", f"'{name}' cannot be read: {error.strerror}") from None
     return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def read_rows(path: Path) -> list[tuple[int, list[str]]]:
+    """Return the rows of a CSV file that hold something, each with the number of its line.
+
+    Raises
+    ------
+    SceneError
+        As :func:`read_text`, and for a line that is no row, with its number.
+    """
+    rows = []
+    for number, line in enumerate(read_text(path).split("\n"), start=1):
+        try:
+            row = [word.strip() for word in next(csv.reader([line]), [])]
+        except csv.Error as error:
+            raise SceneError(f"{path.name}, line {number}", f"is no row of CSV: {error}") from None
+        if any(row):
+            rows.append((number, row))
+    return rows

@@ -29,6 +29,7 @@ _LABELS: Final = {
     "checks_beyond_stability": "of these beyond the limit",
     "replays": "coupling steps taken again from shifted positions",
     "largest_shift_effect": "farthest that a shift of 0.01 µm moved the end of a cell",
+    "startup": "start-up",
 }
 
 
@@ -149,10 +150,10 @@ def _parameter_text(value: Any, unit: str) -> str:
 
 def _label(key: str, path: str = "") -> str:
     """Return the name of an entry; ``path`` leads to it in the summary, which knows its unit."""
+    name = str(_LABELS.get(key, key)).replace("_", " ")
     if not path:
-        return str(key).replace("_", " ")
+        return name
     unit = known_unit(f"{path}.{key}").replace("um", "µm").replace("^3", "³")
-    name = _LABELS.get(key, key).replace("_", " ")
     return f"{name} ({unit})" if unit else name
 
 

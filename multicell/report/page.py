@@ -6,9 +6,11 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
+
 from multicell.errors import OutputError
 from multicell.report.html import write_page
-from multicell.report.wording import MIXED, SEPARATION, measures, percent
+from multicell.report.wording import MIXED, SEPARATION, cell_count, measures, percent
 from multicell.results.folder import file_errors
 
 if TYPE_CHECKING:
@@ -111,10 +113,12 @@ def _drawings(result: Result) -> Iterator[tuple[str, Callable[[], Figure]]]:
 
 
 def _subtitle(result: Result, summary: Mapping[str, Any]) -> str:
-    """Return one line: method, seed, steps."""
+    """Return one line: number of cells at the start, method, seed, steps."""
     scene = result.scene
     method = (summary.get("integrator") or {}).get("method", scene.integrator.method)
-    parts = [f"method {method}", f"seed {summary.get('seed', scene.seed)}"]
+    cells = result.history.get("cells", np.empty(0))
+    parts = [f"from {cell_count(cells[0])}"] if len(cells) else []
+    parts += [f"method {method}", f"seed {summary.get('seed', scene.seed)}"]
     if summary.get("steps") is not None:
         parts.append(f"{summary['steps']:,} coupling steps")
     return " · ".join(parts)

@@ -111,6 +111,17 @@ UNITS: Final[Mapping[str, str]] = {
 }
 """Unit by name; the columns of ``cells`` that are not here are those of :class:`Cells`."""
 
+ABSENT: Final[Mapping[str, str]] = {
+    "viable_rim": "without a core, and where the dead lie outside the living",
+    "packing_ratio": "without cells",
+    "pressure_factor": "without living cells",
+    "heterotypic_fraction": "without contacts",
+}
+"""Numbers that need not exist, and when they do not: NaN in a history, None in a summary.
+
+All others are finite in every state.
+"""
+
 
 @cache
 def _patterns() -> list[tuple[re.Pattern[str], str]]:

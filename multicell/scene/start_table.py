@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from multicell.cells import Cells, Phase, State
 from multicell.errors import DataError, SceneError
 from multicell.schema import count, file_path, near_miss, parameters, text
-from multicell.tables.columns import PARQUET, Columns, from_bytes, from_object
+from multicell.tables.columns import PARQUET, Columns, from_bytes, from_object, parsed
 from multicell.tables.text import read_bytes
 from multicell.tables.titles import read_title, titled, unknown_title
 from multicell.units import RANGES
@@ -385,8 +385,10 @@ def _read_column(given: Given, name: str, raw: NDArray[Any], factor: float) -> N
         return _named(given, name, raw)
     title = given.titles[name]
     if raw.dtype == object:
+        raw = parsed(raw.tolist())  # of numbers as text, as in a CSV file
+    if raw.dtype == object:
         row = next(k for k, value in enumerate(raw) if not _number(value))
-        raise DataError(given.place(row, name), f"is {raw[row]!r}, must be a number")
+        raise DataError(given.place(row, name), f"is {raw[row][:60]!r}, must be a number")
     if name == "id":
         return _ids(given, raw)
     if name == "parent":

@@ -8,6 +8,8 @@ from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, Final, final
 
+import numpy as np
+
 from multicell.errors import DataError
 from multicell.tables.text import read_bytes, rows_of
 
@@ -79,7 +81,8 @@ def _from_file(path: Path) -> Table:
 def _from_columns(source: Mapping[Any, Any]) -> Table:
     columns: list[Sequence[Any]] = []
     for title, column in source.items():
-        if isinstance(column, str) or not hasattr(column, "__len__"):
+        single = isinstance(column, np.ndarray) and column.ndim == 0
+        if single or isinstance(column, str) or not hasattr(column, "__len__"):
             raise DataError(f"data, '{title}'", "is one value, must be a column of them")
         columns.append(column)
     if len({len(column) for column in columns}) > 1:
@@ -96,8 +99,10 @@ def _text(value: Any) -> str:
         return ""
     if isinstance(value, str):
         return value.strip()
+    if isinstance(value, bool | np.bool_):
+        return str(value).lower()
     if isinstance(value, Integral):
-        return str(value) if isinstance(value, bool) else str(int(value))
+        return str(int(value))
     if isinstance(value, Real):
         number = float(value)
         return "" if number != number else repr(number)

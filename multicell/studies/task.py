@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.errors import MulticellError, OutputError
+from multicell.plugins import own_fault
 from multicell.results.folder import FILES, PASSING, locked, remove
 from multicell.studies.status import NOTE, Kind, RunStatus, run_folder, status, write_note
 
@@ -128,6 +129,9 @@ def _in_words(error: Exception) -> tuple[str, Kind]:
         return str(error), "run"
     if isinstance(error, MemoryError):
         return "there was not enough memory for it", "machine"
+    fault = own_fault(error)
+    if fault is not None:
+        return f"your own code fails: {fault}", "run"
     said = " ".join(str(error).split())
     return f"unexpected {type(error).__name__}: {said}. This is a bug of multicell", "run"
 

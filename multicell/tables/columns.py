@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
+from numbers import Number
 from typing import Any, Final, final
 
 import numpy as np
@@ -76,11 +77,18 @@ def from_object(source: Any, name: str) -> Columns:
         arrays = (source.iloc[:, k].to_numpy() for k in range(len(titles)))
     elif isinstance(source, Mapping):
         titles = [str(title).strip() for title in source]
-        arrays = (np.asarray(column) for column in source.values())
+        arrays = (_array(column, f"{name}, '{title}'") for title, column in source.items())
     else:
         problem = f"is a {type(source).__name__}, must be a file, a DataFrame or columns by title"
         raise DataError(name, problem)
     return _filled(_gathered(titles, arrays, name))
+
+
+def _array(column: Any, place: str) -> NDArray[Any]:
+    try:
+        return np.asarray(column)
+    except ValueError:  # lists of different lengths
+        raise DataError(place, "is not a column of single values") from None
 
 
 def _gathered(titles: Sequence[str], arrays: Iterable[Any], name: str) -> Columns:
@@ -98,23 +106,31 @@ def _gathered(titles: Sequence[str], arrays: Iterable[Any], name: str) -> Column
 
 
 def _typed(array: Any) -> NDArray[Any]:
-    """Return a column as float64, int64 or text; what is missing is NaN or empty text."""
+    """Return a column as float64, int64 or text; what is missing is NaN or empty text.
+
+    Text stays text, whatever it says: who wants numbers of it asks :func:`parsed`. Moments,
+    durations, logical values and lists are text too, which is never a number.
+    """
     array = np.asarray(array)
-    if array.dtype.kind in "iu":
+    largest = np.iinfo(np.int64).max
+    if array.dtype.kind == "i" or (array.dtype.kind == "u" and array.max(initial=0) <= largest):
         return np.asarray(array.astype(np.int64))
-    if array.dtype.kind == "f":
+    if array.dtype.kind in "uf":
         return np.asarray(array.astype(np.float64))
-    values = array.astype(object)
+    if array.dtype.kind == "M":  # as objects they would be numbers of nanoseconds
+        return np.array(np.datetime_as_string(array, unit="s"), dtype=object)
+    values = array.astype(object) if array.dtype.kind != "m" else array
     texts = [_text(value) for value in values]
     if array.dtype.kind == "O" and not any(isinstance(value, str) for value in values):
-        return _parsed(texts)
+        return parsed(texts)
     return np.array(texts, dtype=object)
 
 
 def _text(value: Any) -> str:
-    if value is None or type(value).__name__ in ("NAType", "NaTType") or value != value:
+    if value is None or type(value).__name__ in ("NAType", "NaTType"):
         return ""
-    return str(value).strip()
+    text = str(value.tolist() if isinstance(value, np.ndarray) else value).strip()
+    return "" if isinstance(value, Number) and text.lower() in ("nan", "snan") else text
 
 
 def _refuse_twins(titles: Sequence[str], name: str) -> None:
@@ -138,8 +154,20 @@ def _parquet(content: bytes, name: str) -> Columns:
         table = arrow.parquet.read_table(arrow.BufferReader(content))
     except (arrow.ArrowException, OSError) as error:
         raise DataError(name, f"is no Parquet file: {error}") from None
-    arrays = (column.to_numpy() for column in table.columns)
-    return _gathered([str(title).strip() for title in table.column_names], arrays, name)
+    titles = [str(title).strip() for title in table.column_names]
+    return _gathered(titles, map(_of_arrow, table.columns), name)
+
+
+def _of_arrow(column: Any) -> NDArray[Any]:
+    """Return a column of Arrow as an array; of words that stand by numbers, the words."""
+    from pyarrow import ArrowException, types
+
+    if types.is_dictionary(column.type):  # as arrays those would lose what is missing
+        column = column.cast(column.type.value_type)
+    try:
+        return np.asarray(column.to_numpy())
+    except (ArrowException, TypeError, ValueError):  # types that arrays do not have
+        return np.array(column.to_pylist(), dtype=object)
 
 
 def _csv(content: bytes, name: str) -> Columns:
@@ -159,7 +187,7 @@ def _quick(content: bytes, name: str) -> Columns | None:
     _refuse_twins(titles, name)
     if not sample:
         return None
-    kinds = [_parsed([field]).dtype for field in sample]
+    kinds = [parsed([field]).dtype for field in sample]
     numbers: list[int] = []
     try:
         lines = lines_of(content, numbers)
@@ -189,7 +217,7 @@ def _slow(content: bytes, name: str) -> Columns:
     for numbers, fields in _chunks(rows):
         lines.append(np.array(numbers, np.int64))
         for part, column in zip(parts, zip(*fields, strict=True), strict=True):
-            part.append(_parsed(column))
+            part.append(parsed(column))
     columns = {title: _joined(part) for title, part in zip(titles, parts, strict=True)}
     return Columns(name, columns, np.concatenate(lines) if lines else np.empty(0, np.int64))
 
@@ -199,8 +227,8 @@ def _chunks(rows: Iterator[Row]) -> Iterator[tuple[list[int], list[list[str]]]]:
         yield [number for number, _ in chunk], [fields for _, fields in chunk]
 
 
-def _parsed(column: Sequence[str]) -> NDArray[Any]:
-    """Return fields as whole numbers, as numbers, or as they are."""
+def parsed(column: Sequence[str]) -> NDArray[Any]:
+    """Return fields of text as whole numbers, as numbers, or, where one is none, as they are."""
     for kind, dtype in ((int, np.int64), (float, np.float64)):
         try:
             return np.array(list(map(kind, column)), dtype)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from multicell.cli.remaining import Remaining, in_words
+from multicell.cli.remaining import Forecast, Remaining, in_words
 
 DAY = 86400.0
 STEP = 600.0
@@ -58,6 +58,30 @@ def test_noise_stalls_and_early_ends_do_not_mislead():
     for k in range(1, 201):
         remaining.note(k * STEP, 100, 20.0 if k in (1, 120) else 0.01)  # compiled twice
     assert remaining.left() == pytest.approx(8.0, rel=0.3)
+
+
+@pytest.mark.parametrize("amiss", [0.93, 1.0, 1.07])
+def test_a_forecast_keeps_growth_that_will_slow_down_from_being_continued(amiss):
+    """Cells double in 15 h until only a rim grows, as in a spheroid of 12 days."""
+    times = np.arange(0.0, 12.0 * DAY + 1.0, STEP)
+    free, rim = 2.0 ** (times / 54000.0 / 3.0), 2.0 + 3.0 * times / DAY
+    cells = (1.5 * free * rim / (free + rim)) ** 3
+    noise = np.random.default_rng(2).gamma(4.0, 0.25, len(times))
+    cost = (0.002 + 2e-6 * cells) * noise
+    told = {}
+    for forecast in (None, Forecast(times[::10], cells[::10] ** amiss, 7e-4, 1e-6)):
+        remaining, found = Remaining(12.0 * DAY, cycle=54000.0), []
+        remaining.forecast = forecast
+        for k in range(1, len(times)):
+            remaining.note(times[k], int(cells[k]), cost[k])
+            if 20 <= k < 0.98 * len(times):
+                found.append((remaining.left() + cost[1 : k + 1].sum()) / cost[1:].sum())
+        told[forecast is None] = np.array(found)
+    without, given = told[True], told[False]
+    assert without.max() > 10.0
+    assert given.max() < 3.0
+    assert given.min() > 0.3
+    assert np.abs(np.diff(np.log(given))).max() < math.log(1.5)
 
 
 def test_a_first_division_is_no_rate():

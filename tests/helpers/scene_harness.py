@@ -22,6 +22,8 @@ from pathlib import Path
 
 import numpy as np
 
+from multicell.results.quantities import ABSENT
+
 _NUMBER = re.compile(r"-?\d[\d.e+-]*")
 SECONDS_TO_LOAD = 8.0
 BYTES_TO_LOAD = 100e6
@@ -29,8 +31,6 @@ SECONDS_TO_RUN = 180.0
 """Compilation of a law and a method that no case had before included, on a slow machine."""
 REMAINDER = 1e-6
 """Of an account, over what passed or was there."""
-NOT_A_NUMBER = {"heterotypic_fraction", "viable_rim", "pressure_factor"}
-"""Observables that are documented to be NaN: without contacts, a core, or living cells."""
 ENDLESS = {"cycle_time"}
 """Columns that are documented to be infinite: nothing grows, no cycle ends."""
 
@@ -278,7 +278,7 @@ def _finite(where, values, name):
     good = np.isfinite(values) if values.dtype.kind == "f" else np.ones(values.shape, bool)
     if name in ENDLESS:
         good |= np.isposinf(values)
-    if name in NOT_A_NUMBER:
+    if name in ABSENT:
         good |= np.isnan(values)
     if not good.all():
         raise Fault(f"not finite: {where} has {values[~good].ravel()[0]}")

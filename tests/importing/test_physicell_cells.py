@@ -1,6 +1,10 @@
 """Tables of cells, files that are written, and what is refused."""
 
 import json
+import os
+import re
+import shutil
+import time
 
 import numpy as np
 import pytest
@@ -170,6 +174,74 @@ def test_nothing_is_expanded_or_fetched(project, tmp_path):
     (tmp_path / "latin.xml").write_bytes(b"<a>\xff</a>")
     with pytest.raises(mc.SceneError, match="is not UTF-8"):
         mc.import_physicell(tmp_path / "latin.xml")
+
+
+SECRET = "root:x:0:0:a line that no message may quote\n"
+
+
+def named(project, cells, *, folder="./config"):
+    """Return settings that name a file of cells."""
+    path = project()
+    text = path.read_text(encoding="utf-8")
+    old = re.search(r"<folder>[^<]*</folder>\s*<filename>cells.csv</filename>", text)[0]
+    new = f"<folder>{folder}</folder><filename>{cells}</filename>"
+    path.write_text(text.replace(old, new), encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("way", ["absolute", "absolute folder", "dots", "folder of dots",
+                                 "link", "linked folder", "circle"])  # fmt: skip
+def test_no_file_outside_the_model_is_opened_or_quoted(tmp_path, way):
+    model = tmp_path / "model"
+    model.mkdir()
+    secret = tmp_path / "secret" / "cells.txt"
+    secret.parent.mkdir()
+    secret.write_text(SECRET)
+    project = writer(model)
+    project()
+    (model / "config" / "linked").symlink_to(secret)
+    (model / "config" / "outside").symlink_to(secret.parent)
+    (model / "config" / "circle").symlink_to(model / "config" / "circle")
+    given = {
+        "absolute": {"cells": str(secret)},
+        "absolute folder": {"cells": secret.name, "folder": str(secret.parent)},
+        "dots": {"cells": "../../secret/cells.txt"},
+        "folder of dots": {"cells": secret.name, "folder": "../secret"},
+        "link": {"cells": "linked"},
+        "linked folder": {"cells": secret.name, "folder": "./config/outside"},
+        "circle": {"cells": "circle"},
+    }
+    with pytest.raises(mc.SceneError) as refused:
+        mc.import_physicell(named(project, **given[way]))
+    assert "a line that no message" not in str(refused.value)
+    assert re.search("is not below the folder|is not opened", str(refused.value))
+
+
+def test_settings_in_no_config_folder_read_their_own_folder_only(tmp_path):
+    inner = tmp_path / "inner"
+    inner.mkdir()
+    path = writer(inner)()
+    alone = inner / "mine"
+    shutil.copytree(inner / "config", alone)
+    assert len(mc.import_physicell(alone / path.name).cells["radius_um"]) == 4
+    (alone / "cells.csv").rename(inner / "cells.csv")
+    text = (alone / path.name).read_text().replace("<folder>./config</folder>", "")
+    (alone / path.name).write_text(text)
+    with pytest.raises(mc.SceneError, match="no such file"):
+        mc.import_physicell(alone / path.name)
+
+
+@pytest.mark.parametrize("name", ["pipe", "x" * 5000, "config", "rows", "zero"])
+def test_what_is_no_table_of_cells_is_refused_at_once(project, name):
+    config = project().parent
+    os.mkfifo(config / "pipe")
+    (config / "rows").write_text("x,y,z,type\n" + "9" * 200_000 + ",1,1,hunter\n")
+    with (config / "zero").open("wb") as file:
+        file.truncate(100_000_001)
+    begin = time.perf_counter()
+    with pytest.raises(mc.SceneError, match=r"no such file|is no row of CSV|larger than 100 MB"):
+        mc.import_physicell(named(project, name))
+    assert time.perf_counter() - begin < 5.0
 
 
 def refusal(path):

@@ -1,13 +1,18 @@
 """Pages from templates: escaped, complete, packaged, and loaded only when one is written."""
 
+import html
+import re
 import subprocess
 import sys
+import time
 from importlib.resources import files
 
 import pytest
 from matplotlib.figure import Figure
+from numba import njit
 from synthetic import BARE
 
+import multicell as mc
 from multicell.report.html import write_page
 from multicell.report.wording import clock
 
@@ -69,3 +74,58 @@ def test_a_template_that_lacks_a_value_is_refused(tmp_path):
 )
 def test_wall_times_are_told_in_words(seconds, words):
     assert clock(seconds) == words
+
+
+SCENES = sorted(path.name for path in files("multicell.scenes").iterdir() if "toml" in path.name)
+COUNTS = r"\d|\b(one|two|three|four|five|ten|hundred|thousand|per cent|doublet|pair)\b"
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_titles_of_built_in_scenes_state_no_number_that_a_key_can_change(name):
+    title = mc.load_scene(name.removesuffix(".toml")).title.replace("EMT6", "")
+    assert title
+    assert re.search(COUNTS, title, re.IGNORECASE) is None
+
+
+@pytest.fixture(scope="module")
+def short_run(tmp_path_factory):
+    """A run with its wall time measured from outside too."""
+    changes = {"initial.count": 30, "duration": "1 h", "coupling_step": "10 min"}
+    scene = mc.load_scene("growth").with_changes(changes)
+    begin = time.perf_counter()
+    run = mc.run(scene, output=tmp_path_factory.mktemp("short") / "run", report=False)
+    return run, time.perf_counter() - begin
+
+
+def test_the_page_says_with_how_many_cells_the_run_began(short_run):
+    page = short_run[0].report().read_text("utf-8")
+    assert "from 30 cells · method" in page
+    assert "from one cell" not in page
+
+
+def test_the_wall_times_shown_add_up_to_the_total(short_run):
+    run, outside = short_run
+    wall = run.summary()["wall"]
+    parts = {name: seconds for name, seconds in wall.items() if name != "total"}
+    assert {"startup", "compile", "mechanics", "rest"} < set(parts)
+    assert min(parts.values()) >= 0.0
+    assert sum(parts.values()) == pytest.approx(wall["total"], abs=1e-9)
+    assert 0.5 * outside < wall["total"] < outside
+    page = html.unescape(run.report().read_text("utf-8"))
+    card = re.search(r"<h2>Wall time</h2>(.*?)</table>", page, re.DOTALL)[1]
+    rows = re.findall(r"<tr><th>(?:<b>)?([^<]+).*?class=\"number\">([^<]+)<", card)
+    assert [name for name, _ in rows] == ["start-up", *list(parts)[1:], "total"]
+    assert [words for _, words in rows] == [clock(seconds) for seconds in wall.values()]
+
+
+def test_compiling_is_told_apart_from_the_phase_that_needed_it():
+    simulation = mc.Simulation(mc.load_scene("settle").with_changes({"initial.count": 2}))
+    before, begin = dict(simulation.wall), time.perf_counter()
+    with simulation.phase("events"):
+        njit(lambda x: x * x + 1.25)(3.0)
+        time.sleep(0.05)
+    took = time.perf_counter() - begin
+    spent = {name: simulation.wall[name] - before[name] for name in before}
+    assert spent["compile"] > 0.02
+    assert 0.05 <= spent["events"] < took - spent["compile"] + 1e-9
+    assert sum(spent.values()) == pytest.approx(took, abs=0.01)

@@ -19,6 +19,7 @@ from multicell.cells import Cells, State
 from multicell.cli.main import main
 from multicell.report.result import Result
 from multicell.report.viewer import pack
+from multicell.results import observables
 from multicell.results.frame import Frame
 
 CHROMIUM = next(
@@ -110,6 +111,43 @@ def test_of_many_frames_first_and_last_and_some_between_are_shown():
     assert view.note == "50 of 173 frames are shown."
 
 
+@pytest.fixture(scope="module")
+def long_run(tmp_path_factory):
+    """A run whose history has more rows than the curves have points, and frames between them."""
+    changes = {"duration": "80 h", "coupling_step": "10 min", "output.every": "1.5 h"}
+    scene = mc.load_scene("growth").with_changes(changes)
+    return mc.run(scene, output=tmp_path_factory.mktemp("long") / "run")
+
+
+def test_curves_have_at_every_frame_the_numbers_of_that_frame(long_run, monkeypatch):
+    monkeypatch.setattr(pack, "CELLS", 12)
+    view = pack.packed(long_run)
+    assert len(long_run.history["time"]) > pack._POINTS
+    frames = [frame for frame in long_run.frames if len(frame.cells)]
+    chosen = {frame.time: frame for frame in frames}
+    curves = {curve["name"]: curve["values"] for curve in view.about["curves"]}
+    assert len(view.about["frames"]) == pack.FRAMES
+    for entry in view.about["frames"]:
+        frame, point = chosen[entry["time"]], entry["point"]
+        assert view.about["times"][point] == frame.time
+        assert curves["cells"][point] == entry["cells"] == len(frame.cells)
+        across = observables.diameter(frame.cells, 3)
+        assert curves["diameter"][point] == pytest.approx(across, rel=1e-5)
+        at = long_run.history["time"] == frame.time
+        counts = [int(long_run.history[state.name.lower()][at][0]) for state in State]
+        groups = entry["groups"]["state"]
+        assert groups == counts[: len(groups)]
+        assert sum(groups) == len(frame.cells)
+    assert view.about["frames"][-1]["shown"] < view.about["frames"][-1]["cells"]
+
+
+def test_a_frame_that_the_history_lacks_has_no_point_on_the_curves():
+    history = {"time": np.arange(3.0), "step": np.arange(3.0), "cells": np.full(3, 5.0)}
+    frames = spread(5), Frame(7.0, 7, spread(5).cells)
+    view = pack.packed(Result(None, frames, history, {}, mc.load_scene("settle")))
+    assert [entry["point"] for entry in view.about["frames"]] == [0, None]
+
+
 def test_a_run_without_cells_has_nothing_to_see():
     assert pack.packed(result_of(Frame(0.0, 0, Cells.empty()))) is None
 
@@ -160,6 +198,31 @@ def browser():
         started = tools.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE)
         yield started
         started.close()
+
+
+@pytest.mark.slow
+def test_the_page_says_one_number_of_cells_at_every_frame(browser, long_run):
+    page = browser.new_context(viewport={"width": 1280, "height": 900}).new_page()
+    page.goto((long_run.folder / "report.html").as_uri())
+    page.wait_for_selector("#viewer.ready", timeout=60_000)
+    shown = page.evaluate(
+        """multicellViewer.frames.map((frame, k) => {
+          multicellViewer.show(k);
+          const part = (name) => document.querySelector(`[data-part="${name}"]`);
+          const charts = [...document.querySelectorAll(".curves svg")];
+          const chart = charts.find((svg) => svg.querySelector("text").textContent === "Cells");
+          return { cells: frame.cells, status: part("status").textContent,
+                   curve: chart.querySelector(".value").textContent,
+                   legend: part("legend").textContent };
+        })"""
+    )
+    page.context.close()
+    assert len(shown) == pack.FRAMES
+    for entry in shown:
+        assert re.search(r": (\S+) cell", entry["status"])[1] == f"{entry['cells']:,}"
+        assert entry["curve"].strip() == f"{entry['cells']:,}"
+        counts = re.findall(r"\(([\d,]+)\)", entry["legend"])
+        assert sum(int(count.replace(",", "")) for count in counts) == entry["cells"]
 
 
 @pytest.fixture

@@ -5,14 +5,17 @@ from __future__ import annotations
 import csv
 import json
 import re
+from dataclasses import replace
 from numbers import Number
+from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 
 import multicell as mc
-from multicell.results.quantities import UNITS, unit_of, units_of
+from multicell.cells import State
+from multicell.results.quantities import ABSENT, UNITS, unit_of, units_of
 from multicell.units import to_base
 
 PHASES = {"G1": {"duration": "3 h"}, "S": {"duration": "3 h"}, "G2": {"duration": "2 h"},
@@ -137,6 +140,48 @@ def test_the_scenes_have_all_that_is_declared():
             continue
         pattern = "[^.]+".join(map(re.escape, declared.split("*")))
         assert any(re.fullmatch(pattern, name) for name in given), declared
+
+
+STATES = {
+    "no cells": lambda cells: cells.take(np.arange(0)),
+    "one cell": lambda cells: cells.take(np.arange(1)),
+    "two cells in contact": lambda cells: cells.take(np.arange(2)),
+    "cells out of touch": lambda cells: moved(cells, 3.0 * np.arange(len(cells))),
+    "one type": lambda cells: replace(cells, kind=np.zeros_like(cells.kind)),
+    "none dead": lambda cells: replace(cells, state=np.zeros_like(cells.state)),
+    "all dead": lambda cells: replace(cells, state=np.full_like(cells.state, State.NECROTIC)),
+}
+
+
+def moved(cells, diameters):
+    position = np.zeros((len(cells), 3))
+    position[:, 0] = 2.0 * cells.radius.max(initial=1.0) * diameters
+    return replace(cells, position=position)
+
+
+@pytest.mark.parametrize("state", STATES)
+@pytest.mark.parametrize("name", [name for name in SCENES if name != "driven cells with springs"])
+def test_every_number_is_finite_in_every_state_or_documented_as_absent(name, state):
+    scene = mc.Scene.from_dict(SCENES[name])
+    cells = STATES[state](mc.Simulation(scene).cells)
+    simulation = mc.Simulation(scene, cells=cells)
+    for _ in range(2):
+        row, summary = simulation.history_row(), simulation.summary()
+        absent = {column for column, value in row.items() if np.isnan(value)}
+        assert absent == {path for path, value in leaves(summary) if value is None}
+        assert absent <= set(ABSENT)
+        known = [value for _, value in leaves(summary) if value is not None]
+        known += [value for column, value in row.items() if column not in absent]
+        assert np.isfinite(known).all()
+        if not simulation.finished:
+            simulation.step()
+
+
+def test_what_may_be_absent_is_documented_with_its_case():
+    page = (Path(__file__).parents[2] / "docs/theory/measured.md").read_text("utf-8")
+    for name, when in ABSENT.items():
+        (line,) = [line for line in page.splitlines() if line.startswith(f"| `{name}` ")]
+        assert f"absent {when}" in line
 
 
 def test_units_are_those_that_the_scene_files_know():

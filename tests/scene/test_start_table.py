@@ -4,8 +4,10 @@
 from __future__ import annotations
 
 import copy
+import io
 import pickle
 import shutil
+from decimal import Decimal
 
 import numpy as np
 import pandas as pd
@@ -20,8 +22,10 @@ from multicell.cli.main import main
 from multicell.errors import DataError, SceneError
 from multicell.report.explain.scene import explain
 from multicell.results.frame import Frame
-from multicell.scene.start_table import with_cells
+from multicell.scene.start_table import normalised, with_cells
+from multicell.studies.data import read_data
 from multicell.studies.runs import digest
+from multicell.tables.columns import from_bytes, from_object
 
 PLACES = "x_um,y_um,z_um\n0,0,0\n9,0,0\n0,9,0\n0,0,9\n"
 PHASES = {
@@ -452,3 +456,88 @@ def test_no_table_costs_nothing():
     scene = mc.load_scene("growth")
     assert scene.initial.cells is None
     assert "cells" not in scene.to_dict()["initial"]
+
+
+NUMBERS = {
+    "text": ["10", " 1.5e1", "20"],
+    "text of pandas": pd.array(["10", "15", "20"], dtype="string"),
+    "categories": pd.Categorical(["10", "15", "20"]),
+    "categories of numbers": pd.Categorical([10.0, 15.0, 20.0]),
+    "whole, may be missing": pd.array([10, 15, 20], dtype="Int64"),
+    "float, may be missing": pd.array([10, 15, 20], dtype="Float32"),
+    "short": np.array([10, 15, 20], np.uint8),
+    "half": np.array([10, 15, 20], np.float16),
+    "decimals": [Decimal("10"), Decimal("15.0"), Decimal("2e1")],
+    "objects": np.array([10, 15.0, 20], dtype=object),
+}
+NO_NUMBERS = {
+    "text": (["10", "15", "abc"], 2, "'abc'"),
+    "a comma": (["10", "1,5", "20"], 1, "'1,5'"),
+    "missing text": (["10", None, "20"], 1, "is empty or NaN"),
+    "missing category": (pd.Categorical(["10", None, "20"]), 1, "is empty or NaN"),
+    "missing number": (pd.array([10, None, 20], dtype="Int64"), 1, "is empty or NaN"),
+    "nothing": ([None, None, None], 0, "is empty or NaN"),
+    "logical": ([True, False, True], 0, "'True'"),
+    "logical, may be missing": (pd.array([True, None, False], dtype="boolean"), 0, "'True'"),
+    "moments": (pd.to_datetime([1, 2, 3], unit="h"), 0, "'1970-01-01T01:00:00'"),
+    "moments with a zone": (pd.to_datetime([1, 2, 3], unit="h", utc=True), 0, "1970-01-01"),
+    "durations": (pd.to_timedelta([1, 2, 3], unit="h"), 0, "3600"),
+    "lists": ([[1.0], [1.0, 2.0], [3.0]], 0, "single values|'\\[1.0\\]'"),
+    "tables": ([{"a": 1}, {"a": 2}, {"a": 3}], 0, "'a': 1"),
+    "bytes": ([b"1", b"2", b"3"], 0, "b'1'"),
+    "decimals": ([Decimal("10"), None, Decimal("1")], 1, "is empty or NaN"),
+    "complex": (np.array([1j, 2, 3]), 0, "1j"),
+    "beyond whole numbers": (np.array([2**64 - 1, 1, 2], np.uint64), 0, "must be at most"),
+}
+
+
+def given_as(source, column):
+    """Return a start with a column for x as a frame, columns, or the content of a file."""
+    columns = {"position_x_um": column, "position_y_um": [0.0, 50.0, 100.0]}
+    if source == "columns":
+        return from_object(columns, "cells")
+    frame = pd.DataFrame({title: pd.Series(list(c) if isinstance(c, list) else c)
+                          for title, c in columns.items()})  # fmt: skip
+    if source == "frame":
+        return from_object(frame, "cells")
+    if source == "csv":
+        return from_bytes(frame.to_csv(index=False).encode(), "cells")
+    file = io.BytesIO()
+    frame.to_parquet(file)
+    return from_bytes(file.getvalue(), "cells")
+
+
+@pytest.mark.parametrize("source", ["frame", "columns", "parquet", "csv"])
+@pytest.mark.parametrize("kind", NUMBERS)
+def test_numbers_are_read_from_columns_of_any_type(kind, source):
+    found = normalised(given_as(source, NUMBERS[kind]))
+    assert found.columns["position_x"].dtype == np.float64
+    assert found.columns["position_x"].tolist() == [10.0, 15.0, 20.0]
+
+
+@pytest.mark.parametrize("source", ["frame", "columns", "parquet"])
+@pytest.mark.parametrize("kind", NO_NUMBERS)
+def test_what_is_no_number_is_refused_by_row_and_column(kind, source):
+    column, row, said = NO_NUMBERS[kind]
+    if source == "parquet" and kind == "complex":
+        pytest.skip("Parquet has no complex numbers")
+    with pytest.raises(DataError, match=said) as refused:
+        normalised(given_as(source, column))
+    if "single values" not in str(refused.value):
+        assert refused.value.place == f"cells, row {row}, 'position_x_um'"
+
+
+@pytest.mark.parametrize("kind", [kind for kind in NO_NUMBERS if kind != "beyond whole numbers"])
+def test_measured_data_that_is_no_number_is_refused_by_row_and_column(kind):
+    column = NO_NUMBERS[kind][0]
+    frame = pd.DataFrame({"time / h": [1.0, 2.0, 3.0], "cells": pd.Series(column)})
+    for source in (frame, {"time / h": [1.0, 2.0, 3.0], "cells": column}):
+        with pytest.raises(DataError, match=r"^data, row [0-2]"):
+            read_data(source, mc.load_scene("growth"))
+
+
+@pytest.mark.parametrize("kind", NUMBERS)
+def test_measured_data_are_read_from_columns_of_any_type(kind):
+    frame = pd.DataFrame({"time / h": [1.0, 2.0, 3.0], "cells": pd.Series(NUMBERS[kind])})
+    found = read_data(frame, mc.load_scene("growth"))
+    assert [datum.value for datum in found.data] == [10.0, 15.0, 20.0]

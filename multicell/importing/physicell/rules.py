@@ -8,13 +8,12 @@ cells become necrotic below a threshold.
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, final
 
 from multicell.errors import SceneError
 from multicell.importing.account import Fate
-from multicell.importing.files import read_text
+from multicell.importing.files import read_rows
 from multicell.importing.physicell.files import found_file
 from multicell.importing.physicell.model import MINUTE, Kind, Model
 
@@ -56,9 +55,8 @@ def read_rules(model: Model, folder: Path) -> None:
 
 def _rules(model: Model, path: Path) -> list[Rule]:
     made = []
-    for number, line in enumerate(read_text(path).split("\n"), start=1):
-        row = [word.strip() for word in next(csv.reader([line]), [])]
-        if not any(row) or row[0].startswith("//"):
+    for number, row in read_rows(path):
+        if row[0].startswith("//"):
             continue
         place = f"{path.name}, line {number}"
         # the first form of the grammar gives the value without signal as well

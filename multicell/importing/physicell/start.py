@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 from multicell.cells import SPHERE, FloatArray
 from multicell.errors import SceneError
 from multicell.importing.account import Fate
-from multicell.importing.files import read_text
+from multicell.importing.files import read_rows
 from multicell.importing.physicell.files import found_file
 from multicell.importing.physicell.model import Kind, Model
 
@@ -96,11 +95,9 @@ def _without_table(model: Model) -> Start:
 
 
 def _from_table(model: Model, path: Path) -> Start:
-    lines = read_text(path).split("\n")
-    if len(lines) > _MOST:
+    rows = read_rows(path)
+    if len(rows) > _MOST:
         raise SceneError(path.name, f"has more than {_MOST:,} lines")
-    rows = [(n, [w.strip() for w in row]) for n, row in enumerate(csv.reader(lines), start=1)]
-    rows = [(n, row) for n, row in rows if any(row)]
     if not rows:
         raise SceneError(path.name, "has no cells")
     labels = None if _number(rows[0][1][0]) is not None else [w.lower() for w in rows.pop(0)[1]]

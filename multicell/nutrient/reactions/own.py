@@ -21,6 +21,7 @@ import numpy as np
 from multicell.cells import FloatArray
 from multicell.errors import SceneError
 from multicell.nutrient.reactions.own_kernels import Cell, Rate, all_nodes, type_of
+from multicell.plugins import own_fault
 
 _ARGUMENTS = ("concentrations", "cell")
 
@@ -132,8 +133,8 @@ def _compile(path: str, made: OwnReaction) -> None:
     except SceneError:
         raise
     except Exception as error:
-        first = next((line for line in str(error).splitlines() if line.strip()), "")
+        fault = own_fault(error, lambda file: True, made.rate)
         hint = "It may use arithmetic on floats and such functions as those of math."
-        raise SceneError(path, f"cannot be compiled: {type(error).__name__}: {first}", hint) from (
-            error
-        )
+        raise SceneError(
+            path, f"cannot be compiled: {type(error).__name__}: {fault}", hint
+        ) from error

@@ -84,10 +84,13 @@ def predicted(scene: Scene) -> Prediction:
     frames = min(math.ceil(end / scene.output.every), steps) + 1.0
     cells = _mean(found, found.cells)
     seconds, memory, file = _fields(scene, found, steps, frames)
-    forces = evaluations(scene) * (_EVALUATION + _cell_cost(scene) * cells)
+    step, cell = cost_of_step(scene)
     return Prediction(
         course=found,
-        seconds=_START + _CELL_START * scene.initial.count + steps * (_STEP + forces) + seconds,
+        seconds=_START
+        + _CELL_START * scene.initial.count
+        + steps * (step + cell * cells)
+        + seconds,
         memory=_PROCESS + _CELL * float(found.cells.max()) + memory,
         file=_FILE + _STEP_ROW * steps + _CELL_FRAME * frames * cells + file,
     )
@@ -96,6 +99,12 @@ def predicted(scene: Scene) -> Prediction:
 def _mean(found: Course, values: FloatArray) -> float:
     """Return the mean of something over the time of a run."""
     return float(np.trapezoid(values, found.times) / found.times[-1])
+
+
+def cost_of_step(scene: Scene) -> tuple[float, float]:
+    """Return what a coupling step costs without its fields: for itself, and for each cell, s."""
+    count = evaluations(scene)
+    return _STEP + count * _EVALUATION, count * _cell_cost(scene)
 
 
 def _cell_cost(scene: Scene) -> float:

@@ -43,7 +43,7 @@ BYTES: Final = 5_500_000
 
 _READ: Final = 3e6  # cells of all frames that are read at most
 _FEWEST: Final = 8  # frames, however large
-_POINTS: Final = 300  # of a curve
+_POINTS: Final = 300  # of a curve, besides those of the frames
 _CURVES: Final = ("cells", "diameter", "viable_rim", "largest_pressure")
 _SHADES: Final = 64
 _CLONES: Final = 250
@@ -97,23 +97,25 @@ def packed(result: Result) -> Packed | None:
     those are shown whose identities a random function ranks first, so that a cell that is shown
     once is shown as long as there is room. The note says both.
     """
-    frames, counts = [], []
+    frames, whole = [], []
     for number in _chosen(result):
         frame = result.frames[number]
         if len(frame.cells):
-            counts.append(len(frame.cells))
+            whole.append({"cells": len(frame.cells), "groups": _groups(frame)})
             frames.append(_thinned(frame, CELLS))  # one whole frame in memory at a time
     if not frames:
         return None
+    curves, points = _curves(result, frames)
+    whole = [{**entry, "point": point} for entry, point in zip(whole, points, strict=True)]
     columns = _columns(result, frames)
     ranges = {column.name: _range(column, frames) for column in columns}
     most = max(len(frame.cells) for frame in frames)
-    body, contents = _body(frames, counts, columns, ranges)
+    body, contents = _body(frames, whole, columns, ranges)
     squeezed = gzip.compress(body, 9, mtime=0)
     while len(squeezed) > BYTES and most > 100:
         most = int(most * 0.95 * BYTES / len(squeezed))
         frames = [_thinned(frame, most) for frame in frames]
-        body, contents = _body(frames, counts, columns, ranges)
+        body, contents = _body(frames, whole, columns, ranges)
         squeezed = gzip.compress(body, 9, mtime=0)
     about = {
         "frames": contents,
@@ -121,7 +123,7 @@ def packed(result: Result) -> Packed | None:
         "colourings": list(_colourings(columns, frames, result)),
         "flat": result.scene.dimensions == 2,
         **_extent(frames),
-        **_curves(result),
+        **curves,
     }
     return Packed(about, base64.b64encode(squeezed).decode("ascii"), _note(result, contents))
 
@@ -145,6 +147,17 @@ def _thinned(frame: Frame, most: int) -> Frame:
     rows = _shown(frame.cells.id, most)
     values = {name: column[rows] for name, column in frame.concentrations.items()}
     return Frame(frame.time, frame.step, frame.cells.take(rows), values)
+
+
+def _groups(frame: Frame) -> dict[str, list[int]]:
+    """Return how many of all cells are in each state, of each type and in each phase."""
+    cells = frame.cells
+    members: dict[str, NDArray[Any]] = {
+        "state": cells.state,
+        "type": cells.kind,
+        "phase": cells.phase,
+    }
+    return {name: np.bincount(column).tolist() for name, column in members.items()}
 
 
 def _columns(result: Result, frames: Sequence[Frame]) -> list[Column]:
@@ -230,15 +243,18 @@ def _top(column: Column) -> int:
 
 def _body(
     frames: Sequence[Frame],
-    counts: Sequence[int],
+    whole: Sequence[Mapping[str, Any]],
     columns: Sequence[Column],
     ranges: Mapping[str, tuple[float, float]],
 ) -> tuple[bytes, list[dict[str, Any]]]:
-    """Return the columns of all frames one after the other, and where each frame begins."""
+    """Return the columns of all frames one after the other, and a table of the frames.
+
+    The table holds where each frame begins, and what is known of it before cells are left out.
+    """
     parts: list[bytes] = []
     contents: list[dict[str, Any]] = []
     at = 0
-    for frame, count in zip(frames, counts, strict=True):
+    for frame, known in zip(frames, whole, strict=True):
         begin = at
         for column in columns:
             values = _integers(column, column.values(frame), ranges[column.name])
@@ -250,9 +266,9 @@ def _body(
             {
                 "time": frame.time,
                 "label": time_unit(frame.time).text(frame.time),
-                "cells": count,
                 "shown": len(frame.cells),
                 "offset": begin,
+                **known,
             }
         )
     return b"".join(parts), contents
@@ -328,25 +344,41 @@ def _extent(frames: Sequence[Frame]) -> dict[str, Any]:
     return {"middle": middle.tolist(), "reach": reach}
 
 
-def _curves(result: Result) -> dict[str, Any]:
-    """Return some columns of the history at moments evenly spaced."""
+def _curves(result: Result, frames: Sequence[Frame]) -> tuple[dict[str, Any], list[int | None]]:
+    """Return columns of the history, and for each frame its point on them.
+
+    The points are the frames' own rows of the history, so that a curve shows at a frame what the
+    frame shows, and others evenly spaced. A frame of a step that the history lacks has None.
+    """
     history = result.history
-    time = history.get("time", np.empty(0))
+    time, step = (history.get(name, np.empty(0)) for name in ("time", "step"))
     if len(time) == 0:
-        return {"times": [], "curves": [], "end": 0.0, "end_label": ""}
-    rows = np.unique(np.rint(np.linspace(0, len(time) - 1, _POINTS)).astype(int))
+        return {"times": [], "curves": [], "end": 0.0, "end_label": ""}, [None] * len(frames)
+    of_step = {int(s): row for row, s in enumerate(step)}
+    own = [of_step.get(frame.step) for frame in frames]
+    even = np.rint(np.linspace(0, len(time) - 1, _POINTS)).astype(int).tolist()
+    rows = sorted({*even, *(row for row in own if row is not None)})
+    points = [None if row is None else rows.index(row) for row in own]
     curves = []
     for name in _CURVES:
         values = history.get(name)
         if values is not None and np.isfinite(values).any():
-            shown = [float(f"{v:.6g}") if math.isfinite(v) else None for v in values[rows]]
+            shown = [_rounded(float(v)) for v in values[rows]]
             label, unit = name.replace("_", " ").capitalize(), written(known_unit(name))
             curves.append({"name": name, "label": label, "unit": unit, "values": shown})
     end = float(time[-1])
-    return {
+    about = {
         "times": time[rows].tolist(), "curves": curves, "end": end,
         "end_label": time_unit(end).text(end),
     }  # fmt: skip
+    return about, points
+
+
+def _rounded(value: float) -> float | None:
+    """Return a value of a curve to six digits, a count as it is, and None for no number."""
+    if not math.isfinite(value):
+        return None
+    return value if value.is_integer() else float(f"{value:.6g}")
 
 
 def _note(result: Result, contents: Sequence[Mapping[str, Any]]) -> str:

@@ -228,18 +228,24 @@ function fillVisible() {
   geometry.setDrawRange(0, 6 * n);
   drawnCells = n;
 }
+function countsOf(name) {  // of all cells, also those that are not drawn; of clones these are unknown
+  const known = frames[shown].groups[name];
+  if (known) return known;
+  const counts = [];
+  for (const value of columnsAt(shown)[name]) counts[value] = (counts[value] ?? 0) + 1;
+  return counts;
+}
 function legend() {
   const about_ = about.colourings.find((entry) => entry.name === colouring), box = find("legend");
   box.textContent = "";
   const column = columnOf[colouring];
   if (column.words) {
-    const counts = new Map();
-    for (const value of columnsAt(shown)[colouring]) counts.set(value, (counts.get(value) ?? 0) + 1);
+    const counts = countsOf(colouring);
     column.words.forEach((word, k) => {
-      if (!counts.get(k)) return;
+      if (!counts[k]) return;
       const entry = document.createElement("span"), dot = document.createElement("i");
       dot.style.background = `rgb(${paletteOf(about_)[k].map((c) => Math.round(255 * c)).join()})`;
-      entry.append(dot, `${word} (${counts.get(k).toLocaleString("en")})`);
+      entry.append(dot, `${word} (${counts[k].toLocaleString("en")})`);
       box.append(entry);
     });
     if (about_.hint) box.append(about_.hint);
@@ -255,7 +261,7 @@ function legend() {
 function tell() {
   const frame = frames[shown];
   const thinned = frame.shown < frame.cells ? ` (${frame.shown.toLocaleString("en")} of them drawn)` : "";
-  const text = `${frame.label}: ${frame.cells.toLocaleString("en")} cells${thinned}`;
+  const text = `${frame.label}: ${frame.cells.toLocaleString("en")} cell${frame.cells === 1 ? "" : "s"}${thinned}`;
   say(text);
   canvas.setAttribute("aria-label", `The cells in space, ${text}, coloured by ${colouring}`);
 }
@@ -419,14 +425,13 @@ const charts = about.curves.map((curve) => {
   find("curves").append(svg);
   return { curve, line, value, px };
 });
+const exact = (value) => Number.isInteger(value) ? value : Number(value.toPrecision(4));
 function follow() {
-  const time = frames[shown].time;
-  let k = 0;
-  while (k + 1 < about.times.length && about.times[k + 1] <= time * (1 + 1e-12)) k++;
+  const { time, point } = frames[shown];
   for (const { curve, line, value, px } of charts) {
     line.setAttribute("x1", px(time)); line.setAttribute("x2", px(time));
-    const now = curve.values[k];
-    value.textContent = now === null ? "none" : `${Number(now.toPrecision(4)).toLocaleString("en")} ${curve.unit}`;
+    const now = point === null ? null : curve.values[point];
+    value.textContent = now === null ? "none" : `${exact(now).toLocaleString("en")} ${curve.unit}`;
   }
 }
 
