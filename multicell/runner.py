@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import math
-import signal
-import threading
 import time as clock
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
@@ -18,6 +15,7 @@ import numpy as np
 from multicell.errors import OutputError, SceneError
 from multicell.integrators.base import info_of
 from multicell.integrators.own import chosen
+from multicell.interrupts import STEP
 from multicell.memory import Returns
 from multicell.rehearsal import Rehearsal
 from multicell.report.result import (
@@ -144,7 +142,7 @@ def recorded(
     recorder = Recorder(scene, store)
     with ExitStack() as stack:
         stack.enter_context(under_way())
-        interrupt = stack.enter_context(between_steps())
+        interrupt = stack.enter_context(STEP).deliver
         stack.callback(recorder.close)
         rehearsal = Rehearsal(scene, threads)
         stack.callback(rehearsal.close)
@@ -314,41 +312,6 @@ def next_frame(every: float, time: float) -> float:
     return max(due, math.nextafter(now, math.inf))
 
 
-@contextmanager
-def between_steps() -> Iterator[Callable[[], None]]:
-    """Hold Ctrl-C back until the function that is yielded is called.
-
-    An exception that Python raises inside a solver's callback can be lost on its way through
-    compiled code. So the first Ctrl-C is only noted, and raised as ``KeyboardInterrupt`` by
-    the yielded function; a second one is raised at once. Outside the main thread, or where
-    the program has a handler of its own, nothing changes.
-    """
-    noted = False
-
-    def note(number: int, frame: FrameType | None) -> None:
-        nonlocal noted
-        if noted:
-            signal.default_int_handler(number, frame)
-        noted = True
-
-    def check() -> None:
-        if noted:
-            raise KeyboardInterrupt
-
-    ours = (
-        threading.current_thread() is threading.main_thread()
-        and signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    )
-    if not ours:
-        yield check
-        return
-    signal.signal(signal.SIGINT, note)
-    try:
-        yield check
-    finally:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-
-
 _MAY_CHANGE = ("duration", "stop_cells", "title", "output", "integrator")
 _OF_A_NUTRIENT = ("boundary", "media", "media_change", "sides", "perfusion")
 
@@ -449,7 +412,7 @@ def gone_on(
         threads = thread_count(threads)
         simulation = _simulation(scene, contents, place, threads, own, reactions)
         rows = _rows(contents, simulation.step_index)
-        interrupt = stack.enter_context(between_steps())
+        interrupt = stack.enter_context(STEP).deliver
         if here:
             for k in range(place):  # what is damaged is better known before the run than after it
                 contents.frame(k)
