@@ -365,7 +365,8 @@ def resume(
         For a folder without results that can be resumed, a frame that is not there, and a run
         that has come to its end.
     SceneError
-        For changes that cannot be made.
+        For changes that cannot be made: of a key that must not change, and of ``duration`` and
+        ``stop_cells`` to what the frame is beyond already.
     StepFailed
         As for :func:`multicell.run`.
     """
@@ -477,6 +478,13 @@ def _simulation(
     problem = can_go_on(start)
     if problem:
         raise OutputError(f"no run can go on from the frame at {start.time:g} s: {problem}")
+    most = scene.stop_cells
+    if most is not None and len(start.cells) > most != recorded_scene(contents).stop_cells:
+        raise SceneError(
+            "stop_cells",
+            f"is {most}, but the frame at {start.time:g} s has {len(start.cells)} cells",
+            "Name a larger number, or resume from an earlier frame.",
+        )
     lineage = contents.lineage(place)
     simulation = Simulation(
         scene, threads=threads, frame=start, lineage=lineage, integrator=own, reactions=reactions

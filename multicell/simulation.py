@@ -215,6 +215,12 @@ class Simulation:
         known = frame.progress
         if known is None:
             raise ValueError("this frame does not hold what a run needs to go on")
+        if frame.time > self.scene.duration:
+            raise SceneError(
+                "duration",
+                f"is {self.scene.duration:g} s, which ends before the frame at {frame.time:g} s",
+                "Name a later end, or resume from an earlier frame.",
+            )
         self.step_index = frame.step
         step = fixed_step(self.scene)
         if step is None or frame.time != frame.step * step:
