@@ -152,7 +152,7 @@ def _box_array(kind: Any, value: Any, c: Any) -> Any:
     a segmentation fault.
     """
     number = ir.IntType(32)
-    native = cgutils.alloca_once_value(c.builder, value)  # type: ignore[no-untyped-call]
+    native = cgutils.alloca_once_value(c.builder, value)
     shape = ir.FunctionType(
         c.pyapi.pyobj, [c.pyapi.voidptr, c.pyapi.pyobj, number, number, c.pyapi.pyobj]
     )

@@ -11,14 +11,16 @@ other threads than the main one, where Python calls no handlers, both do nothing
 
 from __future__ import annotations
 
+import _thread
 import signal
+import sys
 import threading
 from collections.abc import Iterable
 from types import FrameType
 from typing import Any, Final, Self, final
 
 _ALL: Final = sorted(
-    signal.valid_signals() - {getattr(signal, name, None) for name in ("SIGKILL", "SIGSTOP")}  # type: ignore[arg-type]
+    signal.valid_signals() - {getattr(signal, name, None) for name in ("SIGKILL", "SIGSTOP")}
 )
 _URGENT: Final = 2
 """How often a signal has come that is delivered within a step; later ones wait again."""
@@ -44,8 +46,12 @@ def _deliver(*, urgent: bool) -> None:
     for number, pressing in list(_waiting.items()):
         if not urgent or pressing or number not in _replaced:
             del _waiting[number]
-            handler = _replaced.get(number) or signal.getsignal(number)
-            handler(number, None)
+            handler: Any = _replaced.get(number) or signal.getsignal(number)
+            try:
+                handler(number, None)
+            finally:
+                _deliver(urgent=urgent)
+            return
 
 
 @final
@@ -117,3 +123,41 @@ def _in_main_thread() -> bool:
 
 STEP: Final = Block([signal.SIGINT])
 UNCUT: Final = Block(_ALL)
+
+
+_pressed: list[int] = []
+
+
+def watch_command() -> None:
+    """Note every Ctrl-C of a command, and raise it again where Python can only print it.
+
+    Python prints an exception that comes while it deletes an object, and goes on.
+    """
+    if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        return
+
+    def press(number: int, frame: FrameType | None) -> None:
+        _pressed.append(number)
+        raise KeyboardInterrupt
+
+    def unraisable(found: Any) -> None:
+        if isinstance(found.exc_value, KeyboardInterrupt):
+            again = threading.Timer(0.02, _thread.interrupt_main)
+            again.daemon = True
+            again.start()
+        else:
+            sys.__unraisablehook__(found)
+
+    signal.signal(signal.SIGINT, press)
+    sys.unraisablehook = unraisable
+
+
+def end_command() -> None:
+    """Hear no Ctrl-C any more: all that is left to do is to leave."""
+    if _in_main_thread():
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def interrupted() -> bool:
+    """Return whether there was a Ctrl-C since the command began."""
+    return bool(_pressed)

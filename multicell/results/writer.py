@@ -4,10 +4,10 @@ While a run goes on each frame is appended to ``frames.journal`` (:mod:`multicel
 with what the history and the lineage have gained. A run that is killed at any moment, or meets a
 full disk, leaves all frames that it had finished, and the history up to about a second before. A
 frame is on the disk itself when :meth:`Store.append` returns, so that it survives a loss of power;
-what the last two seconds added to the history may then be lost. At its end, also an early one, all becomes
-one file ``frames.h5`` in HDF5, written beside its place and moved there. If there is no room for it
-the journal stays, and is read, resumed and exported all the same. A run that is resumed leaves
-``frames.h5`` as it is and begins a journal that says from which frame on it counts.
+what the last two seconds added to the history may then be lost. At its end, also an early one, all
+becomes one file ``frames.h5`` in HDF5, written beside its place and moved there. If there is no
+room for it the journal stays, and is read, resumed and exported all the same. A run that is resumed
+leaves ``frames.h5`` as it is and begins a journal that says from which frame on it counts.
 
 Layout of ``frames.h5`` for k frames and m history rows::
 
