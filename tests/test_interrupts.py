@@ -178,24 +178,23 @@ except KeyboardInterrupt:
     raise SystemExit(130)
 """
 SMALL = ["--set", "initial.count=100", "--set", "duration=9 d"]
-FIT = """[data]
-diameter = "data.csv"
-"""
+DATA = "time / h,diameter / um\n6,60\n12,70\n18,80\n"
 
 
 def _commands(folder):
     """Return commands by name, and the preparation that they need."""
     out = folder / "out"
-    vary = ["--vary", "growth.cycle_time=18:30:h"]
+    free = ["--free", "growth.cycle_time=18:30 h", "--cores", "1", "--yes"]
     return {
         "run": ["run", "growth", "-o", out, *SMALL, "--set", "output.every=10 min"],
         "spheroid": ["run", "spheroid", "-o", out, "--threads", "1"],
         "resume": ["resume", out, "--set", "duration=9 d"],
         "compare": ["compare", "growth", *SMALL, "-o", folder / "chart"],
         "stability": ["stability", "settle", "-o", folder / "chart"],
-        "study": ["study", "run", folder / "study", "--cores", "1"],
-        "sensitivity": ["sensitivity", "growth", *SMALL, "--output", folder / "sensitivity",
-                        *vary, "--cores", "1"],
+        "study": ["study", "run", folder / "study", "--cores", "1", "--yes"],
+        "sensitivity": ["sensitivity", "growth", *SMALL, "-o", folder / "indices", *free],
+        "fit": ["fit", "growth", *SMALL[:2], "-o", folder / "fit", "--data", folder / "data.csv",
+                *free],
         "explain": ["explain", "spheroid", "--first-step"],
     }  # fmt: skip
 
@@ -211,8 +210,9 @@ def _prepare(name, folder):
     if name == "resume":
         _multicell("run", "growth", "-o", folder / "out", *SMALL, "--set", "duration=1 h",
                    "--no-report", "--quiet")  # fmt: skip
+    (folder / "data.csv").write_text(DATA)
     if name == "study":
-        _multicell("study", "new", folder / "study", "growth", *SMALL,
+        _multicell("study", "new", "growth", "-o", folder / "study", *SMALL,
                    "--vary", "growth.cycle_time=18,24,30 h")  # fmt: skip
 
 
@@ -250,6 +250,8 @@ def test_interrupts_at_any_moment_end_in_one_word(tmp_path, request):
         if rng.random() < 0.4:
             environment["NUMBA_CACHE_DIR"] = str(folder / "cache")
         moments = [rng.uniform(0.0, 8.0)] + [rng.uniform(0.0, 2.0)] * (rng.random() < 0.5)
+        if name in ("study", "sensitivity", "fit"):
+            moments[0] *= 2.0
         if name.startswith("loop"):
             program = LOOP.replace("METHOD", repr(name.split()[1]))
             command = [sys.executable, "-c", program]
