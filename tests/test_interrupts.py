@@ -167,14 +167,15 @@ READY = "from multicell.__main__ import run; print('ready', flush=True); run()"
 LOOP = """
 import multicell as mc
 print("ready", flush=True)
-simulation = mc.Simulation(mc.load_scene("growth").with_changes(
-    {"initial.count": 300, "duration": "90 d", "integrator.method": METHOD}), threads=1)
+simulation = None
 try:
+    simulation = mc.Simulation(mc.load_scene("growth").with_changes(
+        {"initial.count": 300, "duration": "90 d", "integrator.method": METHOD}), threads=1)
     while not simulation.finished:
         simulation.step()
 except KeyboardInterrupt:
-    simulation.energy()
-    print("whole", simulation.time, flush=True)
+    energy = None if simulation is None else simulation.energy()
+    print("whole", energy, flush=True)
     raise SystemExit(130)
 """
 SMALL = ["--set", "initial.count=100", "--set", "duration=9 d"]
