@@ -5,6 +5,8 @@ from __future__ import annotations
 import gc
 import sys
 
+from multicell.interrupts import end_command, watch_command
+
 _RARELY = 100_000
 """New objects after which the command's process looks for cyclic garbage. Python's own 700 suit
 programs that make it; modules make hundreds of thousands of objects that live on."""
@@ -14,10 +16,12 @@ def run() -> None:
     """Run the command; Ctrl-C is answered while its modules are still being loaded, too."""
     gc.set_threshold(_RARELY, *gc.get_threshold()[1:])
     try:
+        watch_command()
         from multicell.cli.main import main
 
         main(prog_name="multicell")
     except KeyboardInterrupt:
+        end_command()
         if sys.stderr is not None:
             sys.stderr.write("Interrupted.\n")
         sys.exit(130)

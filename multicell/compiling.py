@@ -14,10 +14,15 @@ from collections.abc import Callable
 from typing import Any, final
 
 import numpy as np
+from llvmlite import ir
 from numba import njit, typeof, types
-from numba.core import cgutils, event
+from numba.core import boxing, cgutils, event
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
+from numba.core.pythonapi import _boxers
+from numba.np.numpy_support import as_dtype
+
+from multicell.interrupts import UNCUT
 
 
 @final
@@ -123,6 +128,73 @@ event.register("numba:compile", _LISTENER)  # type: ignore[no-untyped-call]
 def compile_time() -> float:
     """Return the wall time in s that this process has spent compiling so far."""
     return _LISTENER.seconds
+
+
+@final
+class _Uncut(event.Listener):
+    """Delays signals until numba has compiled, loaded or saved a function.
+
+    An exception in between leaves parts of it behind, and numba ends in errors of its own.
+    """
+
+    def on_start(self, event: event.Event) -> None:
+        """Delay them, before numba takes its lock."""
+        UNCUT.__enter__()
+
+    def on_end(self, event: event.Event) -> None:
+        """Deliver what has come, after numba has given its lock back."""
+        UNCUT.__exit__()
+
+
+event.register("numba:compiler_lock", _Uncut())  # type: ignore[no-untyped-call]
+
+
+def _constant(c: Any, value: Any) -> Any:
+    """Return code that finds a constant that was stored together with a compiled function."""
+    return c.env_manager.read_const(c.env_manager.add_const(value))
+
+
+def _box_array(kind: Any, value: Any, c: Any) -> Any:
+    """Return code that makes the array of Python that a kernel returns, and runs no Python.
+
+    Numba's own unpickles the class of the array by a function in Python, and does not ask whether
+    that succeeded: where the handler of a signal raises an exception there, the process ends with
+    a segmentation fault.
+    """
+    number = ir.IntType(32)
+    native = cgutils.alloca_once_value(c.builder, value)
+    shape = ir.FunctionType(
+        c.pyapi.pyobj, [c.pyapi.voidptr, c.pyapi.pyobj, number, number, c.pyapi.pyobj]
+    )
+    adapt = c.pyapi._get_function(shape, name="NRT_adapt_ndarray_to_python_acqref")
+    made = c.builder.call(
+        adapt,
+        [
+            c.builder.bitcast(native, c.pyapi.voidptr),
+            _constant(c, kind.box_type),
+            number(kind.ndim),
+            number(int(kind.mutable)),
+            _constant(c, as_dtype(kind.dtype)),
+        ],
+    )
+    c.context.nrt.decref(c.builder, kind, value)
+    return made
+
+
+def _box_named_tuple(kind: Any, value: Any, c: Any) -> Any:
+    """Return code that makes the NamedTuple that a kernel returns, as :func:`_box_array` does."""
+    plain = boxing.box_tuple(kind, value, c)  # type: ignore[no-untyped-call]
+    new = _constant(c, tuple.__new__)
+    made = c.pyapi.call_function_objargs(new, (_constant(c, kind.instance_class), plain))
+    c.pyapi.decref(plain)
+    return made
+
+
+_boxers.functions |= {
+    types.Array: _box_array,
+    types.NamedTuple: _box_named_tuple,
+    types.NamedUniTuple: _box_named_tuple,
+}
 
 
 _typeof: Any = typeof

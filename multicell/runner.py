@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import math
-import signal
-import threading
 import time as clock
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
@@ -18,6 +15,7 @@ import numpy as np
 from multicell.errors import OutputError, SceneError
 from multicell.integrators.base import info_of
 from multicell.integrators.own import chosen
+from multicell.interrupts import STEP
 from multicell.memory import Returns
 from multicell.rehearsal import Rehearsal
 from multicell.report.result import (
@@ -144,7 +142,7 @@ def recorded(
     recorder = Recorder(scene, store)
     with ExitStack() as stack:
         stack.enter_context(under_way())
-        interrupt = stack.enter_context(between_steps())
+        interrupt = stack.enter_context(STEP).deliver
         stack.callback(recorder.close)
         rehearsal = Rehearsal(scene, threads)
         stack.callback(rehearsal.close)
@@ -326,41 +324,6 @@ def next_frame(every: float, time: float) -> float:
     return max(due, math.nextafter(now, math.inf))
 
 
-@contextmanager
-def between_steps() -> Iterator[Callable[[], None]]:
-    """Hold Ctrl-C back until the function that is yielded is called.
-
-    An exception that Python raises inside a solver's callback can be lost on its way through
-    compiled code. So the first Ctrl-C is only noted, and raised as ``KeyboardInterrupt`` by
-    the yielded function; a second one is raised at once. Outside the main thread, or where
-    the program has a handler of its own, nothing changes.
-    """
-    noted = False
-
-    def note(number: int, frame: FrameType | None) -> None:
-        nonlocal noted
-        if noted:
-            signal.default_int_handler(number, frame)
-        noted = True
-
-    def check() -> None:
-        if noted:
-            raise KeyboardInterrupt
-
-    ours = (
-        threading.current_thread() is threading.main_thread()
-        and signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    )
-    if not ours:
-        yield check
-        return
-    signal.signal(signal.SIGINT, note)
-    try:
-        yield check
-    finally:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-
-
 _MAY_CHANGE = ("duration", "stop_cells", "title", "output", "integrator")
 _OF_A_NUTRIENT = ("boundary", "media", "media_change", "sides", "perfusion")
 
@@ -414,7 +377,8 @@ def resume(
         For a folder without results that can be resumed, a frame that is not there, and a run
         that has come to its end.
     SceneError
-        For changes that cannot be made.
+        For changes that cannot be made: of a key that must not change, and of ``duration`` and
+        ``stop_cells`` to what the frame is beyond already.
     StepFailed
         As for :func:`multicell.run`.
     """
@@ -461,7 +425,7 @@ def gone_on(
         threads = thread_count(threads)
         simulation = _simulation(scene, contents, place, threads, own, reactions)
         rows = _rows(contents, simulation.step_index)
-        interrupt = stack.enter_context(between_steps())
+        interrupt = stack.enter_context(STEP).deliver
         if here:
             for k in range(place):  # what is damaged is better known before the run than after it
                 contents.frame(k)
@@ -526,6 +490,13 @@ def _simulation(
     problem = can_go_on(start)
     if problem:
         raise OutputError(f"no run can go on from the frame at {start.time:g} s: {problem}")
+    most = scene.stop_cells
+    if most is not None and len(start.cells) > most != recorded_scene(contents).stop_cells:
+        raise SceneError(
+            "stop_cells",
+            f"is {most}, but the frame at {start.time:g} s has {len(start.cells)} cells",
+            "Name a larger number, or resume from an earlier frame.",
+        )
     lineage = contents.lineage(place)
     simulation = Simulation(
         scene, threads=threads, frame=start, lineage=lineage, integrator=own, reactions=reactions

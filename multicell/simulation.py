@@ -33,6 +33,7 @@ from multicell.errors import NutrientFailed, SceneError, StepFailed
 from multicell.integrators import registry, stability
 from multicell.integrators.shift import SHIFT, Replays, replayed, shifted_positions
 from multicell.integrators.stability import Stability
+from multicell.interrupts import STEP, UNCUT
 from multicell.mechanics import binning
 from multicell.mechanics.motion import Motion
 from multicell.mechanics.system import Mechanics
@@ -253,6 +254,12 @@ class Simulation:
         known = frame.progress
         if known is None:
             raise ValueError("this frame does not hold what a run needs to go on")
+        if frame.time > self.scene.duration:
+            raise SceneError(
+                "duration",
+                f"is {self.scene.duration:g} s, which ends before the frame at {frame.time:g} s",
+                "Name a later end, or resume from an earlier frame.",
+            )
         self.step_index = frame.step
         step = fixed_step(self.scene)
         if step is None or frame.time != frame.step * step:
@@ -359,18 +366,21 @@ class Simulation:
         ------
         StepFailed
             If positions or a field cannot be solved for. After this and any other exception
-            (Ctrl-C) the state is that of the step's beginning.
+            the state is that of the step's beginning.
+        KeyboardInterrupt
+            At the end of the step, after Ctrl-C; a second one ends it at once.
         """
-        kept = self._kept()
-        try:
-            with compiling(self.scene.contact):
-                self._advance()
-        except NutrientFailed as failure:
-            self._take_back(kept)
-            raise StepFailed(self.time, failure.problem, failure.hint) from failure
-        except BaseException:
-            self._take_back(kept)
-            raise
+        with STEP:
+            kept = self._kept()
+            try:
+                with compiling(self.scene.contact):
+                    self._advance()
+            except NutrientFailed as failure:
+                self._take_back(kept)
+                raise StepFailed(self.time, failure.problem, failure.hint) from failure
+            except BaseException:
+                self._take_back(kept)
+                raise
 
     def _advance(self) -> None:
         """Do one coupling step; an exception leaves parts of it behind."""
@@ -439,12 +449,13 @@ class Simulation:
 
     def _take_back(self, kept: Mapping[str, Any]) -> None:
         """Make the state that was kept the state again."""
-        self.lineage.cut(kept["lineage"])
-        self._count(kept["work"])
-        if self._feeding is not None:
-            self._feeding.take_back(kept["feeding"])
-        for name, value in kept["rest"].items():
-            setattr(self, name, value)
+        with UNCUT:
+            self.lineage.cut(kept["lineage"])
+            self._count(kept["work"])
+            if self._feeding is not None:
+                self._feeding.take_back(kept["feeding"])
+            for name, value in kept["rest"].items():
+                setattr(self, name, value)
 
     def frame(self, *, shared: bool = False) -> Frame:
         """Return the state as a frame that later steps do not change.

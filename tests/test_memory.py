@@ -15,6 +15,7 @@ PER_STEP, ONCE = 100, 300_000
 """Bytes of growth that are taken for the allocator's: 2.3 MB over 20,000 coupling steps."""
 
 
+@pytest.mark.harness
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="there is no /proc/self/statm")
 @pytest.mark.parametrize("case", sorted(steady.CASES))

@@ -212,3 +212,27 @@ def test_the_cost_of_a_resume_is_linear_in_the_frames(tmp_path, monkeypatch):
     assert few > 10
     # so many more frames, and for each the same number of reads
     assert many - few <= 8 * 30
+
+
+@pytest.mark.parametrize(
+    ("changes", "problem"),
+    [
+        ({"duration": "10 min"}, "duration: is 600 s, which ends before the frame at 1800 s"),
+        ({"stop_cells": 5}, "stop_cells: is 5, but the frame at 1800 s has 8 cells"),
+    ],
+)
+def test_a_change_that_the_frame_is_beyond_is_refused(changes, problem, tmp_path):
+    scene = mc.load_scene("settle").with_changes({"duration": "30 min", "initial.count": 8})
+    mc.run(scene, output=tmp_path / "run", report=False)
+    with pytest.raises(SceneError, match=problem):
+        mc.resume(tmp_path / "run", changes=changes, report=False)
+    assert mc.load_result(tmp_path / "run").summary()["time"] == 1800.0
+
+
+def test_a_run_can_end_earlier_than_planned_after_the_frame(tmp_path):
+    scene = mc.load_scene("settle").with_changes(
+        {"duration": "3 min", "initial.count": 8, "output.every": "1 min"}
+    )
+    mc.run(scene, output=tmp_path / "run", report=False)
+    shorter = mc.resume(tmp_path / "run", 1, changes={"duration": "2 min"}, report=False)
+    assert shorter.summary()["time"] == shorter.frames[-1].time == 120.0

@@ -21,6 +21,7 @@ from typing import Any, NoReturn, final
 import click
 
 from multicell.errors import MulticellError
+from multicell.interrupts import end_command, interrupted
 from multicell.plugins import own_fault
 
 
@@ -103,11 +104,16 @@ def exit_code(command: Callable[[], Any], as_json: bool) -> int:
                 sys.stdout.flush()
             return code if isinstance(code, int) else 0
         except (KeyboardInterrupt, click.Abort):
+            end_command()
             complain("Interrupted.")
             return INTERRUPTED
         except click.exceptions.Exit as leaving:
             return leaving.exit_code
         except Exception as error:
+            if interrupted() and not isinstance(error, MulticellError | OSError):
+                # a Ctrl-C that came while a library was being loaded, or told otherwise
+                complain("Interrupted.")
+                return INTERRUPTED
             return _explained(error, as_json)
 
 
@@ -162,6 +168,7 @@ def complain(text: str) -> None:
 
 def leave(code: int) -> NoReturn:
     """End the process; what a broken stream still holds must not speak last."""
+    end_command()
     for stream, number in ((sys.stdout, 1), (sys.stderr, 2)):
         try:
             if stream is not None:

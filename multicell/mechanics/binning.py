@@ -1,19 +1,15 @@
-"""Cells sorted in space: along a curve, and into bins however far apart they are."""
+"""Cells sorted in space, along a curve."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
-
-from multicell.compiling import KERNEL
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
 
-IndexArray = NDArray[np.int32]
 OffsetArray = NDArray[np.int64]
 
 
@@ -58,53 +54,3 @@ def _spread(value: NDArray[np.uint64]) -> NDArray[np.uint64]:
     ):
         value = (value | (value << np.uint64(shift))) & np.uint64(mask)
     return value
-
-
-def sorted_sparsely(
-    position: FloatArray, radius: FloatArray
-) -> tuple[IndexArray, IndexArray, FloatArray, OffsetArray]:
-    """Return order, place, cells and ranges of sparse :class:`multicell.mechanics.neighbours.Bins`.
-
-    Coordinates are sorted: memory does not depend on the distances.
-    """
-    n = len(position)
-    width = 2.0 * float(radius.max())
-    x, y, z = (_intervals(np.ascontiguousarray(c), width) for c in position.T)
-    # a row's key is below 9 n², so that it overflows for no n that fits into memory
-    stride = n + 2
-    row = z * stride + y
-    occupied, rank = np.unique(row, return_inverse=True)
-    key = rank * stride + x
-    order = np.argsort(key, kind="stable")
-    place, sorted_key = np.empty_like(order), key[order]
-    place[order] = np.arange(n)
-    ranges = np.zeros((n, 5, 2), dtype=np.int64)
-    for neighbour in range(5):
-        wanted = row + (neighbour + 4) // 3 * stride - stride + (neighbour + 4) % 3 - 1
-        found = np.searchsorted(occupied, wanted)
-        there = occupied[np.minimum(found, len(occupied) - 1)] == wanted
-        line, column = found[there] * stride, x[there]
-        ends = (line + np.maximum(column - 1, 0), line + np.minimum(column + 2, stride))
-        ranges[there, neighbour] = np.searchsorted(sorted_key, ends).T
-    ranges[:, 0, 0] = place + 1
-    cells = np.column_stack([position, radius])[order]
-    return order.astype(np.int32), place.astype(np.int32), cells, ranges
-
-
-def _intervals(coordinate: FloatArray, width: float) -> OffsetArray:
-    """Return the number of each cell's bin along one axis; close cells differ by at most one."""
-    number = np.empty(len(coordinate), dtype=np.int64)
-    _sweep(coordinate, np.argsort(coordinate, kind="stable"), width, number)
-    return number
-
-
-@njit(**KERNEL)  # type: ignore[untyped-decorator]
-def _sweep(coordinate: FloatArray, order: OffsetArray, width: float, number: OffsetArray) -> None:
-    start = coordinate[order[0]]
-    found = 0
-    for i in order:
-        # compared as a sum of halves, which cannot overflow
-        if 0.5 * coordinate[i] > 0.5 * start + 0.5 * width:
-            start = coordinate[i]
-            found += 1
-        number[i] = found

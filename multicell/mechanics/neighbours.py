@@ -19,11 +19,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple, final
 
 import numpy as np
-from numba import njit, objmode, prange
+from numba import njit, prange
 from numpy.typing import NDArray
 
-from multicell.compiling import ADDRESSED, INLINED, INNER
-from multicell.mechanics.binning import sorted_sparsely
+from multicell.compiling import INLINED, INNER
 from multicell.threads import two_drivers
 
 if TYPE_CHECKING:
@@ -247,17 +246,98 @@ def _dense_bins(position, radius, skin):
     return Bins(order, place, cells, largest, low, shape, row, start, none)
 
 
-@njit(**ADDRESSED)
-def _sparse_bins(position, radius, skin, none):
-    """Bin far-flung cells; the rest of ``none``, bins that were not filled, is kept.
+@njit(**INNER)
+def _stable_order(key):
+    """Return the order that sorts a key; equal ones keep theirs (merge sort, bottom up)."""
+    n = key.size
+    order, merged = np.empty(n, np.int32), np.empty(n, np.int32)
+    for i in range(n):
+        order[i] = i
+    width = 1
+    while width < n:
+        for low in range(0, n, 2 * width):
+            middle, high = min(low + width, n), min(low + 2 * width, n)
+            a, b = low, middle
+            for k in range(low, high):
+                if a < middle and (b == high or key[order[a]] <= key[order[b]]):
+                    merged[k] = order[a]
+                    a += 1
+                else:
+                    merged[k] = order[b]
+                    b += 1
+        order, merged = merged, order
+        width *= 2
+    return order
 
-    In Python also from compiled code: NumPy sorts as fast, and nothing has to be compiled for
-    states that hardly ever come.
+
+@njit(**INNER)
+def _first_not_below(key, count, wanted):
+    """Return the first of ``count`` places of a sorted key whose value is not below ``wanted``."""
+    low, high = 0, count
+    while low < high:
+        middle = (low + high) // 2
+        if key[middle] < wanted:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@njit(**INNER)
+def _sparse_bins(position, radius, skin, none):
+    """Bin far-flung cells by sorted coordinates; the rest of ``none``, unfilled bins, is kept.
+
+    Along each axis bins are numbered one after the other, and close cells differ by at most one:
+    memory does not depend on the distances. Compiled with what calls it: an exception that Python
+    raises within a loop of a method, such as for Ctrl-C, could not be carried out of it. All keys
+    are whole numbers that a float holds exactly for less than 9e7 cells.
     """
-    with objmode(
-        order="int32[::1]", place="int32[::1]", cells="float64[:, ::1]", ranges="int64[:, :, ::1]"
-    ):
-        order, place, cells, ranges = sorted_sparsely(position, radius + 0.5 * skin)
+    n = position.shape[0]
+    width = 0.0
+    for i in range(n):
+        width = max(width, radius[i] + 0.5 * skin)
+    width *= 2.0
+    number, key, edge = np.empty((4, n)), np.empty(n), np.empty(n)
+    order, stride, count = np.empty(0, np.int32), n + 2.0, 0
+    # along x, y and z, rows along x, and places in rows: sorted by one call, which compiles once
+    for sort in range(5):
+        for i in range(n):
+            if sort < 3:
+                key[i] = position[i, sort]
+            elif sort == 3:
+                number[1, i] += number[2, i] * stride
+                key[i] = number[1, i]
+            else:
+                key[i] = number[3, i] * stride + number[0, i]
+        order = _stable_order(key)
+        if sort == 4:
+            break
+        count, gap = 0, width if sort < 3 else 0.0
+        for k in range(n):
+            i = order[k]
+            # compared as a sum of halves, which cannot overflow
+            if count == 0 or 0.5 * key[i] > 0.5 * edge[count - 1] + 0.5 * gap:
+                edge[count] = key[i]
+                count += 1
+            number[sort, i] = count - 1
+    place, cells, line = np.empty(n, np.int32), np.empty((n, 4)), np.empty(n)
+    for k in range(n):
+        i = order[k]
+        place[i], line[k] = k, key[i]
+        for a in range(3):
+            cells[k, a] = position[i, a]
+        cells[k, 3] = radius[i] + 0.5 * skin
+    ranges = np.zeros((n, 5, 2), np.int64)
+    for i in range(n):
+        x = number[0, i]
+        for neighbour in range(5):
+            wanted = number[1, i] + ((neighbour + 4) // 3 - 1) * stride + ((neighbour + 4) % 3 - 1)
+            found = _first_not_below(edge, count, wanted)
+            if found < count and edge[found] == wanted:
+                begin = found * stride
+                ranges[i, neighbour, 0] = _first_not_below(line, n, begin + max(x - 1.0, 0.0))
+                ranges[i, neighbour, 1] = _first_not_below(line, n, begin + min(x + 2.0, stride))
+        ranges[i, 0, 0] = place[i] + 1
     return Bins(
         order, place, cells, none.largest, none.low, none.shape, none.row, none.start, ranges
     )

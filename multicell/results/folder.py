@@ -132,7 +132,10 @@ def make_folder(folder: str | Path, *, overwrite: bool = False) -> Path:
             )
         if folder.exists() and not folder.is_dir():
             raise OutputError(f"output '{folder}' is a file, not a folder")
+        new = [place for place in (folder, *folder.parents) if not place.exists()]
         folder.mkdir(parents=True, exist_ok=True)
+        for place in new:
+            sync_folder(place.parent)
         held = sorted(entry.name for entry in folder.iterdir() if entry.name != LOCK)
     if held and not overwrite:
         raise OutputError(
@@ -222,9 +225,27 @@ def replacing(path: Path, mode: str = "wb", **options: Any) -> Iterator[IO[Any]]
             yield file
             file.flush()
             os.fsync(file.fileno())
-        part.replace(path)
+        put_in_place(part, path)
         stack.pop_all()
+
+
+def put_in_place(part: Path, path: Path) -> None:
+    """Move a file whose content is on disk to its name, and have that on disk too.
+
+    After a loss of power there is then the old file or the new one.
+    """
+    part.replace(path)
     sync_folder(path.parent)
+
+
+def sync_file(path: Path) -> None:
+    """Have the content of a file on disk that another library has written."""
+    # Windows flushes only what is open for writing
+    descriptor = os.open(path, os.O_RDWR | getattr(os, "O_BINARY", 0))
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def sync_folder(folder: Path) -> None:

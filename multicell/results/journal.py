@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.errors import OutputError
-from multicell.results.folder import file_errors, new_file
+from multicell.results.folder import file_errors, new_file, put_in_place
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -105,7 +105,7 @@ class Journal:
             try:
                 journal.append([(header, {})])
                 journal.sync()
-                part.replace(path)
+                put_in_place(part, path)
             except BaseException:
                 journal.close()
                 part.unlink(missing_ok=True)
@@ -127,8 +127,14 @@ class Journal:
                 raise
         return journal
 
-    def append(self, records: Sequence[tuple[Mapping[str, Any], Arrays]]) -> None:
-        """Write records; a call that does not come to its end leaves none of them."""
+    def append(
+        self, records: Sequence[tuple[Mapping[str, Any], Arrays]], *, sync: bool = False
+    ) -> None:
+        """Write records; a call that does not come to its end leaves none of them.
+
+        With ``sync`` they are then on the disk itself and survive a loss of power; without they
+        are after about a second.
+        """
         chain, parts = self._chain, []
         for header, arrays in records:
             chain, pieces = _parts(header, arrays, chain)
@@ -139,7 +145,7 @@ class Journal:
             self._torn = True
             try:
                 place = self._write(_gathered(parts))
-                if clock.monotonic() - self._synced > _SYNC_EVERY:
+                if sync or clock.monotonic() - self._synced > _SYNC_EVERY:
                     self._sync()
             except OSError as error:
                 self._take_back(error)

@@ -2,11 +2,12 @@
 
 While a run goes on each frame is appended to ``frames.journal`` (:mod:`multicell.results.journal`),
 with what the history and the lineage have gained. A run that is killed at any moment, or meets a
-full disk, leaves all frames that it had finished, and the history up to about a second before; what
-the last second brought may be lost when the power fails. At its end, also an early one, all becomes
-one file ``frames.h5`` in HDF5, written beside its place and moved there. If there is no room for it
-the journal stays, and is read, resumed and exported all the same. A run that is resumed leaves
-``frames.h5`` as it is and begins a journal that says from which frame on it counts.
+full disk, leaves all frames that it had finished, and the history up to about a second before. A
+frame is on the disk itself when :meth:`Store.append` returns, so that it survives a loss of power;
+what the last two seconds added to the history may then be lost. At its end, also an early one, all
+becomes one file ``frames.h5`` in HDF5, written beside its place and moved there. If there is no
+room for it the journal stays, and is read, resumed and exported all the same. A run that is resumed
+leaves ``frames.h5`` as it is and begins a journal that says from which frame on it counts.
 
 Layout of ``frames.h5`` for k frames and m history rows::
 
@@ -60,6 +61,7 @@ from multicell.results.folder import (
     file_errors,
     locked,
     make_folder,
+    put_in_place,
     remove,
     sync_folder,
     versions,
@@ -176,7 +178,7 @@ class Store:
                 journal.append([(back, {})])
                 journal.sync()
             with file_errors("write", folder / "scene.toml"):
-                part.replace(folder / "scene.toml")
+                put_in_place(part, folder / "scene.toml")
             remove(folder, [name for name in FILES if name not in (*_OF_THE_START, hdf5.NAME)])
             store = cls(folder, journal, names, stack.pop_all())
         store._frames, store._rows = place + 1, rows
@@ -191,7 +193,7 @@ class Store:
             list(row) for row in zip(*(c.tolist() for c in history.values()), strict=True)
         ]
         for entry in contents.places[: place + 1]:
-            self._add(entry.arrays(), entry.log())
+            self._add(entry.arrays(), entry.log(), sync=entry is contents.places[place])
 
     def append(self, frame: Frame, lineage: Lineage | None = None) -> None:
         """Write a frame to disk.
@@ -208,26 +210,28 @@ class Store:
             If the frame's nutrients are not those of the scene, or the number of
             concentrations is not the number of cells.
         """
-        self._add(arrays_of(frame, self._nutrients), log_arrays(lineage, self._logged))
+        self._add(arrays_of(frame, self._nutrients), log_arrays(lineage, self._logged), sync=True)
 
-    def _add(self, arrays: Arrays, log: Arrays) -> None:
+    def _add(self, arrays: Arrays, log: Arrays, *, sync: bool) -> None:
         """Write a frame with the new rows of the logs, and the history up to it."""
         number = {"number": self._frames}
         frame = {"time": float(arrays["time"]), "step": int(arrays["step"])}
         self._write(
-            ({"kind": "lineage", **number}, log), ({"kind": "frame", **number, **frame}, arrays)
+            ({"kind": "lineage", **number}, log),
+            ({"kind": "frame", **number, **frame}, arrays),
+            sync=sync,
         )
         self._frames += 1
         for name in COLUMNS:
             self._logged[name] += len(log[f"{name}/id"])
 
-    def _write(self, *records: tuple[Mapping[str, Any], Arrays]) -> None:
+    def _write(self, *records: tuple[Mapping[str, Any], Arrays], sync: bool = False) -> None:
         """Write what there is of the history, and records behind it."""
         rows = []
         if self._pending:
             header = {"kind": "rows", "start": self._rows, "columns": list(self._columns)}
             rows = [(header, {"rows": np.array(self._pending, "<f8")})]
-        self._journal.append([*rows, *records])
+        self._journal.append([*rows, *records], sync=sync)
         self._rows += len(self._pending)
         self._pending.clear()
         self._written = clock.monotonic()

@@ -17,6 +17,7 @@ from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.errors import ClusterError, OutputError
+from multicell.interrupts import STEP
 from multicell.results.folder import file_errors, in_use
 from multicell.studies.status import RunStatus, run_folder, status, write_note
 from multicell.studies.task import Outcome, Task, carried_out, settled, task
@@ -119,18 +120,16 @@ def _carry_out(
     told: Callable[[Outcome], None],
 ) -> None:
     """Have workers do tasks, in their order."""
-    from multicell.runner import between_steps  # numba is loaded where something is to be run
-
     if scheduler is None and cores is None:
         cores = own_cores()
     most = None if cores is None else min(cores, len(tasks))
-    with between_steps() as interrupt, workers(most, scheduler) as client:
+    with STEP, workers(most, scheduler) as client:
         if scheduler is not None:
             check_folder(client, folder)
         work = _Work(client, tasks, told)
         try:
             while work.left:
-                interrupt()
+                STEP.deliver()
                 work.go_on()
         except KeyboardInterrupt:
             work.stop()

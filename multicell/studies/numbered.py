@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import random
 import time as clock
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -154,6 +155,8 @@ class NumberedSampler(Sampler):  # type: ignore[misc]
                 entry = {"generation": generation, "key": particle.sum_stat["key"],
                          "z": list(map(float, particle.sum_stat["z"]))}  # fmt: skip
                 file.write(json.dumps(entry) + "\n")
+            file.flush()
+            os.fsync(file.fileno())
 
 
 @final

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from multicell.errors import OutputError
 from multicell.extras import needs
 from multicell.report.result import read_summary
-from multicell.results.folder import file_errors, versions
+from multicell.results.folder import file_errors, put_in_place, sync_file, versions
 from multicell.results.quantities import known_unit
 from multicell.studies.runs import MODEL_VERSION, digest
 
@@ -290,7 +290,8 @@ def save(table: xarray.Dataset, path: Path) -> None:
     with file_errors("write", path):
         try:
             table.to_netcdf(part, engine="h5netcdf", encoding=packed)
-            part.replace(path)
+            sync_file(part)
+            put_in_place(part, path)
         finally:
             part.unlink(missing_ok=True)
 

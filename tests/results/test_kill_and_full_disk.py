@@ -98,6 +98,7 @@ def finish(forks, folder, whole):
     assert not {entry.name for entry in folder.iterdir()} & {"frames.journal", "scene.toml.next"}
 
 
+@pytest.mark.harness
 @pytest.mark.slow
 def test_killed_runs_go_on_to_the_same_bits(forks, undisturbed, tmp_path, pytestconfig):
     whole, seconds = undisturbed
@@ -162,6 +163,7 @@ def small_disk(tmp_path):
     unmount()
 
 
+@pytest.mark.harness
 @pytest.mark.slow
 def test_a_full_disk_ends_a_run_with_one_error_and_loses_nothing(
     forks, undisturbed, small_disk, pytestconfig

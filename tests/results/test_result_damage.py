@@ -82,6 +82,7 @@ def folders(tmp_path_factory):
     return made, whole
 
 
+@pytest.mark.harness
 @pytest.mark.slow
 def test_damaged_folders_are_read_right_or_refused(folders, tmp_path, pytestconfig):
     made, whole = folders

@@ -43,6 +43,7 @@ def searched(request, kind, option):
     return tally.counts
 
 
+@pytest.mark.harness
 @pytest.mark.slow
 def test_scenes_load_or_are_refused_by_name(request):
     counts = searched(request, "load", "--scenes")
@@ -50,6 +51,7 @@ def test_scenes_load_or_are_refused_by_name(request):
     assert 0.25 < counts["loaded"] / counts.total() < 0.9, "a search of one kind only finds nothing"
 
 
+@pytest.mark.harness
 @pytest.mark.slow
 def test_small_scenes_run_to_finite_numbers_or_fail_by_name(request):
     counts = searched(request, "run", "--runs")

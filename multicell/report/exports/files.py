@@ -14,7 +14,7 @@ from multicell.errors import OutputError
 from multicell.extras import needs
 from multicell.report.result import Result, load_result
 from multicell.report.tables import TABLES
-from multicell.results.folder import file_errors
+from multicell.results.folder import file_errors, put_in_place, sync_file
 from multicell.schema import near_miss
 
 if TYPE_CHECKING:
@@ -150,7 +150,8 @@ def export(
             if not overwrite:
                 _refuse_old(folder, written)
             for name in written:
-                (staged / name).replace(folder / name)
+                sync_file(staged / name)
+                put_in_place(staged / name, folder / name)
     return [folder / name for name in written]
 
 

@@ -1,0 +1,274 @@
+"""Ctrl-C and other signals at any moment: no crash, no traceback, nothing lost.
+
+``pytest -m harness tests/test_interrupts.py --interrupts 200`` tries as many as asked.
+"""
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+from signals import listening
+
+import multicell as mc
+from multicell.interrupts import STEP, UNCUT
+from multicell.simulation import Simulation
+
+SCENE = mc.load_scene("growth").with_changes({"initial.count": 60, "duration": "9 d"})
+
+
+@pytest.fixture
+def handled():
+    """Let a test change handlers, and put back those of before."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGALRM)}
+    yield
+    signal.setitimer(signal.ITIMER_REAL, 0.0)
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.parametrize("method", ["auto", "rkc2", "euler", "cvode", "rosenbrock"])
+def test_no_kernel_calls_python(method):
+    """What kernels return is made without Python, where a signal's handler could raise."""
+    simulation = Simulation(SCENE.with_changes({"integrator.method": method}), threads=1)
+    simulation.step()
+    called = set()
+
+    def note(frame, event, argument):
+        if event == "call":
+            called.add(frame.f_code.co_filename)
+
+    sys.setprofile(note)
+    try:
+        simulation.step()
+    finally:
+        sys.setprofile(None)
+    assert any(path.endswith("simulation.py") for path in called)
+    assert [path for path in called if "numba" in path.split(os.sep)] == []
+
+
+class LateError(Exception):
+    pass
+
+
+@pytest.mark.parametrize("method", ["auto", "cvode"])
+def test_handlers_that_raise_at_any_moment_leave_a_whole_state(method, handled):
+    simulation = Simulation(SCENE.with_changes({"integrator.method": method}), threads=1)
+    simulation.step()
+    rng, raised = random.Random(1), 0
+
+    def late(number, frame):
+        raise LateError
+
+    signal.signal(signal.SIGALRM, late)
+    end = time.monotonic() + 3.0
+    while time.monotonic() < end:
+        try:
+            signal.setitimer(signal.ITIMER_REAL, rng.uniform(2e-4, 2e-2))
+            for _ in range(30):
+                simulation.step()
+        except LateError:
+            raised += 1
+    signal.setitimer(signal.ITIMER_REAL, 0.0)
+    assert raised > 20
+    undisturbed = Simulation(SCENE.with_changes({"integrator.method": method}), threads=1)
+    for _ in range(simulation.step_index):
+        undisturbed.step()
+    np.testing.assert_array_equal(simulation.cells.position, undisturbed.cells.position)
+    np.testing.assert_array_equal(simulation.cells.id, undisturbed.cells.id)
+
+
+def test_ctrl_c_comes_at_the_end_of_a_step(handled, monkeypatch):
+    simulation = Simulation(SCENE, threads=1)
+    advance = Simulation._advance
+
+    def pressed(self):
+        os.kill(os.getpid(), signal.SIGINT)
+        advance(self)
+
+    monkeypatch.setattr(Simulation, "_advance", pressed)
+    with pytest.raises(KeyboardInterrupt):
+        simulation.step()
+    assert simulation.step_index == 1
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_a_second_ctrl_c_leaves_the_state_of_the_beginning(handled, monkeypatch):
+    simulation = Simulation(SCENE, threads=1)
+    advance = Simulation._advance
+
+    def pressed(self):
+        advance(self)
+        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(Simulation, "_advance", pressed)
+    with pytest.raises(KeyboardInterrupt):
+        simulation.step()
+    assert simulation.step_index == 0
+    assert simulation.time == 0.0
+
+
+def test_a_handler_of_the_users_own_is_called_once_at_the_end(handled):
+    seen = []
+    signal.signal(signal.SIGINT, lambda number, frame: seen.append(number))
+    with STEP:
+        os.kill(os.getpid(), signal.SIGINT)
+        assert seen == []
+    assert seen == [signal.SIGINT]
+
+
+@pytest.mark.parametrize("inner", [False, True])
+def test_no_signal_cuts_a_compilation(inner, handled):
+    seen = []
+
+    def late(number, frame):
+        seen.append(number)
+        raise LateError
+
+    signal.signal(signal.SIGALRM, late)
+
+    def compiled():
+        with STEP, UNCUT:
+            for number in (signal.SIGINT, signal.SIGINT, signal.SIGALRM)[: 3 if inner else 2]:
+                os.kill(os.getpid(), number)
+            seen.append("whole")
+
+    with pytest.raises((KeyboardInterrupt, LateError)):
+        compiled()
+    assert seen == ["whole", signal.SIGALRM][: 1 + inner]
+    assert signal.getsignal(signal.SIGALRM) is late
+
+
+def test_other_threads_leave_handlers_alone(handled):
+    before = signal.getsignal(signal.SIGINT)
+    found = []
+
+    def block():
+        with STEP, UNCUT:
+            found.append(signal.getsignal(signal.SIGINT))
+
+    thread = threading.Thread(target=block)
+    thread.start()
+    thread.join()
+    assert found == [before]
+
+
+# the harness
+
+READY = "from multicell.__main__ import run; print('ready', flush=True); run()"
+LOOP = """
+import multicell as mc
+print("ready", flush=True)
+simulation = None
+try:
+    simulation = mc.Simulation(mc.load_scene("growth").with_changes(
+        {"initial.count": 300, "duration": "90 d", "integrator.method": METHOD}), threads=1)
+    while not simulation.finished:
+        simulation.step()
+except KeyboardInterrupt:
+    energy = None if simulation is None else simulation.energy()
+    print("whole", energy, flush=True)
+    raise SystemExit(130)
+"""
+SMALL = ["--set", "initial.count=100", "--set", "duration=9 d"]
+DATA = "time / h,diameter / um\n6,60\n12,70\n18,80\n"
+
+
+def _commands(folder):
+    """Return commands by name, and the preparation that they need."""
+    out = folder / "out"
+    free = ["--free", "growth.cycle_time=18:30 h", "--cores", "1", "--yes"]
+    return {
+        "run": ["run", "growth", "-o", out, *SMALL, "--set", "output.every=10 min"],
+        "spheroid": ["run", "spheroid", "-o", out, "--threads", "1"],
+        "resume": ["resume", out, "--set", "duration=9 d"],
+        "compare": ["compare", "growth", *SMALL, "-o", folder / "chart"],
+        "stability": ["stability", "settle", "-o", folder / "chart"],
+        "study": ["study", "run", folder / "study", "--cores", "1", "--yes"],
+        "sensitivity": ["sensitivity", "growth", *SMALL, "-o", folder / "indices", *free],
+        "fit": ["fit", "growth", *SMALL[:2], "-o", folder / "fit", "--data", folder / "data.csv",
+                *free],
+        "explain": ["explain", "spheroid", "--first-step"],
+    }  # fmt: skip
+
+
+def _multicell(*arguments):
+    done = subprocess.run(
+        [sys.executable, "-m", "multicell", *map(str, arguments)], capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def _prepare(name, folder):
+    if name == "resume":
+        _multicell("run", "growth", "-o", folder / "out", *SMALL, "--set", "duration=1 h",
+                   "--no-report", "--quiet")  # fmt: skip
+    (folder / "data.csv").write_text(DATA)
+    if name == "study":
+        _multicell("study", "new", "growth", "-o", folder / "study", *SMALL,
+                   "--vary", "growth.cycle_time=18,24,30 h")  # fmt: skip
+
+
+def _interrupted(command, environment, moments, cwd):
+    """Return exit code and output of a process with a Ctrl-C at each moment, s after the last."""
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=cwd,
+        env={**os.environ, **environment}, preexec_fn=listening,
+    )  # fmt: skip
+    assert process.stdout.readline() == "ready\n"
+    for moment in moments:
+        time.sleep(moment)
+        if process.poll() is None:
+            process.send_signal(signal.SIGINT)
+    try:
+        output, errors = process.communicate(timeout=180)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        output, errors = process.communicate()
+        return "hung", output, errors
+    return process.returncode, output, errors
+
+
+@pytest.mark.harness
+@pytest.mark.slow
+def test_interrupts_at_any_moment_end_in_one_word(tmp_path, request):
+    found = []
+    for case in range(request.config.getoption("--interrupts")):
+        rng = random.Random(case)
+        folder = tmp_path / str(case)
+        folder.mkdir()
+        names = [*_commands(folder), "loop auto", "loop cvode"]
+        name = names[case % len(names)]
+        environment = {"PYTHONFAULTHANDLER": "1"} if rng.random() < 0.5 else {}
+        if rng.random() < 0.4:
+            environment["NUMBA_CACHE_DIR"] = str(folder / "cache")
+        moments = [rng.uniform(0.0, 8.0)] + [rng.uniform(0.0, 2.0)] * (rng.random() < 0.5)
+        if name in ("study", "sensitivity", "fit"):
+            moments[0] *= 2.0
+        if name.startswith("loop"):
+            program = LOOP.replace("METHOD", repr(name.split()[1]))
+            command = [sys.executable, "-c", program]
+            moments = [rng.uniform(5.0, 15.0)]
+        else:
+            _prepare(name, folder)
+            command = [sys.executable, "-c", READY, *map(str, _commands(folder)[name])]
+        code, output, errors = _interrupted(command, environment, moments, folder)
+        told = (case, name, moments, environment, code, output[-500:], errors[-1500:])
+        if name.startswith("loop"):
+            fine = code == 130 and "whole" in output and errors == ""
+        else:
+            fine = code == 0 or (code == 130 and errors.rstrip().endswith("Interrupted."))
+            fine &= not any(word in errors for word in ("Traceback", "ignored", "Fatal", " bug "))
+        if fine and (folder / "out" / "frames.h5").exists():
+            fine = mc.load_result(folder / "out").frames[-1].progress is not None
+        if not fine:
+            found.append(told)
+    assert found == [], json.dumps(found, indent=1, default=str)
