@@ -23,12 +23,12 @@ a key of the scene     the conditions of the row
 =====================  ===========================================================================
 
 Rows with the same conditions, time and observable are replicates: one datum, their mean, with as
-many tissues as there are rows. The error of a length of 0, such as a core that has not begun, is the
-radius of a cell at division where the table states it as a part of the value or not at all. Tissues of different times are taken to be the same ones: their
+many tissues as there are rows. Tissues of different times are taken to be the same ones: their
 scatter is correlated over time as that of runs is. Where others were measured each time, a standard
-error of the mean says so, as it counts as independent. Lines that begin with ``#`` are remarks.
-What a datum is compared with, and in which unit of
-deviation, is settled here too (:class:`Datum`).
+error of the mean says so, as it counts as independent. The error of a length of 0, such as a core
+that has not begun, is the radius of a cell at division where the table states it as a part of the
+value or not at all. Lines that begin with ``#`` are remarks. What a datum is compared with, and in
+which unit of deviation, is settled here too (:class:`Datum`).
 """
 
 from __future__ import annotations

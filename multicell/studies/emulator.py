@@ -3,8 +3,8 @@
 The mean over runs of each datum is a polynomial of second degree in the parameters (places in
 their ranges) and what is beyond that: a Gaussian process with a Matern covariance of degree 5/2,
 which follows the kink where a core begins. Both are one process, whose error grows away from the
-points that were tried; data of one observable share its hyperparameters, which scikit-learn fits by the
-marginal likelihood. Its white part takes what runs scatter between neighbouring points. The
+points that were tried; data of one observable share its hyperparameters, which scikit-learn fits by
+the marginal likelihood. Its white part takes what runs scatter between neighbouring points. The
 synthetic likelihood of the processes (see :mod:`multicell.studies.distance`) gives the next points
 that are worth a run, and with fresh runs an approximate posterior
 (:mod:`multicell.studies.likelihood`); it takes a hundredth of the runs of one that is sampled with

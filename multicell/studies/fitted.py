@@ -257,7 +257,7 @@ class Fit:
     def _scatter(self) -> Array:
         """Standard deviation of one run, in σ of the data, (n,)."""
         if self.fresh is not None and self.fresh.scatter is not None:
-            return np.sqrt(np.diag(self.fresh.scatter.covariance))
+            return np.asarray(np.sqrt(self.fresh.scatter.variance))
         if not self.evaluations:
             return np.full(len(self.problem.observed), np.nan)
         emulated = emulator_of(self.problem, self.evaluations)

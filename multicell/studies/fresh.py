@@ -88,8 +88,8 @@ class Fresh:
         assert self.scatter is not None
         scatter, processes = self.scatter, self.likelihood.emulator
         if part == "scatter":
-            none = np.zeros_like(scatter.covariance)
-            scatter = Scatter(scatter.mean, none, none, scatter.count)
+            none = np.zeros_like(scatter.away)
+            scatter = Scatter(scatter.mean, np.zeros_like(scatter.variance), none)
             return likelihood(
                 processes, problem.tissues, self.shares, scatter, self.likelihood.error
             )
@@ -165,7 +165,7 @@ def _checked(away: Array, variances: Array, scatter: Scatter) -> tuple[Checks, A
 
     known = np.isfinite(away).sum(axis=0)
     squares = np.nansum(away**2, axis=0) / np.maximum(known, 1)
-    noise = np.diag(scatter.covariance) * (1.0 + 1.0 / scatter.count)
+    noise = scatter.variance * (1.0 + 1.0 / scatter.count)
     expected = noise + variances.mean(axis=0)
     limit = stats.f.isf(_CHANCE, np.maximum(known, 1), scatter.count - 1.0)
     # a thousandth of σ is of no account, and may be all that runs without scatter differ by

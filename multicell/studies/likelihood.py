@@ -14,10 +14,12 @@ shifted so that it has the mean m at the best point.
 S has R - 1 degrees of freedom, often fewer than there are data. It serves twice. The data are
 weighted by the inverse of C with S shrunk (Ledoit & Wolf 2004, J. Multivariate Anal. 88, 365, of
 its correlations; at least by a tenth), which decides how well parameters are determined and not
-whether intervals are right. What these weights see of the data along the few directions that the
-parameters move them in has a covariance V of that many dimensions, which the fresh runs estimate
-without shrinkage. Its likelihood is Hotelling's, a multivariate Student's with ν - k + 1 degrees of
-freedom for k directions; ν is R - 1, or more where errors of measurement, which are known, make
+whether intervals are right. What these weights make of the scatter along the few directions in
+which the parameters move the data has a covariance V of that many dimensions. It is estimated
+without shrinkage, and each run with weights in which it had no part: weights seek out what happens
+to scatter little in the runs that they come from, which would make V too small. The likelihood
+along these directions is Hotelling's, a multivariate Student's with ν - k + 1 degrees of freedom
+for k directions; ν is R - 1, or more where errors of measurement, which are known, make
 most of V (Satterthwaite). The other directions, in which all parameters are alike except for
 curvature, count as normal.
 """
@@ -50,35 +52,41 @@ class Scatter:
     ----------
     mean : (n,)
         Of (reading - datum) / σ.
-    covariance : (n, n)
+    variance : (n,)
         Of one run.
-    shrunk : (n, n)
-        The same with its correlations drawn towards none.
-    count
-        Number of runs; 0 where the covariance was not estimated from fresh ones.
+    away : (R, n)
+        The runs less their mean.
     """
 
     mean: Array
-    covariance: Array
-    shrunk: Array
-    count: int
+    variance: Array
+    away: Array
+
+    @property
+    def count(self) -> int:
+        """Number of runs."""
+        return len(self.away)
 
 
 def scatter_of(residuals: Array) -> Scatter:
-    """Return mean and covariance of fresh runs from their (reading - datum) / σ, (R, n)."""
+    """Return mean and scatter of fresh runs from their (reading - datum) / σ, (R, n)."""
+    mean = residuals.mean(axis=0)
+    return Scatter(mean, residuals.var(axis=0, ddof=1), residuals - mean)
+
+
+def _shrunk(away: Array) -> Array:
+    """Return the covariance of runs (R, n), its correlations drawn towards none: (n, n)."""
     from sklearn.covariance import ledoit_wolf_shrinkage
 
-    mean, count = residuals.mean(axis=0), len(residuals)
-    away = residuals - mean
-    covariance = away.T @ away / (count - 1.0)
+    away = away - away.mean(axis=0)
+    covariance = away.T @ away / (len(away) - 1.0)
     deviation = np.sqrt(np.diag(covariance))
     moving = deviation > 0.0
     shrinkage = _SHRINKAGE
     if moving.sum() > 1:
         wolf = ledoit_wolf_shrinkage(away[:, moving] / deviation[moving], assume_centered=True)
         shrinkage = max(_SHRINKAGE, float(wolf))
-    shrunk = (1.0 - shrinkage) * covariance + shrinkage * np.diag(deviation**2)
-    return Scatter(mean, covariance, shrunk, count)
+    return np.asarray((1.0 - shrinkage) * covariance + shrinkage * np.diag(deviation**2))
 
 
 @final
@@ -158,36 +166,46 @@ def likelihood(
         Variance that check runs have found beyond the emulator's own, in σ².
     """
     means, variances = emulator.predict(best[None])
-    count = max(scatter.count, 1)
-    shares = np.sqrt(1.0 / np.outer(tissues, tissues)) + 1.0 / count
     error = np.broadcast_to(np.asarray(error, dtype=float), tissues.shape)
-    known = np.eye(len(tissues))
-    total = known + scatter.shrunk * shares + np.diag(variances[0] + error)
-    values, vectors = np.linalg.eigh(total)
+    known = np.diag(1.0 + variances[0] + error)
+    # scatter of the tissues, correlated between data as they are the same ones, and of the mean
+    share = np.sqrt(1.0 / np.outer(tissues, tissues)) + 1.0 / scatter.count
+    values, vectors = np.linalg.eigh(known + _shrunk(scatter.away) * share)
     whitening = (vectors / np.sqrt(values)) @ vectors.T
     none = np.zeros((len(tissues), 0))
     working = Likelihood(
         emulator, scatter.mean - means[0], error, whitening, none, np.zeros((0, 0)), _EXACT
     )
-    if scatter.count == 0:
-        return working
-    return _student(working, known, scatter.covariance * shares, scatter.count - 1.0)
+    return _student(working, known, share, tissues, scatter.away)
 
 
-def _student(working: Likelihood, known: Array, estimated: Array, freedom: float) -> Likelihood:
+def _student(
+    working: Likelihood, known: Array, share: Array, tissues: Array, away: Array
+) -> Likelihood:
     """Return a likelihood whose covariance counts as estimated where the parameters move data."""
-    shares = working.draws()
+    shares, count = working.draws(), len(away)
     white = working.predict(shares)[0] @ working.whitening.T
     _, sizes, vectors = np.linalg.svd(white - white.mean(axis=0), full_matrices=False)
-    most = min(shares.shape[1], int(freedom) - 2)
+    most = min(shares.shape[1], count - 3)
     along = int((sizes[:most] / np.sqrt(len(shares)) > _STILL).sum())
     directions = vectors[:along].T
     if along == 0:
         return working
-    moved = working.whitening.T @ directions
-    scatter = moved.T @ estimated @ moved
-    spread = moved.T @ known @ moved + scatter
+    # how the parameters move the data themselves
+    moved = np.linalg.solve(working.whitening, directions)
+    scatter = np.zeros((along, along))
+    for k in range(count):
+        others = np.delete(away, k, axis=0)
+        total = known + _shrunk(others) * share
+        weighted = np.linalg.solve(total, moved)
+        estimate = np.linalg.solve(moved.T @ weighted, weighted.T)
+        left_out = away[k] - others.mean(axis=0)  # of variance S (1 + 1/(R - 1))
+        tissue, mean = estimate @ (left_out / np.sqrt(tissues)), estimate @ left_out
+        scatter += np.outer(tissue, tissue) + np.outer(mean, mean) / count
+    scatter *= (count - 1.0) / count**2
+    weights = working.whitening.T @ directions
+    spread = weights.T @ weights + scatter  # the emulator's error is added where it is used
     part = float(np.trace(scatter) / np.trace(spread))
-    freedom = min(freedom / max(part, 1e-9) ** 2, _EXACT)
+    freedom = min((count - 1.0) / max(part, 1e-9) ** 2, _EXACT)
     left = freedom - along + 1.0
     return replace(working, directions=directions, spread=spread * freedom / left, freedom=left)
