@@ -205,7 +205,7 @@ def _morris(
 
     # of its bootstrap nothing is used
     found = morris.analyze(
-        _problem(names), shares, mean.ravel(), num_resamples=1, num_levels=_LEVELS, seed=_SAMPLE
+        _problem(names), shares, mean.ravel(), num_resamples=2, num_levels=_LEVELS, seed=_SAMPLE
     )
     student = float(stats.t.isf(0.5 - 0.5 * _CONFIDENCE, len(mean) - 1) / math.sqrt(len(mean)))
     squares = found["sigma"] ** 2 + (found["mu"] ** 2 - found["mu_star"] ** 2) * (
