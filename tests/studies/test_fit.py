@@ -220,27 +220,6 @@ def test_intervals_are_those_of_the_draws():
     assert tilted.median == pytest.approx(math.sqrt(0.5), abs=2e-3)
 
 
-@pytest.mark.slow
-def test_intervals_of_the_search_cover_what_they_say():
-    """50 % and 95 % intervals of polynomials against 30 sets of data drawn from the prior.
-
-    With two seeds and as much scatter as error; bounds are those of a chance of 1 in 500.
-    """
-    rng = np.random.default_rng(1)
-    ranks = []
-    for repeat in range(30):
-        truth = 0.25 + 0.5 * rng.random(2)
-        rows = np.array([*MATRIX, [0.5, 1.0], [0.8, 0.8]])
-        data = rows @ truth + 0.05 * rng.standard_normal(6) + 0.05 * rng.standard_normal(6)
-        problem = linear(rows, data, 0.05, noise=0.05, seeds=2, first=100 * repeat)
-        known = Search(problem, None).run(OwnHands(), 25)
-        shares, _ = Fit(problem, SMALL, known, None, None, {}).sample
-        ranks += (shares < truth).mean(axis=0).tolist()
-    off = np.abs(np.array(ranks) - 0.5)
-    assert 0.3 < (off < 0.25).mean() < 0.7
-    assert (off < 0.475).mean() > 0.85
-
-
 def test_workers_of_a_cluster_find_the_same_as_this_process(tmp_path):
     """Two processes: the search and the posterior are the same to the bit."""
     problem = linear(MATRIX, [0.4, 0.6, 1.0, -0.2], 0.2, noise=0.1, seeds=2)
@@ -266,9 +245,11 @@ REFUSED = [
     ({"method": "bets"}, "Did you mean 'best'?"),
     ({"seeds": 0}, "seeds: is 0, must be a whole number of at least 1"),
     ({"population": 2}, "population: is 2, must be a whole number of at least 10"),
-    ({"budget": 5}, "budget: is 5 runs: it tries 2 sets of parameters, 2 runs each"),
+    ({"budget": 23}, "budget: is 23 runs: what 18 fresh runs leave tries 2 sets of parameters, 2"),
+    ({"repeats": 3}, "repeats: is 3, must be a whole number of at least 4"),
+    ({"repeats": 1001}, "repeats: is 1001, must be at most 1000"),
     ({"budget": "5 um"}, "budget: is '5 um', must be a time"),
-    ({"budget": 100, "method": "posterior"}, "leaves 100 draws for the posterior"),
+    ({"budget": 100, "method": "posterior"}, "leaves 88 draws for the posterior"),
     ({"scene": "no-such"}, "there is no scene named 'no-such'"),
 ]
 
@@ -298,11 +279,12 @@ def test_a_condition_cannot_be_fitted():
 
 def test_budgets_are_shared_out():
     plan = planned(SMALL, DATA, FREE, method="both", budget=3000)
-    assert (plan.points, plan.draws) == (35, 3000 - 70)
+    assert (plan.points, plan.draws) == (35, 3000 - 70 - 12)
     assert plan.runs == 3000
     plan = planned(SMALL, DATA, FREE, budget="2 h")
     assert plan.seconds == 7200.0
-    assert planned(SMALL, DATA, FREE, budget=41).points == 20
+    assert planned(SMALL, DATA, FREE, budget=41 + 12 + 6).points == 20
+    assert planned(SMALL, DATA, FREE, budget=41 + 8 + 6, repeats=8).points == 20
     assert planned(SMALL, DATA, FREE).left(None)[1] > 0.0
 
 
@@ -321,14 +303,14 @@ def test_the_command_fits_and_says_what_is_open(tmp_path):
     arguments = [
         "fit", "growth", "--data", str(tmp_path / "growth.csv"), "--free",
         "growth.cycle_time=8:30 h", "--set", "duration=20 h", "--set", "initial.count=6", "--set",
-        "coupling_step=1 h", "--budget", "20", "--seeds", "1", "--cores", "1", "-o",
+        "coupling_step=1 h", "--budget", "34", "--repeats", "8", "--seeds", "1", "--cores", "1", "-o",
         str(tmp_path / "out"),
     ]  # fmt: skip
     shown = CliRunner().invoke(main, arguments, standalone_mode=False)
     assert shown.exception is None
     assert "growth.cycle_time" in shown.stdout
-    assert "runs of the search: 20 of 20" in shown.stderr
-    assert "20 runs left, expected to take" in shown.stderr
+    assert "fresh runs: 6 of 6" in shown.stderr
+    assert "34 runs left, expected to take" in shown.stderr
     finished = CliRunner().invoke(main, arguments, standalone_mode=False)
     assert finished.stderr == ""
     again = CliRunner().invoke(main, [*arguments, "--json"], standalone_mode=False)
@@ -348,7 +330,7 @@ def test_a_command_that_is_killed_goes_on_to_the_same_bits(tmp_path):
             sys.executable, "-m", "multicell", "fit", "growth", "--data",
             str(tmp_path / "growth.csv"), "--free", "growth.cycle_time=8:30 h", "--set",
             "duration=20 h", "--set", "initial.count=6", "--set", "coupling_step=1 h", "--budget",
-            "24", "--seeds", "1", "--cores", "1", "--quiet", "-o", str(folder),
+            "42", "--seeds", "1", "--cores", "1", "--quiet", "-o", str(folder),
         ]  # fmt: skip
 
     def lines():
@@ -366,7 +348,7 @@ def test_a_command_that_is_killed_goes_on_to_the_same_bits(tmp_path):
     for name in ("best.toml", "posterior.csv", "residuals.csv"):
         assert (tmp_path / "killed" / name).read_text() == (tmp_path / "whole" / name).read_text()
     logs = [(tmp_path / name / "search.log").read_text() for name in ("killed", "whole")]
-    assert [log.count('"reason"') for log in logs] == [24, 24]
+    assert [log.count('"reason"') for log in logs] == [42, 42]
 
 
 def test_the_command_refuses_bad_data_with_exit_code_2(tmp_path):
