@@ -470,11 +470,10 @@ def _grouped(data: Sequence[Datum]) -> list[Datum]:
 def _together(group: Sequence[Datum]) -> Datum:
     """Return the mean of replicates."""
     first = group[0]
-    raw = [d.sigma**-2 if math.isinf(d.tissues) else d.tissues for d in group]
-    weights = [w / sum(raw) for w in raw]
-    values = [d.scaled(d.value) for d in group]
-    mean = sum(w * v for w, v in zip(weights, values, strict=True))
-    error = math.sqrt(sum((w * d.sigma) ** 2 for w, d in zip(weights, group, strict=True)))
+    weights = [d.sigma**-2 if math.isinf(d.tissues) else d.tissues for d in group]
+    pairs = list(zip(weights, group, strict=True))
+    mean = sum(w * d.scaled(d.value) for w, d in pairs) / sum(weights)
+    error = math.sqrt(sum((w * d.sigma) ** 2 for w, d in pairs)) / sum(weights)
     places = f"{first.place} and {len(group) - 1} more"
     return replace(
         first, value=math.exp(mean) if first.log else mean, sigma=error,
