@@ -377,7 +377,7 @@ def test_the_command_fits_and_says_what_is_open(tmp_path):
     again = CliRunner().invoke(main, [*arguments, "--json"], standalone_mode=False)
     document = json.loads(again.stdout)
     assert document["data"] == 2
-    assert len(document["notes"]) == 3
+    assert len(document["notes"]) == 2
     assert document["chi_squared"] >= 0.0
 
 
