@@ -23,7 +23,10 @@ from numpy.typing import NDArray
 
 from multicell.studies.distance import Array
 
-_PARTICLES: Final = 2000
+PARTICLES: Final = 2000
+"""Draws from a posterior."""
+FEW: Final = 500
+"""Draws that are enough to see where a posterior is, if not where its tails end."""
 _MOVES: Final = 8
 _MOST: Final = 100
 """Points that a process is fitted to, the nearest ones: its cost is their number cubed."""
@@ -187,7 +190,7 @@ def _near_scatter(scatter: Array, loss: Array) -> Array:
     return np.asarray(np.average(scatter, axis=0, weights=weights), dtype=float)
 
 
-def draws(loss: Loss, dimensions: int, seed: int, count: int = _PARTICLES) -> Array:
+def draws(loss: Loss, dimensions: int, seed: int, count: int = PARTICLES) -> Array:
     """Return draws from a posterior under a uniform prior: (count, d), of equal weight.
 
     Sequential Monte Carlo: the likelihood's power rises from 0 to 1 so that half of the draws

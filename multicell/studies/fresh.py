@@ -14,7 +14,7 @@ from typing import Final, final
 import numpy as np
 
 from multicell.studies.distance import Array
-from multicell.studies.emulator import Emulator, best_of, draws
+from multicell.studies.emulator import FEW, Emulator, best_of, draws
 from multicell.studies.hands import Hands
 from multicell.studies.likelihood import LEAST, Likelihood, Scatter, likelihood, scatter_of
 from multicell.studies.posterior import Draws
@@ -139,7 +139,7 @@ def fresh(
     if emulator is None or drawn is not None:
         return Fresh(best, runs, tuple(reasons), scatter, None, None)
     found = likelihood(emulator, problem.tissues, best, scatter)
-    likely = found.draws()
+    likely = found.draws(FEW)
     chosen = likely[:: len(likely) // CHECKS][:CHECKS]
     points = [(x.tolist(), first + MOST + k) for k, x in enumerate(chosen)]
     runs_there, more = search.extra(hands, points, progress)
@@ -156,7 +156,7 @@ def _best(search: Search, emulator: Emulator | None, drawn: Draws | None) -> Arr
         return np.asarray(drawn.weights @ drawn.shares)
     if emulator is None:
         return min(search.evaluations(), key=lambda e: e.misfit.loss).shares
-    return best_of(emulator.loss, draws(emulator.loss, emulator.dimensions, seed=0))
+    return best_of(emulator.loss, draws(emulator.loss, emulator.dimensions, seed=0, count=FEW))
 
 
 def _checked(away: Array, variances: Array, scatter: Scatter) -> tuple[Checks, Array]:

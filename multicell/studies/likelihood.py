@@ -32,7 +32,7 @@ from typing import Final, final
 import numpy as np
 
 from multicell.studies.distance import Array
-from multicell.studies.emulator import Emulator, draws
+from multicell.studies.emulator import FEW, PARTICLES, Emulator, draws
 
 LEAST: Final = 4
 """Fresh runs of which a covariance can be estimated."""
@@ -142,9 +142,9 @@ class Likelihood:
         student = (self.freedom + along) * np.log1p(size / self.freedom)
         return np.asarray(normal + student + np.linalg.slogdet(spread)[1])
 
-    def draws(self, seed: int = 0) -> Array:
+    def draws(self, count: int = PARTICLES) -> Array:
         """Return draws from the posterior under a uniform prior: (count, d), of equal weight."""
-        return draws(self.loss, self.emulator.dimensions, seed)
+        return draws(self.loss, self.emulator.dimensions, seed=0, count=count)
 
 
 def likelihood(
@@ -183,7 +183,7 @@ def _student(
     working: Likelihood, known: Array, share: Array, tissues: Array, away: Array
 ) -> Likelihood:
     """Return a likelihood whose covariance counts as estimated where the parameters move data."""
-    shares, count = working.draws(), len(away)
+    shares, count = working.draws(FEW), len(away)
     white = working.predict(shares)[0] @ working.whitening.T
     _, sizes, vectors = np.linalg.svd(white - white.mean(axis=0), full_matrices=False)
     most = min(shares.shape[1], count - 3)

@@ -27,15 +27,13 @@ from multicell.errors import FitFailed, OutputError
 from multicell.extras import needs
 from multicell.results.folder import file_errors, write_bytes
 from multicell.studies.distance import Array, Misfit
-from multicell.studies.emulator import Emulator, best_of, draws, emulator
+from multicell.studies.emulator import FEW, Emulator, best_of, draws, emulator
 from multicell.studies.hands import Hands
 from multicell.studies.problem import Problem
 from multicell.studies.simulating import Reading
 
 BATCH: Final = 5
 """Points that are tried together, at least."""
-_PROPOSED: Final = 400
-"""Draws of which the points of a batch are taken."""
 
 
 @final
@@ -221,7 +219,7 @@ class Search:
         if found is None:
             return []
         wanted = max(1, count - max(1, count // 4))
-        likely = draws(found.loss, found.dimensions, self._seed + known, _PROPOSED)
+        likely = draws(found.loss, found.dimensions, self._seed + known, FEW)
         best = best_of(found.loss, likely)
         return [best.tolist(), *likely[: wanted - 1].tolist()]
 
