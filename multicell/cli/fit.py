@@ -81,6 +81,13 @@ def _budget(context: click.Context, option: click.Parameter, value: str | None) 
     help="Runs of each set of parameters in the search, with the same seeds for all.",
 )
 @click.option(
+    "--repeats",
+    type=int,
+    default=12,
+    show_default=True,
+    help="Runs with fresh seeds at the best point, from which intervals have the scatter of runs.",
+)
+@click.option(
     "--budget",
     callback=_budget,
     metavar="RUNS|TIME",

@@ -16,6 +16,7 @@ from multicell.units import to_base
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
+_ERRORS: Final = ("sd", "sem")
 _NO_CONDITIONS: Final = ("title", "seed")
 
 
@@ -27,8 +28,8 @@ class Column:
     Attributes
     ----------
     kind
-        ``"time"``, ``"start"``, ``"at"``, ``"value"``, ``"sd"``, ``"condition"``, ``"label"`` or
-        ``"remark"``.
+        ``"time"``, ``"start"``, ``"at"``, ``"value"``, ``"sd"``, ``"sem"``, ``"n"``,
+        ``"condition"``, ``"label"`` or ``"remark"``.
     name
         Of the observable, or key of the scene.
     unit
@@ -47,8 +48,8 @@ class Column:
 
     @property
     def relative(self) -> bool:
-        """Whether it holds standard deviations as parts of the values."""
-        return self.kind == "sd" and self.unit == "%"
+        """Whether it holds errors as parts of the values."""
+        return self.kind in _ERRORS and self.unit == "%"
 
     def number(self, text: str, place: str) -> float:
         """Return a field as a number of base units.
@@ -107,7 +108,7 @@ def columns_of(table: Table, scene: Scene) -> list[Column]:
         seen[key] = column.title
     values = {column.name for column in columns if column.kind == "value"}
     for column in columns:
-        if column.kind == "sd" and column.name not in values:
+        if column.kind in (*_ERRORS, "n") and column.name not in values:
             problem = f"has no column '{column.name}' beside it"
             raise DataError(f"{table.name}, '{column.title}'", problem)
     if not values:
@@ -133,12 +134,12 @@ def _column(title: str, scene: Scene, table: str) -> Column:
     if name.startswith("at "):
         name = name.removeprefix("at ").strip()
         return _with_unit("at", name, unit, _unit_in(name, in_history(scene), place), title, place)
-    if name.endswith(" sd"):
-        name = name.removesuffix(" sd").strip()
-        base = _unit_of(name, scene, place)
-        if unit == "%":
-            return Column("sd", name, unit, base, title)
-        return _with_unit("sd", name, unit, base, title, place)
+    stem, _, kind = name.rpartition(" ")
+    if stem and kind in (*_ERRORS, "n"):
+        base = "" if kind == "n" else _unit_of(stem, scene, place)
+        if kind != "n" and unit == "%":
+            return Column(kind, stem, unit, base, title)
+        return _with_unit(kind, stem, unit, base, title, place)
     if _is_key(name, scene):
         return _condition(name, unit, title, place)
     return _with_unit("value", name, unit, _unit_of(name, scene, place), title, place)

@@ -13,13 +13,22 @@ by its title, ``NAME / UNIT``::
 ``at diameter / um``   instead of a time: when this observable first has this value
 an observable          any number of a run's history; of its summary for rows without a time.
                        An empty field was not measured
-``diameter sd / um``   its standard deviation; ``/ %`` of the value
+``diameter sd / um``   error of measuring one tissue, as a standard deviation; ``/ %`` of the value
+``diameter n``         how many tissues the value is the mean of: their errors and their scatter
+                       over the seeds of runs count as 1/n
+``diameter sem / um``  in place of both: the standard error of the mean over tissues, which holds
+                       their scatter; ``/ %`` of the value
 a key of the scene     the conditions of the row
 ``label``              name of the row's condition, for pictures
 =====================  ===========================================================================
 
-Lines that begin with ``#`` are remarks. What a datum is compared with, and in which unit of
-deviation, is settled here too (:class:`Datum`).
+Rows with the same conditions, time and observable are replicates: one datum, their mean, with as
+many tissues as there are rows. Tissues of different times are taken to be the same ones: their
+scatter is correlated over time as that of runs is. Where others were measured each time, a standard
+error of the mean says so, as it counts as independent. The error of a length of 0, such as a core
+that has not begun, is the radius of a cell at division where the table states it as a part of the
+value or not at all. Lines that begin with ``#`` are remarks. What a datum is compared with, and in
+which unit of deviation, is settled here too (:class:`Datum`).
 """
 
 from __future__ import annotations
@@ -70,6 +79,8 @@ class Datum:
         Number of the condition.
     place
         Row in the source, in words.
+    tissues
+        How many tissues the value is the mean of; infinite where ``sigma`` holds their scatter.
     """
 
     observable: str
@@ -81,6 +92,7 @@ class Datum:
     at: tuple[str, float] | None
     condition: int
     place: str
+    tissues: float = 1.0
 
     @property
     def deviation(self) -> float:
@@ -243,35 +255,54 @@ class _Rows:
         )
         known = self._all_units()
         units = {d.observable: known[d.observable] for d in self._data}
-        return Measured(tuple(self._data), conditions, units, self._table.name)
+        return Measured(tuple(_grouped(self._data)), conditions, units, self._table.name)
 
     def _datum(
         self, row: int, column: Column, value: float, where: str, condition: int,
         time: float | None, at: tuple[str, float] | None,
     ) -> Datum:  # fmt: skip
         """Return a datum with what it is compared in."""
-        given = self._deviation(row, column.name)
+        given = self._deviation(row, column.name, "sd")
+        mean, count = self._deviation(row, column.name, "sem"), self._tissues(row, column.name)
+        if mean is not None and (given is not None or count is not None):
+            problem = f"has both '{column.name} sem' and '{column.name} sd' or '{column.name} n'"
+            raise DataError(where, problem, "The error of the mean stands in place of both.")
+        tissues = math.inf if mean is not None else count or 1.0
+        given = mean or given
         relative = given[0] if given is not None and given[1] else None
         if given is None:
             relative = self._sd
         log = column.name == "cells" and relative is not None
         if relative is not None and value == 0.0:
-            raise DataError(where, "is 0, of which a relative standard deviation says nothing",
-                            f"Add a column '{column.name} sd' with its unit.")  # fmt: skip
-        if relative is None:
+            if log or column.base != "um":
+                raise DataError(where, "is 0, of which a relative standard deviation says nothing",
+                                f"Add a column '{column.name} sd' with its unit.")  # fmt: skip
+            sigma = self._scenes[condition].cells.division_radius
+        elif relative is None:
             assert given is not None
             sigma = given[0]
         else:
             sigma = relative if log else relative * abs(value)
         return Datum(
-            column.name, value, sigma, log, given is None, time, at, condition,
-            self._table.places[row],
+            column.name, value, sigma / math.sqrt(count or 1.0), log, given is None, time, at,
+            condition, self._table.places[row], tissues,
         )  # fmt: skip
 
-    def _deviation(self, row: int, name: str) -> tuple[float, bool] | None:
-        """Return the standard deviation of an observable and whether it is relative, if known."""
+    def _tissues(self, row: int, name: str) -> float | None:
+        """Return how many tissues an observable was measured on, if a column says so."""
         for place, column in enumerate(self._columns):
-            if column.kind != "sd" or column.name != name or not self._text(row, place):
+            if column.kind == "n" and column.name == name and self._text(row, place):
+                value = self._number(row, place)
+                if value < 1.0 or value != int(value):
+                    problem = f"is {self._text(row, place)}, must be a whole number of at least 1"
+                    raise DataError(self._where(row, place), problem)
+                return value
+        return None
+
+    def _deviation(self, row: int, name: str, kind: str) -> tuple[float, bool] | None:
+        """Return an error of an observable and whether it is relative, if known."""
+        for place, column in enumerate(self._columns):
+            if column.kind != kind or column.name != name or not self._text(row, place):
                 continue
             value = self._number(row, place)
             if not value > 0.0:
@@ -421,3 +452,31 @@ class _Rows:
         if place is not None:
             parts.append(f"'{self._columns[place].title}'")
         return ", ".join(parts)
+
+
+def _grouped(data: Sequence[Datum]) -> list[Datum]:
+    """Return data in which replicates are one: the mean, with the error of that mean.
+
+    Replicates are weighted by their tissues, or by 1/σ² where σ holds the scatter of tissues.
+    """
+    groups: dict[tuple[Any, ...], list[Datum]] = {}
+    for datum in data:
+        means = math.isinf(datum.tissues)
+        key = datum.observable, datum.condition, datum.time, datum.at, datum.log, means
+        groups.setdefault(key, []).append(datum)
+    return [_together(group) if len(group) > 1 else group[0] for group in groups.values()]
+
+
+def _together(group: Sequence[Datum]) -> Datum:
+    """Return the mean of replicates."""
+    first = group[0]
+    weights = [d.sigma**-2 if math.isinf(d.tissues) else d.tissues for d in group]
+    pairs = list(zip(weights, group, strict=True))
+    mean = sum(w * d.scaled(d.value) for w, d in pairs) / sum(weights)
+    error = math.sqrt(sum((w * d.sigma) ** 2 for w, d in pairs)) / sum(weights)
+    places = f"{first.place} and {len(group) - 1} more"
+    return replace(
+        first, value=math.exp(mean) if first.log else mean, sigma=error,
+        assumed=any(d.assumed for d in group), place=places,
+        tissues=sum(d.tissues for d in group),
+    )  # fmt: skip

@@ -9,12 +9,16 @@ y - m has the variance σ² + s² over tissues and measurements. With m and s² 
 
 the synthetic likelihood of Wood (2010, Nature 466, 1102), with K so small that the error of m
 counts. The logarithm keeps parameters from being preferred because they make runs scatter. With one
-run, s² is unknown and taken as none.
+run, s² is unknown and taken as none. Of a datum that is the mean of n tissues (σ is then the error
+of that mean), the tissues' share is s²/n in place of s²; of one with a standard error of the mean,
+which holds the scatter of tissues already, it is none.
 
 Of a few runs s² itself is uncertain: two that happen to agree would make a datum seem sure. So each
-one is moderated by what the data of the same observable and condition have on average, relative to
-their values, as if that were known from PRIOR more runs (Smyth 2004, Stat. Appl. Genet. Mol. Biol.
-3, 3).
+one is moderated by what the data of the same observable and condition have on average, as if that
+were known from PRIOR more runs (Smyth 2004, Stat. Appl. Genet. Mol. Biol. 3, 3). The average is
+over variances relative to the squares of the values, since what grows scatters in proportion.
+Where one of the values is below its own σ, such as the zeros of a core that has not begun, a
+proportion says nothing: there the average is over variances in the observable's own unit.
 """
 
 from __future__ import annotations
@@ -84,10 +88,15 @@ def scaled(data: Sequence[Datum], values: Sequence[float]) -> Array:
 
 
 def groups_of(data: Sequence[Datum]) -> tuple[NDArray[np.int64], Array]:
-    """Return which data share their scatter, (n,), and the sizes that it is relative to, (n,)."""
-    numbers: dict[tuple[str, int], int] = {}
-    groups = [numbers.setdefault((d.observable, d.condition), len(numbers)) for d in data]
-    sizes = [1.0 if d.log or d.value == 0.0 else abs(d.value) for d in data]
+    """Return which data share their scatter, (n,), and the sizes that it is relative to, (n,).
+
+    The sizes of a group are the values of its data, or all of them 1 on the scale of comparison:
+    for logarithms, and for a group that has a value below its own σ.
+    """
+    numbers: dict[tuple[str, int, bool], int] = {}
+    groups = [numbers.setdefault((d.observable, d.condition, d.log), len(numbers)) for d in data]
+    absolute = {k for k, d in zip(groups, data, strict=True) if d.log or abs(d.value) < d.sigma}
+    sizes = [1.0 if k in absolute else abs(d.value) for k, d in zip(groups, data, strict=True)]
     return np.array(groups, dtype=np.int64), np.array(sizes)
 
 
@@ -96,6 +105,7 @@ def misfit(
     sigma: Array,
     runs: Array,
     groups: tuple[NDArray[np.int64], Array] | None = None,
+    tissues: Array | float = 1.0,
 ) -> Misfit:
     """Compare runs that differ in their random numbers with data.
 
@@ -107,6 +117,8 @@ def misfit(
         Readings on the same scales, NaN where a run has nothing.
     groups
         Which data share their scatter (:func:`groups_of`); None: none do.
+    tissues : (n,)
+        How many tissues each datum is the mean of; infinite where σ holds their scatter.
     """
     count = len(runs)
     means = runs.mean(axis=0)
@@ -116,7 +128,7 @@ def misfit(
         scatter = np.where(known, runs.var(axis=0, ddof=1), 0.0)
         if groups is not None:
             scatter = _moderated(scatter, known, count - 1.0, *groups)
-    total = sigma**2 + scatter * (1.0 + 1.0 / count)
+    total = sigma**2 + scatter * (1.0 / tissues + 1.0 / count)
     residuals = np.where(known, (means - observed) / np.sqrt(total), ABSENT)
     loss = float((residuals**2 + np.log(total / sigma**2)).sum())
     return Misfit(means, scatter, residuals, loss)

@@ -14,16 +14,20 @@ from multicell.errors import SceneError
 from multicell.extras import needs
 from multicell.schema import chosen
 from multicell.studies.data import ASSUMED, read_data
+from multicell.studies.fit_folder import Elapsed
 from multicell.studies.fitted import Fit
+from multicell.studies.fresh import CHECKS, MOST, USUAL
 from multicell.studies.hands import hands
+from multicell.studies.likelihood import LEAST
 from multicell.studies.problem import Problem, problem_of, ranges_of
 from multicell.studies.table_text import Table, read_table
 from multicell.units import to_base
 
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
+    from multicell.studies.fresh import Fresh
     from multicell.studies.posterior import Draws
-    from multicell.studies.search import Evaluation
+    from multicell.studies.search import Evaluation, Search
     from multicell.studies.simulating import Simulator
 
 METHODS: Final = ("best", "posterior", "both")
@@ -31,6 +35,8 @@ _LEAST: Final = 10
 """Sets of parameters that a search must be able to try."""
 _SHARE: Final = 1.0 / 3.0
 """Part of a budget that the search takes where both are wanted."""
+_SEARCHED: Final = 0.8
+"""Part of a budget of time that the search takes alone; the rest is for fresh runs."""
 
 Progress = Callable[[str, int, int], None]
 """Called with what goes on, how much of it is done and how much is wanted."""
@@ -44,6 +50,7 @@ def fit(
     output: str | Path | None = None,
     method: str = "best",
     seeds: int = 2,
+    repeats: int = USUAL,
     budget: int | str | None = None,
     population: int = 200,
     start: float | str | None = None,
@@ -70,11 +77,14 @@ def fit(
         Folder for everything. The same fit in the same folder goes on where it was: nothing is run
         twice, and a larger budget adds to what is there.
     method
-        ``"best"``: a best point in few runs, with intervals by polynomials fitted to them;
+        ``"best"``: a best point in few runs, with intervals by an emulator fitted to them;
         ``"posterior"``: the posterior, sampled with runs; ``"both"``.
     seeds
         Runs with different random numbers of each set of parameters in the search. Those of the
         posterior take one run each, with random numbers of its own.
+    repeats
+        Runs with fresh random numbers at the best point, from which the intervals of a search have
+        the scatter of runs; 8 to 16 are sensible.
     budget
         Number of runs, or a time such as ``"2 h"``, in all. By default as many runs as the number
         of free parameters asks for.
@@ -109,8 +119,8 @@ def fit(
         If no run gives anything to compare, or a budget ends before there is a result.
     """
     plan = planned(
-        scene, data, free, method=method, seeds=seeds, budget=budget, population=population,
-        start=start, sd=sd, simulator=simulator,
+        scene, data, free, method=method, seeds=seeds, repeats=repeats, budget=budget,
+        population=population, start=start, sd=sd, simulator=simulator,
     )  # fmt: skip
     return carried_out(
         plan, output=output, cores=cores, scheduler=scheduler, overwrite=overwrite,
@@ -142,11 +152,18 @@ class FitPlan:
     seconds: float
     population: int
     sd: float
+    repeats: int
 
     @property
     def runs(self) -> int:
         """How many runs there will be at most."""
-        return self.points * len(self.problem.tasks()) + self.draws * self._conditions
+        return self._searched + self.draws * self._conditions
+
+    @property
+    def _searched(self) -> int:
+        """How many runs are not draws: those of the search, and fresh ones."""
+        each = len(self.problem.tasks())
+        return self.points * each + _fresh_runs(self.method, self.repeats) * self._conditions
 
     @property
     def _conditions(self) -> int:
@@ -166,7 +183,7 @@ class FitPlan:
         from multicell.studies.fit_folder import made
 
         runs, draws, finished = (0, 0, False) if folder is None else made(folder, self.described())
-        searched = max(0, self.points * len(self.problem.tasks()) - runs)
+        searched = max(0, self._searched - runs)
         drawn = 0 if finished else max(0, self.draws - draws)
         each = [cost_of(c.scene).seconds for c in self.problem.measured.conditions]
         count = searched + drawn * self._conditions
@@ -180,6 +197,7 @@ def planned(
     *,
     method: str = "best",
     seeds: int = 2,
+    repeats: int = USUAL,
     budget: int | str | None = None,
     population: int = 200,
     start: float | str | None = None,
@@ -193,13 +211,22 @@ def planned(
         scene = load_scene(scene)
     chosen(method, METHODS, "method")
     _whole("seeds", seeds, 1)
+    _whole("repeats", repeats, LEAST)
+    if repeats > MOST:
+        raise SceneError("repeats", f"is {repeats}, must be at most {MOST}")
     _whole("population", population, 10)
     table = read_table(data)
     measured = read_data(table, scene, start=start, sd=sd)
     ranges = ranges_of(free, measured)
     problem = problem_of(measured, ranges, seeds, scene.seed, simulator)
-    points, draws, seconds = _budgeted(problem, method, budget, population)
-    return FitPlan(problem, scene, table, method, points, draws, seconds, population, sd)
+    fresh = _fresh_runs(method, repeats)
+    points, draws, seconds = _budgeted(problem, method, budget, population, fresh)
+    return FitPlan(problem, scene, table, method, points, draws, seconds, population, sd, repeats)
+
+
+def _fresh_runs(method: str, repeats: int) -> int:
+    """Return how many runs of each condition have fresh seeds."""
+    return repeats + (CHECKS if method == "best" else 0)
 
 
 def _whole(name: str, value: object, least: int) -> None:
@@ -208,7 +235,7 @@ def _whole(name: str, value: object, least: int) -> None:
 
 
 def _budgeted(
-    problem: Problem, method: str, budget: int | str | None, population: int
+    problem: Problem, method: str, budget: int | str | None, population: int, fresh: int
 ) -> tuple[int, int, float]:
     """Return sets of parameters of the search, draws of the posterior, and s."""
     usual = 20 + 15 * len(problem.ranges)
@@ -223,6 +250,7 @@ def _budgeted(
         return 10 * points, 100 * draws, seconds
     _whole("budget", budget, 1)
     conditions, each = len(problem.measured.conditions), len(problem.tasks())
+    whole, budget = budget, max(0, budget - fresh * conditions)
     if method == "both":
         points = min(usual, int(budget * _SHARE) // each)
     elif method == "best":
@@ -231,7 +259,10 @@ def _budgeted(
     least = 2 * population
     if method != "posterior" and points < _LEAST:
         of = "a third of " if method == "both" else ""
-        words = f"is {budget} runs: {of}it tries {points} sets of parameters, {each} runs each"
+        words = (
+            f"is {whole} runs: {of}what {fresh * conditions} fresh runs leave tries {points} sets "
+            f"of parameters, {each} runs each"
+        )
         raise SceneError("budget", words, f"It takes at least {_LEAST} sets.")
     if method != "best" and draws < least:
         words = f"leaves {draws} draws for the posterior, which takes at least {least}"
@@ -249,16 +280,19 @@ def carried_out(
     progress: Progress | None = None,
 ) -> Fit:
     """Carry out a fit that was checked; parameters as of :func:`fit`."""
-    needs("optuna", "pyabc", "distributed", "pandas", "sqlalchemy")
+    needs("optuna", "pyabc", "distributed", "pandas", "sklearn", "sqlalchemy")
     with _place(plan, output, overwrite) as folder:
-        begin = clock.monotonic()
-        evaluations: list[Evaluation] = []
-        draws: Draws | None = None
-        with hands(cores, scheduler) as working:
-            if plan.method != "posterior":
-                evaluations = _searched(plan, folder, working, begin, progress)
-            if plan.method != "best":
-                draws = _sampled(plan, folder, working, begin, progress)
+        begin, elapsed = clock.monotonic(), Elapsed(folder)
+
+        def note(what: str, done: int, wanted: int) -> None:
+            elapsed.note()
+            if progress is not None:
+                progress(what, done, wanted)
+
+        try:
+            evaluations, draws, again = _worked(plan, folder, cores, scheduler, begin, note)
+        finally:
+            elapsed.note(now=True)
         facts = {
             "method": plan.method,
             "sd": plan.sd,
@@ -267,15 +301,42 @@ def carried_out(
             "draws": 0 if draws is None else draws.drawn,
             "generations": 0 if draws is None else draws.generations,
             "temperature": None if draws is None else draws.temperature,
-            "seconds": clock.monotonic() - begin,
+            "fresh_runs": plan.repeats if again.checks is None else plan.repeats + CHECKS,
+            "seconds": elapsed.seconds,
         }
-        found = Fit(plan.problem, plan.scene, evaluations, draws, folder, facts)
+        found = Fit(plan.problem, plan.scene, evaluations, draws, folder, facts, again)
         if folder is not None:
             from multicell.studies.fit_folder import write_result
 
             write_result(found, folder)
             found.report()
         return found
+
+
+def _worked(
+    plan: FitPlan, folder: Path | None, cores: int | None, scheduler: str | None, begin: float,
+    progress: Progress,
+) -> tuple[list[Evaluation], Draws | None, Fresh]:  # fmt: skip
+    """Make all runs of a fit that are not there."""
+    from multicell.studies.fit_folder import SEARCH
+    from multicell.studies.fresh import fresh
+    from multicell.studies.search import Search
+
+    search = Search(plan.problem, None if folder is None else folder / SEARCH)
+    evaluations: list[Evaluation] = []
+    draws: Draws | None = None
+    with hands(cores, scheduler) as working:
+        if plan.method != "posterior":
+            evaluations = _searched(plan, search, working, begin, progress)
+        if plan.method != "best":
+            draws = _sampled(plan, folder, working, begin, progress)
+
+        def tell(done: int, wanted: int) -> None:
+            progress("fresh runs", done, wanted)
+
+        emulator = search.emulator()
+        again = fresh(plan.problem, search, working, emulator, draws, plan.repeats, tell)
+    return evaluations, draws, again
 
 
 @contextmanager
@@ -292,30 +353,24 @@ def _place(plan: FitPlan, output: str | Path | None, overwrite: bool) -> Iterato
 
 
 def _searched(
-    plan: FitPlan, folder: Path | None, working: Any, begin: float, progress: Progress | None
+    plan: FitPlan, search: Search, working: Any, begin: float, progress: Progress
 ) -> list[Evaluation]:
-    from multicell.studies.fit_folder import SEARCH
-    from multicell.studies.search import Search
-
-    search = Search(plan.problem, None if folder is None else folder / SEARCH)
-    share = _SHARE if plan.method == "both" else 1.0
+    share = _SHARE if plan.method == "both" else _SEARCHED
 
     def tell(done: int, wanted: int) -> None:
-        if progress is not None:
-            progress("runs of the search", done, wanted)
+        progress("runs of the search", done, wanted)
 
     return search.run(working, plan.points, deadline=begin + share * plan.seconds, progress=tell)
 
 
 def _sampled(
-    plan: FitPlan, folder: Path | None, working: Any, begin: float, progress: Progress | None
+    plan: FitPlan, folder: Path | None, working: Any, begin: float, progress: Progress
 ) -> Draws:
     from multicell.studies.posterior import posterior
 
     def tell(generation: int, accepted: int, wanted: int, drawn: int) -> None:
-        if progress is not None:
-            of = "calibration" if generation < 0 else f"generation {generation + 1}"
-            progress(f"posterior, {of}, {drawn:,} draws", accepted, wanted)
+        of = "calibration" if generation < 0 else f"generation {generation + 1}"
+        progress(f"posterior, {of}, {drawn:,} draws", accepted, wanted)
 
     return posterior(
         plan.problem, working, folder=folder, population=plan.population, most=plan.draws,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -51,13 +52,14 @@ def write_report(fit: Fit, folder: str | Path | None = None) -> Path:
         undetermined=[str(entry) for entry in fit.undetermined],
         asked=fit.sample is not None,
         notes=fit.notes,
+        emulated=fit.kind == "emulated" and fit.fresh is not None,
         rows=_rows(fit),
     )
 
 
 def _subtitle(fit: Fit) -> str:
     ways = {
-        "best": "best point by Optuna and polynomials",
+        "best": "best point by Optuna and Gaussian processes",
         "posterior": "posterior by sequential Monte Carlo (pyABC)",
         "both": "best point, and posterior by sequential Monte Carlo (pyABC)",
     }
@@ -68,7 +70,7 @@ def _tiles(fit: Fit) -> dict[str, str]:
     best = {f"best {key}": words for key, words in list(fit.best.words.items())[:4]}
     conditions = len(fit.problem.measured.conditions)
     runs = fit.facts["sets_of_parameters"] * len(fit.problem.tasks())
-    runs += fit.facts["draws"] * conditions
+    runs += (fit.facts["draws"] + fit.facts["fresh_runs"]) * conditions
     return {
         **best,
         "χ² per datum": f"{fit.best.per_datum:.3g}",
@@ -108,4 +110,5 @@ def _rows(fit: Fit) -> list[dict[str, Any]]:
         row["when"] = row["at"] or "at the end"
         if row["time"] == row["time"]:
             row["when"] = time_unit(row["time"]).text(row["time"])
+        row["tissues"] = "their mean" if math.isinf(row["tissues"]) else f"{row['tissues']:g}"
     return rows

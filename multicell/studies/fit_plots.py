@@ -337,7 +337,7 @@ def _posterior_words(fit: Fit) -> str:
     kinds = {
         "exact": "posterior sampled with runs",
         "tempered": "too wide: the budget ended early",
-        "emulated": "posterior by polynomials through the runs",
+        "emulated": "posterior by Gaussian processes through the runs",
         "none": "too few points for a posterior",
     }
     return f"{kinds[fit.kind]}; red: best, dashed: before the data, dotted: 95 %"

@@ -12,7 +12,9 @@ import numpy as np
 
 from multicell.extras import needs
 from multicell.studies.data import Datum
-from multicell.studies.distance import Array
+from multicell.studies.distance import ABSENT, Array, misfit
+from multicell.studies.emulator import draws as draws_of
+from multicell.studies.fresh import Fresh
 from multicell.studies.posterior import Draws
 from multicell.studies.problem import Problem
 from multicell.studies.search import Evaluation, emulator_of
@@ -30,13 +32,18 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from multicell.scene.scene import Scene
+    from multicell.studies.emulator import Emulator
     from multicell.studies.fit_plots import FitPlots
+    from multicell.studies.likelihood import Likelihood
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Best:
-    """The best parameters that were tried.
+    """The best parameters: where the emulator's likelihood is largest, or the posterior's mean.
+
+    No single lucky run decides it, and the runs that stand for it have seeds that had no part in
+    finding it.
 
     Attributes
     ----------
@@ -47,7 +54,7 @@ class Best:
     words
         By key: value and unit for people, ``"15.2 h"``.
     readings : (n,)
-        What the runs have in place of each datum (the mean over seeds), base units.
+        What fresh runs have in place of each datum (their mean), base units.
     residuals : (n,)
         In standard deviations; positive where the runs have more.
     chi_squared
@@ -93,6 +100,9 @@ class Fit:
         Of the results, or None.
     facts
         How the fit was made: method, numbers of runs, seconds.
+    fresh
+        What runs with fresh seeds have shown at the best point and at draws from the intervals;
+        None leaves both to the seeds of the search.
     """
 
     problem: Problem
@@ -101,12 +111,19 @@ class Fit:
     draws: Draws | None
     folder: Path | None
     facts: Mapping[str, Any]
+    fresh: Fresh | None = None
 
     @cached_property
     def best(self) -> Best:
-        """The parameters whose runs are nearest to the data."""
+        """The best parameters, and what runs with other seeds than the search's show there."""
         problem = self.problem
-        if self.evaluations:
+        if self.fresh is not None:
+            runs = self.fresh.runs
+            whole = np.isfinite(runs).any(axis=1)
+            again = runs[whole] if whole.any() else runs
+            there = misfit(problem.observed, problem.sigma, again, None, problem.tissues)
+            shares, means, residuals = self.fresh.shares, there.means, there.residuals
+        elif self.evaluations:
             found = min(self.evaluations, key=lambda e: e.misfit.loss)
             shares, means, residuals = found.shares, found.misfit.means, found.misfit.residuals
         else:
@@ -139,23 +156,30 @@ class Fit:
     def sample(self) -> tuple[Array, Array] | None:
         """Draws from the posterior as places in the ranges (k, d), and their weights (k,).
 
-        Sampled with runs where they were; otherwise by the polynomials of the search. None where
-        too few points were tried for either.
+        Sampled with runs where they were; otherwise by the emulator of the search and fresh runs.
+        None where too few points were tried for either.
         """
         if self.draws is not None:
             return self.draws.shares, self.draws.weights
-        found = emulator_of(self.problem, self.evaluations)
+        found = self._likelihood
         if found is None:
             return None
-        shares = found.sample(seed=0)
+        shares = draws_of(found.loss, len(self.problem.ranges), seed=0)
         return shares, np.full(len(shares), 1.0 / len(shares))
+
+    @cached_property
+    def _likelihood(self) -> Likelihood | Emulator | None:
+        """What the intervals of a search come from; without fresh runs its emulator alone."""
+        if self.fresh is not None and self.fresh.likelihood is not None:
+            return self.fresh.likelihood
+        return emulator_of(self.problem, self.evaluations)
 
     @property
     def posterior(self) -> pd.DataFrame:
         """Weighted draws: a column for each parameter in base units, and ``weight``.
 
         Its ``attrs`` hold the units, and whether the draws are ``"exact"``, ``"tempered"`` (too
-        wide: the budget ended early) or ``"emulated"`` (polynomials in place of runs).
+        wide: the budget ended early) or ``"emulated"`` (an emulator in place of runs).
         """
         needs("pandas")
         import pandas
@@ -192,10 +216,22 @@ class Fit:
 
     @cached_property
     def undetermined(self) -> list[Undetermined]:
-        """What the data do not determine; empty if they determine all."""
+        """What the data do not determine, and why; empty if they determine all."""
         if self.sample is None:
             return []
-        return undetermined(self.problem.ranges, *self.sample)
+        found = undetermined(self.problem.ranges, *self.sample)
+        if self.draws is not None or self.fresh is None or self.fresh.likelihood is None:
+            return found
+        if all(entry.kind != "open" for entry in found):
+            return found
+        parts = {}
+        for cause in ("error", "scatter"):
+            shares = self.fresh.of_no(self.problem, cause).draws()
+            even = np.full(len(shares), 1.0 / len(shares))
+            parts[cause] = {
+                name: one.part for name, one in intervals(self.problem.ranges, shares, even).items()
+            }
+        return [entry.because(parts) if entry.kind == "open" else entry for entry in found]
 
     def predicted(self, levels: Sequence[float] = (0.025, 0.5, 0.975)) -> Array:
         """Return quantiles of what a tissue shows in place of each datum: (levels, n), base units.
@@ -206,17 +242,39 @@ class Fit:
         if self.draws is not None:
             found, weights = self.draws.residuals, self.draws.weights
         else:
-            polynomials = emulator_of(problem, self.evaluations)
-            if polynomials is None:
+            emulated = self._likelihood
+            if emulated is None:
                 return np.full((len(levels), len(problem.observed)), np.nan)
-            found, weights = polynomials.means(self._some_sample()[0]), self._some_sample()[1]
+            found, weights = emulated.predict(self._some_sample()[0])[0], self._some_sample()[1]
             random = np.random.default_rng(0)
-            # that of tissues, without that of the mean of some runs
-            spread = np.sqrt(polynomials.scatter / (1.0 + 1.0 / len(problem.seeds)))
-            found = found + spread * random.standard_normal(found.shape)
+            found = found + self._scatter * random.standard_normal(found.shape)
+            found = np.maximum(found, problem.lowest)
         scaled = problem.observed + found * problem.sigma
         rows = np.array([quantiles(column, weights, levels) for column in scaled.T]).T
         return np.array([unscaled(problem.measured.data, row) for row in rows])
+
+    @property
+    def _scatter(self) -> Array:
+        """Standard deviation of one run, in σ of the data, (n,)."""
+        if self.fresh is not None and self.fresh.scatter is not None:
+            return np.asarray(np.sqrt(self.fresh.scatter.variance))
+        if not self.evaluations:
+            return np.full(len(self.problem.observed), np.nan)
+        emulated = emulator_of(self.problem, self.evaluations)
+        assert emulated is not None
+        # that of tissues, without that of the mean of some runs
+        more = 1.0 / self.problem.tissues + 1.0 / len(self.problem.seeds)
+        return np.asarray(np.sqrt(emulated.scatter / more))
+
+    @cached_property
+    def _emulator_errors(self) -> tuple[Array, Array]:
+        """Errors of the emulator over the posterior, its own and by checks, in σ: (n,) each."""
+        none = np.full(len(self.problem.observed), np.nan)
+        if self.fresh is None or self.fresh.likelihood is None or self.sample is None:
+            return none, none
+        assert self.fresh.checks is not None
+        own = np.sqrt(self.fresh.likelihood.predict(self.sample[0])[1].mean(axis=0))
+        return own, self.fresh.checks.found
 
     def residuals(self) -> pd.DataFrame:
         """Return the data one by one: where, when, measured, in the runs, and how far apart."""
@@ -225,9 +283,16 @@ class Fit:
         return pandas.DataFrame(self.rows())
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return the data one by one beside the best runs, base units."""
+        """Return the data one by one beside the best runs, base units.
+
+        ``scatter`` is the standard deviation of one run; ``emulator_error`` that of the emulator
+        over the posterior, and ``check`` how far runs at draws from it are from the emulator (root
+        mean square), of which scatter is a part.
+        """
         data, best = self.problem.measured, self.best
         rows = []
+        scatter = self._scatter if self.fresh is not None else np.full(len(data.data), np.nan)
+        own, checked = self._emulator_errors
         for k, datum in enumerate(data.data):
             rows.append(
                 {
@@ -240,8 +305,12 @@ class Fit:
                     "measured": datum.value,
                     "sd": datum.deviation,
                     "assumed": datum.assumed,
+                    "tissues": datum.tissues,
                     "run": float(best.readings[k]),
                     "residual": float(best.residuals[k]),
+                    "scatter": float(scatter[k]) * datum.deviation,
+                    "emulator_error": float(own[k]) * datum.deviation,
+                    "check": float(checked[k]) * datum.deviation,
                 }
             )
         return rows
@@ -258,13 +327,19 @@ class Fit:
                 f"{said} come without a standard deviation: {100.0 * self.facts['sd']:g} % of the "
                 "value was assumed, on which all intervals depend."
             )
-        if self.evaluations and len(self.problem.seeds) == 1:
-            notes.append("With one seed the scatter between runs is unknown and counted as none.")
-        if self.kind == "emulated":
+        several = sum(1.0 < datum.tissues < np.inf for datum in data)
+        if several:
             notes.append(
-                "Intervals are those of polynomials fitted to the runs of the search: "
-                "method 'posterior' samples them with runs."
+                f"{several} of {len(data)} data are means of several tissues. These count as the "
+                "same ones at all times, so that their scatter is correlated as that of runs is."
             )
+        if self.draws is not None and any(datum.tissues > 1.0 for datum in data):
+            notes.append(
+                "Draws of the posterior are single runs, whose scatter counts in full also for "
+                "means of several tissues: intervals are too wide."
+            )
+        if self.kind == "emulated":
+            notes += self._emulator_notes()
         if self.kind == "tempered":
             assert self.draws is not None
             notes.append(
@@ -273,13 +348,42 @@ class Fit:
             )
         if self.kind == "none":
             notes.append("Too few points were tried to tell intervals.")
+        if self.fresh is not None and self.fresh.reasons:
+            count = len(self.fresh.reasons)
+            notes.append(f"{count} fresh runs failed, for example: {self.fresh.reasons[0]}.")
         failed = [e for e in self.evaluations if e.reasons]
         if failed:
             words = failed[0].reasons[0]
             notes.append(f"Runs of {len(failed)} sets of parameters failed, for example: {words}.")
-        absent = int((self.best.residuals == 100.0).sum())
+        absent = int((self.best.residuals == ABSENT).sum())
         if absent:
             notes.append(f"The best runs have nothing in place of {absent} of the data.")
+        return notes
+
+    def _emulator_notes(self) -> list[str]:
+        """Return what is known of intervals that an emulator gives."""
+        notes = [
+            "Intervals are those of Gaussian processes through the runs of the search: method "
+            "'posterior' samples them with runs."
+        ]
+        if self.fresh is None or self.fresh.likelihood is None or self.fresh.checks is None:
+            more = "" if self.fresh is None else ", since fresh runs at the best point failed"
+            notes.append(
+                f"The scatter of runs is known from the seeds of the search alone{more}: intervals "
+                "are too narrow where runs scatter."
+            )
+            return notes
+        off = np.flatnonzero(self.fresh.checks.off)
+        if len(off):
+            data = self.problem.measured.data
+            ratio = self.fresh.checks.found / self.fresh.checks.expected
+            worst = data[int(off[np.argmax(ratio[off])])]
+            notes.append(
+                f"At {len(off)} of {len(data)} data runs at draws from the intervals are further "
+                "from the emulator than its error and scatter explain, most at "
+                f"'{worst.observable}' of {worst.place}: intervals were widened by that. A larger "
+                "budget makes them narrower."
+            )
         return notes
 
     @property
@@ -325,7 +429,7 @@ class Fit:
             "chi_squared_per_datum": best.per_datum,
             "data": len(best.residuals),
             "undetermined": [
-                {"names": list(u.names), "kind": u.kind, "words": u.words}
+                {"names": list(u.names), "kind": u.kind, "cause": u.cause, "words": u.words}
                 for u in self.undetermined
             ],
             "residuals": self.rows(),

@@ -5,7 +5,10 @@ range, at random places of a grid: mean ``mu``, mean size ``mu_star`` and standa
 ``sigma`` (Morris 1991, doi:10.1080/00401706.1991.10484804; Campolongo, Cariboni & Saltelli 2007,
 doi:10.1016/j.envsoft.2006.10.004). Sobol': the part of the variance that a parameter makes alone,
 ``S1``, and with all its interactions, ``ST`` (Saltelli et al. 2010,
-doi:10.1016/j.cpc.2009.09.018). Half widths of 95 % intervals are by bootstrap over the sample.
+doi:10.1016/j.cpc.2009.09.018). Half widths of 95 % intervals of Sobol' are by bootstrap over the
+sample. Those of Morris are Student's for the mean of as many sizes of effects as there are
+trajectories: of few of them a bootstrap is too narrow (it covers 77 to 90 % of four, 85 to 90 % of
+ten; Student's 87 to 96 % of four and 93 to 97 % from six on).
 
 Runs are random themselves. Both methods take differences of two runs that differ in one parameter,
 with the same seeds; over k seeds such a difference d has the variance var(d)/k in its mean. Noise
@@ -35,6 +38,8 @@ if TYPE_CHECKING:
 METHODS: Final = ("morris", "sobol")
 LEAST: Final = {"morris": 4, "sobol": 8}
 """Fewest trajectories, or base points, of which intervals mean anything."""
+ENOUGH: Final = 6
+"""Trajectories from which 95 % intervals of Morris cover as much."""
 USUAL: Final = {"morris": 10, "sobol": 64}
 _MOST: Final = {"morris": 100_000, "sobol": 2**20}
 _LEVELS: Final = 4  # of the grid of Morris
@@ -162,7 +167,7 @@ def analysed(
         The observable; NaN where a run has none. A trajectory or base point is left out with the
         seeds that lack a value at one of its points.
     resamples
-        Of the bootstrap.
+        Of the bootstrap of Sobol'.
     """
     wide = block(method, len(names))
     blocks = values.reshape(-1, wide, values.shape[1])
@@ -192,18 +197,24 @@ def _zero(method: str) -> Index:
 
 
 def _morris(
-    names: Sequence[str], shares: FloatArray, mean: FloatArray, noise: FloatArray, resamples: int
+    names: Sequence[str], shares: FloatArray, mean: FloatArray, noise: FloatArray, _: int
 ) -> tuple[Index, ...]:
     """Return SALib's indices of means, (trajectories, parameters + 1)."""
     from SALib.analyze import morris
+    from scipy import stats
 
+    # of its bootstrap nothing is used
     found = morris.analyze(
-        _problem(names), shares, mean.ravel(), num_resamples=resamples, conf_level=_CONFIDENCE,
-        num_levels=_LEVELS, seed=_SAMPLE,
-    )  # fmt: skip
+        _problem(names), shares, mean.ravel(), num_resamples=2, num_levels=_LEVELS, seed=_SAMPLE
+    )
+    student = float(stats.t.isf(0.5 - 0.5 * _CONFIDENCE, len(mean) - 1) / math.sqrt(len(mean)))
+    squares = found["sigma"] ** 2 + (found["mu"] ** 2 - found["mu_star"] ** 2) * (
+        len(mean) / (len(mean) - 1)
+    )
+    spread = np.sqrt(np.maximum(squares, 0.0))  # of the sizes of effects
     result = []
     for k in range(len(names)):
-        star, conf = float(found["mu_star"][k]), float(found["mu_star_conf"][k])
+        star, conf = float(found["mu_star"][k]), student * float(spread[k])
         floor = math.sqrt(2.0 / math.pi * float(noise[k])) / _STEP
         result.append(Index(
             mu=float(found["mu"][k]), mu_star=star, mu_star_conf=conf,

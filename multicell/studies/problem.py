@@ -22,6 +22,7 @@ from multicell.studies.distance import (
     scales,
     standardised,
 )
+from multicell.studies.observed import signed
 from multicell.studies.simulating import Reading, SceneSimulator, Simulator
 
 
@@ -62,6 +63,18 @@ class Problem:
         """Their standard deviations, (n,)."""
         return self._scales[1]
 
+    @cached_property
+    def tissues(self) -> Array:
+        """How many tissues each datum is the mean of, (n,); see :class:`Datum`."""
+        return np.array([datum.tissues for datum in self.measured.data])
+
+    @cached_property
+    def lowest(self) -> Array:
+        """(0 - datum) / σ where an observable cannot be negative, else -inf: (n,)."""
+        data = self.measured.data
+        free = np.array([datum.log or signed(datum.observable) for datum in data])
+        return np.where(free, -np.inf, -self.observed / self.sigma)
+
     @property
     def names(self) -> list[str]:
         """Names of the free parameters."""
@@ -90,7 +103,7 @@ class Problem:
     def misfit(self, readings: Mapping[tuple[int, int], Array]) -> Misfit:
         """Return how the runs of one set of parameters differ from the data."""
         runs = self.runs(readings, self.seeds)
-        return misfit(self.observed, self.sigma, runs, self._groups)
+        return misfit(self.observed, self.sigma, runs, self._groups, self.tissues)
 
     @cached_property
     def _groups(self) -> tuple[NDArray[np.int64], Array]:

@@ -1,4 +1,4 @@
-"""The best parameters in few runs: Optuna asks and is told, polynomials propose beside it.
+"""The best parameters in few runs: Optuna asks and is told, an emulator proposes beside it.
 
 Points are tried in batches. The first ones are a Sobol' sequence; of each later batch most come
 from an emulator (:mod:`multicell.studies.emulator`): its minimum, and draws from its posterior,
@@ -27,7 +27,7 @@ from multicell.errors import FitFailed, OutputError
 from multicell.extras import needs
 from multicell.results.folder import file_errors, write_bytes
 from multicell.studies.distance import Array, Misfit
-from multicell.studies.emulator import Emulator, emulator
+from multicell.studies.emulator import FEW, Emulator, best_of, draws, emulator
 from multicell.studies.hands import Hands
 from multicell.studies.problem import Problem
 from multicell.studies.simulating import Reading
@@ -130,8 +130,57 @@ class Search:
             self._refuse_failures()
             return self.evaluations()
 
+    def extra(
+        self,
+        hands: Hands,
+        points: Sequence[tuple[Sequence[float], int]],
+        progress: Callable[[int, int], None] | None = None,
+    ) -> tuple[Array, list[str]]:
+        """Run all conditions once at each of some points, with a seed each.
+
+        Parameters
+        ----------
+        hands
+            Who makes the runs.
+        points
+            Places in the ranges, and the seed there.
+        progress
+            Called with the numbers of runs done and wanted after each run.
+
+        Returns
+        -------
+        readings : (points, n)
+            On the scales of the data; NaN where a run has nothing.
+        reasons
+            Why runs failed.
+        """
+        conditions = range(len(self._problem.measured.conditions))
+        known: dict[tuple[int, int], Reading] = {}
+        for row, (shares, seed) in enumerate(points):
+            for condition in conditions:
+                entry = self._study.user_attrs.get(f"extra {seed}:{condition}")
+                if entry is not None and entry["shares"] == list(shares):
+                    known[row, condition] = _reading(entry)
+                else:
+                    place = (row, condition)
+                    hands.give(place, self._problem.simulator, list(shares), condition, seed)
+        while hands.busy:
+            (row, condition), reading = hands.take()
+            shares, seed = points[row]
+            entry = {"shares": list(shares), **_entry(reading)}
+            self._study.set_user_attr(f"extra {seed}:{condition}", entry)
+            known[row, condition] = reading
+            if progress is not None:
+                progress(len(known), len(points) * len(conditions))
+        on_scales = {
+            (condition, row): self._problem.on_scales(condition, reading)
+            for (row, condition), reading in known.items()
+        }
+        reasons = [reading.reason for reading in known.values() if reading.reason]
+        return self._problem.runs(on_scales, range(len(points))), reasons
+
     def emulator(self) -> Emulator | None:
-        """Return polynomials for the best points, None while there are too few."""
+        """Return an emulator through the best points, None while there are too few."""
         return emulator_of(self._problem, self.evaluations())
 
     def _ask(self, count: int) -> list[Any]:
@@ -153,7 +202,8 @@ class Search:
 
     def _planned(self) -> set[int]:
         """Return the numbers of the trials of all batches that were begun."""
-        batches = self._study.user_attrs.values()
+        known = self._study.user_attrs.items()
+        batches = [numbers for name, numbers in known if name.startswith("batch ")]
         return {number for numbers in batches for number in numbers}
 
     @property
@@ -169,9 +219,9 @@ class Search:
         if found is None:
             return []
         wanted = max(1, count - max(1, count // 4))
-        draws = found.sample(self._seed + known)
-        best = draws[np.argmin(found.loss(draws))]
-        return [best.tolist(), *draws[: wanted - 1].tolist()]
+        likely = draws(found.loss, found.dimensions, self._seed + known, FEW)
+        best = best_of(found.loss, likely)
+        return [best.tolist(), *likely[: wanted - 1].tolist()]
 
     def _sobol(self) -> Array:
         from scipy.stats import qmc
@@ -258,17 +308,19 @@ class Search:
 
 
 def emulator_of(problem: Problem, evaluations: Sequence[Evaluation]) -> Emulator | None:
-    """Return polynomials for the best of some evaluations, None if there are too few."""
+    """Return an emulator through the best of some evaluations, None if there are too few."""
     if not evaluations:
         return None
     misfits = [e.misfit for e in evaluations]
     sigma = problem.sigma
-    more = 1.0 + 1.0 / len(problem.seeds)
+    more = 1.0 / problem.tissues + 1.0 / len(problem.seeds)
     return emulator(
         np.array([e.shares for e in evaluations]),
         np.array([(m.means - problem.observed) / sigma for m in misfits]),
         np.array([m.scatter for m in misfits]) * more / sigma**2,
         np.array([m.loss for m in misfits]),
+        observables=[datum.observable for datum in problem.measured.data],
+        lowest=problem.lowest,
     )
 
 
@@ -297,8 +349,19 @@ def _study(path: Path | None) -> Any:
 
 def _note(trial: Any, condition: int, seed: int, reading: Reading) -> None:
     """Keep the reading of a run with its trial."""
+    trial.set_user_attr(f"{condition}:{seed}", _entry(reading))
+
+
+def _entry(reading: Reading) -> dict[str, Any]:
+    """Return a reading as JSON has it."""
     values = [None if math.isnan(v) else v for v in reading.values]
-    trial.set_user_attr(f"{condition}:{seed}", {"values": values, "reason": reading.reason})
+    return {"values": values, "reason": reading.reason}
+
+
+def _reading(entry: Mapping[str, Any]) -> Reading:
+    """Return the reading that an entry holds."""
+    values = tuple(math.nan if v is None else float(v) for v in entry["values"])
+    return Reading(values, entry["reason"])
 
 
 def _readings(trial: Any) -> dict[tuple[int, int], Reading]:
@@ -307,8 +370,7 @@ def _readings(trial: Any) -> dict[tuple[int, int], Reading]:
     found = {}
     for name, entry in attributes.items():
         condition, _, seed = name.partition(":")
-        values = tuple(math.nan if v is None else float(v) for v in entry["values"])
-        found[int(condition), int(seed)] = Reading(values, entry["reason"])
+        found[int(condition), int(seed)] = _reading(entry)
     return found
 
 

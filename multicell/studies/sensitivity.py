@@ -16,6 +16,7 @@ from multicell.results.quantities import known_unit
 from multicell.studies.axes import Range, check_axes, named, parse_range
 from multicell.studies.ensemble import Ensemble, Evaluate, Observed, ensemble, observe
 from multicell.studies.indices import (
+    ENOUGH,
     NOISE,
     USUAL,
     Analysis,
@@ -395,6 +396,11 @@ def _notes(
             notes.append(f"{name} is the same in all runs: no parameter decides it")
         if 2 <= analysis.used < size:
             notes.append(f"{name}: {size - analysis.used} of {size} {what} lack a run and are out")
+    if method == "morris" and size < ENOUGH:
+        notes.append(
+            f"{size} trajectories: intervals of 95 % cover about 90 %, from {ENOUGH} on what they "
+            "say"
+        )
     if len(seeds) == 1:
         notes.append("one seed: the noise is unknown, an index may be noise; take at least two")
     hidden = [row for row in table if row["verdict"] == NOISE]

@@ -52,14 +52,74 @@ class Linear:
         return Reading(tuple(map(float, found)))
 
 
-def measured(values, sigma):
-    """Return data of one condition with given values and deviations, at as many hours."""
+@dataclass(frozen=True)
+class Growing:
+    """A diameter and a core over time: p0 sets the rate of growth, p1 the depth of the rim.
+
+    ``scatter`` says how the runs of a seed are off at all times: ``"independent"``, ``"shared"``
+    (the same at all times), ``"walk"`` (steps add up). With ``kink`` the second observable is a
+    core, which is 0 until the radius exceeds the rim. With ``common`` a seed gives the same
+    numbers at all parameters; otherwise others at each, as where tissues are chaotic.
+    """
+
+    scatter: str
+    noise: float = 4.0
+    kink: bool = False
+    common: bool = True
+
+    def mean(self, shares):
+        """Return what runs give without scatter, um: six times of each observable."""
+        rate, depth = shares
+        times = np.arange(1.0, 7.0)
+        size = 60.0 * np.exp(0.12 * times * (0.5 + rate))
+        core = size - 60.0 - 100.0 * depth if self.kink else 40.0 + 20.0 * depth * times
+        return np.concatenate([size, np.maximum(core, 0.0)])
+
+    def drawn(self, shares, rng):
+        """Return what one tissue gives, um."""
+        found = self.mean(shares)
+        steps = self.noise * rng.standard_normal((2, 6))
+        if self.scatter == "shared":
+            steps = np.repeat(steps[:, :1], 6, axis=1)
+        elif self.scatter == "walk":
+            steps = steps.cumsum(axis=1) / 2.0
+        return np.maximum(found + np.where(found > 0.0, steps.ravel(), 0.0), 0.0)
+
+    def __call__(self, shares, condition, seed):
+        more = () if self.common else tuple(int(1e9 * x) for x in shares)
+        found = self.drawn(shares, np.random.default_rng((seed, *more)))
+        return Reading(tuple(map(float, found)))
+
+
+def growing(simulator, truth, rng, sigma=4.0, seeds=2):
+    """Return a problem whose data one tissue at ``truth`` gave, measured with an error in um."""
+    values = simulator.drawn(truth, rng) + sigma * rng.standard_normal(12)
+    names = ["diameter"] * 6 + ["necrotic_radius"] * 6
     data = tuple(
-        Datum("diameter", float(v), float(s), False, False, 3600.0 * (k + 1), None, 0, f"row {k}")
+        Datum(name, float(v), sigma, False, False, 3600.0 * (k % 6 + 1), None, 0, f"row {k}")
+        for k, (name, v) in enumerate(zip(names, np.maximum(values, 0.0), strict=True))
+    )
+    units = {"diameter": "um", "necrotic_radius": "um"}
+    ranges = tuple(Range(f"toy.p{k}", 0.0, 1.0, "", False, f"p{k}", False) for k in range(2))
+    first = int(rng.integers(2**40))
+    condition = (Condition("only", {}, SCENE),)
+    found = Measured(data, condition, units, "cheap")
+    return Problem(found, ranges, simulator, tuple(range(first, first + seeds)))
+
+
+def measured(values, sigma):
+    """Return data of one condition with given values and deviations, at as many hours.
+
+    They are of an observable that may be negative.
+    """
+    data = tuple(
+        Datum(
+            "force_toy_x", float(v), float(s), False, False, 3600.0 * (k + 1), None, 0, f"row {k}"
+        )
         for k, (v, s) in enumerate(zip(values, np.broadcast_to(sigma, len(values)), strict=True))
     )
     condition = Condition("only", {}, SCENE)
-    return Measured(data, (condition,), {"diameter": "um"}, "cheap")
+    return Measured(data, (condition,), {"force_toy_x": "nN"}, "cheap")
 
 
 def linear(matrix, values, sigma, *, noise=0.0, bend=0.0, seeds=1, first=0):

@@ -136,7 +136,12 @@ REFUSED = {
     "time / h, cells, cells sd / %\n5, 7, -1\n": "line 2, 'cells sd / %': is -1, must be above 0",
     "time / h, cells, diameter sd / um\n5, 7, 1\n": "'diameter sd / um': has no column 'diameter' beside it",
     "time / h, cells, diamter sd / um\n5, 7, 1\n": "'diamter' is no observable and no key of the scene. Did you mean 'diameter'?",
-    "time / h, necrotic_radius / um\n5, 0\n": "line 2, 'necrotic_radius / um': is 0, of which a relative standard deviation says nothing. Add a column 'necrotic_radius sd' with its unit.",
+    "time / h, necrotic\n5, 0\n": "line 2, 'necrotic': is 0, of which a relative standard deviation says nothing. Add a column 'necrotic sd' with its unit.",
+    "time / h, cells, cells n\n5, 7, 0\n": "line 2, 'cells n': is 0, must be a whole number of at least 1",
+    "time / h, cells, cells n\n5, 7, 1.5\n": "line 2, 'cells n': is 1.5, must be a whole number of at least 1",
+    "time / h, cells, cells n / um\n5, 7, 3\n": "'cells n / um': has the unit 'um', must have none. Write 'cells n'.",
+    "time / h, cells, diameter n\n5, 7, 3\n": "'diameter n': has no column 'diameter' beside it",
+    "time / h, cells, cells sem, cells n\n5, 7, 1, 3\n": "line 2, 'cells': has both 'cells sem' and 'cells sd' or 'cells n'. The error of the mean stands in place of both.",
     "time / h, cells\n-1, 7\n": "line 2: was measured at -3600 s, before the run begins at 0 s",
     "start / h, time / h, cells\n102, 48, 7\n": "before the run begins at 367200 s",
     "time / h, cells\n0, 7\n": "line 2: is of the run's very start",
@@ -152,6 +157,37 @@ REFUSED = {
     "time / h, cells, seed\n5, 7, 1\n": "'seed' is no condition",
     "time / h, cells, \n5, 7, 1\n": "is a column without a name",
 }  # fmt: skip
+
+
+def test_replicates_at_a_time_are_one_datum_of_several_tissues(tmp_path):
+    text = "time / h, diameter / um, diameter sd / um\n5, 100, 4\n5, 106, 4\n5, 106, 4\n9, 200, 5\n"
+    three, one = read(text, tmp_path).data
+    assert (three.value, three.tissues, three.place) == (104.0, 3.0, "line 2 and 2 more")
+    assert three.sigma == pytest.approx(4.0 / math.sqrt(3.0))
+    assert (one.value, one.sigma, one.tissues) == (200.0, 5.0, 1.0)
+
+
+def test_a_mean_of_n_tissues_is_what_their_rows_are(tmp_path):
+    mean = read("time / h, diameter / um, diameter sd / um, diameter n\n5, 104, 4, 3\n", tmp_path)
+    rows = "time / h, diameter / um, diameter sd / um\n5, 100, 4\n5, 106, 4\n5, 106, 4\n"
+    (ours,), (theirs,) = mean.data, read(rows, tmp_path).data
+    assert (ours.value, ours.tissues) == (theirs.value, theirs.tissues)
+    assert ours.sigma == pytest.approx(theirs.sigma)
+
+
+def test_a_standard_error_of_the_mean_holds_the_scatter_of_tissues(tmp_path):
+    text = "time / h, diameter / um, diameter sem / %\n5, 100, 4\n5, 200, 1\n"
+    (datum,) = read(text, tmp_path).data
+    # two means of which each says how sure it is: weights 1/16 and 1/4
+    assert datum.value == pytest.approx(180.0)
+    assert datum.sigma == pytest.approx(math.sqrt(1.0 / (1.0 / 16.0 + 1.0 / 4.0)))
+    assert math.isinf(datum.tissues)
+
+
+def test_a_core_that_has_not_begun_is_known_to_the_radius_of_a_cell(tmp_path):
+    zero, later = read("time / h, necrotic_radius / um\n5, 0\n9, 40\n", tmp_path).data
+    assert zero.sigma == SCENE.cells.division_radius
+    assert later.sigma == 4.0
 
 
 @pytest.mark.parametrize("text", REFUSED)

@@ -15,14 +15,18 @@ import numpy as np
 import pytest
 from cheap_fits import MATRIX, calls_of, linear
 from click.testing import CliRunner
+from test_fit_search import Stopping
 
 import multicell as mc
 from multicell.cli.main import main
 from multicell.errors import ClusterError, DataError, FitFailed
+from multicell.studies import fit_folder
 from multicell.studies.data import Datum, read_data
 from multicell.studies.fit import planned
 from multicell.studies.fitted import Fit
+from multicell.studies.fresh import _checked, fresh
 from multicell.studies.hands import OwnHands, hands
+from multicell.studies.likelihood import scatter_of
 from multicell.studies.posterior import posterior
 from multicell.studies.problem import ranges_of
 from multicell.studies.search import Search
@@ -178,9 +182,11 @@ def test_a_sampled_posterior_of_a_scene_has_the_best_point_in_it(tmp_path):
 
 
 def fitted(problem, points=30):
-    known = Search(problem, None, seed=1).run(OwnHands(), points)
+    search = Search(problem, None, seed=1)
+    known = search.run(OwnHands(), points)
     facts = {"method": "best", "sd": 0.1, "seconds": 1.0, "draws": 0, "sets_of_parameters": points}
-    return Fit(problem, SMALL, known, None, None, facts)
+    again = fresh(problem, search, OwnHands(), search.emulator(), None)
+    return Fit(problem, SMALL, known, None, None, facts, again)
 
 
 def test_a_parameter_without_effect_is_said_to_be_open():
@@ -188,6 +194,61 @@ def test_a_parameter_without_effect_is_said_to_be_open():
     ((entry),) = fitted(problem).undetermined
     assert (entry.names, entry.kind) == (("p1",), "open")
     assert "p1 is not determined: its 95 % interval" in str(entry)
+    assert entry.cause == "data"
+
+
+def test_a_parameter_that_only_scatter_hides_is_said_to_be_hidden_by_it():
+    problem = linear([[1.0]], [0.5], 0.02, noise=0.6, seeds=2)
+    (entry,) = fitted(problem).undetermined
+    assert (entry.kind, entry.cause) == ("open", "scatter")
+    assert "without it it would be" in str(entry)
+
+
+def test_the_best_point_is_run_again_with_seeds_that_had_no_part_in_finding_it():
+    problem = linear(MATRIX, [0.4, 0.6, 1.0, -0.2], 0.05, noise=0.05, seeds=2)
+    found, calls = calls_of(lambda: fitted(problem, 20))
+    by_point = {}
+    for shares, _, seed in calls:
+        by_point.setdefault(shares, set()).add(seed)
+    best = tuple(found.best.values[key] for key in ("toy.p0", "toy.p1"))
+    assert by_point[best] == set(range(2, 14))
+    runs = np.array([problem.simulator(best, 0, seed).values for seed in range(2, 14)])
+    np.testing.assert_allclose(found.best.readings, runs.mean(axis=0), rtol=1e-12)
+
+
+def test_fresh_runs_that_were_stopped_go_on_with_what_is_there(tmp_path):
+    problem = linear(MATRIX, [0.4, 0.6, 1.0, -0.2], 0.05, noise=0.05, seeds=2)
+    points = [([0.4, 0.5], seed) for seed in range(10, 16)]
+    path = tmp_path / "search.log"
+    _, first = calls_of(lambda: Search(problem, path).extra(Stopping(4), points))
+    (runs, reasons), second = calls_of(lambda: Search(problem, path).extra(OwnHands(), points))
+    assert (len(first), len(second), reasons) == (4, 2, [])
+    expected = [problem.simulator(shares, 0, seed).values for shares, seed in points]
+    np.testing.assert_array_equal(runs, expected)
+
+
+def test_checks_widen_the_error_where_the_emulator_is_off_and_nowhere_else():
+    scatter = scatter_of(np.random.default_rng(1).normal(0.0, 1.0, (12, 2)))
+    away = np.array([[0.5, 9.0], [-1.0, -8.0], [0.8, 9.5], [0.1, 7.0], [-0.4, -9.0], [1.2, 8.0]])
+    checks, error = _checked(away, np.full((6, 2), 0.25), scatter)
+    assert checks.off.tolist() == [False, True]
+    explained = scatter.variance[1] * (1.0 + 1.0 / 12.0) + 0.25
+    assert error.tolist() == [0.0, pytest.approx((away[:, 1] ** 2).mean() - explained)]
+
+
+def test_wall_time_adds_up_over_what_was_stopped(tmp_path, monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr(fit_folder.clock, "monotonic", lambda: now[0])
+    first = fit_folder.Elapsed(tmp_path)
+    now[0] += 30.0
+    first.note(now=True)
+    now[0] += 500.0
+    second = fit_folder.Elapsed(tmp_path)
+    now[0] += 12.0
+    assert second.seconds == 42.0
+    (tmp_path / "elapsed.json").write_text('{"seconds": -1}')
+    with pytest.raises(mc.OutputError, match=r"elapsed\.json' is damaged"):
+        fit_folder.Elapsed(tmp_path)
 
 
 def test_parameters_of_which_only_the_sum_counts_are_said_to_make_up_for_each_other():
@@ -220,27 +281,6 @@ def test_intervals_are_those_of_the_draws():
     assert tilted.median == pytest.approx(math.sqrt(0.5), abs=2e-3)
 
 
-@pytest.mark.slow
-def test_intervals_of_the_search_cover_what_they_say():
-    """50 % and 95 % intervals of polynomials against 30 sets of data drawn from the prior.
-
-    With two seeds and as much scatter as error; bounds are those of a chance of 1 in 500.
-    """
-    rng = np.random.default_rng(1)
-    ranks = []
-    for repeat in range(30):
-        truth = 0.25 + 0.5 * rng.random(2)
-        rows = np.array([*MATRIX, [0.5, 1.0], [0.8, 0.8]])
-        data = rows @ truth + 0.05 * rng.standard_normal(6) + 0.05 * rng.standard_normal(6)
-        problem = linear(rows, data, 0.05, noise=0.05, seeds=2, first=100 * repeat)
-        known = Search(problem, None).run(OwnHands(), 25)
-        shares, _ = Fit(problem, SMALL, known, None, None, {}).sample
-        ranks += (shares < truth).mean(axis=0).tolist()
-    off = np.abs(np.array(ranks) - 0.5)
-    assert 0.3 < (off < 0.25).mean() < 0.7
-    assert (off < 0.475).mean() > 0.85
-
-
 def test_workers_of_a_cluster_find_the_same_as_this_process(tmp_path):
     """Two processes: the search and the posterior are the same to the bit."""
     problem = linear(MATRIX, [0.4, 0.6, 1.0, -0.2], 0.2, noise=0.1, seeds=2)
@@ -266,9 +306,11 @@ REFUSED = [
     ({"method": "bets"}, "Did you mean 'best'?"),
     ({"seeds": 0}, "seeds: is 0, must be a whole number of at least 1"),
     ({"population": 2}, "population: is 2, must be a whole number of at least 10"),
-    ({"budget": 5}, "budget: is 5 runs: it tries 2 sets of parameters, 2 runs each"),
+    ({"budget": 23}, "budget: is 23 runs: what 18 fresh runs leave tries 2 sets of parameters, 2"),
+    ({"repeats": 3}, "repeats: is 3, must be a whole number of at least 4"),
+    ({"repeats": 1001}, "repeats: is 1001, must be at most 1000"),
     ({"budget": "5 um"}, "budget: is '5 um', must be a time"),
-    ({"budget": 100, "method": "posterior"}, "leaves 100 draws for the posterior"),
+    ({"budget": 100, "method": "posterior"}, "leaves 88 draws for the posterior"),
     ({"scene": "no-such"}, "there is no scene named 'no-such'"),
 ]
 
@@ -298,11 +340,12 @@ def test_a_condition_cannot_be_fitted():
 
 def test_budgets_are_shared_out():
     plan = planned(SMALL, DATA, FREE, method="both", budget=3000)
-    assert (plan.points, plan.draws) == (35, 3000 - 70)
+    assert (plan.points, plan.draws) == (35, 3000 - 70 - 12)
     assert plan.runs == 3000
     plan = planned(SMALL, DATA, FREE, budget="2 h")
     assert plan.seconds == 7200.0
-    assert planned(SMALL, DATA, FREE, budget=41).points == 20
+    assert planned(SMALL, DATA, FREE, budget=41 + 12 + 6).points == 20
+    assert planned(SMALL, DATA, FREE, budget=41 + 8 + 6, repeats=8).points == 20
     assert planned(SMALL, DATA, FREE).left(None)[1] > 0.0
 
 
@@ -321,20 +364,20 @@ def test_the_command_fits_and_says_what_is_open(tmp_path):
     arguments = [
         "fit", "growth", "--data", str(tmp_path / "growth.csv"), "--free",
         "growth.cycle_time=8:30 h", "--set", "duration=20 h", "--set", "initial.count=6", "--set",
-        "coupling_step=1 h", "--budget", "20", "--seeds", "1", "--cores", "1", "-o",
-        str(tmp_path / "out"),
+        "coupling_step=1 h", "--budget", "34", "--repeats", "8", "--seeds", "1", "--cores",
+        "1", "-o", str(tmp_path / "out"),
     ]  # fmt: skip
     shown = CliRunner().invoke(main, arguments, standalone_mode=False)
     assert shown.exception is None
     assert "growth.cycle_time" in shown.stdout
-    assert "runs of the search: 20 of 20" in shown.stderr
-    assert "20 runs left, expected to take" in shown.stderr
+    assert "fresh runs: 6 of 6" in shown.stderr
+    assert "34 runs left, expected to take" in shown.stderr
     finished = CliRunner().invoke(main, arguments, standalone_mode=False)
     assert finished.stderr == ""
     again = CliRunner().invoke(main, [*arguments, "--json"], standalone_mode=False)
     document = json.loads(again.stdout)
     assert document["data"] == 2
-    assert len(document["notes"]) == 3
+    assert len(document["notes"]) == 2
     assert document["chi_squared"] >= 0.0
 
 
@@ -348,7 +391,7 @@ def test_a_command_that_is_killed_goes_on_to_the_same_bits(tmp_path):
             sys.executable, "-m", "multicell", "fit", "growth", "--data",
             str(tmp_path / "growth.csv"), "--free", "growth.cycle_time=8:30 h", "--set",
             "duration=20 h", "--set", "initial.count=6", "--set", "coupling_step=1 h", "--budget",
-            "24", "--seeds", "1", "--cores", "1", "--quiet", "-o", str(folder),
+            "42", "--seeds", "1", "--cores", "1", "--quiet", "-o", str(folder),
         ]  # fmt: skip
 
     def lines():
@@ -366,7 +409,7 @@ def test_a_command_that_is_killed_goes_on_to_the_same_bits(tmp_path):
     for name in ("best.toml", "posterior.csv", "residuals.csv"):
         assert (tmp_path / "killed" / name).read_text() == (tmp_path / "whole" / name).read_text()
     logs = [(tmp_path / name / "search.log").read_text() for name in ("killed", "whole")]
-    assert [log.count('"reason"') for log in logs] == [24, 24]
+    assert [log.count('"reason"') for log in logs] == [42, 42]
 
 
 def test_the_command_refuses_bad_data_with_exit_code_2(tmp_path):
