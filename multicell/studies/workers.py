@@ -46,14 +46,20 @@ _SETTINGS: Final[dict[str, Any]] = {
     "distributed.worker.memory.monitor-interval": "500ms",
     "distributed.admin.tick.interval": "1s",
     "distributed.admin.system-monitor.interval": "5s",
+    # Dask's pages ask nobody who they are: what listens for a moment has nothing to show
+    "distributed.scheduler.http.routes": [],
+    "distributed.worker.http.routes": [],
     # processes that start again while the study ends have nothing to tell the user
     "logging": dict.fromkeys((*_QUIET, "distributed.client", "tornado.application"), "critical"),
 }  # fmt: skip
 
 
 @contextmanager
-def workers(cores: int | None, scheduler: str | None) -> Iterator[Client]:
+def workers(cores: int | None, scheduler: Any) -> Iterator[Client]:
     """Yield a Dask client whose workers can run scenes.
+
+    Workers on this machine talk to this process alone: each connection is encrypted and asks for a
+    certificate that is made for this call and kept in memory and in folders of this user.
 
     Parameters
     ----------
@@ -61,12 +67,13 @@ def workers(cores: int | None, scheduler: str | None) -> Iterator[Client]:
         Number of worker processes on this machine, by default one for each core that this process
         may use; each has one thread. Not for a ``scheduler``, which has its own workers.
     scheduler
-        Address of the scheduler of a cluster, such as ``"tcp://10.0.0.7:8786"``.
+        Address of the scheduler of a cluster, such as ``"tls://10.0.0.7:8786"``, or a cluster of
+        Dask's (as of dask-jobqueue), whose certificates are used too.
 
     Raises
     ------
     SceneError
-        For a number of cores that is none.
+        For a number of cores that is none or more than a machine has.
     MissingPackage
         If Dask is not installed.
     ClusterError
@@ -75,7 +82,7 @@ def workers(cores: int | None, scheduler: str | None) -> Iterator[Client]:
     """
     if cores is not None and cores < 1:
         raise SceneError("cores", f"is {cores}, must be at least 1")
-    needs("dask", "distributed")
+    needs("dask", "distributed", *(("cryptography",) if scheduler is None else ()))
     import dask
     from distributed import Client
 
@@ -84,10 +91,12 @@ def workers(cores: int | None, scheduler: str | None) -> Iterator[Client]:
             stack.enter_context(dask.config.set(_SETTINGS))
         stack.enter_context(_silence())
         place = stack.enter_context(_local(cores)) if scheduler is None else scheduler
-        client = _client(Client, place)
+        address = getattr(scheduler, "scheduler_address", scheduler)
+        security = None if scheduler is None else getattr(scheduler, "security", None)
+        client = _client(Client, place if scheduler is None else address, security)
         stack.callback(_close, client)
         if scheduler is not None:
-            _check(client, scheduler)
+            _check(client, address)
         yield client
 
 
@@ -117,15 +126,19 @@ def _started(count: int) -> Any:
     for left in reversed(range(_STARTS)):
         try:
             with _without_interrupts():
-                return local(
+                cluster = local(
                     n_workers=count,
                     threads_per_worker=1,
                     processes=True,
+                    # other users of this machine must not have code run
+                    security=distributed.Security.temporary(),
                     dashboard_address="127.0.0.1:0",  # any free port, and no pages there
                     scheduler_kwargs={"dashboard": False},
                     scheduler_sync_interval=5,
                     silence_logs=logging.CRITICAL,
                 )
+                cluster.sync(_stop_pages, cluster.scheduler)
+                return cluster
         except Exception as error:  # one of them may have been killed
             if not left:
                 raise ClusterError(
@@ -133,6 +146,11 @@ def _started(count: int) -> Any:
                     "There may be too little memory for them: use fewer cores. Nothing has run",
                 ) from error
     raise AssertionError("unreachable")
+
+
+async def _stop_pages(server: Any) -> None:
+    """Close the port of the pages of a scheduler or worker, which asks for no certificate."""
+    server.http_server.stop()
 
 
 @contextmanager
@@ -186,11 +204,13 @@ def _silence() -> Iterator[None]:
             logger.setLevel(level)
 
 
-def _client(kind: type[Client], place: Any) -> Client:
+def _client(kind: type[Client], place: Any, security: Any = None) -> Client:
     """Return a client of a cluster or of an address."""
     client = kind.__new__(kind)
     try:
-        client.__init__(place, timeout=ANSWER, set_as_default=False)  # type: ignore[misc]
+        client.__init__(  # type: ignore[misc]
+            place, timeout=ANSWER, set_as_default=False, security=security
+        )
         return client
     except Exception as error:
         _give_up(client)
@@ -314,11 +334,13 @@ def _sees(path: str) -> str:
     return ""
 
 
-def dask_setup(worker: object) -> None:
+async def dask_setup(worker: Any) -> None:
     """Load in a worker what all runs need, and let it end with the process that started it.
 
     Dask calls this where the module is named as a preload.
     """
+    if worker.security.require_encryption:
+        await _stop_pages(worker)
     import multicell.results.writer
     import multicell.runner  # noqa: F401
 
