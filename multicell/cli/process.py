@@ -16,6 +16,7 @@ import sys
 import unicodedata
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from threading import Timer
 from typing import Any, NoReturn, final
 
 import click
@@ -148,6 +149,18 @@ def in_words(error: Exception) -> tuple[str, int]:
         f"multicell; {DEBUG}=1 shows where it happened, which a report of it should contain",
         1,
     )
+
+
+@contextmanager
+def words_after(seconds: float, text: str) -> Iterator[None]:
+    """Print a line on stderr where the work inside takes longer than so many seconds."""
+    timer = Timer(seconds, complain, [text])
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 def complain(text: str) -> None:

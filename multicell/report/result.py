@@ -176,13 +176,12 @@ def recorded_scene(contents: Contents) -> Scene:
     SceneError
         If it cannot be read.
     """
-    import tomllib
-
+    from multicell.files import parse_toml
     from multicell.scene.scene import Scene, beside, load_scene
 
     path = contents.folder / "scene.toml"
     try:
-        run = Scene.from_dict(beside(tomllib.loads(contents.scene), path))
+        run = Scene.from_dict(beside(parse_toml(contents.scene), path))
     except ValueError as error:
         raise OutputError(f"the scene in '{contents.folder}' is damaged: {error}") from error
     if path.exists() and not path.is_file():

@@ -65,7 +65,7 @@ def file_errors(action: str, path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        reason = os.strerror(error.errno) if error.errno else str(error)
+        reason = error.strerror or str(error)
         raise OutputError(f"cannot {action} '{path}': {reason}") from error
 
 

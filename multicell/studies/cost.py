@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.errors import OutputError
 from multicell.results.folder import to_json, write_text
+from multicell.studies.limits import forecast_step
 
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
@@ -87,6 +88,9 @@ def together(costs: Iterable[Cost], cores: int) -> StudyCost:
 def costs_of(plan: Plan, folder: Path | None = None) -> list[Cost]:
     """Return what a run of each point of a plan is expected to take.
 
+    It is predicted for some hundred points at most; others are expected to take what one beside
+    them does.
+
     Parameters
     ----------
     plan
@@ -96,10 +100,12 @@ def costs_of(plan: Plan, folder: Path | None = None) -> list[Cost]:
     known = {} if folder is None else _kept(folder / NAME)
     names = plan.names[:: plan.seeds]
     costs = [known.get(name) for name in names]
-    found = [
-        cost_of(scene) if cost is None else cost
-        for cost, scene in zip(costs, plan.scenes, strict=True)
-    ]
+    step = forecast_step(len(costs))
+    found: list[Cost] = []
+    for number, (cost, scene) in enumerate(zip(costs, plan.scenes, strict=True)):
+        if cost is None:
+            cost = found[-1] if number % step else cost_of(scene)
+        found.append(cost)
     if folder is not None and None in costs and folder.is_dir():
         _keep(folder / NAME, names, found)
     return found

@@ -16,6 +16,7 @@ from multicell.schema import chosen
 from multicell.studies.data import ASSUMED, read_data
 from multicell.studies.fitted import Fit
 from multicell.studies.hands import hands
+from multicell.studies.limits import MOST_POINTS, MOST_RUNS, check_runs, check_seeds, whole
 from multicell.studies.problem import Problem, problem_of, ranges_of
 from multicell.studies.table_text import Table, read_table
 from multicell.units import to_base
@@ -192,19 +193,15 @@ def planned(
     if isinstance(scene, str | Path):
         scene = load_scene(scene)
     chosen(method, METHODS, "method")
-    _whole("seeds", seeds, 1)
-    _whole("population", population, 10)
+    seeds = check_seeds(seeds, scene.seed)
+    whole("population", population, 10, MOST_POINTS, "It is the number of draws in a generation.")
     table = read_table(data)
     measured = read_data(table, scene, start=start, sd=sd)
     ranges = ranges_of(free, measured)
+    check_runs(len(measured.conditions), seeds)
     problem = problem_of(measured, ranges, seeds, scene.seed, simulator)
     points, draws, seconds = _budgeted(problem, method, budget, population)
     return FitPlan(problem, scene, table, method, points, draws, seconds, population, sd)
-
-
-def _whole(name: str, value: object, least: int) -> None:
-    if not isinstance(value, int) or isinstance(value, bool) or value < least:
-        raise SceneError(name, f"is {value!r}, must be a whole number of at least {least}")
 
 
 def _budgeted(
@@ -221,7 +218,7 @@ def _budgeted(
         if seconds <= 0.0:
             raise SceneError("budget", f"is {budget!r}, must be above 0")
         return 10 * points, 100 * draws, seconds
-    _whole("budget", budget, 1)
+    whole("budget", budget, 1, MOST_RUNS, "It is the number of runs in all.")
     conditions, each = len(problem.measured.conditions), len(problem.tasks())
     if method == "both":
         points = min(usual, int(budget * _SHARE) // each)

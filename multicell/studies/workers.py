@@ -14,9 +14,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from multicell import __version__
-from multicell.errors import ClusterError, SceneError
+from multicell.errors import ClusterError
 from multicell.extras import needs
 from multicell.results.folder import file_errors, versions
+from multicell.studies.limits import check_cores
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -80,8 +81,7 @@ def workers(cores: int | None, scheduler: Any) -> Iterator[Client]:
         If the scheduler does not answer, has no workers, or some of them cannot run the scenes as
         this process would: without multicell, with other versions, or several threads to a process.
     """
-    if cores is not None and cores < 1:
-        raise SceneError("cores", f"is {cores}, must be at least 1")
+    check_cores(cores)
     needs("dask", "distributed", *(("cryptography",) if scheduler is None else ()))
     import dask
     from distributed import Client
@@ -123,6 +123,7 @@ def _started(count: int) -> Any:
     import distributed
 
     local: Any = distributed.LocalCluster
+    certificates: Any = distributed.Security
     for left in reversed(range(_STARTS)):
         try:
             with _without_interrupts():
@@ -131,7 +132,7 @@ def _started(count: int) -> Any:
                     threads_per_worker=1,
                     processes=True,
                     # other users of this machine must not have code run
-                    security=distributed.Security.temporary(),
+                    security=certificates.temporary(),
                     dashboard_address="127.0.0.1:0",  # any free port, and no pages there
                     scheduler_kwargs={"dashboard": False},
                     scheduler_sync_interval=5,
