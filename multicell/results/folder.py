@@ -278,16 +278,3 @@ def _plain(value: Any) -> Any:
 def to_json(value: Any) -> str:
     """Return strict JSON; NumPy values become plain ones, NaN and infinity become null."""
     return json.dumps(_plain(value), indent=2, ensure_ascii=False, allow_nan=False)
-
-
-def write_summary(folder: str | Path, summary: Mapping[str, Any]) -> Path:
-    """Write ``summary.json`` and return its path.
-
-    Raises
-    ------
-    OutputError
-        If it cannot be written.
-    """
-    path = Path(folder) / "summary.json"
-    write_text(path, to_json(summary) + "\n")
-    return path

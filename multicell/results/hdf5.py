@@ -32,6 +32,8 @@ from multicell.results.sink import Sink
 NAME: Final = "frames.h5"
 
 _LIBVER: Final = ("v110", "v110")  # the first in which all of a file's structure has checksums
+_ALWAYS: Final = 1 << 27  # bytes that are read at once whatever the size of the file
+_RATIO: Final = 60  # how much smaller what is read at once may be in the file; 10 is usual
 _BATCH: Final = 1 << 23  # bytes that are collected before they are written
 _LEVEL: Final = 4  # of gzip; 1 would take 15 % less time and 1 % more room
 
@@ -232,6 +234,47 @@ def check_whole(path: Path) -> None:
         written = file.attrs.get("format", 0)
         if np.shape(written) != () or written != FORMAT:
             raise OutputError(f"'{path}' is no result file that this multicell reads")
+
+
+def check_contained(path: Path) -> None:
+    """Refuse an HDF5 file of any kind that leads out of itself, or claims to hold far more than it.
+
+    Raises
+    ------
+    OutputError
+        If it does, or cannot be read.
+    """
+    with _opened(path) as file:
+        claimed, left = 0, [file]
+        while left:
+            group = left.pop()
+            for name in group:
+                if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+                    raise OutputError(f"'{path}' is damaged: {name} is a link")
+                entry = group[name]
+                if isinstance(entry, h5py.Group):
+                    raise OutputError(f"'{path}' is damaged: {name} is a group")
+                if not isinstance(entry, h5py.Dataset):
+                    continue
+                if entry.is_virtual or entry.id.get_create_plist().get_external_count():
+                    raise OutputError(f"'{path}' is damaged: {name} keeps its data elsewhere")
+                claimed += int(entry.size or 0) * entry.dtype.itemsize
+        check_claim(path, claimed)
+
+
+def check_claim(path: Path, claimed: int) -> None:
+    """Refuse a file whose data would take far more memory than the file has bytes.
+
+    Raises
+    ------
+    OutputError
+        With both sizes.
+    """
+    size = path.stat().st_size
+    if claimed > max(_ALWAYS, _RATIO * size):
+        raise OutputError(
+            f"'{path}' is damaged: {size / 1e6:,.3g} MB claim to be {claimed / 1e6:,.3g} MB of data"
+        )
 
 
 def _short(error: BaseException) -> str:

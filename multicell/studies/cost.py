@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import heapq
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.errors import OutputError
-from multicell.results.folder import to_json, write_text
+from multicell.results.documents import read_table, write_table
 from multicell.studies.limits import forecast_step
 
 if TYPE_CHECKING:
@@ -114,15 +113,15 @@ def costs_of(plan: Plan, folder: Path | None = None) -> list[Cost]:
 def _kept(path: Path) -> dict[str, Cost]:
     """Return what was found before; nothing where that cannot be read: it is found again."""
     try:
-        entries: Any = json.loads(path.read_bytes())
+        entries: Mapping[str, Any] = read_table(path) or {}
         return {name: Cost(**{k: float(v) for k, v in e.items()}) for name, e in entries.items()}
-    except (OSError, ValueError, TypeError, AttributeError):
+    except (OutputError, ValueError, TypeError, AttributeError):
         return {}
 
 
 def _keep(path: Path, names: Sequence[str], costs: Sequence[Cost]) -> None:
     entries: Mapping[str, Any] = {n: asdict(c) for n, c in zip(names, costs, strict=True)}
     try:
-        write_text(path, to_json(entries) + "\n")
+        write_table(path, entries)
     except OutputError:
         return  # it only saves time

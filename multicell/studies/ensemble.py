@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final, final
 import numpy as np
 
 from multicell.errors import MulticellError, SceneError
-from multicell.report.result import read_summary
+from multicell.results.documents import read_table
 from multicell.studies.cost import Cost, StudyCost, cost_of, together
 from multicell.studies.limits import forecast_step
 from multicell.studies.observed import continued, entry_of
@@ -200,7 +200,7 @@ def _read(place: Path, observables: Sequence[str]) -> _Read:
     from multicell.results.reader import Contents
 
     columns = Contents(place).history()
-    summary = read_summary(place / "summary.json") or {}
+    summary = read_table(place / "summary.json") or {}
     history = {name: continued(columns, name) for name in observables if name in columns}
     last = {
         name: float(history[name][-1]) if name in history else entry_of(summary, name)
