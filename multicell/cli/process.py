@@ -144,6 +144,12 @@ def in_words(error: Exception) -> tuple[str, int]:
     if isinstance(error, MemoryError):
         return "there is not enough memory for this", 1
     said = " ".join(str(error).split())
+    if "no locator available" in said:  # numba's words
+        return (
+            "compiled code cannot be kept: neither the folder of multicell nor the home folder can "
+            "be written to. Set NUMBA_CACHE_DIR to a folder of your own",
+            1,
+        )
     return (
         f"unexpected {type(error).__name__}{f': {said}' if said else ''}. This is a bug of "
         f"multicell; {DEBUG}=1 shows where it happened, which a report of it should contain",

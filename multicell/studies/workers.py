@@ -26,7 +26,7 @@ ANSWER: Final = 5.0
 """Time in s within which a scheduler must answer."""
 
 _STARTS: Final = 3  # attempts to start worker processes
-_SET_BY_DASK: Final = ("PYTHONHASHSEED", "__DASK_PARENT_PID")
+_SET_BY_DASK: Final = ("PYTHONHASHSEED", "__DASK_PARENT_PID", "PYTHONSAFEPATH")
 _QUIET: Final = ("asyncio", "distributed", "tornado")  # loggers
 _SETTINGS: Final[dict[str, Any]] = {
     # runs hold the interpreter for whole coupling steps, so nothing may be concluded from silence
@@ -105,6 +105,7 @@ def _local(cores: int | None) -> Iterator[Any]:
     """Yield a cluster of processes of this machine, which end with this one."""
     environment = dict(os.environ)
     with _without_main():
+        os.environ["PYTHONSAFEPATH"] = "1"  # or they would begin with modules of this folder
         cluster = _started(cores or own_cores())
         try:
             yield cluster
