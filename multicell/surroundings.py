@@ -11,6 +11,7 @@ import errno
 import os
 import stat
 import sys
+import warnings
 from importlib.machinery import ModuleSpec, PathFinder
 from types import CodeType, FunctionType, ModuleType
 from typing import Any, final
@@ -67,9 +68,19 @@ class _Loader:
 
     def exec_module(self, module: ModuleType) -> None:
         """Run the changed code."""
-        code = self._inner.get_code(module.__name__)
-        exec(_CHANGED[module.__name__](code), module.__dict__)
-        _refuse_cache_of_others(vars(module).get("CACHE_DIR", ""))
+        code = _CHANGED[module.__name__](self._inner.get_code(module.__name__))
+        if module.__name__ == "matplotlib":
+            exec(code, module.__dict__)
+            return
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")  # of values that numba cannot read
+                exec(code, module.__dict__)
+        except (ValueError, Warning) as error:
+            said = str(error).strip().splitlines()[0]
+            words = f"numba refuses its settings by environment variables ({said})"
+            raise OSError(errno.EINVAL, words, "NUMBA_...") from error
+        _refuse_cache_of_others(vars(module)["CACHE_DIR"])
 
 
 def _refuse_cache_of_others(folder: str) -> None:

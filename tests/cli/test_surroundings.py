@@ -1,4 +1,4 @@
-"""The folder that one is in, and odd variables, decide nothing: commands work, or refuse in words."""
+"""The working folder and odd variables decide nothing: commands work, or refuse in words."""
 
 import os
 import subprocess
