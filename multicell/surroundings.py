@@ -76,6 +76,8 @@ class _Loader:
             with warnings.catch_warnings():
                 warnings.simplefilter("error")  # of values that numba cannot read
                 exec(code, module.__dict__)
+            if vars(module)["NUMBA_NUM_THREADS"] < 1:  # numba would say so much later
+                raise ValueError("NUMBA_NUM_THREADS must be at least 1")
         except (ValueError, Warning) as error:
             said = str(error).strip().splitlines()[0]
             words = f"numba refuses its settings by environment variables ({said})"
