@@ -18,7 +18,7 @@ from multicell.files import read_regular
 from multicell.results.folder import file_errors, to_json, write_bytes, write_text
 from multicell.results.records import parse_table
 
-_DIGEST: Final = "digest"
+_CHECKSUM: Final = "checksum"
 _LARGEST: Final = 1 << 26
 _LARGEST_LINES: Final = 1 << 30
 
@@ -37,7 +37,7 @@ def write_table(path: Path, table: Mapping[str, Any]) -> None:
         If it cannot be written.
     """
     plain: dict[str, Any] = json.loads(to_json(table))
-    write_text(path, to_json({**plain, _DIGEST: _checksum(plain)}) + "\n")
+    write_text(path, to_json({**plain, _CHECKSUM: _checksum(plain)}) + "\n")
 
 
 def read_table(path: Path) -> dict[str, Any] | None:
@@ -59,7 +59,7 @@ def read_table(path: Path) -> dict[str, Any] | None:
         table = parse_table(text)
     except OutputError as error:
         raise OutputError(f"'{path}' is damaged: {error}") from error
-    if table.pop(_DIGEST, None) != _checksum(table):
+    if table.pop(_CHECKSUM, None) != _checksum(table):
         raise OutputError(f"'{path}' is damaged: it is not what was written there")
     return table
 

@@ -276,7 +276,7 @@ def test_summary_is_strict_json(tmp_path):
     summary = {"cells": np.int64(3), "wall": {"total": np.float64(np.nan)}, "list": (1, np.inf)}
     path = write_summary(tmp_path, summary)
     written = json.loads(path.read_text())
-    assert len(written.pop("digest")) == 8
+    assert len(written.pop("checksum")) == 8
     assert written == {
         "cells": 3,
         "wall": {"total": None},
