@@ -124,7 +124,7 @@ def study(place):
     table = made.to_xarray()
     return {
         "states": states,
-        "diameter": np.asarray(table["diameter"].values).tolist(),
+        "diameter": np.asarray(table["diameter"].values).reshape(len(states), -1).tolist(),
         "points": [dict(point.coordinates) for point in made.plan.points],
     }
 
