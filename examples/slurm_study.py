@@ -50,6 +50,9 @@ def cluster(queue, cores, memory, walltime, interface=None, account=None):
     import dask
     from dask_jobqueue import SLURMCluster
 
+    # only whoever has these certificates may have anything run
+    certificates = Path("certificates").absolute()
+    certificates.mkdir(mode=0o700, exist_ok=True)
     # a run may keep its worker from answering for the length of a coupling step
     dask.config.set({"distributed.scheduler.worker-ttl": None})
     return SLURMCluster(
@@ -60,6 +63,8 @@ def cluster(queue, cores, memory, walltime, interface=None, account=None):
         memory=memory,
         walltime=walltime,
         interface=interface,
+        security=True,
+        shared_temp_directory=str(certificates),
         # this Python, and what runs need is loaded before the first one
         python=sys.executable,
         worker_extra_args=["--preload", "multicell.studies.workers"],
@@ -99,7 +104,7 @@ def carried_out(study, jobs, count):
     jobs.scale(jobs=count)
     with Client(jobs) as client:
         client.wait_for_workers(1)
-    outcomes = study.run(scheduler=jobs.scheduler_address)
+    outcomes = study.run(scheduler=jobs)
     done = sum(outcome.state == "done" for outcome in outcomes)
     print(f"{done} of {len(outcomes)} runs are done: multicell study status {study.folder}")
     return study

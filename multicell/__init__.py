@@ -5,12 +5,23 @@
 >>> result = mc.run(scene)                                      # doctest: +SKIP
 """
 
-from __future__ import annotations
+import os
+import sys
+
+# "python -m multicell" looks for modules in the working folder first, also for Python's own ones
+# that are not loaded yet; where multicell itself is there it stays
+if sys.argv[:1] == ["-m"] and not sys.flags.safe_path:
+    _here = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+    if os.path.abspath(sys.path[0]) != _here:
+        del sys.path[0]
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from multicell.errors import MulticellError, OutputError, SceneError, StepFailed
+from multicell.surroundings import ignore_settings_of_working_folder
+
+ignore_settings_of_working_folder()
 
 if TYPE_CHECKING:
     from multicell import testing

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 import sys
 
 from multicell.interrupts import end_command, watch_command
@@ -14,6 +15,7 @@ programs that make it; modules make hundreds of thousands of objects that live o
 
 def run() -> None:
     """Run the command; Ctrl-C is answered while its modules are still being loaded, too."""
+    os.environ.setdefault("PYTHONSAFEPATH", "1")  # processes that this one starts
     gc.set_threshold(_RARELY, *gc.get_threshold()[1:])
     try:
         watch_command()

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import ClassVar, final
 
+_LONGEST_PATH = 200  # letters of a key that are shown
+
 
 class MulticellError(Exception):
     """Base of all errors raised on purpose; its text is written for the user.
@@ -35,7 +37,8 @@ class SceneError(MulticellError):
         self.path = path
         self.problem = problem
         self.hint = hint
-        text = f"{path}: {problem}" if path else problem
+        where = path if len(path) <= _LONGEST_PATH else f"{path[:_LONGEST_PATH]}..."
+        text = f"{where}: {problem}" if path else problem
         super().__init__(f"{text}. {hint}" if hint else text)
 
 

@@ -26,8 +26,11 @@ from types import ModuleType
 from typing import Any
 
 from multicell.errors import MulticellError, SceneError
+from multicell.files import read_regular
 from multicell.schema import near_miss
 
+_LARGEST = 10_000_000
+"""Bytes of a file of the user's own."""
 OWN_OBJECT = r"^.+\.py:[A-Za-z_].*$"
 """Pattern of how a scene names an object of the user's own, for editors."""
 _NAMED = re.compile(r"(?P<file>.+):(?P<name>[^\W\d]\w*(\.[^\W\d]\w*)*)")
@@ -90,7 +93,7 @@ def _module(file: Path, what: str) -> ModuleType:
     if file.suffix != ".py":
         raise SceneError(what, f"'{file}' is no Python file: its name must end in .py")
     try:
-        source = file.read_bytes()
+        source = read_regular(file, _LARGEST)
     except FileNotFoundError:
         hint = f"It is looked for in '{Path.cwd()}'." if not file.is_absolute() else ""
         raise SceneError(what, f"there is no file '{file}'", hint) from None

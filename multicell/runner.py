@@ -22,11 +22,11 @@ from multicell.report.result import (
     Result,
     history_arrays,
     load_result,
-    read_summary,
     recorded_scene,
 )
 from multicell.report.wording import time_unit
-from multicell.results.folder import locked, write_summary
+from multicell.results.documents import read_table, write_summary
+from multicell.results.folder import locked
 from multicell.results.frame import Frame
 from multicell.results.quantities import units_of
 from multicell.results.records import can_go_on
@@ -524,7 +524,7 @@ def _rows(contents: Contents, step: int) -> int:
 
 def _complete(contents: Contents) -> bool:
     """Return whether a run has written all that it writes at its end."""
-    summary = read_summary(contents.folder / "summary.json")
+    summary = read_table(contents.folder / "summary.json")
     return contents.journal is None and summary is not None and not summary.get("interrupted")
 
 

@@ -27,6 +27,7 @@ from multicell.cli.study import (
     cores_option,
     cores_wanted,
     key_values,
+    planning,
     scheduler_option,
     yes_option,
 )
@@ -140,7 +141,8 @@ def fit(
     described = scene_of(scene, changes, law)
     from multicell.studies.fit import carried_out, planned
 
-    plan = planned(described, data, pairs, **options)
+    with planning():
+        plan = planned(described, data, pairs, **options)
     count = cores_wanted(cores, scheduler)
     confirm(_cost(plan, None if overwrite else output, count), count, yes, quiet or as_json)
     try:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from multicell.errors import SceneError
+from multicell.files import parse_toml
 from multicell.units import shown
 
 if TYPE_CHECKING:
@@ -137,13 +138,11 @@ def _value(key: str, text: str) -> Any:
     except UnicodeEncodeError:
         raise SceneError(key, "is not UTF-8 text") from None
     try:
-        parsed = tomllib.loads(f"value = {text}")
+        parsed = parse_toml(f"value = {text}")
     except tomllib.TOMLDecodeError:
         return text
-    except RecursionError:
-        raise SceneError(key, "is nested too deeply") from None
-    except ValueError:  # integers of thousands of digits
-        raise SceneError(key, f"is a number of too many digits: {shown(text)}") from None
+    except ValueError as error:  # nested too deeply, integers of thousands of digits
+        raise SceneError(key, f"is {shown(text)}, which cannot be read: {error}") from None
     value = parsed["value"]
     if _depth(value) > _DEEPEST:
         raise SceneError(key, f"is nested more than {_DEEPEST} deep")

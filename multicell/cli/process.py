@@ -16,6 +16,7 @@ import sys
 import unicodedata
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from threading import Timer
 from typing import Any, NoReturn, final
 
 import click
@@ -153,11 +154,29 @@ def in_words(error: Exception) -> tuple[str, int]:
     if fault is not None:
         return f"your own code fails: {fault}. {DEBUG}=1 shows how it was called", 1
     said = " ".join(str(error).split())
+    if "no locator available" in said:  # numba's words
+        return (
+            "compiled code cannot be kept: neither the folder of multicell nor the home folder can "
+            "be written to. Set NUMBA_CACHE_DIR to a folder of your own",
+            1,
+        )
     return (
         f"unexpected {type(error).__name__}{f': {said}' if said else ''}. This is a bug of "
         f"multicell; {DEBUG}=1 shows where it happened, which a report of it should contain",
         1,
     )
+
+
+@contextmanager
+def words_after(seconds: float, text: str) -> Iterator[None]:
+    """Print a line on stderr where the work inside takes longer than so many seconds."""
+    timer = Timer(seconds, complain, [text])
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 def complain(text: str) -> None:

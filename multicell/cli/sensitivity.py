@@ -26,6 +26,7 @@ from multicell.cli.study import (
     cores_option,
     cores_wanted,
     key_values,
+    planning,
     scheduler_option,
     yes_option,
 )
@@ -109,7 +110,8 @@ def sensitivity(
     described = scene_of(scene, changes, law)
     from multicell.studies.sensitivity import carried_out, planned, prepare
 
-    plan = planned(described, pairs, observables=observables or None, output=output, **options)
+    with planning():
+        plan = planned(described, pairs, observables=observables or None, output=output, **options)
     count = cores_wanted(cores, scheduler)
     prepare(plan, output, overwrite=overwrite)
     confirm(plan.ensemble.left(output, count or 1), count, yes, quiet or as_json)

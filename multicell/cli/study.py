@@ -6,6 +6,7 @@ import os
 import sys
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -25,7 +26,7 @@ from multicell.cli.options import (
     scene_of,
     with_values,
 )
-from multicell.cli.process import complain, print_json
+from multicell.cli.process import complain, print_json, words_after
 from multicell.errors import MissingPackage
 
 if TYPE_CHECKING:
@@ -124,15 +125,22 @@ def new(
     base = scene_of(scene, changes, law)
     from multicell.studies.study import study as planned
 
-    made = planned(
-        base,
-        key_values(vary, "--vary"),
-        zipped=_groups(zipped),
-        output=output,
-        integrator=integrator or "",
-        **options,
-    )
+    with planning():
+        made = planned(
+            base,
+            key_values(vary, "--vary"),
+            zipped=_groups(zipped),
+            output=output,
+            integrator=integrator or "",
+            **options,
+        )
+        made.expected(1)
     _tell_plan(made, quiet, as_json)
+
+
+def planning() -> AbstractContextManager[None]:
+    """Return what says that a plan takes its time, where it does."""
+    return words_after(3.0, "Planning: every set of parameters is checked beforehand ...")
 
 
 def key_values(items: Sequence[str], option: str) -> dict[str, str]:
@@ -286,16 +294,20 @@ def _opened(folder: Path, law: str | None, integrator: str | None) -> Study:
         name_law(law)
     from multicell.studies.study import load_study
 
-    return load_study(folder, integrator=integrator or "")
+    with planning():
+        return load_study(folder, integrator=integrator or "")
 
 
 def cores_wanted(cores: int | None, scheduler: str | None) -> int | None:
     """Return on how many cores runs go; None if a cluster decides."""
+    from multicell.studies.limits import check_cores
+
     if scheduler is not None:
         if cores is not None:
             raise click.UsageError("--cores has no meaning with --scheduler: it has its workers.")
         return None
     if cores is not None:
+        check_cores(cores)
         return cores
     from multicell.studies.workers import own_cores
 

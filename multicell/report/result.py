@@ -147,13 +147,14 @@ def load_result(folder: str | Path, *, damaged: bool = False) -> Result:
     SceneError
         If its ``scene.toml`` cannot be read.
     """
+    from multicell.results.documents import read_table
     from multicell.results.reader import Contents, Frames
 
     contents = Contents(folder)
     if not damaged:
         contents.whole()
     frames = Frames(contents)
-    summary = read_summary(contents.folder / "summary.json")
+    summary = read_table(contents.folder / "summary.json")
     scene = recorded_scene(contents)
     return Result(
         folder=contents.folder,
@@ -176,13 +177,12 @@ def recorded_scene(contents: Contents) -> Scene:
     SceneError
         If it cannot be read.
     """
-    import tomllib
-
+    from multicell.files import parse_toml
     from multicell.scene.scene import Scene, beside, load_scene
 
     path = contents.folder / "scene.toml"
     try:
-        run = Scene.from_dict(beside(tomllib.loads(contents.scene), path))
+        run = Scene.from_dict(beside(parse_toml(contents.scene), path))
     except ValueError as error:
         raise OutputError(f"the scene in '{contents.folder}' is damaged: {error}") from error
     if path.exists() and not path.is_file():
@@ -209,32 +209,6 @@ def _same_text(path: Path, text: str) -> bool:
         return path.is_file() and path.stat().st_size == len(data) and path.read_bytes() == data
     except OSError:
         return False  # whoever needs the file will say what is wrong with it
-
-
-_LARGEST_SUMMARY = 1 << 26
-
-
-def read_summary(path: Path) -> dict[str, Any] | None:
-    """Read a summary, or return None where there is none.
-
-    Raises
-    ------
-    OutputError
-        If it cannot be read, or is no table as a run writes it.
-    """
-    from multicell.results.folder import file_errors
-    from multicell.results.records import parse_table
-
-    with file_errors("read", path):
-        if not path.is_file():
-            return None
-        if path.stat().st_size > _LARGEST_SUMMARY:
-            raise OutputError(f"cannot read '{path}': it is larger than any summary")
-        text = path.read_bytes()
-    try:
-        return parse_table(text)
-    except OutputError as error:
-        raise OutputError(f"cannot read '{path}': {error}") from error
 
 
 def _partial_summary(frames: Sequence[Frame], scene: Scene) -> dict[str, Any]:

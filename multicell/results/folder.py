@@ -65,7 +65,7 @@ def file_errors(action: str, path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        reason = os.strerror(error.errno) if error.errno else str(error)
+        reason = error.strerror or str(error)
         raise OutputError(f"cannot {action} '{path}': {reason}") from error
 
 
@@ -299,16 +299,3 @@ def _plain(value: Any) -> Any:
 def to_json(value: Any) -> str:
     """Return strict JSON; NumPy values become plain ones, NaN and infinity become null."""
     return json.dumps(_plain(value), indent=2, ensure_ascii=False, allow_nan=False)
-
-
-def write_summary(folder: str | Path, summary: Mapping[str, Any]) -> Path:
-    """Write ``summary.json`` and return its path.
-
-    Raises
-    ------
-    OutputError
-        If it cannot be written.
-    """
-    path = Path(folder) / "summary.json"
-    write_text(path, to_json(summary) + "\n")
-    return path

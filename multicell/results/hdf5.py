@@ -32,6 +32,10 @@ from multicell.results.sink import Sink
 NAME: Final = "frames.h5"
 
 _LIBVER: Final = ("v110", "v110")  # the first in which all of a file's structure has checksums
+_ALWAYS: Final = 1 << 28  # bytes that are read at once whatever the size of the file
+_RATIO: Final = 60  # how much smaller what is read at once may be in the file; 10 is usual
+_IN_FRAMES: Final = ("cells/", "contacts/pair", "progress/text", "fields/", "concentrations/")
+"""Data sets of which one frame's rows are read at a time."""
 _BATCH: Final = 1 << 23  # bytes that are collected before they are written
 _LEVEL: Final = 4  # of gzip; 1 would take 15 % less time and 1 % more room
 
@@ -234,6 +238,47 @@ def check_whole(path: Path) -> None:
             raise OutputError(f"'{path}' is no result file that this multicell reads")
 
 
+def check_contained(path: Path) -> None:
+    """Refuse an HDF5 file of any kind that leads out of itself, or claims to hold far more than it.
+
+    Raises
+    ------
+    OutputError
+        If it does, or cannot be read.
+    """
+    with _opened(path) as file:
+        claimed, left = 0, [file]
+        while left:
+            group = left.pop()
+            for name in group:
+                if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+                    raise OutputError(f"'{path}' is damaged: {name} is a link")
+                entry = group[name]
+                if isinstance(entry, h5py.Group):
+                    raise OutputError(f"'{path}' is damaged: {name} is a group")
+                if not isinstance(entry, h5py.Dataset):
+                    continue
+                if entry.is_virtual or entry.id.get_create_plist().get_external_count():
+                    raise OutputError(f"'{path}' is damaged: {name} keeps its data elsewhere")
+                claimed += int(entry.size or 0) * entry.dtype.itemsize
+        check_claim(path, claimed)
+
+
+def check_claim(path: Path, claimed: int) -> None:
+    """Refuse a file whose data would take far more memory than the file has bytes.
+
+    Raises
+    ------
+    OutputError
+        With both sizes.
+    """
+    size = path.stat().st_size
+    if claimed > max(_ALWAYS, _RATIO * size):
+        raise OutputError(
+            f"'{path}' is damaged: {size / 1e6:,.3g} MB claim to be {claimed / 1e6:,.3g} MB of data"
+        )
+
+
 def _short(error: BaseException) -> str:
     """Return the first line of what a library says."""
     lines = str(error).strip("'\" ").splitlines()
@@ -269,6 +314,8 @@ class File:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self._claimed = 0
+        self._at_once: dict[str, int] = {}
         with _opened(path) as file:
             self._read_format(file)
             for group in ("fields", "history", "cells", "kept", "frames", "lineage"):
@@ -347,6 +394,7 @@ class File:
                 if ends[0] != 0 or (np.diff(ends) < 0).any():
                     raise self._damaged(f"{path} does not rise from 0")
                 lengths[path] = int(ends[-1])
+                self._at_once[path] = int(np.diff(ends).max(initial=0))
         self.rows = 0
         for k, name in enumerate(self.columns):
             path = f"history/{name}"
@@ -370,6 +418,12 @@ class File:
         pieces = -(-column.shape[0] // kind.chunk)
         if column.chunks != (kind.chunk, *tail) or column.id.get_num_chunks() != pieces:
             raise self._damaged(f"{path} is not complete")
+        width = column.dtype.itemsize * (kind.width or 1)
+        if path.startswith(_IN_FRAMES):
+            check_claim(self.path, width * self._at_once.get(kind.pool, 0))
+        else:
+            self._claimed += width * column.shape[0]
+            check_claim(self.path, self._claimed)
 
     def history(self) -> dict[str, NDArray[np.float64]]:
         """Return the history by column, (m,) each.

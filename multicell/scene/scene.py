@@ -7,9 +7,9 @@ numbers in base units (µm, s, nN, amol; kPa, mM) or strings with units; inside 
 
 from __future__ import annotations
 
+import errno
 import os
 import re
-import stat
 from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import is_dataclass
@@ -19,6 +19,7 @@ from typing import Any, final
 from multicell.contact.law import PairLaw
 from multicell.contact.registry import LAWS
 from multicell.errors import SceneError
+from multicell.files import DEEPEST, parse_toml, read_regular
 from multicell.plugins import OWN_OBJECT
 from multicell.scene.arrangement import check_arrangement
 from multicell.scene.checks import (
@@ -295,14 +296,10 @@ def load_scene(source: str | Path) -> Scene:
         For an unknown name, a file that is missing or cannot be read, broken TOML (with its
         line) and for any value that is refused.
     """
-    import tomllib
-
     content = _read(source)
     try:
-        entries = tomllib.loads(content)
-    except RecursionError:
-        raise SceneError("", f"{str(source)!r} is nested too deeply") from None
-    except ValueError as error:  # tomllib's own error, and integers of thousands of digits
+        entries = parse_toml(content)
+    except ValueError as error:  # also integers of thousands of digits
         raise SceneError("", f"{str(source)!r} is not valid TOML: {error}") from None
     return Scene.from_dict(beside(entries, source))
 
@@ -341,22 +338,35 @@ def _read(source: str | Path) -> str:
 
 def _file_text(path: Path, source: str | Path) -> str:
     """Return the text of a regular file of a scene's size; a pipe or device may never end."""
-    mode = path.stat().st_mode
-    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
-        problem = f"the scene {str(source)!r} is a device, pipe or socket, not a file"
-        raise SceneError("", problem, "Write the scene to a file first.")
-    with path.open("rb") as file:
-        content = file.read(_LARGEST_FILE + 1)
-    if len(content) > _LARGEST_FILE:
-        problem = f"the scene file {str(source)!r} is larger than {_LARGEST_FILE // 10**6} MB"
-        raise SceneError("", problem, "No scene needs so much text.")
+    try:
+        content = read_regular(path, _LARGEST_FILE)
+    except OSError as error:
+        if error.errno == errno.EINVAL:
+            problem = f"the scene {str(source)!r} is a device, pipe or socket, not a file"
+            raise SceneError("", problem, "Write the scene to a file first.") from None
+        if error.errno == errno.EFBIG:
+            problem = f"the scene file {str(source)!r} is larger than {_LARGEST_FILE // 10**6} MB"
+            raise SceneError("", problem, "No scene needs so much text.") from None
+        raise
     return content.decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")
+
+
+def check_dotted(key: object) -> None:
+    """Refuse what is no dotted key.
+
+    Raises
+    ------
+    SceneError
+    """
+    if not isinstance(key, str) or not all(key.split(".")):
+        raise SceneError("", f"{shown(key)} is not a dotted key such as 'drag.viscosity'")
+    if key.count(".") >= DEEPEST:
+        raise SceneError("", f"{shown(key)} is no key of a scene: it has more than {DEEPEST} parts")
 
 
 def _change(entries: dict[str, Any], key: str, value: Any) -> None:
     """Set (or with None remove) one dotted key in a scene's dict."""
-    if not isinstance(key, str) or not all(key.split(".")):
-        raise SceneError("", f"{shown(key)} is not a dotted key such as 'drag.viscosity'")
+    check_dotted(key)
     spec = specs(Scene).get(key)
     if spec is not None and spec.shorthand and isinstance(value, str):
         key = f"{key}.{spec.shorthand}"

@@ -6,6 +6,7 @@ Pairs are listed by identity, read from a table in a file, or found among the ce
 from __future__ import annotations
 
 import csv
+import io
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.errors import SceneError
+from multicell.files import read_regular
 from multicell.schema import flag, joined, parameters, quantity, specs, text
 
 if TYPE_CHECKING:
@@ -99,10 +101,8 @@ def read_pairs(file: Path, path: str) -> list[list[int]]:
         With the line, for a file that cannot be read or is no such table.
     """
     try:
-        if file.stat().st_size > _MOST:
-            raise SceneError(path, f"{str(file)!r} is larger than {_MOST // 10**6} MB")
-        with file.open(encoding="utf-8-sig", newline="") as table:
-            return _rows(csv.DictReader(table), str(file), path)
+        text = read_regular(file, _MOST).decode("utf-8-sig")
+        return _rows(csv.DictReader(io.StringIO(text, newline="")), str(file), path)
     except (OSError, ValueError, csv.Error) as error:  # text that is not UTF-8, names with \0
         reason = getattr(error, "strerror", None) or error
         raise SceneError(path, f"{str(file)!r} cannot be read: {reason}") from None

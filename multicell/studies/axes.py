@@ -12,13 +12,14 @@ import itertools
 import json
 import math
 import re
-import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.errors import SceneError
+from multicell.files import parse_toml
 from multicell.studies.keys import Key, key_of
+from multicell.studies.limits import MOST_POINTS
 from multicell.units import shown
 
 if TYPE_CHECKING:
@@ -28,7 +29,6 @@ _NUMBER: Final = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _QUANTITY: Final = re.compile(rf"\s*({_NUMBER})\s*(.*?)\s*", re.DOTALL)
 _SPACED: Final = re.compile(rf"(log\s+)?({_NUMBER}):({_NUMBER}):(\d+)\s*(.*)")
 _RANGE: Final = re.compile(rf"(log\s+)?({_NUMBER}):({_NUMBER})\s*(.*)")
-_MOST_VALUES: Final = 100_000
 _MOST_CHECKED: Final = 100
 _FIRST: Final = ("contact.law",)
 """Keys that are set before others: those that decide which others there are."""
@@ -244,8 +244,8 @@ def _listed(key: Key, text: str) -> list[Any]:
 
 def _toml_list(key: Key, text: str) -> list[Any]:
     try:
-        value = tomllib.loads(f"value = {text}")["value"]
-    except (ValueError, RecursionError) as error:
+        value = parse_toml(f"value = {text}")["value"]
+    except ValueError as error:
         problem = f"has values that are not valid TOML: {shown(text)}"
         raise SceneError(key.name, problem, str(error)) from None
     return list(value)
@@ -272,9 +272,12 @@ def _with_unit(key: Key, items: list[str]) -> list[Any]:
 
 def _evenly(key: Key, match: re.Match[str]) -> list[Any]:
     """Return evenly spaced values, by ratio if ``log`` stands before them."""
-    log, count, unit = bool(match[1]), int(match[4]), match[5]
+    log, count, unit = bool(match[1]), int(match[4][:10]), match[5]
     low, high = float(match[2]), float(match[3])
-    if not 2 <= count <= _MOST_VALUES or not low < high or (log and low <= 0.0):
+    if len(match[4]) > 9 or count > MOST_POINTS:
+        problem = f"has more than {MOST_POINTS:,} values in {shown(match[0])}"
+        raise SceneError(key.name, problem, "Vary less.")
+    if count < 2 or not low < high or (log and low <= 0.0):
         hint = "Write 'low:high:count unit', the lower end first, with at least two values."
         raise SceneError(key.name, f"has the values {match[0]!r}, which are none", hint)
     shares = [k / (count - 1) for k in range(count)]
@@ -296,7 +299,7 @@ def is_numeric(key: Key) -> bool:
 def bare(text: str) -> Any:
     """Return the number, the truth value or the word that a text is."""
     try:
-        value = tomllib.loads(f"value = {text}")["value"]
+        value = parse_toml(f"value = {text}")["value"]
     except ValueError:
         return text
     return value if isinstance(value, bool | int | float | str) else text

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import heapq
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.errors import OutputError
-from multicell.results.folder import to_json, write_text
+from multicell.results.documents import read_table, write_table
+from multicell.studies.limits import forecast_step
 
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
@@ -87,6 +87,9 @@ def together(costs: Iterable[Cost], cores: int) -> StudyCost:
 def costs_of(plan: Plan, folder: Path | None = None) -> list[Cost]:
     """Return what a run of each point of a plan is expected to take.
 
+    It is predicted for some hundred points at most; others are expected to take what one beside
+    them does.
+
     Parameters
     ----------
     plan
@@ -96,10 +99,12 @@ def costs_of(plan: Plan, folder: Path | None = None) -> list[Cost]:
     known = {} if folder is None else _kept(folder / NAME)
     names = plan.names[:: plan.seeds]
     costs = [known.get(name) for name in names]
-    found = [
-        cost_of(scene) if cost is None else cost
-        for cost, scene in zip(costs, plan.scenes, strict=True)
-    ]
+    step = forecast_step(len(costs))
+    found: list[Cost] = []
+    for number, (cost, scene) in enumerate(zip(costs, plan.scenes, strict=True)):
+        if cost is None:
+            cost = found[-1] if number % step else cost_of(scene)
+        found.append(cost)
     if folder is not None and None in costs and folder.is_dir():
         _keep(folder / NAME, names, found)
     return found
@@ -108,15 +113,15 @@ def costs_of(plan: Plan, folder: Path | None = None) -> list[Cost]:
 def _kept(path: Path) -> dict[str, Cost]:
     """Return what was found before; nothing where that cannot be read: it is found again."""
     try:
-        entries: Any = json.loads(path.read_bytes())
+        entries: Mapping[str, Any] = read_table(path) or {}
         return {name: Cost(**{k: float(v) for k, v in e.items()}) for name, e in entries.items()}
-    except (OSError, ValueError, TypeError, AttributeError):
+    except (OutputError, ValueError, TypeError, AttributeError):
         return {}
 
 
 def _keep(path: Path, names: Sequence[str], costs: Sequence[Cost]) -> None:
     entries: Mapping[str, Any] = {n: asdict(c) for n, c in zip(names, costs, strict=True)}
     try:
-        write_text(path, to_json(entries) + "\n")
+        write_table(path, entries)
     except OutputError:
         return  # it only saves time

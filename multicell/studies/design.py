@@ -16,8 +16,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.errors import SceneError
+from multicell.files import read_regular
 from multicell.studies.axes import Axis, Range, named, parse_axis, parse_range
 from multicell.studies.keys import key_of
+from multicell.studies.limits import check_runs
 from multicell.units import shown
 
 if TYPE_CHECKING:
@@ -26,7 +28,8 @@ if TYPE_CHECKING:
 DESIGNS: Final = ("grid", "list", "lhs", "sobol")
 SAMPLED: Final = ("lhs", "sobol")
 """Designs that draw a number of points from ranges."""
-MOST_POINTS: Final = 100_000
+_LARGEST: Final = 20_000_000
+"""Bytes of a table of points: 1,000 for each of as many as there may be."""
 
 
 @final
@@ -185,10 +188,8 @@ def _check_lists(design: Design) -> None:
         _check_lengths(group)
     if design.kind == "list" and not design.axes:
         raise SceneError("points", "is empty", "A list needs a column for each key.")
-    count = math.prod(map(len, design.dimensions))
-    if count > MOST_POINTS:
-        hint = "Sample it (--design lhs or sobol), or vary less."
-        raise SceneError("vary", f"makes {count:,} points, must be at most {MOST_POINTS:,}", hint)
+    lengths = [len(columns[0].values)] if design.kind == "list" else map(len, design.dimensions)
+    check_runs(math.prod(lengths), 1, "points" if design.kind == "list" else "vary")
 
 
 def _check_lengths(group: Sequence[Axis]) -> None:
@@ -297,7 +298,7 @@ def read_points(path: str | Path, scene: Scene) -> tuple[Axis, ...]:
         a value that its key cannot have, with the line.
     """
     try:
-        text = Path(path).expanduser().read_text(encoding="utf-8-sig")
+        text = read_regular(Path(path).expanduser(), _LARGEST).decode("utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "it is not UTF-8 text"
         raise SceneError("points", f"'{path}' cannot be read: {reason}") from None

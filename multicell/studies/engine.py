@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 from multicell.errors import ClusterError, OutputError
 from multicell.interrupts import STEP
 from multicell.results.folder import file_errors, in_use
+from multicell.studies.limits import check_cores
 from multicell.studies.status import RunStatus, run_folder, status, write_note
 from multicell.studies.task import Outcome, Task, carried_out, settled, task
 from multicell.studies.workers import check_folder, own_cores, workers
@@ -120,6 +121,7 @@ def _carry_out(
     told: Callable[[Outcome], None],
 ) -> None:
     """Have workers do tasks, in their order."""
+    check_cores(cores)
     if scheduler is None and cores is None:
         cores = own_cores()
     most = None if cores is None else min(cores, len(tasks))

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Final, final
 import numpy as np
 
 from multicell.errors import MulticellError, SceneError
-from multicell.report.result import read_summary
+from multicell.results.documents import read_table
 from multicell.studies.cost import Cost, StudyCost, cost_of, together
+from multicell.studies.limits import forecast_step
 from multicell.studies.observed import continued, entry_of
 from multicell.studies.runs import Run, digest
 from multicell.studies.status import run_folder, status
@@ -93,19 +94,22 @@ def ensemble(
     known: dict[tuple[float, ...], list[Run]] = {}
     costs: dict[str, Cost] = {}
     points = []
-    for row in shares:
+    step, cost = forecast_step(len(shares)), None
+    for number, row in enumerate(shares):
         values = tuple(free.value(float(share)) for free, share in zip(ranges, row, strict=True))
         if values not in known:
             own = _at(scene, ranges, values)
             scenes = {digest(one): one for one in (replace(own, seed=seed) for seed in seeds)}
             there = folder is not None and all(_has_ended(folder, name) for name in scenes)
-            cost = Cost(0.0, 0.0, 0.0) if there else cost_of(own)
+            if not there and (cost is None or number % step == 0):
+                cost = cost_of(own)
+            expected = Cost(0.0, 0.0, 0.0) if there or cost is None else cost
             place = {free.name: value for free, value in zip(ranges, values, strict=True)}
             known[values] = [
-                Run(name, one, {**place, "seed": one.seed}, cost.seconds)
+                Run(name, one, {**place, "seed": one.seed}, expected.seconds)
                 for name, one in scenes.items()
             ]
-            costs |= dict.fromkeys(scenes, cost)
+            costs |= dict.fromkeys(scenes, expected)
         points.append(known[values])
     return Ensemble(points, costs)
 
@@ -196,7 +200,7 @@ def _read(place: Path, observables: Sequence[str]) -> _Read:
     from multicell.results.reader import Contents
 
     columns = Contents(place).history()
-    summary = read_summary(place / "summary.json") or {}
+    summary = read_table(place / "summary.json") or {}
     history = {name: continued(columns, name) for name in observables if name in columns}
     last = {
         name: float(history[name][-1]) if name in history else entry_of(summary, name)

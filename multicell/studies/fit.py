@@ -19,6 +19,7 @@ from multicell.studies.fitted import Fit
 from multicell.studies.fresh import CHECKS, MOST, USUAL
 from multicell.studies.hands import hands
 from multicell.studies.likelihood import LEAST
+from multicell.studies.limits import MOST_POINTS, MOST_RUNS, check_runs, check_seeds, whole
 from multicell.studies.problem import Problem, problem_of, ranges_of
 from multicell.studies.table_text import Table, read_table
 from multicell.units import to_base
@@ -210,14 +211,13 @@ def planned(
     if isinstance(scene, str | Path):
         scene = load_scene(scene)
     chosen(method, METHODS, "method")
-    _whole("seeds", seeds, 1)
-    _whole("repeats", repeats, LEAST)
-    if repeats > MOST:
-        raise SceneError("repeats", f"is {repeats}, must be at most {MOST}")
-    _whole("population", population, 10)
+    seeds = check_seeds(seeds, scene.seed)
+    whole("repeats", repeats, LEAST, MOST, "It is the number of runs with fresh seeds.")
+    whole("population", population, 10, MOST_POINTS, "It is the number of draws in a generation.")
     table = read_table(data)
     measured = read_data(table, scene, start=start, sd=sd)
     ranges = ranges_of(free, measured)
+    check_runs(len(measured.conditions), seeds)
     problem = problem_of(measured, ranges, seeds, scene.seed, simulator)
     fresh = _fresh_runs(method, repeats)
     points, draws, seconds = _budgeted(problem, method, budget, population, fresh)
@@ -227,11 +227,6 @@ def planned(
 def _fresh_runs(method: str, repeats: int) -> int:
     """Return how many runs of each condition have fresh seeds."""
     return repeats + (CHECKS if method == "best" else 0)
-
-
-def _whole(name: str, value: object, least: int) -> None:
-    if not isinstance(value, int) or isinstance(value, bool) or value < least:
-        raise SceneError(name, f"is {value!r}, must be a whole number of at least {least}")
 
 
 def _budgeted(
@@ -248,9 +243,9 @@ def _budgeted(
         if seconds <= 0.0:
             raise SceneError("budget", f"is {budget!r}, must be above 0")
         return 10 * points, 100 * draws, seconds
-    _whole("budget", budget, 1)
+    whole("budget", budget, 1, MOST_RUNS, "It is the number of runs in all.")
     conditions, each = len(problem.measured.conditions), len(problem.tasks())
-    whole, budget = budget, max(0, budget - fresh * conditions)
+    asked, budget = budget, max(0, budget - fresh * conditions)
     if method == "both":
         points = min(usual, int(budget * _SHARE) // each)
     elif method == "best":
@@ -260,7 +255,7 @@ def _budgeted(
     if method != "posterior" and points < _LEAST:
         of = "a third of " if method == "both" else ""
         words = (
-            f"is {whole} runs: {of}what {fresh * conditions} fresh runs leave tries {points} sets "
+            f"is {asked} runs: {of}what {fresh * conditions} fresh runs leave tries {points} sets "
             f"of parameters, {each} runs each"
         )
         raise SceneError("budget", words, f"It takes at least {_LEAST} sets.")

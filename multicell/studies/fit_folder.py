@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.errors import OutputError
+from multicell.results.documents import Lines, read_table, write_table
 from multicell.results.folder import (
-    file_errors,
     locked,
     make_folder,
     package_version,
@@ -92,7 +92,8 @@ def opened(
     if known is None or overwrite:
         make_folder(folder, overwrite=overwrite)
     elif known.get("digest") != name:
-        parts = known.get("problem", {})
+        problem_there = known.get("problem")
+        parts = problem_there if isinstance(problem_there, dict) else {}
         other = [key for key in problem if parts.get(key) != problem[key]]
         raise OutputError(
             f"'{folder}' holds another fit: {', '.join(other) or 'its version'} differ. Choose "
@@ -106,7 +107,7 @@ def opened(
             kept = with_copy(scene, folder)
             write_text(folder / "scene.toml", kept.to_toml(beside=folder))
             write_text(folder / "data.csv", _csv([table.titles, *table.rows]))
-            write_text(folder / FIT, to_json(entry) + "\n")  # the last: then all is there
+            write_table(folder / FIT, entry)  # the last: then all is there
         yield folder
 
 
@@ -120,9 +121,9 @@ def made(folder: str | Path, problem: Mapping[str, Any]) -> tuple[int, int, bool
     if known is None or known.get("digest") != digest(problem):
         return 0, 0, False
     log, database, journal = (folder / name for name in (SEARCH, "posterior.db", _JOURNAL))
-    with file_errors("read", folder):
-        runs = log.read_bytes().count(b'"reason"') if log.is_file() else 0
-        draws = journal.read_bytes().count(b"\n") if journal.is_file() else 0
+    attributes = [entry.get("user_attr", {}) for entry in Lines(log).entries]
+    runs = sum(isinstance(value, dict) for found in attributes for value in found.values())
+    draws = len(Lines(journal).entries)
     finished = False
     if database.is_file():
         with closing(sqlite3.connect(database)) as connection:
@@ -216,18 +217,10 @@ def write_result(fit: Fit, folder: Path) -> None:
 
 def _held(folder: Path) -> dict[str, Any] | None:
     """Return what a folder is a fit of, None where there is none."""
-    path = folder / FIT
-    with file_errors("read", path):
-        if not path.is_file():
-            return None
-        text = path.read_text(encoding="utf-8", errors="replace")
     try:
-        entry = json.loads(text)
-    except ValueError:
-        entry = None
-    if not isinstance(entry, dict):
-        raise OutputError(f"'{path}' is damaged: allow overwriting to begin anew")
-    return entry
+        return read_table(folder / FIT)
+    except OutputError as error:
+        raise OutputError(f"{error}. Allow overwriting to begin anew") from error
 
 
 def _csv(rows: Sequence[Sequence[Any]]) -> str:

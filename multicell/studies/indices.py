@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 import numpy as np
 
 from multicell.errors import SceneError
+from multicell.studies.limits import MOST_POINTS, whole
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -41,7 +42,6 @@ LEAST: Final = {"morris": 4, "sobol": 8}
 ENOUGH: Final = 6
 """Trajectories from which 95 % intervals of Morris cover as much."""
 USUAL: Final = {"morris": 10, "sobol": 64}
-_MOST: Final = {"morris": 100_000, "sobol": 2**20}
 _LEVELS: Final = 4  # of the grid of Morris
 _STEP: Final = _LEVELS / (2.0 * (_LEVELS - 1.0))  # of a parameter, in parts of its range
 _SAMPLE: Final = 20261  # seed of the sample: the same one for any size, so that one can be widened
@@ -120,8 +120,7 @@ def check_size(method: str, size: int) -> None:
     if size < LEAST[method]:
         problem = f"is {size}: too few {what} for an interval, must be at least {LEAST[method]}"
         raise SceneError("size", problem, f"{USUAL[method]} are usual.")
-    if size > _MOST[method]:
-        raise SceneError("size", f"is {size}, must be at most {_MOST[method]}")
+    whole("size", size, 1, MOST_POINTS, f"It is the number of {what}.")
     if method == "sobol" and size & (size - 1):
         lower = 1 << (size.bit_length() - 1)
         hint = f"Take {lower} or {2 * lower}."

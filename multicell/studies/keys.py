@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.errors import SceneError
 from multicell.scene.oxygen import in_concentrations
+from multicell.scene.scene import check_dotted
 from multicell.schema import Parameter, Tables, near_miss, specs
-from multicell.units import shown
 
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
@@ -102,8 +102,7 @@ def key_of(scene: Scene, name: str) -> Key:
         For a key that no scene or not this one has, that of a whole table, and one that cannot be
         varied.
     """
-    if not isinstance(name, str) or not all(name.split(".")):
-        raise SceneError("", f"{shown(name)} is not a dotted key such as 'drag.viscosity'")
+    check_dotted(name)
     if name in _NO_AXES:
         raise SceneError(name, f"cannot be varied: it {_NO_AXES[name]}")
     steps = name.split(".")

@@ -10,9 +10,7 @@ holds.
 
 from __future__ import annotations
 
-import json
 import math
-import os
 import random
 import time as clock
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -26,7 +24,7 @@ from pyabc.random_variables import DistributionBase
 from pyabc.sampler import Sampler
 
 from multicell.errors import OutputError
-from multicell.results.folder import file_errors, write_text
+from multicell.results.documents import Lines
 from multicell.studies.hands import Hands
 
 _AHEAD: Final = 2
@@ -72,6 +70,7 @@ class NumberedSampler(Sampler):  # type: ignore[misc]
         self._most = most
         self._deadline = deadline
         self._journal = journal
+        self._lines: Lines | None = None
         self._together = together
         self._progress = progress
         self.drawn = 0
@@ -134,29 +133,27 @@ class NumberedSampler(Sampler):  # type: ignore[misc]
 
     def _read(self, generation: int) -> dict[str, list[float]]:
         """Return what draws of a generation came to before it was stopped; forget earlier ones."""
-        if self._journal is None or not self._journal.exists():
+        if self._journal is None:
             return {}
-        with file_errors("read", self._journal):
-            data = self._journal.read_text(encoding="utf-8")
-        # what follows the last line break is half a line at most
-        entries = [_entry(line, self._journal) for line in data.split("\n")[:-1]]
+        self._lines = Lines(self._journal)
+        entries = [_checked(entry, self._journal) for entry in self._lines.entries]
         # the calibration is in no database before the generation after it
         kept = [e for e in entries if e["generation"] >= generation or generation <= 0]
-        if len(kept) < len(entries) or not data.endswith("\n"):
-            write_text(self._journal, "".join(json.dumps(e) + "\n" for e in kept))
+        if len(kept) < len(entries):
+            self._lines.replace(kept)
         return {e["key"]: e["z"] for e in kept if e["generation"] == generation}
 
     def _write(self, generation: int, particles: list[Any]) -> None:
         """Keep what some draws came to."""
-        if self._journal is None:
-            return
-        with file_errors("write", self._journal), self._journal.open("a", encoding="utf-8") as file:
-            for particle in particles:
-                entry = {"generation": generation, "key": particle.sum_stat["key"],
-                         "z": list(map(float, particle.sum_stat["z"]))}  # fmt: skip
-                file.write(json.dumps(entry) + "\n")
-            file.flush()
-            os.fsync(file.fileno())
+        if self._lines is not None:
+            self._lines.append(
+                {
+                    "generation": generation,
+                    "key": particle.sum_stat["key"],
+                    "z": list(map(float, particle.sum_stat["z"])),
+                }
+                for particle in particles
+            )
 
 
 @final
@@ -274,12 +271,8 @@ class Model:
         return {"z": found, "key": key}
 
 
-def _entry(line: str, journal: Path) -> dict[str, Any]:
-    """Return one line of a journal."""
-    try:
-        entry: dict[str, Any] = json.loads(line)
-        if {"generation", "key", "z"} <= set(entry):
-            return entry
-    except (ValueError, TypeError):
-        pass
+def _checked(entry: Any, journal: Path) -> dict[str, Any]:
+    """Return an entry of a journal, which has a generation, a key and numbers."""
+    if isinstance(entry, dict) and {"generation", "key", "z"} <= set(entry):
+        return entry
     raise OutputError(f"'{journal}' is damaged: remove it, and its draws are made again")

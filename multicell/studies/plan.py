@@ -9,19 +9,17 @@ from __future__ import annotations
 
 import json
 import re
-import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from numbers import Integral
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.errors import SceneError
+from multicell.files import parse_toml, read_regular
 from multicell.schema import near_miss
 from multicell.studies.axes import Axis, Range, changed
 from multicell.studies.design import (
-    MOST_POINTS,
     SAMPLED,
     Design,
     Point,
@@ -29,6 +27,7 @@ from multicell.studies.design import (
     parse_varied,
     read_points,
 )
+from multicell.studies.limits import MOST_POINTS, check_runs, check_seeds, whole
 from multicell.studies.meaning import refuse_needless
 from multicell.studies.runs import Run, digest
 from multicell.units import BASE_UNITS, shown, to_base
@@ -38,8 +37,8 @@ if TYPE_CHECKING:
 
 NAME: Final = "study.toml"
 SCENE: Final = "scene.toml"
-MOST_SEEDS: Final = 100_000
-MOST_RUNS: Final = 1_000_000
+_LARGEST: Final = 20_000_000
+"""Bytes of study.toml: 1,000 for each of as many points as there may be."""
 _KEYS: Final = (
     "scene", "seeds", "design", "size", "sample_seed", "every", "integrator", "vary", "zip",
     "points",
@@ -152,13 +151,7 @@ class Plan:
 
 def _check_counts(plan: Plan) -> None:
     """Refuse numbers of seeds, and times between rows, that are none."""
-    seeds = plan.seeds
-    count = seeds * len(plan.design.points)
-    if count > MOST_RUNS:
-        raise SceneError("seeds", f"makes {count:,} runs, must be at most {MOST_RUNS:,}")
-    if plan.scene.seed + seeds - 1 >= 2**63:
-        problem = f"is {seeds}: beginning with the scene's seed {plan.scene.seed} they end too high"
-        raise SceneError("seeds", problem, "Let the scene begin with a smaller seed.")
+    check_runs(len(plan.design.points), check_seeds(plan.seeds, plan.scene.seed))
     if plan.every is not None and not plan.every > 0.0:
         raise SceneError("every", f"is {plan.every:g} s, must be above 0 s")
 
@@ -221,26 +214,17 @@ def make_plan(
         axes=axes,
         zipped=tuple(_group(group, scene) for group in groups),
         size=_size(size, design),
-        sample_seed=_whole("sample_seed", sample_seed, 0, 2**63 - 1),
+        sample_seed=whole("sample_seed", sample_seed, 0, 2**63 - 1),
     )
     rows = None if every is None else to_base(every, "s", "every")
-    seeds = _whole("seeds", seeds, 1, MOST_SEEDS, "It is the number of runs of each point.")
+    seeds = check_seeds(seeds, scene.seed)
     return Plan(scene, made, seeds, rows, integrator)
-
-
-def _whole(name: str, value: Any, least: int, most: int, hint: str = "") -> int:
-    """Return a whole number between two others."""
-    whole = isinstance(value, Integral) and not isinstance(value, bool)
-    if not whole or not least <= int(value) <= most:
-        problem = f"is {shown(value)}, must be a whole number from {least} to {most}"
-        raise SceneError(name, problem, hint)
-    return int(value)
 
 
 def _size(size: int | None, design: str) -> int:
     """Return the number of points of a sample; 0 for other designs."""
     if size is not None:
-        return _whole("size", size, 1, MOST_POINTS, "It is the number of points of a sample.")
+        return whole("size", size, 1, MOST_POINTS, "It is the number of points of a sample.")
     if design in SAMPLED:
         problem = f"is missing: a design of kind '{design}' draws as many points"
         raise SceneError("size", problem, "Give --size, or size in study.toml.")
@@ -370,7 +354,7 @@ def _check_method(named: Any, given: str, path: Path) -> None:
 
 def _entries(path: Path) -> dict[str, Any]:
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_regular(path, _LARGEST).decode("utf-8").replace("\r\n", "\n")
     except FileNotFoundError:
         hint = "'multicell study new SCENE -o FOLDER' makes one."
         raise SceneError("", f"'{path.parent}' holds no study: there is no {NAME}", hint) from None
@@ -378,8 +362,8 @@ def _entries(path: Path) -> dict[str, Any]:
         reason = getattr(error, "strerror", None) or "it is not UTF-8 text"
         raise SceneError("", f"'{path}' cannot be read: {reason}") from None
     try:
-        return tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
+        return parse_toml(text)
+    except ValueError as error:
         said = f"'{path}' is not valid TOML: {error}"
         hint = "A key may stand there once." if "overwrite" in str(error) else ""
         raise SceneError("", said, hint) from None

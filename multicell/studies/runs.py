@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.errors import SceneError
+from multicell.files import read_regular
 from multicell.plugins import origin
 from multicell.schema import Tables, specs
 
@@ -23,6 +24,7 @@ Runs that were made with another number are computed again. ``tests/studies/test
 holds observables of short runs beside it.
 """
 
+_LARGEST: Final = 10_000_000  # bytes of the file of a method of the user's own
 _LENGTH: Final = 24  # hexadecimal digits of a name: a clash is expected after 3e14 runs
 _ORDERED: Final = (
     "chemotaxis", "forces", "motions", "nutrients", "reactions", "regions", "sources", "springs",
@@ -126,7 +128,7 @@ def _of_file(spec: str) -> str:
     """Return a text that changes with the name in a file and with the text of that file."""
     file, _, name = spec.rpartition(":")
     try:
-        text = Path(file).expanduser().read_bytes()
+        text = read_regular(Path(file).expanduser(), _LARGEST)
     except OSError as error:
         problem = f"'{file}' cannot be read: {error.strerror}"
         hint = "What is typed in at a prompt has no file that other processes could load."

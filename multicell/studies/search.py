@@ -17,6 +17,7 @@ import time as clock
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, final
@@ -25,7 +26,7 @@ import numpy as np
 
 from multicell.errors import FitFailed, OutputError
 from multicell.extras import needs
-from multicell.results.folder import file_errors, write_bytes
+from multicell.results.documents import Lines
 from multicell.studies.distance import Array, Misfit
 from multicell.studies.emulator import FEW, Emulator, best_of, draws, emulator
 from multicell.studies.hands import Hands
@@ -328,23 +329,28 @@ def _study(path: Path | None) -> Any:
     """Return Optuna's study, from a file if there is one; that is locked by the caller."""
     import optuna
     from optuna.storages import JournalStorage
-    from optuna.storages.journal import JournalFileBackend
+    from optuna.storages.journal import BaseJournalBackend
+
+    class Checked(BaseJournalBackend):
+        """Optuna's log in lines with checksums; one process at a time has it."""
+
+        def __init__(self, lines: Lines) -> None:
+            self._lines = lines
+
+        def read_logs(self, log_number_from: int) -> list[Any]:
+            return deepcopy(self._lines.entries[log_number_from:])
+
+        def append_logs(self, logs: list[dict[str, Any]]) -> None:
+            self._lines.append(logs)
 
     if path is None:
         return optuna.create_study(study_name="fit")
-    with file_errors("use", path):
-        if path.exists():
-            # a process that is killed can leave half a line, which Optuna would write on, and a
-            # lock, for which it would wait
-            data = path.read_bytes()
-            if not data.endswith(b"\n"):
-                write_bytes(path, data[: data.rfind(b"\n") + 1])
-        path.with_name(path.name + ".lock").unlink(missing_ok=True)
-        try:
-            storage = JournalStorage(JournalFileBackend(str(path)))
-            return optuna.create_study(storage=storage, study_name="fit", load_if_exists=True)
-        except (ValueError, KeyError) as error:
-            raise OutputError(f"'{path}' is damaged: {error}") from error
+    lines = Lines(path)
+    try:
+        storage = JournalStorage(Checked(lines))
+        return optuna.create_study(storage=storage, study_name="fit", load_if_exists=True)
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise OutputError(f"'{path}' is damaged: {error}") from error
 
 
 def _note(trial: Any, condition: int, seed: int, reading: Reading) -> None:

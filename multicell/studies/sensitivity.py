@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 
 from multicell.errors import OutputError, SceneError
 from multicell.extras import needs
+from multicell.files import parse_toml, read_regular
 from multicell.results.folder import file_errors, write_text
 from multicell.results.quantities import known_unit
 from multicell.studies.axes import Range, check_axes, named, parse_range
@@ -22,9 +24,11 @@ from multicell.studies.indices import (
     Analysis,
     Index,
     analysed,
+    block,
     check_size,
     sample,
 )
+from multicell.studies.limits import check_runs, check_seeds
 from multicell.studies.observed import at_the_end, in_history, likely
 from multicell.studies.sensitivity_result import COLUMNS, Row, Sensitivity
 
@@ -33,6 +37,8 @@ if TYPE_CHECKING:
     from multicell.studies.runs import Run
     from multicell.studies.task import Outcome
 
+_LARGEST: Final = 20_000_000
+"""Bytes of the file that says what is asked: twice those of the largest scene."""
 PLAN: Final = "sensitivity.toml"
 """File in the folder that says what is asked there."""
 
@@ -164,6 +170,7 @@ def planned(
     ranges = ranges_of(described, free)
     chosen = observables_of(described, observables)
     own = seeds_of(described, seeds)
+    check_runs(size * block(method, len(ranges)), len(own), "size")
     shares = sample(method, [one.name for one in ranges], size)
     folder = None if output is None else Path(output)
     found = ensemble(described, ranges, shares, own, folder)
@@ -289,11 +296,9 @@ def seeds_of(scene: Scene, count: int) -> tuple[int, ...]:
     Raises
     ------
     SceneError
-        For less than one.
+        For less than one, or too many.
     """
-    if isinstance(count, bool) or not isinstance(count, int) or count < 1:
-        raise SceneError("seeds", f"is {count!r}, must be a whole number of at least 1")
-    return tuple(range(scene.seed, scene.seed + count))
+    return tuple(range(scene.seed, scene.seed + check_seeds(count, scene.seed)))
 
 
 def _scene(scene: Scene | str | Path) -> Scene:
@@ -310,8 +315,6 @@ def prepare(plan: SensitivityPlan, output: str | Path, *, overwrite: bool = Fals
     OutputError
         If it holds something else, or cannot be used.
     """
-    import tomllib
-
     import tomli_w
 
     folder = Path(output)
@@ -325,7 +328,7 @@ def prepare(plan: SensitivityPlan, output: str | Path, *, overwrite: bool = Fals
         if folder.exists() and not folder.is_dir():
             raise OutputError(f"output '{folder}' is a file, not a folder")
         folder.mkdir(parents=True, exist_ok=True)
-        before = path.read_text("utf-8") if path.is_file() else None
+        before = read_regular(path, _LARGEST) if os.path.lexists(path) else None
         held = sorted(entry.name for entry in folder.iterdir())
     if before is None and held:
         raise OutputError(
@@ -333,7 +336,7 @@ def prepare(plan: SensitivityPlan, output: str | Path, *, overwrite: bool = Fals
             "sensitivity: choose another folder"
         )
     try:
-        same = before is None or tomllib.loads(before) == tomllib.loads(tomli_w.dumps(asked))
+        same = before is None or parse_toml(before.decode()) == parse_toml(tomli_w.dumps(asked))
     except ValueError:
         same = False
     if not same and not overwrite:

@@ -18,7 +18,6 @@ however many processes work on it. A run is
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -26,9 +25,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, final
 
 from multicell.errors import MulticellError, OutputError
-from multicell.report.result import read_summary
 from multicell.results import hdf5, journal
-from multicell.results.folder import file_errors, in_use, to_json, write_text
+from multicell.results.documents import read_table, write_table
+from multicell.results.folder import in_use
 from multicell.scene.scene import load_scene
 from multicell.studies.runs import digest
 
@@ -154,7 +153,7 @@ def _done(name: str, place: Path, integrator: str) -> RunStatus | None:
 
 def _read_done(name: str, place: Path, integrator: str) -> RunStatus | None:
     """Return the state of a run that has come to its end, from its files."""
-    summary = read_summary(place / "summary.json")
+    summary = read_table(place / "summary.json")
     if summary is None or summary.get("interrupted"):
         return None
     hdf5.check_whole(place / hdf5.NAME)
@@ -200,18 +199,7 @@ def read_note(place: Path) -> Mapping[str, Any] | None:
     OutputError
         If that cannot be read.
     """
-    path = place / NOTE
-    with file_errors("read", path):
-        if not path.is_file():
-            return None
-        text = path.read_bytes()
-    try:
-        note = json.loads(text)
-    except ValueError as error:
-        raise OutputError(f"'{path}' is damaged: {error}") from None
-    if not isinstance(note, dict):
-        raise OutputError(f"'{path}' is damaged: it holds no table")
-    return note
+    return read_table(place / NOTE)
 
 
 def write_note(place: Path, reason: str, kind: Kind) -> None:
@@ -222,4 +210,4 @@ def write_note(place: Path, reason: str, kind: Kind) -> None:
     OutputError
         If that cannot be written.
     """
-    write_text(place / NOTE, to_json({"reason": reason, "kind": kind}) + "\n")
+    write_table(place / NOTE, {"reason": reason, "kind": kind})

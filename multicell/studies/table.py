@@ -12,6 +12,7 @@ import json
 import os
 import shlex
 import sys
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -21,8 +22,9 @@ from numpy.typing import NDArray
 
 from multicell.errors import OutputError
 from multicell.extras import needs
-from multicell.report.result import read_summary
+from multicell.results.documents import read_table
 from multicell.results.folder import file_errors, put_in_place, sync_file, versions
+from multicell.results.hdf5 import check_contained
 from multicell.results.quantities import known_unit
 from multicell.studies.runs import MODEL_VERSION, digest
 
@@ -34,6 +36,8 @@ if TYPE_CHECKING:
 
 NAME: Final = "study.nc"
 FORMAT: Final = 1
+_LARGEST: Final = 1 << 32  # bytes of a file
+_NOT_CHECKED: Final = ("command", "digest")
 _TEXTS: Final = ("state", "reason", "run")
 _SKIPPED: Final = ("units", "versions", "title", "notes", "seed")
 _RENAMED: Final = {"time": "end_time"}
@@ -160,7 +164,7 @@ def _read(
 
     place = folder / "runs" / name
     history = Contents(place).history()
-    summary = read_summary(place / "summary.json")
+    summary = read_table(place / "summary.json")
     if summary is None or "time" not in history:
         raise OutputError(f"'{place}' holds no results of a run that is done")
     rows = {
@@ -289,7 +293,8 @@ def save(table: xarray.Dataset, path: Path) -> None:
     }
     with file_errors("write", path):
         try:
-            table.to_netcdf(part, engine="h5netcdf", encoding=packed)
+            sealed = table.assign_attrs(digest=checksum(table))
+            sealed.to_netcdf(part, engine="h5netcdf", encoding=packed)
             sync_file(part)
             put_in_place(part, path)
         finally:
@@ -301,13 +306,31 @@ def load(path: Path) -> xarray.Dataset | None:
     needs("xarray", "h5netcdf")
     import xarray
 
-    if not path.is_file():
+    if not path.is_file() or path.stat().st_size > _LARGEST:
         return None
     try:
+        check_contained(path)
         with xarray.open_dataset(path, engine="h5netcdf") as stored:
-            return stored.load()
-    except (OSError, ValueError, KeyError, RuntimeError):
-        return None  # it is made again from the runs
+            table = stored.load()
+        right = table.attrs.pop("digest", None) == checksum(table)
+    except Exception:  # almost any kind, where a file is damaged: it is made again from the runs
+        return None
+    return table if right else None
+
+
+def checksum(table: xarray.Dataset) -> str:
+    """Return a checksum of all that a table holds, but for the command that made it."""
+    value = 0
+    for name in sorted(map(str, table.variables)):
+        variable = table[name]
+        about = {"name": name, "dims": list(map(str, variable.dims)), "units": variable.attrs}
+        value = zlib.crc32(json.dumps(about, sort_keys=True, default=str).encode(), value)
+        values = np.asarray(variable.values)
+        plain = values.dtype.kind in "iuf"
+        data = np.ascontiguousarray(values, dtype="<f8" if values.dtype.kind == "f" else None)
+        value = zlib.crc32(data.tobytes() if plain else json.dumps(values.tolist()).encode(), value)
+    known = {key: str(text) for key, text in table.attrs.items() if key not in _NOT_CHECKED}
+    return f"{zlib.crc32(json.dumps(known, sort_keys=True).encode(), value):08x}"
 
 
 def write_csv(table: xarray.Dataset, path: Path) -> None:

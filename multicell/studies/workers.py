@@ -14,9 +14,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from multicell import __version__
-from multicell.errors import ClusterError, SceneError
+from multicell.errors import ClusterError
 from multicell.extras import needs
 from multicell.results.folder import file_errors, versions
+from multicell.studies.limits import check_cores
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -25,7 +26,7 @@ ANSWER: Final = 5.0
 """Time in s within which a scheduler must answer."""
 
 _STARTS: Final = 3  # attempts to start worker processes
-_SET_BY_DASK: Final = ("PYTHONHASHSEED", "__DASK_PARENT_PID")
+_SET_BY_DASK: Final = ("PYTHONHASHSEED", "__DASK_PARENT_PID", "PYTHONSAFEPATH")
 _QUIET: Final = ("asyncio", "distributed", "tornado")  # loggers
 _SETTINGS: Final[dict[str, Any]] = {
     # runs hold the interpreter for whole coupling steps, so nothing may be concluded from silence
@@ -46,14 +47,20 @@ _SETTINGS: Final[dict[str, Any]] = {
     "distributed.worker.memory.monitor-interval": "500ms",
     "distributed.admin.tick.interval": "1s",
     "distributed.admin.system-monitor.interval": "5s",
+    # Dask's pages ask nobody who they are: what listens for a moment has nothing to show
+    "distributed.scheduler.http.routes": [],
+    "distributed.worker.http.routes": [],
     # processes that start again while the study ends have nothing to tell the user
     "logging": dict.fromkeys((*_QUIET, "distributed.client", "tornado.application"), "critical"),
 }  # fmt: skip
 
 
 @contextmanager
-def workers(cores: int | None, scheduler: str | None) -> Iterator[Client]:
+def workers(cores: int | None, scheduler: Any) -> Iterator[Client]:
     """Yield a Dask client whose workers can run scenes.
+
+    Workers on this machine talk to this process alone: each connection is encrypted and asks for a
+    certificate that is made for this call and kept in memory and in folders of this user.
 
     Parameters
     ----------
@@ -61,21 +68,21 @@ def workers(cores: int | None, scheduler: str | None) -> Iterator[Client]:
         Number of worker processes on this machine, by default one for each core that this process
         may use; each has one thread. Not for a ``scheduler``, which has its own workers.
     scheduler
-        Address of the scheduler of a cluster, such as ``"tcp://10.0.0.7:8786"``.
+        Address of the scheduler of a cluster, such as ``"tls://10.0.0.7:8786"``, or a cluster of
+        Dask's (as of dask-jobqueue), whose certificates are used too.
 
     Raises
     ------
     SceneError
-        For a number of cores that is none.
+        For a number of cores that is none or more than a machine has.
     MissingPackage
         If Dask is not installed.
     ClusterError
         If the scheduler does not answer, has no workers, or some of them cannot run the scenes as
         this process would: without multicell, with other versions, or several threads to a process.
     """
-    if cores is not None and cores < 1:
-        raise SceneError("cores", f"is {cores}, must be at least 1")
-    needs("dask", "distributed")
+    check_cores(cores)
+    needs("dask", "distributed", *(("cryptography",) if scheduler is None else ()))
     import dask
     from distributed import Client
 
@@ -84,10 +91,12 @@ def workers(cores: int | None, scheduler: str | None) -> Iterator[Client]:
             stack.enter_context(dask.config.set(_SETTINGS))
         stack.enter_context(_silence())
         place = stack.enter_context(_local(cores)) if scheduler is None else scheduler
-        client = _client(Client, place)
+        address = getattr(scheduler, "scheduler_address", scheduler)
+        security = None if scheduler is None else getattr(scheduler, "security", None)
+        client = _client(Client, place if scheduler is None else address, security)
         stack.callback(_close, client)
         if scheduler is not None:
-            _check(client, scheduler)
+            _check(client, address)
         yield client
 
 
@@ -96,6 +105,7 @@ def _local(cores: int | None) -> Iterator[Any]:
     """Yield a cluster of processes of this machine, which end with this one."""
     environment = dict(os.environ)
     with _without_main():
+        os.environ["PYTHONSAFEPATH"] = "1"  # or they would begin with modules of this folder
         cluster = _started(cores or own_cores())
         try:
             yield cluster
@@ -114,18 +124,23 @@ def _started(count: int) -> Any:
     import distributed
 
     local: Any = distributed.LocalCluster
+    certificates: Any = distributed.Security
     for left in reversed(range(_STARTS)):
         try:
             with _without_interrupts():
-                return local(
+                cluster = local(
                     n_workers=count,
                     threads_per_worker=1,
                     processes=True,
+                    # other users of this machine must not have code run
+                    security=certificates.temporary(),
                     dashboard_address="127.0.0.1:0",  # any free port, and no pages there
                     scheduler_kwargs={"dashboard": False},
                     scheduler_sync_interval=5,
                     silence_logs=logging.CRITICAL,
                 )
+                cluster.sync(_stop_pages, cluster.scheduler)
+                return cluster
         except Exception as error:  # one of them may have been killed
             if not left:
                 raise ClusterError(
@@ -133,6 +148,11 @@ def _started(count: int) -> Any:
                     "There may be too little memory for them: use fewer cores. Nothing has run",
                 ) from error
     raise AssertionError("unreachable")
+
+
+async def _stop_pages(server: Any) -> None:
+    """Close the port of the pages of a scheduler or worker, which asks for no certificate."""
+    server.http_server.stop()
 
 
 @contextmanager
@@ -186,11 +206,13 @@ def _silence() -> Iterator[None]:
             logger.setLevel(level)
 
 
-def _client(kind: type[Client], place: Any) -> Client:
+def _client(kind: type[Client], place: Any, security: Any = None) -> Client:
     """Return a client of a cluster or of an address."""
     client = kind.__new__(kind)
     try:
-        client.__init__(place, timeout=ANSWER, set_as_default=False)  # type: ignore[misc]
+        client.__init__(  # type: ignore[misc]
+            place, timeout=ANSWER, set_as_default=False, security=security
+        )
         return client
     except Exception as error:
         _give_up(client)
@@ -314,11 +336,13 @@ def _sees(path: str) -> str:
     return ""
 
 
-def dask_setup(worker: object) -> None:
+async def dask_setup(worker: Any) -> None:
     """Load in a worker what all runs need, and let it end with the process that started it.
 
     Dask calls this where the module is named as a preload.
     """
+    if worker.security.require_encryption:
+        await _stop_pages(worker)
     import multicell.results.writer
     import multicell.runner  # noqa: F401
 

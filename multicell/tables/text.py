@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from multicell.errors import DataError
+from multicell.files import read_regular
 
 Row = tuple[int, list[str]]
 """Number of a row's (last) line in the file, and its fields without blanks around them."""
@@ -29,11 +30,9 @@ def read_bytes(path: Path, largest: int) -> bytes:
         If there is no such file, it is too large or cannot be read.
     """
     try:
-        if not path.is_file():
-            raise DataError(str(path), "is no file" if path.exists() else "does not exist")
-        if path.stat().st_size > largest:
-            raise DataError(str(path), f"is larger than {largest // 10**6:,} MB")
-        return path.read_bytes()
+        return read_regular(path, largest)
+    except FileNotFoundError:
+        raise DataError(str(path), "does not exist") from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise DataError(str(path), f"cannot be read: {reason}") from None

@@ -30,7 +30,8 @@ def test_jobs_have_one_process_a_core_with_one_thread(tmp_path, monkeypatch, cap
 
 
 SBATCH = """#!/bin/sh
-setsid sh "$1" >/dev/null 2>&1 &
+exec 3<"$1"  # it is removed as soon as this ends
+setsid sh <&3 >/dev/null 2>&1 &
 echo "Submitted batch job $!"
 """
 SCANCEL = """#!/bin/sh

@@ -14,6 +14,7 @@ from multicell import OutputError
 from multicell.results.quantities import known_unit
 from multicell.studies import table
 from multicell.studies.status import write_note
+from multicell.studies.table import checksum as checksum_of
 
 BASE = mc.load_scene("growth").with_changes(SHORT)
 VARY = {"cells.young": "1,2 kPa", "duration": "12,20 h"}
@@ -100,7 +101,9 @@ def _toml(text):
 
 def test_the_file_holds_the_table(study, found):
     with xr.open_dataset(study.folder / "study.nc", engine="h5netcdf") as stored:
-        assert stored.load().identical(found)
+        table = stored.load()
+    assert table.attrs.pop("digest") == checksum_of(found)
+    assert table.identical(found)
 
 
 def test_the_frame_and_the_csv_hold_the_table(study, found, tmp_path):

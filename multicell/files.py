@@ -1,0 +1,74 @@
+"""Files and texts of others, read at a bounded cost: whatever stands there, the answer is soon."""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+import stat
+from pathlib import Path
+from typing import Any, Final
+
+DEEPEST: Final = 20
+"""Parts of a dotted key of TOML; those of a scene have at most seven."""
+
+_NAME: Final = (
+    r"""(?:"{3}(?:[^"\\]|\\.|"(?!""))*+(?:"{3})?"""
+    r"""|'{3}(?:[^']|'(?!''))*+(?:'{3})?"""
+    r"""|"(?:[^"\\\n]|\\.)*+"?|'[^'\n]*+'?|[A-Za-z0-9_-]++)"""
+)
+_DEEP: Final = re.compile(
+    rf"(?P<deep>{_NAME}(?:[ \t]*+\.[ \t]*+{_NAME}){{{DEEPEST}}})|{_NAME}|\#[^\n]*+", re.DOTALL
+)
+"""Finds keys, texts and remarks one after another, each once; too many parts as ``deep``."""
+
+
+def read_regular(path: Path, largest: int) -> bytes:
+    """Return the content of a regular file.
+
+    Parameters
+    ----------
+    path
+        The file. A link to one is one; a pipe or a device, which may never end, is none.
+    largest
+        Number of bytes that it may have.
+
+    Raises
+    ------
+    OSError
+        If it is missing, something else or larger, or cannot be read; ``strerror`` says which.
+    """
+    flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+    descriptor = os.open(path, flags)
+    with os.fdopen(descriptor, "rb") as file:
+        about = os.fstat(descriptor)
+        if stat.S_ISDIR(about.st_mode):
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+        if not stat.S_ISREG(about.st_mode):
+            raise OSError(errno.EINVAL, "it is no regular file", str(path))
+        content = file.read(largest + 1) if about.st_size <= largest else None
+    if content is None or len(content) > largest:
+        size = f"{largest // 10**6:,} MB" if largest >= 10**6 else f"{largest:,} bytes"
+        raise OSError(errno.EFBIG, f"it is larger than {size}", str(path))
+    return content
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Return the table that a TOML text describes.
+
+    Raises
+    ------
+    ValueError
+        With words: for text that is no TOML, and for keys of more parts than any of ours, before
+        Python's parser sees them, whose time and memory grow with the square of their number.
+    """
+    import tomllib
+
+    for found in _DEEP.finditer(text):
+        if found["deep"]:
+            line = text.count("\n", 0, found.start()) + 1
+            raise ValueError(f"a key has more than {DEEPEST} parts (at line {line})")
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None

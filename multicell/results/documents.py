@@ -1,0 +1,169 @@
+"""Small files that are read again: tables in JSON and lines of them, each with its checksum.
+
+A checksum tells an edit, a cut and a flipped bit from what was written; files are regular ones of a
+bounded size and depth, or an error in words.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import zlib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, Final, final
+
+from multicell.errors import OutputError
+from multicell.files import read_regular
+from multicell.results.folder import file_errors, to_json, write_bytes, write_text
+from multicell.results.records import parse_table
+
+_CHECKSUM: Final = "checksum"
+_LARGEST: Final = 1 << 26
+_LARGEST_LINES: Final = 1 << 30
+
+
+def _checksum(table: Mapping[str, Any]) -> str:
+    text = json.dumps(table, sort_keys=True, separators=(",", ":"))
+    return f"{zlib.crc32(text.encode()):08x}"
+
+
+def write_table(path: Path, table: Mapping[str, Any]) -> None:
+    """Write a table with its checksum, so that the file is either the old one or complete.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be written.
+    """
+    plain: dict[str, Any] = json.loads(to_json(table))
+    write_text(path, to_json({**plain, _CHECKSUM: _checksum(plain)}) + "\n")
+
+
+def read_table(path: Path) -> dict[str, Any] | None:
+    """Return the table that was written to a file; None where there is no file.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be read, or is not what was written.
+    """
+    with file_errors("read", path):
+        try:
+            text = read_regular(path, _LARGEST)
+        except FileNotFoundError:
+            if path.is_symlink():
+                raise
+            return None
+    try:
+        table = parse_table(text)
+    except OutputError as error:
+        raise OutputError(f"'{path}' is damaged: {error}") from error
+    if table.pop(_CHECKSUM, None) != _checksum(table):
+        raise OutputError(f"'{path}' is damaged: it is not what was written there")
+    return table
+
+
+def write_summary(folder: str | Path, summary: Mapping[str, Any]) -> Path:
+    """Write ``summary.json`` and return its path.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be written.
+    """
+    path = Path(folder) / "summary.json"
+    write_table(path, summary)
+    return path
+
+
+@final
+class Lines:
+    """A file of JSON entries, one a line, each with a checksum of it and of all before it.
+
+    No line can be missing, changed or in the place of another. A line that the file ends in the
+    middle of was being written when its process was killed, and does not count.
+
+    Parameters
+    ----------
+    path
+        Its file, which need not be there.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be read, or is not what was written.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._chain = 0
+        self.entries: list[Any] = []
+        with file_errors("read", path):
+            try:
+                data = read_regular(path, _LARGEST_LINES)
+            except FileNotFoundError:
+                if path.is_symlink():
+                    raise
+                data = b""
+        self._end = data.rfind(b"\n") + 1
+        for number, line in enumerate(data[: self._end].split(b"\n")[:-1], start=1):
+            self.entries.append(self._entry(line, number))
+
+    def _entry(self, line: bytes, number: int) -> Any:
+        chain, text = line[:8], line[9:]
+        self._chain = zlib.crc32(text, self._chain)
+        if chain == f"{self._chain:08x}".encode():
+            try:
+                return json.loads(text)
+            except (ValueError, RecursionError):
+                pass
+        raise OutputError(
+            f"'{self._path}' is damaged in line {number}: it is not what was written there. "
+            "Remove it to begin anew"
+        )
+
+    def append(self, entries: Iterable[Any]) -> None:
+        """Add entries at the end.
+
+        Raises
+        ------
+        OutputError
+            If they cannot be written.
+        """
+        entries = list(entries)
+        data, chain = _joined(entries, self._chain)
+        flags = os.O_WRONLY | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
+        with file_errors("write", self._path):
+            descriptor = os.open(self._path, flags, 0o666)
+            with os.fdopen(descriptor, "wb") as file:
+                file.truncate(self._end)  # what a write left that did not come to its end
+                file.seek(self._end)
+                file.write(data)
+                file.flush()
+                os.fsync(descriptor)
+        self._end, self._chain = self._end + len(data), chain
+        self.entries += entries
+
+    def replace(self, entries: Iterable[Any]) -> None:
+        """Keep these entries only, so that the file is either the old one or complete.
+
+        Raises
+        ------
+        OutputError
+            If they cannot be written.
+        """
+        kept = list(entries)
+        data, chain = _joined(kept, 0)
+        write_bytes(self._path, data)
+        self.entries, self._end, self._chain = kept, len(data), chain
+
+
+def _joined(entries: Iterable[Any], chain: int) -> tuple[bytes, int]:
+    """Return lines of entries, and the checksum of the last of them."""
+    lines = []
+    for entry in entries:
+        text = json.dumps(entry, separators=(",", ":")).encode()
+        chain = zlib.crc32(text, chain)
+        lines.append(f"{chain:08x} ".encode() + text + b"\n")
+    return b"".join(lines), chain

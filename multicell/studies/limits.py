@@ -1,0 +1,81 @@
+"""How many points, seeds and runs a study, a fit or an analysis may have: one limit for all."""
+
+from __future__ import annotations
+
+import os
+from numbers import Integral
+from typing import Any, Final
+
+from multicell.errors import SceneError
+from multicell.units import shown
+
+MOST_POINTS: Final = 20_000
+"""Sets of parameters. The scene of each one is checked beforehand, which takes about 2 ms."""
+MOST_SEEDS: Final = 20_000
+MOST_RUNS: Final = 100_000
+MOST_FORECASTS: Final = 300
+"""Points whose cost is predicted, at about 15 ms each; others are expected to cost as much as one
+of these."""
+
+
+def whole(name: str, value: Any, least: int, most: int, hint: str = "") -> int:
+    """Return a whole number between two others.
+
+    Raises
+    ------
+    SceneError
+        If it is none.
+    """
+    fits = isinstance(value, Integral) and not isinstance(value, bool)
+    if not fits or not least <= int(value) <= most:
+        problem = f"is {shown(value)}, must be a whole number from {least:,} to {most:,}"
+        raise SceneError(name, problem, hint)
+    return int(value)
+
+
+def check_seeds(seeds: Any, first: int) -> int:
+    """Return a number of runs of each point, whose seeds begin with a scene's.
+
+    Raises
+    ------
+    SceneError
+        If it is none or too many, or the seeds end too high.
+    """
+    count = whole("seeds", seeds, 1, MOST_SEEDS, "It is the number of runs of each point.")
+    if first + count - 1 >= 2**63:
+        problem = f"is {count}: beginning with the scene's seed {first} they end too high"
+        raise SceneError("seeds", problem, "Let the scene begin with a smaller seed.")
+    return count
+
+
+def check_runs(points: int, seeds: int, name: str = "seeds") -> None:
+    """Refuse too many points, or too many runs of them.
+
+    Raises
+    ------
+    SceneError
+        With the number under ``name``.
+    """
+    hint = "Vary less, or sample it (--design lhs or sobol)."
+    if points > MOST_POINTS:
+        raise SceneError(name, f"makes {points:,} points, must be at most {MOST_POINTS:,}", hint)
+    if points * seeds > MOST_RUNS:
+        problem = f"makes {points * seeds:,} runs, must be at most {MOST_RUNS:,}"
+        raise SceneError(name, problem, "Take fewer points or seeds.")
+
+
+def check_cores(cores: int | None) -> None:
+    """Refuse a number of worker processes that this machine cannot be meant to have.
+
+    Raises
+    ------
+    SceneError
+        If it is below one, or above eight and four for each core.
+    """
+    if cores is not None:
+        whole("cores", cores, 1, max(8, 4 * (os.cpu_count() or 1)))
+
+
+def forecast_step(points: int) -> int:
+    """Return of how many points, one after another, one has its cost predicted."""
+    return -(-points // MOST_FORECASTS)

@@ -1,0 +1,178 @@
+"""Damage to the folders of studies, fits and analyses, and what must hold of their readers.
+
+Each case is one number: :func:`check` does the same damage for the same number.
+"""
+
+import json
+import os
+import random
+import resource
+import shutil
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+import multicell as mc
+
+MEMORY = 3 << 30  # bytes of address space beyond what the process has
+DEEP = "[" * 100_000
+
+
+def files_of(folder):
+    """Return the files of a folder that are read again, by their paths in it."""
+    own = ("study.toml", "scene.toml", "study.nc", "expected.json", "fit.json", "search.log",
+           "posterior.db", "posterior.journal", "sensitivity.toml")  # fmt: skip
+    names = [name for name in own if (folder / name).is_file()]
+    runs = sorted((folder / "runs").glob("*/*")) if (folder / "runs").is_dir() else []
+    wanted = ("summary.json", "frames.h5", "scene.toml")
+    return names * 2 + [str(p.relative_to(folder)) for p in runs if p.name in wanted]
+
+
+def hurt(folder, rng):
+    """Damage one file of a folder and say how."""
+    path = folder / rng.choice(files_of(folder))
+    way = rng.choice([_cut, _flip, _flip, _edit, _edit, _edit, _special, _special, _text])
+    return f"{path.relative_to(folder)}, {way.__name__}: {way(path, rng)}"
+
+
+def _cut(path, rng):
+    size = rng.randrange(path.stat().st_size + 1)
+    os.truncate(path, size)
+    return size
+
+
+def _flip(path, rng):
+    data = bytearray(path.read_bytes())
+    places = [rng.randrange(len(data)) for _ in range(rng.choice([1, 1, 2, 16]))]
+    for place in places:
+        data[place] ^= 1 << rng.randrange(8)
+    path.write_bytes(data)
+    return places
+
+
+def _edit(path, rng):
+    """Change a number as a person would, or a value with the library of the format."""
+    if path.suffix in (".nc", ".h5"):
+        with h5py.File(path, "r+") as file:
+            sets = []
+            file.visititems(lambda n, o: sets.append(n) if isinstance(o, h5py.Dataset) else None)
+            name = rng.choice(sets)
+            way = rng.choice(["value", "value", "delete", "external", "soft", "huge"])
+            if way == "value" and file[name].dtype.kind in "fiu" and file[name].size:
+                values = file[name][()]
+                flat = np.atleast_1d(values).reshape(-1)
+                place = rng.randrange(len(flat))
+                flat[place] = flat[place] * 10 + 1
+                file[name][...] = flat.reshape(np.shape(values))
+            elif way == "huge":
+                file.create_dataset("other", (1 << 40,), "u1", chunks=(1 << 20,))
+            elif way != "value":
+                del file[name]
+                if way == "external":
+                    file[name] = h5py.ExternalLink("/dev/zero", "/data")
+                elif way == "soft":
+                    file[name] = h5py.SoftLink(f"/{name}")
+            return f"{way} {name}"
+    data = path.read_bytes()
+    digits = [k for k, byte in enumerate(data) if chr(byte) in "123456789"]
+    if not digits:
+        return "nothing"
+    place = rng.choice(digits)
+    with path.open("r+b") as file:
+        file.seek(place)
+        file.write(
+            rng.choice(b"123456789".replace(data[place : place + 1], b"")).to_bytes(1, "big")
+        )
+    return f"digit at {place}"
+
+
+def _special(path, rng):
+    way = rng.choice(["fifo", "zero", "folder", "dangling", "loop", "nothing", "empty"])
+    path.unlink()
+    if way == "fifo":
+        os.mkfifo(path)
+    elif way == "folder":
+        path.mkdir()
+    elif way == "empty":
+        path.touch()
+    elif way != "nothing":
+        path.symlink_to({"zero": "/dev/zero", "dangling": "nowhere", "loop": path.name}[way])
+    return way
+
+
+def _text(path, rng):
+    texts = {
+        "deep": DEEP, "deep table": '{"a":' * 5000 + "1" + "}" * 5000,
+        "digits": f'{{"cells": {"1" * 5000}}}', "list": "[1, 2]", "number": "3",
+        "nan": '{"time": NaN, "cells": Infinity}', "null": "null", "keys": ".".join("a" * 30_000),
+        "types": '{"digest": [], "problem": 3, "time": {}, "reason": [1]}', "latin": "\udce4",
+    }  # fmt: skip
+    name = rng.choice(list(texts))
+    path.write_bytes(texts[name].encode("utf-8", "surrogateescape"))
+    return name
+
+
+# --- what must hold ---------------------------------------------------------------------------
+
+
+def study(place):
+    """Read a study in all ways; return what it found."""
+    made = mc.load_study(place)
+    made.expected(2)
+    states = [state.state for state in made.status()]
+    table = made.to_xarray()
+    return {
+        "states": states,
+        "diameter": np.asarray(table["diameter"].values).reshape(len(states), -1).tolist(),
+        "points": [dict(point.coordinates) for point in made.plan.points],
+    }
+
+
+def fit(place):
+    """Continue a fit that is done, and return what it finds."""
+    given = json.loads((place.parent / "fit.arguments").read_text())
+    found = mc.fit(given["scene"], place.parent / "data.csv", given["free"], output=place,
+                   seeds=1, budget=12, cores=1)  # fmt: skip
+    return {"best": dict(found.best.values), "chi": found.best.chi_squared}
+
+
+def sensitivity(place):
+    """Read an analysis whose runs are done, and return what it finds."""
+    given = json.loads((place.parent / "sensitivity.arguments").read_text())
+    found = mc.sensitivity(given["scene"], given["free"], size=4, observables=["diameter"],
+                           output=place, cores=1, report=False)  # fmt: skip
+    return {"table": [row["mu_star"] for row in found.table], "notes": list(found.notes)}
+
+
+def same(found, whole):
+    """Return whether what was found is right, apart from runs that are said to be damaged."""
+    if "states" in found and found["points"] == whole["points"]:
+        for state, row, other in zip(
+            found["states"], found["diameter"], whole["diameter"], strict=True
+        ):
+            if state == "done" and repr(row) != repr(other):
+                return False
+        return True
+    failed = any("failed" in note for note in found.get("notes", ()))
+    return repr(found) == repr(whole) or failed
+
+
+def check(number, kind, folder, whole):
+    """Damage a folder and read it; return 0, or 1 with words where something is wrong."""
+    folder = Path(folder)
+    said = hurt(folder, random.Random(number))
+    print(said, flush=True)
+    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, used + MEMORY))
+    edits_plan = said.startswith(("study.toml", "scene.toml"))
+    try:
+        found = globals()[kind](folder)
+    except mc.MulticellError as error:
+        print(f"refused: {error}", flush=True)
+        return int(len(str(error)) > 3000)
+    shutil.rmtree(folder)
+    if edits_plan:  # the plan is the user's to edit: another plan has other results
+        return 0
+    assert same(json.loads(json.dumps(found)), whole), f"{found} is not {whole}"
+    return 0
