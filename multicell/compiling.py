@@ -162,7 +162,7 @@ def _box_array(kind: Any, value: Any, c: Any) -> Any:
     a segmentation fault.
     """
     number = ir.IntType(32)
-    native = cgutils.alloca_once_value(c.builder, value)
+    native = cgutils.alloca_once_value(c.builder, value)  # type: ignore[no-untyped-call]
     shape = ir.FunctionType(
         c.pyapi.pyobj, [c.pyapi.voidptr, c.pyapi.pyobj, number, number, c.pyapi.pyobj]
     )
@@ -183,7 +183,7 @@ def _box_array(kind: Any, value: Any, c: Any) -> Any:
 
 def _box_named_tuple(kind: Any, value: Any, c: Any) -> Any:
     """Return code that makes the NamedTuple that a kernel returns, as :func:`_box_array` does."""
-    plain = boxing.box_tuple(kind, value, c)  # type: ignore[no-untyped-call]
+    plain = boxing.box_tuple(kind, value, c)
     new = _constant(c, tuple.__new__)
     made = c.pyapi.call_function_objargs(new, (_constant(c, kind.instance_class), plain))
     c.pyapi.decref(plain)
