@@ -168,20 +168,13 @@ class Elapsed:
         """Write it to the folder, if that was not done a moment ago or is wanted now."""
         if self._path is None or not (now or clock.monotonic() - self._noted > _NOTED):
             return
-        write_text(self._path, to_json({"seconds": self.seconds}) + "\n")
+        write_table(self._path, {"seconds": self.seconds})
         self._noted = clock.monotonic()
 
 
 def _seconds(path: Path) -> float:
     """Return the time in s that a file notes, 0 without one."""
-    with file_errors("read", path):
-        if not path.is_file():
-            return 0.0
-        text = path.read_text(encoding="utf-8", errors="replace")
-    try:
-        found = json.loads(text)["seconds"]
-    except (ValueError, KeyError, TypeError):
-        found = None
+    found = (read_table(path) or {"seconds": 0.0}).get("seconds")
     if not isinstance(found, int | float) or not 0.0 <= found < math.inf:
         raise OutputError(f"'{path}' is damaged: remove it, and the time is counted from now on")
     return float(found)
