@@ -485,9 +485,9 @@ class Simulation:
 
     def history_row(self) -> dict[str, float]:
         """Return the observables of the state (:func:`multicell.results.summary.history_row`)."""
-        extra = {"shift_effect": self._shift_effect()}
-        if self._limit > 0.0:
-            extra["stability_ratio"] = self.stability.latest
+        # columns for every method: a run may be resumed with another one
+        ratio = self.stability.latest if self._limit > 0.0 else math.nan
+        extra = {"shift_effect": self._shift_effect(), "stability_ratio": ratio}
         round_fields = any(part.layout != "box" for part in self.scene.nutrients.values())
         if round_fields and self.scene.dimensions == 3:
             from multicell.nutrient.cartesian import departure

@@ -27,6 +27,8 @@ SCENE = mc.load_scene("growth").with_changes({"initial.count": 60, "duration": "
 def handled():
     """Let a test change handlers, and put back those of before."""
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGALRM)}
+    # a process that a shell starts in the background does not hear Ctrl-C
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.setitimer(signal.ITIMER_REAL, 0.0)
     for number, handler in before.items():

@@ -54,6 +54,10 @@ _SPELT = {"µ": "u", "μ": "u", "·": "|", "²": "^2", "³": "^3", "→": "->", 
           "━": "-", "╸": "-", "╺": "-"}  # fmt: skip
 
 
+_PLAIN = ("strict", "backslashreplace", "surrogateescape")
+"""How streams treat what they cannot encode unless somebody has asked for another way."""
+
+
 def _degraded(error: UnicodeError) -> tuple[str, int]:
     """Spell out what an encoding does not have; the handler of codecs with our name."""
     if not isinstance(error, UnicodeEncodeError):
@@ -259,7 +263,7 @@ def _spelling() -> Iterator[None]:
     """Let the standard streams spell out what their encoding lacks."""
     changed = []
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper) and stream.errors in ("strict", "backslashreplace"):
+        if isinstance(stream, io.TextIOWrapper) and stream.errors in _PLAIN:
             changed.append((stream, stream.errors))
             stream.reconfigure(errors="multicell.spelt")
     try:

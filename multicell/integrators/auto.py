@@ -52,7 +52,7 @@ from typing import TYPE_CHECKING, ClassVar, final
 import numpy as np
 
 from multicell.integrators.adams_bashforth import AdaptiveAdams
-from multicell.integrators.base import ErrorControl, Integrator, MethodInfo, Outcome, refusal
+from multicell.integrators.base import ErrorControl, Integrator, MethodInfo, Outcome
 from multicell.integrators.cvode import Cvode
 from multicell.integrators.rkc import Rkc2
 from multicell.integrators.rosenbrock import Rosenbrock
@@ -232,7 +232,10 @@ MILD = AdaptiveAdams.info.name
 
 def candidates(system: Mechanics) -> list[str]:
     """Return the names of those methods that can hold a system, by their own ``info``."""
-    return [name for name, kind in CANDIDATES.items() if refusal(kind.info, system) is None]
+    n, friction = len(system), max(system.friction) > 0.0
+    return [
+        name for name, kind in CANDIDATES.items() if kind.info.refusal(n, friction=friction) is None
+    ]
 
 
 def _count(system: Mechanics, name: str, before: int) -> None:

@@ -390,14 +390,14 @@ class NutrientField:
             shells = ShellLayout.round(
                 tissue, radius, p.nutrient.margin, p.spacing, p.nutrient.layer
             )
-            return shells, False, shells.nearest(position) if strays else position
+            return shells, False, position if tissue is position else shells.nearest(position)
         height = p.height if p.dimensions == 2 else None
         if p.domain is None:
             found = BoxLayout.round(tissue, p.nutrient.margin, p.spacing, height)
         else:
             found = BoxLayout.within(p.domain, p.spacing, height)
         same = self._layout is not None and found == self._layout
-        reached = found.nearest(position) if strays else position
+        reached = position if tissue is position else found.nearest(position)
         return (self.layout, True, reached) if same else (found, False, reached)
 
     def _sides(self, layout: Layout, time: float) -> dict[str, Any]:

@@ -32,8 +32,11 @@ def drawn_in(position: FloatArray, radius: FloatArray) -> FloatArray:
     if few < 1.0 or not np.isfinite(position).all():
         return position
     gap = _GAP * 2.0 * float(radius.max())
-    low = np.array([-_outermost(-position[:, axis], gap, few) for axis in range(3)])
-    high = np.array([_outermost(position[:, axis], gap, few) for axis in range(3)])
+    last = _last(np.concatenate([-position.T, position.T]), few)
+    if (last[:, 1:] - last[:, :-1] <= gap).all():
+        return position
+    reached = np.array([_outermost(one, gap, few) for one in last])
+    low, high = -reached[:3], reached[3:]
     inside = (position >= low) & (position <= high)
     return position if inside.all() else np.clip(position, low, high)
 
@@ -46,7 +49,7 @@ def drawn_to_ball(position: FloatArray, radius: FloatArray) -> FloatArray:
     middle = np.average(position, axis=0, weights=radius**3)
     away = position - middle
     distance = np.sqrt(np.square(away).sum(axis=1))
-    surface = _outermost(distance, _GAP * 2.0 * float(radius.max()), few)
+    surface = _outermost(_last(distance[None], few)[0], _GAP * 2.0 * float(radius.max()), few)
     if distance.max() <= surface:
         return position
     return np.asarray(middle + away * (surface / np.maximum(distance, surface))[:, None])
@@ -57,13 +60,16 @@ def _few(count: int) -> float:
     return min(_PART * count, _FEW)
 
 
-def _outermost(along: FloatArray, gap: float, few: float) -> float:
-    """Return how far tissue reaches along a coordinate of its cells, (n,) µm."""
-    count = min(int(2.0 * few) + 1, len(along))
-    last = np.sort(np.partition(along, len(along) - count)[len(along) - count :])
-    if (np.diff(last) <= gap).all():
-        return float(last[-1])
-    reached = float(last[0])
+def _last(along: FloatArray, few: float) -> FloatArray:
+    """Return the places of the outermost cells along coordinates (k, n) µm, sorted: (k, m)."""
+    count = min(int(2.0 * few) + 1, along.shape[1])
+    outer = np.partition(along, along.shape[1] - count, axis=1)[:, along.shape[1] - count :]
+    return np.sort(outer, axis=1)
+
+
+def _outermost(last: FloatArray, gap: float, few: float) -> float:
+    """Return how far tissue reaches along a coordinate of its outermost cells, sorted, (m,) µm."""
+    reached, count = float(last[0]), len(last)
     for place, beyond in zip(last[1:].tolist(), range(count - 1, 0, -1), strict=True):
         wide = place - reached
         if wide <= gap:

@@ -116,6 +116,8 @@ ABSENT: Final[Mapping[str, str]] = {
     "packing_ratio": "without cells",
     "pressure_factor": "without living cells",
     "heterotypic_fraction": "without contacts",
+    "shift_effect": "before the first coupling step that is taken twice",
+    "stability_ratio": "with methods whose step has no limit of stability",
 }
 """Numbers that need not exist, and when they do not: NaN in a history, None in a summary.
 

@@ -232,7 +232,8 @@ def _are_springs(value: Any) -> bool:
 
 def _are_first_states(value: Any) -> bool:
     names = {"quiescent", "necrotic", "unfit"}
-    return isinstance(value, dict) and set(value) == names and all(map(_is_count, value.values()))
+    known = isinstance(value, dict) and (not value or set(value) == names)
+    return known and all(map(_is_count, value.values()))
 
 
 def _of_nutrients(value: Any, known: set[str]) -> bool:

@@ -17,7 +17,7 @@ from multicell.schema import Tables, specs
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
-MODEL_VERSION: Final = 1
+MODEL_VERSION: Final = 2
 """To be raised by whoever changes the numbers that a scene gives.
 
 Runs that were made with another number are computed again. ``tests/studies/test_model_version.py``

@@ -131,7 +131,7 @@ def test_the_dead_do_not_move_by_themselves_and_types_differ():
     [
         ({"chemotaxis.oxigen": {}}, "chemotaxis.oxigen: is not a field"),
         ({"haptotaxis.landscape": "x**2"}, "must be one of"),
-        ({"haptotaxis.axis": "z", "dimensions": 2}, "2 dimensions"),
+        ({"haptotaxis.axis": "z", "dimensions": 2, "nutrients": {}}, "2 dimensions"),
         ({"motility.persistence": "-1 s"}, "above 0"),
         ({"haptotaxis.force": "-1 nN"}, "at least 0"),
     ],

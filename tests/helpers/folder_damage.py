@@ -133,7 +133,7 @@ def fit(place):
     """Continue a fit that is done, and return what it finds."""
     given = json.loads((place.parent / "fit.arguments").read_text())
     found = mc.fit(given["scene"], place.parent / "data.csv", given["free"], output=place,
-                   seeds=1, budget=12, cores=1)  # fmt: skip
+                   seeds=1, budget=30, cores=1)  # fmt: skip
     return {"best": dict(found.best.values), "chi": found.best.chi_squared}
 
 

@@ -141,7 +141,7 @@ def test_a_run_below_the_limit_ends_without_a_mark(method, step):
     assert 0.5 < work["largest_stability_ratio"] < 1.0
     assert work["checks_beyond_stability"] == 0
     assert work["stability_checks"] >= 2
-    assert "notes" not in summary
+    assert not [note for note in summary["notes"] if "stability" in note]
 
 
 def to_the_end(simulation):
@@ -173,7 +173,7 @@ def test_what_is_beyond_for_a_moment_is_marked_everywhere(tmp_path, monkeypatch)
     summary = result.summary()
     assert summary["integrator"]["checks_beyond_stability"] == 1
     assert summary["integrator"]["largest_stability_ratio"] == pytest.approx(1.5)
-    (note,) = summary["notes"]
+    (note,) = [note for note in summary["notes"] if "stability" in note]
     assert "'heun' was beyond its limit of stability 1 of the" in note
     assert "by a factor of up to 1.5" in note
     assert result.history["stability_ratio"].max() == pytest.approx(0.15)
@@ -218,7 +218,7 @@ def test_checks_take_a_fiftieth_of_the_counted_cost_in_the_long_run():
 
 def test_methods_without_a_fixed_step_are_not_looked_at():
     result = mc.run(scene_of("auto", 1.0))
-    assert "stability_ratio" not in result.history
+    assert np.isnan(result.history["stability_ratio"]).all()
     assert "stability_checks" not in result.summary()["integrator"]
     assert json.dumps(result.frames[-1].progress.stability) == "{}"
 

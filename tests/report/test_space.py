@@ -109,7 +109,7 @@ def test_no_cell_is_outside_of_the_window_from_any_side():
 
 def test_cells_in_a_plane_and_unknown_cuts_are_refused():
     frame = spheroid(100)
-    flat = SCENE.with_changes({"dimensions": 2})
+    flat = SCENE.with_changes({"dimensions": 2, "nutrients.oxygen.height": "2 mm"})
     with pytest.raises(OutputError, match="a section shows them all"):
         space(frame, flat)
     with pytest.raises(OutputError, match="no cut"):

@@ -24,7 +24,7 @@ CHANGES = {
     "types": {"a": {}, "b": {}},
     "nutrients.oxygen.boundary": "0.025 mM",
     "nutrients.oxygen.quiescence": "0.0225 mM",
-    "nutrients.oxygen.necrosis": "0.022 mM",
+    "nutrients.oxygen.necrosis": "0.0223 mM",
     "death.lysis_time": "1 h",
     "output.every": "20 min",
 }

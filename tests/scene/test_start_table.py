@@ -282,7 +282,7 @@ def test_keys_beside_a_table_are_refused_by_name(tmp_path):
     ("cells", "said"),
     [
         ("nowhere.csv", "initial.cells.file: '.*nowhere.csv' does not exist. Relative paths count"),
-        (".", "initial.cells.file: '.*' is no file"),
+        (".", "initial.cells.file: '.*' cannot be read: Is a directory"),
         ({"file": ""}, "initial.cells.file: is empty"),
         ({"sha256": "0"}, "initial.cells.file: is missing"),
         (5, "initial.cells: is 5, must be a table"),

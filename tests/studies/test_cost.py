@@ -1,11 +1,10 @@
 """What a study is expected to take is told, kept, and asked for."""
 
-import json
-
 import pytest
 
 import multicell as mc
 from multicell.report.explain.cost import predicted
+from multicell.results.documents import read_table
 from multicell.studies.cost import NAME, Cost, cost_of, costs_of, together
 from multicell.studies.plan import make_plan
 
@@ -37,7 +36,7 @@ def test_it_is_found_once(tmp_path, monkeypatch):
     monkeypatch.undo()
     (tmp_path / NAME).write_text("damaged")
     assert costs_of(plan, tmp_path) == found
-    assert len(json.loads((tmp_path / NAME).read_text())) == 2
+    assert len(read_table(tmp_path / NAME)) == 2
 
 
 def test_a_study_tells_what_is_left(tmp_path):

@@ -206,7 +206,7 @@ def test_data_beyond_the_cells_at_which_runs_stop_are_refused(tmp_path):
 def test_files_that_cannot_be_read_are_named(tmp_path):
     with pytest.raises(DataError, match=r"nothing\.csv: does not exist"):
         read_data(tmp_path / "nothing.csv", SCENE)
-    with pytest.raises(DataError, match="is no file"):
+    with pytest.raises(DataError, match="Is a directory"):
         read_data(tmp_path, SCENE)
     (tmp_path / "latin.csv").write_bytes(b"time / h, cells\n5, \xe9\n")
     with pytest.raises(DataError, match="is not UTF-8 text"):

@@ -265,7 +265,7 @@ BAD = {
     "too few": ({"size": 3}, "too few trajectories"),
     "too few points": ({"method": "sobol", "size": 4}, "too few base points"),
     "no power of two": ({"method": "sobol", "size": 48}, "Take 32 or 64"),
-    "no seeds": ({"seeds": 0}, "at least 1"),
+    "no seeds": ({"seeds": 0}, "from 1 to 20,000"),
     "of another scene": ({"observables": ["pull"]}, "have no 'pull'"),
 }
 
