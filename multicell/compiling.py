@@ -121,13 +121,9 @@ def arithmetic(body: Callable[..., Any]) -> Any:
     return outside
 
 
-_LISTENER = _WithoutCollector()
-event.register("numba:compile", _LISTENER)  # type: ignore[no-untyped-call]
-
-
-def compile_time() -> float:
-    """Return the wall time in s that this process has spent compiling so far."""
-    return _LISTENER.seconds
+COMPILATION = _WithoutCollector()
+"""What this process has compiled: ``seconds`` of wall time so far."""
+event.register("numba:compile", COMPILATION)  # type: ignore[no-untyped-call]
 
 
 @final

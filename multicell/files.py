@@ -46,10 +46,12 @@ def read_regular(path: Path, largest: int) -> bytes:
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
         if not stat.S_ISREG(about.st_mode):
             raise OSError(errno.EINVAL, "it is no regular file", str(path))
-        content = file.read(largest + 1) if about.st_size <= largest else None
-    if content is None or len(content) > largest:
-        size = f"{largest // 10**6:,} MB" if largest >= 10**6 else f"{largest:,} bytes"
-        raise OSError(errno.EFBIG, f"it is larger than {size}", str(path))
+        size = about.st_size
+        # one byte more than it has: memory for as many as it may have would be asked for at once
+        content = file.read(size + 1) if size <= largest else b""
+    if max(size, len(content)) > largest:
+        most = f"{largest // 10**6:,} MB" if largest >= 10**6 else f"{largest:,} bytes"
+        raise OSError(errno.EFBIG, f"it is larger than {most}", str(path))
     return content
 
 

@@ -27,8 +27,8 @@ from multicell.biology.spring_graph import Springs
 from multicell.biology.start_states import StartStates
 from multicell.biology.step import aged, bind, decide, divide_and_remove, grow
 from multicell.cells import Cells, FloatArray
-from multicell.compiling import compile_time
-from multicell.contact.custom import compiling
+from multicell.compiling import COMPILATION
+from multicell.contact.custom import Compiling
 from multicell.errors import NutrientFailed, SceneError, StepFailed
 from multicell.integrators import registry, stability
 from multicell.integrators.shift import SHIFT, Replays, replayed, shifted_positions
@@ -84,10 +84,10 @@ class _Phase:
         self.wall, self.name = wall, name
 
     def __enter__(self) -> None:
-        self.begin, self.compiled = clock.perf_counter(), compile_time()
+        self.begin, self.compiled = clock.perf_counter(), COMPILATION.seconds
 
     def __exit__(self, *_: object) -> None:
-        compiled = compile_time() - self.compiled
+        compiled = COMPILATION.seconds - self.compiled
         self.wall["compile"] += compiled
         self.wall[self.name] += clock.perf_counter() - self.begin - compiled
 
@@ -175,6 +175,7 @@ class Simulation:
         if cells is None and frame is None:
             check_memory(scene)
         self.scene = scene
+        self._compiling = Compiling(scene.contact)
         self.wall = dict.fromkeys(PHASES, 0.0)
         self.step_index = self.divisions = self.removals = 0
         self._origin = (0, 0.0)
@@ -218,7 +219,7 @@ class Simulation:
         self.lineage.born(first, self.time)
         self.unsorted = len(cells)
         self._sort()
-        with self.phase("mechanics"), compiling(self.scene.contact):
+        with self.phase("mechanics"), self._compiling:
             self._find_first_contacts()
         with self.phase("nutrient"):
             if self._feeding is not None:
@@ -373,7 +374,7 @@ class Simulation:
         with STEP:
             kept = self._kept()
             try:
-                with compiling(self.scene.contact):
+                with self._compiling:
                     self._advance()
             except NutrientFailed as failure:
                 self._take_back(kept)

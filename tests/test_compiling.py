@@ -93,7 +93,7 @@ def test_the_collector_rests_while_numba_compiles_and_is_then_as_before(enabled)
             seen.append(gc.isenabled())
 
         def on_end(self, event):
-            seen.append(compiling._LISTENER.depth)
+            seen.append(compiling.COMPILATION.depth)
 
     @njit
     def inner(x):
@@ -123,4 +123,4 @@ def test_the_collector_runs_again_after_an_error():
     with pytest.raises(Exception, match="nothing"):
         wrong(1.0)
     assert gc.isenabled()
-    assert compiling._LISTENER.depth == 0
+    assert compiling.COMPILATION.depth == 0

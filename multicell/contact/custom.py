@@ -12,12 +12,11 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import MISSING
 from inspect import signature
 from numbers import Real
-from typing import TYPE_CHECKING, Any, ClassVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar, cast, final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -245,15 +244,20 @@ def pair_law(
     return make
 
 
-@contextmanager
-def compiling(law: PairLaw) -> Iterator[None]:
-    """Name the line of a law of the user's where numba cannot compile kernels with it."""
-    try:
-        yield
-    except Exception as error:
-        if isinstance(law, UserLaw) and type(error).__module__.startswith("numba."):
-            law.refuse_uncompilable()
-        raise
+@final
+class Compiling:
+    """A context that names the line of a user's law where numba cannot compile kernels with it."""
+
+    def __init__(self, law: PairLaw) -> None:
+        self._law = law
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        failed = kind is not None and kind.__module__.startswith("numba.")
+        if failed and isinstance(self._law, UserLaw):
+            self._law.refuse_uncompilable()
 
 
 def load_law(spec: str) -> type[UserLaw]:

@@ -591,7 +591,8 @@ def written_table(rows, radius, named):
     if not file.exists():
         lines = ["# drawn", "position_x_um,y_um,z_um,radius_um" + ",kind" * named]
         for k in range(rows):
-            x, y = 1.5 * radius * (k % 3 - 1), 1.5 * radius * (k // 3 - 1)
+            apart = min(1.5 * radius, 1e6)  # the largest coordinate of a table
+            x, y = apart * (k % 3 - 1), apart * (k // 3 - 1)
             lines.append(f"{x!r},{y!r},0,{0.9 * radius!r}" + ",0" * named)
         file.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return file
