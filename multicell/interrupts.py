@@ -72,6 +72,10 @@ class Block:
     def __enter__(self) -> Self:
         if not _in_main_thread():
             return self
+        if self.depth and not any(number in _replaced for number in self._signals):
+            self.depth = 0  # a handler raised while an earlier block was being entered or left
+        if not self.depth and self._own:
+            self._restore()
         self.depth += 1
         if self.depth == 1:
             try:
@@ -93,9 +97,12 @@ class Block:
                 _deliver(urgent=True)
 
     def _leave(self) -> None:
-        self.depth -= 1
-        if self.depth:
-            return
+        self.depth = max(self.depth - 1, 0)
+        if not self.depth:
+            self._restore()
+
+    def _restore(self) -> None:
+        """Put the handlers back that this block has replaced."""
         raised: BaseException | None = None
         while self._own:
             number = self._own[-1]

@@ -14,6 +14,7 @@ from studied import run_of, runs_of, short_runs
 
 import multicell as mc
 from multicell.errors import ClusterError, SceneError
+from multicell.results.documents import write_table
 from multicell.results.folder import locked
 from multicell.studies import engine
 from multicell.studies.engine import carry_out
@@ -170,7 +171,7 @@ def test_what_the_machine_refused_is_tried_again_unasked(tmp_path, monkeypatch):
     place = tmp_path / "runs" / run.name
     place.mkdir(parents=True)
     reason = "cannot write: No space left on device"
-    (place / NOTE).write_text(json.dumps({"reason": reason, "kind": "machine"}))
+    write_table(place / NOTE, {"reason": reason, "kind": "machine"})
     (found,) = statuses([run], tmp_path)
     assert (found.state, found.reason) == ("failed", reason)
     (outcome,) = carry_out([run], tmp_path)

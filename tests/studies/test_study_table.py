@@ -13,6 +13,7 @@ import multicell as mc
 from multicell import OutputError
 from multicell.results.quantities import known_unit
 from multicell.studies import table
+from multicell.studies.runs import MODEL_VERSION
 from multicell.studies.status import write_note
 from multicell.studies.table import checksum as checksum_of
 
@@ -86,7 +87,7 @@ def test_every_number_has_a_unit(found):
 def test_the_table_says_where_it_comes_from(study, found):
     attributes = found.attrs
     assert json.loads(attributes["versions"])["multicell"] == mc.__version__
-    assert attributes["model_version"] == 1
+    assert attributes["model_version"] == MODEL_VERSION
     assert attributes["plan"] == study.plan.to_toml()
     assert mc.Scene.from_dict(_toml(attributes["scene"])) == study.plan.scene
     assert attributes["command"]
