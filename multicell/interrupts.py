@@ -25,6 +25,9 @@ _ALL: Final = sorted(
 _URGENT: Final = 2
 """How often a signal has come that is delivered within a step; later ones wait again."""
 
+_MAIN: Final = threading.main_thread()
+"""A process that another thread forks has another one, and delays nothing."""
+
 _replaced: dict[int, Any] = {}
 """Number of a signal -> its handler while it is replaced."""
 _counts: dict[int, int] = {}
@@ -93,7 +96,7 @@ class Block:
     def __exit__(self, *_: object) -> None:
         if _in_main_thread():
             self._leave()
-            if not UNCUT.depth:
+            if _waiting and not UNCUT.depth:
                 _deliver(urgent=True)
 
     def _leave(self) -> None:
@@ -125,7 +128,7 @@ class Block:
 
 
 def _in_main_thread() -> bool:
-    return threading.get_ident() == threading.main_thread().ident
+    return threading.get_ident() == _MAIN.ident
 
 
 STEP: Final = Block([signal.SIGINT])
