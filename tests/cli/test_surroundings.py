@@ -49,6 +49,7 @@ def test_settings_of_the_working_folder_are_not_read(hostile):
         "numba.config.DISABLE_JIT, matplotlib.rcParams['lines.linewidth'])"
     )
     environment = {**os.environ, "PYTHONPATH": str(Path(mc.__file__).parents[1])}
+    environment.pop("NUMBA_CACHE_DIR", None)
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=hostile, env=environment, capture_output=True, text=True,
         check=False,
