@@ -120,6 +120,24 @@ def test_explain_notes_tissue_that_would_starve_at_once():
     assert "would die at once" not in " ".join(explain(plane(height="2 mm"))["notes"])
 
 
+@pytest.mark.parametrize("perfusion", [0.0, 0.05])
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_reach_is_stated_where_uptake_depends_on_another_field(dimensions, perfusion):
+    """With plenty of the other field, uptake that needs it is as large as without the need."""
+    own = {**AIR, "perfusion": perfusion, "height": "0.1 mm"}
+    alone = plane(**own).with_changes({"dimensions": dimensions})
+    paired = alone.with_changes({
+        "nutrients": {
+            "glucose": {"boundary": "5 mM", "uptake": 0.0},
+            "oxygen": {**own, "uptake_on": {"glucose": {"effect": 1.0, "half": "1e-6 mM"}}},
+        },
+    })  # fmt: skip
+    single = alone.with_changes({"nutrients.oxygen.uptake": "40 amol/s"})
+    stated = numbers(paired)["oxygen: below necrosis"]
+    assert stated == pytest.approx(numbers(single)["oxygen: below necrosis"], abs=1e-4)
+    assert 0.0 <= stated <= 1.0
+
+
 # --- the grid that explain announces -------------------------------------------------------------
 
 

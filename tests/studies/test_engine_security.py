@@ -13,20 +13,26 @@ from multicell.studies.workers import workers
 
 ATTACK = """
 import os, sys
-import distributed.comm.tcp
 from distributed import Client, Security
 address = f"{sys.argv[1]}://127.0.0.1:{sys.argv[2]}"
 security = Security.temporary() if sys.argv[1] == "tls" else None
-os.setgid(65534)
-os.setuid(65534)  # Python itself may be where only its user can read
-try:
+
+def attack():
     with Client(address, timeout=2, security=security) as client:
         client.run_on_scheduler(eval, f"open({sys.argv[3]!r}, 'w').close()")
         client.run(eval, f"open({sys.argv[3]!r}, 'w').close()")
-except OSError:
-    print("refused")
-else:
-    print("obeyed")
+    return "obeyed"
+
+def answer():
+    try:
+        return attack()
+    except OSError:
+        return "refused"
+
+answer()  # loads what it needs while it may still read it: Python may be where only its user can
+os.setgid(65534)
+os.setuid(65534)
+print(answer())
 """
 
 

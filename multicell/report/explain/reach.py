@@ -171,7 +171,10 @@ def below(scene: Scene, name: str, threshold: float) -> float:
     profile = Profile(nutrient, tissue.dimensions, scales.height(scene, name))
     shells = np.linspace(0.0, tissue.radius, SHELLS + 1)
     each = tissue.radius / scene.initial.count ** (1.0 / tissue.dimensions)
-    levels = profile.solve(shells, 0.0, 0.0, SPHERE * each**3)
+    others = {
+        other: np.full(SHELLS, scene.nutrients[other].medium(0.0)) for other in nutrient.uptake_on
+    }
+    levels = profile.solve(shells, 0.0, 0.0, SPHERE * each**3, others)
     volumes = np.diff(shells**tissue.dimensions)
     return float(volumes[levels < threshold].sum() / volumes.sum())
 
