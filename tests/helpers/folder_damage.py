@@ -145,6 +145,11 @@ def sensitivity(place):
     return {"table": [row["mu_star"] for row in found.table], "notes": list(found.notes)}
 
 
+def read(folder):
+    """Read a folder that is named after its kind, in all ways."""
+    globals()[Path(folder).name](Path(folder))
+
+
 def same(found, whole):
     """Return whether what was found is right, apart from runs that are said to be damaged."""
     if "states" in found and found["points"] == whole["points"]:

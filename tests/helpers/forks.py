@@ -4,12 +4,15 @@
 off a child for each task: a command line of ``multicell``, or a function of a test module.
 """
 
+import contextlib
 import faulthandler
+import importlib
 import json
 import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -45,6 +48,13 @@ class Forks:
         self._process.stdin.flush()
         return json.loads(self._process.stdout.readline())
 
+    def load(self, **task):
+        """Load, for all later children, what a task loads in a first one."""
+        with tempfile.NamedTemporaryFile("w+") as names:
+            done = self.ask(loads=names.name, **task)
+            assert done["code"] == 0, done["text"]
+            assert self.ask(load=json.load(names))["code"] == 0
+
     def multicell(self, *arguments, **options):
         """Run a command."""
         return self.ask(arguments=[str(a) for a in arguments], **options)
@@ -58,6 +68,9 @@ def serve():
     mc.run(mc.load_scene("spheroid").with_changes(WARM), threads=1)
     for line in sys.stdin:
         task = json.loads(line)
+        if "load" in task:
+            print(json.dumps({"code": _load(task["load"])}), flush=True)
+            continue
         read, write = os.pipe()
         begin = time.monotonic()
         child = os.fork()
@@ -71,6 +84,14 @@ def serve():
             text = pipe.read(1 << 20)
         answer = {"code": code, "text": text, "seconds": time.monotonic() - begin}
         print(json.dumps(answer), flush=True)
+    return 0
+
+
+def _load(names):
+    """Import modules that are there, and return zero."""
+    for name in names:
+        with contextlib.suppress(ImportError):
+            importlib.import_module(name)
     return 0
 
 
@@ -88,7 +109,10 @@ def _work(task):
     """Do a task in this process, and return its exit code."""
     if "function" in task:
         module, _, name = task["function"].partition(":")
-        return getattr(__import__(module), name)(**task["with"]) or 0
+        code = getattr(__import__(module), name)(**task["with"]) or 0
+        if "loads" in task:
+            Path(task["loads"]).write_text(json.dumps(sorted(sys.modules)))
+        return code
     from multicell.cli.main import main
 
     try:

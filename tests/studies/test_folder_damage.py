@@ -44,6 +44,10 @@ def test_damaged_folders_are_read_right_or_refused(kind, folders, tmp_path, pyte
     place, found = folders
     wrong = []
     with Forks() as forks:
+        shutil.copytree(place, tmp_path / "whole")
+        forks.load(
+            function="folder_damage:read", **{"with": {"folder": str(tmp_path / "whole" / kind)}}
+        )
         for case in range(pytestconfig.getoption("damages")):
             shutil.copytree(place, tmp_path / "case")
             task = {"number": case, "kind": kind, "folder": str(tmp_path / "case" / kind),
