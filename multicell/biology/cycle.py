@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 
 from multicell.biology.durations import drawn_lengths, newborn_lengths
 from multicell.biology.growth import birth_volume
-from multicell.biology.growth_laws import grown, share_behind
 from multicell.cells import HALF, Cells, FloatArray, IntArray, Phase, State
 from multicell.contact.law import effective_modulus, effective_radius
 from multicell.contact.pair import rest_overlap
@@ -98,11 +97,11 @@ def _grow(
 ) -> None:
     """Let cells grow for some time, s, at a part of their unlimited growth."""
     assert scene.growth is not None
-    birth, cycle = birth_volume(scene), cells.cycle_time[index]
-    if scene.growth.law == "linear":
+    law, birth, cycle = scene.growth.growth_law, birth_volume(scene), cells.cycle_time[index]
+    if law.constant:
         now.volume[index] += birth / cycle * factor * time
         return
-    now.volume[index] = grown(scene.growth, birth, now.volume[index], factor * time / cycle)
+    now.volume[index] = law.volume_after(now.volume[index], factor * time / cycle, birth)
 
 
 def _grow_as_two(
@@ -110,12 +109,12 @@ def _grow_as_two(
 ) -> None:
     """Let mothers grow as their two daughters do for some time without limits, s."""
     assert scene.growth is not None
-    birth, cycle = birth_volume(scene), cells.cycle_time[index]
-    if scene.growth.law == "linear":
+    law, birth, cycle = scene.growth.growth_law, birth_volume(scene), cells.cycle_time[index]
+    if law.constant:
         now.volume[index] += 2.0 * ahead * birth / cycle
         return
     half = 0.5 * now.volume[index]
-    now.volume[index] = 2.0 * grown(scene.growth, birth, half, ahead / cycle)
+    now.volume[index] = 2.0 * law.volume_after(half, ahead / cycle, birth)
 
 
 def _change(
@@ -263,7 +262,7 @@ def volume_ratio(scene: Scene, share: FloatArray) -> FloatArray:
     """Return the volumes of cells over that at birth after a share of their growing time, (n,)."""
     if scene.growth is None:
         return np.asarray(1.0 + share)
-    return grown(scene.growth, 1.0, np.ones(len(share)), share)
+    return scene.growth.growth_law.volume_after(np.ones(len(share)), share)
 
 
 def grown_share(scene: Scene, volume: FloatArray) -> FloatArray:
@@ -272,7 +271,9 @@ def grown_share(scene: Scene, volume: FloatArray) -> FloatArray:
     Volumes are over that at birth; those outside growth have none or all of it behind them.
     """
     ratio = np.clip(volume, 1.0, 2.0)
-    return np.asarray(ratio - 1.0) if scene.growth is None else share_behind(scene.growth, ratio)
+    if scene.growth is None:
+        return np.asarray(ratio - 1.0)
+    return scene.growth.growth_law.share_at(ratio)
 
 
 def placed_by_volume(scene: Scene, cells: Cells, volume: FloatArray) -> None:
@@ -305,13 +306,6 @@ def grown_in_phase(scene: Scene, cells: Cells) -> FloatArray:
     """Return the volumes of cells in their phases over those at birth, (n,)."""
     elapsed = begun(scene, cells)[:, 1] + cells.progress * _grows(scene)[cells.phase]
     return volume_ratio(scene, elapsed / cells.cycle_time)
-
-
-def phase_counts(cells: Cells) -> dict[str, int]:
-    """Return the number of living cells in each phase, by its name."""
-    living = (cells.state == State.PROLIFERATING) | (cells.state == State.QUIESCENT)
-    counts = np.bincount(cells.phase[living], minlength=len(Phase))
-    return {phase.name: int(counts[phase]) for phase in Phase}
 
 
 def _length_of(

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from multicell.biology.growth_laws import grown
 from multicell.cells import SPHERE, Cells, FloatArray, State
 
 if TYPE_CHECKING:
@@ -86,7 +85,7 @@ def growth_factor(
 def volumes_after(scene: Scene, cells: Cells, factor: FloatArray, dt: float) -> FloatArray:
     """Return the volume of each cell after a time ``dt``.
 
-    Proliferating cells grow by the scene's law (:mod:`multicell.biology.growth_laws`), so that one
+    Proliferating cells grow by the scene's law (:mod:`multicell.growth_laws`), so that one
     that nothing limits doubles in its cycle time; quiescent cells keep their volume; necrotic cells
     shrink as V' = -V / lysis_time, after they have swollen as V' = V ln(swelling) / swelling_time
     where the scene has them swell; apoptotic ones shrink as V' = -V / apoptosis_time. All is
@@ -111,11 +110,12 @@ def volumes_after(scene: Scene, cells: Cells, factor: FloatArray, dt: float) -> 
     volume = cells.volume
     if scene.growth is not None and not scene.growth.phases:
         birth, living = birth_volume(scene), cells.state == _GROWING
-        if scene.growth.law == "linear":
+        law = scene.growth.growth_law
+        if law.constant:
             volume += np.where(living, dt * (factor * birth / cells.cycle_time), 0.0)
         else:
             share = np.where(living, dt * factor / cells.cycle_time, 0.0)
-            volume = np.where(living, grown(scene.growth, birth, volume, share), volume)
+            volume = np.where(living, law.volume_after(volume, share, birth), volume)
     if scene.death is not None and cells.dead.any():
         necrotic = cells.state == State.NECROTIC
         volume[necrotic] *= _necrotic_factor(scene.death, cells.age[necrotic], dt)

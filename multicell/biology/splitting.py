@@ -28,7 +28,6 @@ from numpy.typing import NDArray
 
 from multicell.biology.cycle import may_grow
 from multicell.biology.growth import birth_volume
-from multicell.biology.growth_laws import missing_in_waiting, unlimited_rate
 from multicell.cells import Cells, FloatArray, State, rows_of
 from multicell.scene.scales import regime
 
@@ -110,13 +109,14 @@ def step_error(
         return StepError()
     birth = birth_volume(scene)
     # what each cell would gain in a second where nothing limits it, µm³/s
-    rate = unlimited_rate(scene.growth, birth, cells.volume, cells.cycle_time)
+    law = scene.growth.growth_law
+    rate = law.rate(cells.volume, birth) / cells.cycle_time
     if scene.growth.phases:
         rate[~may_grow(scene, cells)] = 0.0
     began = now.factor if jumped else _inherited(before, now, cells)
     change = 0.5 * rate * (began - now.factor)
     error, volume = dt * change, cells.volume
-    missing = missing_in_waiting(scene.growth)
+    missing = law.missing_in_waiting()
     if not scene.growth.phases:
         born = cells.id >= next_id
         if born.any():
