@@ -29,7 +29,6 @@ from numpy.typing import NDArray
 from multicell.biology.cycle import may_grow
 from multicell.biology.growth import birth_volume
 from multicell.cells import Cells, FloatArray, State, rows_of
-from multicell.scene.scales import regime
 
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
@@ -39,7 +38,7 @@ _GROWING = int(State.PROLIFERATING)  # numbers compare with arrays faster than n
 
 
 @final
-class Held(NamedTuple):
+class FrozenRates(NamedTuple):
     """What a coupling step holds fixed of the growth of its cells.
 
     ``id`` is (n,), ``factor`` the part of unlimited growth at which each cell grows, (n,): that of
@@ -74,17 +73,17 @@ class StepError(NamedTuple):
     births: float = 0.0
 
 
-def held(cells: Cells, factor: FloatArray) -> Held:
+def freeze(cells: Cells, factor: FloatArray) -> FrozenRates:
     """Return what a coupling step that begins now holds fixed.
 
     ``factor`` is the part of unlimited growth that the surroundings allow, (n,); see
     :func:`multicell.biology.growth.growth_factor`.
     """
-    return Held(cells.id, np.where(cells.state == _GROWING, factor, 0.0))
+    return FrozenRates(cells.id, np.where(cells.state == _GROWING, factor, 0.0))
 
 
 def step_error(
-    scene: Scene, before: Held, now: Held, cells: Cells, next_id: int, dt: float,
+    scene: Scene, before: FrozenRates, now: FrozenRates, cells: Cells, next_id: int, dt: float,
     *, jumped: bool = False,
 ) -> StepError:  # fmt: skip
     """Return the error of a coupling step that has just ended.
@@ -153,17 +152,7 @@ def columns(error: StepError, cells: Cells, contents: Mapping[str, float]) -> di
     }
 
 
-def jumps(scene: Scene, time: float) -> bool:
-    """Return whether the medium of a steady field changes at once at this moment, s."""
-    return any(
-        any(moment == time for moment, _ in field.media or ())
-        and field.media_change != "linear"
-        and regime(scene, name) == "steady"
-        for name, field in scene.nutrients.items()
-    )
-
-
-def _inherited(before: Held, now: Held, cells: Cells) -> FloatArray:
+def _inherited(before: FrozenRates, now: FrozenRates, cells: Cells) -> FloatArray:
     """Return the factors of a step's beginning for the cells at its end; daughters have hers."""
     if before.id is now.id or np.array_equal(before.id, now.id):
         return before.factor

@@ -47,7 +47,7 @@ class Springs:
         """Return some of the springs."""
         return Springs(self.table[index], self.pair[index], self.rest[index])
 
-    def kept(self) -> dict[str, list[Any]]:
+    def to_plain(self) -> dict[str, list[Any]]:
         """Return them as plain values."""
         if not len(self):
             return {}
@@ -58,11 +58,11 @@ class Springs:
         }
 
     @classmethod
-    def of(cls, kept: Mapping[str, list[Any]]) -> Springs:
-        """Return the springs that :meth:`kept` wrote down."""
-        if not kept:
+    def of(cls, plain: Mapping[str, list[Any]]) -> Springs:
+        """Return the springs that :meth:`to_plain` returned down."""
+        if not plain:
             return cls()
-        table, pair, rest = (np.array(kept[name]) for name in ("table", "pair", "rest"))
+        table, pair, rest = (np.array(plain[name]) for name in ("table", "pair", "rest"))
         return cls(table.astype(np.int64), pair.astype(np.int64).reshape(-1, 2), rest.astype(float))
 
 

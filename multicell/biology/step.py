@@ -109,7 +109,7 @@ def divide_and_remove(scene: Scene, cells: Cells, step: int, next_id: int, time:
     if free > next_id:
         # daughters lie within their mother: only one that is pressed nearly flat, or that no
         # wall holds, can have one outside
-        check_inside(scene, divided.id, divided.position, time)
+        check_inside(scene.domain, divided.id, divided.position, time)
     left, removals = remove_lysed(scene, divided)
     released = float(divided.volume.sum()) - float(left.volume.sum()) if removals else 0.0
     return Events(left, free, removals, released)

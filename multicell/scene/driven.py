@@ -113,12 +113,6 @@ def within(driver: Driver, begin: float, end: float) -> float:
     return max(0.0, min(end, last) - max(begin, driver.begin)) / (end - begin)
 
 
-def changes(scene: Scene, begin: float, end: float) -> list[float]:
-    """Return when something begins or ends to act after ``begin`` and before ``end``, s."""
-    found = (t for _, driver in drivers(scene) for t in (driver.begin, driver.end))
-    return [t for t in found if t is not None and begin < t < end]
-
-
 def check_driven(scene: Scene) -> None:
     """Raise ``SceneError`` for drivers that do not fit to the rest of the scene."""
     for path, driver in drivers(scene):

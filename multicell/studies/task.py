@@ -174,12 +174,13 @@ def _forward(work: Task, place: Path, found: RunStatus, wanted: Callable[[], boo
     scene, integrator = _scene(work), work.integrator or None
     if not wanted():
         raise Stopped
+    options = runner.RunOptions(output=place, integrator=integrator, threads=1, progress=between)
     if found.frames and found.kind != "damage":
         remove(place, [NOTE])
-        runner.gone_on(place, integrator=integrator, threads=1, progress=between, planned=True)
+        runner.record_resumed(place, options, planned=True)
     else:
         _empty(work, place)
-        runner.recorded(scene, output=place, integrator=integrator, threads=1, progress=between)
+        runner.record_run(scene, options)
 
 
 def _scene(work: Task) -> Scene:

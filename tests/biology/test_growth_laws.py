@@ -8,7 +8,7 @@ import multicell as mc
 from multicell.biology.division import divide
 from multicell.biology.growth import birth_volume, volumes_after
 from multicell.biology.initial import initial_cells
-from multicell.biology.splitting import held, step_error
+from multicell.biology.splitting import freeze, step_error
 from multicell.cells import SPHERE, State
 from multicell.errors import SceneError
 from multicell.growth_laws.registry import LAWS
@@ -181,7 +181,7 @@ def test_the_estimated_error_of_splitting_is_that_of_a_changing_factor(law):
     held_at, true = (volumes_after(scene, cells, f, dt) for f in (before, 0.5 * (before + after)))
     ends = cells.shared()
     ends.radius = np.cbrt(held_at / SPHERE)
-    told = step_error(scene, held(cells, before), held(cells, after), ends, len(cells), dt)
+    told = step_error(scene, freeze(cells, before), freeze(cells, after), ends, len(cells), dt)
     assert told.volume == pytest.approx((held_at - true).sum(), rel=0.01)
 
 

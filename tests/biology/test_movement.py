@@ -86,7 +86,7 @@ def test_the_gradient_of_a_radial_field_points_outward():
     )
     simulation = mc.Simulation(scene)
     position = simulation.cells.position
-    found = simulation._feeding.gradients(position, ["oxygen"])["oxygen"]
+    found = simulation.field_system.gradients(position, ["oxygen"])["oxygen"]
     middle = np.average(position, axis=0, weights=simulation.cells.radius**3)
     outward = position - middle
     far = np.linalg.norm(outward, axis=1) > 15.0

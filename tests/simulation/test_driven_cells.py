@@ -212,7 +212,7 @@ def test_a_resumed_run_has_the_bits_of_the_whole(division):
     for name, column in whole.cells.columns():
         np.testing.assert_array_equal(getattr(again.cells, name), column)
     np.testing.assert_equal(again.history_row(), whole.history_row())
-    assert again.springs.kept() == whole.springs.kept()
+    assert again.springs.to_plain() == whole.springs.to_plain()
 
 
 def test_frames_of_other_scenes_say_nothing_of_drivers():
@@ -227,7 +227,7 @@ def test_threads_give_the_same_bits(monkeypatch):
     found = []
     for threads in (1, 2):
         simulation = Simulation(scene, threads=threads)
-        simulation._mechanics.chunk, simulation._mechanics.shared_chunks = 32, 2
+        simulation.mechanics.chunk, simulation.mechanics.shared_chunks = 32, 2
         while not simulation.finished:
             simulation.step()
         found.append((simulation.cells.position, simulation.history_row()))
