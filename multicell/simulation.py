@@ -125,7 +125,7 @@ class Simulation(RunState):
         if self.scene.springs:
             self.springs = spring_graph.springs_at_start(self.scene, cells)
         self.cells = cells
-        bind(self.scene, cells, cells, {}, self.time)
+        bind(self.plan, cells, cells, {}, self.time)
         self.next_id = int(cells.id.max(initial=-1)) + 1
         first = cells.take(np.argsort(cells.id))
         first.parent = np.full(len(first), -1)  # nothing is known of mothers before the start
@@ -143,7 +143,7 @@ class Simulation(RunState):
             except NutrientFailed as failure:
                 raise StepFailed(self.time, failure.problem, failure.hint) from failure
             if self.scene.nutrients:
-                bind(self.scene, self.cells, self.cells, self.concentrations, self.time)
+                bind(self.plan, self.cells, self.cells, self.concentrations, self.time)
         if given_states or not self.scene.nutrients:
             with self.phase("biology"):
                 self._decide(0.0)
@@ -155,7 +155,9 @@ class Simulation(RunState):
             self._fields.begin(cells, self.time, again=True)
             return self.concentrations
 
-        search = StartStates(self.scene, self.cells, field)
+        search = StartStates(
+            self.plan, self.cells, field, tabled=self.scene.initial.cells is not None
+        )
         self.cells, unfit = search.find(self.concentrations)
         resting, dead = int((search.rests & ~search.dead).sum()), int(search.dead.sum())
         if resting or dead or unfit:
@@ -192,19 +194,19 @@ class Simulation(RunState):
         scene, begin, end = self.scene, self.time, self.timeline.next_time
         with self.phase("biology"):
             factor = self._growth_factor()
-            grown = grow(scene, self.cells, self.concentrations, factor, end - begin)
+            grown = grow(self.plan, self.cells, self.concentrations, factor, end - begin)
             before = None if scene.growth is None else freeze(self.cells, factor)
             first, began = self.next_id, self.cells
         with self.phase("mechanics"):
             position, pressure = self._move(begin, end, grown.radius)
         with self.phase("events"):
-            self.cells, lost = aged(scene, self.cells, grown, self.concentrations, begin, end)
+            self.cells, lost = aged(self.plan, self.cells, grown, self.concentrations, begin, end)
             self.cells.position, self.cells.pressure = position, pressure
             self.released += lost
             self.timeline = self.timeline.after_step()
             self._divide_and_remove()
             if len(self.springs):
-                self.springs = spring_graph.unbroken(scene, self.springs, self.cells)
+                self.springs = spring_graph.unbroken(self.plan, self.springs, self.cells)
             self._sort()
         with self.phase("nutrient"):
             self._fields.advance(self.cells, begin, end, None if before is None else began)
@@ -217,7 +219,7 @@ class Simulation(RunState):
         """Estimate the error of the step that has ended, and choose the length of the next."""
         cells, plan, dt = self.cells, self.timeline.plan, end - begin
         jumped, now = end in plan.jumps, freeze(cells, self._growth_factor())
-        error = step_error(self.scene, before, now, cells, first, dt, jumped=jumped)
+        error = step_error(self.plan, before, now, cells, first, dt, jumped=jumped)
         self.step_error = error
         self.splitting = (self.splitting or 0.0) + error.volume / max(len(cells), 1)
         if self.pace is not None:
@@ -231,7 +233,7 @@ class Simulation(RunState):
         surroundings = (self.cells.pressure, *self.concentrations.values())
         known, factor = self._known_factor
         if len(known) != len(surroundings) or any(map(operator.is_not, known, surroundings)):
-            factor = growth_factor(self.scene, self.concentrations, self.cells.pressure)
+            factor = growth_factor(self.plan, self.concentrations, self.cells.pressure)
             self._known_factor = surroundings, factor
         return factor
 
@@ -247,9 +249,9 @@ class Simulation(RunState):
         extra |= self._fields.columns()
         if self.scene.motions:
             now = self._motion(self.time, self.time, self.cells.radius)
-            extra |= driven.columns(self.scene, self.cells, self.named, self.mechanics, now)
+            extra |= driven.columns(self.plan, self.cells, self.named, self.mechanics, now)
         if self.scene.springs:
-            extra |= spring_graph.columns(self.scene, self.springs, self.cells)
+            extra |= spring_graph.columns(self.plan, self.springs, self.cells)
         if self.scene.output.instability:
             extra["instability_rate"] = self._instability_rate()
         return summary.history_row(self.scene, self._view(whole=False), **extra)
@@ -282,7 +284,7 @@ class Simulation(RunState):
     def _motion(self, begin: float, end: float, radius: FloatArray) -> Motion:
         """Return what mechanics must know of the cells between two times."""
         return motion_of(
-            self.scene, self.cells, radius, begin, end, concentrations=self.concentrations,
+            self.plan, self.cells, radius, begin, end, concentrations=self.concentrations,
             gradients=self._fields.gradients(self.cells), contacts=self.contacts, named=self.named,
             springs=self.springs,
         )  # fmt: skip
@@ -291,7 +293,7 @@ class Simulation(RunState):
         """Return the mechanics made ready for the next coupling step, which is not taken."""
         begin, end = self.time, self.timeline.next_time
         factor = self._growth_factor()
-        radius = grow(self.scene, self.cells, self.concentrations, factor, end - begin).radius
+        radius = grow(self.plan, self.cells, self.concentrations, factor, end - begin).radius
         self.mechanics.begin(self._motion(begin, end, radius))
         return self.mechanics
 
@@ -314,7 +316,7 @@ class Simulation(RunState):
     def _divide_and_remove(self) -> None:
         """Change the number of cells, and all that is noted of single ones."""
         before, first = self.cells, self.next_id
-        after = divide_and_remove(self.scene, before, self.step_index, first, self.time)
+        after = divide_and_remove(self.plan, before, self.step_index, first, self.time)
         born = after.next_id - first
         self.cells, self.next_id = after.cells, after.next_id
         self.divisions += born // 2
@@ -326,7 +328,7 @@ class Simulation(RunState):
             self.named = driven.handed_on(self.named, self.cells, first)
             if len(self.springs):
                 self.springs = spring_graph.after_divisions(
-                    self.scene, self.springs, before, self.cells
+                    self.plan, self.springs, before, self.cells
                 )
             if len(self.contacts):
                 self.contacts = self.cells.id[contact_rows(self.cells, self.contacts)]
@@ -340,8 +342,8 @@ class Simulation(RunState):
 
     def _decide(self, dt: float) -> None:
         """Let cells turn to another state by what they find, and note those that die."""
-        scene, cells = self.scene, self.cells
-        dead = decide(scene, cells, self.concentrations, self.step_index, dt, self.time)
+        cells = self.cells
+        dead = decide(self.plan, cells, self.concentrations, self.step_index, dt, self.time)
         if dead.any():
             self.lineage.died(np.sort(cells.id[dead]), self.time)
             self.springs = spring_graph.without_dead(self.springs, cells)

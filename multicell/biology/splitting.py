@@ -27,11 +27,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.biology.cycle import may_grow
-from multicell.biology.growth import birth_volume
 from multicell.cells import Cells, FloatArray, State, rows_of
 
 if TYPE_CHECKING:
-    from multicell.scene.scene import Scene
+    from multicell.biology.plan import BiologyPlan
 
 
 _GROWING = int(State.PROLIFERATING)  # numbers compare with arrays faster than names do
@@ -83,14 +82,14 @@ def freeze(cells: Cells, factor: FloatArray) -> FrozenRates:
 
 
 def step_error(
-    scene: Scene, before: FrozenRates, now: FrozenRates, cells: Cells, next_id: int, dt: float,
+    plan: BiologyPlan, before: FrozenRates, now: FrozenRates, cells: Cells, next_id: int, dt: float,
     *, jumped: bool = False,
 ) -> StepError:  # fmt: skip
     """Return the error of a coupling step that has just ended.
 
     Parameters
     ----------
-    scene
+    plan
         With growth.
     before, now
         What the step held fixed, and what the next one will.
@@ -103,20 +102,20 @@ def step_error(
     jumped
         Whether the surroundings have changed at once at the step's end, which is no error.
     """
-    assert scene.growth is not None
+    assert plan.law is not None
     if len(cells) == 0 or dt <= 0.0:
         return StepError()
-    birth = birth_volume(scene)
+    birth = plan.birth_volume
     # what each cell would gain in a second where nothing limits it, µm³/s
-    law = scene.growth.growth_law
+    law = plan.law
     rate = law.rate(cells.volume, birth) / cells.cycle_time
-    if scene.growth.phases:
-        rate[~may_grow(scene, cells)] = 0.0
+    if plan.order:
+        rate[~may_grow(plan, cells)] = 0.0
     began = now.factor if jumped else _inherited(before, now, cells)
     change = 0.5 * rate * (began - now.factor)
     error, volume = dt * change, cells.volume
     missing = law.missing_in_waiting()
-    if not scene.growth.phases:
+    if not plan.order:
         born = cells.id >= next_id
         if born.any():
             error[born] -= missing * (volume[born] - birth)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from multicell.biology.plan import biology_plan
 from multicell.biology.splitting import StepError
 from multicell.biology.spring_graph import Springs
 from multicell.coupling.timeline import Timeline
@@ -75,6 +76,8 @@ class RunState(ABC):
     named : table of the scene -> (k,) identities
         Cells that are driven from outside because of who or where they were at the start.
     springs : Springs
+    plan : BiologyPlan
+        What biology needs of the scene.
     timeline : Timeline
         Where the run is in time, and what chooses its steps.
     mover : Mover
@@ -91,6 +94,7 @@ class RunState(ABC):
         self, scene: Scene, *, mover: Mover, fields: SceneFields, lineage: Lineage | None
     ) -> None:
         self.scene, self.mover, self._fields = scene, mover, fields
+        self.plan = biology_plan(scene)
         self.wall = dict.fromkeys(PHASES, 0.0)
         self.timeline = Timeline.at_start(step_plan(scene))
         self.divisions = self.removals = 0

@@ -6,14 +6,16 @@ from scipy import integrate, stats
 
 import multicell as mc
 from multicell.biology.division import divide
-from multicell.biology.growth import birth_volume, volumes_after
+from multicell.biology.growth import volumes_after
 from multicell.biology.initial import initial_cells
+from multicell.biology.plan import biology_plan
 from multicell.biology.splitting import freeze, step_error
 from multicell.cells import SPHERE, State
 from multicell.errors import SceneError
 from multicell.growth_laws.registry import LAWS
 from multicell.scene.parts import Growth
 from multicell.scene.scene import Scene
+from multicell.scene.sizes import birth_volume
 from multicell.simulation import Simulation
 
 SATURATING = ("relaxation", "logistic", "gompertz")
@@ -76,7 +78,7 @@ def test_the_factor_of_growth_slows_the_clock_and_resting_cells_stay(law):
     cells = initial_cells(scene)
     cells.state[0], cells.state[1] = State.QUIESCENT, State.QUIESCENT
     factor = np.linspace(0.0, 1.0, len(cells))
-    after = volumes_after(scene, cells, factor, 18000.0)
+    after = volumes_after(biology_plan(scene), cells, factor, 18000.0)
     slow = scene.growth.growth_law.volume_after(cells.volume, 0.5 * factor, birth_volume(scene))
     np.testing.assert_allclose(after[2:], slow[2:], rtol=1e-14)
     np.testing.assert_array_equal(after[:2], cells.volume[:2])
@@ -113,12 +115,14 @@ def test_linear_growth_has_the_bits_of_the_formula(phases):
     factor = np.linspace(0.1, 1.0, 20)
     if not phases:
         exact = cells.volume + 600.0 * (factor * birth_volume(scene) / cells.cycle_time)
-        np.testing.assert_array_equal(volumes_after(scene, cells, factor, 600.0), exact)
+        np.testing.assert_array_equal(
+            volumes_after(biology_plan(scene), cells, factor, 600.0), exact
+        )
         return
     from multicell.biology.cycle import advance
 
     within = cells.phase_length - cells.progress > 600.0
-    found = advance(scene, cells, factor, np.zeros(20, bool), 600.0).volume
+    found = advance(biology_plan(scene), cells, factor, np.zeros(20, bool), 600.0).volume
     exact = cells.volume + birth_volume(scene) / cells.cycle_time * factor * 600.0
     assert within.sum() > 15
     np.testing.assert_array_equal(found[within], exact[within])
@@ -150,8 +154,10 @@ def test_volumes_of_a_growing_population_have_the_known_distribution(law, later)
     )  # fmt: skip
     cells, number = initial_cells(scene), scene.initial.count
     for step in range(84 if later else 0):
-        cells.radius = np.cbrt(volumes_after(scene, cells, np.ones(len(cells)), 600.0) / SPHERE)
-        cells, number = divide(scene, cells, step, number)
+        cells.radius = np.cbrt(
+            volumes_after(biology_plan(scene), cells, np.ones(len(cells)), 600.0) / SPHERE
+        )
+        cells, number = divide(biology_plan(scene), cells, step, number)
     ratio = cells.volume / birth_volume(scene)
     test = stats.kstest(ratio, lambda v: cumulated(law, 1.3, np.clip(v, 1.0, 2.0)))
     # divisions wait for the end of a step, a sixtieth of a cycle
@@ -178,10 +184,14 @@ def test_the_estimated_error_of_splitting_is_that_of_a_changing_factor(law):
     scene = scene_of(law, 50, cycle_variation=0.1, initial={"stage": "uniform"})
     cells, dt = initial_cells(scene), 60.0
     before, after = np.linspace(0.2, 1.0, 50), np.linspace(0.4, 0.7, 50)
-    held_at, true = (volumes_after(scene, cells, f, dt) for f in (before, 0.5 * (before + after)))
+    held_at, true = (
+        volumes_after(biology_plan(scene), cells, f, dt) for f in (before, 0.5 * (before + after))
+    )
     ends = cells.shared()
     ends.radius = np.cbrt(held_at / SPHERE)
-    told = step_error(scene, freeze(cells, before), freeze(cells, after), ends, len(cells), dt)
+    told = step_error(
+        biology_plan(scene), freeze(cells, before), freeze(cells, after), ends, len(cells), dt
+    )
     assert told.volume == pytest.approx((held_at - true).sum(), rel=0.01)
 
 

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from multicell.biology.growth import birth_volume
 from multicell.cells import SPHERE
 from multicell.growth_laws.registry import LAWS
 from multicell.scene.parts import Growth
 from multicell.scene.scene import Scene
+from multicell.scene.sizes import birth_volume
 from multicell.simulation import Simulation
 
 SATURATING = ("relaxation", "logistic", "gompertz")

@@ -90,11 +90,11 @@ def test_growth_factors_follow_cells_and_fields():
     run = simulation(30)
     for _ in range(6):
         run.step()
-        expected = growth_factor(run.scene, run.concentrations, run.cells.pressure)
+        expected = growth_factor(run.plan, run.concentrations, run.cells.pressure)
         np.testing.assert_array_equal(run._growth_factor(), expected)
     assert run._growth_factor() is run._growth_factor()
     run.cells.pressure = np.full(len(run.cells), 0.05)
-    changed = growth_factor(run.scene, run.concentrations, run.cells.pressure)
+    changed = growth_factor(run.plan, run.concentrations, run.cells.pressure)
     np.testing.assert_array_equal(run._growth_factor(), changed)
 
 
