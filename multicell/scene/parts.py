@@ -213,9 +213,14 @@ class Growth:
         return {**target, **(self.parameters or {})}
 
     @property
+    def law_class(self) -> type[GrowthLaw]:
+        """The class of the law."""
+        return LAWS[self.law]
+
+    @property
     def growth_law(self) -> GrowthLaw:
         """The law with its parameters."""
-        return LAWS[self.law](**self._of_law())
+        return self.law_class(**self._of_law())
 
     @property
     def mean_cycle(self) -> float:

@@ -61,7 +61,7 @@ class Task:
         Of the study.
     scene
         As a table in base units.
-    law, integrator
+    laws, integrator
         ``file.py:Name`` of the user's own, or empty.
     retry
         Whether a run that failed, or whose folder is damaged, is tried again.
@@ -70,14 +70,14 @@ class Task:
     name: str
     folder: str
     scene: Mapping[str, Any]
-    law: str
+    laws: tuple[str, ...]
     integrator: str
     retry: bool
 
 
 def task(run: Run, folder: Path, retry: bool) -> Task:
     """Return what a worker has to know of a run."""
-    return Task(run.name, str(folder), run.scene.to_dict(), run.law, run.integrator, retry)
+    return Task(run.name, str(folder), run.scene.to_dict(), run.laws, run.integrator, retry)
 
 
 @final
@@ -184,13 +184,13 @@ def _forward(work: Task, place: Path, found: RunStatus, wanted: Callable[[], boo
 
 
 def _scene(work: Task) -> Scene:
-    """Return the scene of a run, with the user's own contact law loaded if it has one."""
+    """Return the scene of a run, with the user's own laws loaded."""
     from multicell.scene.scene import Scene
 
-    if work.law:
+    for law in work.laws:
         from multicell.contact.custom import load_law
 
-        load_law(work.law)
+        load_law(law)
     return Scene.from_dict(work.scene)
 
 
