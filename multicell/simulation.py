@@ -22,7 +22,7 @@ from multicell.biology.motion import motion_of
 from multicell.biology.pace import first_pace, next_pace
 from multicell.biology.splitting import columns, freeze, step_error
 from multicell.biology.start_states import StartStates
-from multicell.biology.step import aged, bind, decide, divide_and_remove, grow
+from multicell.biology.step import age_cells, bind, decide, divide_and_remove, grow
 from multicell.cells import Cells, FloatArray
 from multicell.contact.custom import Compiling
 from multicell.coupling.fields import SceneFields
@@ -191,22 +191,22 @@ class Simulation(RunState):
 
     def _advance(self) -> None:
         """Do one coupling step; an exception leaves parts of it behind."""
-        scene, begin, end = self.scene, self.time, self.timeline.next_time
+        plan, begin, end = self.plan, self.time, self.timeline.next_time
         with self.phase("biology"):
             factor = self._growth_factor()
-            grown = grow(self.plan, self.cells, self.concentrations, factor, end - begin)
-            before = None if scene.growth is None else freeze(self.cells, factor)
+            grown = grow(plan, self.cells, self.concentrations, factor, end - begin)
+            before = None if plan.growth is None else freeze(self.cells, factor)
             first, began = self.next_id, self.cells
         with self.phase("mechanics"):
             position, pressure = self._move(begin, end, grown.radius)
         with self.phase("events"):
-            self.cells, lost = aged(self.plan, self.cells, grown, self.concentrations, begin, end)
+            self.cells, lost = age_cells(plan, self.cells, grown, self.concentrations, begin, end)
             self.cells.position, self.cells.pressure = position, pressure
             self.released += lost
             self.timeline = self.timeline.after_step()
             self._divide_and_remove()
             if len(self.springs):
-                self.springs = spring_graph.unbroken(self.plan, self.springs, self.cells)
+                self.springs = spring_graph.without_broken(plan, self.springs, self.cells)
             self._sort()
         with self.phase("nutrient"):
             self._fields.advance(self.cells, begin, end, None if before is None else began)
@@ -325,7 +325,7 @@ class Simulation(RunState):
         self.unsorted += born + after.removals
         if born or after.removals:
             self.lineage.events(before, self.cells, self.time)
-            self.named = driven.handed_on(self.named, self.cells, first)
+            self.named = driven.pass_on(self.named, self.cells, first)
             if len(self.springs):
                 self.springs = spring_graph.after_divisions(
                     self.plan, self.springs, before, self.cells

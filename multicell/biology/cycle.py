@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.biology.durations import drawn_lengths, newborn_lengths
+from multicell.biology.durations import draw_lengths, newborn_lengths
 from multicell.cells import HALF, Cells, FloatArray, IntArray, Phase, State
 from multicell.contact.law import effective_modulus, effective_radius
 from multicell.contact.pair import rest_overlap
@@ -158,12 +158,12 @@ def leave_rest(plan: BiologyPlan, cells: Cells, wakes: NDArray[np.bool_]) -> Non
     cells.phase_length[awake] = _length_of(plan, cells, awake, cells.phase[awake])
 
 
-def newborn(plan: BiologyPlan, cells: Cells, progress: FloatArray) -> None:
+def enter_cycle(plan: BiologyPlan, cells: Cells, progress: FloatArray) -> None:
     """Put cells into their first phase, with what they have spent there already.
 
     Sisters that part stay in M for the same time, which the mother's identity sets.
     """
-    lengths = drawn_lengths(plan, cells.id, cells.kind)
+    lengths = draw_lengths(plan, cells.id, cells.kind)
     first = plan.order[0]
     if first == Phase.M:
         parents = np.maximum(cells.parent, 0)
@@ -227,7 +227,9 @@ def _at_rest(plan: BiologyPlan, cells: Cells, first: IntArray, second: IntArray)
     return found
 
 
-def placed(plan: BiologyPlan, cells: Cells, lengths: FloatArray, share: FloatArray) -> FloatArray:
+def place_in_cycle(
+    plan: BiologyPlan, cells: Cells, lengths: FloatArray, share: FloatArray
+) -> FloatArray:
     """Put cells at a share of their cycle, in [0, 1); return their volumes over that at birth.
 
     ``lengths`` are those of their phases, (n, 4) s.
@@ -255,7 +257,7 @@ def volume_ratio(plan: BiologyPlan, share: FloatArray) -> FloatArray:
     return plan.law.volume_after(np.ones(len(share)), share)
 
 
-def grown_share(plan: BiologyPlan, volume: FloatArray) -> FloatArray:
+def share_of_growth(plan: BiologyPlan, volume: FloatArray) -> FloatArray:
     """Return the share of their growing time that cells of a volume have behind them, (n,).
 
     Volumes are over that at birth; those outside growth have none or all of it behind them.
@@ -266,10 +268,10 @@ def grown_share(plan: BiologyPlan, volume: FloatArray) -> FloatArray:
     return plan.law.share_at(ratio)
 
 
-def placed_by_volume(plan: BiologyPlan, cells: Cells, volume: FloatArray) -> None:
+def place_by_volume(plan: BiologyPlan, cells: Cells, volume: FloatArray) -> None:
     """Put cells of known cycle times where they have a volume, given over that at birth."""
-    lengths = drawn_lengths(plan, cells.id, cells.kind)[:, np.array(plan.order) - 1]
-    grown_for = grown_share(plan, volume) * cells.cycle_time
+    lengths = draw_lengths(plan, cells.id, cells.kind)[:, np.array(plan.order) - 1]
+    grown_for = share_of_growth(plan, volume) * cells.cycle_time
     ends = np.cumsum(lengths * plan.grows[list(plan.order)], axis=1)
     place = np.minimum((grown_for[:, None] >= ends).sum(axis=1), len(PHASES) - 1)
     rows = np.arange(len(cells))
@@ -279,22 +281,22 @@ def placed_by_volume(plan: BiologyPlan, cells: Cells, volume: FloatArray) -> Non
     cells.progress = np.minimum(grown_for - before, cells.phase_length)
 
 
-def begun(plan: BiologyPlan, cells: Cells) -> FloatArray:
+def time_before_phase(plan: BiologyPlan, cells: Cells) -> FloatArray:
     """Return what cells have behind them before their phase, (n, 2) s: all time, time of growth.
 
     Those in G0 have G1 behind them.
     """
     sequence = plan.order
-    lengths = drawn_lengths(plan, cells.id, cells.kind)[:, np.array(sequence) - 1]
+    lengths = draw_lengths(plan, cells.id, cells.kind)[:, np.array(sequence) - 1]
     following = np.where(cells.phase == Phase.G0, Phase.S, cells.phase)
     place = np.argmax(following[:, None] == np.array(sequence), axis=1)
     earlier = lengths * (np.arange(len(PHASES)) < place[:, None])
     return np.stack([earlier.sum(axis=1), earlier @ plan.grows[np.array(sequence)]], axis=1)
 
 
-def grown_in_phase(plan: BiologyPlan, cells: Cells) -> FloatArray:
+def volume_in_phase(plan: BiologyPlan, cells: Cells) -> FloatArray:
     """Return the volumes of cells in their phases over those at birth, (n,)."""
-    elapsed = begun(plan, cells)[:, 1] + cells.progress * plan.grows[cells.phase]
+    elapsed = time_before_phase(plan, cells)[:, 1] + cells.progress * plan.grows[cells.phase]
     return volume_ratio(plan, elapsed / cells.cycle_time)
 
 
@@ -302,7 +304,7 @@ def _length_of(
     plan: BiologyPlan, cells: Cells, index: NDArray[np.int64], phase: NDArray[np.int8]
 ) -> FloatArray:
     """Return how long the cells at ``index`` stay in a phase, s."""
-    lengths = drawn_lengths(plan, cells.id[index], cells.kind[index])
+    lengths = draw_lengths(plan, cells.id[index], cells.kind[index])
     return np.asarray(lengths[np.arange(len(index)), phase - Phase.G1])
 
 

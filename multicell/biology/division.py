@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell import random
-from multicell.biology.cycle import newborn
+from multicell.biology.cycle import enter_cycle
 from multicell.biology.durations import draw_cycle_times
 from multicell.biology.traits import draw_moduli
 from multicell.cells import HALF, Cells, State
@@ -80,7 +80,7 @@ def _daughters(plan: BiologyPlan, mothers: Cells, step: int, ids: NDArray[np.int
     if "young" not in plan.heritable:
         daughters.young = draw_moduli(plan, step, ids, daughters.kind)
     if plan.order:
-        newborn(plan, daughters, daughters.progress - daughters.phase_length)
+        enter_cycle(plan, daughters, daughters.progress - daughters.phase_length)
     elif "cycle_time" not in plan.heritable:
         daughters.cycle_time = draw_cycle_times(plan, step, ids, daughters.kind)
     return daughters

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 Named = Mapping[str, IntArray]
-"""Identities of the cells of each driver that keeps a list, by its path in the plan."""
+"""Identities of the cells of each driver that keeps a list, by its path in the scene."""
 
 
 def named_at_start(scene: Scene, cells: Cells) -> dict[str, IntArray]:
@@ -49,7 +49,7 @@ def named_at_start(scene: Scene, cells: Cells) -> dict[str, IntArray]:
     }
 
 
-def handed_on(named: Named, cells: Cells, first: int) -> dict[str, IntArray]:
+def pass_on(named: Named, cells: Cells, first: int) -> dict[str, IntArray]:
     """Return the lists after events.
 
     Parameters

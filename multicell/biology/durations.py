@@ -1,6 +1,6 @@
 """How long the cycle of a cell and its phases last, and where in it a population is at the start.
 
-A newborn cell draws its durations from the distributions of the plan. The living cells of a
+A newborn cell draws its durations from the distributions of the scene. The living cells of a
 population that has grown for long are no sample of newborn ones. Where nothing limits growth, and
 cells die at any age at the same rate, births grow as exp(λt), and with T the time from birth to
 division and μ the sum of λ and the rate of deaths
@@ -36,11 +36,11 @@ if TYPE_CHECKING:
     from multicell.scene.parts import Growth, PhaseLength
 
 
-def drawn_lengths(plan: BiologyPlan, ids: NDArray[np.int64], kind: NDArray[np.int16]) -> FloatArray:
+def draw_lengths(plan: BiologyPlan, ids: NDArray[np.int64], kind: NDArray[np.int16]) -> FloatArray:
     """Return the durations of G1, S, G2 and M of each cell, (n, 4) s.
 
-    They depend on seed and identity only; founders of a stable population (:func:`founders`) have
-    longer ones than newborn cells.
+    They depend on seed and identity only; founders of a stable population
+    (:func:`multicell.biology.plan.founders`) have longer ones than newborn cells.
     """
 
     def draw(ids: NDArray[np.int64], attempt: int) -> FloatArray:
@@ -61,7 +61,7 @@ def draw_cycle_times(
 ) -> FloatArray:
     """Return cycle times of new cells, (n,), s; infinite in a scene without growth.
 
-    Those of founders (:func:`founders`) are longer than those of newborn cells.
+    Those of founders are longer than those of newborn cells.
     """
     growth = plan.growth
     if growth is None:
@@ -70,7 +70,7 @@ def draw_cycle_times(
     def draw(ids: NDArray[np.int64], attempt: int) -> FloatArray:
         # daughters have other identities and later steps
         mean, variation = growth.cycle_time, growth.cycle_variation
-        return scattered(plan.seed, Purpose.CYCLE, step + attempt, ids, mean, variation)
+        return scatter_about(plan.seed, Purpose.CYCLE, step + attempt, ids, mean, variation)
 
     drawn = _drawn(plan, ids, draw)
     return drawn if plan.cycle_scale is None else drawn * scale(plan, kind)
@@ -148,7 +148,7 @@ def quantile(phase: PhaseLength, u: FloatArray) -> FloatArray:
     return np.asarray(mean * (shift + (1.0 - shift) * random))
 
 
-def scattered(
+def scatter_about(
     seed: int, purpose: Purpose, step: int, ids: NDArray[np.int64], mean: float, variation: float
 ) -> FloatArray:
     """Return positive numbers that scatter normally about ``mean``, (n,).

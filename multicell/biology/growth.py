@@ -34,7 +34,7 @@ def growth_factor(
     plan
         One without growth gives zeros.
     concentrations : mapping of (n,), mM
-        Concentration at the cells, for every nutrient of the plan.
+        Concentration at the cells, for every nutrient of the scene.
     pressure : (n,), kPa
         Compression by the neighbours, tension negative.
 

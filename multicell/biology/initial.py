@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell import random
-from multicell.biology.cycle import placed, volume_ratio
-from multicell.biology.durations import draw_cycle_times, drawn_lengths, stages
+from multicell.biology.cycle import place_in_cycle, volume_ratio
+from multicell.biology.durations import draw_cycle_times, draw_lengths, stages
 from multicell.biology.plan import biology_plan
 from multicell.biology.traits import draw_kinds, draw_moduli
 from multicell.cells import SPHERE, Cells, FloatArray, State
@@ -89,7 +89,7 @@ def initial_cells(scene: Scene) -> Cells:
     ids = np.arange(initial.count, dtype=np.int64)
     kind = draw_kinds(plan, ids)
     phases = bool(plan.order)
-    lengths = drawn_lengths(plan, ids, kind) if phases else np.empty((initial.count, 0))
+    lengths = draw_lengths(plan, ids, kind) if phases else np.empty((initial.count, 0))
     cycle_time = lengths.sum(axis=1) if phases else draw_cycle_times(plan, 0, ids, kind)
     progress = stages(plan, ids, kind, cycle_time)
     age = np.zeros(initial.count) if scene.growth is None else progress * cycle_time
@@ -106,7 +106,9 @@ def initial_cells(scene: Scene) -> Cells:
         pressure=np.zeros(initial.count),
         kind=kind,
     )
-    volume = placed(plan, cells, lengths, progress) if phases else volume_ratio(plan, progress)
+    volume = (
+        place_in_cycle(plan, cells, lengths, progress) if phases else volume_ratio(plan, progress)
+    )
     cells.radius = np.cbrt(plan.birth_volume * volume / SPHERE)
     cells.position = _positions(scene, ids, cells.radius)
     return cells

@@ -111,7 +111,7 @@ def step_error(
     rate = law.rate(cells.volume, birth) / cells.cycle_time
     if plan.order:
         rate[~may_grow(plan, cells)] = 0.0
-    began = now.factor if jumped else _inherited(before, now, cells)
+    began = now.factor if jumped else _inherit(before, now, cells)
     change = 0.5 * rate * (began - now.factor)
     error, volume = dt * change, cells.volume
     missing = law.missing_in_waiting()
@@ -151,7 +151,7 @@ def columns(error: StepError, cells: Cells, contents: Mapping[str, float]) -> di
     }
 
 
-def _inherited(before: FrozenRates, now: FrozenRates, cells: Cells) -> FloatArray:
+def _inherit(before: FrozenRates, now: FrozenRates, cells: Cells) -> FloatArray:
     """Return the factors of a step's beginning for the cells at its end; daughters have hers."""
     if before.id is now.id or np.array_equal(before.id, now.id):
         return before.factor

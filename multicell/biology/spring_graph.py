@@ -30,7 +30,7 @@ class Springs:
     Attributes
     ----------
     table : (m,) int64
-        Place of the table that a spring belongs to in the plan.
+        Place of the table that a spring belongs to in the scene.
     pair : (m, 2) int64
         Identities of its cells, the smaller one first.
     rest : (m,), µm
@@ -103,7 +103,7 @@ def without_dead(springs: Springs, cells: Cells) -> Springs:
     return springs.take(np.flatnonzero(~gone)) if gone.any() else springs
 
 
-def unbroken(plan: BiologyPlan, springs: Springs, cells: Cells) -> Springs:
+def without_broken(plan: BiologyPlan, springs: Springs, cells: Cells) -> Springs:
     """Return the springs that are neither too long nor under too much tension."""
     longest = _limits(plan, springs, "breaking_length")
     strongest = _limits(plan, springs, "breaking_force")

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.biology.cycle import begun, grown_in_phase
+from multicell.biology.cycle import time_before_phase, volume_in_phase
 from multicell.biology.states import beyond, unfavourable
 from multicell.cells import SPHERE, Cells, FloatArray, Phase, State
 
@@ -65,7 +65,7 @@ class StartStates:
         tabled: bool = False,
     ) -> None:
         self._plan, self._first, self._field = plan, cells, field
-        self._rested = _rested(plan, cells)
+        self._rested = _rest_for_long(plan, cells)
         self._may_rest = cells.state == State.PROLIFERATING
         if plan.restricted and tabled:
             self._may_rest[:] = False  # the table gives their places in the cycle
@@ -172,7 +172,7 @@ class StartStates:
         return now
 
 
-def _rested(plan: BiologyPlan, cells: Cells) -> Cells:
+def _rest_for_long(plan: BiologyPlan, cells: Cells) -> Cells:
     """Return the cells as they are if they have rested for long.
 
     Where they rest in G0 only, they have come to the end of G1, and have the size of cells there.
@@ -182,8 +182,8 @@ def _rested(plan: BiologyPlan, cells: Cells) -> Cells:
     if plan.restricted:
         rested.phase[:] = Phase.G0
         rested.progress[:] = rested.phase_length[:] = 0.0
-        rested.age = begun(plan, rested)[:, 0]
-        volume = plan.birth_volume * grown_in_phase(plan, rested)
+        rested.age = time_before_phase(plan, rested)[:, 0]
+        volume = plan.birth_volume * volume_in_phase(plan, rested)
         rested.radius = np.cbrt(volume / SPHERE)
     return rested
 

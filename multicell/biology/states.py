@@ -53,7 +53,7 @@ def update_states(
     cells
         The population, n cells; its states, pressures, ages and identities are read.
     concentrations : mapping of (n,), mM
-        Concentration at the cells, for every nutrient of the plan.
+        Concentration at the cells, for every nutrient of the scene.
     step
         Number of the coupling step that has ended.
     dt

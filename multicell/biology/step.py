@@ -67,7 +67,7 @@ def grow(
     return Grown(np.asarray(np.cbrt(volume / SPHERE)), cycling)
 
 
-def aged(
+def age_cells(
     plan: BiologyPlan, cells: Cells, grown: Grown, concentrations: Concentrations,
     begin: float, end: float,
 ) -> tuple[Cells, float]:  # fmt: skip

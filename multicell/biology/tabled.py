@@ -9,15 +9,15 @@ from numpy.typing import NDArray
 
 from multicell import random
 from multicell.biology.cycle import (
-    begun,
     growing_time,
-    grown_in_phase,
-    grown_share,
-    placed,
-    placed_by_volume,
+    place_by_volume,
+    place_in_cycle,
+    share_of_growth,
+    time_before_phase,
+    volume_in_phase,
     volume_ratio,
 )
-from multicell.biology.durations import draw_cycle_times, drawn_lengths, stages
+from multicell.biology.durations import draw_cycle_times, draw_lengths, stages
 from multicell.biology.plan import BiologyPlan, biology_plan
 from multicell.biology.traits import draw_kinds, draw_moduli
 from multicell.cells import SPHERE, Cells, FloatArray, Phase, State
@@ -123,7 +123,7 @@ def _without_phases(plan: BiologyPlan, cells: Cells, given: Given) -> FloatArray
     cells.cycle_time = given.columns.get("cycle_time", drawn)
     volume = _volume_of(plan, given)
     if volume is not None:
-        progress = grown_share(plan, volume)
+        progress = share_of_growth(plan, volume)
     elif "age" in given.columns and plan.growth is not None:
         progress = _share_of_cycle(cells, given, cells.cycle_time)
     else:
@@ -137,23 +137,23 @@ def _without_phases(plan: BiologyPlan, cells: Cells, given: Given) -> FloatArray
 def _in_phases(plan: BiologyPlan, cells: Cells, given: Given) -> FloatArray:
     """Give cells their place in the cycle; return their volumes, µm³."""
     columns = given.columns
-    lengths = drawn_lengths(plan, cells.id, cells.kind)
+    lengths = draw_lengths(plan, cells.id, cells.kind)
     cells.cycle_time = columns.get("cycle_time", growing_time(plan, lengths))
     volume = _volume_of(plan, given)
     if "phase" in columns:
         cells.phase = columns["phase"]
         _in_given_phase(plan, cells, given, lengths)
     elif volume is not None:
-        placed_by_volume(plan, cells, volume)
+        place_by_volume(plan, cells, volume)
     else:
         share = stages(plan, cells.id, cells.kind, lengths.sum(axis=1))
         if "age" in columns:
             share = _share_of_cycle(cells, given, lengths.sum(axis=1))
         own = cells.cycle_time
-        placed(plan, cells, lengths, share)
+        place_in_cycle(plan, cells, lengths, share)
         cells.cycle_time = own
-    cells.age = begun(plan, cells)[:, 0] + cells.progress
-    return np.asarray(plan.birth_volume * grown_in_phase(plan, cells))
+    cells.age = time_before_phase(plan, cells)[:, 0] + cells.progress
+    return np.asarray(plan.birth_volume * volume_in_phase(plan, cells))
 
 
 def _in_given_phase(plan: BiologyPlan, cells: Cells, given: Given, lengths: FloatArray) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell import random
-from multicell.biology.durations import scattered
+from multicell.biology.durations import scatter_about
 from multicell.cells import FloatArray
 from multicell.random import Purpose
 
@@ -34,5 +34,5 @@ def draw_moduli(
     plan: BiologyPlan, step: int, ids: NDArray[np.int64], kind: NDArray[np.int16]
 ) -> FloatArray:
     """Return Young's moduli of new cells, (n,), kPa: ``durations.scattered``."""
-    drawn = scattered(plan.seed, Purpose.MODULI, step, ids, plan.young, plan.young_variation)
+    drawn = scatter_about(plan.seed, Purpose.MODULI, step, ids, plan.young, plan.young_variation)
     return drawn if plan.young_ratio is None else np.asarray(drawn * plan.young_ratio[kind])

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from multicell.biology.death import remove_lysed
 from multicell.biology.division import divide
-from multicell.biology.durations import scattered
+from multicell.biology.durations import scatter_about
 from multicell.biology.growth import growth_factor, volumes_after
 from multicell.biology.initial import initial_cells, packed_ball
 from multicell.biology.plan import biology_plan
@@ -138,7 +138,7 @@ def test_moduli_and_cycle_times_are_truncated_normal_and_independent() -> None:
 
 
 def test_largest_variation_stays_positive_and_keeps_the_mean() -> None:
-    values = scattered(1, Purpose.MODULI, 0, np.arange(20_000), 2.0, 0.5)
+    values = scatter_about(1, Purpose.MODULI, 0, np.arange(20_000), 2.0, 0.5)
     assert values.min() >= 0.2
     law = stats.truncnorm(-1.8, 1.8, loc=2.0, scale=1.0)
     assert stats.kstest(values, law.cdf).pvalue > 1e-3

@@ -7,9 +7,9 @@ import pytest
 from scipy import stats
 
 import multicell as mc
-from multicell.biology.cycle import advance, newborn, parting
+from multicell.biology.cycle import advance, enter_cycle, parting
 from multicell.biology.division import divide
-from multicell.biology.durations import drawn_lengths, quantile
+from multicell.biology.durations import draw_lengths, quantile
 from multicell.biology.initial import initial_cells
 from multicell.biology.plan import biology_plan
 from multicell.cells import Phase, State
@@ -136,7 +136,7 @@ def test_durations_follow_their_distribution(phase, law):
     np.testing.assert_allclose(quantile(length, u) / 1000.0, law.ppf(u), rtol=1e-9)
     described = scene(growth__phases={**FIXED, "S": {"duration": 1000.0, **phase}})
     drawn = (
-        drawn_lengths(biology_plan(described), np.arange(3000), np.zeros(3000, np.int16))[:, 1]
+        draw_lengths(biology_plan(described), np.arange(3000), np.zeros(3000, np.int16))[:, 1]
         / 1000.0
     )
     assert stats.kstest(drawn, law.cdf).pvalue > 0.01
@@ -194,7 +194,7 @@ def test_daughters_inherit_what_is_heritable_and_draw_the_rest():
 def test_types_have_cycles_of_their_own():
     described = scene(types__fast={"cycle_scale": 0.5}, types__slow={"cycle_scale": 2.0})
     cells = cells_of(described, 10)
-    newborn(biology_plan(described), cells, np.zeros(10))
+    enter_cycle(biology_plan(described), cells, np.zeros(10))
     np.testing.assert_allclose(cells.phase_length, np.where(cells.kind == 0, 3 * HOUR, 12 * HOUR))
 
 

@@ -37,7 +37,7 @@ def scene(fields, **changes):
 
 
 def chosen(described, name="oxygen"):
-    feeding = mc.Simulation(described)._feeding
+    feeding = mc.Simulation(described).field_system
     return feeding.grids.choices[name], feeding.grids.choosers[name]
 
 
@@ -183,7 +183,7 @@ def test_a_transient_field_is_right_within_its_tolerance():
     fields = {"diffusion": "20 um^2/s", "boundary": "1 mM", "uptake": "5 amol/s"}
     tolerance = 5e-3
     coarse = mc.Simulation(scene({"sugar": {**fields, "tolerance": tolerance}}, **still))
-    choice = coarse._feeding.grids.choices["sugar"]
+    choice = coarse.field_system.grids.choices["sugar"]
     assert not choice.steady
     fine = mc.Simulation(
         scene({"sugar": {**fields, "spacing": 2.5, "regime": "transient"}}, **still)
@@ -261,7 +261,7 @@ def test_what_settles_within_a_coupling_step_is_steady():
 
 
 def test_a_scene_without_tolerance_loads_nothing_of_it():
-    feeding = mc.Simulation(scene({"oxygen": AIR}))._feeding
+    feeding = mc.Simulation(scene({"oxygen": AIR})).field_system
     assert feeding.grids.choosers == {}
     assert feeding.grids.columns() == {}
     assert feeding.grids.kept() == {}
