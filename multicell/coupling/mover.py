@@ -107,10 +107,10 @@ class Mover:
 
     def contacts(self, cells: Cells, motion: Motion) -> IntArray | None:
         """Return indices of the pairs that overlap, (m, 2), before any of them has touched."""
-        if not len(cells) or not self._counts:
+        if not len(cells):
             return None
         self.system.begin(motion)
-        return self.system.contacts(motion.begin, cells.position)
+        return self.system.contacts(motion.begin, cells.position) if self._counts else None
 
     def _is_alone(self, count: int) -> bool:
         """Return whether there is one cell that nothing acts on: it stays where it is."""
