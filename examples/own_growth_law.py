@@ -1,5 +1,5 @@
 """A growth law of one's own: von Bertalanffy's, with the volume that a cell would come to
-==========================================================================================
+=======================================================================================
 
 Problem
     Uptake through the surface and upkeep of the volume: dV/dt = a V^(2/3) - b V (L. von
