@@ -21,7 +21,7 @@ from scipy.sparse.linalg import LinearOperator, eigsh
 
 import multicell as mc
 from multicell.biology.division import divide
-from multicell.biology.growth import division_volume
+from multicell.biology.plan import biology_plan
 from multicell.cells import SPHERE, Cells, FloatArray
 from multicell.comparison.cache import cache_folder, source_hash
 from multicell.comparison.conditioning import shifted
@@ -32,6 +32,7 @@ from multicell.integrators.rosenbrock import Rosenbrock
 from multicell.integrators.runge_kutta import Euler
 from multicell.mechanics.system import Mechanics
 from multicell.random import Purpose, normal
+from multicell.scene.sizes import division_volume
 
 STATES: Final = ("rest", "growing", "divided")
 ACCURACIES: Final = (0.01, 0.001)
@@ -127,7 +128,7 @@ def problem(
     scene = scene_of(count, seed)
     cells = cluster(count, seed, folder)
     if state == "divided":
-        cells, _ = divide(scene, cells, 0, count)
+        cells, _ = divide(biology_plan(scene), cells, 0, count)
     simulation = mc.Simulation(scene, threads=1, cells=cells, integrator=Euler(1.0))
     cells, template = simulation.cells, simulation.prepared()  # in spatial order
     motion = template.motion

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from multicell.contact.custom import load_law, pair_law
     from multicell.contact.hertz import Hertz
     from multicell.contact.jkr import JKR
+    from multicell.growth_laws.custom import growth_law
     from multicell.importing.imported import Imported
     from multicell.importing.physicell.reader import import_physicell
     from multicell.integrators.base import Integrator, MethodInfo, Outcome
@@ -98,6 +99,7 @@ __all__ = [
     "export",
     "field_problem",
     "fit",
+    "growth_law",
     "import_physicell",
     "load_law",
     "load_result",
@@ -118,6 +120,7 @@ __all__ = [
 _LAZY = {
     "load_law": "multicell.contact.custom",
     "pair_law": "multicell.contact.custom",
+    "growth_law": "multicell.growth_laws.custom",
     "Cells": "multicell.cells",
     "Hertz": "multicell.contact.hertz",
     "FieldEquation": "multicell.nutrient.equations.equation",

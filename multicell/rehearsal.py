@@ -19,7 +19,7 @@ import sys
 import time as clock
 from contextlib import suppress
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.threads import DRIVERS
 
@@ -45,6 +45,10 @@ _LONGEST_WAIT = 30.0
 """How long the run waits for it at that size, s: longer than it takes on a slow machine."""
 
 
+_OWN_GROWTH: Final = ("law", "target", "parameters")
+"""Keys of growth that a law of the user's own takes."""
+
+
 @final
 class Rehearsal:
     """The processes that compile ahead of a run, one after the other, never longer than the run.
@@ -59,6 +63,9 @@ class Rehearsal:
 
     def __init__(self, scene: Scene, threads: int = 2) -> None:
         self._scene = scene.to_dict()
+        growth = self._scene.get("growth", {})
+        if ":" in growth.get("law", ""):  # no compiled code depends on it
+            self._scene["growth"] = {k: growth[k] for k in growth if k not in _OWN_GROWTH}
         self._process: subprocess.Popen[bytes] | None = None
         self._over = threads == 1 or not _worth_while()
         self._doing = ""

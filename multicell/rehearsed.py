@@ -12,6 +12,7 @@ import numpy as np
 
 from multicell.biology.initial import initial_cells
 from multicell.biology.motion import motion_of
+from multicell.biology.plan import biology_plan
 from multicell.integrators import registry
 from multicell.integrators.auto import MILD, Auto, candidates, choose
 from multicell.integrators.rkc import Rkc2
@@ -68,7 +69,7 @@ def touching(scene: Scene, count: int) -> tuple[Mechanics, FloatArray]:
     nothing = np.zeros((count, 3))
     system = start.mechanics(scene, 1)
     motion = motion_of(
-        scene, cells, cells.radius, 0.0, longest_step(scene), concentrations={},
+        biology_plan(scene), cells, cells.radius, 0.0, longest_step(scene), concentrations={},
         gradients=dict.fromkeys(followed(scene), nothing),
         contacts=np.empty((0, 2), dtype=np.int64),
     )  # fmt: skip

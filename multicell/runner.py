@@ -6,7 +6,7 @@ import math
 import time as clock
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
@@ -42,6 +42,19 @@ if TYPE_CHECKING:
     from multicell.results.reader import Contents
     from multicell.results.writer import Store
     from multicell.scene.scene import Scene
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class RunOptions:
+    """How a scene is run; see :func:`run` for the meaning of each option."""
+
+    output: str | Path | None = None
+    integrator: str | type[Integrator] | Integrator | None = None
+    overwrite: bool = False
+    threads: int | None = None
+    progress: Callable[[Simulation], None] | None = None
+    reactions: Mapping[str, OwnReaction] | None = None
 
 
 def run(
@@ -104,24 +117,14 @@ def run(
     """
     if isinstance(scene, str | Path):
         scene = load_scene(scene)
-    recorder = recorded(
-        scene, output=output, integrator=integrator, overwrite=overwrite, threads=threads,
-        progress=progress, reactions=reactions, cells=cells,
+    options = RunOptions(
+        output=output, integrator=integrator, overwrite=overwrite, threads=threads,
+        progress=progress, reactions=reactions,
     )  # fmt: skip
-    return finished(recorder, report)
+    return finish_run(record_run(scene, options, cells), report)
 
 
-def recorded(
-    scene: Scene,
-    *,
-    output: str | Path | None,
-    integrator: str | type[Integrator] | Integrator | None = None,
-    overwrite: bool = False,
-    threads: int | None = None,
-    progress: Callable[[Simulation], None] | None = None,
-    reactions: Mapping[str, OwnReaction] | None = None,
-    cells: Any = None,
-) -> Recorder:
+def record_run(scene: Scene, options: RunOptions, cells: Any = None) -> Recorder:
     """Run a scene as :func:`run` does, and read nothing back of what was written."""
     if cells is not None:
         from multicell.scene.start_table import with_cells
@@ -131,27 +134,27 @@ def recorded(
         from multicell.scene.start_checks import check_start_table
 
         check_start_table(scene)  # before the folder is made
-    scene, own = integrated_by(scene, integrator)
+    scene, own = integrated_by(scene, options.integrator)
     begin = clock.perf_counter()
-    threads = thread_count(threads)  # before the folder is made
+    threads = thread_count(options.threads)  # before the folder is made
     store = None
-    if output is not None:
+    if options.output is not None:
         from multicell.results.writer import Store  # HDF5 is loaded where there is a folder only
 
-        store = Store.create(output, scene, overwrite)
+        store = Store.create(options.output, scene, options.overwrite)
     recorder = Recorder(scene, store)
     with ExitStack() as stack:
-        stack.enter_context(under_way())
+        stack.enter_context(failing_as_run())
         interrupt = stack.enter_context(STEP).deliver
         stack.callback(recorder.close)
         rehearsal = Rehearsal(scene, threads)
         stack.callback(rehearsal.close)
         if own is None:
             rehearsal.begin(scene)
-        simulation = Simulation(scene, threads=threads, integrator=own, reactions=reactions)
-        recorder.started(simulation, begin)
+        simulation = Simulation(scene, threads=threads, integrator=own, reactions=options.reactions)
+        recorder.note_startup(simulation, begin)
         recorder.record(simulation)
-        go_on(simulation, recorder, interrupt, progress, rehearsal)
+        advance_run(simulation, recorder, interrupt, options.progress, rehearsal)
     return recorder
 
 
@@ -170,7 +173,7 @@ def integrated_by(
     return replace(scene, integrator=options), own
 
 
-def go_on(
+def advance_run(
     simulation: Simulation,
     recorder: Recorder,
     interrupt: Callable[[], None],
@@ -205,7 +208,7 @@ def go_on(
 
 
 @contextmanager
-def under_way() -> Iterator[None]:
+def failing_as_run() -> Iterator[None]:
     """Count what cannot be written from now on as a failure of the run, not as bad input."""
     try:
         yield
@@ -214,9 +217,9 @@ def under_way() -> Iterator[None]:
         raise
 
 
-def finished(recorder: Recorder, report: bool) -> Result:
+def finish_run(recorder: Recorder, report: bool) -> Result:
     """Return the result of a run that has ended, with its report if there is a folder."""
-    with under_way():
+    with failing_as_run():
         result = recorder.result()
         if report and result.folder is not None:
             try:
@@ -245,7 +248,7 @@ class Recorder:
         self._memory = Returns()
         self._begin = self._startup = 0.0
 
-    def started(self, simulation: Simulation, begin: float) -> None:
+    def note_startup(self, simulation: Simulation, begin: float) -> None:
         """Note that all is ready since a moment of the clock, for the account of wall time."""
         self._begin = begin
         self._startup = clock.perf_counter() - begin - sum(simulation.wall.values())
@@ -382,27 +385,22 @@ def resume(
     StepFailed
         As for :func:`multicell.run`.
     """
-    recorder = gone_on(
-        folder, frame, output=output, changes=changes, integrator=integrator, overwrite=overwrite,
-        threads=threads, progress=progress, reactions=reactions,
+    options = RunOptions(
+        output=output, integrator=integrator, overwrite=overwrite, threads=threads,
+        progress=progress, reactions=reactions,
     )  # fmt: skip
-    return finished(recorder, report)
+    return finish_run(record_resumed(folder, options, frame, changes=changes), report)
 
 
-def gone_on(
+def record_resumed(
     folder: str | Path,
+    options: RunOptions,
     frame: int = -1,
     *,
-    output: str | Path | None = None,
     changes: Mapping[str, Any] | None = None,
-    integrator: str | type[Integrator] | Integrator | None = None,
-    overwrite: bool = False,
-    threads: int | None = None,
-    progress: Callable[[Simulation], None] | None = None,
-    reactions: Mapping[str, OwnReaction] | None = None,
     planned: bool = False,
 ) -> Recorder:
-    """Go on with a run as :func:`resume` does, and read nothing back of what was written.
+    """Resume a run as :func:`resume` does, and read nothing back of what was written.
 
     Where only ``planned`` frames are to be kept, and the run goes on in its own folder, one that
     an interruption has added is left out once the run has gone on from it: the folder becomes bit
@@ -413,7 +411,8 @@ def gone_on(
 
     begin = clock.perf_counter()
     folder = Path(folder)
-    here = output is None or Path(output).resolve() == folder.resolve()
+    target = folder if options.output is None else Path(options.output)
+    here = target.resolve() == folder.resolve()
     with ExitStack() as stack:
         contents = Contents(folder)
         if here:
@@ -421,31 +420,31 @@ def gone_on(
             contents = Contents(folder)  # another run may have come first
         place = _place(contents, frame)
         _check_damage(contents, frame, here)
-        scene, own = integrated_by(_changed(recorded_scene(contents), changes or {}), integrator)
-        threads = thread_count(threads)
-        simulation = _simulation(scene, contents, place, threads, own, reactions)
+        scene = _change(recorded_scene(contents), changes or {})
+        simulation = _simulation(scene, contents, place, options)
+        scene = simulation.scene
         rows = _rows(contents, simulation.step_index)
         interrupt = stack.enter_context(STEP).deliver
         if here:
             for k in range(place):  # what is damaged is better known before the run than after it
                 contents.frame(k)
-            kept = _planned(contents, place, simulation) if planned else place
-            store = Store.go_on(contents, kept, rows, scene)
+            last = _last_planned(contents, place, simulation) if planned else place
+            store = Store.go_on(contents, last, rows, scene)
         else:
-            kept = place
-            store = Store.create(Path(output or folder), scene, overwrite)
+            last = place
+            store = Store.create(target, scene, options.overwrite)
         recorder = Recorder(scene, store)
         stack.callback(recorder.close)
-        stack.enter_context(under_way())
+        stack.enter_context(failing_as_run())
         if not here:
             store.copy(contents, place, rows)
-        recorder.skip(contents.frame(kept))
-        recorder.started(simulation, begin)
-        go_on(simulation, recorder, interrupt, progress)
+        recorder.skip(contents.frame(last))
+        recorder.note_startup(simulation, begin)
+        advance_run(simulation, recorder, interrupt, options.progress)
     return recorder
 
 
-def _planned(contents: Contents, place: int, simulation: Simulation) -> int:
+def _last_planned(contents: Contents, place: int, simulation: Simulation) -> int:
     """Return the number of the last frame up to one that the scene asks for."""
     if place == 0 or simulation.finished:
         return place
@@ -473,15 +472,9 @@ def _check_damage(contents: Contents, frame: int, here: bool) -> None:
         contents.whole()
 
 
-def _simulation(
-    scene: Scene,
-    contents: Contents,
-    place: int,
-    threads: int,
-    own: Integrator | None,
-    reactions: Mapping[str, OwnReaction] | None,
-) -> Simulation:
-    """Return the simulation at a frame, or say why it cannot go on."""
+def _simulation(scene: Scene, contents: Contents, place: int, options: RunOptions) -> Simulation:
+    """Return the simulation at a frame, or state why it cannot continue."""
+    scene, own = integrated_by(scene, options.integrator)
     folder, start = contents.folder, contents.frame(place)
     if start.progress is None:
         raise OutputError(
@@ -497,9 +490,13 @@ def _simulation(
             f"is {most}, but the frame at {start.time:g} s has {len(start.cells)} cells",
             "Name a larger number, or resume from an earlier frame.",
         )
-    lineage = contents.lineage(place)
     simulation = Simulation(
-        scene, threads=threads, frame=start, lineage=lineage, integrator=own, reactions=reactions
+        scene,
+        threads=thread_count(options.threads),
+        frame=start,
+        lineage=contents.lineage(place),
+        integrator=own,
+        reactions=options.reactions,
     )
     if simulation.finished and _complete(contents):
         end, twice = (time_unit(start.time).text(n * start.time) for n in (1, 2))
@@ -528,7 +525,7 @@ def _complete(contents: Contents) -> bool:
     return contents.journal is None and summary is not None and not summary.get("interrupted")
 
 
-def _changed(scene: Scene, changes: Mapping[str, Any]) -> Scene:
+def _change(scene: Scene, changes: Mapping[str, Any]) -> Scene:
     """Return the scene with changes that may be made while a run goes on."""
     for key in changes:
         parts = key.split(".")

@@ -7,7 +7,8 @@ on (:class:`multicell.Integrator`). It fits into any test suite:
 >>> def test_mine():
 ...     check_integrator(Midpoint)                                   # doctest: +SKIP
 
-:func:`check_pair_law` does the same for a pair law (:func:`multicell.pair_law`), and
+:func:`check_pair_law` does the same for a pair law (:func:`multicell.pair_law`),
+:func:`check_growth_law` for a law of growth (:func:`multicell.growth_law`) and
 :func:`check_reaction` for a reaction between fields (:func:`multicell.reaction`).
 """
 
@@ -24,6 +25,7 @@ import numpy as np
 from multicell.cells import FloatArray
 from multicell.contact.hertz import Hertz
 from multicell.contact.law import PairLaw, effective_modulus
+from multicell.growth_laws.law import GrowthLaw
 from multicell.integrators.base import Integrator, MethodInfo, Outcome, build
 from multicell.integrators.own import known
 from multicell.mechanics.motion import Motion
@@ -74,6 +76,93 @@ def check_reaction(reaction: Any) -> None:
         plain = reaction([float(x) for x in c], Cell(tissue))
         if not np.allclose(compiled, plain, rtol=1e-9, atol=0.0):
             raise AssertionError(f"{name}, compiled, has the rates {compiled} at {c}, not {plain}")
+
+
+def check_growth_law(law: GrowthLaw) -> None:
+    """Raise ``AssertionError``, with all that is wrong, unless a growth law keeps its promises.
+
+    For volumes from birth to division and shares of a cycle up to 1:
+
+    - rates are above zero, volumes and shares are numbers, and arrays keep their shape;
+    - a cell that nothing limits comes from birth to twice that volume in one cycle;
+    - the share of a cycle is the inverse of the volume after it;
+    - two steps one after the other are one step of their sum, and no step changes nothing;
+    - the volume changes at the law's rate, and in any unit of volume by the same law.
+
+    Parameters
+    ----------
+    law
+        A law with its parameters, such as ``Bertalanffy(largest=2.2)``
+        (:func:`multicell.growth_law`).
+
+    Raises
+    ------
+    AssertionError
+        If a promise is not kept.
+    """
+    problems = []
+    for check in (_check_numbers, _check_doubling, _check_inverse, _check_additivity, _check_rate):
+        try:
+            check(law)
+        except _Broken as error:
+            problems.append(str(error))
+    if problems:
+        raise AssertionError(f"{type(law).__name__}: " + "; ".join(dict.fromkeys(problems)))
+
+
+_GROWTH_ROUNDING = 1e-9
+"""How far volumes and shares of a growth law may be off, relative to the volume at birth."""
+
+
+def _same(found: FloatArray, wanted: FloatArray, problem: str) -> None:
+    off = float(np.max(np.abs(np.asarray(found) - wanted)))
+    _require(off <= _GROWTH_ROUNDING, f"{problem}: off by {off:.2g}")
+
+
+def _growing() -> tuple[FloatArray, FloatArray]:
+    """Return volumes at the beginning and shares of a cycle by which they end at 2.2 at most."""
+    volume, share = np.meshgrid(np.linspace(1.0, 2.0, 11), np.linspace(0.0, 0.1, 6))
+    return volume.ravel(), share.ravel()
+
+
+def _check_numbers(law: GrowthLaw) -> None:
+    volume, share = _growing()
+    rate = law.rate(volume)
+    _require(np.shape(rate) == volume.shape, "its rates are not one for each volume")
+    _require(np.isfinite(rate).all(), "its rate is no number at some volume")
+    _require((rate > 0.0).all(), "its rate is not above zero from birth to division")
+    for found in (law.volume_after(volume, share), law.share_at(volume)):
+        _require(np.shape(found) == volume.shape, "it does not return one number for each cell")
+        _require(np.isfinite(found).all(), "it returns something that is no number")
+
+
+def _check_doubling(law: GrowthLaw) -> None:
+    after = law.volume_after(np.ones(1), np.ones(1))
+    _same(after, np.full(1, 2.0), "a cycle does not double the volume")
+
+
+def _check_inverse(law: GrowthLaw) -> None:
+    share = np.linspace(0.0, 1.0, 21)
+    found = law.share_at(law.volume_after(np.ones(21), share))
+    _same(found, share, "its share of a cycle is not the inverse of its volume")
+
+
+def _check_additivity(law: GrowthLaw) -> None:
+    volume, share = _growing()
+    _same(law.volume_after(volume, 0.0 * share), volume, "no time changes its volume")
+    halves = law.volume_after(law.volume_after(volume, 0.4 * share), 0.6 * share)
+    _same(halves, law.volume_after(volume, share), "two steps are not one of their sum")
+
+
+def _check_rate(law: GrowthLaw) -> None:
+    volume, step = np.linspace(1.0, 2.0, 21), 1e-4
+    ends = [law.volume_after(volume, np.full(21, sign * step)) for sign in (-1.0, 1.0)]
+    slope, rate = (ends[1] - ends[0]) / (2.0 * step), law.rate(volume)
+    off = float(np.abs(slope - rate).max() / np.abs(rate).max())
+    _require(off <= _SLOPE, f"its volume does not change at its rate: off by {off:.2g} of it")
+    birth = 261.8
+    after = law.volume_after(volume * birth, np.full(21, 0.1), birth) / birth
+    _same(after, law.volume_after(volume, np.full(21, 0.1)), "it depends on the unit of volume")
 
 
 def check_integrator(method: Any) -> None:

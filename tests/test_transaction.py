@@ -7,6 +7,7 @@ import pytest
 
 import multicell as mc
 import multicell.biology.step as biology
+import multicell.simulation as simulation_module
 from multicell.errors import NutrientFailed, StepFailed
 from multicell.mechanics.system import Mechanics
 from multicell.nutrient.field import NutrientField
@@ -87,7 +88,7 @@ WHERE = {
     "second field": (NutrientField, "advance"),
     "sampling": (NutrientField, "sample"),
     "states": (biology, "update_states"),
-    "waking": (biology, "restricted"),
+    "estimate": (simulation_module, "step_error"),
 }
 ERRORS = [NutrientFailed("it cannot be solved", "Try again"), MemoryError(), KeyboardInterrupt()]
 

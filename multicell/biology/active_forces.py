@@ -13,8 +13,8 @@ from multicell.cells import Cells, FloatArray
 from multicell.random import Purpose
 
 if TYPE_CHECKING:
+    from multicell.biology.plan import BiologyPlan
     from multicell.scene.parts import Motility
-    from multicell.scene.scene import Scene
 
 
 _NONE: Mapping[str, FloatArray] = {}
@@ -22,7 +22,7 @@ _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
 
 def active_force(
-    scene: Scene, cells: Cells, time: float, gradients: Mapping[str, FloatArray] = _NONE
+    plan: BiologyPlan, cells: Cells, time: float, gradients: Mapping[str, FloatArray] = _NONE
 ) -> FloatArray:
     """Return the active force of each cell at a time, (n, 3) nN.
 
@@ -33,7 +33,7 @@ def active_force(
 
     Parameters
     ----------
-    scene
+    plan
         With ``motility``.
     cells
         The population, n cells.
@@ -42,20 +42,20 @@ def active_force(
     gradients : name -> (n, 3), mM/µm
         At the cells; of the field that a bias is towards.
     """
-    law = scene.motility
+    law = plan.motility
     assert law is not None
     if law.renewal == "regular":
-        random_part = _regular(scene, law, cells, time)
+        random_part = _regular(plan, law, cells, time)
     else:
         from multicell.biology.renewal import directions_at
 
-        random_part = directions_at(scene, cells.id, time / law.persistence)
+        random_part = directions_at(plan, cells.id, time / law.persistence)
     if law.bias:
         return law.force * _biased(law, random_part, gradients)
     return random_part * law.force
 
 
-def _regular(scene: Scene, law: Motility, cells: Cells, time: float) -> FloatArray:
+def _regular(plan: BiologyPlan, law: Motility, cells: Cells, time: float) -> FloatArray:
     """Return the random directions of cells that change them after equal times, (n, 3)."""
     shift = (cells.id + 1) * _GOLDEN % 1.0
     interval = np.floor(time / law.persistence + shift).astype(np.int64)
@@ -63,7 +63,7 @@ def _regular(scene: Scene, law: Motility, cells: Cells, time: float) -> FloatArr
     for number in np.unique(interval):
         now = interval == number
         force[now] = random.directions(
-            scene.seed, Purpose.MOTILITY, int(number), cells.id[now], scene.dimensions
+            plan.seed, Purpose.MOTILITY, int(number), cells.id[now], plan.dimensions
         )
     return force
 
@@ -81,7 +81,7 @@ def _biased(
 
 
 def chemotactic_force(
-    scene: Scene, cells: Cells, gradients: Mapping[str, FloatArray]
+    plan: BiologyPlan, cells: Cells, gradients: Mapping[str, FloatArray]
 ) -> FloatArray:
     """Return the force along the gradients of fields, (n, 3) nN.
 
@@ -94,20 +94,20 @@ def chemotactic_force(
         At the cells.
     """
     total = np.zeros((len(cells), 3))
-    for name, law in scene.chemotaxis.items():
+    for name, law in plan.chemotaxis.items():
         gradient = gradients[name]
         steepness = np.linalg.norm(gradient, axis=1, keepdims=True)
         total += law.force * gradient / (steepness + law.half)
     return total
 
 
-def haptotactic_force(scene: Scene, cells: Cells) -> FloatArray:
+def haptotactic_force(plan: BiologyPlan, cells: Cells) -> FloatArray:
     """Return the force up the scene's landscape of adhesion, (n, 3) nN.
 
     Its potential is -a(x) with a = x for a gradient, cos(2πx/L) for stripes and
     exp(-|x|²/2L²) for a spot, scaled so that the largest force is the one that the scene gives.
     """
-    law = scene.haptotaxis
+    law = plan.haptotaxis
     assert law is not None
     total = np.zeros((len(cells), 3))
     if law.landscape == "spot":
@@ -121,21 +121,21 @@ def haptotactic_force(scene: Scene, cells: Cells) -> FloatArray:
     return total
 
 
-def pulling_force(scene: Scene, cells: Cells, time: float) -> FloatArray:
+def pulling_force(plan: BiologyPlan, cells: Cells, time: float) -> FloatArray:
     """Return the external force on each cell at a time and its rate, (n, 6) nN and nN/s.
 
     It points away from the centroid of all cells; a cell that lies there is not pulled.
     """
-    assert scene.pull is not None
+    assert plan.pull is not None
     away = cells.position - cells.position.sum(axis=0) / max(len(cells), 1)
     length = np.linalg.norm(away, axis=1, keepdims=True)
     direction = away / np.where(length > 0.0, length, 1.0)
-    size = scene.pull.force + scene.pull.rate * time
-    return np.hstack([size * direction, scene.pull.rate * direction])
+    size = plan.pull.force + plan.pull.rate * time
+    return np.hstack([size * direction, plan.pull.rate * direction])
 
 
 def push(
-    scene: Scene,
+    plan: BiologyPlan,
     cells: Cells,
     time: float,
     gradients: Mapping[str, FloatArray],
@@ -147,21 +147,21 @@ def push(
     Only living cells move by themselves, each type as actively as its ``motility_scale`` says.
     Forces from outside act on the cells that ``named`` says, from ``time`` to ``end``.
     """
-    active = scene.motility is not None or bool(scene.chemotaxis) or scene.haptotaxis is not None
-    if not active and scene.pull is None and not scene.forces:
+    active = plan.motility is not None or bool(plan.chemotaxis) or plan.haptotaxis is not None
+    if not active and plan.pull is None and not plan.forces:
         return None
     total = np.zeros((len(cells), 6))
-    if scene.motility is not None:
-        total[:, :3] += active_force(scene, cells, time, gradients)
-    if scene.chemotaxis:
-        total[:, :3] += chemotactic_force(scene, cells, gradients)
-    if scene.haptotaxis is not None:
-        total[:, :3] += haptotactic_force(scene, cells)
-    if scene.types:
-        total *= np.array([part.motility_scale for part in scene.types.values()])[cells.kind, None]
+    if plan.motility is not None:
+        total[:, :3] += active_force(plan, cells, time, gradients)
+    if plan.chemotaxis:
+        total[:, :3] += chemotactic_force(plan, cells, gradients)
+    if plan.haptotaxis is not None:
+        total[:, :3] += haptotactic_force(plan, cells)
+    if plan.motility_scale is not None:
+        total *= plan.motility_scale[cells.kind, None]
     total[cells.dead] = 0.0
-    if scene.pull is not None:
-        total += pulling_force(scene, cells, time)
-    if scene.forces:
-        add_forces(scene, cells, named or {}, (time, time if end is None else end), total)
+    if plan.pull is not None:
+        total += pulling_force(plan, cells, time)
+    if plan.forces:
+        add_forces(plan, cells, named or {}, (time, time if end is None else end), total)
     return total

@@ -10,12 +10,12 @@ import numpy as np
 from multicell.cells import Cells, Phase
 
 if TYPE_CHECKING:
+    from multicell.biology.plan import BiologyPlan
     from multicell.cells import FloatArray
-    from multicell.scene.scene import Scene
 
 
 def bonds(
-    scene: Scene,
+    plan: BiologyPlan,
     cells: Cells,
     concentrations: Mapping[str, FloatArray],
     begin: float,
@@ -28,23 +28,23 @@ def bonds(
     ``begin``. Between the two times they run linearly, so that a course with a kink between two
     coupling times is cut there.
     """
-    if scene.adhesion is None:
+    if plan.adhesion is None:
         return None
     now = np.stack([cells.receptor, cells.ligand], axis=1)
-    then = bond_levels(scene, cells, concentrations, end)
+    then = bond_levels(plan, cells, concentrations, end)
     rate = (then - now) / (end - begin) if end > begin else np.zeros_like(now)
     return np.ascontiguousarray(np.hstack([now, rate]))
 
 
 def bond_levels(
-    scene: Scene, cells: Cells, concentrations: Mapping[str, FloatArray], time: float
+    plan: BiologyPlan, cells: Cells, concentrations: Mapping[str, FloatArray], time: float
 ) -> FloatArray:
     """Return the receptors and ligands that cells have at a time in these conditions, (n, 2).
 
     Concentrations that are not known yet have no effect.
     """
-    levels = np.array([part.bonds(time) for part in scene.types.values()])[cells.kind]
-    for number, part in enumerate(scene.types.values()):
+    levels = np.array([part.bonds(time) for part in plan.types.values()])[cells.kind]
+    for number, part in enumerate(plan.types.values()):
         if not part.responds:
             continue
         own = np.flatnonzero(cells.kind == number)

@@ -17,25 +17,20 @@ in M are one dividing cell.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.biology.durations import drawn_lengths, newborn_lengths
-from multicell.biology.growth import birth_volume
-from multicell.biology.growth_laws import grown, share_behind
+from multicell.biology.durations import draw_lengths, newborn_lengths
 from multicell.cells import HALF, Cells, FloatArray, IntArray, Phase, State
 from multicell.contact.law import effective_modulus, effective_radius
 from multicell.contact.pair import rest_overlap
-from multicell.scene.pairs import surface_energies
 from multicell.scene.parts import PHASES
 
 if TYPE_CHECKING:
-    from multicell.scene.parts import PhaseLength
-    from multicell.scene.scene import Scene
+    from multicell.biology.plan import BiologyPlan
 
 
 @final
@@ -50,13 +45,13 @@ class Cycling:
     phase_length: FloatArray
 
 
-def growing_time(scene: Scene, lengths: FloatArray) -> FloatArray:
+def growing_time(plan: BiologyPlan, lengths: FloatArray) -> FloatArray:
     """Return the time that each cell spends in phases in which it grows, (n,) s."""
-    return np.asarray(lengths[:, _grows(scene)[1:]].sum(axis=1))
+    return np.asarray(lengths[:, plan.grows[1:]].sum(axis=1))
 
 
 def advance(
-    scene: Scene, cells: Cells, factor: FloatArray, unfavourable: NDArray[np.bool_], dt: float
+    plan: BiologyPlan, cells: Cells, factor: FloatArray, unfavourable: NDArray[np.bool_], dt: float
 ) -> Cycling:
     """Return where the cells are after a time ``dt`` (s).
 
@@ -67,14 +62,12 @@ def advance(
     unfavourable : (n,) bool
         Whether a cell would rest here.
     """
-    growth = scene.growth
-    assert growth is not None
     now = Cycling(
         cells.volume, cells.state.copy(), cells.phase.copy(), cells.progress.copy(),
         cells.phase_length.copy(),
     )  # fmt: skip
     left = np.where((cells.state == State.PROLIFERATING) & (cells.phase != Phase.G0), dt, 0.0)
-    grows = _grows(scene)
+    grows = plan.grows
     # a clock that stands still never comes to the end of its phase
     active = np.flatnonzero(left > 0.0)
     while active.size:
@@ -86,40 +79,45 @@ def advance(
         spent = np.minimum(np.maximum(needed, 0.0), left[active])
         now.progress[active] += rate * spent
         growing = active[in_growth]
-        _grow(scene, cells, now, growing, factor[growing], spent[in_growth])
+        _grow(plan, cells, now, growing, factor[growing], spent[in_growth])
         left[active] -= spent
-        _change(scene, cells, now, active[needed <= spent], factor, unfavourable, left)
+        _change(plan, cells, now, active[needed <= spent], factor, unfavourable, left)
         active = active[(left[active] > 0.0) & (needed <= spent)]
     return now
 
 
 def _grow(
-    scene: Scene, cells: Cells, now: Cycling, index: IntArray, factor: FloatArray, time: FloatArray
+    plan: BiologyPlan,
+    cells: Cells,
+    now: Cycling,
+    index: IntArray,
+    factor: FloatArray,
+    time: FloatArray,
 ) -> None:
     """Let cells grow for some time, s, at a part of their unlimited growth."""
-    assert scene.growth is not None
-    birth, cycle = birth_volume(scene), cells.cycle_time[index]
-    if scene.growth.law == "linear":
+    assert plan.law is not None
+    law, birth, cycle = plan.law, plan.birth_volume, cells.cycle_time[index]
+    if law.constant:
         now.volume[index] += birth / cycle * factor * time
         return
-    now.volume[index] = grown(scene.growth, birth, now.volume[index], factor * time / cycle)
+    now.volume[index] = law.volume_after(now.volume[index], factor * time / cycle, birth)
 
 
 def _grow_as_two(
-    scene: Scene, cells: Cells, now: Cycling, index: IntArray, ahead: FloatArray
+    plan: BiologyPlan, cells: Cells, now: Cycling, index: IntArray, ahead: FloatArray
 ) -> None:
     """Let mothers grow as their two daughters do for some time without limits, s."""
-    assert scene.growth is not None
-    birth, cycle = birth_volume(scene), cells.cycle_time[index]
-    if scene.growth.law == "linear":
+    assert plan.law is not None
+    law, birth, cycle = plan.law, plan.birth_volume, cells.cycle_time[index]
+    if law.constant:
         now.volume[index] += 2.0 * ahead * birth / cycle
         return
     half = 0.5 * now.volume[index]
-    now.volume[index] = 2.0 * grown(scene.growth, birth, half, ahead / cycle)
+    now.volume[index] = 2.0 * law.volume_after(half, ahead / cycle, birth)
 
 
 def _change(
-    scene: Scene,
+    plan: BiologyPlan,
     cells: Cells,
     now: Cycling,
     at_end: NDArray[np.int64],
@@ -128,75 +126,66 @@ def _change(
     left: FloatArray,
 ) -> None:
     """Lead cells at the end of their phase into the next one."""
-    assert scene.growth is not None
     phase = now.phase[at_end]
-    sequence = order(scene)
+    sequence = plan.order
     ripe = at_end[phase == sequence[-1]]
     if ripe.size:
         # what is left of the step is the daughters' time in their first phase
-        grow = _grows(scene)[sequence[0]]
+        grow = plan.grows[sequence[0]]
         ahead = left[ripe] * (factor[ripe] if grow else 1.0)
         now.progress[ripe] = now.phase_length[ripe] + ahead
         if grow:
-            _grow_as_two(scene, cells, now, ripe, ahead)
+            _grow_as_two(plan, cells, now, ripe, ahead)
         left[ripe] = 0.0
     resting = np.zeros(len(at_end), dtype=bool)
-    if scene.growth.restriction:
+    if plan.restricted:
         resting = (phase == Phase.G1) & unfavourable[at_end]
         rest = at_end[resting]
         now.phase[rest], now.state[rest] = Phase.G0, State.QUIESCENT
         now.progress[rest] = now.phase_length[rest] = left[rest] = 0.0
-    go_on = at_end[(phase != sequence[-1]) & ~resting]
+    onward = at_end[(phase != sequence[-1]) & ~resting]
     # G1, S, G2, M and then G1 again
-    now.phase[go_on] = now.phase[go_on] % Phase.M + 1
-    now.progress[go_on] = 0.0
-    now.phase_length[go_on] = _length_of(scene, cells, go_on, now.phase[go_on])
+    now.phase[onward] = now.phase[onward] % Phase.M + 1
+    now.progress[onward] = 0.0
+    now.phase_length[onward] = _length_of(plan, cells, onward, now.phase[onward])
 
 
-def leave_rest(scene: Scene, cells: Cells, wakes: NDArray[np.bool_]) -> None:
+def leave_rest(plan: BiologyPlan, cells: Cells, wakes: NDArray[np.bool_]) -> None:
     """Lead the cells in G0 that are to go on into S."""
     awake = np.flatnonzero(wakes & (cells.phase == Phase.G0) & (cells.state == State.QUIESCENT))
     cells.state[awake], cells.phase[awake] = State.PROLIFERATING, Phase.S
     cells.progress[awake] = 0.0
-    cells.phase_length[awake] = _length_of(scene, cells, awake, cells.phase[awake])
+    cells.phase_length[awake] = _length_of(plan, cells, awake, cells.phase[awake])
 
 
-def order(scene: Scene) -> list[Phase]:
-    """Return the phases in the order in which a cell goes through them from birth to division."""
-    assert scene.growth is not None
-    if scene.growth.division == "smooth":
-        return [Phase.M, Phase.G1, Phase.S, Phase.G2]
-    return [Phase.G1, Phase.S, Phase.G2, Phase.M]
-
-
-def newborn(scene: Scene, cells: Cells, progress: FloatArray) -> None:
+def enter_cycle(plan: BiologyPlan, cells: Cells, progress: FloatArray) -> None:
     """Put cells into their first phase, with what they have spent there already.
 
     Sisters that part stay in M for the same time, which the mother's identity sets.
     """
-    lengths = drawn_lengths(scene, cells.id, cells.kind)
-    first = order(scene)[0]
+    lengths = draw_lengths(plan, cells.id, cells.kind)
+    first = plan.order[0]
     if first == Phase.M:
         parents = np.maximum(cells.parent, 0)
-        of_mother = newborn_lengths(scene, parents, cells.kind)[:, Phase.M - 1]
+        of_mother = newborn_lengths(plan, parents, cells.kind)[:, Phase.M - 1]
         lengths[:, Phase.M - 1] = np.where(cells.parent >= 0, of_mother, lengths[:, Phase.M - 1])
     cells.phase = np.full(len(cells), first, dtype=np.int8)
     cells.progress = progress
     cells.phase_length = lengths[:, first - 1].copy()
-    cells.cycle_time = growing_time(scene, lengths)
+    cells.cycle_time = growing_time(plan, lengths)
 
 
 _NO_PAIRS = np.empty((0, 2), dtype=np.int64), np.empty((0, 2))
 
 
-def parting(scene: Scene, cells: Cells, dt: float) -> tuple[IntArray, FloatArray] | None:
+def parting(plan: BiologyPlan, cells: Cells, dt: float) -> tuple[IntArray, FloatArray] | None:
     """Return the sisters that part, (m, 2) indices, and their offset with its rate, (m, 2).
 
     At birth the offset is their overlap less the one at which their contact is at rest, so that
     they feel no force of each other; it falls linearly over M. Over a coupling step of length
     ``dt`` it runs linearly to its value at the end. None in a scene whose cells never part so.
     """
-    if scene.growth is None or scene.growth.division != "smooth":
+    if plan.growth is None or plan.growth.division != "smooth":
         return None
     young = np.flatnonzero((cells.phase == Phase.M) & (cells.parent >= 0))
     young = young[np.lexsort((cells.id[young], cells.parent[young]))]
@@ -207,7 +196,7 @@ def parting(scene: Scene, cells: Cells, dt: float) -> tuple[IntArray, FloatArray
     first, second = pairs.T
     r = cells.radius
     overlap = r[first] + r[second] - (r[first] + r[second]) * (1.0 / HALF - 1.0)
-    whole = np.maximum(overlap - _at_rest(scene, cells, first, second), 0.0)
+    whole = np.maximum(overlap - _at_rest(plan, cells, first, second), 0.0)
     length = cells.phase_length[first]
     share = 1.0 - cells.progress[first] / length
     living = cells.state[first] == State.PROLIFERATING
@@ -216,36 +205,38 @@ def parting(scene: Scene, cells: Cells, dt: float) -> tuple[IntArray, FloatArray
     return pairs, np.stack([whole * share, rate], axis=1)
 
 
-def _at_rest(scene: Scene, cells: Cells, first: IntArray, second: IntArray) -> FloatArray:
+def _at_rest(plan: BiologyPlan, cells: Cells, first: IntArray, second: IntArray) -> FloatArray:
     """Return the overlap at which pairs are at rest, with their types and receptors, µm."""
     r, young, poisson = cells.radius, cells.young, cells.poisson
     modulus = effective_modulus(young[first], poisson[first], young[second], poisson[second])
     radius, total = effective_radius(r[first], r[second]), r[first] + r[second]
     bonds = np.zeros(len(first))
-    if scene.adhesion is not None:
+    if plan.adhesion is not None:
         receptor, ligand = cells.receptor, cells.ligand
         count = receptor[first] * ligand[second] + ligand[first] * receptor[second]
-        bonds = 0.5 * scene.adhesion.strength * count
-    energies = surface_energies(scene)
+        bonds = 0.5 * plan.adhesion.strength * count
+    energies = plan.energies
     if energies is None:
-        return rest_overlap(scene.contact, modulus, radius, total, bonds)
+        return rest_overlap(plan.contact, modulus, radius, total, bonds)
     own = energies[cells.kind[first], cells.kind[second]]
     found = np.empty(len(first))
     for energy in np.unique(own):
-        law: Any = replace(scene.contact, surface_energy=float(energy))  # type: ignore[type-var]
+        law: Any = replace(plan.contact, surface_energy=float(energy))  # type: ignore[type-var]
         k = own == energy
         found[k] = rest_overlap(law, modulus[k], radius[k], total[k], bonds[k])
     return found
 
 
-def placed(scene: Scene, cells: Cells, lengths: FloatArray, share: FloatArray) -> FloatArray:
+def place_in_cycle(
+    plan: BiologyPlan, cells: Cells, lengths: FloatArray, share: FloatArray
+) -> FloatArray:
     """Put cells at a share of their cycle, in [0, 1); return their volumes over that at birth.
 
     ``lengths`` are those of their phases, (n, 4) s.
     """
-    cells.cycle_time = growing_time(scene, lengths)
-    sequence = np.array(order(scene))
-    lengths, grows = lengths[:, sequence - 1], _grows(scene)[sequence]
+    cells.cycle_time = growing_time(plan, lengths)
+    sequence = np.array(plan.order)
+    lengths, grows = lengths[:, sequence - 1], plan.grows[np.array(sequence)]
     ends = np.cumsum(lengths, axis=1)
     elapsed = share * ends[:, -1]
     phase = np.minimum((elapsed[:, None] >= ends).sum(axis=1), len(PHASES) - 1)
@@ -256,79 +247,67 @@ def placed(scene: Scene, cells: Cells, lengths: FloatArray, share: FloatArray) -
     before = np.arange(len(PHASES)) < phase[:, None]
     growing = (lengths * grows * before).sum(axis=1) + cells.progress * grows[phase]
     cells.age = elapsed
-    return volume_ratio(scene, growing / cells.cycle_time)
+    return volume_ratio(plan, growing / cells.cycle_time)
 
 
-def volume_ratio(scene: Scene, share: FloatArray) -> FloatArray:
+def volume_ratio(plan: BiologyPlan, share: FloatArray) -> FloatArray:
     """Return the volumes of cells over that at birth after a share of their growing time, (n,)."""
-    if scene.growth is None:
+    if plan.law is None:
         return np.asarray(1.0 + share)
-    return grown(scene.growth, 1.0, np.ones(len(share)), share)
+    return plan.law.volume_after(np.ones(len(share)), share)
 
 
-def grown_share(scene: Scene, volume: FloatArray) -> FloatArray:
+def share_of_growth(plan: BiologyPlan, volume: FloatArray) -> FloatArray:
     """Return the share of their growing time that cells of a volume have behind them, (n,).
 
     Volumes are over that at birth; those outside growth have none or all of it behind them.
     """
     ratio = np.clip(volume, 1.0, 2.0)
-    return np.asarray(ratio - 1.0) if scene.growth is None else share_behind(scene.growth, ratio)
+    if plan.law is None:
+        return np.asarray(ratio - 1.0)
+    return plan.law.share_at(ratio)
 
 
-def placed_by_volume(scene: Scene, cells: Cells, volume: FloatArray) -> None:
+def place_by_volume(plan: BiologyPlan, cells: Cells, volume: FloatArray) -> None:
     """Put cells of known cycle times where they have a volume, given over that at birth."""
-    lengths = drawn_lengths(scene, cells.id, cells.kind)[:, np.array(order(scene)) - 1]
-    grown_for = grown_share(scene, volume) * cells.cycle_time
-    ends = np.cumsum(lengths * _grows(scene)[order(scene)], axis=1)
+    lengths = draw_lengths(plan, cells.id, cells.kind)[:, np.array(plan.order) - 1]
+    grown_for = share_of_growth(plan, volume) * cells.cycle_time
+    ends = np.cumsum(lengths * plan.grows[list(plan.order)], axis=1)
     place = np.minimum((grown_for[:, None] >= ends).sum(axis=1), len(PHASES) - 1)
     rows = np.arange(len(cells))
     before = np.where(place > 0, ends[rows, place - 1], 0.0)
-    cells.phase = np.array(order(scene), dtype=np.int8)[place]
+    cells.phase = np.array(plan.order, dtype=np.int8)[place]
     cells.phase_length = lengths[rows, place]
     cells.progress = np.minimum(grown_for - before, cells.phase_length)
 
 
-def begun(scene: Scene, cells: Cells) -> FloatArray:
+def time_before_phase(plan: BiologyPlan, cells: Cells) -> FloatArray:
     """Return what cells have behind them before their phase, (n, 2) s: all time, time of growth.
 
     Those in G0 have G1 behind them.
     """
-    sequence = order(scene)
-    lengths = drawn_lengths(scene, cells.id, cells.kind)[:, np.array(sequence) - 1]
+    sequence = plan.order
+    lengths = draw_lengths(plan, cells.id, cells.kind)[:, np.array(sequence) - 1]
     following = np.where(cells.phase == Phase.G0, Phase.S, cells.phase)
     place = np.argmax(following[:, None] == np.array(sequence), axis=1)
     earlier = lengths * (np.arange(len(PHASES)) < place[:, None])
-    return np.stack([earlier.sum(axis=1), earlier @ _grows(scene)[sequence]], axis=1)
+    return np.stack([earlier.sum(axis=1), earlier @ plan.grows[np.array(sequence)]], axis=1)
 
 
-def grown_in_phase(scene: Scene, cells: Cells) -> FloatArray:
+def volume_in_phase(plan: BiologyPlan, cells: Cells) -> FloatArray:
     """Return the volumes of cells in their phases over those at birth, (n,)."""
-    elapsed = begun(scene, cells)[:, 1] + cells.progress * _grows(scene)[cells.phase]
-    return volume_ratio(scene, elapsed / cells.cycle_time)
-
-
-def phase_counts(cells: Cells) -> dict[str, int]:
-    """Return the number of living cells in each phase, by its name."""
-    living = (cells.state == State.PROLIFERATING) | (cells.state == State.QUIESCENT)
-    counts = np.bincount(cells.phase[living], minlength=len(Phase))
-    return {phase.name: int(counts[phase]) for phase in Phase}
+    elapsed = time_before_phase(plan, cells)[:, 1] + cells.progress * plan.grows[cells.phase]
+    return volume_ratio(plan, elapsed / cells.cycle_time)
 
 
 def _length_of(
-    scene: Scene, cells: Cells, index: NDArray[np.int64], phase: NDArray[np.int8]
+    plan: BiologyPlan, cells: Cells, index: NDArray[np.int64], phase: NDArray[np.int8]
 ) -> FloatArray:
     """Return how long the cells at ``index`` stay in a phase, s."""
-    lengths = drawn_lengths(scene, cells.id[index], cells.kind[index])
+    lengths = draw_lengths(plan, cells.id[index], cells.kind[index])
     return np.asarray(lengths[np.arange(len(index)), phase - Phase.G1])
 
 
-def may_grow(scene: Scene, cells: Cells) -> NDArray[np.bool_]:
+def may_grow(plan: BiologyPlan, cells: Cells) -> NDArray[np.bool_]:
     """Return which cells are in a phase in which they grow, or rest in G0 and would grow, (n,)."""
-    return np.asarray(_grows(scene)[cells.phase] | (cells.phase == Phase.G0))
-
-
-def _grows(scene: Scene) -> NDArray[np.bool_]:
-    """Return for each :class:`Phase` whether cells grow in it."""
-    assert scene.growth is not None
-    known: Mapping[str, PhaseLength] = scene.growth.phases
-    return np.array([phase.name in known and known[phase.name].grows for phase in Phase])
+    return np.asarray(plan.grows[cells.phase] | (cells.phase == Phase.G0))

@@ -8,15 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell import random
-from multicell.biology.growth import birth_volume
 from multicell.cells import Cells
 from multicell.random import Purpose
 
 if TYPE_CHECKING:
-    from multicell.scene.scene import Scene
+    from multicell.biology.plan import BiologyPlan
 
 
-def apoptotic(scene: Scene, cells: Cells, time: float) -> NDArray[np.bool_]:
+def apoptotic(plan: BiologyPlan, cells: Cells, time: float) -> NDArray[np.bool_]:
     """Return which cells have reached the end of their life by apoptosis, (n,).
 
     With a constant rate k lives are distributed exponentially. Each cell draws its own once, keyed
@@ -28,24 +27,24 @@ def apoptotic(scene: Scene, cells: Cells, time: float) -> NDArray[np.bool_]:
 
     Parameters
     ----------
-    scene
+    plan
         Gives the rate.
     cells
         The population; identities and ages are read.
     time
         Since the start of the run, s.
     """
-    rate = 0.0 if scene.death is None else scene.death.apoptosis_rate
+    rate = 0.0 if plan.death is None else plan.death.apoptosis_rate
     if rate == 0.0:
         return np.zeros(len(cells), dtype=bool)
-    u = random.uniform(scene.seed, Purpose.APOPTOSIS, 0, cells.id)[:, 0]
+    u = random.uniform(plan.seed, Purpose.APOPTOSIS, 0, cells.id)[:, 0]
     # who was there at the start is older than the run, who was born in it is younger
     lived = np.minimum(cells.age, time)
     return np.asarray(lived * rate > -np.log1p(-u))
 
 
 def necrotic(
-    scene: Scene, cells: Cells, beyond: NDArray[np.bool_], step: int, dt: float
+    plan: BiologyPlan, cells: Cells, beyond: NDArray[np.bool_], step: int, dt: float
 ) -> NDArray[np.bool_]:
     """Return which of the cells beyond a threshold of necrosis die of it, (n,).
 
@@ -54,7 +53,7 @@ def necrotic(
 
     Parameters
     ----------
-    scene
+    plan
         Gives the rate.
     cells
         The population; the identities are read.
@@ -65,21 +64,21 @@ def necrotic(
     dt
         Time since the last decision, s.
     """
-    rate = None if scene.death is None else scene.death.necrosis_rate
+    rate = None if plan.death is None else plan.death.necrosis_rate
     if rate is None:
         return beyond
     dies = beyond.copy()
-    u = random.uniform(scene.seed, Purpose.NECROSIS, step, cells.id[beyond])[:, 0]
+    u = random.uniform(plan.seed, Purpose.NECROSIS, step, cells.id[beyond])[:, 0]
     dies[beyond] = u < -np.expm1(-rate * dt)
     return dies
 
 
-def remove_lysed(scene: Scene, cells: Cells) -> tuple[Cells, int]:
+def remove_lysed(plan: BiologyPlan, cells: Cells) -> tuple[Cells, int]:
     """Remove dead cells smaller than ``removal_fraction`` of the birth volume.
 
     Parameters
     ----------
-    scene
+    plan
         Without ``death`` no cell is removed.
     cells
         The population; it is not changed.
@@ -91,12 +90,12 @@ def remove_lysed(scene: Scene, cells: Cells) -> tuple[Cells, int]:
     removed
         Number of cells removed.
     """
-    if scene.death is None:
+    if plan.death is None:
         return cells, 0
     dead = cells.dead
     if not dead.any():
         return cells, 0
-    smallest = scene.death.removal_fraction * birth_volume(scene)
+    smallest = plan.death.removal_fraction * plan.birth_volume
     gone = dead & (cells.volume < smallest)
     removed = int(gone.sum())
     return (cells.take(~gone), removed) if removed else (cells, 0)

@@ -8,15 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell import random
-from multicell.biology.cycle import newborn, order
+from multicell.biology.cycle import enter_cycle
 from multicell.biology.durations import draw_cycle_times
-from multicell.biology.growth import division_volume
 from multicell.biology.traits import draw_moduli
 from multicell.cells import HALF, Cells, State
 from multicell.random import Purpose
 
 if TYPE_CHECKING:
-    from multicell.scene.scene import Scene
+    from multicell.biology.plan import BiologyPlan
 
 
 # A cell that reaches the division volume up to rounding has reached it: else cells in step with
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
 _ROUNDING = 1e-12
 
 
-def divide(scene: Scene, cells: Cells, step: int, next_id: int) -> tuple[Cells, int]:
+def divide(plan: BiologyPlan, cells: Cells, step: int, next_id: int) -> tuple[Cells, int]:
     """Divide all proliferating cells at the end of M, or at the division volume without phases.
 
     Each mother is replaced by two daughters of half her volume (what she grew beyond the division
@@ -33,7 +32,7 @@ def divide(scene: Scene, cells: Cells, step: int, next_id: int) -> tuple[Cells, 
 
     Parameters
     ----------
-    scene
+    plan
         A scene without ``growth`` has no divisions.
     cells
         The population; it is not changed.
@@ -51,12 +50,12 @@ def divide(scene: Scene, cells: Cells, step: int, next_id: int) -> tuple[Cells, 
     next_id
         First identity that is free now; it has grown by two a division.
     """
-    if scene.growth is None:
+    if plan.growth is None:
         return cells, next_id
-    if scene.growth.phases:
-        ripe = (cells.phase == order(scene)[-1]) & (cells.progress >= cells.phase_length)
+    if plan.order:
+        ripe = (cells.phase == plan.order[-1]) & (cells.progress >= cells.phase_length)
     else:
-        ripe = cells.volume >= division_volume(scene) * (1.0 - _ROUNDING)
+        ripe = cells.volume >= plan.division_volume * (1.0 - _ROUNDING)
     ripe &= cells.state == State.PROLIFERATING
     if not ripe.any():
         return cells, next_id
@@ -64,12 +63,12 @@ def divide(scene: Scene, cells: Cells, step: int, next_id: int) -> tuple[Cells, 
     # identities follow those of the mothers, so that the order of the arrays does not matter
     mothers = mothers.take(np.argsort(mothers.id))
     ids = np.arange(next_id, next_id + 2 * len(mothers), dtype=np.int64)
-    return cells.replaced(~ripe, _daughters(scene, mothers, step, ids)), int(ids[-1]) + 1
+    return cells.replaced(~ripe, _daughters(plan, mothers, step, ids)), int(ids[-1]) + 1
 
 
-def _daughters(scene: Scene, mothers: Cells, step: int, ids: NDArray[np.int64]) -> Cells:
+def _daughters(plan: BiologyPlan, mothers: Cells, step: int, ids: NDArray[np.int64]) -> Cells:
     """Return two daughters for each of the ``mothers``, side by side, named ``ids``."""
-    axis = random.directions(scene.seed, Purpose.AXIS, step, mothers.id, scene.dimensions)
+    axis = random.directions(plan.seed, Purpose.AXIS, step, mothers.id, plan.dimensions)
     offset = (mothers.radius * (1.0 - HALF))[:, None] * axis
     daughters = mothers.take(np.repeat(np.arange(len(mothers)), 2))
     daughters.position[0::2] += offset
@@ -78,11 +77,10 @@ def _daughters(scene: Scene, mothers: Cells, step: int, ids: NDArray[np.int64]) 
     daughters.id = ids
     daughters.radius = daughters.radius * HALF
     daughters.age = np.zeros(len(ids))
-    if "young" not in scene.cells.heritable:
-        daughters.young = draw_moduli(scene, step, ids, daughters.kind)
-    assert scene.growth is not None
-    if scene.growth.phases:
-        newborn(scene, daughters, daughters.progress - daughters.phase_length)
-    elif "cycle_time" not in scene.cells.heritable:
-        daughters.cycle_time = draw_cycle_times(scene, step, ids, daughters.kind)
+    if "young" not in plan.heritable:
+        daughters.young = draw_moduli(plan, step, ids, daughters.kind)
+    if plan.order:
+        enter_cycle(plan, daughters, daughters.progress - daughters.phase_length)
+    elif "cycle_time" not in plan.heritable:
+        daughters.cycle_time = draw_cycle_times(plan, step, ids, daughters.kind)
     return daughters

@@ -23,6 +23,7 @@ from multicell.cells import Cells, FloatArray, IntArray
 from multicell.scene.driven import Driver, by_identity, check_members, drivers, members, within
 
 if TYPE_CHECKING:
+    from multicell.biology.plan import BiologyPlan
     from multicell.mechanics.motion import Motion
     from multicell.mechanics.system import Mechanics
     from multicell.scene.driven import Force
@@ -42,13 +43,13 @@ def named_at_start(scene: Scene, cells: Cells) -> dict[str, IntArray]:
     """
     check_members(scene, cells)
     return {
-        path: np.sort(cells.id[members(scene, driver, cells)])
+        path: np.sort(cells.id[members(scene.types, driver, cells)])
         for path, driver in drivers(scene)
         if by_identity(driver)
     }
 
 
-def handed_on(named: Named, cells: Cells, first: int) -> dict[str, IntArray]:
+def pass_on(named: Named, cells: Cells, first: int) -> dict[str, IntArray]:
     """Return the lists after events.
 
     Parameters
@@ -70,17 +71,17 @@ def handed_on(named: Named, cells: Cells, first: int) -> dict[str, IntArray]:
     return after
 
 
-def add_forces(scene: Scene, cells: Cells, named: Named, span: tuple[float, float],
+def add_forces(plan: BiologyPlan, cells: Cells, named: Named, span: tuple[float, float],
                total: FloatArray) -> None:  # fmt: skip
     """Add the forces from outside at the beginning of a span of time, s, and their rates.
 
     ``total`` is (n, 6), nN and nN/s.
     """
     begin, end = span
-    for name, law in scene.forces.items():
+    for name, law in plan.forces.items():
         share = within(law, begin, end)
         if share > 0.0:
-            total[driven(scene, cells, named, f"forces.{name}")] += _load(law, begin, end, share)
+            total[driven(plan, cells, named, f"forces.{name}")] += _load(law, begin, end, share)
 
 
 def _load(law: Force, begin: float, end: float, share: float) -> FloatArray:
@@ -94,35 +95,35 @@ def _load(law: Force, begin: float, end: float, share: float) -> FloatArray:
 
 
 def prescribed(
-    scene: Scene, cells: Cells, named: Named, begin: float, end: float
+    plan: BiologyPlan, cells: Cells, named: Named, begin: float, end: float
 ) -> tuple[NDArray[np.bool_], FloatArray] | None:
     """Return which cells are moved in a span of time, (n,), and all velocities, (n, 3) µm/s.
 
     The velocity of a cell that is not moved is zero. None if nothing is moved in the span.
     """
-    shares = {name: within(motion, begin, end) for name, motion in scene.motions.items()}
+    shares = {name: within(motion, begin, end) for name, motion in plan.motions.items()}
     if not any(shares.values()):
         return None
     held, velocity = np.zeros(len(cells), dtype=np.bool_), np.zeros((len(cells), 3))
     for name, share in shares.items():
         if share > 0.0:
-            chosen = driven(scene, cells, named, f"motions.{name}")
+            chosen = driven(plan, cells, named, f"motions.{name}")
             held |= chosen
-            velocity[chosen] += share * np.array(scene.motions[name].velocity)
+            velocity[chosen] += share * np.array(plan.motions[name].velocity)
     return held, velocity
 
 
-def driven(scene: Scene, cells: Cells, named: Named, path: str) -> NDArray[np.bool_]:
+def driven(plan: BiologyPlan, cells: Cells, named: Named, path: str) -> NDArray[np.bool_]:
     """Return which cells a driver drives now, (n,)."""
     table, _, name = path.partition(".")
-    driver: Driver = getattr(scene, table)[name]
+    driver: Driver = getattr(plan, table)[name]
     if by_identity(driver):
         return np.isin(cells.id, named.get(path, ()))
-    return members(scene, driver, cells)
+    return members(plan.types, driver, cells)
 
 
 def columns(
-    scene: Scene, cells: Cells, named: Named, system: Mechanics, motion: Motion
+    plan: BiologyPlan, cells: Cells, named: Named, system: Mechanics, motion: Motion
 ) -> dict[str, float]:
     """Return the force that each prescribed motion takes at a moment, along each axis, nN.
 
@@ -141,10 +142,10 @@ def columns(
     for name, count in counted.items():
         setattr(system.work, name, count)
     found: dict[str, float] = {}
-    for name, law in scene.motions.items():
+    for name, law in plan.motions.items():
         total = np.zeros(3)
         if within(law, motion.begin, motion.begin):
-            total = force[driven(scene, cells, named, f"motions.{name}")].sum(axis=0)
+            total = force[driven(plan, cells, named, f"motions.{name}")].sum(axis=0)
         parts = zip("xyz", total, strict=True)
         found |= {f"force_{name}_{axis}": float(part) for axis, part in parts}
     return found

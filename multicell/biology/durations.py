@@ -32,79 +32,67 @@ from multicell.random import Purpose
 from multicell.scene.parts import PHASES
 
 if TYPE_CHECKING:
+    from multicell.biology.plan import BiologyPlan
     from multicell.scene.parts import Growth, PhaseLength
-    from multicell.scene.scene import Scene
 
 
-def drawn_lengths(scene: Scene, ids: NDArray[np.int64], kind: NDArray[np.int16]) -> FloatArray:
+def draw_lengths(plan: BiologyPlan, ids: NDArray[np.int64], kind: NDArray[np.int16]) -> FloatArray:
     """Return the durations of G1, S, G2 and M of each cell, (n, 4) s.
 
-    They depend on seed and identity only; founders of a stable population (:func:`founders`) have
-    longer ones than newborn cells.
+    They depend on seed and identity only; founders of a stable population
+    (:func:`multicell.biology.plan.founders`) have longer ones than newborn cells.
     """
 
     def draw(ids: NDArray[np.int64], attempt: int) -> FloatArray:
-        return _phases(scene, ids, attempt)
+        return _phases(plan, ids, attempt)
 
-    return _drawn(scene, ids, draw) * scale(scene, kind)[:, None]
+    return _drawn(plan, ids, draw) * scale(plan, kind)[:, None]
 
 
-def newborn_lengths(scene: Scene, ids: NDArray[np.int64], kind: NDArray[np.int16]) -> FloatArray:
+def newborn_lengths(
+    plan: BiologyPlan, ids: NDArray[np.int64], kind: NDArray[np.int16]
+) -> FloatArray:
     """Return durations as newborn cells draw them, (n, 4) s, independent of those of founders."""
-    return _phases(scene, ids, 0) * scale(scene, kind)[:, None]
+    return _phases(plan, ids, 0) * scale(plan, kind)[:, None]
 
 
 def draw_cycle_times(
-    scene: Scene, step: int, ids: NDArray[np.int64], kind: NDArray[np.int16]
+    plan: BiologyPlan, step: int, ids: NDArray[np.int64], kind: NDArray[np.int16]
 ) -> FloatArray:
     """Return cycle times of new cells, (n,), s; infinite in a scene without growth.
 
-    Those of founders (:func:`founders`) are longer than those of newborn cells.
+    Those of founders are longer than those of newborn cells.
     """
-    growth = scene.growth
+    growth = plan.growth
     if growth is None:
         return np.full(len(ids), np.inf)
 
     def draw(ids: NDArray[np.int64], attempt: int) -> FloatArray:
         # daughters have other identities and later steps
         mean, variation = growth.cycle_time, growth.cycle_variation
-        return scattered(scene.seed, Purpose.CYCLE, step + attempt, ids, mean, variation)
+        return scatter_about(plan.seed, Purpose.CYCLE, step + attempt, ids, mean, variation)
 
-    drawn = _drawn(scene, ids, draw)
-    return drawn * scale(scene, kind) if scene.types else drawn
+    drawn = _drawn(plan, ids, draw)
+    return drawn if plan.cycle_scale is None else drawn * scale(plan, kind)
 
 
 def stages(
-    scene: Scene, ids: NDArray[np.int64], kind: NDArray[np.int16], duration: FloatArray
+    plan: BiologyPlan, ids: NDArray[np.int64], kind: NDArray[np.int16], duration: FloatArray
 ) -> FloatArray:
     """Return the part of its cycle that each cell has behind it at the start, (n,).
 
     ``duration`` is the time from birth to division of each cell, (n,) s. Where all are alike, or
     daughters inherit them, ages have the density 2 ln2 / T 2^(-a/T).
     """
-    if scene.initial.stage == "birth":
+    if plan.stage == "birth":
         return np.zeros(len(ids))
-    u = random.uniform(scene.seed, Purpose.STAGE, 0, ids)[:, 0]
-    if scene.initial.stage == "uniform":
+    u = random.uniform(plan.seed, Purpose.STAGE, 0, ids)[:, 0]
+    if plan.stage == "uniform":
         return u
-    if scene.growth is None or not _varies(scene):
+    if plan.growth is None or not plan.varies:
         return np.asarray(-np.log2(1.0 - 0.5 * u))
-    cycle = malthusian_rate(scene.growth) * duration / scale(scene, kind)
+    cycle = malthusian_rate(plan.growth) * duration / scale(plan, kind)
     return np.asarray(-np.log1p(u * np.expm1(-cycle)) / cycle)
-
-
-def founders(scene: Scene) -> int:
-    """Return below which identity cells are founders of a stable population.
-
-    Zero where the cycle does not vary or is inherited.
-    """
-    initial = scene.initial
-    if scene.growth is None or initial.stage != "asynchronous" or not _varies(scene):
-        return 0
-    if initial.cells is None:
-        return initial.count
-    given = initial.cells.given
-    return int(given.columns["id"].max()) + 1 if "id" in given.columns else len(given)
 
 
 def malthusian_rate(growth: Growth) -> float:
@@ -134,11 +122,9 @@ def malthusian_rate(growth: Growth) -> float:
     return float(optimize.brentq(excess, slowest, fastest, rtol=1e-14, xtol=1e-300))
 
 
-def scale(scene: Scene, kind: NDArray[np.int16]) -> FloatArray:
+def scale(plan: BiologyPlan, kind: NDArray[np.int16]) -> FloatArray:
     """Return the factor of each cell's type on durations, (n,)."""
-    if not scene.types:
-        return np.ones(len(kind))
-    return np.array([part.cycle_scale for part in scene.types.values()])[kind]
+    return np.ones(len(kind)) if plan.cycle_scale is None else plan.cycle_scale[kind]
 
 
 def quantile(phase: PhaseLength, u: FloatArray) -> FloatArray:
@@ -162,7 +148,7 @@ def quantile(phase: PhaseLength, u: FloatArray) -> FloatArray:
     return np.asarray(mean * (shift + (1.0 - shift) * random))
 
 
-def scattered(
+def scatter_about(
     seed: int, purpose: Purpose, step: int, ids: NDArray[np.int64], mean: float, variation: float
 ) -> FloatArray:
     """Return positive numbers that scatter normally about ``mean``, (n,).
@@ -177,16 +163,16 @@ def scattered(
     return np.asarray(mean * (1.0 + variation * z))
 
 
-def _phases(scene: Scene, ids: NDArray[np.int64], attempt: int) -> FloatArray:
+def _phases(plan: BiologyPlan, ids: NDArray[np.int64], attempt: int) -> FloatArray:
     """Return one draw of the durations of all phases, (n, 4) s."""
-    assert scene.growth is not None
-    u = random.uniform(scene.seed, Purpose.PHASES, 0, ids, len(PHASES), attempt)
-    columns = [quantile(scene.growth.phases[name], u[:, k]) for k, name in enumerate(PHASES)]
+    assert plan.growth is not None
+    u = random.uniform(plan.seed, Purpose.PHASES, 0, ids, len(PHASES), attempt)
+    columns = [quantile(plan.growth.phases[name], u[:, k]) for k, name in enumerate(PHASES)]
     return np.stack(columns, axis=1)
 
 
 def _drawn(
-    scene: Scene, ids: NDArray[np.int64], draw: Callable[[NDArray[np.int64], int], FloatArray]
+    plan: BiologyPlan, ids: NDArray[np.int64], draw: Callable[[NDArray[np.int64], int], FloatArray]
 ) -> FloatArray:
     """Return durations: the first draw of newborn cells, a later one of founders.
 
@@ -194,28 +180,18 @@ def _drawn(
     below 1 - exp(-μT), twice on average.
     """
     out = draw(ids, 0)
-    left = np.flatnonzero(ids < founders(scene))
+    left = np.flatnonzero(ids < plan.founders)
     rate, attempt = 0.0, 0
-    if left.size and scene.growth is not None:
-        rate = malthusian_rate(scene.growth)
+    if left.size and plan.growth is not None:
+        rate = malthusian_rate(plan.growth)
     while left.size:
         attempt += 1
         drawn = draw(ids[left], attempt)
-        u = random.uniform(scene.seed, Purpose.STAGE, 0, ids[left], attempt=attempt)[:, 0]
+        u = random.uniform(plan.seed, Purpose.STAGE, 0, ids[left], attempt=attempt)[:, 0]
         good = u < -np.expm1(-rate * drawn.reshape(len(left), -1).sum(axis=1))
         out[left[good]] = drawn[good]
         left = left[~good]
     return out
-
-
-def _varies(scene: Scene) -> bool:
-    """Return whether newborn cells draw durations that differ."""
-    growth = scene.growth
-    if growth is None:
-        return False
-    if growth.phases:
-        return any(part.distribution != "fixed" for part in growth.phases.values())
-    return growth.cycle_variation > 0.0 and "cycle_time" not in scene.cells.heritable
 
 
 def _log_laplace(phase: PhaseLength, rate: float) -> float:

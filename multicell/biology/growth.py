@@ -7,29 +7,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from multicell.biology.growth_laws import grown
-from multicell.cells import SPHERE, Cells, FloatArray, State
+from multicell.cells import Cells, FloatArray, State
 
 if TYPE_CHECKING:
+    from multicell.biology.plan import BiologyPlan
     from multicell.scene.parts import Death
-    from multicell.scene.scene import Scene
 
 
 _GROWING = int(State.PROLIFERATING)  # numbers compare with arrays faster than names do
 
 
-def division_volume(scene: Scene) -> float:
-    """Return the volume at which a cell divides, µm³."""
-    return float(SPHERE * scene.cells.division_radius**3)
-
-
-def birth_volume(scene: Scene) -> float:
-    """Return the volume of a newborn cell, half the division volume, µm³."""
-    return 0.5 * division_volume(scene)
-
-
 def growth_factor(
-    scene: Scene, concentrations: Mapping[str, FloatArray], pressure: FloatArray
+    plan: BiologyPlan, concentrations: Mapping[str, FloatArray], pressure: FloatArray
 ) -> FloatArray:
     """Return how fast cells would grow here, as a fraction of unlimited growth.
 
@@ -42,8 +31,8 @@ def growth_factor(
 
     Parameters
     ----------
-    scene
-        A scene without ``growth`` gives zeros.
+    plan
+        One without growth gives zeros.
     concentrations : mapping of (n,), mM
         Concentration at the cells, for every nutrient of the scene.
     pressure : (n,), kPa
@@ -57,7 +46,7 @@ def growth_factor(
     Raises
     ------
     KeyError
-        If a nutrient of the scene has no concentrations.
+        If a nutrient that growth needs has no concentrations.
 
     References
     ----------
@@ -65,28 +54,28 @@ def growth_factor(
     (2018) 021025 for growth that stops at a critical pressure.
     """
     pressure = np.asarray(pressure, dtype=np.float64)
-    if scene.growth is None:
+    if plan.growth is None:
         return np.zeros_like(pressure)
     factor = np.ones(pressure.shape)
-    for name, nutrient in scene.nutrients.items():
-        c = np.asarray(concentrations[name])
-        if nutrient.growth_half_saturation is not None:
-            factor *= c / (nutrient.growth_half_saturation + c)
-        if nutrient.growth_inhibition is not None:
-            factor *= nutrient.growth_inhibition / (nutrient.growth_inhibition + c)
-    if scene.energy is not None and scene.energy.growth_half_saturation is not None:
-        made = scene.energy.supply(scene.nutrients, concentrations)
-        factor *= made / (scene.energy.growth_half_saturation + made)
-    critical = scene.growth.critical_pressure
+    for need in plan.needs:
+        half, inhibition = need.half_saturation, need.inhibition
+        if half is None and inhibition is None:
+            continue
+        level = need.level(concentrations)
+        if half is not None:
+            factor *= level / (half + level)
+        if inhibition is not None:
+            factor *= inhibition / (inhibition + level)
+    critical = plan.growth.critical_pressure
     if critical is not None:
         factor *= np.minimum(1.0, np.maximum(0.0, 1.0 - pressure / critical))
     return factor
 
 
-def volumes_after(scene: Scene, cells: Cells, factor: FloatArray, dt: float) -> FloatArray:
+def volumes_after(plan: BiologyPlan, cells: Cells, factor: FloatArray, dt: float) -> FloatArray:
     """Return the volume of each cell after a time ``dt``.
 
-    Proliferating cells grow by the scene's law (:mod:`multicell.biology.growth_laws`), so that one
+    Proliferating cells grow by the scene's law (:mod:`multicell.growth_laws`), so that one
     that nothing limits doubles in its cycle time; quiescent cells keep their volume; necrotic cells
     shrink as V' = -V / lysis_time, after they have swollen as V' = V ln(swelling) / swelling_time
     where the scene has them swell; apoptotic ones shrink as V' = -V / apoptosis_time. All is
@@ -95,7 +84,7 @@ def volumes_after(scene: Scene, cells: Cells, factor: FloatArray, dt: float) -> 
 
     Parameters
     ----------
-    scene
+    plan
         Without ``growth`` no cell grows, without ``death`` no cell shrinks.
     cells
         The population, n cells.
@@ -109,17 +98,18 @@ def volumes_after(scene: Scene, cells: Cells, factor: FloatArray, dt: float) -> 
     (n,) float64, µm³
     """
     volume = cells.volume
-    if scene.growth is not None and not scene.growth.phases:
-        birth, living = birth_volume(scene), cells.state == _GROWING
-        if scene.growth.law == "linear":
+    law = plan.law
+    if law is not None and not plan.order:
+        birth, living = plan.birth_volume, cells.state == _GROWING
+        if law.constant:
             volume += np.where(living, dt * (factor * birth / cells.cycle_time), 0.0)
         else:
             share = np.where(living, dt * factor / cells.cycle_time, 0.0)
-            volume = np.where(living, grown(scene.growth, birth, volume, share), volume)
-    if scene.death is not None and cells.dead.any():
+            volume = np.where(living, law.volume_after(volume, share, birth), volume)
+    if plan.death is not None and cells.dead.any():
         necrotic = cells.state == State.NECROTIC
-        volume[necrotic] *= _necrotic_factor(scene.death, cells.age[necrotic], dt)
-        volume[cells.state == State.APOPTOTIC] *= np.exp(-dt / scene.death.apoptosis_time)
+        volume[necrotic] *= _necrotic_factor(plan.death, cells.age[necrotic], dt)
+        volume[cells.state == State.APOPTOTIC] *= np.exp(-dt / plan.death.apoptosis_time)
     return volume
 
 

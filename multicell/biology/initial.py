@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell import random
-from multicell.biology.cycle import placed, volume_ratio
-from multicell.biology.durations import draw_cycle_times, drawn_lengths, stages
-from multicell.biology.growth import birth_volume
+from multicell.biology.cycle import place_in_cycle, volume_ratio
+from multicell.biology.durations import draw_cycle_times, draw_lengths, stages
+from multicell.biology.plan import biology_plan
 from multicell.biology.traits import draw_kinds, draw_moduli
 from multicell.cells import SPHERE, Cells, FloatArray, State
 from multicell.random import Purpose
@@ -85,19 +85,20 @@ def initial_cells(scene: Scene) -> Cells:
         from multicell.biology.tabled import tabled_cells
 
         return tabled_cells(scene)
+    plan = biology_plan(scene)
     ids = np.arange(initial.count, dtype=np.int64)
-    kind = draw_kinds(scene, ids)
-    phases = scene.growth is not None and bool(scene.growth.phases)
-    lengths = drawn_lengths(scene, ids, kind) if phases else np.empty((initial.count, 0))
-    cycle_time = lengths.sum(axis=1) if phases else draw_cycle_times(scene, 0, ids, kind)
-    progress = stages(scene, ids, kind, cycle_time)
+    kind = draw_kinds(plan, ids)
+    phases = bool(plan.order)
+    lengths = draw_lengths(plan, ids, kind) if phases else np.empty((initial.count, 0))
+    cycle_time = lengths.sum(axis=1) if phases else draw_cycle_times(plan, 0, ids, kind)
+    progress = stages(plan, ids, kind, cycle_time)
     age = np.zeros(initial.count) if scene.growth is None else progress * cycle_time
     cells = Cells(
         id=ids,
         parent=np.full(initial.count, -1),
         position=np.zeros((initial.count, 3)),
         radius=np.ones(initial.count),
-        young=draw_moduli(scene, 0, ids, kind),
+        young=draw_moduli(plan, 0, ids, kind),
         poisson=np.full(initial.count, scene.cells.poisson),
         state=np.full(initial.count, State.PROLIFERATING, dtype=np.int8),
         age=age,
@@ -105,8 +106,10 @@ def initial_cells(scene: Scene) -> Cells:
         pressure=np.zeros(initial.count),
         kind=kind,
     )
-    volume = placed(scene, cells, lengths, progress) if phases else volume_ratio(scene, progress)
-    cells.radius = np.cbrt(birth_volume(scene) * volume / SPHERE)
+    volume = (
+        place_in_cycle(plan, cells, lengths, progress) if phases else volume_ratio(plan, progress)
+    )
+    cells.radius = np.cbrt(plan.birth_volume * volume / SPHERE)
     cells.position = _positions(scene, ids, cells.radius)
     return cells
 

@@ -14,17 +14,16 @@ from multicell.biology.driven import Named, prescribed
 from multicell.biology.spring_graph import Springs, for_mechanics
 from multicell.cells import Cells, FloatArray
 from multicell.mechanics.motion import Motion
-from multicell.results import summary
 from multicell.results.observables import contact_rows
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from multicell.scene.scene import Scene
+    from multicell.biology.plan import BiologyPlan
 
 
 def motion_of(
-    scene: Scene,
+    plan: BiologyPlan,
     cells: Cells,
     radius: FloatArray,
     begin: float,
@@ -59,17 +58,17 @@ def motion_of(
     """
     length = end - begin
     rate = (radius - cells.radius) / length if length > 0.0 else np.zeros(len(cells))
-    apart = parting(scene, cells, length)
-    given = prescribed(scene, cells, named or {}, begin, end) if scene.motions else None
+    apart = parting(plan, cells, length)
+    given = prescribed(plan, cells, named or {}, begin, end) if plan.motions else None
     held, velocity = given or (None, None)
-    graph = None if springs is None else for_mechanics(scene, cells, springs)
+    graph = None if springs is None else for_mechanics(plan, cells, springs)
     joined, spring = graph or (None, None)
-    touching = contact_rows(cells, contacts) if summary.remembers_contacts(scene) else None
+    touching = contact_rows(cells, contacts) if plan.contact.remembers else None
     return Motion(
         cells.radius, rate, cells.young, cells.poisson, begin, end,
-        bonds=adhesion.bonds(scene, cells, concentrations, begin, end),
-        push=push(scene, cells, begin, gradients, end, named),
-        kind=cells.kind if scene.types else None,
+        bonds=adhesion.bonds(plan, cells, concentrations, begin, end),
+        push=push(plan, cells, begin, gradients, end, named),
+        kind=cells.kind if plan.types else None,
         touching=None if touching is None else np.sort(touching, axis=1),
         offset_pairs=None if apart is None else apart[0],
         offset=None if apart is None else apart[1],

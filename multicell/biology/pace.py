@@ -14,12 +14,9 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, NamedTuple, final
 
-from multicell.scene.coupling import longest_step, shortest_step, tolerance
-from multicell.scene.driven import changes as driven_anew
-
 if TYPE_CHECKING:
     from multicell.biology.splitting import StepError
-    from multicell.scene.scene import Scene
+    from multicell.scene.steps import StepPlan
 
 _AVERAGED = 8.0
 """Number of steps over which estimates are averaged, though not over more than the longest one."""
@@ -52,17 +49,17 @@ class Pace(NamedTuple):
         return None if noted is None else cls(**noted)
 
 
-def first_pace(scene: Scene) -> Pace:
+def first_pace(plan: StepPlan) -> Pace:
     """Return the pace at the start of a run: nothing is known yet."""
-    return Pace(shortest_step(scene))
+    return Pace(plan.shortest)
 
 
-def next_pace(scene: Scene, pace: Pace, error: StepError, uptake: float, dt: float) -> Pace:
+def next_pace(plan: StepPlan, pace: Pace, error: StepError, uptake: float, dt: float) -> Pace:
     """Return the pace after a step.
 
     Parameters
     ----------
-    scene
+    plan
     pace
         That of the step.
     error
@@ -72,21 +69,21 @@ def next_pace(scene: Scene, pace: Pace, error: StepError, uptake: float, dt: flo
     dt
         Its length, s; shorter than ``pace.step`` if something ended it early.
     """
-    longest = longest_step(scene)
+    longest = plan.longest
     weight = -math.expm1(-dt / min(_AVERAGED * pace.step, longest))
     drift = pace.drift + weight * (error.drift - pace.drift)
     states = pace.states + weight * (error.states - pace.states)
     uptake = pace.uptake + weight * (uptake - pace.uptake)
     wrong = max(abs(drift) + states + error.births, uptake)
     most = min(2.0 * pace.step, longest)
-    shortest = shortest_step(scene)
+    shortest = plan.shortest
     step = longest
-    while step > most or (step > shortest and step * wrong > tolerance(scene)):
+    while step > most or (step > shortest and step * wrong > plan.tolerance):
         step *= 0.5
     return Pace(step, drift, states, uptake)
 
 
-def end_of_step(scene: Scene, pace: Pace, time: float) -> float:
+def end_of_step(plan: StepPlan, pace: Pace, time: float) -> float:
     """Return when the step that begins at ``time`` ends, s.
 
     At the next multiple of its length, where a medium or what drives cells changes, or with the
@@ -95,5 +92,5 @@ def end_of_step(scene: Scene, pace: Pace, time: float) -> float:
     whole = math.floor(time / pace.step + _NEAR) + 1
     end = whole * pace.step
     after = time + _NEAR * pace.step
-    changes = [t for field in scene.nutrients.values() for t in field.switches(after, end)]
-    return min([end, *changes, *driven_anew(scene, after, end), scene.duration])
+    changes = [moment for moment in plan.changes if after < moment < end]
+    return min([end, *changes, plan.duration])

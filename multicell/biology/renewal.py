@@ -16,8 +16,8 @@ from multicell import random
 from multicell.random import Purpose
 
 if TYPE_CHECKING:
+    from multicell.biology.plan import BiologyPlan
     from multicell.cells import FloatArray, IntArray
-    from multicell.scene.scene import Scene
 
 _MOST: Final = 20
 """Moments in a window: the chance of more is below the resolution of a random number."""
@@ -25,7 +25,7 @@ _EARLIER: Final = 1 << 20
 """Added to the number of a window, so that those before the start have numbers above zero too."""
 
 
-def directions_at(scene: Scene, ids: IntArray, time: float) -> FloatArray:
+def directions_at(plan: BiologyPlan, ids: IntArray, time: float) -> FloatArray:
     """Return the random direction of each cell, (n, 3).
 
     Parameters
@@ -39,22 +39,22 @@ def directions_at(scene: Scene, ids: IntArray, time: float) -> FloatArray:
     window = int(np.floor(time))
     left, before = np.arange(len(ids)), time - window
     while left.size:
-        last, found = _last_moment(scene, ids[left], window, before)
+        last, found = _last_moment(plan, ids[left], window, before)
         for number in np.unique(last[found]):
             now = left[found & (last == number)]
             out[now] = random.directions(
-                scene.seed, Purpose.MOTILITY, (window + _EARLIER) * _MOST + int(number), ids[now],
-                scene.dimensions,
+                plan.seed, Purpose.MOTILITY, (window + _EARLIER) * _MOST + int(number), ids[now],
+                plan.dimensions,
             )  # fmt: skip
         left, window, before = left[~found], window - 1, 1.0
     return out
 
 
 def _last_moment(
-    scene: Scene, ids: IntArray, window: int, before: float
+    plan: BiologyPlan, ids: IntArray, window: int, before: float
 ) -> tuple[IntArray, np.ndarray]:
     """Return the number of the last moment of a window before a part of it, and if there is one."""
-    u = random.uniform(scene.seed, Purpose.RENEWAL, window + _EARLIER, ids, 1 + _MOST)
+    u = random.uniform(plan.seed, Purpose.RENEWAL, window + _EARLIER, ids, 1 + _MOST)
     count = np.searchsorted(_cumulated(), u[:, 0], side="right")
     moments = np.where(np.arange(_MOST) < count[:, None], u[:, 1:], np.inf)
     moments[moments >= before] = -np.inf

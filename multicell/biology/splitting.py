@@ -27,20 +27,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.biology.cycle import may_grow
-from multicell.biology.growth import birth_volume
-from multicell.biology.growth_laws import missing_in_waiting, unlimited_rate
 from multicell.cells import Cells, FloatArray, State, rows_of
-from multicell.scene.scales import regime
 
 if TYPE_CHECKING:
-    from multicell.scene.scene import Scene
+    from multicell.biology.plan import BiologyPlan
 
 
 _GROWING = int(State.PROLIFERATING)  # numbers compare with arrays faster than names do
 
 
 @final
-class Held(NamedTuple):
+class FrozenRates(NamedTuple):
     """What a coupling step holds fixed of the growth of its cells.
 
     ``id`` is (n,), ``factor`` the part of unlimited growth at which each cell grows, (n,): that of
@@ -75,24 +72,24 @@ class StepError(NamedTuple):
     births: float = 0.0
 
 
-def held(cells: Cells, factor: FloatArray) -> Held:
+def freeze(cells: Cells, factor: FloatArray) -> FrozenRates:
     """Return what a coupling step that begins now holds fixed.
 
     ``factor`` is the part of unlimited growth that the surroundings allow, (n,); see
     :func:`multicell.biology.growth.growth_factor`.
     """
-    return Held(cells.id, np.where(cells.state == _GROWING, factor, 0.0))
+    return FrozenRates(cells.id, np.where(cells.state == _GROWING, factor, 0.0))
 
 
 def step_error(
-    scene: Scene, before: Held, now: Held, cells: Cells, next_id: int, dt: float,
+    plan: BiologyPlan, before: FrozenRates, now: FrozenRates, cells: Cells, next_id: int, dt: float,
     *, jumped: bool = False,
 ) -> StepError:  # fmt: skip
     """Return the error of a coupling step that has just ended.
 
     Parameters
     ----------
-    scene
+    plan
         With growth.
     before, now
         What the step held fixed, and what the next one will.
@@ -105,19 +102,20 @@ def step_error(
     jumped
         Whether the surroundings have changed at once at the step's end, which is no error.
     """
-    assert scene.growth is not None
+    assert plan.law is not None
     if len(cells) == 0 or dt <= 0.0:
         return StepError()
-    birth = birth_volume(scene)
+    birth = plan.birth_volume
     # what each cell would gain in a second where nothing limits it, µm³/s
-    rate = unlimited_rate(scene.growth, birth, cells.volume, cells.cycle_time)
-    if scene.growth.phases:
-        rate[~may_grow(scene, cells)] = 0.0
-    began = now.factor if jumped else _inherited(before, now, cells)
+    law = plan.law
+    rate = law.rate(cells.volume, birth) / cells.cycle_time
+    if plan.order:
+        rate[~may_grow(plan, cells)] = 0.0
+    began = now.factor if jumped else _inherit(before, now, cells)
     change = 0.5 * rate * (began - now.factor)
     error, volume = dt * change, cells.volume
-    missing = missing_in_waiting(scene.growth)
-    if not scene.growth.phases:
+    missing = law.missing_in_waiting()
+    if not plan.order:
         born = cells.id >= next_id
         if born.any():
             error[born] -= missing * (volume[born] - birth)
@@ -153,17 +151,7 @@ def columns(error: StepError, cells: Cells, contents: Mapping[str, float]) -> di
     }
 
 
-def jumps(scene: Scene, time: float) -> bool:
-    """Return whether the medium of a steady field changes at once at this moment, s."""
-    return any(
-        any(moment == time for moment, _ in field.media or ())
-        and field.media_change != "linear"
-        and regime(scene, name) == "steady"
-        for name, field in scene.nutrients.items()
-    )
-
-
-def _inherited(before: Held, now: Held, cells: Cells) -> FloatArray:
+def _inherit(before: FrozenRates, now: FrozenRates, cells: Cells) -> FloatArray:
     """Return the factors of a step's beginning for the cells at its end; daughters have hers."""
     if before.id is now.id or np.array_equal(before.id, now.id):
         return before.factor

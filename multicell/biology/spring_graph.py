@@ -18,6 +18,7 @@ from multicell.cells import Cells, FloatArray, IntArray
 from multicell.scene.springs import pairs_at_start
 
 if TYPE_CHECKING:
+    from multicell.biology.plan import BiologyPlan
     from multicell.scene.scene import Scene
 
 
@@ -47,7 +48,7 @@ class Springs:
         """Return some of the springs."""
         return Springs(self.table[index], self.pair[index], self.rest[index])
 
-    def kept(self) -> dict[str, list[Any]]:
+    def to_plain(self) -> dict[str, list[Any]]:
         """Return them as plain values."""
         if not len(self):
             return {}
@@ -58,11 +59,11 @@ class Springs:
         }
 
     @classmethod
-    def of(cls, kept: Mapping[str, list[Any]]) -> Springs:
-        """Return the springs that :meth:`kept` wrote down."""
-        if not kept:
+    def of(cls, plain: Mapping[str, list[Any]]) -> Springs:
+        """Return the springs that :meth:`to_plain` returned down."""
+        if not plain:
             return cls()
-        table, pair, rest = (np.array(kept[name]) for name in ("table", "pair", "rest"))
+        table, pair, rest = (np.array(plain[name]) for name in ("table", "pair", "rest"))
         return cls(table.astype(np.int64), pair.astype(np.int64).reshape(-1, 2), rest.astype(float))
 
 
@@ -85,12 +86,12 @@ def springs_at_start(scene: Scene, cells: Cells) -> Springs:
 
 
 def for_mechanics(
-    scene: Scene, cells: Cells, springs: Springs
+    plan: BiologyPlan, cells: Cells, springs: Springs
 ) -> tuple[IntArray, FloatArray] | None:
     """Return rows of the cells of each spring, and stiffness and length at rest; None without."""
     if not len(springs):
         return None
-    return cells.rows_of(springs.pair), np.stack([_stiffness(scene, springs), springs.rest], axis=1)
+    return cells.rows_of(springs.pair), np.stack([_stiffness(plan, springs), springs.rest], axis=1)
 
 
 def without_dead(springs: Springs, cells: Cells) -> Springs:
@@ -102,24 +103,24 @@ def without_dead(springs: Springs, cells: Cells) -> Springs:
     return springs.take(np.flatnonzero(~gone)) if gone.any() else springs
 
 
-def unbroken(scene: Scene, springs: Springs, cells: Cells) -> Springs:
+def without_broken(plan: BiologyPlan, springs: Springs, cells: Cells) -> Springs:
     """Return the springs that are neither too long nor under too much tension."""
-    longest = _limits(scene, springs, "breaking_length")
-    strongest = _limits(scene, springs, "breaking_force")
+    longest = _limits(plan, springs, "breaking_length")
+    strongest = _limits(plan, springs, "breaking_force")
     if not (np.isfinite(longest).any() or np.isfinite(strongest).any()):
         return springs
     length = _lengths(cells, springs.pair)
-    broken = (length > longest) | (tensions(scene, springs, cells) > strongest)
+    broken = (length > longest) | (tensions(plan, springs, cells) > strongest)
     return springs.take(~broken) if broken.any() else springs
 
 
-def tensions(scene: Scene, springs: Springs, cells: Cells) -> FloatArray:
+def tensions(plan: BiologyPlan, springs: Springs, cells: Cells) -> FloatArray:
     """Return the tension of each spring, (m,) nN, negative where it is compressed."""
     longer = _lengths(cells, springs.pair) - springs.rest
-    return np.asarray(_stiffness(scene, springs) * longer)
+    return np.asarray(_stiffness(plan, springs) * longer)
 
 
-def after_divisions(scene: Scene, springs: Springs, before: Cells, after: Cells) -> Springs:
+def after_divisions(plan: BiologyPlan, springs: Springs, before: Cells, after: Cells) -> Springs:
     """Return the springs after divisions; those of cells that are gone are left out."""
     born = np.flatnonzero(before.rows_of(after.id) < 0)
     if not len(born) or not len(springs):
@@ -131,7 +132,7 @@ def after_divisions(scene: Scene, springs: Springs, before: Cells, after: Cells)
     pair = springs.pair.copy()
     pair[divided.any(axis=1)] = _nearest(after, mothers, daughters, pair[divided.any(axis=1)])
     moved = Springs(springs.table, np.sort(pair, axis=1), springs.rest)
-    joined = _of_sisters(scene, springs, after, mothers, daughters)
+    joined = _of_sisters(plan, springs, after, mothers, daughters)
     every = Springs(
         np.concatenate([moved.table, joined.table]), np.concatenate([moved.pair, joined.pair]),
         np.concatenate([moved.rest, joined.rest]),
@@ -159,11 +160,11 @@ def _nearest(after: Cells, mothers: IntArray, daughters: IntArray, pairs: IntArr
 
 
 def _of_sisters(
-    scene: Scene, springs: Springs, after: Cells, mothers: IntArray, daughters: IntArray
+    plan: BiologyPlan, springs: Springs, after: Cells, mothers: IntArray, daughters: IntArray
 ) -> Springs:
     """Return the springs that join daughters, of length at rest as given, or as if they touched."""
     tables, pairs, rests = [], [], []
-    for number, law in enumerate(scene.springs.values()):
+    for number, law in enumerate(plan.springs.values()):
         if not law.sisters:
             continue
         joined = np.isin(mothers, springs.pair[springs.table == number])
@@ -177,9 +178,9 @@ def _of_sisters(
     return Springs(np.concatenate(tables), np.concatenate(pairs), np.concatenate(rests))
 
 
-def columns(scene: Scene, springs: Springs, cells: Cells) -> dict[str, float]:
+def columns(plan: BiologyPlan, springs: Springs, cells: Cells) -> dict[str, float]:
     """Return what the history tells of springs: their number, and the largest tension, nN."""
-    tension = tensions(scene, springs, cells)
+    tension = tensions(plan, springs, cells)
     return {"springs": len(springs), "largest_tension": float(tension.max(initial=0.0))}
 
 
@@ -189,10 +190,10 @@ def _lengths(cells: Cells, pair: IntArray) -> FloatArray:
     return np.asarray(np.linalg.norm(cells.position[j] - cells.position[i], axis=1))
 
 
-def _stiffness(scene: Scene, springs: Springs) -> FloatArray:
-    return np.array([law.stiffness for law in scene.springs.values()])[springs.table]
+def _stiffness(plan: BiologyPlan, springs: Springs) -> FloatArray:
+    return np.array([law.stiffness for law in plan.springs.values()])[springs.table]
 
 
-def _limits(scene: Scene, springs: Springs, key: str) -> FloatArray:
-    found = (getattr(law, key) for law in scene.springs.values())
+def _limits(plan: BiologyPlan, springs: Springs, key: str) -> FloatArray:
+    found = (getattr(law, key) for law in plan.springs.values())
     return np.array([np.inf if limit is None else limit for limit in found])[springs.table]

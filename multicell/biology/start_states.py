@@ -21,13 +21,12 @@ from typing import TYPE_CHECKING, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.biology.cycle import begun, grown_in_phase
-from multicell.biology.growth import birth_volume
-from multicell.biology.states import beyond, restricted, unfavourable
+from multicell.biology.cycle import time_before_phase, volume_in_phase
+from multicell.biology.states import beyond, unfavourable
 from multicell.cells import SPHERE, Cells, FloatArray, Phase, State
 
 if TYPE_CHECKING:
-    from multicell.scene.scene import Scene
+    from multicell.biology.plan import BiologyPlan
 
     Concentrations = Mapping[str, FloatArray]
     Mask = NDArray[np.bool_]
@@ -48,23 +47,30 @@ class StartStates:
 
     Parameters
     ----------
-    scene
+    plan
     cells
         As they are drawn; those that are dead or rest already stay as they are.
     field
         Solve the fields for cells; return what they find, name -> (n,) mM.
+    tabled
+        Whether a table gives their places in the cycle.
     """
 
     def __init__(
-        self, scene: Scene, cells: Cells, field: Callable[[Cells], Concentrations]
+        self,
+        plan: BiologyPlan,
+        cells: Cells,
+        field: Callable[[Cells], Concentrations],
+        *,
+        tabled: bool = False,
     ) -> None:
-        self._scene, self._first, self._field = scene, cells, field
-        self._rested = _rested(scene, cells)
+        self._plan, self._first, self._field = plan, cells, field
+        self._rested = _rest_for_long(plan, cells)
         self._may_rest = cells.state == State.PROLIFERATING
-        if restricted(scene) and scene.initial.cells is not None:
+        if plan.restricted and tabled:
             self._may_rest[:] = False  # the table gives their places in the cycle
         self._may_die = ~cells.dead
-        if scene.death is not None and scene.death.necrosis_rate is not None:
+        if plan.death is not None and plan.death.necrosis_rate is not None:
             self._may_die[:] = False
         self.rests = np.zeros(len(cells), dtype=bool)
         self.dead = np.zeros(len(cells), dtype=bool)
@@ -82,16 +88,16 @@ class StartStates:
             if all(map(np.array_equal, before, (self.rests, self.dead))):
                 break
         now = self._cells()
-        left = ~self.dead & self._may_die & beyond(self._scene, found, len(self.dead))
+        left = ~self.dead & self._may_die & beyond(self._plan, found, len(self.dead))
         awake = ~self.dead & ~self.rests & self._may_rest
-        left |= awake & unfavourable(self._scene, now, found)
+        left |= awake & unfavourable(self._plan, now, found)
         return now, int(left.sum())
 
     def _let_rest(self, found: Concentrations) -> Concentrations:
         """Let cells rest that find too little, and wake those that find enough."""
 
         def poor(found: Concentrations) -> Mask:
-            lacking = unfavourable(self._scene, self._first, found)
+            lacking = unfavourable(self._plan, self._first, found)
             return np.asarray(self._may_rest & ~self.dead & lacking)
 
         here = poor(found)
@@ -106,7 +112,7 @@ class StartStates:
 
         def starved(found: Concentrations) -> Mask:
             return np.asarray(
-                self._may_die & ~self.dead & beyond(self._scene, found, len(self.dead))
+                self._may_die & ~self.dead & beyond(self._plan, found, len(self.dead))
             )
 
         pool = np.flatnonzero(starved(found))
@@ -137,7 +143,7 @@ class StartStates:
         def rank(begin: int, end: int) -> None:
             """Put the poorest first in a part of the pool."""
             part = pool[begin:end]
-            plenty = _plenty(self._scene, self._first, found, resting)[part]
+            plenty = _plenty(self._plan, self._first, found, resting)[part]
             pool[begin:end] = part[np.argsort(plenty, kind="stable")]
 
         low, high, waking = 0, len(pool), bool(turned[pool[0]])
@@ -166,41 +172,37 @@ class StartStates:
         return now
 
 
-def _rested(scene: Scene, cells: Cells) -> Cells:
+def _rest_for_long(plan: BiologyPlan, cells: Cells) -> Cells:
     """Return the cells as they are if they have rested for long.
 
     Where they rest in G0 only, they have come to the end of G1, and have the size of cells there.
     """
     rested = cells.copy()
     rested.state[:] = State.QUIESCENT
-    if restricted(scene):
+    if plan.restricted:
         rested.phase[:] = Phase.G0
         rested.progress[:] = rested.phase_length[:] = 0.0
-        rested.age = begun(scene, rested)[:, 0]
-        volume = birth_volume(scene) * grown_in_phase(scene, rested)
+        rested.age = time_before_phase(plan, rested)[:, 0]
+        volume = plan.birth_volume * volume_in_phase(plan, rested)
         rested.radius = np.cbrt(volume / SPHERE)
     return rested
 
 
-def _plenty(scene: Scene, cells: Cells, found: Concentrations, resting: bool) -> FloatArray:
+def _plenty(plan: BiologyPlan, cells: Cells, found: Concentrations, resting: bool) -> FloatArray:
     """Return what cells find over their thresholds, the smallest ratio of each cell, (n,).
 
     Those that rest because of pressure have less than none.
     """
     ratios = [np.full(len(cells), np.inf)]
-    if resting and scene.growth is not None and scene.growth.critical_pressure is not None:
-        ratios[0][cells.pressure >= scene.growth.critical_pressure] = -1.0
+    if resting and plan.growth is not None and plan.growth.critical_pressure is not None:
+        ratios[0][cells.pressure >= plan.growth.critical_pressure] = -1.0
     # over a threshold next to nothing a ratio may be infinite; one of zero excludes nobody
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-        for name, nutrient in scene.nutrients.items():
-            c = np.asarray(found[name])
-            least = nutrient.quiescence if resting else nutrient.necrosis
+        for need in plan.needs:
+            least = need.quiescence if resting else need.necrosis
             if least:
-                ratios.append(c / least)
-            if not resting and nutrient.necrosis_above is not None:
-                ratios.append(np.where(c > 0.0, nutrient.necrosis_above / c, np.inf))
-        if scene.energy is not None:
-            least = scene.energy.quiescence if resting else scene.energy.necrosis
-            if least:
-                ratios.append(scene.energy.supply(scene.nutrients, found) / least)
+                ratios.append(need.level(found) / least)
+            if not resting and need.necrosis_above is not None:
+                level = need.level(found)
+                ratios.append(np.where(level > 0.0, need.necrosis_above / level, np.inf))
     return np.asarray(np.min(ratios, axis=0))

@@ -18,10 +18,9 @@ from numpy.typing import NDArray
 
 from multicell.biology.death import apoptotic, necrotic
 from multicell.cells import Cells, FloatArray, State
-from multicell.scene.coupling import fixed_step
 
 if TYPE_CHECKING:
-    from multicell.scene.scene import Scene
+    from multicell.biology.plan import BiologyPlan
 
 
 _GOLDEN = float(0.5 * (np.sqrt(5.0) - 1.0))
@@ -29,7 +28,7 @@ _GROWING, _RESTING = np.int8(State.PROLIFERATING), np.int8(State.QUIESCENT)
 
 
 def update_states(
-    scene: Scene,
+    plan: BiologyPlan,
     cells: Cells,
     concentrations: Mapping[str, FloatArray],
     step: int = 0,
@@ -49,7 +48,7 @@ def update_states(
 
     Parameters
     ----------
-    scene
+    plan
         Gives the thresholds and ``cells.reaction_time``.
     cells
         The population, n cells; its states, pressures, ages and identities are read.
@@ -70,19 +69,19 @@ def update_states(
     Raises
     ------
     KeyError
-        If a nutrient of the scene has no concentrations.
+        If a nutrient with a threshold has no concentrations.
     """
     state = cells.state
-    limited = scene.growth is not None and scene.growth.critical_pressure is not None
-    if (scene.nutrients or limited) and not restricted(scene):
-        resting = unfavourable(scene, cells, concentrations)
-        due = deciding(cells, fixed_step(scene) or dt, scene.cells.reaction_time)
+    limited = plan.growth is not None and plan.growth.critical_pressure is not None
+    if (plan.needs or limited) and not plan.restricted:
+        resting = unfavourable(plan, cells, concentrations)
+        due = deciding(cells, plan.step or dt, plan.reaction_time)
         state = np.where(due, np.where(resting, _RESTING, _GROWING), state)
-    return _with_deaths(scene, cells, concentrations, state, step, dt, time)
+    return _with_deaths(plan, cells, concentrations, state, step, dt, time)
 
 
 def _with_deaths(
-    scene: Scene,
+    plan: BiologyPlan,
     cells: Cells,
     concentrations: Mapping[str, FloatArray],
     living: NDArray[np.int8],
@@ -91,52 +90,43 @@ def _with_deaths(
     time: float,
 ) -> NDArray[np.int8]:
     """Return the states that cells have if they live, but for those that are dead or die now."""
-    lacking = beyond(scene, concentrations, len(cells))
-    by_clock = scene.death is not None and scene.death.apoptosis_rate > 0.0
+    lacking = beyond(plan, concentrations, len(cells))
+    by_clock = plan.death is not None and plan.death.apoptosis_rate > 0.0
     if not (by_clock or lacking.any() or cells.dead.any()):
         return living.copy()
     apoptosis = cells.state == State.APOPTOTIC
     if by_clock:
-        apoptosis |= apoptotic(scene, cells, time) & ~cells.dead
-    necrosis = (cells.state == State.NECROTIC) | necrotic(scene, cells, lacking, step, dt)
+        apoptosis |= apoptotic(plan, cells, time) & ~cells.dead
+    necrosis = (cells.state == State.NECROTIC) | necrotic(plan, cells, lacking, step, dt)
     state = living.copy()
     state[necrosis] = State.NECROTIC
     state[apoptosis] = State.APOPTOTIC
     return state
 
 
-def beyond(scene: Scene, concentrations: Mapping[str, FloatArray], count: int) -> NDArray[np.bool_]:
+def beyond(
+    plan: BiologyPlan, concentrations: Mapping[str, FloatArray], count: int
+) -> NDArray[np.bool_]:
     """Return which of a number of cells find less or more of a nutrient than they can live with."""
     found = np.zeros(count, dtype=bool)
-    for name, nutrient in scene.nutrients.items():
-        c = np.asarray(concentrations[name])
-        if nutrient.necrosis is not None:
-            found |= c < nutrient.necrosis
-        if nutrient.necrosis_above is not None:
-            found |= c > nutrient.necrosis_above
-    if scene.energy is not None and scene.energy.necrosis is not None:
-        found |= scene.energy.supply(scene.nutrients, concentrations) < scene.energy.necrosis
+    for need in plan.needs:
+        if need.necrosis is not None:
+            found |= need.level(concentrations) < need.necrosis
+        if need.necrosis_above is not None:
+            found |= need.level(concentrations) > need.necrosis_above
     return found
 
 
-def restricted(scene: Scene) -> bool:
-    """Return whether cells rest in G0 only, which :mod:`multicell.biology.cycle` sees to."""
-    growth = scene.growth
-    return growth is not None and bool(growth.phases) and growth.restriction
-
-
 def unfavourable(
-    scene: Scene, cells: Cells, concentrations: Mapping[str, FloatArray]
+    plan: BiologyPlan, cells: Cells, concentrations: Mapping[str, FloatArray]
 ) -> NDArray[np.bool_]:
     """Return which cells find too little nutrient or too much pressure to proliferate, (n,)."""
     resting = np.zeros(len(cells), dtype=bool)
-    if scene.growth is not None and scene.growth.critical_pressure is not None:
-        resting |= cells.pressure >= scene.growth.critical_pressure
-    for name, nutrient in scene.nutrients.items():
-        if nutrient.quiescence is not None:
-            resting |= np.asarray(concentrations[name]) < nutrient.quiescence
-    if scene.energy is not None and scene.energy.quiescence is not None:
-        resting |= scene.energy.supply(scene.nutrients, concentrations) < scene.energy.quiescence
+    if plan.growth is not None and plan.growth.critical_pressure is not None:
+        resting |= cells.pressure >= plan.growth.critical_pressure
+    for need in plan.needs:
+        if need.quiescence is not None:
+            resting |= need.level(concentrations) < need.quiescence
     return resting
 
 

@@ -16,13 +16,12 @@ from multicell.biology.cycle import Cycling, advance, leave_rest
 from multicell.biology.death import remove_lysed
 from multicell.biology.division import divide
 from multicell.biology.growth import volumes_after
-from multicell.biology.states import deciding, restricted, unfavourable, update_states
+from multicell.biology.states import deciding, unfavourable, update_states
 from multicell.cells import SPHERE, Cells, FloatArray
-from multicell.scene.coupling import fixed_step
 from multicell.scene.domain import check_inside
 
 if TYPE_CHECKING:
-    from multicell.scene.scene import Scene
+    from multicell.biology.plan import BiologyPlan
 
 Concentrations = Mapping[str, FloatArray]
 
@@ -52,24 +51,24 @@ class Events(NamedTuple):
 
 
 def grow(
-    scene: Scene, cells: Cells, concentrations: Concentrations, factor: FloatArray, dt: float
+    plan: BiologyPlan, cells: Cells, concentrations: Concentrations, factor: FloatArray, dt: float
 ) -> Grown:
     """Return the radii after a time ``dt`` (s), and where the cells then are in their cycle.
 
     ``factor`` is how fast they grow where they are, (n,); see
     :func:`multicell.biology.growth.growth_factor`.
     """
-    volume = volumes_after(scene, cells, factor, dt)
+    volume = volumes_after(plan, cells, factor, dt)
     cycling = None
-    if scene.growth is not None and scene.growth.phases:
-        resting = unfavourable(scene, cells, concentrations)
-        cycling = advance(scene, cells, factor, resting, dt)
+    if plan.order:
+        resting = unfavourable(plan, cells, concentrations)
+        cycling = advance(plan, cells, factor, resting, dt)
         volume += cycling.volume - cells.volume
     return Grown(np.asarray(np.cbrt(volume / SPHERE)), cycling)
 
 
-def aged(
-    scene: Scene, cells: Cells, grown: Grown, concentrations: Concentrations,
+def age_cells(
+    plan: BiologyPlan, cells: Cells, grown: Grown, concentrations: Concentrations,
     begin: float, end: float,
 ) -> tuple[Cells, float]:  # fmt: skip
     """Return the cells at the end of a step, and the volume that dead ones have lost in it, µm³."""
@@ -79,7 +78,7 @@ def aged(
     if grown.cycling is not None:
         for name in ("state", "phase", "progress", "phase_length"):
             setattr(after, name, getattr(grown.cycling, name))
-    bind(scene, after, cells, concentrations, end)
+    bind(plan, after, cells, concentrations, end)
     dead = cells.dead
     if not dead.any():
         return after, 0.0
@@ -89,15 +88,17 @@ def aged(
 
 
 def bind(
-    scene: Scene, after: Cells, cells: Cells, concentrations: Concentrations, time: float
+    plan: BiologyPlan, after: Cells, cells: Cells, concentrations: Concentrations, time: float
 ) -> None:
     """Give ``after`` the receptors and ligands that ``cells`` have at a time in s."""
-    if scene.adhesion is not None:
-        levels = bond_levels(scene, cells, concentrations, time)
+    if plan.adhesion is not None:
+        levels = bond_levels(plan, cells, concentrations, time)
         after.receptor, after.ligand = np.ascontiguousarray(levels.T)
 
 
-def divide_and_remove(scene: Scene, cells: Cells, step: int, next_id: int, time: float) -> Events:
+def divide_and_remove(
+    plan: BiologyPlan, cells: Cells, step: int, next_id: int, time: float
+) -> Events:
     """Return the cells after all that changes their number at a time in s.
 
     Raises
@@ -105,26 +106,31 @@ def divide_and_remove(scene: Scene, cells: Cells, step: int, next_id: int, time:
     StepFailed
         If a daughter lies outside the scene's domain.
     """
-    divided, free = divide(scene, cells, step, next_id)
+    divided, free = divide(plan, cells, step, next_id)
     if free > next_id:
         # daughters lie within their mother: only one that is pressed nearly flat, or that no
         # wall holds, can have one outside
-        check_inside(scene, divided.id, divided.position, time)
-    left, removals = remove_lysed(scene, divided)
+        check_inside(plan.domain, divided.id, divided.position, time)
+    left, removals = remove_lysed(plan, divided)
     released = float(divided.volume.sum()) - float(left.volume.sum()) if removals else 0.0
     return Events(left, free, removals, released)
 
 
 def decide(
-    scene: Scene, cells: Cells, concentrations: Concentrations, step: int, dt: float, time: float
+    plan: BiologyPlan,
+    cells: Cells,
+    concentrations: Concentrations,
+    step: int,
+    dt: float,
+    time: float,
 ) -> NDArray[np.bool_]:
     """Set the states of cells by what they find around them; return which have died, (n,) bool."""
     before = cells.state
-    cells.state = update_states(scene, cells, concentrations, step, dt, time)
-    if restricted(scene):
-        due = deciding(cells, fixed_step(scene) or dt, scene.cells.reaction_time)
-        well = ~unfavourable(scene, cells, concentrations)
-        leave_rest(scene, cells, due & well)
+    cells.state = update_states(plan, cells, concentrations, step, dt, time)
+    if plan.restricted:
+        due = deciding(cells, plan.step or dt, plan.reaction_time)
+        well = ~unfavourable(plan, cells, concentrations)
+        leave_rest(plan, cells, due & well)
     dead = (cells.state != before) & cells.dead
     if dead.any():
         cells.age = np.where(dead, 0.0, cells.age)

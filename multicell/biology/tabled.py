@@ -9,16 +9,16 @@ from numpy.typing import NDArray
 
 from multicell import random
 from multicell.biology.cycle import (
-    begun,
     growing_time,
-    grown_in_phase,
-    grown_share,
-    placed,
-    placed_by_volume,
+    place_by_volume,
+    place_in_cycle,
+    share_of_growth,
+    time_before_phase,
+    volume_in_phase,
     volume_ratio,
 )
-from multicell.biology.durations import draw_cycle_times, drawn_lengths, stages
-from multicell.biology.growth import birth_volume
+from multicell.biology.durations import draw_cycle_times, draw_lengths, stages
+from multicell.biology.plan import BiologyPlan, biology_plan
 from multicell.biology.traits import draw_kinds, draw_moduli
 from multicell.cells import SPHERE, Cells, FloatArray, Phase, State
 from multicell.random import Purpose
@@ -49,18 +49,19 @@ def tabled_cells(scene: Scene) -> Cells:
         With row and column, for cells that cannot start in the scene.
     """
     check_start_table(scene)
+    plan = biology_plan(scene)
     assert scene.initial.cells is not None
     given = scene.initial.cells.given
     columns, n = given.columns, len(given)
     ids = columns.get("id", np.arange(n, dtype=np.int64))
     kind = kinds_of(scene, given)
-    kind = draw_kinds(scene, ids) if kind is None else kind
+    kind = draw_kinds(plan, ids) if kind is None else kind
     cells = Cells(
         id=ids,
         parent=np.full(n, -1, dtype=np.int64),
         position=positions(given),
         radius=np.ones(n),
-        young=columns["young"] if "young" in columns else draw_moduli(scene, 0, ids, kind),
+        young=columns["young"] if "young" in columns else draw_moduli(plan, 0, ids, kind),
         poisson=columns.get("poisson", np.full(n, scene.cells.poisson)),
         state=_states(given),
         age=np.zeros(n),
@@ -68,26 +69,26 @@ def tabled_cells(scene: Scene) -> Cells:
         pressure=columns.get("pressure", np.zeros(n)),
         kind=kind,
     )
-    phases = scene.growth is not None and bool(scene.growth.phases)
-    volume = _in_phases(scene, cells, given) if phases else _without_phases(scene, cells, given)
+    phases = bool(plan.order)
+    volume = _in_phases(plan, cells, given) if phases else _without_phases(plan, cells, given)
     cells.radius = columns.get("radius", np.cbrt(volume / SPHERE))
     if "age" in columns:
         cells.age = columns["age"]
     elif cells.dead.any():
         cells.age = np.where(cells.dead, 0.0, cells.age)
     if phases and "parent" in columns:
-        cells.parent = _mothers(scene, cells, given)
+        cells.parent = _mothers(plan, cells, given)
     return cells.copy()  # the table stays as it is
 
 
-def _mothers(scene: Scene, cells: Cells, given: Given) -> NDArray[np.int64]:
+def _mothers(plan: BiologyPlan, cells: Cells, given: Given) -> NDArray[np.int64]:
     """Return the mothers of sisters that part, -1 for all other cells.
 
     Only of those does it matter: they are in M together, where division is smooth.
     """
-    assert scene.growth is not None
+    assert plan.growth is not None
     mother = np.full(len(cells), -1, dtype=np.int64)
-    if scene.growth.division != "smooth":
+    if plan.growth.division != "smooth":
         return mother
     named = given.columns["parent"]
     young = np.flatnonzero((cells.phase == Phase.M) & (named >= 0))
@@ -110,52 +111,52 @@ def _states(given: Given) -> NDArray[np.int8]:
     return state
 
 
-def _volume_of(scene: Scene, given: Given) -> FloatArray | None:
+def _volume_of(plan: BiologyPlan, given: Given) -> FloatArray | None:
     """Return the volumes of the cells over that at birth, (n,), if the table tells them."""
     radius = given.columns.get("radius")
-    return None if radius is None else np.asarray(SPHERE * radius**3 / birth_volume(scene))
+    return None if radius is None else np.asarray(SPHERE * radius**3 / plan.birth_volume)
 
 
-def _without_phases(scene: Scene, cells: Cells, given: Given) -> FloatArray:
+def _without_phases(plan: BiologyPlan, cells: Cells, given: Given) -> FloatArray:
     """Give cells cycle times and ages; return their volumes, µm³."""
-    drawn = draw_cycle_times(scene, 0, cells.id, cells.kind)
+    drawn = draw_cycle_times(plan, 0, cells.id, cells.kind)
     cells.cycle_time = given.columns.get("cycle_time", drawn)
-    volume = _volume_of(scene, given)
+    volume = _volume_of(plan, given)
     if volume is not None:
-        progress = grown_share(scene, volume)
-    elif "age" in given.columns and scene.growth is not None:
+        progress = share_of_growth(plan, volume)
+    elif "age" in given.columns and plan.growth is not None:
         progress = _share_of_cycle(cells, given, cells.cycle_time)
     else:
-        progress = stages(scene, cells.id, cells.kind, cells.cycle_time)
-    if scene.growth is not None:
+        progress = stages(plan, cells.id, cells.kind, cells.cycle_time)
+    if plan.growth is not None:
         cells.age = progress * cells.cycle_time
-    ratio = volume_ratio(scene, progress) if volume is None else volume
-    return np.asarray(birth_volume(scene) * ratio)
+    ratio = volume_ratio(plan, progress) if volume is None else volume
+    return np.asarray(plan.birth_volume * ratio)
 
 
-def _in_phases(scene: Scene, cells: Cells, given: Given) -> FloatArray:
+def _in_phases(plan: BiologyPlan, cells: Cells, given: Given) -> FloatArray:
     """Give cells their place in the cycle; return their volumes, µm³."""
     columns = given.columns
-    lengths = drawn_lengths(scene, cells.id, cells.kind)
-    cells.cycle_time = columns.get("cycle_time", growing_time(scene, lengths))
-    volume = _volume_of(scene, given)
+    lengths = draw_lengths(plan, cells.id, cells.kind)
+    cells.cycle_time = columns.get("cycle_time", growing_time(plan, lengths))
+    volume = _volume_of(plan, given)
     if "phase" in columns:
         cells.phase = columns["phase"]
-        _in_given_phase(scene, cells, given, lengths)
+        _in_given_phase(plan, cells, given, lengths)
     elif volume is not None:
-        placed_by_volume(scene, cells, volume)
+        place_by_volume(plan, cells, volume)
     else:
-        share = stages(scene, cells.id, cells.kind, lengths.sum(axis=1))
+        share = stages(plan, cells.id, cells.kind, lengths.sum(axis=1))
         if "age" in columns:
             share = _share_of_cycle(cells, given, lengths.sum(axis=1))
         own = cells.cycle_time
-        placed(scene, cells, lengths, share)
+        place_in_cycle(plan, cells, lengths, share)
         cells.cycle_time = own
-    cells.age = begun(scene, cells)[:, 0] + cells.progress
-    return np.asarray(birth_volume(scene) * grown_in_phase(scene, cells))
+    cells.age = time_before_phase(plan, cells)[:, 0] + cells.progress
+    return np.asarray(plan.birth_volume * volume_in_phase(plan, cells))
 
 
-def _in_given_phase(scene: Scene, cells: Cells, given: Given, lengths: FloatArray) -> None:
+def _in_given_phase(plan: BiologyPlan, cells: Cells, given: Given, lengths: FloatArray) -> None:
     """Say how long cells are to be in the phases that the table gives, and have been."""
     columns, resting = given.columns, cells.phase == Phase.G0
     own = np.where(resting, 0.0, lengths[np.arange(len(cells)), cells.phase - 1])
@@ -168,8 +169,8 @@ def _in_given_phase(scene: Scene, cells: Cells, given: Given, lengths: FloatArra
         given.refuse(beyond, "progress", problem, hint)
         return
     share = np.zeros(len(cells))
-    if scene.initial.stage != "birth":
-        share = random.uniform(scene.seed, Purpose.STAGE, 0, cells.id)[:, 0]
+    if plan.stage != "birth":
+        share = random.uniform(plan.seed, Purpose.STAGE, 0, cells.id)[:, 0]
     cells.progress = share * cells.phase_length
 
 

@@ -54,7 +54,8 @@ quiet_option = click.option("--quiet", is_flag=True, help="Print nothing but err
 law_option = click.option(
     "--law",
     metavar="FILE:NAME",
-    help="Contact law of your own, as mine.py:Cubic; its parameters follow as --set contact.KEY=.",
+    help="Contact or growth law of your own, as mine.py:Cubic; its parameters follow as "
+    "--set contact.KEY= or --set growth.parameters.KEY=.",
 )
 no_report_option = click.option(
     "--no-report", is_flag=True, help="Write no report and no pictures."
@@ -81,20 +82,26 @@ def scene_of(source: str, changes: Sequence[str], law: str | None = None) -> Sce
         If there is no such scene or law, or a change makes no sense.
     """
     parsed = parse_changes(changes)
-    named = None if law is None else name_law(law)
+    named = {} if law is None else name_law(law)
     from multicell.scene.scene import load_scene
 
     scene = load_scene(source)
-    if named is not None and scene.to_dict()["contact"]["law"] != named:
-        parsed = {"contact.law": named, **parsed}
+    given = scene.to_dict()
+    for key, name in named.items():
+        part, _, what = key.partition(".")
+        if given.get(part, {}).get(what) != name:
+            parsed = {key: name, **parsed}
     return scene.with_changes(parsed)
 
 
-def name_law(spec: str) -> str:
-    """Load a law of the user's own, ``mine.py:Cubic``; return the name that scenes know it by."""
+def name_law(spec: str) -> dict[str, str]:
+    """Load a law of the user's own; return the key that takes it and the name in scenes."""
     from multicell.contact.custom import load_law
+    from multicell.growth_laws.law import GrowthLaw
 
-    return load_law(spec).scene_name()
+    law = load_law(spec)
+    key = "growth.law" if issubclass(law, GrowthLaw) else "contact.law"
+    return {key: law.scene_name()}
 
 
 integrator_option = click.option(

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING
 from inspect import signature
 from numbers import Real
@@ -26,6 +26,7 @@ from multicell.contact.derived import Scalar, arranged, force_alone, whole_law, 
 from multicell.contact.law import PairLaw
 from multicell.contact.registry import LAWS
 from multicell.errors import SceneError
+from multicell.laws import OwnLaw
 from multicell.plugins import load_object, own_code
 from multicell.schema import number, quantity, specs
 from multicell.schema import parameters as declare
@@ -39,31 +40,17 @@ _POINTS = 401
 _HIDDEN = ("force", "stiffness", "energy")
 
 
-class UserLaw(PairLaw):
+class UserLaw(OwnLaw, PairLaw):
     """A law made by :func:`pair_law`; its parameters are the fields of the dataclass.
 
     A parameter named ``force``, ``stiffness`` or ``energy`` hides the method of that name;
     ``evaluate`` gives all three.
-
-    Attributes
-    ----------
-    source
-        ``file.py:name`` of the function.
-    fingerprint
-        Changes with the function and all that it reads.
     """
 
-    source: ClassVar[str]
-    fingerprint: ClassVar[str]
     _type_of_constants: ClassVar[Any]
     _reach: ClassVar[Scalar | None]
     _asks_rest: ClassVar[bool]
     _parts: ClassVar[Mapping[str, Scalar]]
-
-    @classmethod
-    def scene_name(cls) -> str:
-        """Return the name of the law in a scene, ``file.py:name@fingerprint``."""
-        return f"{cls.source}@{cls.fingerprint}"
 
     def describe(self, energy: str) -> str:
         """Return the law in words: its name and its parameters."""
@@ -219,9 +206,9 @@ def pair_law(
             without_energy=without_energy(push, slope, reach),
             force_alone=force_alone(push, reach),
         )
-        declared = {name: _declared(entry) for name, entry in parameters.items()}
+        declared = {name: declaration(entry) for name, entry in parameters.items()}
         source = f"{os.path.basename(force.__code__.co_filename)}:{force.__qualname__}"
-        mark = _mark(whole, declared)
+        mark = mark_of([whole], declared)
         if f"{source}@{mark}" in LAWS:
             return cast("type[UserLaw]", LAWS[f"{source}@{mark}"])
         attributes = {
@@ -260,33 +247,34 @@ class Compiling:
             self._law.refuse_uncompilable()
 
 
-def load_law(spec: str) -> type[UserLaw]:
+def load_law(spec: str) -> type[OwnLaw]:
     """Return the law that ``file.py:Name`` names, after which scenes may name it as well.
 
     Raises
     ------
     SceneError
-        If it cannot be loaded, or is no law made by :func:`pair_law`.
+        If it cannot be loaded, or is neither a pair law (:func:`pair_law`) nor a growth law
+        (:func:`multicell.growth_law`).
     """
-    found = load_object(spec, "contact.law")
-    if not (isinstance(found, type) and issubclass(found, UserLaw)):
-        hint = "A function becomes one by the decorator multicell.pair_law."
-        raise SceneError("contact.law", f"{spec!r} is not a pair law", hint)
+    found = load_object(spec, "law")
+    if not (isinstance(found, type) and issubclass(found, OwnLaw)):
+        hint = "A function becomes one by the decorator multicell.pair_law or growth_law."
+        raise SceneError("law", f"{spec!r} is neither a pair law nor a growth law", hint)
     return found
 
 
-def _mark(function: Any, declared: Mapping[str, Any]) -> str:
-    """Return the fingerprint of a law: of its function and of its declared parameters."""
+def mark_of(functions: Sequence[Any], declared: Mapping[str, Any]) -> str:
+    """Return the fingerprint of a law: of its functions and of its declared parameters."""
     stated = []
     for name, column in declared.items():
         spec = column.metadata["parameter"]
         default = "" if column.default is MISSING else repr(column.default)
         stated.append(f"{name} {spec.unit} {spec.bounds} {default}")
-    given = hashlib.sha256("\n".join([fingerprint(function), *stated]).encode())
+    given = hashlib.sha256("\n".join([*map(fingerprint, functions), *stated]).encode())
     return given.hexdigest()[:12]
 
 
-def _declared(entry: Any) -> Any:
+def declaration(entry: Any) -> Any:
     """Return the declaration of a parameter that is given by its unit."""
     if not isinstance(entry, str):
         return entry

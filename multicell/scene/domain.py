@@ -99,9 +99,8 @@ def check_start(scene: Scene, cells: Cells) -> None:
         raise SceneError(f"domain.{side[0]}", problem, hint)
 
 
-def check_inside(scene: Scene, ids: IntArray, position: FloatArray, time: float) -> None:
-    """Raise ``StepFailed`` where a centre (n, 3) µm has left the scene's domain at a time in s."""
-    domain = scene.domain
+def check_inside(domain: Domain | None, ids: IntArray, position: FloatArray, time: float) -> None:
+    """Raise ``StepFailed`` where a centre (n, 3) µm has left a domain at a time in s."""
     found = None if domain is None else strayed(domain, position)
     if domain is None or found is None:
         return

@@ -7,7 +7,7 @@ or by their type; what is given of these must all hold. Without any of them all 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
@@ -113,12 +113,6 @@ def within(driver: Driver, begin: float, end: float) -> float:
     return max(0.0, min(end, last) - max(begin, driver.begin)) / (end - begin)
 
 
-def changes(scene: Scene, begin: float, end: float) -> list[float]:
-    """Return when something begins or ends to act after ``begin`` and before ``end``, s."""
-    found = (t for _, driver in drivers(scene) for t in (driver.begin, driver.end))
-    return [t for t in found if t is not None and begin < t < end]
-
-
 def check_driven(scene: Scene) -> None:
     """Raise ``SceneError`` for drivers that do not fit to the rest of the scene."""
     for path, driver in drivers(scene):
@@ -154,13 +148,13 @@ def _check_flat(path: str, driver: Driver) -> None:
             raise SceneError(f"{path}.{key}", "points out of the plane of a scene of 2 dimensions")
 
 
-def members(scene: Scene, driver: Driver, cells: Cells) -> NDArray[np.bool_]:
-    """Return which cells of the start a driver names, (n,)."""
+def members(types: Iterable[str], driver: Driver, cells: Cells) -> NDArray[np.bool_]:
+    """Return which cells of the start a driver names, (n,); ``types`` are those of the scene."""
     chosen = np.ones(len(cells), dtype=np.bool_)
     if driver.cells is not None:
         chosen &= np.isin(cells.id, driver.cells)
     if driver.type:
-        chosen &= cells.kind == list(scene.types).index(driver.type)
+        chosen &= cells.kind == list(types).index(driver.type)
     for axis, span in enumerate((driver.x, driver.y, driver.z)):
         if span is not None:
             chosen &= (cells.position[:, axis] >= span[0]) & (cells.position[:, axis] <= span[1])
@@ -179,7 +173,7 @@ def check_members(scene: Scene, cells: Cells) -> None:
             problem = f"names the cell {int(missing[0])}, which is not there at the start"
             hint = f"Identities at the start go from {cells.id.min()} to {cells.id.max()}."
             raise SceneError(f"{path}.cells", problem, hint)
-        chosen = members(scene, driver, cells)
+        chosen = members(scene.types, driver, cells)
         if not chosen.any() and by_identity(driver):
             hint = "All of its cells, type, x, y and z must hold for a cell."
             raise SceneError(path, "names no cell of the start", hint)

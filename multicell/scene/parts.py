@@ -8,11 +8,14 @@ from typing import final
 import numpy as np
 
 from multicell.errors import SceneError
+from multicell.growth_laws.law import GrowthLaw
+from multicell.growth_laws.registry import LAWS
 from multicell.integrators.base import MethodInfo
 from multicell.integrators.registry import METHODS
 from multicell.plugins import OWN_OBJECT, recorded_object
 from multicell.schema import (
     Tables,
+    build,
     choice,
     count,
     course,
@@ -24,10 +27,12 @@ from multicell.schema import (
     quantities,
     quantity,
     responses,
+    specs,
     tables,
     text,
     vector,
 )
+from multicell.units import shown
 
 
 @final
@@ -116,8 +121,16 @@ class PhaseLength:
             raise SceneError("variation", f"is {self.variation:g}, must be at most 0.5", hint)
 
 
-GROWTH_LAWS = ("linear", "exponential", "relaxation", "logistic", "gompertz")
-"""Names of the laws by which volumes grow."""
+def _own_growth_law(name: str) -> bool:
+    """Return whether a scene names a law of the user's own that is loaded; refuse one that is not.
+
+    Raises
+    ------
+    SceneError
+    """
+    if ":" in name and name not in LAWS:
+        raise SceneError("law", f"is {shown(name)}, which is not loaded", LAWS.hint(name))
+    return name in LAWS
 
 
 @final
@@ -137,13 +150,22 @@ class Growth:
     cycle_time: float = quantity(
         "s", default=54000.0, above=0, doc="mean shortest cycle time; not used with phases"
     )
-    law: str = choice(GROWTH_LAWS, default="linear", doc="how the volume grows in time")
+    law: str = choice(
+        LAWS,
+        default="linear",
+        doc="how the volume grows in time",
+        other=_own_growth_law,
+        further=OWN_OBJECT,
+    )
     target: float | None = number(
         default=None,
         above=1,
         at_most=1000,
         doc="volume that a law which saturates goes to / division volume",
         hint="A cell never reaches the division volume otherwise.",
+    )
+    parameters: Mapping[str, float] | None = quantities(
+        "", doc="of a law of the user's own, by their names"
     )
     phases: Mapping[str, PhaseLength] = tables(
         PhaseLength, names=PHASES, default_factory=Tables, doc="absent: volume triggers division"
@@ -165,12 +187,13 @@ class Growth:
 
     def check(self) -> None:
         """Raise ``SceneError`` for phases that make no cycle, and for a law without a target."""
-        saturates = self.law in ("relaxation", "logistic", "gompertz")
-        if saturates and self.target is None:
+        takes = specs(LAWS[self.law])
+        if "target" in takes and self.target is None:
             hint = "For example target = 1.2; it must be above 1, so that cells come to divide."
             raise SceneError("target", f"is missing: growth by the law {self.law!r} has one", hint)
-        if self.target is not None and not saturates:
+        if self.target is not None and "target" not in takes:
             raise SceneError("target", f"has no effect: the law is {self.law!r}")
+        build(LAWS[self.law], self._of_law(), "parameters")
         if not self.phases:
             if self.division == "smooth":
                 hint = "Daughters part during M: give the phases of the cycle."
@@ -183,6 +206,21 @@ class Growth:
         if not any(phase.grows for phase in self.phases.values()):
             hint = "Let grows = true in one phase at least."
             raise SceneError("phases", "have no phase in which cells grow", hint)
+
+    def _of_law(self) -> dict[str, float]:
+        """Return the parameters of the law by name."""
+        target = {} if self.target is None else {"target": self.target}
+        return {**target, **(self.parameters or {})}
+
+    @property
+    def law_class(self) -> type[GrowthLaw]:
+        """The class of the law."""
+        return LAWS[self.law]
+
+    @property
+    def growth_law(self) -> GrowthLaw:
+        """The law with its parameters."""
+        return self.law_class(**self._of_law())
 
     @property
     def mean_cycle(self) -> float:

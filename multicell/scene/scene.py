@@ -20,6 +20,7 @@ from multicell.contact.law import PairLaw
 from multicell.contact.registry import LAWS
 from multicell.errors import SceneError
 from multicell.files import DEEPEST, parse_toml, read_regular
+from multicell.laws import OwnLaw
 from multicell.plugins import OWN_OBJECT
 from multicell.scene.arrangement import check_arrangement
 from multicell.scene.checks import (
@@ -380,6 +381,8 @@ def _change(entries: dict[str, Any], key: str, value: Any) -> None:
         if not isinstance(node, dict):
             problem = f"is not a key: '{'.'.join(parents[:depth])}' is a value, not a table"
             raise SceneError(key, problem)
+    if key == "growth.law" and isinstance(value, OwnLaw):
+        node["parameters"], value = plain(value), value.scene_name()
     if spec is not None and is_dataclass(value):
         value = spec.plain(value)
     if value is None and last in node:

@@ -7,8 +7,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from multicell.cells import SPHERE
+
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
+
+
+def division_volume(scene: Scene) -> float:
+    """Return the volume at which a cell divides, µm³."""
+    return float(SPHERE * scene.cells.division_radius**3)
+
+
+def birth_volume(scene: Scene) -> float:
+    """Return the volume of a newborn cell, half the division volume, µm³."""
+    return 0.5 * division_volume(scene)
 
 
 def birth_radius(scene: Scene) -> float:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.errors import SceneError
 from multicell.files import read_regular
+from multicell.laws import OwnLaw
 from multicell.plugins import origin
 from multicell.schema import Tables, specs
 
@@ -59,25 +60,25 @@ class Run:
     integrator: str = ""
 
     @property
-    def law(self) -> str:
-        """``/path/file.py:Name`` of a contact law of the user's own, which workers load; or empty.
+    def laws(self) -> tuple[str, ...]:
+        """``/path/file.py:Name`` of each law of the user's own, which workers load.
 
-        Workers load it by :func:`multicell.load_law` before they read the scene.
+        Workers load them by :func:`multicell.load_law` before they read the scene.
         """
-        return own_law(self.scene)
+        return own_laws(self.scene)
 
 
-def own_law(scene: Scene) -> str:
-    """Return where a contact law of the user's own comes from, or nothing for one of ours."""
-    kind = type(scene.contact)
-    return origin(kind) if hasattr(kind, "scene_name") else ""
+def own_laws(scene: Scene) -> tuple[str, ...]:
+    """Return where the pair law and the growth law of a scene come from that are the user's own."""
+    laws = [type(scene.contact), *([] if scene.growth is None else [scene.growth.law_class])]
+    return tuple(origin(law) for law in laws if issubclass(law, OwnLaw))
 
 
 def digest(scene: Scene, integrator: str = "") -> str:
     """Return the name of a run: a digest of all that decides its results.
 
     That is the scene in base units without its title, the version of the model, the fingerprint
-    of a contact law of the user's own (of its function and of all that it reads; it is part of the
+    of a law of the user's own (of its function and of all that it reads; it is part of the
     law's name) and the text of the file of a method of the user's own. Scenes that are written
     differently, in other units or with their keys in another order, have the same digest; the order
     of named tables such as types, in which they take their random numbers, counts.

@@ -17,7 +17,7 @@ from multicell.errors import MulticellError
 from multicell.studies.axes import Range
 from multicell.studies.data import Datum, Measured
 from multicell.studies.observed import continued, entry_of
-from multicell.studies.runs import own_law
+from multicell.studies.runs import own_laws
 
 OUTGROWN: Final = {"cells": 3.0, "diameter": 1.5}
 """A run ends when one of these is so many times the largest one measured in its condition."""
@@ -85,7 +85,7 @@ class SceneSimulator:
         """Return the simulator that stands for the conditions of some data."""
         scenes = tuple(condition.scene.to_dict() for condition in measured.conditions)
         data = tuple(tuple(measured.of(k)) for k in range(len(scenes)))
-        laws = {own_law(condition.scene) for condition in measured.conditions} - {""}
+        laws = {law for condition in measured.conditions for law in own_laws(condition.scene)}
         return cls(scenes, data, tuple(ranges), tuple(sorted(laws)))
 
     def __call__(self, shares: Sequence[float], condition: int, seed: int) -> Reading:

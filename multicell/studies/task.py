@@ -61,7 +61,7 @@ class Task:
         Of the study.
     scene
         As a table in base units.
-    law, integrator
+    laws, integrator
         ``file.py:Name`` of the user's own, or empty.
     retry
         Whether a run that failed, or whose folder is damaged, is tried again.
@@ -70,14 +70,14 @@ class Task:
     name: str
     folder: str
     scene: Mapping[str, Any]
-    law: str
+    laws: tuple[str, ...]
     integrator: str
     retry: bool
 
 
 def task(run: Run, folder: Path, retry: bool) -> Task:
     """Return what a worker has to know of a run."""
-    return Task(run.name, str(folder), run.scene.to_dict(), run.law, run.integrator, retry)
+    return Task(run.name, str(folder), run.scene.to_dict(), run.laws, run.integrator, retry)
 
 
 @final
@@ -174,22 +174,23 @@ def _forward(work: Task, place: Path, found: RunStatus, wanted: Callable[[], boo
     scene, integrator = _scene(work), work.integrator or None
     if not wanted():
         raise Stopped
+    options = runner.RunOptions(output=place, integrator=integrator, threads=1, progress=between)
     if found.frames and found.kind != "damage":
         remove(place, [NOTE])
-        runner.gone_on(place, integrator=integrator, threads=1, progress=between, planned=True)
+        runner.record_resumed(place, options, planned=True)
     else:
         _empty(work, place)
-        runner.recorded(scene, output=place, integrator=integrator, threads=1, progress=between)
+        runner.record_run(scene, options)
 
 
 def _scene(work: Task) -> Scene:
-    """Return the scene of a run, with the user's own contact law loaded if it has one."""
+    """Return the scene of a run, with the user's own laws loaded."""
     from multicell.scene.scene import Scene
 
-    if work.law:
+    for law in work.laws:
         from multicell.contact.custom import load_law
 
-        load_law(work.law)
+        load_law(law)
     return Scene.from_dict(work.scene)
 
 

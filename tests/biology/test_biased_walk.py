@@ -7,6 +7,7 @@ from scipy import integrate, stats
 import multicell as mc
 from multicell.biology.active_forces import active_force
 from multicell.biology.initial import initial_cells
+from multicell.biology.plan import biology_plan
 from multicell.errors import SceneError
 from multicell.scene.scene import Scene
 
@@ -51,7 +52,7 @@ def mean_along(bias, dimensions):
 
 def directions(scene, times):
     cells = initial_cells(scene)
-    return np.stack([active_force(scene, cells, t) for t in times])
+    return np.stack([active_force(biology_plan(scene), cells, t) for t in times])
 
 
 @pytest.mark.parametrize("dimensions", [2, 3])
@@ -87,7 +88,7 @@ def test_a_full_bias_goes_straight_and_none_keeps_the_bits(renewal):
         random.directions(0, random.Purpose.MOTILITY, int(k), np.array([i]), 3)[0]
         for i, k in zip(cells.id, interval, strict=True)
     ])  # fmt: skip
-    np.testing.assert_array_equal(active_force(plain, cells, 5000.0), exact)
+    np.testing.assert_array_equal(active_force(biology_plan(plain), cells, 5000.0), exact)
 
 
 def test_random_moments_are_a_poisson_process():

@@ -14,13 +14,15 @@ from scipy.spatial import cKDTree
 
 from multicell.biology.death import remove_lysed
 from multicell.biology.division import divide
-from multicell.biology.durations import scattered
-from multicell.biology.growth import birth_volume, growth_factor, volumes_after
+from multicell.biology.durations import scatter_about
+from multicell.biology.growth import growth_factor, volumes_after
 from multicell.biology.initial import initial_cells, packed_ball
+from multicell.biology.plan import biology_plan
 from multicell.biology.states import deciding, update_states
 from multicell.cells import SPHERE, Cells, State
 from multicell.random import Purpose
 from multicell.scene.scene import Scene
+from multicell.scene.sizes import birth_volume
 
 HOUR = 3600.0
 CYCLE = 15 * HOUR
@@ -136,7 +138,7 @@ def test_moduli_and_cycle_times_are_truncated_normal_and_independent() -> None:
 
 
 def test_largest_variation_stays_positive_and_keeps_the_mean() -> None:
-    values = scattered(1, Purpose.MODULI, 0, np.arange(20_000), 2.0, 0.5)
+    values = scatter_about(1, Purpose.MODULI, 0, np.arange(20_000), 2.0, 0.5)
     assert values.min() >= 0.2
     law = stats.truncnorm(-1.8, 1.8, loc=2.0, scale=1.0)
     assert stats.kstest(values, law.cdf).pvalue > 1e-3
@@ -149,7 +151,7 @@ def test_without_growth_cycles_are_infinite_and_ages_finite() -> None:
     assert np.isinf(cells.cycle_time).all()
     assert (cells.age == 0).all()
     ripe = replace(cells, radius=np.full(200, 6.0))
-    assert divide(scene, ripe, 1, 200) == (ripe, 200)
+    assert divide(biology_plan(scene), ripe, 1, 200) == (ripe, 200)
 
 
 def test_seed_decides_everything() -> None:
@@ -168,7 +170,7 @@ def test_growth_factor_values_by_hand() -> None:
     c = {"oxygen": np.array([0.01, 0.03, 0.0, 0.01, 0.01, 0.01])}
     p = np.array([0.0, 0.0, 0.0, 0.05, 0.2, -0.05])
     expected = [0.5, 0.75, 0.0, 0.25, 0.0, 0.5]
-    np.testing.assert_allclose(growth_factor(scene, c, p), expected, rtol=1e-15)
+    np.testing.assert_allclose(growth_factor(biology_plan(scene), c, p), expected, rtol=1e-15)
 
 
 def test_growth_factor_multiplies_nutrients_and_absent_parts_do_nothing() -> None:
@@ -176,13 +178,15 @@ def test_growth_factor_multiplies_nutrients_and_absent_parts_do_nothing() -> Non
     scene = make_scene(growth=growth(), nutrients=nutrients)
     c = {"oxygen": np.array([0.03]), "glucose": np.array([3.0])}
     high = np.array([5.0])
-    assert growth_factor(scene, c, high)[0] == pytest.approx(0.75**2)
-    assert growth_factor(make_scene(nutrients={}, growth=growth()), {}, high)[0] == 1.0
-    assert growth_factor(make_scene(nutrients={}, growth=None), {}, high)[0] == 0.0
+    assert growth_factor(biology_plan(scene), c, high)[0] == pytest.approx(0.75**2)
+    assert (
+        growth_factor(biology_plan(make_scene(nutrients={}, growth=growth())), {}, high)[0] == 1.0
+    )
+    assert growth_factor(biology_plan(make_scene(nutrients={}, growth=None)), {}, high)[0] == 0.0
     with pytest.raises(KeyError, match="glucose"):
-        growth_factor(scene, {"oxygen": np.array([0.03])}, high)
+        growth_factor(biology_plan(scene), {"oxygen": np.array([0.03])}, high)
     acid = make_scene(growth=growth(), nutrients={"lactate": {"growth_inhibition": 2.0}})
-    assert growth_factor(acid, {"lactate": np.array([6.0])}, high)[0] == 0.25
+    assert growth_factor(biology_plan(acid), {"lactate": np.array([6.0])}, high)[0] == 0.25
 
 
 def test_volumes_after_follow_the_state() -> None:
@@ -191,7 +195,7 @@ def test_volumes_after_follow_the_state() -> None:
     cells.state[::6] = State.APOPTOTIC
     factor = np.linspace(0.0, 1.0, 60)
     dt = 600.0
-    gain = (volumes_after(scene, cells, factor, dt) - cells.volume) / cells.volume
+    gain = (volumes_after(biology_plan(scene), cells, factor, dt) - cells.volume) / cells.volume
     for state in State:
         mine = cells.state == state
         expected = {
@@ -203,7 +207,7 @@ def test_volumes_after_follow_the_state() -> None:
         }[state]  # fmt: skip
         assert mine.any()
         np.testing.assert_allclose(gain[mine], expected[mine], rtol=1e-11, atol=1e-14)
-    still = volumes_after(make_scene(growth=None, death=None), cells, factor, dt)
+    still = volumes_after(biology_plan(make_scene(growth=None, death=None)), cells, factor, dt)
     np.testing.assert_array_equal(still, cells.volume)
 
 
@@ -211,10 +215,12 @@ def test_two_half_steps_equal_one_step() -> None:
     scene = make_scene()
     cells = some_cells(60)
     factor = np.full(60, 0.7)
-    half = volumes_after(scene, cells, factor, 300.0)
+    half = volumes_after(biology_plan(scene), cells, factor, 300.0)
     middle = replace(cells, radius=np.cbrt(half / SPHERE))
-    twice = volumes_after(scene, middle, factor, 300.0)
-    np.testing.assert_allclose(twice, volumes_after(scene, cells, factor, 600.0), rtol=1e-13)
+    twice = volumes_after(biology_plan(scene), middle, factor, 300.0)
+    np.testing.assert_allclose(
+        twice, volumes_after(biology_plan(scene), cells, factor, 600.0), rtol=1e-13
+    )
 
 
 # --- phases --------------------------------------------------------------------------------------
@@ -237,7 +243,7 @@ def test_two_half_steps_equal_one_step() -> None:
 def test_state_changes(before: State, oxygen: float, pressure: float, after: State) -> None:
     cells = some_cells(1)
     cells = replace(cells, state=np.array([before]), pressure=np.array([pressure]), age=np.zeros(1))
-    got = update_states(make_scene(), cells, {"oxygen": np.array([oxygen])})
+    got = update_states(biology_plan(make_scene()), cells, {"oxygen": np.array([oxygen])})
     assert got.dtype == np.int8
     assert got.tolist() == [after]
     assert cells.state.tolist() == [before]
@@ -245,12 +251,12 @@ def test_state_changes(before: State, oxygen: float, pressure: float, after: Sta
 
 def test_states_without_the_parts_that_change_them() -> None:
     cells = some_cells(50)
-    none = update_states(make_scene(nutrients={}, growth=growth()), cells, {})
+    none = update_states(biology_plan(make_scene(nutrients={}, growth=growth())), cells, {})
     np.testing.assert_array_equal(none, cells.state)
     none[:] = 0
     assert cells.state.any()
     newborn = replace(cells, age=np.zeros(50))
-    pressed = update_states(make_scene(nutrients={}), newborn, {})
+    pressed = update_states(biology_plan(make_scene(nutrients={})), newborn, {})
     living = cells.state != State.NECROTIC
     np.testing.assert_array_equal(pressed[living], cells.pressure[living] >= 0.1)
 
@@ -272,11 +278,11 @@ def test_a_cell_that_is_not_due_keeps_its_state_but_dies_at_once() -> None:
     cells = replace(some_cells(500), age=np.full(500, 1e5), pressure=np.zeros(500))
     due = deciding(cells, 600.0, 7200.0)
     living = cells.state != State.NECROTIC
-    starved = update_states(make_scene(), cells, {"oxygen": np.full(500, 0.01)})
+    starved = update_states(biology_plan(make_scene()), cells, {"oxygen": np.full(500, 0.01)})
     np.testing.assert_array_equal(starved[~due], cells.state[~due])
     assert (starved[due & living] == State.QUIESCENT).all()
     assert 20 < due.sum() < 60
-    dead = update_states(make_scene(), cells, {"oxygen": np.full(500, 0.001)})
+    dead = update_states(biology_plan(make_scene()), cells, {"oxygen": np.full(500, 0.001)})
     assert (dead == State.NECROTIC).all()
 
 
@@ -292,7 +298,7 @@ def test_uptake_feedback_settles_instead_of_switching_all_cells(dt: float) -> No
         parts.append(resting)
         oxygen = np.full(600, 0.019 + 0.002 * resting)
         cells = replace(cells, age=np.full(600, step * dt))
-        cells.state = update_states(scene, cells, {"oxygen": oxygen})
+        cells.state = update_states(biology_plan(scene), cells, {"oxygen": oxygen})
     late = np.array(parts[len(parts) // 2 :])
     assert np.abs(late - 0.5).max() < 1.5 * dt / scene.cells.reaction_time
 
@@ -303,7 +309,7 @@ def test_uptake_feedback_settles_instead_of_switching_all_cells(dt: float) -> No
 def test_division_conserves_volume_and_centre_of_mass_of_every_mother() -> None:
     scene = make_scene()
     before = some_cells(400)
-    after, next_id = divide(scene, before, 12, 5000)
+    after, next_id = divide(biology_plan(scene), before, 12, 5000)
     born = after.take(after.id >= 5000)
     ripe = (before.state == State.PROLIFERATING) & (before.radius >= 5.0)
     assert next_id == 5000 + 2 * ripe.sum() == 5000 + len(born)
@@ -330,7 +336,7 @@ def test_only_ripe_proliferating_cells_divide_and_the_rest_are_untouched() -> No
     scene = make_scene()
     before = some_cells(400)
     untouched = {name: column.copy() for name, column in before.columns()}
-    after, _ = divide(scene, before, 12, 5000)
+    after, _ = divide(biology_plan(scene), before, 12, 5000)
     kept = before.take((before.state != State.PROLIFERATING) | (before.radius < 5.0))
     for name, column in kept.columns():
         np.testing.assert_array_equal(getattr(after, name)[: len(kept)], column)
@@ -344,7 +350,7 @@ def test_a_cell_at_the_division_volume_up_to_rounding_divides() -> None:
         state=np.zeros(2, dtype=np.int8),
         radius=np.array([np.nextafter(5.0, 0.0), 5.0 * (1.0 - 1e-9)]),
     )
-    after, next_id = divide(make_scene(), cells, 1, 100)
+    after, next_id = divide(biology_plan(make_scene()), cells, 1, 100)
     assert next_id == 102
     assert after.id.tolist() == [cells.id[1], 100, 101]
 
@@ -353,8 +359,8 @@ def test_division_does_not_depend_on_the_order_of_the_arrays() -> None:
     scene = make_scene()
     cells = some_cells(400)
     shuffled = cells.take(np.random.default_rng(5).permutation(400))
-    one, next_one = divide(scene, cells, 3, 9000)
-    two, next_two = divide(scene, shuffled, 3, 9000)
+    one, next_one = divide(biology_plan(scene), cells, 3, 9000)
+    two, next_two = divide(biology_plan(scene), shuffled, 3, 9000)
     assert next_one == next_two
     for name, column in by_id(one).items():
         np.testing.assert_array_equal(column, by_id(two)[name])
@@ -367,7 +373,7 @@ def test_division_axes_are_isotropic_and_change_with_the_step() -> None:
     )
     axes = []
     for step in (1, 2):
-        born, _ = divide(scene, mothers, step, 20_000)
+        born, _ = divide(biology_plan(scene), mothers, step, 20_000)
         difference = born.position[0::2] - born.position[1::2]
         axes.append(difference / np.linalg.norm(difference, axis=1)[:, None])
     for column in axes[0].T:
@@ -380,10 +386,10 @@ def grown(scene: Scene, cells: Cells, dt: float, steps: int) -> list[int]:
     next_id = int(cells.id.max()) + 1
     counts = []
     for step in range(1, steps + 1):
-        factor = growth_factor(scene, {}, cells.pressure)
-        volume = volumes_after(scene, cells, factor, dt)
+        factor = growth_factor(biology_plan(scene), {}, cells.pressure)
+        volume = volumes_after(biology_plan(scene), cells, factor, dt)
         cells = replace(cells, radius=np.cbrt(volume / SPHERE), age=cells.age + dt)
-        cells, next_id = divide(scene, cells, step, next_id)
+        cells, next_id = divide(biology_plan(scene), cells, step, next_id)
         counts.append(len(cells))
     return counts
 
@@ -440,10 +446,10 @@ def test_lysed_cells_are_removed_below_the_fraction_of_the_birth_volume() -> Non
         radius=np.array([limit * 0.999, limit * 1.001, limit * 0.5, 5.0]),
         state=np.array([State.NECROTIC, State.NECROTIC, State.QUIESCENT, State.NECROTIC]),
     )
-    left, removed = remove_lysed(scene, cells)
+    left, removed = remove_lysed(biology_plan(scene), cells)
     assert removed == 1
     assert left.id.tolist() == cells.id[1:].tolist()
-    assert remove_lysed(make_scene(death=None), cells) == (cells, 0)
+    assert remove_lysed(biology_plan(make_scene(death=None)), cells) == (cells, 0)
 
 
 def test_a_dead_cell_lasts_the_time_of_its_exponential() -> None:
@@ -451,8 +457,10 @@ def test_a_dead_cell_lasts_the_time_of_its_exponential() -> None:
     cells = replace(some_cells(1), radius=np.array([5.0]), state=np.array([State.NECROTIC]))
     steps = 0
     while len(cells):
-        volume = volumes_after(scene, cells, np.zeros(1), 600.0)
-        cells, _ = remove_lysed(scene, replace(cells, radius=np.cbrt(volume / SPHERE)))
+        volume = volumes_after(biology_plan(scene), cells, np.zeros(1), 600.0)
+        cells, _ = remove_lysed(
+            biology_plan(scene), replace(cells, radius=np.cbrt(volume / SPHERE))
+        )
         steps += 1
     # from the division volume to a tenth of the birth volume: a factor of 20
     assert steps == int(np.ceil(48 * HOUR * np.log(20) / 600.0))

@@ -7,15 +7,16 @@ import pytest
 from scipy import stats
 
 import multicell as mc
-from multicell.biology.cycle import advance, newborn, parting, phase_counts
+from multicell.biology.cycle import advance, enter_cycle, parting
 from multicell.biology.division import divide
-from multicell.biology.durations import drawn_lengths, quantile
-from multicell.biology.growth import birth_volume
+from multicell.biology.durations import draw_lengths, quantile
 from multicell.biology.initial import initial_cells
+from multicell.biology.plan import biology_plan
 from multicell.cells import Phase, State
 from multicell.errors import SceneError
 from multicell.scene.parts import PhaseLength
 from multicell.scene.scene import Scene
+from multicell.scene.sizes import birth_volume
 
 HOUR = 3600.0
 FIXED = {
@@ -49,12 +50,12 @@ def lived(described, cells, hours, dt):
     counts, next_id = [len(cells)], int(cells.id.max()) + 1
     for step in range(1, round(hours * HOUR / dt) + 1):
         n = len(cells)
-        now = advance(described, cells, np.ones(n), np.zeros(n, bool), dt)
+        now = advance(biology_plan(described), cells, np.ones(n), np.zeros(n, bool), dt)
         cells = cells.take(np.arange(n))
         cells.radius = np.cbrt(now.volume / (4 / 3 * np.pi))
         cells.state, cells.phase = now.state, now.phase
         cells.progress, cells.phase_length = now.progress, now.phase_length
-        cells, next_id = divide(described, cells, step, next_id)
+        cells, next_id = divide(biology_plan(described), cells, step, next_id)
         counts.append(len(cells))
     return cells, np.array(counts)
 
@@ -102,10 +103,10 @@ def test_phase_fractions_are_those_of_the_age_distribution():
     ends = np.cumsum([0, 6, 5, 3, 1]) / 15
     expected = 2.0 * (2.0 ** -ends[:-1] - 2.0 ** -ends[1:])
     for population in (cells, lived(described, cells, 20, 1800.0)[0]):
-        counts = phase_counts(population)
-        found = np.array([counts[name] for name in ("G1", "S", "G2", "M")]) / len(population)
+        counts = np.bincount(population.phase, minlength=len(Phase))
+        found = counts[[Phase.G1, Phase.S, Phase.G2, Phase.M]] / len(population)
         np.testing.assert_allclose(found, expected, atol=4 * 0.5 / np.sqrt(20000))
-        assert counts["G0"] == 0
+        assert counts[Phase.G0] == 0
 
 
 def test_the_number_of_cells_does_not_depend_on_the_coupling_step():
@@ -134,7 +135,10 @@ def test_durations_follow_their_distribution(phase, law):
     u = np.linspace(0.001, 0.999, 999)
     np.testing.assert_allclose(quantile(length, u) / 1000.0, law.ppf(u), rtol=1e-9)
     described = scene(growth__phases={**FIXED, "S": {"duration": 1000.0, **phase}})
-    drawn = drawn_lengths(described, np.arange(3000), np.zeros(3000, np.int16))[:, 1] / 1000.0
+    drawn = (
+        draw_lengths(biology_plan(described), np.arange(3000), np.zeros(3000, np.int16))[:, 1]
+        / 1000.0
+    )
     assert stats.kstest(drawn, law.cdf).pvalue > 0.01
 
 
@@ -142,14 +146,14 @@ def test_cells_that_find_too_little_rest_at_the_end_of_g1_only():
     described = scene(nutrients__oxygen={"quiescence": 0.02})
     cells = cells_of(described, 200, "asynchronous")
     n = len(cells)
-    now = advance(described, cells, np.full(n, 0.5), np.ones(n, bool), 20 * HOUR)
+    now = advance(biology_plan(described), cells, np.full(n, 0.5), np.ones(n, bool), 20 * HOUR)
     began = cells.phase == Phase.G1
     assert (now.phase[began] == Phase.G0).all()
     assert (now.state[began] == State.QUIESCENT).all()
     # the others went on, at half speed where they grow; those that got through M wait to divide
     assert (now.phase[~began] >= Phase.S).all()
     assert (now.state[~began] == State.PROLIFERATING).all()
-    rich = advance(described, cells, np.ones(n), np.zeros(n, bool), 20 * HOUR)
+    rich = advance(biology_plan(described), cells, np.ones(n), np.zeros(n, bool), 20 * HOUR)
     assert not (rich.phase == Phase.G0).any()
 
 
@@ -178,19 +182,19 @@ def test_daughters_inherit_what_is_heritable_and_draw_the_rest():
     mothers = cells_of(described, 50)
     mothers.phase[:] = Phase.M
     mothers.progress = mothers.phase_length + 60.0
-    daughters, _ = divide(described, mothers, 1, 100)
+    daughters, _ = divide(biology_plan(described), mothers, 1, 100)
     np.testing.assert_array_equal(daughters.young, np.repeat(mothers.young, 2))
     np.testing.assert_allclose(daughters.progress, 60.0)
     assert (daughters.phase == Phase.G1).all()
     other = described.with_changes({"cells.heritable": []})
-    drawn, _ = divide(other, mothers, 1, 100)
+    drawn, _ = divide(biology_plan(other), mothers, 1, 100)
     assert (drawn.young != daughters.young).all()
 
 
 def test_types_have_cycles_of_their_own():
     described = scene(types__fast={"cycle_scale": 0.5}, types__slow={"cycle_scale": 2.0})
     cells = cells_of(described, 10)
-    newborn(described, cells, np.zeros(10))
+    enter_cycle(biology_plan(described), cells, np.zeros(10))
     np.testing.assert_allclose(cells.phase_length, np.where(cells.kind == 0, 3 * HOUR, 12 * HOUR))
 
 
@@ -403,7 +407,7 @@ def test_smooth_division_conserves_and_parts_over_m():
     pair = simulation.cells
     assert (pair.phase == Phase.M).all()
     np.testing.assert_allclose(pair.position.mean(axis=0), mother.position[0], atol=1e-9)
-    pairs, offset = parting(described, pair, 300.0)
+    pairs, offset = parting(biology_plan(described), pair, 300.0)
     assert pairs.tolist() == [[0, 1]]
     gap = np.linalg.norm(pair.position[0] - pair.position[1])
     modulus = 1.0 / (1.5 * (1 - 0.25))
@@ -476,8 +480,8 @@ def test_smooth_division_keeps_the_age_distribution_and_needs_phases():
     ends = np.cumsum([0, 1, 6, 5, 3]) / 15
     expected = 2.0 * (2.0 ** -ends[:-1] - 2.0 ** -ends[1:])
     for population in (cells, lived(described, cells, 20, 1800.0)[0]):
-        counts = phase_counts(population)
-        found = np.array([counts[name] for name in ("M", "G1", "S", "G2")]) / len(population)
+        counts = np.bincount(population.phase, minlength=len(Phase))
+        found = counts[[Phase.M, Phase.G1, Phase.S, Phase.G2]] / len(population)
         np.testing.assert_allclose(found, expected, atol=4 * 0.5 / np.sqrt(20000))
     with pytest.raises(SceneError, match="there are no phases"):
         mc.load_scene("growth").with_changes({"growth.division": "smooth"})

@@ -5,15 +5,17 @@ import pytest
 from scipy import integrate, stats
 
 import multicell as mc
-from multicell.biology import growth_laws
 from multicell.biology.division import divide
-from multicell.biology.growth import birth_volume, volumes_after
+from multicell.biology.growth import volumes_after
 from multicell.biology.initial import initial_cells
-from multicell.biology.splitting import held, step_error
+from multicell.biology.plan import biology_plan
+from multicell.biology.splitting import freeze, step_error
 from multicell.cells import SPHERE, State
 from multicell.errors import SceneError
-from multicell.scene.parts import GROWTH_LAWS, Growth
+from multicell.growth_laws.registry import LAWS
+from multicell.scene.parts import Growth
 from multicell.scene.scene import Scene
+from multicell.scene.sizes import birth_volume
 from multicell.simulation import Simulation
 
 SATURATING = ("relaxation", "logistic", "gompertz")
@@ -45,11 +47,11 @@ def right_hand_side(law, largest):
     }[law]
 
 
-@pytest.mark.parametrize("law", GROWTH_LAWS)
+@pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("target", [1.001, 1.3, 50.0])
 def test_a_law_solves_its_equation_and_doubles_the_volume_in_a_cycle(law, target):
     """The rate that doubles V in a cycle comes from quadrature of dV/g, the course from SciPy."""
-    part = Growth(**growth(law, target))
+    law_of = Growth(**growth(law, target)).growth_law
     birth = 261.8
     g = right_hand_side(law, 2.0 * birth * target)
     points = [2.0 * birth * (1.0 - 1e-3)] if target < 1.01 else None
@@ -57,33 +59,32 @@ def test_a_law_solves_its_equation_and_doubles_the_volume_in_a_cycle(law, target
         lambda v: 1.0 / g(v), birth, 2.0 * birth, epsrel=1e-12, points=points, limit=200
     )[0]  # fmt: skip
     share = np.linspace(0.0, 1.2, 13)
-    found = growth_laws.grown(part, birth, np.full(13, birth), share)
+    found = law_of.volume_after(np.full(13, birth), share, birth)
     assert found[10] == pytest.approx(2.0 * birth, rel=1e-12)
     course = integrate.solve_ivp(
         lambda s, v: rate * g(v), (0.0, 1.2), [birth], t_eval=share, rtol=1e-11, atol=1e-9
     ).y[0]
     np.testing.assert_allclose(found, course, rtol=1e-8)
-    np.testing.assert_allclose(growth_laws.slope(part, birth, found), rate * g(found), rtol=1e-8)
+    np.testing.assert_allclose(law_of.rate(found, birth), rate * g(found), rtol=1e-8)
     # two parts of a step are the whole of it
-    half = growth_laws.grown(part, birth, np.full(13, birth), 0.4 * share)
-    np.testing.assert_allclose(growth_laws.grown(part, birth, half, 0.6 * share), found, rtol=1e-12)
+    half = law_of.volume_after(np.full(13, birth), 0.4 * share, birth)
+    again = law_of.volume_after(half, 0.6 * share, birth)
+    np.testing.assert_allclose(again, found, rtol=1e-12)
 
 
-@pytest.mark.parametrize("law", GROWTH_LAWS)
+@pytest.mark.parametrize("law", LAWS)
 def test_the_factor_of_growth_slows_the_clock_and_resting_cells_stay(law):
     scene = scene_of(law, cycle_time="10 h", cycle_variation=0.0)
     cells = initial_cells(scene)
     cells.state[0], cells.state[1] = State.QUIESCENT, State.QUIESCENT
     factor = np.linspace(0.0, 1.0, len(cells))
-    after = volumes_after(scene, cells, factor, 18000.0)
-    slow = growth_laws.grown(
-        scene.growth, birth_volume(scene), cells.volume, 0.5 * factor
-    )  # fmt: skip
+    after = volumes_after(biology_plan(scene), cells, factor, 18000.0)
+    slow = scene.growth.growth_law.volume_after(cells.volume, 0.5 * factor, birth_volume(scene))
     np.testing.assert_allclose(after[2:], slow[2:], rtol=1e-14)
     np.testing.assert_array_equal(after[:2], cells.volume[:2])
 
 
-@pytest.mark.parametrize("law", GROWTH_LAWS)
+@pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("phases", [False, True])
 def test_cells_divide_after_their_cycle_time_whatever_the_law(law, phases):
     """Of 5 cells that start at birth all have divided once after 12 h and twice after 24 h."""
@@ -102,7 +103,7 @@ def test_cells_divide_after_their_cycle_time_whatever_the_law(law, phases):
     # what is beyond birth is an hour's growth: by the law
     volume = simulation.cells.volume / birth_volume(scene)
     aged = simulation.cells.age / 43200.0 if not phases else np.full(20, 1.0 / 12.0)
-    exact = growth_laws.grown(scene.growth, 1.0, np.ones(20), aged)
+    exact = scene.growth.growth_law.volume_after(np.ones(20), aged)
     np.testing.assert_allclose(volume, exact, rtol=5e-3 if not phases else 1e-9)
 
 
@@ -114,12 +115,14 @@ def test_linear_growth_has_the_bits_of_the_formula(phases):
     factor = np.linspace(0.1, 1.0, 20)
     if not phases:
         exact = cells.volume + 600.0 * (factor * birth_volume(scene) / cells.cycle_time)
-        np.testing.assert_array_equal(volumes_after(scene, cells, factor, 600.0), exact)
+        np.testing.assert_array_equal(
+            volumes_after(biology_plan(scene), cells, factor, 600.0), exact
+        )
         return
     from multicell.biology.cycle import advance
 
     within = cells.phase_length - cells.progress > 600.0
-    found = advance(scene, cells, factor, np.zeros(20, bool), 600.0).volume
+    found = advance(biology_plan(scene), cells, factor, np.zeros(20, bool), 600.0).volume
     exact = cells.volume + birth_volume(scene) / cells.cycle_time * factor * 600.0
     assert within.sum() > 15
     np.testing.assert_array_equal(found[within], exact[within])
@@ -151,8 +154,10 @@ def test_volumes_of_a_growing_population_have_the_known_distribution(law, later)
     )  # fmt: skip
     cells, number = initial_cells(scene), scene.initial.count
     for step in range(84 if later else 0):
-        cells.radius = np.cbrt(volumes_after(scene, cells, np.ones(len(cells)), 600.0) / SPHERE)
-        cells, number = divide(scene, cells, step, number)
+        cells.radius = np.cbrt(
+            volumes_after(biology_plan(scene), cells, np.ones(len(cells)), 600.0) / SPHERE
+        )
+        cells, number = divide(biology_plan(scene), cells, step, number)
     ratio = cells.volume / birth_volume(scene)
     test = stats.kstest(ratio, lambda v: cumulated(law, 1.3, np.clip(v, 1.0, 2.0)))
     # divisions wait for the end of a step, a sixtieth of a cycle
@@ -163,8 +168,8 @@ def test_volumes_of_a_growing_population_have_the_known_distribution(law, later)
 
 def test_division_waits_cost_nothing_with_exponential_growth():
     """A mother who grows on for a while gains what her daughters would: V e^{rt} is linear in V."""
-    parts = {law: Growth(**growth(law, 1.3)) for law in GROWTH_LAWS}
-    missing = {law: growth_laws.missing_in_waiting(part) for law, part in parts.items()}
+    parts = {law: Growth(**growth(law, 1.3)) for law in LAWS}
+    missing = {law: part.growth_law.missing_in_waiting() for law, part in parts.items()}
     assert missing["linear"] == 1.0
     assert missing["exponential"] == pytest.approx(0.0, abs=1e-15)
     for law in SATURATING:
@@ -173,16 +178,20 @@ def test_division_waits_cost_nothing_with_exponential_growth():
         assert missing[law] > 0.0
 
 
-@pytest.mark.parametrize("law", GROWTH_LAWS)
+@pytest.mark.parametrize("law", LAWS)
 def test_the_estimated_error_of_splitting_is_that_of_a_changing_factor(law):
     """Held at f0 where f falls linearly to f1: the time that a cell grows is f dt, integrated."""
     scene = scene_of(law, 50, cycle_variation=0.1, initial={"stage": "uniform"})
     cells, dt = initial_cells(scene), 60.0
     before, after = np.linspace(0.2, 1.0, 50), np.linspace(0.4, 0.7, 50)
-    held_at, true = (volumes_after(scene, cells, f, dt) for f in (before, 0.5 * (before + after)))
+    held_at, true = (
+        volumes_after(biology_plan(scene), cells, f, dt) for f in (before, 0.5 * (before + after))
+    )
     ends = cells.shared()
     ends.radius = np.cbrt(held_at / SPHERE)
-    told = step_error(scene, held(cells, before), held(cells, after), ends, len(cells), dt)
+    told = step_error(
+        biology_plan(scene), freeze(cells, before), freeze(cells, after), ends, len(cells), dt
+    )
     assert told.volume == pytest.approx((held_at - true).sum(), rel=0.01)
 
 

@@ -6,6 +6,7 @@ import pytest
 import multicell as mc
 from multicell.biology.active_forces import push
 from multicell.biology.initial import initial_cells
+from multicell.biology.plan import biology_plan
 from multicell.cells import State
 from multicell.errors import SceneError
 from multicell.scene.scene import Scene
@@ -86,7 +87,7 @@ def test_the_gradient_of_a_radial_field_points_outward():
     )
     simulation = mc.Simulation(scene)
     position = simulation.cells.position
-    found = simulation._feeding.gradients(position, ["oxygen"])["oxygen"]
+    found = simulation.field_system.gradients(position, ["oxygen"])["oxygen"]
     middle = np.average(position, axis=0, weights=simulation.cells.radius**3)
     outward = position - middle
     far = np.linalg.norm(outward, axis=1) > 15.0
@@ -106,7 +107,7 @@ def test_the_gradient_of_a_radial_field_points_outward():
 def test_haptotaxis_climbs_its_landscape(landscape, potential):
     scene = free(haptotaxis={"landscape": landscape, "force": 1.5, "length": "40 um"})
     cells = initial_cells(scene.with_changes({"initial.count": 30}))
-    force = push(scene, cells, 0.0, {})[:, :3]
+    force = push(biology_plan(scene), cells, 0.0, {})[:, :3]
     for place, pull in zip(cells.position, force, strict=True):
         steps = 1e-4 * np.eye(3)
         slope = [(potential(place + s, 40.0) - potential(place - s, 40.0)) / 2e-4 for s in steps]
@@ -121,7 +122,7 @@ def test_the_dead_do_not_move_by_themselves_and_types_differ():
     cells = initial_cells(scene.with_changes({"initial.count": 40}))
     cells.state[:4] = State.NECROTIC
     cells.state[4:8] = State.APOPTOTIC
-    size = np.linalg.norm(push(scene, cells, 0.0, {})[:, :3], axis=1)
+    size = np.linalg.norm(push(biology_plan(scene), cells, 0.0, {})[:, :3], axis=1)
     np.testing.assert_allclose(size[:8], 0.0)
     np.testing.assert_allclose(size[8:], np.where(cells.kind[8:] == 0, 0.25, 1.0))
 

@@ -8,7 +8,8 @@ from scipy import integrate, interpolate, optimize, stats
 
 from multicell.biology.durations import malthusian_rate
 from multicell.biology.initial import initial_cells
-from multicell.biology.step import aged, decide, divide_and_remove, grow
+from multicell.biology.plan import biology_plan
+from multicell.biology.step import age_cells, decide, divide_and_remove, grow
 from multicell.cells import SPHERE, State
 from multicell.scene.scene import Scene
 
@@ -54,11 +55,11 @@ def lived(scene, hours, step=0.1):
     for number in range(1, steps + 1):
         counts.append(int((~cells.dead).sum()))
         end = number * step * HOUR
-        grown = grow(scene, cells, {}, np.ones(len(cells)), end - time)
-        cells, _ = aged(scene, cells, grown, {}, time, end)
-        after = divide_and_remove(scene, cells, number, next_id, end)
+        grown = grow(biology_plan(scene), cells, {}, np.ones(len(cells)), end - time)
+        cells, _ = age_cells(biology_plan(scene), cells, grown, {}, time, end)
+        after = divide_and_remove(biology_plan(scene), cells, number, next_id, end)
         cells, next_id = after.cells.copy(), after.next_id
-        decide(scene, cells, {}, number, end - time, end)
+        decide(biology_plan(scene), cells, {}, number, end - time, end)
         time = end
     counts.append(int((~cells.dead).sum()))
     return cells, np.arange(steps + 1) * step, np.array(counts)

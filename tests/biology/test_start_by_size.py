@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from multicell.biology.growth import birth_volume
-from multicell.biology.growth_laws import grown, share_behind
 from multicell.cells import SPHERE
-from multicell.scene.parts import GROWTH_LAWS, Growth
+from multicell.growth_laws.registry import LAWS
+from multicell.scene.parts import Growth
 from multicell.scene.scene import Scene
+from multicell.scene.sizes import birth_volume
 from multicell.simulation import Simulation
 
 SATURATING = ("relaxation", "logistic", "gompertz")
@@ -28,15 +28,15 @@ def scene_of(law, **growth):
     })  # fmt: skip
 
 
-@pytest.mark.parametrize("law", GROWTH_LAWS)
-def test_share_behind_is_the_inverse_of_growth(law):
-    growth = Growth(**law_of(law))
+@pytest.mark.parametrize("law", LAWS)
+def test_the_share_is_the_inverse_of_growth(law):
+    growth = Growth(**law_of(law)).growth_law
     share = np.linspace(0.0, 1.0, 21)
-    volume = grown(growth, 7.0, np.full(21, 7.0), share)
-    assert share_behind(growth, volume / 7.0) == pytest.approx(share, abs=1e-12)
+    volume = growth.volume_after(np.full(21, 7.0), share, 7.0)
+    assert growth.share_at(volume / 7.0) == pytest.approx(share, abs=1e-12)
 
 
-@pytest.mark.parametrize("law", GROWTH_LAWS)
+@pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("phases", [{}, {"phases": PHASES}])
 def test_cells_that_are_described_by_their_radii_go_on_like_those_described_by_their_ages(
     law, phases
@@ -52,7 +52,7 @@ def test_cells_that_are_described_by_their_radii_go_on_like_those_described_by_t
     assert by_radius.phase.tolist() == by_age.phase.tolist()
 
 
-@pytest.mark.parametrize("law", GROWTH_LAWS)
+@pytest.mark.parametrize("law", LAWS)
 def test_volumes_of_ages_are_those_of_the_law(law):
     scene = scene_of(law)
     share = np.array([0.25, 0.75])
@@ -65,5 +65,5 @@ def test_volumes_of_ages_are_those_of_the_law(law):
     ).cells  # fmt: skip
     birth = birth_volume(scene)
     assert SPHERE * cells.radius**3 == pytest.approx(
-        grown(scene.growth, birth, np.full(2, birth), share), rel=1e-12
+        scene.growth.growth_law.volume_after(np.full(2, birth), share, birth), rel=1e-12
     )

@@ -112,7 +112,7 @@ def test_states_fit_the_field_that_they_make(count):
     assert c[state == State.QUIESCENT].max() < 1.1 * oxygen.quiescence
     assert simulation.first_states["unfit"] == 0
     # the account of the field is that of the final states
-    report = simulation._feeding.reports["oxygen"]
+    report = simulation.field_system.reports["oxygen"]
     active = np.array([1.0, oxygen.quiescent_uptake, 0.0, 0.0])[state]
     taken = (oxygen.uptake * active * c / (oxygen.half_saturation + c)).sum()
     assert report.uptake == pytest.approx(taken, rel=0.02)

@@ -223,7 +223,7 @@ def test_laws_that_are_none_are_refused_with_words(tmp_path):
     with pytest.raises(mc.SceneError, match=r"range.*above 0"):
         Bond(stiffness=1.0, range=-1.0)
     (tmp_path / "mine.py").write_text("def Law(x): return x")
-    with pytest.raises(mc.SceneError, match="is not a pair law"):
+    with pytest.raises(mc.SceneError, match="is neither a pair law nor a growth law"):
         load_law(f"{tmp_path / 'mine.py'}:Law")
 
 

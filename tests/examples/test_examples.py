@@ -34,8 +34,9 @@ def is_picture(path: Path) -> bool:
 def test_every_example_states_problem_cost_and_command() -> None:
     files = sorted(EXAMPLES.glob("*.py"))
     assert [f.stem for f in files] == [
-        "exact_jkr", "figure_3_3", "fisher_front", "fit_growth", "jkr_curves", "own_integrator",
-        "own_law", "slurm_study", "small_spheroid", "study", "table_3_2", "two_cells",
+        "exact_jkr", "figure_3_3", "fisher_front", "fit_growth", "jkr_curves", "own_growth_law",
+        "own_integrator", "own_law", "slurm_study", "small_spheroid", "study", "table_3_2",
+        "two_cells",
     ]  # fmt: skip
     for file in files:
         words = load(file.stem).__doc__
@@ -100,6 +101,21 @@ def test_small_spheroid_is_limited_by_oxygen(tmp_path: Path) -> None:
     for name in ("growth", "section", "profiles"):
         assert is_picture(tmp_path / "out" / f"{name}.png")
     assert (tmp_path / "out" / "report.html").stat().st_size > 10_000
+
+
+def test_an_own_growth_law_has_the_volumes_that_follow_from_it() -> None:
+    """Ages have the density 2 ln2 2^-a in cycles, so that the mean volume is known."""
+    example = load("own_growth_law")
+    volumes = example.main()
+    age = (np.arange(4000) + 0.5) / 4000
+    density = 2.0 * np.log(2.0) * 2.0**-age
+    law = example.Bertalanffy(largest=2.2)
+    means = {
+        "linear": np.mean(density * (1.0 + age)),
+        "Bertalanffy": np.mean(density * law.volume_after(np.ones(4000), age)),
+    }
+    ratio = volumes["Bertalanffy"].mean() / volumes["linear"].mean()
+    assert ratio == pytest.approx(means["Bertalanffy"] / means["linear"], rel=0.06)
 
 
 def test_own_laws_bring_cells_to_rest_as_ours_do() -> None:

@@ -69,7 +69,7 @@ def simulation(name, changes, threads, **state):
     """Return a simulation with small chunks."""
     scene = mc.load_scene(name).with_changes(changes)
     made = Simulation(scene, threads=threads, **state)
-    made._mechanics.chunk, made._mechanics.shared_chunks = CHUNK, SHARED_CHUNKS
+    made.mechanics.chunk, made.mechanics.shared_chunks = CHUNK, SHARED_CHUNKS
     return made
 
 

@@ -44,6 +44,7 @@ NAMES = {
     "uptake_by_phase": tuple(Phase.__members__),
     "secretion_by_phase": tuple(Phase.__members__),
     "surface_energy": TYPES,
+    "parameters": ("exponent",),
     "receptor_by_phase": tuple(Phase.__members__),
     "ligand_by_phase": tuple(Phase.__members__),
     "sides": FACES,
@@ -614,6 +615,7 @@ def _fit_growth(scene):
     growth = scene.get("growth")
     if growth is None:
         return
+    growth.pop("parameters", None)  # of laws of the user's own
     if growth.get("law", "linear") in ("linear", "exponential"):
         growth.pop("target", None)
     else:

@@ -49,7 +49,7 @@ def test_replays_change_no_bit_and_no_count_of_a_run(method, monkeypatch):
     assert found.replays.largest > 0.0
     assert found.cells.position.tobytes() == plain.cells.position.tobytes()
     assert found.cells.pressure.tobytes() == plain.cells.pressure.tobytes()
-    assert found._mechanics.work == plain._mechanics.work
+    assert found.mechanics.work == plain.mechanics.work
 
 
 @pytest.mark.parametrize(

@@ -155,7 +155,7 @@ def test_rattling_cells_are_found_between_two_measurements(monkeypatch):
     simulation = Simulation(scene, threads=1)
     for _ in range(3):
         simulation.step()
-    simulation._integrator = make(IntegratorOptions(method="heun", step=4.9))
+    simulation.mover.integrator = make(IntegratorOptions(method="heun", step=4.9))
     simulation.stability = simulation.stability._replace(rate=0.0)
     monkeypatch.setattr(stability, "_PASSES", 1e9)
     monkeypatch.setattr(stability, "_GLANCE", 0)

@@ -188,7 +188,7 @@ def test_chemotaxis_and_explain_go_on_with_a_thin_margin(dimensions, geometry, m
     while not simulation.finished:
         simulation.step()
     assert np.isfinite(simulation.cells.position).all()
-    found = simulation._feeding.gradients(simulation.cells.position, ["oxygen"])["oxygen"]
+    found = simulation.field_system.gradients(simulation.cells.position, ["oxygen"])["oxygen"]
     assert np.isfinite(found).all()
     assert np.abs(found).max() > 0.0
     assert (simulation.concentrations["oxygen"] <= 0.07 * (1 + 1e-12)).all()

@@ -37,7 +37,7 @@ def scene(fields, **changes):
 
 
 def chosen(described, name="oxygen"):
-    feeding = mc.Simulation(described)._feeding
+    feeding = mc.Simulation(described).field_system
     return feeding.grids.choices[name], feeding.grids.choosers[name]
 
 
@@ -123,9 +123,9 @@ def test_cells_find_what_they_would_as_balls_on_a_much_finer_grid(nutrient, tole
     table = {**nutrient, "tolerance": tolerance, "regime": "steady"}
     described = scene({name: table}, **{"initial.count": 80})
     simulation = mc.Simulation(described)
-    cells, field = simulation.cells, simulation._feeding.fields[name]
-    choice = simulation._feeding.grids.choices[name]
-    capacity, _ = simulation._feeding.demand_now(name, cells)
+    cells, field = simulation.cells, simulation.field_system.fields[name]
+    choice = simulation.field_system.grids.choices[name]
+    capacity, _ = simulation.field_system.demand_now(name, cells)
     load = Load(cells.position, cells.radius, capacity, None, 0.0, 600.0)
     found = trial(field, field.parameters, load).around
     error = np.abs(found - balls(described, cells, 2.5)).max()
@@ -183,7 +183,7 @@ def test_a_transient_field_is_right_within_its_tolerance():
     fields = {"diffusion": "20 um^2/s", "boundary": "1 mM", "uptake": "5 amol/s"}
     tolerance = 5e-3
     coarse = mc.Simulation(scene({"sugar": {**fields, "tolerance": tolerance}}, **still))
-    choice = coarse._feeding.grids.choices["sugar"]
+    choice = coarse.field_system.grids.choices["sugar"]
     assert not choice.steady
     fine = mc.Simulation(
         scene({"sugar": {**fields, "spacing": 2.5, "regime": "transient"}}, **still)
@@ -193,8 +193,8 @@ def test_a_transient_field_is_right_within_its_tolerance():
             simulation.step()
     around = []
     for simulation in (coarse, fine):
-        field, cells = simulation._feeding.fields["sugar"], simulation.cells
-        capacity, _ = simulation._feeding.demand_now("sugar", cells)
+        field, cells = simulation.field_system.fields["sugar"], simulation.cells
+        capacity, _ = simulation.field_system.demand_now("sugar", cells)
         taken = field.uptake(cells.position, capacity)
         dip = own_dip.own_dip(field.layout, cells.position, taken, 20.0)
         around.append(field.sample(cells.position) + dip)
@@ -261,7 +261,7 @@ def test_what_settles_within_a_coupling_step_is_steady():
 
 
 def test_a_scene_without_tolerance_loads_nothing_of_it():
-    feeding = mc.Simulation(scene({"oxygen": AIR}))._feeding
+    feeding = mc.Simulation(scene({"oxygen": AIR})).field_system
     assert feeding.grids.choosers == {}
     assert feeding.grids.columns() == {}
     assert feeding.grids.kept() == {}
@@ -328,7 +328,7 @@ def test_a_run_that_goes_over_from_shells_to_cubes_says_so(table, tmp_path):
     cells = simulation.cells.copy()
     cells.position = cells.position * np.array([4.0, 0.7, 0.7])
     simulation.cells = cells
-    feeding, time = simulation._feeding, simulation.time
+    feeding, time = simulation.field_system, simulation.time
     if feeding.grids.choices:
         now = feeding.grids.choices["oxygen"]
         feeding.grids.choices["oxygen"] = replace(now, content=0.0)  # let it look
@@ -342,8 +342,8 @@ def test_a_run_that_goes_over_from_shells_to_cubes_says_so(table, tmp_path):
 
 def test_a_step_that_fails_leaves_the_choice_as_it_was(monkeypatch):
     simulation = mc.Simulation(scene({"oxygen": {**AIR, "tolerance": 2e-4}}))
-    grids = simulation._feeding.grids
-    before, parameters = grids.kept(), simulation._feeding.fields["oxygen"].parameters
+    grids = simulation.field_system.grids
+    before, parameters = grids.kept(), simulation.field_system.fields["oxygen"].parameters
     monkeypatch.setattr(choices.Chooser, "due", lambda *_: True)
     real = simulation._decide
 
@@ -355,7 +355,7 @@ def test_a_step_that_fails_leaves_the_choice_as_it_was(monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         simulation.step()
     assert grids.kept() == before
-    assert simulation._feeding.fields["oxygen"].parameters == parameters
+    assert simulation.field_system.fields["oxygen"].parameters == parameters
     monkeypatch.setattr(simulation, "_decide", real)
     simulation.step()
 
@@ -435,8 +435,8 @@ def test_the_estimate_is_of_second_order():
         {"glucose": {**SUGAR, "spacing": 10, "regime": "steady"}}, **{"initial.count": 150}
     )
     simulation = mc.Simulation(described)
-    field, cells = simulation._feeding.fields["glucose"], simulation.cells
-    capacity, _ = simulation._feeding.demand_now("glucose", cells)
+    field, cells = simulation.field_system.fields["glucose"], simulation.cells
+    capacity, _ = simulation.field_system.demand_now("glucose", cells)
     load = Load(cells.position, cells.radius, capacity, None, 0.0, 600.0)
     boxes = [on_grid(field.parameters, "box", h) for h in (16, 8)]
     errors = [spacing_error(field, box, load, 20.0)[0] for box in boxes]

@@ -119,7 +119,7 @@ def test_a_run_keeps_the_layer_and_its_summary_tells_it():
     while not simulation.finished:
         simulation.step()
         cells = simulation.cells
-        shells = simulation._feeding.fields["oxygen"].layout
+        shells = simulation.field_system.fields["oxygen"].layout
         thick = shells.radius - tissue_radius(cells.position, cells.radius)
         assert thick == pytest.approx(30.0, rel=1e-12)
     summary = simulation.summary()

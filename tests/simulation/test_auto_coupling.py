@@ -14,6 +14,7 @@ from multicell.cli.main import main
 from multicell.errors import SceneError
 from multicell.report.explain.scene import explain
 from multicell.scene import coupling
+from multicell.scene.steps import step_plan
 
 SWITCHED = mc.Scene.from_dict(
     {
@@ -125,7 +126,7 @@ def test_a_run_that_is_to_stop_at_a_number_of_cells_does():
 
 
 def pace_after(pace, error, uptake=0.0):
-    return next_pace(SWITCHED, pace, error, uptake, pace.step)
+    return next_pace(step_plan(SWITCHED), pace, error, uptake, pace.step)
 
 
 def test_the_pace_doubles_at_most_and_halves_as_often_as_it_must():
@@ -160,7 +161,7 @@ def test_a_drift_to_and_fro_is_no_error_but_switching_to_and_fro_is():
      (3 * 86400 - 60.0, 900.0, 3 * 86400)],
 )  # fmt: skip
 def test_steps_end_at_multiples_of_their_length_or_where_something_else_does(time, step, end):
-    assert end_of_step(SWITCHED, Pace(step), time) == pytest.approx(end, rel=1e-15)
+    assert end_of_step(step_plan(SWITCHED), Pace(step), time) == pytest.approx(end, rel=1e-15)
 
 
 def test_the_longest_step_is_short_against_cycle_and_reaction():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import multicell as mc
-from multicell.biology.driven import handed_on, named_at_start
+from multicell.biology.driven import named_at_start, pass_on
 from multicell.biology.initial import initial_cells
 from multicell.cells import State
 from multicell.comparison.record import record
@@ -162,7 +162,7 @@ def test_a_type_keeps_its_drivers_and_removed_cells_leave_their_list():
     named = {"forces.f": np.array([1, 3, 5])}
     after = cells.take(np.array([0, 3, 2, 5, 4]))
     after.id[4], after.parent[4] = 9, 3
-    left = handed_on(named, after, 6)
+    left = pass_on(named, after, 6)
     np.testing.assert_array_equal(left["forces.f"], [3, 5])
     scene = scene_of(
         6, types={"a": {}, "b": {}}, motions={"m": {"type": "b"}},
@@ -212,7 +212,7 @@ def test_a_resumed_run_has_the_bits_of_the_whole(division):
     for name, column in whole.cells.columns():
         np.testing.assert_array_equal(getattr(again.cells, name), column)
     np.testing.assert_equal(again.history_row(), whole.history_row())
-    assert again.springs.kept() == whole.springs.kept()
+    assert again.springs.to_plain() == whole.springs.to_plain()
 
 
 def test_frames_of_other_scenes_say_nothing_of_drivers():
@@ -227,7 +227,7 @@ def test_threads_give_the_same_bits(monkeypatch):
     found = []
     for threads in (1, 2):
         simulation = Simulation(scene, threads=threads)
-        simulation._mechanics.chunk, simulation._mechanics.shared_chunks = 32, 2
+        simulation.mechanics.chunk, simulation.mechanics.shared_chunks = 32, 2
         while not simulation.finished:
             simulation.step()
         found.append((simulation.cells.position, simulation.history_row()))

@@ -243,7 +243,7 @@ names = []
 event.register("numba:compile", Noted())
 scene = mc.load_scene("growth").with_changes({"initial.count": 30, "initial.stage": "uniform"})
 simulation = Simulation(scene, threads=2)
-simulation._mechanics.chunk, simulation._mechanics.shared_chunks = 8, 5
+simulation.mechanics.chunk, simulation.mechanics.shared_chunks = 8, 5
 rehearsal = Rehearsal(scene)
 rehearsal._over = False
 simulation.step()
@@ -261,7 +261,7 @@ rehearsal.watch(simulation)
 assert rehearsal._process.wait(300) == 0
 names.clear()
 simulation.scene = simulation.scene.with_changes({"integrator": "rkc2"})
-simulation._integrator = registry.make(simulation.scene.integrator)
+simulation.mover.integrator = registry.make(simulation.scene.integrator)
 simulation.step()
 rehearsal.close()
 print(names)

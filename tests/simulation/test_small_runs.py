@@ -62,16 +62,16 @@ def test_a_lone_cell_stays_where_it_is_and_is_not_integrated():
     where = run.cells.position.copy()
     for _ in range(3):
         run.step()
-    assert run._mechanics.work.evaluations == 0
+    assert run.mechanics.work.evaluations == 0
     assert math.isnan(run.history_row()["shift_effect"])
     np.testing.assert_array_equal(run.cells.position, where)
     np.testing.assert_array_equal(run.cells.pressure, [0.0])
     # it is what the integration would have found
-    run._mechanics.begin(run._motion(run.time, run.time + 600.0, 1.01 * run.cells.radius))
-    outcome = run._integrator.integrate(run._mechanics, run.cells.position)
-    assert run._mechanics.work.evaluations > 0
+    run.mechanics.begin(run._motion(run.time, run.time + 600.0, 1.01 * run.cells.radius))
+    outcome = run.mover.integrator.integrate(run.mechanics, run.cells.position)
+    assert run.mechanics.work.evaluations > 0
     np.testing.assert_array_equal(outcome.position, where)
-    np.testing.assert_array_equal(run._mechanics.pressure(run.time, where), [0.0])
+    np.testing.assert_array_equal(run.mechanics.pressure(run.time, where), [0.0])
 
 
 def test_a_lone_cell_that_something_acts_on_moves():
@@ -90,11 +90,11 @@ def test_growth_factors_follow_cells_and_fields():
     run = simulation(30)
     for _ in range(6):
         run.step()
-        expected = growth_factor(run.scene, run.concentrations, run.cells.pressure)
+        expected = growth_factor(run.plan, run.concentrations, run.cells.pressure)
         np.testing.assert_array_equal(run._growth_factor(), expected)
     assert run._growth_factor() is run._growth_factor()
     run.cells.pressure = np.full(len(run.cells), 0.05)
-    changed = growth_factor(run.scene, run.concentrations, run.cells.pressure)
+    changed = growth_factor(run.plan, run.concentrations, run.cells.pressure)
     np.testing.assert_array_equal(run._growth_factor(), changed)
 
 

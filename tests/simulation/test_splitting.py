@@ -7,6 +7,7 @@ import pytest
 
 import multicell as mc
 from multicell.biology import splitting
+from multicell.biology.plan import biology_plan
 from multicell.cells import State
 from multicell.simulation import Simulation
 
@@ -144,10 +145,10 @@ def test_rms_and_worst_are_those_of_single_cells():
     cells = Simulation(scene, threads=1).cells
     n = len(cells)
     factor = np.linspace(0.1, 0.8, n)
-    before = splitting.Held(cells.id, factor)
-    now = splitting.Held(cells.id, factor - np.linspace(0.0, 0.2, n))
+    before = splitting.FrozenRates(cells.id, factor)
+    now = splitting.FrozenRates(cells.id, factor - np.linspace(0.0, 0.2, n))
     cells.state[0] = State.NECROTIC
-    error = splitting.step_error(scene, before, now, cells, 1000, 600.0)
+    error = splitting.step_error(biology_plan(scene), before, now, cells, 1000, 600.0)
     rate = splitting.birth_volume(scene) / cells.cycle_time
     single = 300.0 * rate * np.linspace(0.0, 0.2, n) / cells.volume
     assert error.rms == pytest.approx(np.sqrt(np.mean(single[1:] ** 2)))
@@ -156,7 +157,12 @@ def test_rms_and_worst_are_those_of_single_cells():
     # the order of the cells does not matter
     shuffled = np.random.default_rng(1).permutation(n)
     other = splitting.step_error(
-        scene, splitting.Held(before.id[shuffled], factor[shuffled]), now, cells, 1000, 600.0
+        biology_plan(scene),
+        splitting.FrozenRates(before.id[shuffled], factor[shuffled]),
+        now,
+        cells,
+        1000,
+        600.0,
     )
     assert other == error
 
@@ -175,7 +181,7 @@ def test_a_step_that_fails_takes_its_estimate_back(monkeypatch):
         simulation.step()
 
     def state():
-        fields = simulation._feeding
+        fields = simulation.field_system
         return (
             simulation.time, simulation.splitting, simulation.step_error, simulation.pace,
             dict(fields.content_errors), fields.uptake_error(simulation.scene, 600.0),

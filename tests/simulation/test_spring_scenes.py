@@ -5,6 +5,7 @@ import pytest
 
 import multicell as mc
 from multicell.biology.initial import initial_cells
+from multicell.biology.plan import biology_plan
 from multicell.biology.spring_graph import Springs, after_divisions, springs_at_start, tensions
 from multicell.cells import State
 from multicell.errors import SceneError
@@ -85,7 +86,7 @@ def test_a_spring_breaks_where_it_is_too_long_or_too_tight():
         assert (length[table == 1] <= 320.0).all()
         simulation.step()
     assert simulation.springs.table.tolist() == [2]
-    final = tensions(simulation.scene, simulation.springs, simulation.cells)
+    final = tensions(biology_plan(simulation.scene), simulation.springs, simulation.cells)
     # what is left goes on towards 0.5 nN
     assert 0.1 < final[0] < 0.5
     assert distances(simulation)[0] > 320.0
@@ -112,18 +113,22 @@ def test_the_nearer_daughter_takes_a_spring_over():
     assert springs.pair.tolist() == [[0, 1], [1, 2]]
     # 1 -> 3 at 11, 4 at 9: 4 is nearer to 0, 3 nearer to 2
     after = daughters_of(before, [1], 3, 1.0)
-    found = after_divisions(scene, springs, before, after)
+    found = after_divisions(biology_plan(scene), springs, before, after)
     assert found.pair.tolist() == [[0, 4], [2, 3], [3, 4]]
     np.testing.assert_allclose(found.rest, [10, 10, 2 * before.radius[0]])
     # both ends divide: 0 -> 3 at 1, 4 at -1 and 1 -> 5 at 11, 6 at 9
-    both = after_divisions(scene, springs, before, daughters_of(before, [0, 1], 3, 1.0))
+    both = after_divisions(
+        biology_plan(scene), springs, before, daughters_of(before, [0, 1], 3, 1.0)
+    )
     assert both.pair.tolist() == [[2, 5], [3, 4], [3, 6], [5, 6]]
     alone = scene.with_changes({"springs.net.sisters": False})
-    left = after_divisions(alone, springs, before, daughters_of(before, [0, 1], 3, 1.0))
+    left = after_divisions(
+        biology_plan(alone), springs, before, daughters_of(before, [0, 1], 3, 1.0)
+    )
     assert left.pair.tolist() == [[2, 5], [3, 6]]
     # an end that is gone takes its spring along
     gone = after.take(after.id != 0)
-    assert after_divisions(alone, springs, before, gone).pair.tolist() == [[2, 3]]
+    assert after_divisions(biology_plan(alone), springs, before, gone).pair.tolist() == [[2, 3]]
 
 
 def test_a_growing_chain_stays_one_chain():

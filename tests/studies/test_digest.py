@@ -112,8 +112,8 @@ def test_an_own_law_counts_by_all_that_it_computes(tmp_path):
     one, same, other = map(digest, found)
     assert one == same
     assert one != other
-    assert runs.own_law(found[2]) == f"{tmp_path / 'c' / 'mine.py'}:square"
-    assert runs.own_law(mc.load_scene("growth")) == ""
+    assert runs.own_laws(found[2]) == (f"{tmp_path / 'c' / 'mine.py'}:square",)
+    assert runs.own_laws(mc.load_scene("growth")) == ()
 
 
 def test_an_own_method_counts_by_the_text_of_its_file(tmp_path):
@@ -126,3 +126,20 @@ def test_an_own_method_counts_by_the_text_of_its_file(tmp_path):
     assert len(found | {digest(scene)}) == 3
     with pytest.raises(SceneError, match="cannot be read"):
         digest(scene, f"{tmp_path / 'absent.py'}:A")
+
+
+def test_an_own_growth_law_counts_by_all_that_it_computes(tmp_path):
+    found = []
+    for name, exponent in (("a", "0.5"), ("b", "0.6"), ("c", "0.5")):
+        file = tmp_path / name / "mine.py"
+        file.parent.mkdir()
+        file.write_text(
+            "import multicell as mc\n"
+            "@mc.growth_law(parameters={})\n"
+            f"def power(volume, p):\n    return volume ** {exponent}\n"
+        )
+        law = mc.load_law(f"{file}:power")
+        found.append(mc.load_scene("growth").with_changes({"growth.law": law()}))
+    assert digest(found[0]) != digest(found[1])
+    assert digest(found[0]) == digest(found[2])
+    assert runs.own_laws(found[1]) == (f"{tmp_path / 'b' / 'mine.py'}:power",)

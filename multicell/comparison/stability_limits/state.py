@@ -267,7 +267,7 @@ def first_cells(scene: Scene, threads: int | None) -> tuple[Mechanics, Motion, F
     motion = simulation._motion(0.0, 0.0, cells.radius)
     motion = replace(motion, push=None, held=None, velocity=None,
                      spring_pairs=None, spring=None)  # fmt: skip
-    return simulation._mechanics, motion, cells.position
+    return simulation.mechanics, motion, cells.position
 
 
 def innermost(position: FloatArray) -> IntArray:

@@ -121,7 +121,7 @@ def growing(scene: Scene, threads: int | None = None) -> State:
     if found is None:
         raise SceneError("duration", "is over before a cell divides", "Raise it")
     motion, start = found
-    state = State(scene, simulation._mechanics, motion, start, math.nan, math.nan, UNNOTICED)
+    state = State(scene, simulation.mechanics, motion, start, math.nan, math.nan, UNNOTICED)
     return completed(replace(state, kind="growing"), motion.end - motion.begin)
 
 

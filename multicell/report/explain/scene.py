@@ -7,7 +7,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from multicell.biology.durations import founders, malthusian_rate
+from multicell.biology.durations import malthusian_rate
+from multicell.biology.plan import founders
 from multicell.errors import MulticellError
 from multicell.integrators.base import MethodInfo
 from multicell.integrators.registry import METHODS

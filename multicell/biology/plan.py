@@ -1,0 +1,233 @@
+"""What biology needs of a scene, resolved once: constants, arrays and plain parts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multicell.cells import Phase
+from multicell.scene.coupling import fixed_step
+from multicell.scene.pairs import surface_energies
+from multicell.scene.sizes import birth_volume, division_volume
+
+if TYPE_CHECKING:
+    from multicell.cells import FloatArray
+    from multicell.contact.law import PairLaw
+    from multicell.growth_laws.law import GrowthLaw
+    from multicell.scene.driven import Force, PrescribedMotion
+    from multicell.scene.parts import (
+        Adhesion,
+        CellType,
+        Chemotaxis,
+        Death,
+        Domain,
+        Growth,
+        Haptotaxis,
+        Motility,
+        Pull,
+    )
+    from multicell.scene.scene import Scene
+    from multicell.scene.springs import Springs
+
+    Concentrations = Mapping[str, FloatArray]
+
+
+@final
+@dataclass(frozen=True)
+class Need:
+    """What cells ask of a field, or of the ATP that they make from several.
+
+    Attributes
+    ----------
+    level
+        Returns what they find, (n,), from the concentrations of all fields.
+    half_saturation, inhibition : float or None
+        At which growth is half of its largest, as it rises and as it falls.
+    quiescence, necrosis, necrosis_above : float or None
+        Below which cells rest and die, and above which they die.
+    """
+
+    level: Callable[[Concentrations], FloatArray]
+    half_saturation: float | None
+    inhibition: float | None
+    quiescence: float | None
+    necrosis: float | None
+    necrosis_above: float | None
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class BiologyPlan:
+    """What biology needs of a scene.
+
+    Attributes
+    ----------
+    seed, dimensions, step
+        As in the scene; ``step`` is the fixed coupling step in s, or None.
+    birth_volume, division_volume : float, µm³
+    law
+        By which volumes grow; None without growth.
+    order : phases
+        In which a cell goes through them from birth to division; none without phases.
+    grows : (5,) bool
+        For each :class:`multicell.cells.Phase` whether cells grow in it.
+    restricted
+        Whether cells rest in G0 only.
+    stage, varies, founders
+        Where in their cycle cells start, whether newborn ones draw durations that differ, and
+        below which identity they are founders of a stable population: zero where the cycle does
+        not vary or is inherited.
+    needs
+        Of all fields in the scene's order, then of ATP.
+    young, young_variation, heritable, reaction_time
+        Of the cells, in kPa and s.
+    types
+        By name; empty where all cells are alike.
+    cycle_scale, motility_scale, young_ratio : (types,) or None
+        Factors of each type; None where they are all 1.
+    energies : (types, types) nN/µm, or None
+        Surface energies between types that have their own.
+    contact, domain, growth, death, adhesion, motility, chemotaxis, haptotaxis, pull, forces, \
+motions, springs
+        Parts of the scene that hold nothing but numbers and names.
+    """
+
+    seed: int
+    dimensions: int
+    step: float | None
+    birth_volume: float
+    division_volume: float
+    law: GrowthLaw | None
+    order: tuple[Phase, ...]
+    grows: NDArray[np.bool_]
+    restricted: bool
+    stage: str
+    varies: bool
+    founders: int
+    needs: tuple[Need, ...]
+    young: float
+    young_variation: float
+    heritable: tuple[str, ...]
+    reaction_time: float
+    types: Mapping[str, CellType]
+    cycle_scale: FloatArray | None
+    motility_scale: FloatArray | None
+    young_ratio: FloatArray | None
+    energies: FloatArray | None
+    contact: PairLaw
+    domain: Domain | None
+    growth: Growth | None
+    death: Death | None
+    adhesion: Adhesion | None
+    motility: Motility | None
+    chemotaxis: Mapping[str, Chemotaxis]
+    haptotaxis: Haptotaxis | None
+    pull: Pull | None
+    forces: Mapping[str, Force]
+    motions: Mapping[str, PrescribedMotion]
+    springs: Mapping[str, Springs]
+
+
+def biology_plan(scene: Scene) -> BiologyPlan:
+    """Return what biology needs of a scene."""
+    growth, cells, kinds = scene.growth, scene.cells, list(scene.types.values())
+    phases = growth is not None and bool(growth.phases)
+    own = [kind.young for kind in kinds]
+    ratio = [1.0 if young is None else young / cells.young for young in own]
+    return BiologyPlan(
+        seed=scene.seed,
+        dimensions=scene.dimensions,
+        step=fixed_step(scene),
+        birth_volume=birth_volume(scene),
+        division_volume=division_volume(scene),
+        law=None if growth is None else growth.growth_law,
+        order=_order(growth) if growth is not None and phases else (),
+        grows=np.array([_grows(growth, phase) for phase in Phase]),
+        restricted=growth is not None and phases and growth.restriction,
+        stage=scene.initial.stage,
+        varies=_varies(scene),
+        founders=founders(scene),
+        needs=_needs(scene),
+        young=cells.young,
+        young_variation=cells.young_variation,
+        heritable=cells.heritable,
+        reaction_time=cells.reaction_time,
+        types=scene.types,
+        cycle_scale=np.array([kind.cycle_scale for kind in kinds]) if kinds else None,
+        motility_scale=np.array([kind.motility_scale for kind in kinds]) if kinds else None,
+        young_ratio=np.array(ratio) if any(own) else None,
+        energies=surface_energies(scene),
+        contact=scene.contact,
+        domain=scene.domain,
+        growth=growth,
+        death=scene.death,
+        adhesion=scene.adhesion,
+        motility=scene.motility,
+        chemotaxis=scene.chemotaxis,
+        haptotaxis=scene.haptotaxis,
+        pull=scene.pull,
+        forces=scene.forces,
+        motions=scene.motions,
+        springs=scene.springs,
+    )
+
+
+def founders(scene: Scene) -> int:
+    """Return below which identity cells are founders of a stable population."""
+    initial = scene.initial
+    if scene.growth is None or initial.stage != "asynchronous" or not _varies(scene):
+        return 0
+    if initial.cells is None:
+        return initial.count
+    given = initial.cells.given
+    return int(given.columns["id"].max()) + 1 if "id" in given.columns else len(given)
+
+
+def _varies(scene: Scene) -> bool:
+    """Return whether newborn cells draw durations that differ."""
+    growth = scene.growth
+    if growth is None:
+        return False
+    if growth.phases:
+        return any(part.distribution != "fixed" for part in growth.phases.values())
+    return growth.cycle_variation > 0.0 and "cycle_time" not in scene.cells.heritable
+
+
+def _order(growth: Growth) -> tuple[Phase, ...]:
+    if growth.division == "smooth":
+        return (Phase.M, Phase.G1, Phase.S, Phase.G2)
+    return (Phase.G1, Phase.S, Phase.G2, Phase.M)
+
+
+def _grows(growth: Growth | None, phase: Phase) -> bool:
+    known = {} if growth is None else growth.phases
+    return phase.name in known and known[phase.name].grows
+
+
+def _needs(scene: Scene) -> tuple[Need, ...]:
+    """Return what cells ask of each field, and of the ATP that they make."""
+    needs = [
+        Need(
+            partial(_found, name),
+            field.growth_half_saturation,
+            field.growth_inhibition,
+            field.quiescence,
+            field.necrosis,
+            field.necrosis_above,
+        )
+        for name, field in scene.nutrients.items()
+    ]
+    energy = scene.energy
+    if energy is not None:
+        half, supply = energy.growth_half_saturation, partial(energy.supply, scene.nutrients)
+        needs.append(Need(supply, half, None, energy.quiescence, energy.necrosis, None))
+    return tuple(needs)
+
+
+def _found(name: str, concentrations: Concentrations) -> FloatArray:
+    return np.asarray(concentrations[name])

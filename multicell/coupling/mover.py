@@ -1,0 +1,167 @@
+"""Motion in one coupling step: the integrator on the mechanics, and checks of what it found."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple, final
+
+import numpy as np
+
+from multicell.errors import StepFailed
+from multicell.integrators import registry, stability
+from multicell.integrators.shift import SHIFT, Replays, replayed, shifted_positions
+from multicell.integrators.stability import Stability
+from multicell.results.summary import counts_contacts
+from multicell.scene import start
+from multicell.scene.domain import check_inside
+
+if TYPE_CHECKING:
+    from multicell.cells import Cells, FloatArray, IntArray
+    from multicell.integrators.base import Integrator
+    from multicell.mechanics.motion import Motion
+    from multicell.scene.scene import Scene
+
+
+@final
+class Moved(NamedTuple):
+    """What motion makes of cells by the end of a step.
+
+    Attributes
+    ----------
+    position, pressure : (n, 3) µm and (n,) kPa
+    contacts : (m, 2) or None
+        Indices of the pairs in contact; None where nobody counts them, and of cells at rest.
+    replays, stability
+        As in :class:`multicell.Simulation`.
+    """
+
+    position: FloatArray
+    pressure: FloatArray
+    contacts: IntArray | None
+    replays: Replays | None
+    stability: Stability
+
+
+@final
+class Mover:
+    """Moves the cells of a scene.
+
+    Attributes
+    ----------
+    system : Mechanics
+    integrator : Integrator
+    limit : float
+        Largest product of step and rate at which a method with a fixed step is stable, else 0.
+    """
+
+    def __init__(self, scene: Scene, threads: int, integrator: Integrator | None) -> None:
+        self.system = start.mechanics(scene, threads)
+        self.integrator = integrator or registry.make(scene.integrator)
+        self.limit = stability.limit_of(self.integrator)
+        self._seed, self._dimensions, self._domain = scene.seed, scene.dimensions, scene.domain
+        self._counts = counts_contacts(scene)
+
+    def move(
+        self,
+        cells: Cells,
+        motion: Motion,
+        step: int,
+        replays: Replays | None,
+        known: Stability,
+    ) -> Moved:
+        """Integrate the positions through a coupling step.
+
+        Parameters
+        ----------
+        cells
+            At its beginning.
+        motion
+            What mechanics must know of them between its beginning and its end.
+        step
+            Its number.
+        replays, known
+            What earlier steps have shown.
+
+        Raises
+        ------
+        StepFailed
+            If the integrator fails, a cell leaves the domain, or the method's step is too long.
+        """
+        system, end = self.system, motion.end
+        system.begin(motion)
+        if len(cells) == 0 or self._is_alone(len(cells)):
+            return Moved(cells.position.copy(), np.zeros(len(cells)), None, replays, known)
+        known = self._check_begin(cells.position, known)
+        before = system.work.effort
+        outcome = self.integrator.integrate(system, cells.position)
+        if not outcome.done:
+            cell = None if outcome.cell is None else int(cells.id[outcome.cell])
+            raise StepFailed(outcome.time, outcome.problem, outcome.hint, cell)
+        position = system.at_end(outcome.position)
+        check_inside(self._domain, cells.id, position, end)
+        pressure = system.pressure(end, outcome.position)
+        contacts = system.contacts(end, outcome.position) if self._counts else None
+        cost = float((system.work.effort - before) * len(cells))
+        known = self._check_end(outcome.position, cost, known)
+        replays = self._replay(cells, outcome.position, cost, step, replays)
+        return Moved(position, pressure, contacts, replays, known)
+
+    def contacts(self, cells: Cells, motion: Motion) -> IntArray | None:
+        """Return indices of the pairs that overlap, (m, 2), before any of them has touched."""
+        if not len(cells):
+            return None
+        self.system.begin(motion)
+        return self.system.contacts(motion.begin, cells.position) if self._counts else None
+
+    def _is_alone(self, count: int) -> bool:
+        """Return whether there is one cell that nothing acts on: it stays where it is."""
+        motion = self.system.motion
+        acting = (motion.push, motion.held, self.system.walls)
+        return count == 1 and all(part is None for part in acting)
+
+    def _check_begin(self, position: FloatArray, known: Stability) -> Stability:
+        """Measure, if that is due, how far a fixed step is from its limit before a step."""
+        if not self.limit > 0.0:
+            return known
+        n, product = len(position), self.limit / self._fixed_step()
+        if not stability.is_due(known, n, product):
+            return known
+        rate = stability.rate_at(self.system, self.system.motion.begin, position, self._dimensions)
+        return stability.measured(known, rate, product, n)
+
+    def _check_end(self, position: FloatArray, cost: float, known: Stability) -> Stability:
+        """Refuse a fixed step that is beyond its limit after a coupling step as it was before."""
+        if not self.limit > 0.0:
+            return known
+        system, n, end = self.system, len(position), self.system.motion.end
+        known = known._replace(total=known.total + cost)
+        step = self._fixed_step()
+        product = self.limit / step
+        was_beyond, suspect = known.rate > product, False
+        if not was_beyond and stability.may_glance(known, n):
+            known = stability.glanced(known, n)
+            suspect = stability.suspect(system, end, position, product)
+        if not was_beyond and not suspect:
+            return known
+        rate = stability.rate_at(system, end, position, self._dimensions)
+        if was_beyond and rate > product:
+            words = stability.refused(self.integrator, step, self.limit, rate)
+            raise StepFailed(system.motion.begin, *words)
+        return stability.measured(known, rate, product, n)
+
+    def _fixed_step(self) -> float:
+        """Return how long the equal steps of the coupling step are, s."""
+        motion = self.system.motion
+        return stability.actual_step(self.integrator, motion.end - motion.begin)
+
+    def _replay(
+        self, cells: Cells, end: FloatArray, cost: float, step: int, replays: Replays | None
+    ) -> Replays | None:
+        """Take the step again from shifted positions where that is due, and note the effect."""
+        if replays is None:
+            return None
+        effect, spent = None, 0.0
+        if replays.due:
+            begin = cells.position
+            shifted = shifted_positions(begin, SHIFT, self._seed, step, cells.id, self._dimensions)
+            effect, spent = replayed(self.integrator, self.system, begin, end, shifted)
+        return replays.after(cost, spent, effect)

@@ -1,0 +1,268 @@
+"""The state of a run: what a coupling step changes, what a frame saves, and how it is undone."""
+
+from __future__ import annotations
+
+from abc import ABC
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from multicell.biology.plan import biology_plan
+from multicell.biology.splitting import StepError
+from multicell.biology.spring_graph import Springs
+from multicell.coupling.timeline import Timeline
+from multicell.coupling.wall import PHASES, Phase
+from multicell.errors import SceneError
+from multicell.integrators.shift import Replays
+from multicell.integrators.stability import Stability
+from multicell.interrupts import UNCUT
+from multicell.results.frame import Frame, Progress
+from multicell.results.lineage import Lineage
+from multicell.scene.domain import check_start
+from multicell.scene.steps import step_plan
+
+if TYPE_CHECKING:
+    from multicell.biology.pace import Pace
+    from multicell.cells import Cells, FloatArray, IntArray
+    from multicell.coupling.fields import SceneFields
+    from multicell.coupling.mover import Mover
+    from multicell.mechanics.system import Mechanics
+    from multicell.nutrient.balance import Ledger
+    from multicell.nutrient.fields import Feeding
+    from multicell.results.frame import Field
+    from multicell.scene.scene import Scene
+
+
+_NOTED: Final = (
+    "divisions", "removals", "released", "separation", "next_id", "unsorted", "splitting",
+    "first_states",
+)  # fmt: skip
+"""What a run notes beside its cells; a frame's progress has entries of the same names."""
+
+_STATE: Final = (
+    "cells", "timeline", "contacts", "step_error", "named", "springs", "replays", "stability",
+    *_NOTED,
+)  # fmt: skip
+"""What a coupling step changes, beside fields, logs and counts of work."""
+
+
+class RunState(ABC):
+    """The state of a run, which :class:`multicell.Simulation` advances.
+
+    Attributes
+    ----------
+    cells : Cells
+        The state at ``time``.
+    divisions, removals : int
+        Events so far.
+    next_id, unsorted : int
+        First identity that is free, and new cells since all were last sorted in space.
+    released : float, µm³
+        Volume that dead cells have lost, their remains at removal included.
+    contacts : (m, 2)
+        Identities of the pairs in contact: what exact JKR remembers, and others count.
+    replays : Replays or None
+        What small shifts have done to the ends of steps that were taken twice; None to take none.
+    stability : Stability
+        How far a fixed step was from its limit, where it has one.
+    splitting : float or None, µm³
+        The error that coupling steps have made so far with the volume of all cells, over their
+        number; None without growth. What the last step has made of it is ``step_error``.
+    first_states : name -> int
+        Cells that rested and were dead at the start, as it found them, and whose state does not
+        fit the field.
+    named : table of the scene -> (k,) identities
+        Cells that are driven from outside because of who or where they were at the start.
+    springs : Springs
+    plan : BiologyPlan
+        What biology needs of the scene.
+    timeline : Timeline
+        Where the run is in time, and what chooses its steps.
+    mover : Mover
+        Mechanics and the integrator.
+    wall : phase -> s
+        Wall time of each phase of the loop.
+    """
+
+    cells: Cells
+    next_id: int
+    unsorted: int
+
+    def __init__(
+        self, scene: Scene, *, mover: Mover, fields: SceneFields, lineage: Lineage | None
+    ) -> None:
+        self.scene, self.mover, self._fields = scene, mover, fields
+        self.plan = biology_plan(scene)
+        self.wall = dict.fromkeys(PHASES, 0.0)
+        self.timeline = Timeline.at_start(step_plan(scene))
+        self.divisions = self.removals = 0
+        self.released = 0.0
+        self.replays: Replays | None = Replays()
+        self.stability = Stability()
+        self.splitting: float | None = None if scene.growth is None else 0.0
+        self.first_states: Mapping[str, int] = {}
+        self.step_error = StepError()
+        self.contacts = np.empty((0, 2), dtype=np.int64)
+        self.separation: Mapping[str, float] | None = None
+        self.named: dict[str, IntArray] = {}
+        self.springs = Springs()
+        self.lineage = Lineage() if lineage is None else lineage
+
+    def resume(self, frame: Frame) -> None:
+        """Take the state from a frame."""
+        known = frame.progress
+        if known is None:
+            raise ValueError("this frame does not hold what a run needs to go on")
+        if frame.time > self.scene.duration:
+            raise SceneError(
+                "duration",
+                f"is {self.scene.duration:g} s, which ends before the frame at {frame.time:g} s",
+                "Name a later end, or resume from an earlier frame.",
+            )
+        self.timeline = Timeline.at_frame(self.timeline.plan, frame)
+        self.cells = frame.cells.copy()
+        check_start(self.scene, self.cells)
+        self.contacts = np.array(frame.contacts)
+        self.named = {path: np.array(ids, np.int64) for path, ids in known.driven.items()}
+        self.springs = Springs.of(known.springs)
+        for name in _NOTED:
+            setattr(self, name, getattr(known, name))
+        self.replays = Replays.of(known.replays)
+        self.stability = Stability.of(known.stability)
+        self._count(known.work)
+        self._fields.resume(frame)
+
+    def _progress(self) -> Progress:
+        """Return what a frame needs so that the run can be resumed from it."""
+        return Progress(
+            **{name: getattr(self, name) for name in _NOTED},
+            **self._fields.progress(),
+            work=asdict(self.mechanics.work),
+            pace=None if self.pace is None else self.pace._asdict(),
+            driven={path: ids.tolist() for path, ids in self.named.items()},
+            springs=self.springs.to_plain(),
+            replays={} if self.replays is None else self.replays._asdict(),
+            stability=self.stability._asdict() if self.mover.limit > 0.0 else {},
+        )
+
+    def _count(self, work: Mapping[str, int]) -> None:
+        """Set what the integration has cost so far."""
+        for name, count in work.items():
+            setattr(self.mechanics.work, name, count)
+
+    @property
+    def mechanics(self) -> Mechanics:
+        """The forces between the cells, and what finds neighbours."""
+        return self.mover.system
+
+    @property
+    def field_system(self) -> Feeding | None:
+        """What solves the fields; None without any."""
+        return self._fields.system
+
+    @property
+    def shared_from(self) -> int | None:
+        """Number of cells from which on threads share loops; None on one thread."""
+        system = self.mechanics
+        return (system.shared_chunks - 1) * system.chunk + 1 if system.threads > 1 else None
+
+    @property
+    def nodes(self) -> int:
+        """Number of nodes of the largest field in a box; zero without any."""
+        return self._fields.nodes
+
+    @property
+    def concentrations(self) -> dict[str, FloatArray]:
+        """Concentration of each nutrient at the cells, name -> (n,) mM."""
+        return self._fields.concentrations
+
+    @property
+    def ledger(self) -> dict[str, Ledger]:
+        """What has come in, been taken up, secreted, stored ... of each nutrient."""
+        return self._fields.ledger
+
+    @property
+    def fields(self) -> dict[str, Field]:
+        """The nutrient fields as they were last solved."""
+        return self._fields.last
+
+    @property
+    def time(self) -> float:
+        """Simulated time, s."""
+        return self.timeline.time
+
+    @property
+    def step_index(self) -> int:
+        """Number of coupling steps done."""
+        return self.timeline.step
+
+    @property
+    def steps(self) -> int:
+        """Number of coupling steps to the scene's end, chosen ones all as long as the next."""
+        return self.timeline.steps
+
+    @property
+    def pace(self) -> Pace | None:
+        """What chooses the next coupling step; None where the scene fixes it."""
+        return self.timeline.pace
+
+    @property
+    def finished(self) -> bool:
+        """Whether the duration or the number of cells is reached, or all are pulled apart."""
+        enough = self.scene.stop_cells
+        grown = enough is not None and len(self.cells) >= enough
+        return self.timeline.is_over or grown or self.separation is not None
+
+    def phase(self, name: str) -> Phase:
+        """Return a context that adds the wall time of its block to one of :data:`PHASES`."""
+        return Phase(self.wall, name)
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return what :meth:`restore` needs to undo a step.
+
+        A step makes new arrays and does not write into those that are there: to keep them is
+        to remember them. Logs and accounts only grow.
+        """
+        return {
+            "lineage": self.lineage.counts(),
+            "work": vars(self.mechanics.work).copy(),
+            "fields": self._fields.snapshot(),
+            "rest": {name: getattr(self, name) for name in _STATE},
+        }
+
+    def restore(self, snapshot: Mapping[str, Any]) -> None:
+        """Make the state of a snapshot the state again."""
+        with UNCUT:
+            self.lineage.cut(snapshot["lineage"])
+            self._count(snapshot["work"])
+            self._fields.restore(snapshot["fields"])
+            for name, value in snapshot["rest"].items():
+                setattr(self, name, value)
+
+    def frame(self, *, shared: bool = False) -> Frame:
+        """Return the state as a frame that later steps do not change.
+
+        One that is ``shared`` has the arrays of the state itself: a step makes new ones, but who
+        writes into those of ``cells`` writes into the frame.
+        """
+        if shared:
+            found = dict(self.concentrations)
+            return replace(self._view(), concentrations=found, fields=self.fields)
+        return replace(
+            self._view(),
+            cells=self.cells.copy(),
+            concentrations={name: values.copy() for name, values in self.concentrations.items()},
+            fields=self.fields,
+        )
+
+    def _view(self, *, whole: bool = True) -> Frame:
+        """Return the state, without fields, as a frame that shares its arrays.
+
+        Where it is not ``whole`` it lacks what only those need who go on from it.
+        """
+        return Frame(
+            self.time, self.step_index, self.cells, self.concentrations,
+            contacts=self.contacts, progress=self._progress() if whole else None,
+        )  # fmt: skip

@@ -1,0 +1,1 @@
+"""How the volume of one cell grows between birth and division."""

@@ -1,0 +1,66 @@
+"""The coupling steps that a scene allows, resolved once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, final
+
+from multicell.scene.coupling import fixed_step, longest_step, shortest_step, tolerance
+from multicell.scene.driven import drivers
+from multicell.scene.scales import regime
+
+if TYPE_CHECKING:
+    from multicell.scene.scene import Scene
+
+
+@final
+@dataclass(frozen=True)
+class StepPlan:
+    """Which coupling steps a run takes.
+
+    Attributes
+    ----------
+    fixed : float or None, s
+        Length of all steps; None where the run chooses it.
+    shortest, longest : float, s
+        Between which it chooses.
+    tolerance : float
+        Part of growth that splitting may get wrong.
+    duration : float, s
+        Of the run.
+    changes : times, s
+        At which a medium or what drives cells changes: chosen steps end there.
+    jumps : times, s
+        At which the medium of a steady field changes at once.
+    """
+
+    fixed: float | None
+    shortest: float
+    longest: float
+    tolerance: float
+    duration: float
+    changes: tuple[float, ...]
+    jumps: tuple[float, ...]
+
+
+def step_plan(scene: Scene) -> StepPlan:
+    """Return the plan of a scene's coupling steps."""
+    media = {name: field.media or () for name, field in scene.nutrients.items()}
+    ends = (time for _, driver in drivers(scene) for time in (driver.begin, driver.end))
+    jumping = [
+        name
+        for name, field in scene.nutrients.items()
+        if media[name] and field.media_change != "linear" and regime(scene, name) == "steady"
+    ]
+    return StepPlan(
+        fixed_step(scene),
+        shortest_step(scene),
+        longest_step(scene),
+        tolerance(scene),
+        scene.duration,
+        changes=(
+            *(time for points in media.values() for time, _ in points),
+            *(time for time in ends if time is not None),
+        ),
+        jumps=tuple(time for name in jumping for time, _ in media[name]),
+    )
