@@ -258,6 +258,32 @@ class IntegratorOptions:
 
 @final
 @parameters
+class OwnObservable:
+    """An observable of the user's own, which the history and the summary hold.
+
+    The entry says what its numbers are to those who read results. It runs nothing: the function is
+    found by its name among those that :func:`multicell.observable` has made in this process.
+    """
+
+    function: str = text(doc="'file.py:name@fingerprint' of its function")
+    unit: str = text(default="", doc="base unit of its numbers; absent: they are counts or ratios")
+
+
+_OWN_UNITS: dict[str, str] = {}
+
+
+def own_unit(name: str) -> str | None:
+    """Return the unit of an observable of the user's own, None where no scene has named it."""
+    return _OWN_UNITS.get(name)
+
+
+def own_names() -> list[str]:
+    """Return the observables of the user's own that scenes have named in this process."""
+    return list(_OWN_UNITS)
+
+
+@final
+@parameters
 class OutputOptions:
     """What is recorded."""
 
@@ -265,6 +291,17 @@ class OutputOptions:
     instability: bool = flag(
         default=False, doc="whether the history tells how fast the most unstable motion grows"
     )
+    observables: Mapping[str, OwnObservable] = tables(
+        OwnObservable, default_factory=Tables, doc="of the user's own, by name; absent: none"
+    )
+
+    def check(self) -> None:
+        """Raise ``SceneError`` for a name that has another unit in another scene."""
+        for name, own in self.observables.items():
+            known = _OWN_UNITS.setdefault(name, own.unit)
+            if known != own.unit:
+                problem = f"is '{own.unit}', but '{known}' in another scene of this process"
+                raise SceneError(f"observables.{name}.unit", problem, "Choose another name.")
 
 
 @final

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 from multicell.errors import SceneError
 from multicell.files import read_regular
 from multicell.plugins import origin
+from multicell.results.observable import find_own
 from multicell.schema import Tables, specs
 
 if TYPE_CHECKING:
@@ -66,11 +67,28 @@ class Run:
         """
         return own_law(self.scene)
 
+    @property
+    def observables(self) -> dict[str, str]:
+        """Observables of the user's own (:func:`own_observables`), which workers load."""
+        return own_observables(self.scene)
+
 
 def own_law(scene: Scene) -> str:
     """Return where a contact law of the user's own comes from, or nothing for one of ours."""
     kind = type(scene.contact)
     return origin(kind) if hasattr(kind, "scene_name") else ""
+
+
+def own_observables(scene: Scene) -> dict[str, str]:
+    """Return ``/path/file.py:Name`` by function of each observable of the user's own.
+
+    Raises
+    ------
+    SceneError
+        If this process does not know one of them.
+    """
+    own = scene.output.observables.items()
+    return {stated.function: find_own(name, stated.function).source for name, stated in own}
 
 
 def digest(scene: Scene, integrator: str = "") -> str:

@@ -195,12 +195,12 @@ def test_pressure_factor_and_number_of_cells_held_by_hand():
     state = [State.PROLIFERATING, State.QUIESCENT, State.PROLIFERATING, State.PROLIFERATING,
              State.PROLIFERATING, State.NECROTIC]  # fmt: skip
     cells = cells_at(position, state=state, pressure=pressure)
-    found = observables.pressure_summary(cells, 0.1)
-    assert found == {"pressure_factor": pytest.approx((1 + 1 + 0.5 + 0.6 + 0) / 5),
-                     "held_by_pressure": 2}  # fmt: skip
-    none = observables.pressure_summary(cells.take(np.array([5])), 0.1)
-    assert np.isnan(none["pressure_factor"])
-    assert none["held_by_pressure"] == 0
+    expected = (1 + 1 + 0.5 + 0.6 + 0) / 5
+    assert observables.pressure_factor(cells, 0.1) == pytest.approx(expected)
+    assert observables.held_by_pressure(cells, 0.1) == 2
+    none = cells.take(np.array([5]))
+    assert np.isnan(observables.pressure_factor(none, 0.1))
+    assert observables.held_by_pressure(none, 0.1) == 0
 
 
 def test_a_contact_inhibited_monolayer_tells_that_it_is(tmp_path):
