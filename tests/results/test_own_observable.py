@@ -107,9 +107,26 @@ def test_workers_of_studies_load_it(tmp_path):
     file.write_text(TEXT, encoding="utf-8")
     scene = GROWING.with_observables(mc.load_observable(f"{file}:surface"))
     made = mc.study(scene, vary={"cells.division_radius": ["5 um", "6 um"]}, output=tmp_path / "s")
-    table = made.run(cores=2).table()
+    made.run(cores=2)
+    table = made.to_xarray()
     assert table["surface_of_cells"].attrs["units"] == "um^2"
     assert np.isfinite(table["surface_of_cells"].isel(time=-1)).all()
+
+
+def test_the_command_records_it(tmp_path):
+    file = tmp_path / "mine.py"
+    file.write_text(TEXT, encoding="utf-8")
+    command = [sys.executable, "-m", "multicell", "run", "growth", "--set", "duration=20 min",
+               "--observable", f"{file}:surface", "--no-report",
+               "-o", str(tmp_path / "run")]  # fmt: skip
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert "surface of cells" in done.stdout + done.stderr
+    assert len(mc.load_result(tmp_path / "run").history["surface_of_cells"]) > 1
+    command[command.index("--observable") + 1] = f"{file}:TEXT"
+    refused = subprocess.run([*command, "--overwrite"], capture_output=True, text=True, timeout=300)
+    assert refused.returncode == 2
+    assert "has nothing called 'TEXT'" in refused.stderr
 
 
 def test_a_scene_without_what_it_needs_refuses_it():
@@ -193,12 +210,19 @@ def test_a_fault_in_a_run_has_file_and_line_and_the_run_can_be_resumed(tmp_path)
     assert result.history["of_a_test"].tolist() == [1.0, 1.0, 1.0, 2.0]
 
 
-WALLED = {"duration": "1 h", "initial": {"count": 9}, "pull": {"force": 1.0, "rate": 0.1},
-          "domain": {**{axis: [-60.0, 60.0] for axis in "xyz"}, "wall": "elastic"}}  # fmt: skip
+WALLED = {
+    "duration": "1 h",
+    "initial": {"count": 9},
+    "domain": {**{axis: [-60.0, 60.0] for axis in "xyz"}, "wall": "elastic"},
+}
+PULLED = {"duration": "1 min", "coupling_step": "10 s", "initial": {"count": 2, "spacing": 0.95},
+          "pull": {"force": 1.0, "rate": 0.01}}  # fmt: skip
+FURTHER = {**dict.fromkeys(("volume_fraction", "wall_pressure", "tissue_pressure"), WALLED),
+           "pull": PULLED}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", [o.name for o in OBSERVABLES if o.measure is not None])
 def test_ours_keep_the_same_promises(name):
     (ours,) = (o for o in OBSERVABLES if o.name == name)
-    needs_more = name in ("volume_fraction", "wall_pressure", "tissue_pressure", "pull")
-    mc.testing.check_observable(ours, mc.Scene.from_dict(WALLED) if needs_more else None)
+    scene = mc.Scene.from_dict(FURTHER[name]) if name in FURTHER else None
+    mc.testing.check_observable(ours, scene)
