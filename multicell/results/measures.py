@@ -242,7 +242,7 @@ def observables_of(scene: Scene, *, own: bool = True) -> Iterator[tuple[Observab
         what the scene does not have.
     """
     stated = scene.output.observables.items() if own else ()
-    owned = (find_own(name, entry.function) for name, entry in stated)
+    owned = (find_own(name, entry) for name, entry in stated)
     for observable in (*OBSERVABLES, *owned):
         for key in observable.keys(scene):
             yield observable, key

@@ -16,6 +16,7 @@ from multicell.results.observables import Extent, state_counts
 
 if TYPE_CHECKING:
     from multicell.results.frame import Frame
+    from multicell.scene.parts import OwnObservable
     from multicell.scene.scene import Scene
 
 
@@ -180,21 +181,23 @@ OWN: Final[dict[str, Observable]] = {}
 """Observables of the user's own by ``function``, as :func:`multicell.observable` enters them."""
 
 
-def find_own(name: str, function: str) -> Observable:
+def find_own(name: str, stated: OwnObservable) -> Observable:
     """Return the observable that a scene names.
 
     Raises
     ------
     SceneError
-        If this process has not made it.
+        If this process has not made it, or made it with another unit.
     """
+    path, function = f"output.observables.{name}", stated.function
     found = OWN.get(function)
     if found is not None and found.name == name:
+        if found.unit != stated.unit:
+            raise SceneError(f"{path}.unit", f"is '{stated.unit}', must be '{found.unit}'")
         return found
     source = function.partition("@")[0]
     newer = [known for known in OWN if known.startswith(f"{source}@")]
     hint = f"No scene runs a file by itself: name it with --observable {source}, or import it."
     if newer:
         hint = f"'{source}' has changed since: as it is now it is '{newer[-1]}'."
-    problem = f"is '{function}', which this process does not know"
-    raise SceneError(f"output.observables.{name}", problem, hint)
+    raise SceneError(path, f"is '{function}', which this process does not know", hint)

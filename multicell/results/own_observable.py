@@ -10,6 +10,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import os
 import re
@@ -83,6 +84,7 @@ def observable(
             raise TypeError(f"{shown(function)} is no function")
         source: Any = function
         file = os.path.basename(code.co_filename)
+        mark = hashlib.sha256(f"{fingerprint(function)} {column} {unit}".encode()).hexdigest()[:12]
         made = Observable(
             column,
             _guarded(function, column),
@@ -90,7 +92,7 @@ def observable(
             exists=_refusing(column, needs),
             absent=absent,
             signed=signed,
-            function=f"{file}:{source.__qualname__}@{fingerprint(function)}",
+            function=f"{file}:{source.__qualname__}@{mark}",
             source=origin(source),
         )
         OWN[made.function] = made

@@ -13,7 +13,8 @@ from functools import cache
 from typing import Any, Final
 
 from multicell.results.measures import OBSERVABLES
-from multicell.scene.parts import own_unit
+from multicell.results.observable import OWN
+from multicell.scene.parts import own_units
 
 _AMOUNTS: Final = (
     "relaid", "remainder", "injected", "made", "used", "medium_held", "medium_fresh",
@@ -114,7 +115,8 @@ def unit_of(name: str) -> str:
     name
         Of a column of the history (``"hypoxic_radius_oxygen"``), of an entry of the summary with
         dots (``"ledger.oxygen.inflow"``), or of a column of a table with the table's name
-        (``"cells.radius"``).
+        (``"cells.radius"``). One of the user's own that has several units in this process has none
+        here.
 
     Raises
     ------
@@ -133,9 +135,9 @@ def unit_of(name: str) -> str:
     for pattern, unit in _patterns():
         if pattern.fullmatch(name):
             return unit
-    own = own_unit(name)
-    if own is not None:
-        return own
+    own = {o.unit for o in OWN.values() if o.name == name} or own_units(name)
+    if own:
+        return own.pop() if len(own) == 1 else ""
     raise KeyError(f"no unit is declared for {name!r}: see multicell.results.quantities.UNITS")
 
 

@@ -269,12 +269,12 @@ class OwnObservable:
     unit: str = text(default="", doc="base unit of its numbers; absent: they are counts or ratios")
 
 
-_OWN_UNITS: dict[str, str] = {}
+_OWN_UNITS: dict[str, set[str]] = {}
 
 
-def own_unit(name: str) -> str | None:
-    """Return the unit of an observable of the user's own, None where no scene has named it."""
-    return _OWN_UNITS.get(name)
+def own_units(name: str) -> set[str]:
+    """Return the units that scenes of this process state for an observable of the user's own."""
+    return set(_OWN_UNITS.get(name, ()))
 
 
 def own_names() -> list[str]:
@@ -296,12 +296,9 @@ class OutputOptions:
     )
 
     def check(self) -> None:
-        """Raise ``SceneError`` for a name that has another unit in another scene."""
+        """Note the units of observables, for those who read the results of a scene."""
         for name, own in self.observables.items():
-            known = _OWN_UNITS.setdefault(name, own.unit)
-            if known != own.unit:
-                problem = f"is '{own.unit}', but '{known}' in another scene of this process"
-                raise SceneError(f"observables.{name}.unit", problem, "Choose another name.")
+            _OWN_UNITS.setdefault(name, set()).add(own.unit)
 
 
 @final

@@ -88,7 +88,7 @@ def own_observables(scene: Scene) -> dict[str, str]:
         If this process does not know one of them.
     """
     own = scene.output.observables.items()
-    return {stated.function: find_own(name, stated.function).source for name, stated in own}
+    return {stated.function: find_own(name, stated).source for name, stated in own}
 
 
 def digest(scene: Scene, integrator: str = "") -> str:
