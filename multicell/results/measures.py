@@ -49,11 +49,9 @@ def _box(state: TissueState) -> Walls:
     return found
 
 
-def _critical_pressure(state: TissueState) -> float:
-    growth = state.scene.growth
-    assert growth is not None
-    assert growth.critical_pressure is not None
-    return growth.critical_pressure
+def _pressure_factor(state: TissueState) -> float:
+    factors = state.pressure_factors
+    return float(factors.mean()) if len(factors) else float("nan")
 
 
 def _load(state: TissueState) -> float:
@@ -142,7 +140,7 @@ OBSERVABLES: Final = (
     ),
     Observable(
         "pressure_factor",
-        lambda s: of.pressure_factor(s.cells, _critical_pressure(s)),
+        _pressure_factor,
         exists=_is_pressed,
         absent="without living cells",
         doc=r"mean of $\min(1, \max(0, 1 - p/p_\mathrm{crit}))$ over living cells: the factor of "
@@ -150,7 +148,7 @@ OBSERVABLES: Final = (
     ),
     Observable(
         "held_by_pressure",
-        lambda s: of.held_by_pressure(s.cells, _critical_pressure(s)),
+        lambda s: int((s.pressure_factors <= 0.5).sum()),
         title="growth halved by pressure",
         exists=_is_pressed,
         shown=lambda n: f"{n:,} cell{'' if n == 1 else 's'}",
@@ -242,10 +240,25 @@ def observables_of(scene: Scene, *, own: bool = True) -> Iterator[tuple[Observab
         what the scene does not have.
     """
     stated = scene.output.observables.items() if own else ()
-    owned = (find_own(name, entry) for name, entry in stated)
-    for observable in (*OBSERVABLES, *owned):
+    owned = [find_own(name, entry) for name, entry in stated]
+    yield from _ours(scene)
+    for observable in owned:
         for key in observable.keys(scene):
             yield observable, key
+
+
+_LAST: list[tuple[Scene, tuple[tuple[Observable, str], ...]]] = []
+"""The last scene and ours in it: a run asks in every step."""
+
+
+def _ours(scene: Scene) -> tuple[tuple[Observable, str], ...]:
+    """Return those of ours that exist in a scene."""
+    for known, found in _LAST:
+        if known is scene:
+            return found
+    found = tuple((o, key) for o in OBSERVABLES for key in o.keys(scene))
+    _LAST[:] = [(scene, found)]
+    return found
 
 
 def check_observables(scene: Scene) -> None:

@@ -210,21 +210,11 @@ def _volume(walls: Walls) -> float:
     return float((walls.high - walls.low).prod())
 
 
-def pressure_factor(cells: Cells, critical: float) -> float:
-    """Return the mean of min(1, max(0, 1 - p/p_crit)) over living cells, NaN if none lives.
+def pressure_factors(cells: Cells, critical: float) -> FloatArray:
+    """Return min(1, max(0, 1 - p/p_crit)) of each living cell, with p_crit in kPa.
 
-    It is the factor of pressure on the rate of growth; ``critical`` is p_crit in kPa.
+    It is the factor of pressure on the rate of growth.
     """
-    factor = _pressure_factors(cells, critical)
-    return float(factor.mean()) if len(factor) else float("nan")
-
-
-def held_by_pressure(cells: Cells, critical: float) -> int:
-    """Return the number of living cells of which :func:`pressure_factor` is 1/2 or less."""
-    return int((_pressure_factors(cells, critical) <= 0.5).sum())
-
-
-def _pressure_factors(cells: Cells, critical: float) -> FloatArray:
     return np.clip(1.0 - cells.pressure[~cells.dead] / critical, 0.0, 1.0)
 
 
