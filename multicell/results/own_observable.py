@@ -113,6 +113,7 @@ def load_observable(spec: str) -> Observable:
     if not isinstance(found, Observable):
         hint = "A function becomes one by the decorator multicell.observable."
         raise SceneError("output.observables", f"{spec!r} is not an observable", hint)
+    OWN[found.function] = found
     return found
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import pickle
 import subprocess
 import sys
 from pathlib import Path
@@ -15,9 +16,11 @@ from multicell.errors import SceneError
 from multicell.results.measures import OBSERVABLES, observables_of
 from multicell.results.observable import OWN
 from multicell.results.quantities import known_unit
+from multicell.studies.axes import parse_range
 from multicell.studies.data import read_data
 from multicell.studies.observed import in_history
 from multicell.studies.sensitivity import observables_of as asked_of
+from multicell.studies.simulating import SceneSimulator
 
 TEXT = """
 import multicell as mc
@@ -100,6 +103,20 @@ def test_data_and_analyses_may_name_it():
     assert measured.data[0].value == pytest.approx(2000.0)
     with pytest.raises(SceneError, match="no 'surface'"):
         asked_of(GROWING, ["surface"])
+
+
+def test_runs_of_a_fit_load_and_measure_it(tmp_path):
+    file = tmp_path / "mine.py"
+    file.write_text(TEXT, encoding="utf-8")
+    own = mc.load_observable(f"{file}:surface")
+    scene = GROWING.with_observables(own)
+    measured = read_data({"time / min": [40], "surface_of_cells / um^2": [900.0]}, scene)
+    ranges = (parse_range("cells.division_radius", "5:6 um", scene),)
+    simulator = pickle.loads(pickle.dumps(SceneSimulator.of(measured, ranges)))
+    OWN.pop(own.function)  # as in a worker
+    small, large = (simulator([share], 0, 1) for share in (0.0, 1.0))
+    assert small.reason == large.reason == ""
+    assert large.values[0] == pytest.approx(1.44 * small.values[0], rel=0.02)
 
 
 def test_workers_of_studies_load_it(tmp_path):
