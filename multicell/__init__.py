@@ -50,6 +50,8 @@ if TYPE_CHECKING:
     from multicell.ode import OdeProblem, ode_problem
     from multicell.report.exports.files import export
     from multicell.report.result import Result, load_result
+    from multicell.results.observable import Observable
+    from multicell.results.own_observable import load_observable, observable
     from multicell.runner import resume, run
     from multicell.scene.reactions import Reaction
     from multicell.scene.scene import Scene, load_scene, scene_names
@@ -75,6 +77,7 @@ __all__ = [
     "Integrator",
     "MethodInfo",
     "MulticellError",
+    "Observable",
     "OdeProblem",
     "Outcome",
     "OutputError",
@@ -102,9 +105,11 @@ __all__ = [
     "growth_law",
     "import_physicell",
     "load_law",
+    "load_observable",
     "load_result",
     "load_scene",
     "load_study",
+    "observable",
     "ode_problem",
     "pair_law",
     "reaction",
@@ -147,6 +152,9 @@ _LAZY = {
     "State": "multicell.cells",
     "StateRejected": "multicell.mechanics.motion",
     "load_result": "multicell.report.result",
+    "Observable": "multicell.results.observable",
+    "load_observable": "multicell.results.own_observable",
+    "observable": "multicell.results.own_observable",
     "load_scene": "multicell.scene.scene",
     "WorkPrecision": "multicell.comparison.result",
     "StabilityMap": "multicell.comparison.stability_limits.result",

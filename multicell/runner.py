@@ -28,6 +28,7 @@ from multicell.report.wording import time_unit
 from multicell.results.documents import read_table, write_summary
 from multicell.results.folder import locked
 from multicell.results.frame import Frame
+from multicell.results.measures import check_observables
 from multicell.results.quantities import units_of
 from multicell.results.records import can_go_on
 from multicell.scene.scene import load_scene
@@ -134,6 +135,7 @@ def record_run(scene: Scene, options: RunOptions, cells: Any = None) -> Recorder
         from multicell.scene.start_checks import check_start_table
 
         check_start_table(scene)  # before the folder is made
+    check_observables(scene)
     scene, own = integrated_by(scene, options.integrator)
     begin = clock.perf_counter()
     threads = thread_count(options.threads)  # before the folder is made
@@ -243,7 +245,7 @@ class Recorder:
         self._frames: list[Frame] = []
         self._rows: list[dict[str, float]] = []
         self._next_frame = 0.0
-        self._last_frame = -1
+        self._last_frame = self._last_row = -1
         self._summary: dict[str, Any] = {}
         self._memory = Returns()
         self._begin = self._startup = 0.0
@@ -257,6 +259,7 @@ class Recorder:
         """Add a row to the history, and a frame if one is due."""
         with simulation.phase("record"):
             row = simulation.history_row()
+            self._last_row = simulation.step_index
             if self._store is None:
                 self._rows.append(row)
             else:
@@ -267,13 +270,14 @@ class Recorder:
 
     def skip(self, frame: Frame) -> None:
         """Go on after a frame that is recorded already."""
-        self._last_frame = frame.step
+        self._last_frame = self._last_row = frame.step
         self._next_frame = next_frame(self._scene.output.every, frame.time)
 
     def finish(self, simulation: Simulation, *, interrupted: bool) -> None:
         """Write the last state and the summary."""
         with simulation.phase("record"):
-            if simulation.step_index > self._last_frame:
+            # an observable of the user's own may have failed: no run could resume from there
+            if self._last_frame < simulation.step_index == self._last_row:
                 self._frame(simulation)
             if self._store is not None:
                 self._store.settle()
@@ -421,6 +425,7 @@ def record_resumed(
         place = _place(contents, frame)
         _check_damage(contents, frame, here)
         scene = _change(recorded_scene(contents), changes or {})
+        check_observables(scene)
         simulation = _simulation(scene, contents, place, options)
         scene = simulation.scene
         rows = _rows(contents, simulation.step_index)

@@ -1,4 +1,4 @@
-"""The directive ``scene-keys``: tables of all keys of a scene, from their declarations."""
+"""Directives that make tables of declarations: the keys of a scene, and observables."""
 
 import inspect
 import re
@@ -10,6 +10,7 @@ from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
+from multicell.results.measures import OBSERVABLES
 from multicell.scene.scene import Scene
 from multicell.schema import Parameter, Tables
 
@@ -125,6 +126,29 @@ def _cells(*texts: str) -> str:
     return "| " + " | ".join(text.replace("|", r"\|").replace("\n", " ") for text in texts) + " |"
 
 
+def observables() -> str:
+    """Return the table of all observables that say what they mean, in Markdown."""
+    rows = [
+        _cells(
+            f"`{one.name.replace('*', '<field>')}`",
+            one.unit.replace("um", "µm") or "1",
+            "; ".join(filter(None, (one.doc, one.absent and f"absent {one.absent}"))),
+        )
+        for one in OBSERVABLES
+        if one.doc
+    ]
+    head = _cells("name in history and summary", "unit", "meaning"), _cells(*["---"] * 3)
+    return "\n".join([*head, *rows])
+
+
+class Observables(SphinxDirective):
+    """Puts the table of observables in its place."""
+
+    def run(self) -> list[nodes.Node]:
+        """Return it as nodes of the page."""
+        return self.parse_text_to_nodes(observables())
+
+
 class SceneKeys(SphinxDirective):
     """Puts the tables in its place."""
 
@@ -146,6 +170,7 @@ class SceneParts(SphinxDirective):
 
 def setup(app: Sphinx) -> dict[str, bool]:
     """Tell Sphinx the directive's name."""
+    app.add_directive("observables", Observables)
     app.add_directive("scene-keys", SceneKeys)
     app.add_directive("scene-parts", SceneParts)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

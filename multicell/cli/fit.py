@@ -14,6 +14,7 @@ from multicell.cli.options import (
     changes_option,
     console,
     law_option,
+    observable_option,
     output_option,
     overwrite_option,
     quiet_option,
@@ -111,6 +112,7 @@ def _budget(context: click.Context, option: click.Parameter, value: str | None) 
 )
 @changes_option
 @law_option
+@observable_option
 @cores_option
 @scheduler_option
 @yes_option

@@ -28,6 +28,7 @@ from multicell.cli.options import (
     law_option,
     name_law,
     no_report_option,
+    observable_option,
     output_option,
     overwrite_option,
     parse_changes,
@@ -86,6 +87,7 @@ def _simulating(command: Callable[..., None]) -> Callable[..., None]:
     """Add what ``run`` and ``resume`` take."""
     options = (
         law_option,
+        observable_option,
         changes_option,
         integrator_option,
         overwrite_option("Replace the results of an earlier run."),

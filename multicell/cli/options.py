@@ -57,6 +57,28 @@ law_option = click.option(
     help="Contact or growth law of your own, as mine.py:Cubic; its parameters follow as "
     "--set contact.KEY= or --set growth.parameters.KEY=.",
 )
+
+
+def _load_observables(
+    context: click.Context, _: click.Parameter, specs: Sequence[str]
+) -> Sequence[str]:
+    """Load observables of the user's own; :func:`scene_of` has the scene record them."""
+    if specs:
+        from multicell.results.own_observable import load_observable
+
+        context.meta[_OBSERVABLES] = [load_observable(spec) for spec in specs]
+    return specs
+
+
+_OBSERVABLES = "multicell.observables"
+observable_option = click.option(
+    "--observable",
+    multiple=True,
+    expose_value=False,
+    callback=_load_observables,
+    metavar="FILE:NAME",
+    help="Record an observable of your own, as mine.py:rim_area. May be given several times.",
+)
 no_report_option = click.option(
     "--no-report", is_flag=True, help="Write no report and no pictures."
 )
@@ -91,7 +113,8 @@ def scene_of(source: str, changes: Sequence[str], law: str | None = None) -> Sce
         part, _, what = key.partition(".")
         if given.get(part, {}).get(what) != name:
             parsed = {key: name, **parsed}
-    return scene.with_changes(parsed)
+    own = click.get_current_context().meta.get(_OBSERVABLES, ())
+    return scene.with_changes(parsed).with_observables(*own)
 
 
 def name_law(spec: str) -> dict[str, str]:

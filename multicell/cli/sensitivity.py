@@ -14,6 +14,7 @@ from multicell.cli.options import (
     console,
     law_option,
     no_report_option,
+    observable_option,
     output_option,
     overwrite_option,
     quiet_option,
@@ -75,6 +76,7 @@ from multicell.cli.study import (
 )
 @changes_option
 @law_option
+@observable_option
 @cores_option
 @scheduler_option
 @yes_option

@@ -20,6 +20,7 @@ from multicell.cli.options import (
     integrator_option,
     law_option,
     name_law,
+    observable_option,
     output_option,
     overwrite_option,
     quiet_option,
@@ -102,6 +103,7 @@ def study() -> None:
 @click.option("--every", metavar="TIME", help="Between rows of the table of results, as '6 h'.")
 @changes_option
 @law_option
+@observable_option
 @integrator_option
 @overwrite_option("Replace the plan of another study; its runs stay.")
 @quiet_option
@@ -243,6 +245,7 @@ def _bytes(number: float) -> str:
 @yes_option
 @click.option("--retry", is_flag=True, help="Try again what has failed.")
 @law_option
+@observable_option
 @integrator_option
 @click.option("--no-report", is_flag=True, help="Write no report and no table.")
 @quiet_option
@@ -406,6 +409,7 @@ def _where(coordinates: Any, units: Any) -> str:
 @study.command()
 @folder_argument
 @law_option
+@observable_option
 @integrator_option
 @as_json_option
 def status(folder: Path, law: str | None, integrator: str | None, as_json: bool) -> None:
@@ -471,6 +475,7 @@ def _left(made: Study, states: Sequence[RunStatus]) -> float:
 @study.command()
 @folder_argument
 @law_option
+@observable_option
 @integrator_option
 @as_json_option
 def report(folder: Path, law: str | None, integrator: str | None, as_json: bool) -> None:

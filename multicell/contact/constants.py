@@ -23,6 +23,7 @@ tuples are flat, since numba's parallel loops take no others.
 from __future__ import annotations
 
 import hashlib
+import re
 from collections import namedtuple
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -153,7 +154,9 @@ def _walk(function: Any, seen: set[int], modules: bool) -> Iterator[bytes]:
         if isinstance(value, FunctionType) or hasattr(value, "py_func"):
             yield from _walk(value, seen, modules)
         elif not isinstance(value, ModuleType):
-            yield value.tobytes() if hasattr(value, "tobytes") else repr(value).encode()
+            # an address is another one in each process
+            text = re.sub(" at 0x[0-9a-fA-F]+", "", repr(value))
+            yield value.tobytes() if hasattr(value, "tobytes") else text.encode()
 
 
 def _code(code: CodeType) -> Iterator[bytes]:

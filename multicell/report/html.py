@@ -10,27 +10,17 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from multicell.report.wording import clock, time_unit
 from multicell.results.folder import package_version, write_text
-from multicell.results.quantities import known_unit
+from multicell.results.quantities import known_unit, title_of
 
 if TYPE_CHECKING:
     from jinja2 import Environment
     from matplotlib.figure import Figure
 
     from multicell.scene.scene import Scene
-
-_LABELS: Final = {
-    "discretisation_error": "estimated error at the cells",
-    "largest_stability_ratio": "largest fixed step over its limit of stability",
-    "stability_checks": "coupling steps in which that was measured",
-    "checks_beyond_stability": "of these beyond the limit",
-    "replays": "coupling steps taken again from shifted positions",
-    "largest_shift_effect": "farthest that a shift of 0.01 µm moved the end of a cell",
-    "startup": "start-up",
-}
 
 
 def write_page(
@@ -150,7 +140,7 @@ def _parameter_text(value: Any, unit: str) -> str:
 
 def _label(key: str, path: str = "") -> str:
     """Return the name of an entry; ``path`` leads to it in the summary, which knows its unit."""
-    name = str(_LABELS.get(key, key)).replace("_", " ")
+    name = title_of(str(key))
     if not path:
         return name
     unit = known_unit(f"{path}.{key}").replace("um", "µm").replace("^3", "³")

@@ -10,8 +10,9 @@ import numpy as np
 
 from multicell.errors import OutputError
 from multicell.report.html import write_page
-from multicell.report.wording import MIXED, SEPARATION, cell_count, measures, percent
+from multicell.report.wording import cell_count, measures, percent
 from multicell.results.folder import file_errors
+from multicell.results.quantities import title_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -89,11 +90,14 @@ def _contact_measures(result: Result) -> Iterator[tuple[str, str]]:
     if separation:
         theory = separation_theory(result.frames, result.scene, separation["time"])
         if theory is not None:
-            yield SEPARATION, f"{separation['force']:.4g} nN (theory {theory:.4g})"
+            yield (
+                title_of("separation.force"),
+                f"{separation['force']:.4g} nN (theory {theory:.4g})",
+            )
     mixed = result.history.get("heterotypic_fraction", ())
     known = [float(part) for part in mixed if part == part]
     if known:
-        yield MIXED, f"{percent(known[0])} → {percent(known[-1])}"
+        yield title_of("heterotypic_fraction"), f"{percent(known[0])} → {percent(known[-1])}"
 
 
 def _drawings(result: Result) -> Iterator[tuple[str, Callable[[], Figure]]]:

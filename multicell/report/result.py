@@ -36,7 +36,7 @@ class Result:
         The saved frames; read from disk one at a time when there is a folder.
     history : column name -> (m,) float64
         One entry per coupling step; columns and units as in
-        :func:`multicell.results.observables.history_row`.
+        :mod:`multicell.results.measures`.
     summary_dict
         The summary, as in ``summary.json``.
     scene
@@ -213,11 +213,11 @@ def _same_text(path: Path, text: str) -> bool:
 
 def _partial_summary(frames: Sequence[Frame], scene: Scene) -> dict[str, Any]:
     """Return what the last frame of a killed run tells."""
-    from multicell.results.observables import state_summary
     from multicell.results.quantities import units_of
+    from multicell.results.summary import state_summary
 
     summary: dict[str, Any] = {}
     if len(frames):
         last = frames[-1]
-        summary |= state_summary(last.time, last.cells, scene.dimensions) | {"steps": last.step}
+        summary |= state_summary(scene, last, own=False) | {"steps": last.step}
     return {"interrupted": True, **summary, "units": units_of(summary)}

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from typing import Any, Final, NamedTuple
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
 
-SEPARATION: Final = "separation force"
-MIXED: Final = "contacts between unlike cells"
-
-
-_NOT_AS_ZERO: Final = ("necrotic_radius", "held_by_pressure", "divisions", "removals")
+from multicell.results.measures import OBSERVABLES
+from multicell.results.quantities import entry, title_of, unit_of
+from multicell.scene.parts import own_names
 
 
 class TimeUnit(NamedTuple):
@@ -47,25 +45,20 @@ def clock(seconds: float) -> str:
 
 def measures(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Yield the name and the value in words of each key figure that a summary has."""
-    formats: dict[str, tuple[str, Callable[[Any], str]]] = {
-        "cells": ("cells", lambda n: f"{n:,}"),
-        "time": ("simulated time", lambda t: time_unit(t).text(t)),
-        "diameter": ("diameter", lambda d: f"{d:.0f} µm"),
-        "viable_rim": ("viable rim", lambda d: f"{d:.0f} µm"),
-        "necrotic_radius": ("radius of the necrotic core", lambda d: f"{d:.0f} µm"),
-        "packing_ratio": ("packing ratio", lambda ratio: f"{ratio:.2f}"),
-        "held_by_pressure": ("growth halved by pressure", cell_count),
-        "divisions": ("divisions", lambda n: f"{n:,}"),
-        "removals": ("cells removed", lambda n: f"{n:,}"),
-        "separation": (SEPARATION, lambda s: f"{s['force']:.4g} nN"),
-        "heterotypic_fraction": (MIXED, percent),
-    }
-    for key, (name, shown) in formats.items():
-        value = summary.get(key)
+    if summary.get("time") is not None:
+        yield "simulated time", time_unit(summary["time"]).text(summary["time"])
+    for observable in OBSERVABLES:
+        if observable.shown is None or observable.entry is None:
+            continue
+        value = entry(summary, observable.entry)
         if value is None or value != value:  # a rim without a core does not exist
             continue
-        if value != 0 or key not in _NOT_AS_ZERO:
-            yield name, shown(value)
+        if value != 0 or observable.shown_if_zero:
+            yield observable.title, observable.shown(value)
+    for name in own_names():
+        if summary.get(name) is not None:
+            unit = unit_of(name).replace("um", "µm")
+            yield title_of(name), f"{summary[name]:.4g} {unit}".strip()
     splitting = summary.get("splitting") or {}
     amiss = splitting.get("relative_volume_error")
     if amiss is not None:

@@ -1,4 +1,4 @@
-"""Which cells of a frame touch, for those who read what a run has left."""
+"""Which cells touch, and whether a run has to know."""
 
 from __future__ import annotations
 
@@ -12,6 +12,17 @@ from multicell.results.observables import contact_rows
 
 if TYPE_CHECKING:
     from multicell.results.frame import Frame
+    from multicell.scene.scene import Scene
+
+
+def counts_contacts(scene: Scene) -> bool:
+    """Return whether anything asks for the pairs in contact; to find them costs a little."""
+    return remembers_contacts(scene) or len(scene.types) > 1 or scene.pull is not None
+
+
+def remembers_contacts(scene: Scene) -> bool:
+    """Return whether the contact law needs to know which pairs were in contact."""
+    return scene.contact.remembers
 
 
 def touching(frame: Frame) -> NDArray[np.int64]:

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from multicell.cells import Cells, FloatArray, IntArray, State
 from multicell.contact.law import compliance
-from multicell.results.frame import Field, Frame
 
 if TYPE_CHECKING:
     from multicell.mechanics.walls import Walls
+    from multicell.results.frame import Field, Frame
 
 Mask = NDArray[np.bool_]
 
@@ -186,49 +186,36 @@ def packing_ratio(cells: Cells, dimensions: int, extent: Extent | None = None) -
     return float(((cells.radius / radius) ** dimensions).sum())
 
 
-def confinement(cells: Cells, walls: Walls) -> dict[str, float]:
-    """Return how cells fill a box with elastic walls, and how they press against these.
+def volume_fraction(cells: Cells, walls: Walls) -> float:
+    """Return the cells' volumes over that of the box; above 1 only where cells overlap."""
+    return float(cells.volume.sum()) / _volume(walls)
 
-    Returns
-    -------
-    dict
-        ``volume_fraction``: the sum of the cells' volumes over the volume of the box, above 1
-        only where cells overlap. ``wall_pressure`` (kPa): normal force over area, mean of the six
-        sides. ``tissue_pressure`` (kPa): the sum of p_i V_i over the volume of the box, with the
-        pressures p_i of the cells; that is the virial stress, a third of its trace, and at rest it
-        is the pressure on the walls.
-    """
-    box = float((walls.high - walls.low).prod())
+
+def wall_pressure(cells: Cells, walls: Walls) -> float:
+    """Return the pressure on the walls of a box in kPa, mean of the six sides."""
     softness = np.asarray(compliance(cells.young, cells.poisson))
-    on_walls = walls.pressures(cells.position, cells.radius, softness)
-    return {
-        "volume_fraction": float(cells.volume.sum()) / box,
-        "wall_pressure": float(on_walls.mean()),
-        "tissue_pressure": float(cells.pressure @ cells.volume) / box,
-    }
+    return float(walls.pressures(cells.position, cells.radius, softness).mean())
 
 
-def pressure_summary(cells: Cells, critical: float) -> dict[str, float | int]:
-    """Return how much pressure holds back the growth of the living cells.
+def tissue_pressure(cells: Cells, walls: Walls) -> float:
+    """Return the pressure of the tissue in a box in kPa: the sum of p_i V_i over its volume.
 
-    Parameters
-    ----------
-    cells
-        The population.
-    critical
-        Pressure p_crit at which growth stops, kPa.
-
-    Returns
-    -------
-    dict
-        ``pressure_factor``: mean of min(1, max(0, 1 - p/p_crit)), the factor of pressure on the
-        rate of growth, over all living cells, NaN if none lives. ``held_by_pressure``: number of
-        living cells in which it is 1/2 or less.
+    With the pressures p_i of the cells that is the virial stress, a third of its trace. At rest it
+    is the pressure on the walls.
     """
-    living = cells.pressure[~cells.dead]
-    factor = np.clip(1.0 - living / critical, 0.0, 1.0)
-    mean = float(factor.mean()) if len(factor) else float("nan")
-    return {"pressure_factor": mean, "held_by_pressure": int((factor <= 0.5).sum())}
+    return float(cells.pressure @ cells.volume) / _volume(walls)
+
+
+def _volume(walls: Walls) -> float:
+    return float((walls.high - walls.low).prod())
+
+
+def pressure_factors(cells: Cells, critical: float) -> FloatArray:
+    """Return min(1, max(0, 1 - p/p_crit)) of each living cell, with p_crit in kPa.
+
+    It is the factor of pressure on the rate of growth.
+    """
+    return np.clip(1.0 - cells.pressure[~cells.dead] / critical, 0.0, 1.0)
 
 
 def state_counts(cells: Cells) -> dict[str, int]:
@@ -268,72 +255,9 @@ def contact_rows(cells: Cells, contacts: IntArray) -> IntArray:
 def largest_pressure(cells: Cells) -> float:
     """Return the largest pressure of any cell in kPa, 0 without cells.
 
-    That of its own contacts over its own volume; see :func:`confinement` for that of the tissue.
+    That of its own contacts over its own volume; :func:`tissue_pressure` is that of the tissue.
     """
     return float(cells.pressure.max()) if len(cells) else 0.0
-
-
-def state_summary(
-    time: float, cells: Cells, dimensions: int, extent: Extent | None = None
-) -> dict[str, Any]:
-    """Return the part of a summary that follows from the cells alone.
-
-    A number that does not exist is None: ``viable_rim`` without a core, ``packing_ratio`` without
-    cells. The units are those of :func:`multicell.results.quantities.unit_of`.
-    """
-    extent = extent or Extent(cells, dimensions)
-    return {
-        "time": float(time),
-        "cells": len(cells),
-        "diameter": diameter(cells, dimensions, extent),
-        "necrotic_radius": necrotic_radius(cells, dimensions, extent),
-        "viable_rim": known(viable_rim(cells, dimensions, extent)),
-        "packing_ratio": known(packing_ratio(cells, dimensions, extent)),
-        "largest_pressure": largest_pressure(cells),
-        "states": state_counts(cells),
-    }
-
-
-def known(value: float) -> float | None:
-    """Return a number, or None in place of NaN."""
-    return None if np.isnan(value) else value
-
-
-def history_row(
-    time: float,
-    step: int,
-    cells: Cells,
-    dimensions: int,
-    extent: Extent | None = None,
-    **extra: float,
-) -> dict[str, float]:
-    """Return one row of a run's history.
-
-    Parameters
-    ----------
-    time, step
-        Simulated time in s and number of coupling steps done.
-    cells
-        All cells.
-    dimensions
-        Of the scene.
-    extent
-        Of the population, where it is known already.
-    **extra
-        More columns; a history keeps the columns of its first row.
-
-    Returns
-    -------
-    dict
-        ``time`` (s), ``step``, ``cells``, ``proliferating``, ``quiescent``, ``necrotic``,
-        ``apoptotic``, ``diameter``, ``necrotic_radius``, ``viable_rim`` (µm), ``packing_ratio``,
-        ``largest_pressure`` (kPa) and the extra columns, all as floats; NaN where a number does
-        not exist.
-    """
-    summary = state_summary(time, cells, dimensions, extent)
-    states = summary.pop("states")
-    row = {"time": summary.pop("time"), "step": step, **summary, **states, **extra}
-    return {n: float("nan") if value is None else float(value) for n, value in row.items()}
 
 
 @final

@@ -12,12 +12,15 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Any, Final
 
-_STATES: Final = ("proliferating", "quiescent", "necrotic", "apoptotic")
+from multicell.results.measures import OBSERVABLES
+from multicell.results.observable import OWN
+from multicell.scene.parts import own_units
+
 _AMOUNTS: Final = (
-    "inflow", "outflow", "uptake", "secreted", "decayed", "relaid", "stored", "remainder",
-    "content", "washed", "injected", "made", "used", "medium_held", "medium_fresh",
+    "relaid", "remainder", "injected", "made", "used", "medium_held", "medium_fresh",
     "medium_discarded", "medium_decayed", "medium_remainder",
 )  # fmt: skip
+"""Entries of a ledger that are no observables."""
 _COUNTS: Final = (
     "evaluations", "linearisations", "jacobian_products", "preconditioner_setups",
     "preconditioner_solves", "list_builds", "steps", "rejections", "newton_iterations",
@@ -25,48 +28,22 @@ _COUNTS: Final = (
 )  # fmt: skip
 
 UNITS: Final[Mapping[str, str]] = {
-    # history and summary
+    **{o.name: o.unit for o in OBSERVABLES},
+    **{o.entry: o.unit for o in OBSERVABLES if o.entry is not None},
+    # of the computation
     "time": "s",
     "step": "",
-    "cells": "",
-    "diameter": "um",
-    "necrotic_radius": "um",
-    "viable_rim": "um",
-    "packing_ratio": "",
-    "largest_pressure": "kPa",
-    "wall_pressure": "kPa",
-    "tissue_pressure": "kPa",
-    "volume_fraction": "",
-    "pressure_factor": "",
-    "held_by_pressure": "",
-    "contacts": "",
-    "heterotypic_fraction": "",
-    "departure_from_a_ball": "",
-    "pull": "nN",
-    "force_*": "nN",
-    "springs": "",
-    "largest_tension": "nN",
-    "instability_rate": "1/s",
     "shift_effect": "um",
     "stability_ratio": "",
     "splitting_volume_error": "",
     "splitting_cell_error": "",
     "splitting_worst_cell_error": "",
     "splitting_content_error_*": "",
-    "hypoxic_radius_*": "um",
-    "medium_*": "mM",
     "spacing_*": "um",
     "grid_error_*": "mM",
-    **dict.fromkeys(_STATES, ""),
-    # summary
-    **{f"states.{name}": "" for name in _STATES},
     **{f"start.{name}": "" for name in ("quiescent", "necrotic", "unfit")},
-    "hypoxic_radius.*": "um",
     "seed": "",
     "steps": "",
-    "divisions": "",
-    "removals": "",
-    "volume_released": "um^3",
     "splitting.volume_error": "um^3",
     "splitting.relative_volume_error": "",
     "splitting.mean_step": "s",
@@ -88,8 +65,6 @@ UNITS: Final[Mapping[str, str]] = {
     "fields.*.tolerance": "mM",
     "fields.*.estimated_error": "mM",
     "fields.*.nodes": "",
-    "separation.time": "s",
-    "separation.force": "nN",
     "wall.*": "s",
     # tables
     "cells.frame": "",
@@ -112,10 +87,7 @@ UNITS: Final[Mapping[str, str]] = {
 """Unit by name; the columns of ``cells`` that are not here are those of :class:`Cells`."""
 
 ABSENT: Final[Mapping[str, str]] = {
-    "viable_rim": "without a core, and where the dead lie outside the living",
-    "packing_ratio": "without cells",
-    "pressure_factor": "without living cells",
-    "heterotypic_fraction": "without contacts",
+    **{o.name: o.absent for o in OBSERVABLES if o.absent},
     "shift_effect": "before the first coupling step that is taken twice",
     "stability_ratio": "with methods whose step has no limit of stability",
 }
@@ -143,7 +115,8 @@ def unit_of(name: str) -> str:
     name
         Of a column of the history (``"hypoxic_radius_oxygen"``), of an entry of the summary with
         dots (``"ledger.oxygen.inflow"``), or of a column of a table with the table's name
-        (``"cells.radius"``).
+        (``"cells.radius"``). One of the user's own that has several units in this process has none
+        here.
 
     Raises
     ------
@@ -162,7 +135,20 @@ def unit_of(name: str) -> str:
     for pattern, unit in _patterns():
         if pattern.fullmatch(name):
             return unit
+    own = {o.unit for o in OWN.values() if o.name == name} or own_units(name)
+    if own:
+        return own.pop() if len(own) == 1 else ""
     raise KeyError(f"no unit is declared for {name!r}: see multicell.results.quantities.UNITS")
+
+
+def is_taken(name: str) -> bool:
+    """Return whether a number or a part of a run or of a study has a name."""
+    first = {declared.partition(".")[0] for declared in UNITS}
+    return (
+        name in first
+        or name in ("title", "notes", "versions", "units", "interrupted", "point", "reason")
+        or any(pattern.fullmatch(name) for pattern, _ in _patterns())
+    )
 
 
 def known_unit(name: str) -> str:
@@ -192,3 +178,28 @@ def units_of(summary: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
         elif value is None or (isinstance(value, int | float) and not isinstance(value, bool)):
             units[path] = unit_of(path)
     return {path: unit for path, unit in units.items() if unit}
+
+
+_TITLES: Final = {
+    **{o.name: o.title for o in OBSERVABLES},
+    "discretisation_error": "estimated error at the cells",
+    "largest_stability_ratio": "largest fixed step over its limit of stability",
+    "stability_checks": "coupling steps in which that was measured",
+    "checks_beyond_stability": "of these beyond the limit",
+    "replays": "coupling steps taken again from shifted positions",
+    "largest_shift_effect": "farthest that a shift of 0.01 µm moved the end of a cell",
+    "startup": "start-up",
+}
+
+
+def title_of(name: str) -> str:
+    """Return a number's name in words; a dotted one is also found by its last part."""
+    return _TITLES.get(name) or _TITLES.get(name.rpartition(".")[2], name).replace("_", " ")
+
+
+def entry(summary: Mapping[str, Any], name: str) -> Any:
+    """Return an entry of a summary by its dotted name, None where there is none."""
+    found: Any = summary
+    for part in name.split("."):
+        found = found.get(part) if isinstance(found, Mapping) else None
+    return found

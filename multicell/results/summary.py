@@ -1,44 +1,60 @@
-"""The history and the summary of a run: observables of its state, as its scene asks for them."""
+"""The history and the summary of a run: the observables of its scene, and what the run adds."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from multicell.results import observables
+from multicell.results.contacts import counts_contacts, remembers_contacts
 from multicell.results.folder import versions
-from multicell.results.observables import known
+from multicell.results.measures import observables_of
+from multicell.results.observable import TissueState
 from multicell.results.quantities import units_of
 from multicell.scene.coupling import fixed_step
-from multicell.scene.domain import walls
 
 if TYPE_CHECKING:
     from multicell.results.frame import Frame
     from multicell.scene.scene import Scene
 
+__all__ = ["counts_contacts", "history_row", "remembers_contacts", "run_summary", "state_summary"]
 
-def history_row(scene: Scene, frame: Frame, **extra: float) -> dict[str, float]:
-    """Return one row of a run's history: :func:`observables.history_row`, and what scenes add.
 
-    Added are ``contacts`` where the run counts them, ``heterotypic_fraction`` where there are
-    types, ``hypoxic_radius_<field>`` (µm) where cells rest without a field, the ``pull`` (nN),
-    :func:`observables.confinement` within walls, and ``pressure_factor`` and ``held_by_pressure``
-    where pressure limits growth, and what is given as ``extra``.
+def history_row(scene: Scene, frame: Frame, **found: float) -> dict[str, float]:
+    """Return one row of a run's history as floats; NaN where a number does not exist.
+
+    Parameters
+    ----------
+    scene, frame
+        The run, and its state.
+    **found
+        Further columns: what the coupling step has found.
     """
-    own: dict[str, float] = {}
-    if counts_contacts(scene):
-        own["contacts"] = len(frame.contacts)
-    own |= _mixing(scene, frame)
-    extent = observables.Extent(frame.cells, scene.dimensions)
-    own |= {f"hypoxic_radius_{name}": r for name, r in _hypoxic(scene, frame, extent).items()}
-    own |= extra
-    if scene.pull is not None:
-        own["pull"] = scene.pull.load(frame.time)
-    own |= _confined(scene, frame)
-    own |= _held_back(scene, frame)
-    return observables.history_row(
-        frame.time, frame.step, frame.cells, scene.dimensions, extent, **own
-    )
+    state = TissueState(frame, scene)
+    row = {"time": frame.time, "step": float(frame.step)}
+    for observable, key in observables_of(scene):
+        if observable.measure is not None:
+            row[observable.name.replace("*", key)] = float(observable.value(state, key))
+    return row | {name: float(value) for name, value in found.items()}
+
+
+def state_summary(scene: Scene, frame: Frame, *, own: bool = True) -> dict[str, Any]:
+    """Return the part of a summary that follows from the state alone.
+
+    A number that does not exist (the viable rim without a core) is None. Observables of the user's
+    ``own`` are left out where their functions need not be there.
+    """
+    state = TissueState(frame, scene)
+    summary: dict[str, Any] = {"time": float(frame.time)}
+    for observable, key in observables_of(scene, own=own):
+        if observable.measure is not None and observable.entry is not None:
+            *tables, name = observable.entry.replace("*", key).split(".")
+            place = summary
+            for table in tables:
+                place = place.setdefault(table, {})
+            value = observable.value(state, key)
+            place[name] = None if math.isnan(value) else value
+    return summary
 
 
 def run_summary(
@@ -71,26 +87,20 @@ def run_summary(
 
     progress = frame.progress
     assert progress is not None
-    extent = observables.Extent(frame.cells, scene.dimensions)
-    own = observables.state_summary(frame.time, frame.cells, scene.dimensions, extent)
-    confined = _confined(scene, frame)
+    own = state_summary(scene, frame)
     remainders = [entry["relative_remainder"] for entry in ledgers.values()]
     optional: dict[str, Any] = {
-        "hypoxic_radius": _hypoxic(scene, frame, extent),
         "separation": progress.separation,
         "fields": fields,
         "start": progress.first_states,
         "notes": [
-            *packing_notes(scene, own["packing_ratio"], confined.get("volume_fraction")),
+            *packing_notes(scene, own["packing_ratio"], own.get("volume_fraction")),
             *_start_notes(progress.first_states),
             *remarks,
         ],
     }
     summary = {
         **own,
-        **confined,
-        **{name: known(value) for name, value in _held_back(scene, frame).items()},
-        **{name: known(value) for name, value in _mixing(scene, frame).items()},
         **_splitting(scene, frame),
         "title": scene.title,
         "seed": scene.seed,
@@ -131,16 +141,6 @@ def _stability(known: Mapping[str, float]) -> dict[str, float]:
     }
 
 
-def counts_contacts(scene: Scene) -> bool:
-    """Return whether anything asks for the pairs in contact; to find them costs a little."""
-    return remembers_contacts(scene) or len(scene.types) > 1 or scene.pull is not None
-
-
-def remembers_contacts(scene: Scene) -> bool:
-    """Return whether the contact law needs to know which pairs were in contact."""
-    return scene.contact.remembers
-
-
 def _start_notes(states: Mapping[str, int]) -> list[str]:
     """Return remarks on the states of cells at the start."""
     notes = []
@@ -158,22 +158,6 @@ def _start_notes(states: Mapping[str, int]) -> list[str]:
     return notes
 
 
-def _confined(scene: Scene, frame: Frame) -> dict[str, float]:
-    """Return how cells fill a box with elastic walls, where there is one in space."""
-    if scene.dimensions == 2:
-        return {}
-    box = walls(scene)
-    return {} if box is None else observables.confinement(frame.cells, box)
-
-
-def _held_back(scene: Scene, frame: Frame) -> dict[str, float]:
-    """Return how much pressure holds growth back, where it does."""
-    growth = scene.growth
-    if growth is None or growth.critical_pressure is None:
-        return {}
-    return dict(observables.pressure_summary(frame.cells, growth.critical_pressure))
-
-
 def _splitting(scene: Scene, frame: Frame) -> dict[str, Any]:
     """Return the error that coupling steps have made with the volume of all cells, with growth."""
     progress = frame.progress
@@ -186,22 +170,3 @@ def _splitting(scene: Scene, frame: Frame) -> dict[str, Any]:
     if fixed_step(scene) is None and frame.step:
         entries["mean_step"] = frame.time / frame.step
     return {"splitting": entries}
-
-
-def _hypoxic(scene: Scene, frame: Frame, extent: observables.Extent) -> dict[str, float]:
-    """Return the radius in which cells lack each field that makes them rest, µm."""
-    return {
-        name: observables.hypoxic_radius(
-            frame.cells, frame.concentrations[name], field.quiescence, scene.dimensions, extent
-        )
-        for name, field in scene.nutrients.items()
-        if field.quiescence is not None and name in frame.concentrations
-    }
-
-
-def _mixing(scene: Scene, frame: Frame) -> dict[str, float]:
-    """Return how the types mix, where there is more than one."""
-    if len(scene.types) < 2:
-        return {}
-    fraction = observables.heterotypic_fraction(frame.cells, frame.contacts)
-    return {"heterotypic_fraction": fraction}

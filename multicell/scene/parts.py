@@ -296,6 +296,32 @@ class IntegratorOptions:
 
 @final
 @parameters
+class OwnObservable:
+    """An observable of the user's own, which the history and the summary hold.
+
+    The entry says what its numbers are to those who read results. It runs nothing: the function is
+    found by its name among those that :func:`multicell.observable` has made in this process.
+    """
+
+    function: str = text(doc="'file.py:name@fingerprint' of its function")
+    unit: str = text(default="", doc="base unit of its numbers; absent: they are counts or ratios")
+
+
+_OWN_UNITS: dict[str, set[str]] = {}
+
+
+def own_units(name: str) -> set[str]:
+    """Return the units that scenes of this process state for an observable of the user's own."""
+    return set(_OWN_UNITS.get(name, ()))
+
+
+def own_names() -> list[str]:
+    """Return the observables of the user's own that scenes have named in this process."""
+    return list(_OWN_UNITS)
+
+
+@final
+@parameters
 class OutputOptions:
     """What is recorded."""
 
@@ -303,6 +329,14 @@ class OutputOptions:
     instability: bool = flag(
         default=False, doc="whether the history tells how fast the most unstable motion grows"
     )
+    observables: Mapping[str, OwnObservable] = tables(
+        OwnObservable, default_factory=Tables, doc="of the user's own, by name; absent: none"
+    )
+
+    def check(self) -> None:
+        """Note the units of observables, for those who read the results of a scene."""
+        for name, own in self.observables.items():
+            _OWN_UNITS.setdefault(name, set()).add(own.unit)
 
 
 @final

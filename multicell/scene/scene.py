@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import is_dataclass
 from pathlib import Path
-from typing import Any, final
+from typing import TYPE_CHECKING, Any, final
 
 from multicell.contact.law import PairLaw
 from multicell.contact.registry import LAWS
@@ -74,6 +74,9 @@ from multicell.schema import (
     variant,
 )
 from multicell.units import BASE_UNITS, shown
+
+if TYPE_CHECKING:
+    from multicell.results.observable import Observable
 
 _LARGEST_FILE = 10_000_000
 """Bytes of a scene file; those with thousands of media changes have less than one million."""
@@ -238,6 +241,16 @@ class Scene:
         for key, value in changes.items():
             _change(entries, key, value)
         return build(type(self), entries)
+
+    def with_observables(self, *own: Observable) -> Scene:
+        """Return a scene whose runs also record observables of the user's own.
+
+        Parameters
+        ----------
+        *own
+            Made by :func:`multicell.observable`.
+        """
+        return self.with_changes({f"output.observables.{o.name}": o.stated() for o in own})
 
     def to_toml(self, extra: Mapping[str, Any] | None = None, *, beside: Path | None = None) -> str:
         """Return the scene as a TOML file that :func:`load_scene` reads back exactly.

@@ -217,8 +217,10 @@ def named(axes: Iterable[Axis | Range], taken: Iterable[str] = ()) -> list[Any]:
 def _reserved() -> set[str]:
     """Return the names that observables of a run and other coordinates have."""
     from multicell.results.quantities import UNITS
+    from multicell.scene.parts import own_names
 
-    return {"point", "state", "reason", *(name for name in UNITS if "." not in name)}
+    own = {"point", "state", "reason", *own_names()}
+    return own | {name for name in UNITS if "." not in name}
 
 
 def _ends_with(key: str, name: str) -> bool:

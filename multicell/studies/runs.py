@@ -13,6 +13,7 @@ from multicell.errors import SceneError
 from multicell.files import read_regular
 from multicell.laws import OwnLaw
 from multicell.plugins import origin
+from multicell.results.observable import find_own
 from multicell.schema import Tables, specs
 
 if TYPE_CHECKING:
@@ -67,11 +68,28 @@ class Run:
         """
         return own_laws(self.scene)
 
+    @property
+    def observables(self) -> dict[str, str]:
+        """Observables of the user's own (:func:`own_observables`), which workers load."""
+        return own_observables(self.scene)
+
 
 def own_laws(scene: Scene) -> tuple[str, ...]:
     """Return where the pair law and the growth law of a scene come from that are the user's own."""
     laws = [type(scene.contact), *([] if scene.growth is None else [scene.growth.law_class])]
     return tuple(origin(law) for law in laws if issubclass(law, OwnLaw))
+
+
+def own_observables(scene: Scene) -> dict[str, str]:
+    """Return ``/path/file.py:Name`` by function of each observable of the user's own.
+
+    Raises
+    ------
+    SceneError
+        If this process does not know one of them.
+    """
+    own = scene.output.observables.items()
+    return {stated.function: find_own(name, stated).source for name, stated in own}
 
 
 def digest(scene: Scene, integrator: str = "") -> str:

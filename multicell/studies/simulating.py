@@ -7,7 +7,7 @@ and back comes one number for each datum.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final, Protocol, final
 
 import numpy as np
@@ -17,7 +17,8 @@ from multicell.errors import MulticellError
 from multicell.studies.axes import Range
 from multicell.studies.data import Datum, Measured
 from multicell.studies.observed import continued, entry_of
-from multicell.studies.runs import own_laws
+from multicell.studies.runs import own_laws, own_observables
+from multicell.studies.task import load_observables
 
 OUTGROWN: Final = {"cells": 3.0, "diameter": 1.5}
 """A run ends when one of these is so many times the largest one measured in its condition."""
@@ -73,12 +74,15 @@ class SceneSimulator:
         The free parameters.
     laws
         Contact laws of the user's own, ``file.py:Name``, that workers load first.
+    observables
+        See :func:`multicell.studies.runs.own_observables`.
     """
 
     scenes: tuple[Mapping[str, Any], ...]
     data: tuple[tuple[Datum, ...], ...]
     ranges: tuple[Range, ...]
     laws: tuple[str, ...] = ()
+    observables: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def of(cls, measured: Measured, ranges: Sequence[Range]) -> SceneSimulator:
@@ -86,7 +90,10 @@ class SceneSimulator:
         scenes = tuple(condition.scene.to_dict() for condition in measured.conditions)
         data = tuple(tuple(measured.of(k)) for k in range(len(scenes)))
         laws = {law for condition in measured.conditions for law in own_laws(condition.scene)}
-        return cls(scenes, data, tuple(ranges), tuple(sorted(laws)))
+        own: dict[str, str] = {}
+        for condition in measured.conditions:
+            own |= own_observables(condition.scene)
+        return cls(scenes, data, tuple(ranges), tuple(sorted(laws)), own)
 
     def __call__(self, shares: Sequence[float], condition: int, seed: int) -> Reading:
         """Run the scene; a run that fails is a reading of NaN with its reason."""
@@ -104,6 +111,7 @@ class SceneSimulator:
             from multicell.contact.custom import load_law
 
             load_law(law)
+        load_observables(self.observables)
         data = self.data[condition]
         changes: dict[str, Any] = {
             free.key: free.setting(free.value(share))

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 from multicell.errors import MulticellError, OutputError
 from multicell.plugins import own_fault
 from multicell.results.folder import FILES, PASSING, locked, remove
+from multicell.results.observable import OWN
 from multicell.studies.status import NOTE, Kind, RunStatus, run_folder, status, write_note
 
 if TYPE_CHECKING:
@@ -63,6 +64,8 @@ class Task:
         As a table in base units.
     laws, integrator
         ``file.py:Name`` of the user's own, or empty.
+    observables
+        See :func:`multicell.studies.runs.own_observables`.
     retry
         Whether a run that failed, or whose folder is damaged, is tried again.
     """
@@ -72,12 +75,14 @@ class Task:
     scene: Mapping[str, Any]
     laws: tuple[str, ...]
     integrator: str
+    observables: Mapping[str, str]
     retry: bool
 
 
 def task(run: Run, folder: Path, retry: bool) -> Task:
     """Return what a worker has to know of a run."""
-    return Task(run.name, str(folder), run.scene.to_dict(), run.laws, run.integrator, retry)
+    own = run.laws, run.integrator, run.observables
+    return Task(run.name, str(folder), run.scene.to_dict(), *own, retry)
 
 
 @final
@@ -184,14 +189,24 @@ def _forward(work: Task, place: Path, found: RunStatus, wanted: Callable[[], boo
 
 
 def _scene(work: Task) -> Scene:
-    """Return the scene of a run, with the user's own laws loaded."""
+    """Return the scene of a run; the user's own laws and observables are loaded first."""
     from multicell.scene.scene import Scene
 
     for law in work.laws:
         from multicell.contact.custom import load_law
 
         load_law(law)
+    load_observables(work.observables)
     return Scene.from_dict(work.scene)
+
+
+def load_observables(sources: Mapping[str, str]) -> None:
+    """Load observables of the user's own that this process does not know yet."""
+    for function, source in sources.items():
+        if function not in OWN:
+            from multicell.results.own_observable import load_observable
+
+            load_observable(source)
 
 
 def _empty(work: Task, place: Path) -> None:

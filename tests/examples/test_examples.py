@@ -35,7 +35,8 @@ def test_every_example_states_problem_cost_and_command() -> None:
     files = sorted(EXAMPLES.glob("*.py"))
     assert [f.stem for f in files] == [
         "exact_jkr", "figure_3_3", "fisher_front", "fit_growth", "jkr_curves", "own_growth_law",
-        "own_integrator", "own_law", "slurm_study", "small_spheroid", "study", "table_3_2",
+        "own_integrator", "own_law", "own_observable", "slurm_study", "small_spheroid", "study",
+        "table_3_2",
         "two_cells",
     ]  # fmt: skip
     for file in files:
@@ -116,6 +117,18 @@ def test_an_own_growth_law_has_the_volumes_that_follow_from_it() -> None:
     }
     ratio = volumes["Bertalanffy"].mean() / volumes["linear"].mean()
     assert ratio == pytest.approx(means["Bertalanffy"] / means["linear"], rel=0.06)
+
+
+def test_own_observables_are_recorded_as_frames_have_them() -> None:
+    example = load("own_observable")
+    result = example.main()
+    last = result.frames[-1]
+    dividing = last.cells.state == mc.State.PROLIFERATING
+    away = np.linalg.norm(last.cells.position - last.cells.position.mean(axis=0), axis=1)
+    assert result.history["rim_ratio"][-1] == pytest.approx(away[dividing].mean() / away.mean())
+    assert result.history["rim_ratio"][-1] > 1.02
+    volume = 4.0 / 3.0 * np.pi * (last.cells.radius[dividing] ** 3).sum()
+    assert result.summary()["dividing_volume"] == pytest.approx(volume, rel=1e-12)
 
 
 def test_own_laws_bring_cells_to_rest_as_ours_do() -> None:

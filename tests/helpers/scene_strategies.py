@@ -59,6 +59,7 @@ NAMES = {
     "forces": ("tug", "weight"),
     "motions": ("base", "tip"),
     "springs": ("net", "chain"),
+    "observables": ("first", "second"),
 }
 """Names of the entries of the tables that have named entries."""
 
@@ -370,6 +371,8 @@ def fitted(entries):
         scene["haptotaxis"]["axis"] = "y"
     if "friction" in scene:
         scene.get("output", {}).pop("instability", None)
+    # functions of this process, which no scene brings along
+    scene.get("output", {}).pop("observables", None)
     return scene
 
 

@@ -4,7 +4,8 @@ import numpy as np
 
 from multicell.cells import Cells, State
 from multicell.results.frame import Field, Frame
-from multicell.results.observables import centre, distances, history_row
+from multicell.results.observables import centre, distances
+from multicell.results.summary import history_row
 from multicell.scene.scene import Scene
 
 NECROSIS, QUIESCENCE, BOUNDARY = 0.005, 0.02, 0.07  # mM
@@ -109,4 +110,4 @@ def growing_frames(count=8, days=9.0, last=4000):
 
 def history_of(frames):
     """Return the history rows of frames."""
-    return [history_row(f.time, f.step, f.cells, 3) for f in frames]
+    return [history_row(BARE, f) for f in frames]

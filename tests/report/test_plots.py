@@ -21,7 +21,7 @@ from multicell.report.plots.style import save
 from multicell.report.result import Result, history_arrays
 from multicell.report.wording import clock, time_unit
 from multicell.results.frame import Field, Frame
-from multicell.results.observables import state_summary
+from multicell.results.summary import state_summary
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +32,7 @@ def frames():
 @pytest.fixture(scope="module")
 def result(frames):
     last = frames[-1]
-    summary = state_summary(last.time, last.cells, 3) | {
+    summary = state_summary(BARE, last) | {
         "divisions": 1700,
         "steps": 1296,
         "integrator": {"method": "cvode", "evaluations": 12345},

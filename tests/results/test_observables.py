@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
-from synthetic import ball, cells_at, spheroid
+from synthetic import BARE, ball, cells_at, spheroid
 
 from multicell.cells import Cells, State
 from multicell.results import observables
 from multicell.results.frame import Field, Frame
+from multicell.results.summary import history_row
 
 
 def _uniform_ball(radius, count=200_000, seed=3):
@@ -70,7 +71,7 @@ def test_ball_with_core_gives_core_and_rim():
 
 def test_no_cells_have_no_size_and_no_centre():
     cells = Cells.empty()
-    row = observables.history_row(600.0, 1, cells, 3)
+    row = history_row(BARE, Frame(600.0, 1, cells, {}))
     assert row["cells"] == row["diameter"] == row["necrotic_radius"] == 0.0
     assert np.isnan([row["viable_rim"], row["packing_ratio"]]).all()
     with pytest.raises(ValueError, match="no centre"):
@@ -80,13 +81,13 @@ def test_no_cells_have_no_size_and_no_centre():
 def test_measures_do_not_depend_on_the_order_of_cells():
     cells = spheroid(500).cells
     turned = cells.take(np.random.default_rng(5).permutation(len(cells)))
-    first, second = (observables.history_row(0.0, 0, c, 3) for c in (cells, turned))
+    first, second = (history_row(BARE, Frame(0.0, 0, c, {})) for c in (cells, turned))
     assert second == pytest.approx(first, rel=1e-12, nan_ok=True)
 
 
 def test_history_row_holds_floats_and_extra_columns():
     frame = spheroid(300)
-    row = observables.history_row(frame.time, frame.step, frame.cells, 3, evaluations=17)
+    row = history_row(BARE, frame, evaluations=17)
     assert all(type(value) is float for value in row.values())
     assert row["evaluations"] == 17.0
     assert row["cells"] == row["proliferating"] + row["quiescent"] + row["necrotic"]

@@ -14,6 +14,7 @@ from multicell.report.plots import contacts as contact_plots
 from multicell.report.wording import measures
 from multicell.results import observables
 from multicell.results.frame import Frame
+from multicell.results.summary import history_row
 from multicell.simulation import Simulation
 
 BOTH = pytest.mark.parametrize("dimensions", [2, 3])
@@ -195,10 +196,11 @@ def test_pressure_factor_and_number_of_cells_held_by_hand():
     state = [State.PROLIFERATING, State.QUIESCENT, State.PROLIFERATING, State.PROLIFERATING,
              State.PROLIFERATING, State.NECROTIC]  # fmt: skip
     cells = cells_at(position, state=state, pressure=pressure)
-    found = observables.pressure_summary(cells, 0.1)
-    assert found == {"pressure_factor": pytest.approx((1 + 1 + 0.5 + 0.6 + 0) / 5),
-                     "held_by_pressure": 2}  # fmt: skip
-    none = observables.pressure_summary(cells.take(np.array([5])), 0.1)
+    scene = mc.Scene.from_dict({"duration": "1 h", "growth": {"critical_pressure": 0.1}})
+    row = history_row(scene, Frame(0.0, 0, cells, {}))
+    assert row["pressure_factor"] == pytest.approx((1 + 1 + 0.5 + 0.6 + 0) / 5)
+    assert row["held_by_pressure"] == 2
+    none = history_row(scene, Frame(0.0, 0, cells.take(np.array([5])), {}))
     assert np.isnan(none["pressure_factor"])
     assert none["held_by_pressure"] == 0
 

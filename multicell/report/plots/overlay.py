@@ -18,7 +18,7 @@ from multicell.report.plots.style import (
     type_label,
 )
 from multicell.report.wording import time_unit
-from multicell.results.quantities import known_unit
+from multicell.results.quantities import known_unit, title_of
 from multicell.schema import near_miss
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ def overlay(runs: Mapping[str, History], quantity: str) -> Figure:
             )
             raise OutputError(f"{problem}. {near_miss(quantity, columns)}" if columns else problem)
     unit = time_unit(max(float(history["time"][-1]) for history in runs.values()))
-    title = quantity.replace("_", " ").capitalize()
+    title = title_of(quantity).capitalize()
     count = "one run" if len(runs) == 1 else f"{len(runs)} runs"
     figure = blank(title, count)
     axes = figure.add_axes((0.1, 0.11, 0.86 if len(runs) == 1 else 0.6, 0.72))

@@ -29,7 +29,7 @@ from multicell.report.plots.style import COLOURS, type_colours
 from multicell.report.wording import cell_count, time_unit
 from multicell.results.frame import Frame
 from multicell.results.observables import centre
-from multicell.results.quantities import known_unit, unit_of
+from multicell.results.quantities import known_unit, title_of, unit_of
 
 if TYPE_CHECKING:
     from multicell.report.result import Result
@@ -364,7 +364,7 @@ def _curves(result: Result, frames: Sequence[Frame]) -> tuple[dict[str, Any], li
         values = history.get(name)
         if values is not None and np.isfinite(values).any():
             shown = [_rounded(float(v)) for v in values[rows]]
-            label, unit = name.replace("_", " ").capitalize(), written(known_unit(name))
+            label, unit = title_of(name).capitalize(), written(known_unit(name))
             curves.append({"name": name, "label": label, "unit": unit, "values": shown})
     end = float(time[-1])
     about = {

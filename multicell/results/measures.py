@@ -1,0 +1,267 @@
+"""All observables: one entry each. History, summary, studies, fits and pictures read them here.
+
+To add one is to write its entry, with a function of the state of a run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Final
+
+from multicell.results import observables as of
+from multicell.results.contacts import counts_contacts
+from multicell.results.observable import Observable, TissueState, find_own
+from multicell.scene.domain import walls
+
+if TYPE_CHECKING:
+    from multicell.mechanics.walls import Walls
+    from multicell.scene.scene import Scene
+
+_STATES: Final = ("proliferating", "quiescent", "necrotic", "apoptotic")
+_LEDGER: Final = (
+    "inflow", "outflow", "washed", "uptake", "secreted", "decayed", "stored", "content",
+)  # fmt: skip
+
+
+def _has_types(scene: Scene) -> bool:
+    return len(scene.types) > 1
+
+
+def _is_pulled(scene: Scene) -> bool:
+    return scene.pull is not None
+
+
+def _is_pressed(scene: Scene) -> bool:
+    return scene.growth is not None and scene.growth.critical_pressure is not None
+
+
+def _has_walls(scene: Scene) -> bool:
+    return scene.dimensions == 3 and scene.domain is not None and scene.domain.wall == "elastic"
+
+
+def _has_shells(scene: Scene) -> bool:
+    return scene.dimensions == 3 and any(n.layout != "box" for n in scene.nutrients.values())
+
+
+def _box(state: TissueState) -> Walls:
+    found = walls(state.scene)
+    assert found is not None
+    return found
+
+
+def _pressure_factor(state: TissueState) -> float:
+    factors = state.pressure_factors
+    return float(factors.mean()) if len(factors) else float("nan")
+
+
+def _load(state: TissueState) -> float:
+    assert state.scene.pull is not None
+    return state.scene.pull.load(state.time)
+
+
+def _count_in(name: str) -> Callable[[TissueState], int]:
+    """Return what counts the cells in a state."""
+    return lambda state: state.state_counts[name]
+
+
+def _hypoxic_radius(state: TissueState, field: str) -> float:
+    threshold = state.scene.nutrients[field].quiescence
+    assert threshold is not None
+    found = state.concentrations[field]
+    return of.hypoxic_radius(state.cells, found, threshold, state.dimensions, state.extent)
+
+
+OBSERVABLES: Final = (
+    Observable("cells", lambda s: len(s.cells), shown="{:,}".format),
+    Observable(
+        "diameter",
+        lambda s: of.diameter(s.cells, s.dimensions, s.extent),
+        unit="um",
+        shown="{:.0f} µm".format,
+        doc="2 R",
+    ),
+    Observable(
+        "viable_rim",
+        lambda s: of.viable_rim(s.cells, s.dimensions, s.extent),
+        unit="um",
+        absent="without a core, and where the dead lie outside the living",
+        shown="{:.0f} µm".format,
+        doc="R less the necrotic radius",
+    ),
+    Observable(
+        "necrotic_radius",
+        lambda s: of.necrotic_radius(s.cells, s.dimensions, s.extent),
+        unit="um",
+        title="radius of the necrotic core",
+        shown="{:.0f} µm".format,
+        shown_if_zero=False,
+        doc="the same formula over necrotic cells about the common centre; 0 without any",
+    ),
+    Observable(
+        "packing_ratio",
+        lambda s: of.packing_ratio(s.cells, s.dimensions, s.extent),
+        absent="without cells",
+        shown="{:.2f}".format,
+        doc="sum of the cells' volumes over the volume of the ball of this diameter (areas "
+        "over the disc); at most 1 for spheres that do not overlap, since no body has a "
+        "smaller radius of gyration than the ball of its volume",
+    ),
+    Observable(
+        "largest_pressure",
+        lambda s: of.largest_pressure(s.cells),
+        unit="kPa",
+        doc="the largest [pressure of a cell](contact.md#pressure-of-a-cell)",
+    ),
+    *(Observable(name, _count_in(name), entry=f"states.{name}") for name in _STATES),
+    Observable(
+        "volume_fraction",
+        lambda s: of.volume_fraction(s.cells, _box(s)),
+        exists=_has_walls,
+        doc="sum of the cells' volumes over the volume of the `domain`; with elastic walls in"
+        " space",
+    ),
+    Observable(
+        "wall_pressure",
+        lambda s: of.wall_pressure(s.cells, _box(s)),
+        unit="kPa",
+        exists=_has_walls,
+        doc="normal force of the cells on a wall over its area, mean of the six sides; with "
+        "elastic walls in space",
+    ),
+    Observable(
+        "tissue_pressure",
+        lambda s: of.tissue_pressure(s.cells, _box(s)),
+        unit="kPa",
+        exists=_has_walls,
+        signed=True,
+        doc="[pressure of the tissue](contact.md#pressure-of-the-tissue), the virial of all "
+        "contacts over the volume of the `domain`; at rest it is `wall_pressure`; with "
+        "elastic walls in space",
+    ),
+    Observable(
+        "pressure_factor",
+        _pressure_factor,
+        exists=_is_pressed,
+        absent="without living cells",
+        doc=r"mean of $\min(1, \max(0, 1 - p/p_\mathrm{crit}))$ over living cells: the factor of "
+        "pressure on growth; only with `growth.critical_pressure`",
+    ),
+    Observable(
+        "held_by_pressure",
+        lambda s: int((s.pressure_factors <= 0.5).sum()),
+        title="growth halved by pressure",
+        exists=_is_pressed,
+        shown=lambda n: f"{n:,} cell{'' if n == 1 else 's'}",
+        shown_if_zero=False,
+        doc="number of living cells in which `pressure_factor` is 1/2 or less",
+    ),
+    Observable("contacts", lambda s: len(s.frame.contacts), exists=counts_contacts, entry=None),
+    Observable(
+        "heterotypic_fraction",
+        lambda s: of.heterotypic_fraction(s.cells, s.frame.contacts),
+        title="contacts between unlike cells",
+        exists=_has_types,
+        absent="without contacts",
+        shown=lambda part: f"{100.0 * part:.1f} %",
+        doc="part of all contacts that join cells of different types, where there are several"
+        " (`contacts` counts them)",
+    ),
+    Observable(
+        "hypoxic_radius_*",
+        _hypoxic_radius,
+        unit="um",
+        exists=lambda scene: [n for n, f in scene.nutrients.items() if f.quiescence is not None],
+        entry="hypoxic_radius.*",
+        doc="the same formula over cells below the `quiescence` of a field; 0 without any",
+    ),
+    Observable("pull", _load, unit="nN", exists=_is_pulled, entry=None),
+    # found by the coupling step
+    Observable("departure_from_a_ball", exists=_has_shells, entry=None),
+    Observable(
+        "medium_*",
+        unit="mM",
+        exists=lambda scene: [n for n, f in scene.nutrients.items() if f.finite_medium is not None],
+        entry=None,
+    ),
+    Observable(
+        "force_*",
+        unit="nN",
+        exists=lambda scene: [f"{motion}_{axis}" for motion in scene.motions for axis in "xyz"],
+        entry=None,
+        signed=True,
+    ),
+    Observable("springs", exists=lambda scene: scene.springs, entry=None),
+    Observable("largest_tension", unit="nN", exists=lambda scene: scene.springs, entry=None),
+    Observable(
+        "instability_rate",
+        unit="1/s",
+        exists=lambda scene: scene.output.instability,
+        entry=None,
+        signed=True,
+    ),
+    # of a whole run
+    Observable("divisions", at_end=True, shown="{:,}".format, shown_if_zero=False),
+    Observable(
+        "removals", title="cells removed", at_end=True, shown="{:,}".format, shown_if_zero=False
+    ),
+    Observable("volume_released", unit="um^3", at_end=True),
+    Observable("separation.time", unit="s", exists=_is_pulled, at_end=True),
+    Observable(
+        "separation.force",
+        unit="nN",
+        title="separation force",
+        exists=_is_pulled,
+        at_end=True,
+        shown="{:.4g} nN".format,
+    ),
+    *(
+        Observable(
+            f"ledger.*.{amount}", unit="amol", exists=lambda scene: scene.nutrients, at_end=True
+        )
+        for amount in _LEDGER
+    ),
+)
+
+
+def observables_of(scene: Scene, *, own: bool = True) -> Iterator[tuple[Observable, str]]:
+    """Yield the observables that exist in a scene, each with what stands for its star.
+
+    Parameters
+    ----------
+    scene
+        The scene.
+    own
+        Whether also those of the user's own.
+
+    Raises
+    ------
+    SceneError
+        If the scene names one of the user's own that this process does not know, or that needs
+        what the scene does not have.
+    """
+    stated = scene.output.observables.items() if own else ()
+    owned = [find_own(name, entry) for name, entry in stated]
+    yield from _ours(scene)
+    for observable in owned:
+        for key in observable.keys(scene):
+            yield observable, key
+
+
+_LAST: list[tuple[Scene, tuple[tuple[Observable, str], ...]]] = []
+"""The last scene and ours in it: a run asks in every step."""
+
+
+def _ours(scene: Scene) -> tuple[tuple[Observable, str], ...]:
+    """Return those of ours that exist in a scene."""
+    for known, found in _LAST:
+        if known is scene:
+            return found
+    found = tuple((o, key) for o in OBSERVABLES for key in o.keys(scene))
+    _LAST[:] = [(scene, found)]
+    return found
+
+
+def check_observables(scene: Scene) -> None:
+    """Raise ``SceneError`` unless all observables that a scene names can be measured in it."""
+    for _ in observables_of(scene):
+        pass

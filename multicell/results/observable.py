@@ -1,0 +1,211 @@
+"""What an observable is: a number of the state of a run, with its name, unit and title."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Final, final
+
+from numpy.typing import NDArray
+
+from multicell.cells import Cells, FloatArray, IntArray
+from multicell.errors import SceneError
+from multicell.results.contacts import touching
+from multicell.results.observables import Extent, pressure_factors, state_counts
+
+if TYPE_CHECKING:
+    from multicell.results.frame import Frame
+    from multicell.scene.parts import OwnObservable
+    from multicell.scene.scene import Scene
+
+
+@final
+class TissueState:
+    """The state of a run as observables see it.
+
+    Parameters
+    ----------
+    frame
+        The state; observables that do not ask for fields do without them.
+    scene
+        Of the run.
+
+    Attributes
+    ----------
+    frame, scene
+        As given.
+    """
+
+    def __init__(self, frame: Frame, scene: Scene) -> None:
+        self.frame = frame
+        self.scene = scene
+
+    @property
+    def time(self) -> float:
+        """Simulated time, s."""
+        return self.frame.time
+
+    @property
+    def cells(self) -> Cells:
+        """All cells."""
+        return self.frame.cells
+
+    @property
+    def concentrations(self) -> Mapping[str, FloatArray]:
+        """Concentration of each field at the cells by its name, (n,) mM."""
+        return self.frame.concentrations
+
+    @property
+    def dimensions(self) -> int:
+        """Dimensions of the scene, 2 or 3."""
+        return self.scene.dimensions
+
+    @cached_property
+    def contacts(self) -> IntArray:
+        """Rows of the cells of each pair in contact, (m, 2); overlapping pairs if none is known."""
+        return touching(self.frame)
+
+    @cached_property
+    def extent(self) -> Extent:
+        """What all lengths of the population have in common."""
+        return Extent(self.cells, self.dimensions)
+
+    @cached_property
+    def state_counts(self) -> Mapping[str, int]:
+        """Number of cells in each state, by the name of the state in lower case."""
+        return state_counts(self.cells)
+
+    @cached_property
+    def pressure_factors(self) -> FloatArray:
+        """Factor of pressure on the growth of each living cell, where pressure limits growth."""
+        growth = self.scene.growth
+        assert growth is not None
+        assert growth.critical_pressure is not None
+        return pressure_factors(self.cells, growth.critical_pressure)
+
+    @cached_property
+    def sealed(self) -> TissueState:
+        """The same state in arrays that cannot be written into."""
+        cells = self.cells.shared()
+        for name, column in self.cells.columns():
+            setattr(cells, name, _sealed(column))
+        found = {name: _sealed(values) for name, values in self.concentrations.items()}
+        return TissueState(replace(self.frame, cells=cells, concentrations=found), self.scene)
+
+
+def _sealed(values: NDArray[Any]) -> NDArray[Any]:
+    view = values.view()
+    view.setflags(write=False)
+    return view
+
+
+def always(scene: Scene) -> bool:
+    """Return that an observable exists in each scene."""
+    return True
+
+
+@final
+@dataclass(frozen=True, eq=False, repr=False)
+class Observable:
+    """One observable, or one for each of several names that a scene gives.
+
+    Attributes
+    ----------
+    name
+        Column of the history. A star stands for a name that the scene gives, such as a field's.
+    measure
+        Function of the state (:class:`multicell.results.observable.TissueState`), and of the
+        scene's name in place of a star. NaN where the number does not exist. None for what the
+        coupling step itself finds and hands on.
+    unit
+        Base unit; empty for counts and ratios.
+    title
+        Name in words; by default ``name`` with spaces.
+    exists
+        Whether a scene has what the observable needs; of a starred name, for which names.
+    entry
+        Dotted name in the summary, by default ``name``; None for what is in the history only.
+    at_end
+        Whether it is in the summary only.
+    absent
+        When the number does not exist, in words; empty for one that is finite in every state.
+    doc
+        What it means, for the documentation (Markdown).
+    signed
+        Whether it may be negative.
+    shown
+        How key figures write it; None where it is none.
+    shown_if_zero
+        Whether it is a key figure also where it is 0.
+    function, source
+        Of the user's own: ``file.py:name@fingerprint``, by which scenes find it, and
+        ``/path/file.py:name``, which other processes load. Empty for ours.
+    """
+
+    name: str
+    measure: Callable[..., float | int] | None = None
+    unit: str = ""
+    title: str = ""
+    exists: Callable[[Scene], Any] = field(default=always)
+    entry: str | None = ""
+    at_end: bool = False
+    absent: str = ""
+    doc: str = ""
+    signed: bool = False
+    shown: Callable[[Any], str] | None = None
+    shown_if_zero: bool = True
+    function: str = ""
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "title", self.title or self.name.replace("_", " "))
+        if self.entry == "":
+            object.__setattr__(self, "entry", self.name)
+
+    def __call__(self, frame: Frame, scene: Scene) -> float:
+        """Return the number in a frame of a run."""
+        return float(self.value(TissueState(frame, scene)))
+
+    def __repr__(self) -> str:
+        return f"<observable {self.name} {self.function}>"
+
+    def stated(self) -> dict[str, str]:
+        """Return what a scene says of an observable of the user's own."""
+        return {"function": self.function, "unit": self.unit}
+
+    def keys(self, scene: Scene) -> list[str]:
+        """Return what stands for the star in a scene; one empty text for a name without a star."""
+        found = self.exists(scene)
+        return list(found) if "*" in self.name else [""] if found else []
+
+    def value(self, state: TissueState, key: str = "") -> float | int:
+        """Return the number for one of :meth:`keys`."""
+        assert self.measure is not None
+        return self.measure(state, key) if key else self.measure(state)
+
+
+OWN: Final[dict[str, Observable]] = {}
+"""Observables of the user's own by ``function``, as :func:`multicell.observable` enters them."""
+
+
+def find_own(name: str, stated: OwnObservable) -> Observable:
+    """Return the observable that a scene names.
+
+    Raises
+    ------
+    SceneError
+        If this process has not made it, or made it with another unit.
+    """
+    path, function = f"output.observables.{name}", stated.function
+    found = OWN.get(function)
+    if found is not None and found.name == name:
+        if found.unit != stated.unit:
+            raise SceneError(f"{path}.unit", f"is '{stated.unit}', must be '{found.unit}'")
+        return found
+    source = function.partition("@")[0]
+    newer = [known for known in OWN if known.startswith(f"{source}@")]
+    hint = f"No scene runs a file by itself: name it with --observable {source}, or import it."
+    if newer:
+        hint = f"'{source}' has changed since: as it is now it is '{newer[-1]}'."
+    raise SceneError(path, f"is '{function}', which this process does not know", hint)
