@@ -35,8 +35,8 @@ from multicell.cli.study import (
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from multicell.studies.fit import FitPlan
-    from multicell.studies.fitted import Fit
+    from multicell.calibration.fit import FitPlan
+    from multicell.calibration.fitted import Fit
 
 _LINES: Final = 20  # lines of a log
 
@@ -139,7 +139,7 @@ def fit(
     """
     pairs = key_values(free, "--free")
     described = scene_of(scene, changes, law)
-    from multicell.studies.fit import carried_out, planned
+    from multicell.calibration.fit import carried_out, planned
 
     with planning():
         plan = planned(described, data, pairs, **options)
@@ -223,7 +223,7 @@ def _print(out: Console, found: Fit, output: Path) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    from multicell.studies.fit_page import parameters_in_words
+    from multicell.calibration.fit_page import parameters_in_words
 
     table = Table(box=None, pad_edge=False, header_style="bold")
     for column in ("parameter", "best", "95 % interval", "of its range"):

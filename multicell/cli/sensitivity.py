@@ -108,7 +108,7 @@ def sensitivity(
     """
     pairs = key_values(free, "--free")
     described = scene_of(scene, changes, law)
-    from multicell.studies.sensitivity import carried_out, planned, prepare
+    from multicell.calibration.sensitivity import carried_out, planned, prepare
 
     with planning():
         plan = planned(described, pairs, observables=observables or None, output=output, **options)

@@ -368,7 +368,7 @@ def check_axes(scene: Scene, axes: Sequence[Axis | Range]) -> None:
         and values that the scene refuses, with the key: those of an axis, and ends of a range that
         are refused whatever the other ranges are at.
     """
-    from multicell.studies.meaning import refuse_needless
+    from multicell.studies.ineffective import refuse_needless
 
     seen: set[str] = set()
     for axis in axes:

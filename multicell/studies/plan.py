@@ -27,8 +27,8 @@ from multicell.studies.design import (
     parse_varied,
     read_points,
 )
+from multicell.studies.ineffective import refuse_needless
 from multicell.studies.limits import MOST_POINTS, check_runs, check_seeds, whole
-from multicell.studies.meaning import refuse_needless
 from multicell.studies.runs import Run, digest
 from multicell.units import BASE_UNITS, shown, to_base
 

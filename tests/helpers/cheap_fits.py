@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 import multicell as mc
+from multicell.calibration.data import Condition, Datum, Measured
+from multicell.calibration.problem import Problem
+from multicell.calibration.simulator import Reading
 from multicell.studies.axes import Range
-from multicell.studies.data import Condition, Datum, Measured
-from multicell.studies.problem import Problem
-from multicell.studies.simulating import Reading
 
 MATRIX = [[1.0, 0.0], [0.0, 1.0], [1.0, 1.0], [1.0, -1.0]]
 """Four data of two parameters that determine both."""

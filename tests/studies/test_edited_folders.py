@@ -10,11 +10,11 @@ from cheap_fits import MATRIX, linear
 from studied import SHORT
 
 import multicell as mc
+from multicell.calibration.hands import OwnHands
+from multicell.calibration.search import Search
 from multicell.errors import OutputError
 from multicell.results.documents import Lines, read_table, write_table
 from multicell.studies import table
-from multicell.studies.hands import OwnHands
-from multicell.studies.search import Search
 
 
 @pytest.fixture(scope="module")

@@ -10,14 +10,8 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
-from multicell.errors import OutputError, SceneError
-from multicell.extras import needs
-from multicell.files import parse_toml, read_regular
-from multicell.results.folder import file_errors, write_text
-from multicell.results.quantities import known_unit
-from multicell.studies.axes import Range, check_axes, named, parse_range
-from multicell.studies.ensemble import Ensemble, Evaluate, Observed, ensemble, observe
-from multicell.studies.indices import (
+from multicell.calibration.ensemble import Ensemble, Evaluate, Observed, ensemble, observe
+from multicell.calibration.indices import (
     ENOUGH,
     NOISE,
     USUAL,
@@ -28,9 +22,15 @@ from multicell.studies.indices import (
     check_size,
     sample,
 )
+from multicell.calibration.sensitivity_result import COLUMNS, Row, Sensitivity
+from multicell.errors import OutputError, SceneError
+from multicell.extras import needs
+from multicell.files import parse_toml, read_regular
+from multicell.results.folder import file_errors, write_text
+from multicell.results.quantities import known_unit
+from multicell.studies.axes import Range, check_axes, named, parse_range
 from multicell.studies.limits import check_runs, check_seeds
 from multicell.studies.observed import at_the_end, in_history, likely
-from multicell.studies.sensitivity_result import COLUMNS, Row, Sensitivity
 
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene

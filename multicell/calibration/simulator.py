@@ -13,9 +13,9 @@ from typing import Any, Final, Protocol, final
 import numpy as np
 from numpy.typing import NDArray
 
+from multicell.calibration.data import Datum, Measured
 from multicell.errors import MulticellError
 from multicell.studies.axes import Range
-from multicell.studies.data import Datum, Measured
 from multicell.studies.observed import continued, entry_of
 from multicell.studies.runs import own_law
 

@@ -1,7 +1,7 @@
 """What fresh seeds show after a search: runs at the best point, and at draws from the intervals.
 
-The runs at the best point give its likelihood (:mod:`multicell.studies.likelihood`). The runs at
-draws check the emulator where it is used: where it is further off at a datum than scatter and its
+The runs at the best point give its likelihood (:mod:`multicell.calibration.likelihood`). The runs
+at draws check the emulator where it is used: where it is further off at a datum than scatter and its
 own error explain, that error is raised to what was found, and the intervals are drawn again.
 """
 
@@ -13,13 +13,13 @@ from typing import Final, final
 
 import numpy as np
 
-from multicell.studies.distance import Array
-from multicell.studies.emulator import FEW, Emulator, best_of, draws
-from multicell.studies.hands import Hands
-from multicell.studies.likelihood import LEAST, Likelihood, Scatter, likelihood, scatter_of
-from multicell.studies.posterior import Draws
-from multicell.studies.problem import Problem
-from multicell.studies.search import Search
+from multicell.calibration.distance import Array
+from multicell.calibration.emulator import FEW, Emulator, best_of, draws
+from multicell.calibration.hands import Hands
+from multicell.calibration.likelihood import LEAST, Likelihood, Scatter, likelihood, scatter_of
+from multicell.calibration.posterior import Draws
+from multicell.calibration.problem import Problem
+from multicell.calibration.search import Search
 
 USUAL: Final = 12
 """Fresh runs at the best point."""

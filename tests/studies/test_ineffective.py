@@ -6,8 +6,8 @@ from rich_medium import RICH
 import multicell as mc
 from multicell import SceneError
 from multicell.studies.axes import check_axes, parse_axis, parse_range
+from multicell.studies.ineffective import _KEYS, no_effect
 from multicell.studies.keys import all_keys, key_of
-from multicell.studies.meaning import _KEYS, no_effect
 
 NONE = [
     (RICH, {}, "growth.cycle_time", "phases of the cycle"),

@@ -14,6 +14,8 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
+from multicell.calibration.problem import Problem
+from multicell.calibration.table_text import Table
 from multicell.errors import OutputError
 from multicell.results.documents import Lines, read_table, write_table
 from multicell.results.folder import (
@@ -27,13 +29,11 @@ from multicell.results.folder import (
 )
 from multicell.results.start_copy import with_copy
 from multicell.scene.start_table import COPIES
-from multicell.studies.problem import Problem
 from multicell.studies.runs import MODEL_VERSION, canonical
-from multicell.studies.table_text import Table
 
 if TYPE_CHECKING:
+    from multicell.calibration.fitted import Fit
     from multicell.scene.scene import Scene
-    from multicell.studies.fitted import Fit
 
 FIT: Final = "fit.json"
 """What the folder is a fit of."""

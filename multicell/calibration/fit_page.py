@@ -6,13 +6,13 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from multicell.calibration.verdict import in_words
 from multicell.errors import OutputError
 from multicell.report.html import write_page
 from multicell.report.wording import clock, time_unit
-from multicell.studies.verdict import in_words
 
 if TYPE_CHECKING:
-    from multicell.studies.fitted import Fit
+    from multicell.calibration.fitted import Fit
 
 
 _DATA: Final = (

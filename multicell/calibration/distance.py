@@ -1,8 +1,8 @@
 """Runs against data, in standard deviations.
 
 A datum y with standard deviation σ (both on the scale of its comparison, see
-:class:`multicell.studies.data.Datum`) is taken to be what one tissue shows, measured with a normal
-error. So if runs that differ in nothing but their random numbers have mean m and variance s²,
+:class:`multicell.calibration.data.Datum`) is taken to be what one tissue shows, measured with a
+normal error. So if runs that differ in nothing but their random numbers have mean m and variance s²,
 y - m has the variance σ² + s² over tissues and measurements. With m and s² from K runs,
 
     z = (y - m) / √v,    v = σ² + s² (1 + 1/K),    -2 ln L = Σ (z² + ln(v/σ²)) + constant,
@@ -30,7 +30,7 @@ from typing import Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.studies.data import Datum
+from multicell.calibration.data import Datum
 
 ABSENT: Final = 100.0
 """Standard deviations that a datum counts for of which a run has nothing.

@@ -9,13 +9,13 @@ import pytest
 from cheap_fits import MATRIX, Growing, Linear, calls_of, exact, linear, measured
 from scipy import stats
 
+from multicell.calibration.distance import ABSENT, groups_of, misfit, scaled, scales, standardised
+from multicell.calibration.emulator import draws, emulator
+from multicell.calibration.hands import OwnHands
+from multicell.calibration.problem import Problem
+from multicell.calibration.search import Search, emulator_of
+from multicell.calibration.simulator import Reading
 from multicell.errors import FitFailed
-from multicell.studies.distance import ABSENT, groups_of, misfit, scaled, scales, standardised
-from multicell.studies.emulator import draws, emulator
-from multicell.studies.hands import OwnHands
-from multicell.studies.problem import Problem
-from multicell.studies.search import Search, emulator_of
-from multicell.studies.simulating import Reading
 
 
 def test_the_loss_is_the_normal_likelihood_of_the_data_in_closed_form():

@@ -51,7 +51,7 @@ class Sensitivity:
         ``sigma`` (in ``unit``, for the whole range), of Sobol' ``s1``, ``s1_conf``, ``st``,
         ``st_conf`` (parts of the variance); ``..._conf`` are half widths of 95 % intervals.
         ``noise`` is what scatter over the seeds alone gives (NaN for one seed) and ``verdict`` what
-        can be said: see :class:`multicell.studies.indices.Index`.
+        can be said: see :class:`multicell.calibration.indices.Index`.
     courses : list of dict
         The same over ``time`` (s), for observables that have a course.
     notes : list of str
@@ -96,7 +96,7 @@ class Sensitivity:
 
     def plot(self, observable: str | None = None) -> Figure:
         """Draw the indices of an observable (by default the first) with their intervals."""
-        from multicell.studies.pictures.indices import indices
+        from multicell.calibration.index_plots import indices
 
         return indices(self, observable or self.observables[0])
 
@@ -108,7 +108,7 @@ class Sensitivity:
         ValueError
             If it has no course.
         """
-        from multicell.studies.pictures.indices import course
+        from multicell.calibration.index_plots import course
 
         return course(self, observable or self.observables[0])
 
@@ -157,7 +157,7 @@ class Sensitivity:
         OutputError
             If there is no folder, or it cannot be written to.
         """
-        from multicell.studies.sensitivity_page import write_report
+        from multicell.calibration.sensitivity_page import write_report
 
         place = self.folder if folder is None else Path(folder)
         if place is None:

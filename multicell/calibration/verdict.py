@@ -8,9 +8,9 @@ from typing import Final, final
 
 import numpy as np
 
+from multicell.calibration.distance import Array
 from multicell.report.wording import time_unit
 from multicell.studies.axes import Range
-from multicell.studies.distance import Array
 
 OPEN: Final = 0.7
 """Part of its range from which a 95 % interval says that a parameter is not determined."""

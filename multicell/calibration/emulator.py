@@ -5,10 +5,9 @@ their ranges) and what is beyond that: a Gaussian process with a Matern covarian
 which follows the kink where a core begins. Both are one process, whose error grows away from the
 points that were tried; data of one observable share its hyperparameters, which scikit-learn fits by
 the marginal likelihood. Its white part takes what runs scatter between neighbouring points. The
-synthetic likelihood of the processes (see :mod:`multicell.studies.distance`) gives the next points
+synthetic likelihood of the processes (:mod:`multicell.calibration.distance`) gives the next points
 that are worth a run, and with fresh runs an approximate posterior
-(:mod:`multicell.studies.likelihood`); it takes a hundredth of the runs of one that is sampled with
-runs.
+(:mod:`multicell.calibration.likelihood`), at a hundredth of the cost of one sampled with runs.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.studies.distance import Array
+from multicell.calibration.distance import Array
 
 PARTICLES: Final = 2000
 """Draws from a posterior."""

@@ -1,7 +1,7 @@
 """The best parameters in few runs: Optuna asks and is told, an emulator proposes beside it.
 
 Points are tried in batches. The first ones are a Sobol' sequence; of each later batch most come
-from an emulator (:mod:`multicell.studies.emulator`): its minimum, and draws from its posterior,
+from an emulator (:mod:`multicell.calibration.emulator`): its minimum, and draws from its posterior,
 which are where another run tells most. The rest are Optuna's (TPE), which needs no smooth
 dependence and looks elsewhere too. All points have the same random numbers, so that differences
 between them are differences of parameters.
@@ -24,14 +24,14 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from multicell.calibration.distance import Array, Misfit
+from multicell.calibration.emulator import FEW, Emulator, best_of, draws, emulator
+from multicell.calibration.hands import Hands
+from multicell.calibration.problem import Problem
+from multicell.calibration.simulator import Reading
 from multicell.errors import FitFailed, OutputError
 from multicell.extras import needs
 from multicell.results.documents import Lines
-from multicell.studies.distance import Array, Misfit
-from multicell.studies.emulator import FEW, Emulator, best_of, draws, emulator
-from multicell.studies.hands import Hands
-from multicell.studies.problem import Problem
-from multicell.studies.simulating import Reading
 
 BATCH: Final = 5
 """Points that are tried together, at least."""

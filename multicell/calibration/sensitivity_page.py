@@ -7,16 +7,16 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from multicell.calibration.indices import CLEAR, CLEAR_SINGLE, block
 from multicell.report.html import write_page
 from multicell.report.wording import time_unit
-from multicell.studies.indices import CLEAR, CLEAR_SINGLE, block
 from multicell.studies.pictures.values import key_words, sentence, words
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from multicell.calibration.sensitivity_result import Sensitivity
     from multicell.studies.axes import Range
-    from multicell.studies.sensitivity_result import Sensitivity
 
 
 def write_report(result: Sensitivity, folder: Path) -> Path:

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import multicell as mc
+from multicell.calibration.data import read_data
 from multicell.errors import DataError
-from multicell.studies.data import read_data
 from multicell.studies.observed import at_the_end, in_history
 
 SCENE = mc.load_scene("spheroid")

@@ -10,15 +10,14 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from multicell.extras import needs
-from multicell.studies.data import Datum
-from multicell.studies.distance import ABSENT, Array, misfit
-from multicell.studies.emulator import draws as draws_of
-from multicell.studies.fresh import Fresh
-from multicell.studies.posterior import Draws
-from multicell.studies.problem import Problem
-from multicell.studies.search import Evaluation, emulator_of
-from multicell.studies.verdict import (
+from multicell.calibration.data import Datum
+from multicell.calibration.distance import ABSENT, Array, misfit
+from multicell.calibration.emulator import draws as draws_of
+from multicell.calibration.fresh import Fresh
+from multicell.calibration.posterior import Draws
+from multicell.calibration.problem import Problem
+from multicell.calibration.search import Evaluation, emulator_of
+from multicell.calibration.verdict import (
     Interval,
     Undetermined,
     correlations,
@@ -27,14 +26,15 @@ from multicell.studies.verdict import (
     quantiles,
     undetermined,
 )
+from multicell.extras import needs
 
 if TYPE_CHECKING:
     import pandas as pd
 
+    from multicell.calibration.emulator import Emulator
+    from multicell.calibration.fit_plots import FitPlots
+    from multicell.calibration.likelihood import Likelihood
     from multicell.scene.scene import Scene
-    from multicell.studies.emulator import Emulator
-    from multicell.studies.fit_plots import FitPlots
-    from multicell.studies.likelihood import Likelihood
 
 
 @final
@@ -389,7 +389,7 @@ class Fit:
     @property
     def plot(self) -> FitPlots:
         """Pictures: ``plot()`` shows data and runs, ``plot.parameters()`` the posterior."""
-        from multicell.studies.fit_plots import FitPlots
+        from multicell.calibration.fit_plots import FitPlots
 
         return FitPlots(self)
 
@@ -401,7 +401,7 @@ class Fit:
         OutputError
             If there is no folder, or it cannot be written to.
         """
-        from multicell.studies.fit_page import write_report
+        from multicell.calibration.fit_page import write_report
 
         return write_report(self, folder)
 

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, final
 
+from multicell.calibration.table_text import Table
 from multicell.errors import DataError, SceneError
 from multicell.schema import specs
 from multicell.studies.observed import at_the_end, in_history, is_known_elsewhere, likely, signed
-from multicell.studies.table_text import Table
 from multicell.units import to_base
 
 if TYPE_CHECKING:

@@ -13,16 +13,16 @@ import pytest
 from cheap_fits import Growing, growing
 
 import multicell as mc
-from multicell.studies.data import read_data
-from multicell.studies.emulator import emulator
-from multicell.studies.fresh import fresh
-from multicell.studies.hands import OwnHands
-from multicell.studies.indices import analysed, sample
-from multicell.studies.likelihood import likelihood, scatter_of
-from multicell.studies.posterior import posterior
-from multicell.studies.problem import problem_of, ranges_of
-from multicell.studies.search import Search
-from multicell.studies.verdict import intervals
+from multicell.calibration.data import read_data
+from multicell.calibration.emulator import emulator
+from multicell.calibration.fresh import fresh
+from multicell.calibration.hands import OwnHands
+from multicell.calibration.indices import analysed, sample
+from multicell.calibration.likelihood import likelihood, scatter_of
+from multicell.calibration.posterior import posterior
+from multicell.calibration.problem import problem_of, ranges_of
+from multicell.calibration.search import Search
+from multicell.calibration.verdict import intervals
 
 QUICK = 12
 CASES = {

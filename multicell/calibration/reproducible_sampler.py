@@ -23,16 +23,16 @@ from pyabc.parameters import Parameter
 from pyabc.random_variables import DistributionBase
 from pyabc.sampler import Sampler
 
+from multicell.calibration.hands import Hands
 from multicell.errors import OutputError
 from multicell.results.documents import Lines
-from multicell.studies.hands import Hands
 
 _AHEAD: Final = 2
 """Draws that are handed out for each worker."""
 
 
 @final
-class NumberedSampler(Sampler):  # type: ignore[misc]
+class ReproducibleSampler(Sampler):  # type: ignore[misc]
     """Draws particles by numbers.
 
     Parameters

@@ -10,9 +10,9 @@ from cheap_fits import calls_of, exact, linear
 from scipy import stats
 from test_fit_search import Stopping
 
+from multicell.calibration.hands import OwnHands
+from multicell.calibration.posterior import posterior
 from multicell.errors import FitFailed, OutputError
-from multicell.studies.hands import OwnHands
-from multicell.studies.posterior import posterior
 
 MATRIX = [[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]
 

@@ -22,11 +22,11 @@ from typing import Any, final
 
 import numpy as np
 
+from multicell.calibration.distance import Array
+from multicell.calibration.hands import Hands
+from multicell.calibration.problem import Problem
 from multicell.errors import FitFailed, OutputError
 from multicell.extras import needs
-from multicell.studies.distance import Array
-from multicell.studies.hands import Hands
-from multicell.studies.problem import Problem
 
 
 @final
@@ -102,9 +102,9 @@ def posterior(
     """
     needs("pyabc", "sqlalchemy")
     with _quiet():
-        from multicell.studies.numbered import Model, NumberedSampler
+        from multicell.calibration.reproducible_sampler import Model, ReproducibleSampler
 
-        sampler = NumberedSampler(
+        sampler = ReproducibleSampler(
             hands, seed, most=most, deadline=deadline, together=together, progress=progress,
             journal=None if folder is None else folder / "posterior.journal",
         )  # fmt: skip
@@ -124,7 +124,7 @@ def _sampled(
     """Return pyABC's history after all generations."""
     import pyabc
 
-    from multicell.studies.numbered import Box, OneModel
+    from multicell.calibration.reproducible_sampler import Box, OneModel
 
     kernel = pyabc.distance.IndependentNormalKernel(var=1.0, keys=["z"])
     smc = pyabc.ABCSMC(

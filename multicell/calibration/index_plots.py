@@ -8,10 +8,10 @@ import numpy as np
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from multicell.calibration.indices import CLEAR, CLEAR_SINGLE
 from multicell.report.plots.colour_vision import PALE
 from multicell.report.plots.style import BLUE, QUIET, RED, SIZE, styled, type_colours
 from multicell.report.wording import time_unit
-from multicell.studies.indices import CLEAR, CLEAR_SINGLE
 from multicell.studies.pictures.heatmap import laid_out
 from multicell.studies.pictures.values import key_words, sentence, words
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from multicell.studies.sensitivity_result import Row, Sensitivity
+    from multicell.calibration.sensitivity_result import Row, Sensitivity
 
 _ORANGE: Final = "#d98a1f"
 _MOST_LINES: Final = 7

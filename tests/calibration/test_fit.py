@@ -18,20 +18,20 @@ from click.testing import CliRunner
 from test_fit_search import Stopping
 
 import multicell as mc
+from multicell.calibration.data import Datum, read_data
+from multicell.calibration.fit import planned
+from multicell.calibration.fitted import Fit
+from multicell.calibration.fresh import _checked, fresh
+from multicell.calibration.hands import OwnHands, hands
+from multicell.calibration.likelihood import scatter_of
+from multicell.calibration.posterior import posterior
+from multicell.calibration.problem import ranges_of
+from multicell.calibration.search import Search
+from multicell.calibration.simulator import SceneSimulator, reading
+from multicell.calibration.verdict import intervals, undetermined
 from multicell.cli.main import main
 from multicell.errors import ClusterError, DataError, FitFailed
 from multicell.studies import fit_folder
-from multicell.studies.data import Datum, read_data
-from multicell.studies.fit import planned
-from multicell.studies.fitted import Fit
-from multicell.studies.fresh import _checked, fresh
-from multicell.studies.hands import OwnHands, hands
-from multicell.studies.likelihood import scatter_of
-from multicell.studies.posterior import posterior
-from multicell.studies.problem import ranges_of
-from multicell.studies.search import Search
-from multicell.studies.simulating import SceneSimulator, reading
-from multicell.studies.verdict import intervals, undetermined
 
 SMALL = mc.load_scene("growth").with_changes(
     {"duration": "20 h", "initial.count": 6, "coupling_step": "1 h"}

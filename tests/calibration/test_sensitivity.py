@@ -11,12 +11,12 @@ import pytest
 from click.testing import CliRunner
 
 import multicell as mc
+from multicell.calibration.ensemble import Observed
+from multicell.calibration.indices import analysed, sample
+from multicell.calibration.sensitivity import analyse, ranges_of
 from multicell.cli.main import main
 from multicell.errors import OutputError, SceneError
 from multicell.studies import engine
-from multicell.studies.ensemble import Observed
-from multicell.studies.indices import analysed, sample
-from multicell.studies.sensitivity import analyse, ranges_of
 from multicell.studies.task import carried_out, task
 
 CELL = mc.Scene.from_dict(

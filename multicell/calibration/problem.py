@@ -10,10 +10,8 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.errors import SceneError
-from multicell.studies.axes import Range, check_axes, named, parse_range
-from multicell.studies.data import Measured
-from multicell.studies.distance import (
+from multicell.calibration.data import Measured
+from multicell.calibration.distance import (
     Array,
     Misfit,
     groups_of,
@@ -22,8 +20,10 @@ from multicell.studies.distance import (
     scales,
     standardised,
 )
+from multicell.calibration.simulator import Reading, SceneSimulator, Simulator
+from multicell.errors import SceneError
+from multicell.studies.axes import Range, check_axes, named, parse_range
 from multicell.studies.observed import signed
-from multicell.studies.simulating import Reading, SceneSimulator, Simulator
 
 
 @final

@@ -38,11 +38,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final, final
 
+from multicell.calibration.columns import Column, columns_of
+from multicell.calibration.table_text import Table, read_table
 from multicell.errors import DataError, SceneError
 from multicell.schema import leaves
-from multicell.studies.columns import Column, columns_of
 from multicell.studies.observed import at_the_end, in_history, likely
-from multicell.studies.table_text import Table, read_table
 from multicell.units import to_base
 
 if TYPE_CHECKING:

@@ -31,8 +31,8 @@ from typing import Final, final
 
 import numpy as np
 
-from multicell.studies.distance import Array
-from multicell.studies.emulator import FEW, PARTICLES, Emulator, draws
+from multicell.calibration.distance import Array
+from multicell.calibration.emulator import FEW, PARTICLES, Emulator, draws
 
 LEAST: Final = 4
 """Fresh runs of which a covariance can be estimated."""

@@ -10,26 +10,26 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
+from multicell.calibration.data import ASSUMED, read_data
+from multicell.calibration.fit_folder import Elapsed
+from multicell.calibration.fitted import Fit
+from multicell.calibration.fresh import CHECKS, MOST, USUAL
+from multicell.calibration.hands import hands
+from multicell.calibration.likelihood import LEAST
+from multicell.calibration.problem import Problem, problem_of, ranges_of
+from multicell.calibration.table_text import Table, read_table
 from multicell.errors import SceneError
 from multicell.extras import needs
 from multicell.schema import chosen
-from multicell.studies.data import ASSUMED, read_data
-from multicell.studies.fit_folder import Elapsed
-from multicell.studies.fitted import Fit
-from multicell.studies.fresh import CHECKS, MOST, USUAL
-from multicell.studies.hands import hands
-from multicell.studies.likelihood import LEAST
 from multicell.studies.limits import MOST_POINTS, MOST_RUNS, check_runs, check_seeds, whole
-from multicell.studies.problem import Problem, problem_of, ranges_of
-from multicell.studies.table_text import Table, read_table
 from multicell.units import to_base
 
 if TYPE_CHECKING:
+    from multicell.calibration.fresh import Fresh
+    from multicell.calibration.posterior import Draws
+    from multicell.calibration.search import Evaluation, Search
+    from multicell.calibration.simulator import Simulator
     from multicell.scene.scene import Scene
-    from multicell.studies.fresh import Fresh
-    from multicell.studies.posterior import Draws
-    from multicell.studies.search import Evaluation, Search
-    from multicell.studies.simulating import Simulator
 
 METHODS: Final = ("best", "posterior", "both")
 _LEAST: Final = 10
@@ -70,7 +70,7 @@ def fit(
         A scene, the name of a built-in one, or the path of a TOML file.
     data
         CSV file, ``DataFrame`` or mapping of titles to columns, with units in the titles; see
-        :mod:`multicell.studies.data`.
+        :mod:`multicell.calibration.data`.
     free
         Key of the scene -> its range, ``"8:25 h"``, ``"log 1e-3:1 1/s"`` or two values. Within it
         all values are equally likely beforehand (on a logarithmic range: all ratios).
@@ -172,7 +172,7 @@ class FitPlan:
 
     def described(self) -> dict[str, Any]:
         """Return what decides all numbers of the fit."""
-        from multicell.studies.fit_folder import described
+        from multicell.calibration.fit_folder import described
 
         times = [datum.time for datum in self.problem.measured.data]
         options = {"sd": self.sd, "population": self.population, "times": times}
@@ -180,8 +180,8 @@ class FitPlan:
 
     def left(self, folder: str | Path | None) -> tuple[int, float]:
         """Return how many runs are left at most, and the time on one core in s that they take."""
+        from multicell.calibration.fit_folder import made
         from multicell.studies.cost import cost_of
-        from multicell.studies.fit_folder import made
 
         runs, draws, finished = (0, 0, False) if folder is None else made(folder, self.described())
         searched = max(0, self._searched - runs)
@@ -301,7 +301,7 @@ def carried_out(
         }
         found = Fit(plan.problem, plan.scene, evaluations, draws, folder, facts, again)
         if folder is not None:
-            from multicell.studies.fit_folder import write_result
+            from multicell.calibration.fit_folder import write_result
 
             write_result(found, folder)
             found.report()
@@ -313,9 +313,9 @@ def _worked(
     progress: Progress,
 ) -> tuple[list[Evaluation], Draws | None, Fresh]:  # fmt: skip
     """Make all runs of a fit that are not there."""
-    from multicell.studies.fit_folder import SEARCH
-    from multicell.studies.fresh import fresh
-    from multicell.studies.search import Search
+    from multicell.calibration.fit_folder import SEARCH
+    from multicell.calibration.fresh import fresh
+    from multicell.calibration.search import Search
 
     search = Search(plan.problem, None if folder is None else folder / SEARCH)
     evaluations: list[Evaluation] = []
@@ -340,7 +340,7 @@ def _place(plan: FitPlan, output: str | Path | None, overwrite: bool) -> Iterato
     if output is None:
         yield None
         return
-    from multicell.studies.fit_folder import opened
+    from multicell.calibration.fit_folder import opened
 
     about = plan.described()
     with opened(output, about, plan.scene, plan.table, overwrite=overwrite) as folder:
@@ -361,7 +361,7 @@ def _searched(
 def _sampled(
     plan: FitPlan, folder: Path | None, working: Any, begin: float, progress: Progress
 ) -> Draws:
-    from multicell.studies.posterior import posterior
+    from multicell.calibration.posterior import posterior
 
     def tell(generation: int, accepted: int, wanted: int, drawn: int) -> None:
         of = "calibration" if generation < 0 else f"generation {generation + 1}"

@@ -9,18 +9,18 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
+from multicell.calibration.distance import Array
+from multicell.calibration.verdict import quantiles
 from multicell.report.plots.style import BLUE, INK, QUIET, RED, blank, counts, styled
 from multicell.report.wording import TimeUnit, time_unit
 from multicell.results.quantities import unit_of
-from multicell.studies.distance import Array
-from multicell.studies.verdict import quantiles
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from multicell.calibration.data import Datum
+    from multicell.calibration.fitted import Fit
     from multicell.studies.axes import Range
-    from multicell.studies.data import Datum
-    from multicell.studies.fitted import Fit
 
 _COLOURS: Final = (
     "#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#a04000", "#6a5acd", "#7a8b00",
