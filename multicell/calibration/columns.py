@@ -7,10 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, final
 
-from multicell.calibration.table_text import Table
 from multicell.errors import DataError, SceneError
 from multicell.schema import specs
 from multicell.studies.observed import at_the_end, in_history, is_known_elsewhere, likely, signed
+from multicell.tables.fields import Table
+from multicell.tables.titles import split_title
 from multicell.units import to_base
 
 if TYPE_CHECKING:
@@ -62,7 +63,7 @@ class Column:
         try:
             number = float(text)
         except ValueError:
-            hint = "A decimal point is a point." if "," in text else ""
+            hint = "Use '.' as decimal separator." if "," in text else ""
             raise DataError(place, f"is {text[:40]!r}, must be a number", hint) from None
         if not math.isfinite(number):
             hint = "Leave the field empty where nothing was measured."
@@ -73,7 +74,7 @@ class Column:
             raise DataError(place, f"is {text}, must not be negative")
         if not self.base:
             return number
-        return _converted(f"{number!r} {self.unit}", self.base, place)
+        return _convert(f"{number!r} {self.unit}", self.base, place)
 
     def of_scene(self, text: str) -> Any:
         """Return a field of a condition as :meth:`Scene.with_changes` takes it."""
@@ -120,12 +121,12 @@ def columns_of(table: Table, scene: Scene) -> list[Column]:
 def _column(title: str, scene: Scene, table: str) -> Column:
     """Return what one column holds."""
     place = f"{table}, '{title}'"
-    name, slash, unit = (part.strip() for part in title.partition("/"))
+    name, unit = split_title(title)
     if title.startswith("#"):
         return Column("remark", title, "", "", title)
     if not name:
         raise DataError(place, "is a column without a name")
-    if slash and not unit:
+    if title.endswith("/"):
         raise DataError(place, "has a '/' and no unit after it")
     if name in ("time", "start"):
         return _with_unit(name, name, unit, "s", title, place)
@@ -189,17 +190,17 @@ def _unit_in(name: str, known: dict[str, str], place: str) -> str:
 
 def _with_unit(kind: str, name: str, unit: str, base: str, title: str, place: str) -> Column:
     """Return a column of numbers once its unit has been checked."""
-    stem = title.partition("/")[0].strip()
+    stem = split_title(title)[0]
     if base and not unit:
         raise DataError(place, "has no unit", f"Write '{stem} / {base}'.")
     if unit and not base:
         raise DataError(place, f"has the unit '{unit}', must have none", f"Write '{stem}'.")
     if base:
-        _converted(f"1 {unit}", base, place)
+        _convert(f"1 {unit}", base, place)
     return Column(kind, name, unit, base, title)
 
 
-def _converted(text: str, base: str, place: str) -> float:
+def _convert(text: str, base: str, place: str) -> float:
     try:
         return to_base(text, base)
     except SceneError as error:

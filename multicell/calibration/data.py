@@ -1,7 +1,7 @@
 """Measured data of runs: a table with units in its header, checked before anything runs.
 
 One row for each measurement, from a CSV file or a pandas ``DataFrame``. What a column holds is said
-by its title, ``NAME / UNIT``::
+by its title, ``NAME / UNIT`` (or ``NAME [UNIT]``)::
 
     time / h, diameter / um, diameter sd / um, cells, nutrients.oxygen.boundary / mM
     48,       272,           14,               1472,  0.2
@@ -39,14 +39,17 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.calibration.columns import Column, columns_of
-from multicell.calibration.table_text import Table, read_table
 from multicell.errors import DataError, SceneError
 from multicell.schema import leaves
 from multicell.studies.observed import at_the_end, in_history, likely
+from multicell.tables.fields import Table, read_table
 from multicell.units import to_base
 
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
+
+MAX_BYTES: Final = 10_000_000
+"""Of a file of measured data."""
 
 ASSUMED: Final = 0.1
 """Relative standard deviation of data that come without one, unless another one is given."""
@@ -191,7 +194,7 @@ def read_data(
     """
     if not (isinstance(sd, int | float) and 0.0 < sd < math.inf):
         raise DataError("sd", f"is {sd!r}, must be a relative standard deviation above 0")
-    table = source if isinstance(source, Table) else read_table(source)
+    table = source if isinstance(source, Table) else read_table(source, MAX_BYTES)
     columns = columns_of(table, scene)
     rows = _Rows(table, columns, scene, start, float(sd))
     for number in range(len(table.rows)):
@@ -213,6 +216,7 @@ class _Rows:
     ) -> None:
         self._table = table
         self._columns = columns
+        self._places = {(column.kind, column.name): k for k, column in enumerate(columns)}
         self._scene = scene
         self._sd = sd
         self._start = self._checked_start(start)
@@ -255,7 +259,7 @@ class _Rows:
         )
         known = self._all_units()
         units = {d.observable: known[d.observable] for d in self._data}
-        return Measured(tuple(_grouped(self._data)), conditions, units, self._table.name)
+        return Measured(tuple(_group(self._data)), conditions, units, self._table.name)
 
     def _datum(
         self, row: int, column: Column, value: float, where: str, condition: int,
@@ -288,57 +292,52 @@ class _Rows:
             condition, self._table.places[row], tissues,
         )  # fmt: skip
 
+    def _field(self, row: int, kind: str, name: str) -> tuple[float, int] | None:
+        """Return the number in a column and its place; None without a column or a value."""
+        place = self._places.get((kind, name))
+        if place is None or not self._text(row, place):
+            return None
+        return self._number(row, place), place
+
     def _tissues(self, row: int, name: str) -> float | None:
         """Return how many tissues an observable was measured on, if a column says so."""
-        for place, column in enumerate(self._columns):
-            if column.kind == "n" and column.name == name and self._text(row, place):
-                value = self._number(row, place)
-                if value < 1.0 or value != int(value):
-                    problem = f"is {self._text(row, place)}, must be a whole number of at least 1"
-                    raise DataError(self._where(row, place), problem)
-                return value
-        return None
+        value, place = self._field(row, "n", name) or (None, 0)
+        if value is not None and (value < 1.0 or value != int(value)):
+            problem = f"is {self._text(row, place)}, must be a whole number of at least 1"
+            raise DataError(self._where(row, place), problem)
+        return value
 
     def _deviation(self, row: int, name: str, kind: str) -> tuple[float, bool] | None:
         """Return an error of an observable and whether it is relative, if known."""
-        for place, column in enumerate(self._columns):
-            if column.kind != kind or column.name != name or not self._text(row, place):
-                continue
-            value = self._number(row, place)
-            if not value > 0.0:
-                problem = f"is {self._text(row, place)}, must be above 0"
-                raise DataError(
-                    self._where(row, place), problem, "Leave it empty where it is unknown."
-                )
-            return value, column.relative
-        return None
+        found = self._field(row, kind, name)
+        if found is None:
+            return None
+        value, place = found
+        if not value > 0.0:
+            problem = f"is {self._text(row, place)}, must be above 0"
+            raise DataError(self._where(row, place), problem, "Leave it empty where it is unknown.")
+        return value, self._columns[place].relative
 
     def _when(self, row: int) -> tuple[float | None, tuple[str, float] | None]:
-        """Return the simulated time of a row, or what tells it."""
-        time: float | None = None
-        at: tuple[str, float] | None = None
-        start, said = self._start, ""
-        for place, column in enumerate(self._columns):
-            if column.kind not in ("time", "start", "at") or not self._text(row, place):
-                continue
-            value = self._number(row, place)
-            if column.kind == "start":
-                start = value
-                continue
-            if said:
-                problem = f"has both '{said}' and '{column.title}'"
-                raise DataError(self._where(row), problem, "One of them tells when.")
-            said = column.title
-            if column.kind == "at":
-                at = column.name, value
-            else:
-                time = value
-        if time is None:
-            return None, at
-        if time < start:
-            problem = f"was measured at {time:g} s, before the run begins at {start:g} s"
+        """Return the simulated time of a row, or the observable and its value that state it."""
+        moments = [
+            (column, self._number(row, place))
+            for place, column in enumerate(self._columns)
+            if column.kind in ("time", "at") and self._text(row, place)
+        ]
+        if not moments:
+            return None, None
+        if len(moments) > 1:
+            problem = f"has both '{moments[0][0].title}' and '{moments[1][0].title}'"
+            raise DataError(self._where(row), problem, "One of them states when.")
+        column, value = moments[0]
+        if column.kind == "at":
+            return None, (column.name, value)
+        start, _ = self._field(row, "start", "start") or (self._start, 0)
+        if value < start:
+            problem = f"was measured at {value:g} s, before the run begins at {start:g} s"
             raise DataError(self._where(row), problem)
-        return time - start, None
+        return value - start, None
 
     def _condition(self, row: int) -> int:
         """Return the number of a row's condition, which may be a new one."""
@@ -454,7 +453,7 @@ class _Rows:
         return ", ".join(parts)
 
 
-def _grouped(data: Sequence[Datum]) -> list[Datum]:
+def _group(data: Sequence[Datum]) -> list[Datum]:
     """Return data in which replicates are one: the mean, with the error of that mean.
 
     Replicates are weighted by their tissues, or by 1/σ² where σ holds the scatter of tissues.
@@ -464,10 +463,10 @@ def _grouped(data: Sequence[Datum]) -> list[Datum]:
         means = math.isinf(datum.tissues)
         key = datum.observable, datum.condition, datum.time, datum.at, datum.log, means
         groups.setdefault(key, []).append(datum)
-    return [_together(group) if len(group) > 1 else group[0] for group in groups.values()]
+    return [_merge(group) if len(group) > 1 else group[0] for group in groups.values()]
 
 
-def _together(group: Sequence[Datum]) -> Datum:
+def _merge(group: Sequence[Datum]) -> Datum:
     """Return the mean of replicates."""
     first = group[0]
     weights = [d.sigma**-2 if math.isinf(d.tissues) else d.tissues for d in group]

@@ -2,8 +2,8 @@
 
 A datum y with standard deviation σ (both on the scale of its comparison, see
 :class:`multicell.calibration.data.Datum`) is taken to be what one tissue shows, measured with a
-normal error. So if runs that differ in nothing but their random numbers have mean m and variance s²,
-y - m has the variance σ² + s² over tissues and measurements. With m and s² from K runs,
+normal error. So if runs that differ in nothing but their random numbers have mean m and variance
+s², y - m has the variance σ² + s² over tissues and measurements. With m and s² from K runs,
 
     z = (y - m) / √v,    v = σ² + s² (1 + 1/K),    -2 ln L = Σ (z² + ln(v/σ²)) + constant,
 
@@ -82,7 +82,7 @@ def scales(data: Sequence[Datum]) -> tuple[Array, Array]:
     return np.array([d.scaled(d.value) for d in data]), np.array([d.sigma for d in data])
 
 
-def scaled(data: Sequence[Datum], values: Sequence[float]) -> Array:
+def scale_readings(data: Sequence[Datum], values: Sequence[float]) -> Array:
     """Return readings of a run on the scales of the data, (n,); NaN where there is nothing."""
     return np.array([d.scaled(v) for d, v in zip(data, values, strict=True)], dtype=float)
 
@@ -127,14 +127,14 @@ def misfit(
     if count > 1:
         scatter = np.where(known, runs.var(axis=0, ddof=1), 0.0)
         if groups is not None:
-            scatter = _moderated(scatter, known, count - 1.0, *groups)
+            scatter = _moderate(scatter, known, count - 1.0, *groups)
     total = sigma**2 + scatter * (1.0 / tissues + 1.0 / count)
     residuals = np.where(known, (means - observed) / np.sqrt(total), ABSENT)
     loss = float((residuals**2 + np.log(total / sigma**2)).sum())
     return Misfit(means, scatter, residuals, loss)
 
 
-def _moderated(
+def _moderate(
     scatter: Array, known: NDArray[np.bool_], freedom: float, groups: NDArray[np.int64],
     sizes: Array,
 ) -> Array:  # fmt: skip
@@ -146,6 +146,6 @@ def _moderated(
     return np.where(known, drawn, 0.0)
 
 
-def standardised(observed: Array, sigma: Array, run: Array) -> Array:
+def standardise(observed: Array, sigma: Array, run: Array) -> Array:
     """Return (reading - datum) / σ of one run, (n,); ABSENT where it has nothing."""
     return np.where(np.isfinite(run), (run - observed) / sigma, ABSENT)

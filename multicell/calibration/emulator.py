@@ -27,7 +27,7 @@ PARTICLES: Final = 2000
 FEW: Final = 500
 """Draws that are enough to see where a posterior is, if not where its tails end."""
 _MOVES: Final = 8
-_MOST: Final = 100
+_MAX_POINTS: Final = 100
 """Points that a process is fitted to, the nearest ones: its cost is their number cubed."""
 
 Loss = Callable[[Array], Array]
@@ -149,7 +149,7 @@ def emulator(
     shares, residuals, scatter, loss = (x[whole] for x in (shares, residuals, scatter, loss))
     if len(shares) < shares.shape[1] + 3:
         return None
-    nearest = np.argsort(loss, kind="stable")[:_MOST]
+    nearest = np.argsort(loss, kind="stable")[:_MAX_POINTS]
     names = np.array(observables or [""] * residuals.shape[1])
     processes = tuple(
         _process(shares[nearest], residuals[nearest], np.flatnonzero(names == name))
@@ -202,8 +202,8 @@ def draws(loss: Loss, dimensions: int, seed: int, count: int = PARTICLES) -> Arr
     while power < 1.0:
         step = _step(losses, 1.0 - power)
         power = 1.0 if step >= 1.0 - power else power + step
-        chosen = _resampled(_weights(losses, step), random)
-        found, losses = _moved(loss, found[chosen], losses[chosen], power, random)
+        chosen = _resample(_weights(losses, step), random)
+        found, losses = _move(loss, found[chosen], losses[chosen], power, random)
     return found
 
 
@@ -219,7 +219,7 @@ def best_of(loss: Loss, found: Array) -> Array:
     return np.asarray(down.x, dtype=float)
 
 
-def _moved(
+def _move(
     loss: Loss, found: Array, losses: Array, power: float, random: np.random.Generator
 ) -> tuple[Array, Array]:
     """Return draws after Metropolis steps at a power of the likelihood."""
@@ -257,7 +257,7 @@ def _step(losses: Array, most: float) -> float:
     return max(low, 1e-12 * most)
 
 
-def _resampled(weights: Array, random: np.random.Generator) -> NDArray[np.intp]:
+def _resample(weights: Array, random: np.random.Generator) -> NDArray[np.intp]:
     """Return rows drawn systematically by their weights."""
     count = len(weights)
     places = (random.random() + np.arange(count)) / count

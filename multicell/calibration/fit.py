@@ -10,18 +10,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
-from multicell.calibration.data import ASSUMED, read_data
+from multicell.calibration.data import ASSUMED, MAX_BYTES, read_data
 from multicell.calibration.fit_folder import Elapsed
 from multicell.calibration.fitted import Fit
-from multicell.calibration.fresh import CHECKS, MOST, USUAL
-from multicell.calibration.hands import hands
-from multicell.calibration.likelihood import LEAST
+from multicell.calibration.fresh import CHECKS, DEFAULT_REPEATS, MAX_REPEATS
+from multicell.calibration.likelihood import MIN_REPEATS
+from multicell.calibration.pool import Pool, open_pool
 from multicell.calibration.problem import Problem, problem_of, ranges_of
-from multicell.calibration.table_text import Table, read_table
 from multicell.errors import SceneError
 from multicell.extras import needs
 from multicell.schema import chosen
-from multicell.studies.limits import MOST_POINTS, MOST_RUNS, check_runs, check_seeds, whole
+from multicell.studies.limits import MAX_POINTS, MAX_RUNS, check_runs, check_seeds, whole
+from multicell.tables.fields import Table, read_table
 from multicell.units import to_base
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ _SEARCHED: Final = 0.8
 """Part of a budget of time that the search takes alone; the rest is for fresh runs."""
 
 Progress = Callable[[str, int, int], None]
-"""Called with what goes on, how much of it is done and how much is wanted."""
+"""Called with the stage, how much of it is done and how much is wanted."""
 
 
 def fit(
@@ -51,7 +51,7 @@ def fit(
     output: str | Path | None = None,
     method: str = "best",
     seeds: int = 2,
-    repeats: int = USUAL,
+    repeats: int = DEFAULT_REPEATS,
     budget: int | str | None = None,
     population: int = 200,
     start: float | str | None = None,
@@ -75,8 +75,8 @@ def fit(
         Key of the scene -> its range, ``"8:25 h"``, ``"log 1e-3:1 1/s"`` or two values. Within it
         all values are equally likely beforehand (on a logarithmic range: all ratios).
     output
-        Folder for everything. The same fit in the same folder goes on where it was: nothing is run
-        twice, and a larger budget adds to what is there.
+        Folder for everything. The same fit in the same folder continues: nothing is run twice,
+        and a larger budget adds to what is there.
     method
         ``"best"``: a best point in few runs, with intervals by an emulator fitted to them;
         ``"posterior"``: the posterior, sampled with runs; ``"both"``.
@@ -102,7 +102,7 @@ def fit(
     overwrite
         Whether another fit in the folder may be replaced.
     progress
-        Called with what goes on, how much is done and how much is wanted.
+        Called with the stage, how much is done and how much is wanted.
     simulator
         What stands for the runs, for tests and emulators of one's own.
 
@@ -119,11 +119,11 @@ def fit(
     FitFailed
         If no run gives anything to compare, or a budget ends before there is a result.
     """
-    plan = planned(
+    plan = plan_of(
         scene, data, free, method=method, seeds=seeds, repeats=repeats, budget=budget,
         population=population, start=start, sd=sd, simulator=simulator,
     )  # fmt: skip
-    return carried_out(
+    return carry_out(
         plan, output=output, cores=cores, scheduler=scheduler, overwrite=overwrite,
         progress=progress,
     )  # fmt: skip
@@ -158,10 +158,10 @@ class FitPlan:
     @property
     def runs(self) -> int:
         """How many runs there will be at most."""
-        return self._searched + self.draws * self._conditions
+        return self._planned_runs + self.draws * self._conditions
 
     @property
-    def _searched(self) -> int:
+    def _planned_runs(self) -> int:
         """How many runs are not draws: those of the search, and fresh ones."""
         each = len(self.problem.tasks())
         return self.points * each + _fresh_runs(self.method, self.repeats) * self._conditions
@@ -170,35 +170,37 @@ class FitPlan:
     def _conditions(self) -> int:
         return len(self.problem.measured.conditions)
 
-    def described(self) -> dict[str, Any]:
+    def describe(self) -> dict[str, Any]:
         """Return what decides all numbers of the fit."""
-        from multicell.calibration.fit_folder import described
+        from multicell.calibration.fit_folder import describe
 
         times = [datum.time for datum in self.problem.measured.data]
         options = {"sd": self.sd, "population": self.population, "times": times}
-        return described(self.problem, self.scene, self.table, options)
+        return describe(self.problem, self.scene, self.table, options)
 
     def left(self, folder: str | Path | None) -> tuple[int, float]:
         """Return how many runs are left at most, and the time on one core in s that they take."""
-        from multicell.calibration.fit_folder import made
+        from multicell.calibration.fit_folder import work_done
         from multicell.studies.cost import cost_of
 
-        runs, draws, finished = (0, 0, False) if folder is None else made(folder, self.described())
-        searched = max(0, self._searched - runs)
+        runs, draws, finished = (
+            (0, 0, False) if folder is None else work_done(folder, self.describe())
+        )
+        searched = max(0, self._planned_runs - runs)
         drawn = 0 if finished else max(0, self.draws - draws)
         each = [cost_of(c.scene).seconds for c in self.problem.measured.conditions]
         count = searched + drawn * self._conditions
         return count, float(sum(each) / len(each) * count)
 
 
-def planned(
+def plan_of(
     scene: Scene | str | Path,
     data: Any,
     free: Mapping[str, Any],
     *,
     method: str = "best",
     seeds: int = 2,
-    repeats: int = USUAL,
+    repeats: int = DEFAULT_REPEATS,
     budget: int | str | None = None,
     population: int = 200,
     start: float | str | None = None,
@@ -212,15 +214,17 @@ def planned(
         scene = load_scene(scene)
     chosen(method, METHODS, "method")
     seeds = check_seeds(seeds, scene.seed)
-    whole("repeats", repeats, LEAST, MOST, "It is the number of runs with fresh seeds.")
-    whole("population", population, 10, MOST_POINTS, "It is the number of draws in a generation.")
-    table = read_table(data)
+    whole(
+        "repeats", repeats, MIN_REPEATS, MAX_REPEATS, "It is the number of runs with fresh seeds."
+    )
+    whole("population", population, 10, MAX_POINTS, "It is the number of draws in a generation.")
+    table = read_table(data, MAX_BYTES)
     measured = read_data(table, scene, start=start, sd=sd)
     ranges = ranges_of(free, measured)
     check_runs(len(measured.conditions), seeds)
     problem = problem_of(measured, ranges, seeds, scene.seed, simulator)
     fresh = _fresh_runs(method, repeats)
-    points, draws, seconds = _budgeted(problem, method, budget, population, fresh)
+    points, draws, seconds = _spend(problem, method, budget, population, fresh)
     return FitPlan(problem, scene, table, method, points, draws, seconds, population, sd, repeats)
 
 
@@ -229,7 +233,7 @@ def _fresh_runs(method: str, repeats: int) -> int:
     return repeats + (CHECKS if method == "best" else 0)
 
 
-def _budgeted(
+def _spend(
     problem: Problem, method: str, budget: int | str | None, population: int, fresh: int
 ) -> tuple[int, int, float]:
     """Return sets of parameters of the search, draws of the posterior, and s."""
@@ -243,7 +247,7 @@ def _budgeted(
         if seconds <= 0.0:
             raise SceneError("budget", f"is {budget!r}, must be above 0")
         return 10 * points, 100 * draws, seconds
-    whole("budget", budget, 1, MOST_RUNS, "It is the number of runs in all.")
+    whole("budget", budget, 1, MAX_RUNS, "It is the number of runs in all.")
     conditions, each = len(problem.measured.conditions), len(problem.tasks())
     asked, budget = budget, max(0, budget - fresh * conditions)
     if method == "both":
@@ -265,7 +269,7 @@ def _budgeted(
     return points, draws, math.inf
 
 
-def carried_out(
+def carry_out(
     plan: FitPlan,
     *,
     output: str | Path | None = None,
@@ -285,7 +289,7 @@ def carried_out(
                 progress(what, done, wanted)
 
         try:
-            evaluations, draws, again = _worked(plan, folder, cores, scheduler, begin, note)
+            evaluations, draws, again = _make_runs(plan, folder, cores, scheduler, begin, note)
         finally:
             elapsed.note(now=True)
         facts = {
@@ -308,7 +312,7 @@ def carried_out(
         return found
 
 
-def _worked(
+def _make_runs(
     plan: FitPlan, folder: Path | None, cores: int | None, scheduler: str | None, begin: float,
     progress: Progress,
 ) -> tuple[list[Evaluation], Draws | None, Fresh]:  # fmt: skip
@@ -320,17 +324,17 @@ def _worked(
     search = Search(plan.problem, None if folder is None else folder / SEARCH)
     evaluations: list[Evaluation] = []
     draws: Draws | None = None
-    with hands(cores, scheduler) as working:
+    with open_pool(cores, scheduler) as pool:
         if plan.method != "posterior":
-            evaluations = _searched(plan, search, working, begin, progress)
+            evaluations = _search(plan, search, pool, begin, progress)
         if plan.method != "best":
-            draws = _sampled(plan, folder, working, begin, progress)
+            draws = _sample(plan, folder, pool, begin, progress)
 
         def tell(done: int, wanted: int) -> None:
             progress("fresh runs", done, wanted)
 
         emulator = search.emulator()
-        again = fresh(plan.problem, search, working, emulator, draws, plan.repeats, tell)
+        again = fresh(plan.problem, search, pool, emulator, draws, plan.repeats, tell)
     return evaluations, draws, again
 
 
@@ -340,26 +344,26 @@ def _place(plan: FitPlan, output: str | Path | None, overwrite: bool) -> Iterato
     if output is None:
         yield None
         return
-    from multicell.calibration.fit_folder import opened
+    from multicell.calibration.fit_folder import open_folder
 
-    about = plan.described()
-    with opened(output, about, plan.scene, plan.table, overwrite=overwrite) as folder:
+    about = plan.describe()
+    with open_folder(output, about, plan.scene, plan.table, overwrite=overwrite) as folder:
         yield folder
 
 
-def _searched(
-    plan: FitPlan, search: Search, working: Any, begin: float, progress: Progress
+def _search(
+    plan: FitPlan, search: Search, pool: Pool, begin: float, progress: Progress
 ) -> list[Evaluation]:
     share = _SHARE if plan.method == "both" else _SEARCHED
 
     def tell(done: int, wanted: int) -> None:
         progress("runs of the search", done, wanted)
 
-    return search.run(working, plan.points, deadline=begin + share * plan.seconds, progress=tell)
+    return search.run(pool, plan.points, deadline=begin + share * plan.seconds, progress=tell)
 
 
-def _sampled(
-    plan: FitPlan, folder: Path | None, working: Any, begin: float, progress: Progress
+def _sample(
+    plan: FitPlan, folder: Path | None, pool: Pool, begin: float, progress: Progress
 ) -> Draws:
     from multicell.calibration.posterior import posterior
 
@@ -368,6 +372,6 @@ def _sampled(
         progress(f"posterior, {of}, {drawn:,} draws", accepted, wanted)
 
     return posterior(
-        plan.problem, working, folder=folder, population=plan.population, most=plan.draws,
+        plan.problem, pool, folder=folder, population=plan.population, most=plan.draws,
         deadline=begin + plan.seconds, progress=tell,
     )  # fmt: skip

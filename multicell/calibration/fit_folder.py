@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.calibration.problem import Problem
-from multicell.calibration.table_text import Table
 from multicell.errors import OutputError
 from multicell.results.documents import Lines, read_table, write_table
 from multicell.results.folder import (
@@ -30,6 +29,7 @@ from multicell.results.folder import (
 from multicell.results.start_copy import with_copy
 from multicell.scene.start_table import COPIES
 from multicell.studies.runs import MODEL_VERSION, canonical
+from multicell.tables.fields import Table
 
 if TYPE_CHECKING:
     from multicell.calibration.fitted import Fit
@@ -48,11 +48,10 @@ FILES: Final = (
     "result.json", "best.toml", "posterior.csv", "residuals.csv", "report.html", "data.png",
     "parameters.png", _ELAPSED, *COPIES,
 )  # fmt: skip
-_GENERATIONS: Final = "SELECT t, nr_samples, epsilon FROM populations"
 _PACKAGES: Final = ("optuna", "pyabc", "distributed", "pandas", "scikit-learn")
 
 
-def described(
+def describe(
     problem: Problem, scene: Scene, table: Table, options: Mapping[str, Any]
 ) -> dict[str, Any]:
     """Return what decides all numbers of a fit; a fit of anything else is another one."""
@@ -70,7 +69,7 @@ def described(
 
 
 @contextmanager
-def opened(
+def open_folder(
     folder: str | Path,
     problem: Mapping[str, Any],
     scene: Scene,
@@ -88,7 +87,7 @@ def opened(
     """
     folder = Path(folder)
     name = digest(problem)
-    known = _held(folder)
+    known = _read_fit(folder)
     if known is None or overwrite:
         make_folder(folder, overwrite=overwrite)
     elif known.get("digest") != name:
@@ -102,7 +101,7 @@ def opened(
     with locked(folder):
         if overwrite:
             remove(folder, FILES)
-        if _held(folder) is None:
+        if _read_fit(folder) is None:
             entry = {"digest": name, "multicell": package_version(), "problem": problem}
             kept = with_copy(scene, folder)
             write_text(folder / "scene.toml", kept.to_toml(beside=folder))
@@ -111,13 +110,13 @@ def opened(
         yield folder
 
 
-def made(folder: str | Path, problem: Mapping[str, Any]) -> tuple[int, int, bool]:
+def work_done(folder: str | Path, problem: Mapping[str, Any]) -> tuple[int, int, bool]:
     """Return what a folder has of a fit: runs of the search, draws, whether the posterior is done.
 
     Nothing of another fit counts.
     """
     folder = Path(folder)
-    known = _held(folder)
+    known = _read_fit(folder)
     if known is None or known.get("digest") != digest(problem):
         return 0, 0, False
     log, database, journal = (folder / name for name in (SEARCH, "posterior.db", _JOURNAL))
@@ -208,7 +207,7 @@ def write_result(fit: Fit, folder: Path) -> None:
         write_text(folder / "posterior.csv", _csv([titles, *lines]))
 
 
-def _held(folder: Path) -> dict[str, Any] | None:
+def _read_fit(folder: Path) -> dict[str, Any] | None:
     """Return what a folder is a fit of, None where there is none."""
     try:
         return read_table(folder / FIT)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _COLOURS: Final = (
     "#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#a04000", "#6a5acd", "#7a8b00",
 )  # fmt: skip
-_MOST: Final = 6
+_MAX_PAIRED: Final = 6
 """Parameters that are drawn pairwise; of more the first ones."""
 _UPRIGHT: Final = 9
 """Single data whose labels stand beside each other."""
@@ -203,7 +203,7 @@ def parameters(fit: Fit) -> Figure:
     Axes are the ranges that were searched; of a parameter whose posterior fills a small part of
     its range they are that part, and how much it is stands in its panel.
     """
-    ranges = fit.problem.ranges[:_MOST]
+    ranges = fit.problem.ranges[:_MAX_PAIRED]
     count = len(ranges)
     size = max(6.25, 2.3 * count + 1.5)
     figure = blank(_title(fit), _posterior_words(fit), (max(size, 10.0), size))

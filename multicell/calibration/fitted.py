@@ -139,7 +139,7 @@ class Fit:
             values=values,
             units=units,
             words={key: in_words(value, units[key]) for key, value in values.items()},
-            readings=unscaled(problem.measured.data, means),
+            readings=unscale(problem.measured.data, means),
             residuals=residuals,
             chi_squared=chi_squared,
             per_datum=chi_squared / len(residuals),
@@ -250,8 +250,8 @@ class Fit:
             found = found + self._scatter * random.standard_normal(found.shape)
             found = np.maximum(found, problem.lowest)
         scaled = problem.observed + found * problem.sigma
-        rows = np.array([quantiles(column, weights, levels) for column in scaled.T]).T
-        return np.array([unscaled(problem.measured.data, row) for row in rows])
+        rows = quantiles(scaled, weights, levels)
+        return np.array([unscale(problem.measured.data, row) for row in rows])
 
     @property
     def _scatter(self) -> Array:
@@ -344,7 +344,7 @@ class Fit:
             assert self.draws is not None
             notes.append(
                 f"The budget ended at temperature {self.draws.temperature:.3g}: intervals are too "
-                "wide. A larger budget goes on from there."
+                "wide. A larger budget continues from there."
             )
         if self.kind == "none":
             notes.append("Too few points were tried to tell intervals.")
@@ -442,11 +442,11 @@ class Fit:
             from multicell.errors import FitFailed
 
             raise FitFailed(
-                "too few points were tried for a posterior", "A larger budget goes on with the fit."
+                "too few points were tried for a posterior", "A larger budget continues the fit."
             )
         return self.sample
 
 
-def unscaled(data: Sequence[Datum], values: Array) -> Array:
+def unscale(data: Sequence[Datum], values: Array) -> Array:
     """Return values on the scales of comparison in base units."""
     return np.array([np.exp(v) if d.log else v for d, v in zip(data, values, strict=True)])

@@ -1,8 +1,8 @@
 """What fresh seeds show after a search: runs at the best point, and at draws from the intervals.
 
 The runs at the best point give its likelihood (:mod:`multicell.calibration.likelihood`). The runs
-at draws check the emulator where it is used: where it is further off at a datum than scatter and its
-own error explain, that error is raised to what was found, and the intervals are drawn again.
+at draws check the emulator where it is used: where it is further off at a datum than scatter and
+its own error explain, that error is raised to what was found, and the intervals are drawn again.
 """
 
 from __future__ import annotations
@@ -15,15 +15,21 @@ import numpy as np
 
 from multicell.calibration.distance import Array
 from multicell.calibration.emulator import FEW, Emulator, best_of, draws
-from multicell.calibration.hands import Hands
-from multicell.calibration.likelihood import LEAST, Likelihood, Scatter, likelihood, scatter_of
+from multicell.calibration.likelihood import (
+    MIN_REPEATS,
+    Likelihood,
+    Scatter,
+    likelihood,
+    scatter_of,
+)
+from multicell.calibration.pool import Pool
 from multicell.calibration.posterior import Draws
 from multicell.calibration.problem import Problem
 from multicell.calibration.search import Search
 
-USUAL: Final = 12
+DEFAULT_REPEATS: Final = 12
 """Fresh runs at the best point."""
-MOST: Final = 1000
+MAX_REPEATS: Final = 1000
 """Most of them."""
 CHECKS: Final = 6
 """Draws from the intervals that are run."""
@@ -99,10 +105,10 @@ class Fresh:
 def fresh(
     problem: Problem,
     search: Search,
-    hands: Hands,
+    pool: Pool,
     emulator: Emulator | None,
     drawn: Draws | None,
-    count: int = USUAL,
+    count: int = DEFAULT_REPEATS,
     progress: Callable[[int, int], None] | None = None,
 ) -> Fresh:
     """Run the best point, and draws from the intervals that follow, with fresh seeds.
@@ -113,8 +119,8 @@ def fresh(
         What is fitted.
     search
         Of the same problem; keeps the runs.
-    hands
-        Who makes the runs.
+    pool
+        Where runs are made.
     emulator
         Of the search; None where too few points were tried, or none.
     drawn
@@ -127,10 +133,10 @@ def fresh(
     best = _best(search, emulator, drawn)
     first = max(problem.seeds) + 1
     here = best.tolist()
-    runs, reasons = search.extra(hands, [(here, first + k) for k in range(count)], progress)
+    runs, reasons = search.extra(pool, [(here, first + k) for k in range(count)], progress)
     residuals = (runs - problem.observed) / problem.sigma
     whole = np.isfinite(residuals).any(axis=1)
-    if whole.sum() < LEAST:
+    if whole.sum() < MIN_REPEATS:
         return Fresh(best, runs, tuple(reasons), None, None, None)
     residuals = residuals[whole]
     known = np.isfinite(residuals).all(axis=0)
@@ -141,10 +147,10 @@ def fresh(
     found = likelihood(emulator, problem.tissues, best, scatter)
     likely = found.draws(FEW)
     chosen = likely[:: len(likely) // CHECKS][:CHECKS]
-    points = [(x.tolist(), first + MOST + k) for k, x in enumerate(chosen)]
-    runs_there, more = search.extra(hands, points, progress)
+    points = [(x.tolist(), first + MAX_REPEATS + k) for k, x in enumerate(chosen)]
+    runs_there, more = search.extra(pool, points, progress)
     away = (runs_there - problem.observed) / problem.sigma - found.predict(chosen)[0]
-    checks, error = _checked(away, found.predict(chosen)[1], scatter)
+    checks, error = _check(away, found.predict(chosen)[1], scatter)
     if checks.off.any():
         found = likelihood(emulator, problem.tissues, best, scatter, error)
     return Fresh(best, runs, (*reasons, *more), scatter, found, checks)
@@ -159,7 +165,7 @@ def _best(search: Search, emulator: Emulator | None, drawn: Draws | None) -> Arr
     return best_of(emulator.loss, draws(emulator.loss, emulator.dimensions, seed=0, count=FEW))
 
 
-def _checked(away: Array, variances: Array, scatter: Scatter) -> tuple[Checks, Array]:
+def _check(away: Array, variances: Array, scatter: Scatter) -> tuple[Checks, Array]:
     """Return what runs say of an emulator, and the variance that is missing in its error."""
     from scipy import stats
 

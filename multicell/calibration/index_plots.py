@@ -12,7 +12,7 @@ from multicell.calibration.indices import CLEAR, CLEAR_SINGLE
 from multicell.report.plots.colour_vision import PALE
 from multicell.report.plots.style import BLUE, QUIET, RED, SIZE, styled, type_colours
 from multicell.report.wording import time_unit
-from multicell.studies.pictures.heatmap import laid_out
+from multicell.studies.pictures.layout import with_heading
 from multicell.studies.pictures.values import key_words, sentence, words
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from multicell.calibration.sensitivity_result import Row, Sensitivity
 
 _ORANGE: Final = "#d98a1f"
-_MOST_LINES: Final = 7
+_MAX_LINES: Final = 7
 _NEAR_ORIGIN: Final = 0.02
 _HIGHEST: Final = 1.2  # of an axis of parts of the variance; intervals may go further
 
@@ -38,7 +38,7 @@ def indices(result: Sensitivity, observable: str) -> Figure:
     morris = result.method == "morris"
     high = max(3.6, 1.9 + 0.36 * len(rows) * (1.0 if morris else 1.35))
     size = (SIZE[0], max(high, 5.0) if morris else high)
-    figure = laid_out(_title(result), _subtitle(result, observable), size)
+    figure = with_heading(_title(result), _subtitle(result, observable), size)
     if morris:
         left, right = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
         _bars(left, rows, [("mu_star", BLUE)])
@@ -70,13 +70,13 @@ def course(result: Sensitivity, observable: str) -> Figure:
     rows = [row for row in result.courses if row["observable"] == observable]
     if not rows:
         raise ValueError(f"no index of {observable!r} over time is known")
-    shown = [row["parameter"] for row in result.ordered(observable)][:_MOST_LINES]
+    shown = [row["parameter"] for row in result.ordered(observable)][:_MAX_LINES]
     colours = type_colours(shown)
     own_words = {row["parameter"]: _shown(row) for row in rows}
     parts = [("mu_star", f"mean size of the effect μ*{_unit(rows)}")]
     if result.method == "sobol":
         parts = [("st", "ST: with interactions"), ("s1", "S1: alone")]
-    figure = laid_out(_title(result), _subtitle(result, observable, over="over time"), SIZE)
+    figure = with_heading(_title(result), _subtitle(result, observable, over="over time"), SIZE)
     grid = figure.subplots(1, len(parts), squeeze=False, sharey=True)
     unit = time_unit(max(row["time"] for row in rows))
     for axes, (name, label) in zip(grid[0], parts, strict=True):
@@ -107,11 +107,10 @@ def _subtitle(result: Sensitivity, observable: str, over: str = "at the end of e
     method = "Morris" if result.method == "morris" else "Sobol'"
     what = "trajectories" if result.method == "morris" else "base points"
     seeds = f"{len(result.seeds)} seeds" if len(result.seeds) > 1 else "one seed: noise unknown"
-    told = sentence(words(observable))
+    drawn = "bands" if over == "over time" else "bars"
     return (
-        f"{told} {over} · {method}, {result.size:,} {what}, {seeds} · bars: 95 % intervals".replace(
-            "bars", "bands" if over == "over time" else "bars"
-        )
+        f"{sentence(words(observable))} {over} · {method}, {result.size:,} {what}, {seeds} · "
+        f"{drawn}: 95 % intervals"
     )
 
 
@@ -160,7 +159,7 @@ def _plane(axes: Axes, rows: list[Row]) -> None:
         axes.plot(star[sure == told], sigma[sure == told], "o", color=colour, ms=7)
     ends = [v for v in (*(star + half), *sigma) if np.isfinite(v)]
     top = 1.12 * max(ends, default=1.0) or 1.0
-    for row, x, y in zip(rows[:_MOST_LINES], star, sigma, strict=False):
+    for row, x, y in zip(rows[:_MAX_LINES], star, sigma, strict=False):
         if not max(x, y) > _NEAR_ORIGIN * top:
             continue  # names of what has no effect would lie on each other
         side: dict[str, Any] = {"ha": "right" if x > 0.55 * top else "left"}

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 import numpy as np
 
 from multicell.errors import SceneError
-from multicell.studies.limits import MOST_POINTS, whole
+from multicell.studies.limits import MAX_POINTS, whole
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -37,11 +37,11 @@ if TYPE_CHECKING:
     Mask = NDArray[np.bool_]
 
 METHODS: Final = ("morris", "sobol")
-LEAST: Final = {"morris": 4, "sobol": 8}
+MIN_SIZE: Final = {"morris": 4, "sobol": 8}
 """Fewest trajectories, or base points, of which intervals mean anything."""
-ENOUGH: Final = 6
+RELIABLE: Final = 6
 """Trajectories from which 95 % intervals of Morris cover as much."""
-USUAL: Final = {"morris": 10, "sobol": 64}
+DEFAULT_SIZE: Final = {"morris": 10, "sobol": 64}
 _LEVELS: Final = 4  # of the grid of Morris
 _STEP: Final = _LEVELS / (2.0 * (_LEVELS - 1.0))  # of a parameter, in parts of its range
 _SAMPLE: Final = 20261  # seed of the sample: the same one for any size, so that one can be widened
@@ -117,10 +117,10 @@ def check_size(method: str, size: int) -> None:
     if method not in METHODS:
         raise SceneError("method", f"is {method!r}, must be one of {', '.join(METHODS)}")
     what = "trajectories" if method == "morris" else "base points"
-    if size < LEAST[method]:
-        problem = f"is {size}: too few {what} for an interval, must be at least {LEAST[method]}"
-        raise SceneError("size", problem, f"{USUAL[method]} are usual.")
-    whole("size", size, 1, MOST_POINTS, f"It is the number of {what}.")
+    if size < MIN_SIZE[method]:
+        problem = f"is {size}: too few {what} for an interval, must be at least {MIN_SIZE[method]}"
+        raise SceneError("size", problem, f"{DEFAULT_SIZE[method]} are usual.")
+    whole("size", size, 1, MAX_POINTS, f"It is the number of {what}.")
     if method == "sobol" and size & (size - 1):
         lower = 1 << (size.bit_length() - 1)
         hint = f"Take {lower} or {2 * lower}."
@@ -148,7 +148,7 @@ def sample(method: str, names: Sequence[str], size: int) -> FloatArray:
     return np.asarray(sobol.sample(problem, size, calc_second_order=False, seed=_SAMPLE))
 
 
-def analysed(
+def analyse(
     method: str, names: Sequence[str], shares: FloatArray, values: FloatArray,
     resamples: int = RESAMPLES,
 ) -> Analysis:  # fmt: skip

@@ -34,7 +34,7 @@ import numpy as np
 from multicell.calibration.distance import Array
 from multicell.calibration.emulator import FEW, PARTICLES, Emulator, draws
 
-LEAST: Final = 4
+MIN_REPEATS: Final = 4
 """Fresh runs of which a covariance can be estimated."""
 _SHRINKAGE: Final = 0.1
 _STILL: Final = 0.02
@@ -74,7 +74,7 @@ def scatter_of(residuals: Array) -> Scatter:
     return Scatter(mean, residuals.var(axis=0, ddof=1), residuals - mean)
 
 
-def _shrunk(away: Array) -> Array:
+def _shrink(away: Array) -> Array:
     """Return the covariance of runs (R, n), its correlations drawn towards none: (n, n)."""
     from sklearn.covariance import ledoit_wolf_shrinkage
 
@@ -170,7 +170,7 @@ def likelihood(
     known = np.diag(1.0 + variances[0] + error)
     # scatter of the tissues, correlated between data as they are the same ones, and of the mean
     share = np.sqrt(1.0 / np.outer(tissues, tissues)) + 1.0 / scatter.count
-    values, vectors = np.linalg.eigh(known + _shrunk(scatter.away) * share)
+    values, vectors = np.linalg.eigh(known + _shrink(scatter.away) * share)
     whitening = (vectors / np.sqrt(values)) @ vectors.T
     none = np.zeros((len(tissues), 0))
     working = Likelihood(
@@ -196,7 +196,7 @@ def _student(
     scatter = np.zeros((along, along))
     for k in range(count):
         others = np.delete(away, k, axis=0)
-        total = known + _shrunk(others) * share
+        total = known + _shrink(others) * share
         weighted = np.linalg.solve(total, moved)
         estimate = np.linalg.solve(moved.T @ weighted, weighted.T)
         left_out = away[k] - others.mean(axis=0)  # of variance S (1 + 1/(R - 1))

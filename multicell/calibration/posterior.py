@@ -23,7 +23,7 @@ from typing import Any, final
 import numpy as np
 
 from multicell.calibration.distance import Array
-from multicell.calibration.hands import Hands
+from multicell.calibration.pool import Pool
 from multicell.calibration.problem import Problem
 from multicell.errors import FitFailed, OutputError
 from multicell.extras import needs
@@ -60,7 +60,7 @@ class Draws:
 
 def posterior(
     problem: Problem,
-    hands: Hands,
+    pool: Pool,
     *,
     folder: Path | None = None,
     seed: int = 0,
@@ -70,14 +70,14 @@ def posterior(
     together: int = 1,
     progress: Callable[[int, int, int, int], None] | None = None,
 ) -> Draws:
-    """Sample the posterior of a problem, or go on with it.
+    """Sample the posterior of a problem, or continue with it.
 
     Parameters
     ----------
     problem
         What to fit.
-    hands
-        Who makes the runs.
+    pool
+        Where runs are made.
     folder
         Where pyABC's database and the journal of the generation under way are kept.
     seed
@@ -105,20 +105,20 @@ def posterior(
         from multicell.calibration.reproducible_sampler import Model, ReproducibleSampler
 
         sampler = ReproducibleSampler(
-            hands, seed, most=most, deadline=deadline, together=together, progress=progress,
+            pool, seed, most=most, deadline=deadline, together=together, progress=progress,
             journal=None if folder is None else folder / "posterior.journal",
         )  # fmt: skip
-        history = _sampled(problem, Model(problem), sampler, population, folder)
+        history = _sample(problem, Model(problem), sampler, population, folder)
         if history.max_t < 0:
             raise FitFailed(
                 f"the first generation of {population} draws was not complete after "
                 f"{sampler.drawn} draws",
-                "A larger budget goes on with it; a smaller population takes fewer draws.",
+                "A larger budget continues it; a smaller population takes fewer draws.",
             )
         return _draws(problem, history)
 
 
-def _sampled(
+def _sample(
     problem: Problem, model: Any, sampler: Any, population: int, folder: Path | None
 ) -> Any:
     """Return pyABC's history after all generations."""
@@ -147,7 +147,7 @@ def _sampled(
 
 
 def _open(smc: Any, path: Path, observed: dict[str, Array]) -> None:
-    """Let pyABC go on with what its database holds, or begin one."""
+    """Let pyABC continue what its database holds, or begin one."""
     import sqlalchemy
 
     place = f"sqlite:///{path.resolve()}"

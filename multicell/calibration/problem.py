@@ -16,13 +16,13 @@ from multicell.calibration.distance import (
     Misfit,
     groups_of,
     misfit,
-    scaled,
+    scale_readings,
     scales,
-    standardised,
+    standardise,
 )
 from multicell.calibration.simulator import Reading, SceneSimulator, Simulator
 from multicell.errors import SceneError
-from multicell.studies.axes import Range, check_axes, named, parse_range
+from multicell.studies.axes import Range, check_axes, parse_range, with_unique_names
 from multicell.studies.observed import signed
 
 
@@ -90,7 +90,7 @@ class Problem:
 
     def on_scales(self, condition: int, reading: Reading) -> Array:
         """Return the readings of a run on the scales of its data."""
-        return scaled(self.measured.of(condition), reading.values)
+        return scale_readings(self.measured.of(condition), reading.values)
 
     def runs(self, readings: Mapping[tuple[int, int], Array], seeds: Sequence[int]) -> Array:
         """Return the readings of all conditions by seed, (K, n)."""
@@ -115,7 +115,7 @@ class Problem:
             (k, seed): self.on_scales(k, self.simulator(shares, k, seed))
             for k in range(len(self.measured.conditions))
         }
-        return standardised(self.observed, self.sigma, self.runs(readings, [seed])[0])
+        return standardise(self.observed, self.sigma, self.runs(readings, [seed])[0])
 
 
 def ranges_of(free: Mapping[str, str | Sequence[object]], measured: Measured) -> tuple[Range, ...]:
@@ -135,7 +135,7 @@ def ranges_of(free: Mapping[str, str | Sequence[object]], measured: Measured) ->
                 problem = "is a condition of the data, so that no fit can choose it"
                 raise SceneError(key, problem)
     scene = measured.conditions[0].scene
-    ranges = named([parse_range(key, text, scene) for key, text in free.items()])
+    ranges = with_unique_names([parse_range(key, text, scene) for key, text in free.items()])
     for condition in measured.conditions:
         try:
             check_axes(condition.scene, ranges)

@@ -1,19 +1,20 @@
-"""A sampler of pyABC's whose every draw has a number; imported where there is pyABC only.
+"""A sampler for pyABC with the same draws on any number of workers.
 
 pyABC's own sampler for Dask seeds each draw from the operating system, takes no limit on the number
-of draws (a generation that accepts nothing would go on for ever), and keeps nothing of a generation
-that is stopped. Here the random numbers of a draw are those of its number, and a generation is the
-first draws in the order of their numbers of which enough are accepted. So it is the same one
-whoever works, in whatever order draws end, and a stopped generation goes on with what its journal
-holds.
+of draws (a generation that accepts nothing would never end), and keeps nothing of a generation that
+is stopped. Here the random numbers of a draw depend on its number alone, and a generation is the
+first draws in the order of their numbers of which enough are accepted. So it is the same on any
+workers, in whatever order draws end, and a stopped generation continues with its journal.
 """
 
 from __future__ import annotations
 
 import math
 import random
+import sys
 import time as clock
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final, final
@@ -23,12 +24,9 @@ from pyabc.parameters import Parameter
 from pyabc.random_variables import DistributionBase
 from pyabc.sampler import Sampler
 
-from multicell.calibration.hands import Hands
+from multicell.calibration.pool import Call, Pool
 from multicell.errors import OutputError
 from multicell.results.documents import Lines
-
-_AHEAD: Final = 2
-"""Draws that are handed out for each worker."""
 
 
 @final
@@ -37,8 +35,8 @@ class ReproducibleSampler(Sampler):  # type: ignore[misc]
 
     Parameters
     ----------
-    hands
-        Who draws.
+    pool
+        Where draws are made.
     seed
         Of all draws.
     most
@@ -48,14 +46,14 @@ class ReproducibleSampler(Sampler):  # type: ignore[misc]
     journal
         File that keeps what the draws of the current generation came to; or None.
     together
-        How many draws are handed out as one piece of work.
+        How many draws are one call.
     progress
         Called with generation, accepted, wanted and drawn.
     """
 
     def __init__(
         self,
-        hands: Hands,
+        pool: Pool,
         seed: int,
         *,
         most: float = math.inf,
@@ -65,7 +63,7 @@ class ReproducibleSampler(Sampler):  # type: ignore[misc]
         progress: Callable[[int, int, int, int], None] | None = None,
     ) -> None:
         super().__init__()
-        self._hands = hands
+        self._pool = pool
         self._seed = seed
         self._most = most
         self._deadline = deadline
@@ -93,28 +91,24 @@ class ReproducibleSampler(Sampler):  # type: ignore[misc]
 
         generation = -1 if all_accepted else t
         work = cloudpickle.dumps((simulate_one, self._read(generation)))
-        ordered = _Ordered()
-        given, limit = 0, min(max_eval, self._most - self.drawn)
-        while ordered.accepted < n:
-            while given < limit and self._hands.busy < _AHEAD * self._hands.count:
-                if ordered.in_any_order >= n:
+        ordered, most = _Ordered(), int(min(max_eval, self._most - self.drawn, sys.maxsize))
+
+        def calls() -> Iterator[Call]:
+            for first in range(0, most, self._together):
+                if ordered.in_any_order >= n or clock.monotonic() > self._deadline:
+                    return
+                numbers = range(first, min(first + self._together, most))
+                yield numbers, _draw, (work, self._seed, generation, numbers)
+
+        with closing(self._pool.results(calls())) as results:
+            for numbers, particles in results:
+                self._write(generation, particles)
+                ordered.add(numbers, particles)
+                if self._progress is not None:
+                    drawn = self.drawn + ordered.count
+                    self._progress(generation, min(ordered.in_any_order, n), n, drawn)
+                if ordered.accepted >= n:
                     break
-                if clock.monotonic() > self._deadline:
-                    limit = given
-                    break
-                count = int(min(self._together, limit - given))
-                numbers = range(given, given + count)
-                self._hands.give(numbers, _draw, work, self._seed, generation, numbers)
-                given += count
-            if not self._hands.busy:
-                break
-            numbers, particles = self._hands.take()
-            self._write(generation, particles)
-            ordered.add(numbers, particles)
-            if self._progress is not None:
-                drawn = self.drawn + ordered.count
-                self._progress(generation, min(ordered.in_any_order, n), n, drawn)
-        self._hands.drop()
         return self._sample(ordered.particles, n)
 
     def _sample(self, particles: list[Any], n: int) -> Any:
@@ -136,7 +130,7 @@ class ReproducibleSampler(Sampler):  # type: ignore[misc]
         if self._journal is None:
             return {}
         self._lines = Lines(self._journal)
-        entries = [_checked(entry, self._journal) for entry in self._lines.entries]
+        entries = [_check_entry(entry, self._journal) for entry in self._lines.entries]
         # the calibration is in no database before the generation after it
         kept = [e for e in entries if e["generation"] >= generation or generation <= 0]
         if len(kept) < len(entries):
@@ -183,12 +177,12 @@ class _Ordered:
 
 def _draw(work: bytes, seed: int, generation: int, numbers: range) -> list[Any]:
     """Draw some particles; done by a worker."""
-    simulate_one, known = _loaded(work)
+    simulate_one, known = _load(work)
     return [_one(simulate_one, known, seed, generation, number) for number in numbers]
 
 
 @lru_cache(maxsize=1)
-def _loaded(work: bytes) -> Any:
+def _load(work: bytes) -> Any:
     """Return what all draws of a generation share."""
     import cloudpickle
 
@@ -271,7 +265,7 @@ class Model:
         return {"z": found, "key": key}
 
 
-def _checked(entry: Any, journal: Path) -> dict[str, Any]:
+def _check_entry(entry: Any, journal: Path) -> dict[str, Any]:
     """Return an entry of a journal, which has a generation, a key and numbers."""
     if isinstance(entry, dict) and {"generation", "key", "z"} <= set(entry):
         return entry

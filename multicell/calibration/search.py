@@ -1,4 +1,4 @@
-"""The best parameters in few runs: Optuna asks and is told, an emulator proposes beside it.
+"""The best parameters in few runs: proposed by an emulator and by Optuna.
 
 Points are tried in batches. The first ones are a Sobol' sequence; of each later batch most come
 from an emulator (:mod:`multicell.calibration.emulator`): its minimum, and draws from its posterior,
@@ -7,7 +7,7 @@ dependence and looks elsewhere too. All points have the same random numbers, so 
 between them are differences of parameters.
 
 Whatever is known is Optuna's storage: each run is an attribute of its trial as soon as it has
-ended, so that a search that is stopped goes on without a second run of anything.
+ended, so that a search that is stopped continues without a second run of anything.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ import numpy as np
 
 from multicell.calibration.distance import Array, Misfit
 from multicell.calibration.emulator import FEW, Emulator, best_of, draws, emulator
-from multicell.calibration.hands import Hands
+from multicell.calibration.pool import Call, Pool
 from multicell.calibration.problem import Problem
 from multicell.calibration.simulator import Reading
 from multicell.errors import FitFailed, OutputError
@@ -97,7 +97,7 @@ class Search:
 
     def run(
         self,
-        hands: Hands,
+        pool: Pool,
         points: int,
         *,
         deadline: float = math.inf,
@@ -107,8 +107,8 @@ class Search:
 
         Parameters
         ----------
-        hands
-            Who makes the runs.
+        pool
+            Where runs are made.
         points
             Number of points that are wanted in all.
         deadline
@@ -122,18 +122,18 @@ class Search:
             If all runs of the first points fail.
         """
         with _quiet():
-            self._finish(hands, self._open(), progress, points)
+            self._finish(pool, self._open(), progress, points)
             while (known := len(self.evaluations())) < points and clock.monotonic() < deadline:
                 self._refuse_failures()
-                width = max(BATCH, math.ceil(hands.count / len(self._problem.tasks())))
+                width = max(BATCH, math.ceil(pool.count / len(self._problem.tasks())))
                 batch = self._ask(min(width, points - known))
-                self._finish(hands, batch, progress, points)
+                self._finish(pool, batch, progress, points)
             self._refuse_failures()
             return self.evaluations()
 
     def extra(
         self,
-        hands: Hands,
+        pool: Pool,
         points: Sequence[tuple[Sequence[float], int]],
         progress: Callable[[int, int], None] | None = None,
     ) -> tuple[Array, list[str]]:
@@ -141,8 +141,8 @@ class Search:
 
         Parameters
         ----------
-        hands
-            Who makes the runs.
+        pool
+            Where runs are made.
         points
             Places in the ranges, and the seed there.
         progress
@@ -157,16 +157,16 @@ class Search:
         """
         conditions = range(len(self._problem.measured.conditions))
         known: dict[tuple[int, int], Reading] = {}
+        calls: list[Call] = []
         for row, (shares, seed) in enumerate(points):
             for condition in conditions:
                 entry = self._study.user_attrs.get(f"extra {seed}:{condition}")
                 if entry is not None and entry["shares"] == list(shares):
                     known[row, condition] = _reading(entry)
                 else:
-                    place = (row, condition)
-                    hands.give(place, self._problem.simulator, list(shares), condition, seed)
-        while hands.busy:
-            (row, condition), reading = hands.take()
+                    arguments = list(shares), condition, seed
+                    calls.append(((row, condition), self._problem.simulator, arguments))
+        for (row, condition), reading in pool.results(calls):
             shares, seed = points[row]
             entry = {"shares": list(shares), **_entry(reading)}
             self._study.set_user_attr(f"extra {seed}:{condition}", entry)
@@ -248,7 +248,7 @@ class Search:
 
     def _finish(
         self,
-        hands: Hands,
+        pool: Pool,
         trials: Sequence[Any],
         progress: Callable[[int, int], None] | None,
         points: int,
@@ -260,16 +260,16 @@ class Search:
         for trial in trials:
             if not missing[trial.number]:
                 self._tell(trial)
+        calls: list[Call] = []
         for condition, seed in tasks:
             for trial in trials:
                 if (condition, seed) in missing[trial.number]:
                     shares = [trial.params[name] for name in self._problem.names]
                     key = trial.number, condition, seed
-                    hands.give(key, self._problem.simulator, shares, condition, seed)
+                    calls.append((key, self._problem.simulator, (shares, condition, seed)))
         done = len(self.evaluations()) * len(tasks)
         done += sum(len(tasks) - len(m) for m in missing.values() if m)
-        while hands.busy:
-            (number, condition, seed), reading = hands.take()
+        for (number, condition, seed), reading in pool.results(calls):
             _note(by_number[number], condition, seed, reading)
             missing[number].discard((condition, seed))
             if not missing[number]:
@@ -296,7 +296,7 @@ class Search:
         return Evaluation(trial.number, shares, self._problem.misfit(known), tuple(reasons))
 
     def _refuse_failures(self) -> None:
-        """Refuse to go on where no run succeeds."""
+        """Refuse to continue where no run succeeds."""
         known = self.evaluations()
         if len(known) < BATCH or any(np.isfinite(e.misfit.means).any() for e in known):
             return

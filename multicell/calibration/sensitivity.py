@@ -10,27 +10,29 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
-from multicell.calibration.ensemble import Ensemble, Evaluate, Observed, ensemble, observe
 from multicell.calibration.indices import (
-    ENOUGH,
+    DEFAULT_SIZE,
     NOISE,
-    USUAL,
+    RELIABLE,
     Analysis,
     Index,
-    analysed,
+    analyse,
     block,
     check_size,
     sample,
 )
+from multicell.calibration.responses import Evaluate, Responses, responses_of
 from multicell.calibration.sensitivity_result import COLUMNS, Row, Sensitivity
 from multicell.errors import OutputError, SceneError
 from multicell.extras import needs
 from multicell.files import parse_toml, read_regular
-from multicell.results.folder import file_errors, write_text
+from multicell.results.folder import file_errors, make_folder, write_text
 from multicell.results.quantities import known_unit
-from multicell.studies.axes import Range, check_axes, named, parse_range
+from multicell.studies.axes import Range, check_axes, parse_range, with_unique_names
 from multicell.studies.limits import check_runs, check_seeds
 from multicell.studies.observed import at_the_end, in_history, likely
+from multicell.studies.plan import Plan, make_plan
+from multicell.studies.study import Study, write_study
 
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
@@ -44,7 +46,7 @@ PLAN: Final = "sensitivity.toml"
 
 _USUAL: Final = ("cells", "diameter", "viable_rim", "necrotic_radius", "heterotypic_fraction",
                  "pull", "largest_pressure")  # fmt: skip
-_MOST_USUAL: Final = 4
+_MAX_USUAL: Final = 4
 _COURSE_RESAMPLES: Final = 100
 
 
@@ -66,9 +68,9 @@ def sensitivity(
 ) -> Sensitivity:
     """Find out which parameters of a scene decide its observables.
 
-    Runs are carried out as those of a study: in ``runs`` of the folder, each once. An analysis that
-    was stopped goes on when it is asked for again, and a larger ``size`` or more ``seeds`` take the
-    runs that are there.
+    The runs are those of a study whose points are a list, in the same folder: ``multicell study
+    status`` says how they stand. An analysis that was stopped continues when it is asked for
+    again, and a larger ``size`` or more ``seeds`` take the runs that are there.
 
     Parameters
     ----------
@@ -92,7 +94,7 @@ def sensitivity(
     overwrite
         Whether the folder may hold another analysis, whose runs stay.
     cores, scheduler, retry
-        As in :func:`multicell.studies.engine.carry_out`.
+        As in :meth:`multicell.studies.study.Study.run`.
     report
         Whether to write the page and its pictures.
     progress
@@ -110,11 +112,9 @@ def sensitivity(
     ClusterError
         If the scheduler does not answer.
     """
-    plan = planned(
-        scene, free, method=method, size=size, seeds=seeds, observables=observables, output=output
-    )
+    plan = plan_of(scene, free, method=method, size=size, seeds=seeds, observables=observables)
     prepare(plan, output, overwrite=overwrite)
-    result = carried_out(
+    result = carry_out(
         plan, output, cores=cores, scheduler=scheduler, retry=retry, progress=progress
     )
     if report:
@@ -129,27 +129,29 @@ class SensitivityPlan:
 
     Attributes
     ----------
-    scene, method, ranges, size, seeds, observables
+    scene, method, ranges, size, observables
         As in :func:`sensitivity`.
-    ensemble
-        Its runs.
+    study
+        The plan of its runs: the points that differ, as a list.
+    rows : (n,)
+        The number of each point of the sample in the study.
     """
 
     scene: Scene
     method: str
     ranges: tuple[Range, ...]
     size: int
-    seeds: tuple[int, ...]
     observables: tuple[str, ...]
-    ensemble: Ensemble
+    study: Plan
+    rows: tuple[int, ...]
 
     @property
-    def runs(self) -> list[Run]:
-        """All runs, each once."""
-        return self.ensemble.runs
+    def seeds(self) -> tuple[int, ...]:
+        """The seeds of the runs at each point."""
+        return tuple(range(self.scene.seed, self.scene.seed + self.study.seeds))
 
 
-def planned(
+def plan_of(
     scene: Scene | str | Path,
     free: Mapping[str, Any],
     *,
@@ -157,7 +159,6 @@ def planned(
     size: int | None = None,
     seeds: int = 1,
     observables: Sequence[str] | None = None,
-    output: str | Path | None = None,
 ) -> SensitivityPlan:
     """Return the plan of an analysis, in which everything is checked.
 
@@ -165,19 +166,26 @@ def planned(
     """
     needs("SALib", "distributed")
     described = _scene(scene)
-    size = USUAL.get(method, 0) if size is None else size
+    size = DEFAULT_SIZE.get(method, 0) if size is None else size
     check_size(method, size)
     ranges = ranges_of(described, free)
     chosen = observables_of(described, observables)
-    own = seeds_of(described, seeds)
-    check_runs(size * block(method, len(ranges)), len(own), "size")
+    check_seeds(seeds, described.seed)
+    check_runs(size * block(method, len(ranges)), seeds, "size")
     shares = sample(method, [one.name for one in ranges], size)
-    folder = None if output is None else Path(output)
-    found = ensemble(described, ranges, shares, own, folder)
-    return SensitivityPlan(described, method, ranges, size, own, tuple(chosen), found)
+    points = [
+        tuple(free.setting(free.value(float(x))) for free, x in zip(ranges, row, strict=True))
+        for row in shares
+    ]
+    numbers = {point: number for number, point in enumerate(dict.fromkeys(points))}
+    columns = zip(*numbers, strict=True)
+    table = {free.key: list(column) for free, column in zip(ranges, columns, strict=True)}
+    study = make_plan(described, points=table, seeds=seeds)
+    rows = tuple(numbers[point] for point in points)
+    return SensitivityPlan(described, method, ranges, size, tuple(chosen), study, rows)
 
 
-def carried_out(
+def carry_out(
     plan: SensitivityPlan,
     output: str | Path,
     *,
@@ -186,27 +194,21 @@ def carried_out(
     retry: bool = False,
     progress: Callable[[Outcome], None] | None = None,
 ) -> Sensitivity:
-    """Do all runs of a plan that are not done, and return what they tell.
+    """Do all runs of a plan that are not done, and return what they show.
 
     Parameters and errors are those of :func:`sensitivity`.
     """
     folder = Path(output)
-
-    def evaluate(_: Any) -> Observed:
-        from multicell.studies.engine import carry_out
-
-        outcomes = carry_out(
-            plan.runs, folder, cores=cores, scheduler=scheduler, retry=retry, progress=progress
-        )
-        return observe(plan.ensemble, outcomes, folder, plan.observables)
-
-    return analyse(
-        plan.scene, plan.method, plan.ranges, plan.size, plan.seeds, plan.observables, evaluate,
-        plan.ensemble.points, folder,
+    study = Study(plan.study, folder)
+    outcomes = study.run(cores, scheduler, progress, retry=retry)
+    found = responses_of(outcomes, plan.study.seeds, folder, plan.observables)
+    return result_of(
+        plan.scene, plan.method, plan.ranges, plan.size, plan.seeds, plan.observables,
+        lambda _: found.at(plan.rows), _run_rows(study.runs, found), folder,
     )  # fmt: skip
 
 
-def analyse(
+def result_of(
     scene: Scene,
     method: str,
     ranges: Sequence[Range],
@@ -214,7 +216,7 @@ def analyse(
     seeds: Sequence[int],
     observables: Sequence[str],
     evaluate: Evaluate,
-    runs: Sequence[Sequence[Run]] = (),
+    runs: Sequence[Row] = (),
     folder: Path | None = None,
 ) -> Sensitivity:
     """Return the sensitivity of whatever gives values at points of the unit cube.
@@ -226,12 +228,12 @@ def analyse(
     evaluate
         Gives the observables at the points of the sample.
     runs, folder
-        Of the points, where they are runs.
+        A row for each run, and where they are.
     """
     names = [free.name for free in ranges]
     shares = sample(method, names, size)
     seen = evaluate(shares)
-    found = {name: analysed(method, names, shares, seen.final[name]) for name in observables}
+    found = {name: analyse(method, names, shares, seen.final[name]) for name in observables}
     table = [
         _row(method, name, free, index)
         for name, analysis in found.items()
@@ -246,7 +248,7 @@ def analyse(
         table=table,
         courses=_courses(method, ranges, shares, seen),
         notes=_notes(method, size, seeds, found, seen, table),
-        runs=_run_rows(runs, seen, observables),
+        runs=list(runs),
         folder=folder,
     )
 
@@ -261,7 +263,7 @@ def ranges_of(scene: Scene, free: Mapping[str, Any]) -> tuple[Range, ...]:
     """
     if not free:
         raise SceneError("free", "names no parameter", "For example drag.viscosity='1:10 kPa s'.")
-    ranges = named([parse_range(key, text, scene) for key, text in free.items()])
+    ranges = with_unique_names([parse_range(key, text, scene) for key, text in free.items()])
     check_axes(scene, ranges)
     return tuple(ranges)
 
@@ -279,7 +281,7 @@ def observables_of(scene: Scene, names: Sequence[str] | None) -> list[str]:
     if names is None:
         starves = bool(scene.nutrients)
         usual: list[str] = [n for n in _USUAL if n in history and (starves or n not in _USUAL[2:4])]
-        return usual[:_MOST_USUAL]
+        return usual[:_MAX_USUAL]
     if not names:
         raise SceneError("observables", "names none", f"For example {_USUAL[1]}.")
     for name in names:
@@ -288,17 +290,6 @@ def observables_of(scene: Scene, names: Sequence[str] | None) -> list[str]:
                 "observable", f"runs of this scene have no {name!r}", likely(name, known)
             )
     return list(dict.fromkeys(names))
-
-
-def seeds_of(scene: Scene, count: int) -> tuple[int, ...]:
-    """Return the seeds of the runs at each point.
-
-    Raises
-    ------
-    SceneError
-        For less than one, or too many.
-    """
-    return tuple(range(scene.seed, scene.seed + check_seeds(count, scene.seed)))
 
 
 def _scene(scene: Scene | str | Path) -> Scene:
@@ -318,37 +309,33 @@ def prepare(plan: SensitivityPlan, output: str | Path, *, overwrite: bool = Fals
     import tomli_w
 
     folder = Path(output)
-    asked = {
-        "method": plan.method,
-        "free": {free.key: _range_text(free) for free in plan.ranges},
-        "scene": plan.scene.to_dict(),
-    }
     path = folder / PLAN
-    with file_errors("use the output folder", folder):
-        if folder.exists() and not folder.is_dir():
-            raise OutputError(f"output '{folder}' is a file, not a folder")
-        folder.mkdir(parents=True, exist_ok=True)
-        before = read_regular(path, _LARGEST) if os.path.lexists(path) else None
-        held = sorted(entry.name for entry in folder.iterdir())
-    if before is None and held:
-        raise OutputError(
-            f"output folder '{folder}' is not empty (it holds {held[0]}) and holds no analysis of "
-            "sensitivity: choose another folder"
-        )
-    try:
-        same = before is None or parse_toml(before.decode()) == parse_toml(tomli_w.dumps(asked))
-    except ValueError:
-        same = False
-    if not same and not overwrite:
+    question = tomli_w.dumps(
+        {
+            "method": plan.method,
+            "free": {free.key: _range_text(free) for free in plan.ranges},
+            "scene": plan.scene.to_dict(),
+        }
+    )
+    there = os.path.lexists(path)
+    make_folder(folder, overwrite=there)
+    if there and not overwrite and not _same(path, question):
         raise OutputError(
             f"'{path}' asks something else (another scene, method or ranges): choose another "
             "folder, or allow overwriting (--overwrite, overwrite=True), which keeps all runs"
         )
-    write_text(path, tomli_w.dumps(asked))
+    write_study(plan.study, folder, overwrite=True)
+    write_text(path, question)
 
 
-def _range_text(free: Range) -> str:
-    return f"{'log ' if free.log else ''}{free.low!r}:{free.high!r} {free.unit}".strip()
+def _same(path: Path, question: str) -> bool:
+    """Return whether a file asks the same; one that cannot be read as TOML does not."""
+    with file_errors("read", path):
+        before = read_regular(path, _LARGEST)
+    try:
+        return parse_toml(before.decode()) == parse_toml(question)
+    except ValueError:
+        return False
 
 
 def _row(method: str, observable: str, free: Range, index: Index) -> Row:
@@ -366,13 +353,13 @@ def _row(method: str, observable: str, free: Range, index: Index) -> Row:
 
 
 def _courses(
-    method: str, ranges: Sequence[Range], shares: np.ndarray[Any, Any], seen: Observed
+    method: str, ranges: Sequence[Range], shares: np.ndarray[Any, Any], seen: Responses
 ) -> list[Row]:
     """Return the indices over time; times at which nothing can be told are left out."""
     rows, names = [], [free.name for free in ranges]
     for observable, values in seen.courses.items():
         for place, time in enumerate(seen.times):
-            found = analysed(method, names, shares, values[:, :, place], _COURSE_RESAMPLES)
+            found = analyse(method, names, shares, values[:, :, place], _COURSE_RESAMPLES)
             if found.constant or found.used < 2:
                 continue
             rows += [
@@ -384,7 +371,7 @@ def _courses(
 
 def _notes(
     method: str, size: int, seeds: Sequence[int], found: Mapping[str, Analysis],
-    seen: Observed, table: Sequence[Row],
+    seen: Responses, table: Sequence[Row],
 ) -> list[str]:  # fmt: skip
     """Return what the reader must know of the result."""
     what = "trajectories" if method == "morris" else "base points"
@@ -399,10 +386,10 @@ def _notes(
             notes.append(f"{name} is the same in all runs: no parameter decides it")
         if 2 <= analysis.used < size:
             notes.append(f"{name}: {size - analysis.used} of {size} {what} lack a run and are out")
-    if method == "morris" and size < ENOUGH:
+    if method == "morris" and size < RELIABLE:
         notes.append(
-            f"{size} trajectories: intervals of 95 % cover about 90 %, from {ENOUGH} on what they "
-            "say"
+            f"{size} trajectories: intervals of 95 % cover about 90 %, from {RELIABLE} on what "
+            "they say"
         )
     if len(seeds) == 1:
         notes.append("one seed: the noise is unknown, an index may be noise; take at least two")
@@ -414,13 +401,19 @@ def _notes(
     return notes
 
 
-def _run_rows(
-    runs: Sequence[Sequence[Run]], seen: Observed, observables: Sequence[str]
-) -> list[Row]:
-    rows: dict[str, Row] = {}
-    for place, point in enumerate(runs):
-        for seed, run in enumerate(point):
-            own = {name: float(seen.final[name][place, seed]) for name in observables}
-            reason = seen.failures.get(run.name, "")
-            rows[run.name] = {"name": run.name, **run.coordinates, **own, "reason": reason}
-    return list(rows.values())
+def _run_rows(runs: Sequence[Run], found: Responses) -> list[Row]:
+    """Return a row for each run of a study: name, coordinates, observables, why it failed."""
+    ends = {name: values.ravel() for name, values in found.final.items()}
+    return [
+        {
+            "name": run.name,
+            **run.coordinates,
+            **{name: float(values[number]) for name, values in ends.items()},
+            "reason": found.failures.get(run.name, ""),
+        }
+        for number, run in enumerate(runs)
+    ]
+
+
+def _range_text(free: Range) -> str:
+    return f"{'log ' if free.log else ''}{free.low!r}:{free.high!r} {free.unit}".strip()

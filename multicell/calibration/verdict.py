@@ -105,18 +105,13 @@ def intervals(
 
 
 def quantiles(values: Array, weights: Array, levels: Sequence[float]) -> Array:
-    """Return quantiles of weighted values: linear between the middles of their weights."""
-    order = np.argsort(values)
-    ends = np.cumsum(weights[order])
-    middles = (ends - 0.5 * weights[order]) / ends[-1]
-    return np.asarray(np.interp(levels, middles, values[order]))
+    """Return quantiles of weighted draws (k, ...) over the first axis: (levels, ...)."""
+    return np.quantile(values, levels, axis=0, weights=weights, method="inverted_cdf")
 
 
 def correlations(shares: Array, weights: Array) -> Array:
     """Return the correlations of the parameters on the scales of their ranges, (d, d)."""
-    centre = weights @ shares / weights.sum()
-    away = shares - centre
-    covariance = (weights[:, None] * away).T @ away / weights.sum()
+    covariance = np.atleast_2d(np.cov(shares.T, aweights=weights))
     spread = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     return np.asarray(covariance / np.outer(spread, spread))
 

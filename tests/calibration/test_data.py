@@ -211,7 +211,7 @@ def test_files_that_cannot_be_read_are_named(tmp_path):
     (tmp_path / "latin.csv").write_bytes(b"time / h, cells\n5, \xe9\n")
     with pytest.raises(DataError, match="is not UTF-8 text"):
         read_data(tmp_path / "latin.csv", SCENE)
-    with pytest.raises(DataError, match="is a list, must be a CSV file"):
+    with pytest.raises(DataError, match="is a list, must be a file"):
         read_data([1, 2], SCENE)
     with pytest.raises(DataError, match="different lengths: 'time / h' 2, 'cells' 1"):
         read_data({"time / h": [1, 2], "cells": [1]}, SCENE)

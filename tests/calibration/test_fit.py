@@ -13,17 +13,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cheap_fits import MATRIX, calls_of, linear
+from cheap_fits import MATRIX, calls_of, linear, stopping
 from click.testing import CliRunner
-from test_fit_search import Stopping
 
 import multicell as mc
+from multicell.calibration import fit_folder
 from multicell.calibration.data import Datum, read_data
-from multicell.calibration.fit import planned
+from multicell.calibration.fit import plan_of
 from multicell.calibration.fitted import Fit
-from multicell.calibration.fresh import _checked, fresh
-from multicell.calibration.hands import OwnHands, hands
+from multicell.calibration.fresh import _check, fresh
 from multicell.calibration.likelihood import scatter_of
+from multicell.calibration.pool import Pool, open_pool
 from multicell.calibration.posterior import posterior
 from multicell.calibration.problem import ranges_of
 from multicell.calibration.search import Search
@@ -31,7 +31,6 @@ from multicell.calibration.simulator import SceneSimulator, reading
 from multicell.calibration.verdict import intervals, undetermined
 from multicell.cli.main import main
 from multicell.errors import ClusterError, DataError, FitFailed
-from multicell.studies import fit_folder
 
 SMALL = mc.load_scene("growth").with_changes(
     {"duration": "20 h", "initial.count": 6, "coupling_step": "1 h"}
@@ -175,7 +174,7 @@ def test_a_sampled_posterior_of_a_scene_has_the_best_point_in_it(tmp_path):
     assert frame.attrs["kind"] == "exact"
     inside = found.intervals(0.999)["division_radius"]
     assert inside.low < found.best.values["cells.division_radius"] < inside.high
-    plan = planned(SMALL, data, {"cells.division_radius": "4:10 um"}, method="both", seeds=1,
+    plan = plan_of(SMALL, data, {"cells.division_radius": "4:10 um"}, method="both", seeds=1,
                    population=12, budget=200)  # fmt: skip
     assert plan.left(None)[0] == 200
     assert plan.left(tmp_path) == (0, 0.0)
@@ -183,9 +182,9 @@ def test_a_sampled_posterior_of_a_scene_has_the_best_point_in_it(tmp_path):
 
 def fitted(problem, points=30):
     search = Search(problem, None, seed=1)
-    known = search.run(OwnHands(), points)
+    known = search.run(Pool(), points)
     facts = {"method": "best", "sd": 0.1, "seconds": 1.0, "draws": 0, "sets_of_parameters": points}
-    again = fresh(problem, search, OwnHands(), search.emulator(), None)
+    again = fresh(problem, search, Pool(), search.emulator(), None)
     return Fit(problem, SMALL, known, None, None, facts, again)
 
 
@@ -220,8 +219,8 @@ def test_fresh_runs_that_were_stopped_go_on_with_what_is_there(tmp_path):
     problem = linear(MATRIX, [0.4, 0.6, 1.0, -0.2], 0.05, noise=0.05, seeds=2)
     points = [([0.4, 0.5], seed) for seed in range(10, 16)]
     path = tmp_path / "search.log"
-    _, first = calls_of(lambda: Search(problem, path).extra(Stopping(4), points))
-    (runs, reasons), second = calls_of(lambda: Search(problem, path).extra(OwnHands(), points))
+    _, first = calls_of(lambda: Search(problem, path).extra(stopping(4), points))
+    (runs, reasons), second = calls_of(lambda: Search(problem, path).extra(Pool(), points))
     assert (len(first), len(second), reasons) == (4, 2, [])
     expected = [problem.simulator(shares, 0, seed).values for shares, seed in points]
     np.testing.assert_array_equal(runs, expected)
@@ -230,7 +229,7 @@ def test_fresh_runs_that_were_stopped_go_on_with_what_is_there(tmp_path):
 def test_checks_widen_the_error_where_the_emulator_is_off_and_nowhere_else():
     scatter = scatter_of(np.random.default_rng(1).normal(0.0, 1.0, (12, 2)))
     away = np.array([[0.5, 9.0], [-1.0, -8.0], [0.8, 9.5], [0.1, 7.0], [-0.4, -9.0], [1.2, 8.0]])
-    checks, error = _checked(away, np.full((6, 2), 0.25), scatter)
+    checks, error = _check(away, np.full((6, 2), 0.25), scatter)
     assert checks.off.tolist() == [False, True]
     explained = scatter.variance[1] * (1.0 + 1.0 / 12.0) + 0.25
     assert error.tolist() == [0.0, pytest.approx((away[:, 1] ** 2).mean() - explained)]
@@ -284,12 +283,12 @@ def test_intervals_are_those_of_the_draws():
 def test_workers_of_a_cluster_find_the_same_as_this_process(tmp_path):
     """Two processes: the search and the posterior are the same to the bit."""
     problem = linear(MATRIX, [0.4, 0.6, 1.0, -0.2], 0.2, noise=0.1, seeds=2)
-    own = Search(problem, None, seed=4).run(OwnHands(), 15)
-    drawn = posterior(problem, OwnHands(), seed=7, population=10)
-    with hands(2, None) as working:
-        assert working.count == 2
-        theirs, here = calls_of(lambda: Search(problem, None, seed=4).run(working, 15))
-        draws = posterior(problem, working, seed=7, population=10, folder=tmp_path)
+    own = Search(problem, None, seed=4).run(Pool(), 15)
+    drawn = posterior(problem, Pool(), seed=7, population=10)
+    with open_pool(2, None) as pool:
+        assert pool.count == 2
+        theirs, here = calls_of(lambda: Search(problem, None, seed=4).run(pool, 15))
+        draws = posterior(problem, pool, seed=7, population=10, folder=tmp_path)
     assert here == []
     assert [e.misfit.loss for e in theirs] == [e.misfit.loss for e in own]
     assert draws.shares.tolist() == drawn.shares.tolist()
@@ -339,14 +338,14 @@ def test_a_condition_cannot_be_fitted():
 
 
 def test_budgets_are_shared_out():
-    plan = planned(SMALL, DATA, FREE, method="both", budget=3000)
+    plan = plan_of(SMALL, DATA, FREE, method="both", budget=3000)
     assert (plan.points, plan.draws) == (35, 3000 - 70 - 12)
     assert plan.runs == 3000
-    plan = planned(SMALL, DATA, FREE, budget="2 h")
+    plan = plan_of(SMALL, DATA, FREE, budget="2 h")
     assert plan.seconds == 7200.0
-    assert planned(SMALL, DATA, FREE, budget=41 + 12 + 6).points == 20
-    assert planned(SMALL, DATA, FREE, budget=41 + 8 + 6, repeats=8).points == 20
-    assert planned(SMALL, DATA, FREE).left(None)[1] > 0.0
+    assert plan_of(SMALL, DATA, FREE, budget=41 + 12 + 6).points == 20
+    assert plan_of(SMALL, DATA, FREE, budget=41 + 8 + 6, repeats=8).points == 20
+    assert plan_of(SMALL, DATA, FREE).left(None)[1] > 0.0
 
 
 def test_too_few_points_tell_a_best_one_and_no_intervals():

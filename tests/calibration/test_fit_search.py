@@ -6,12 +6,19 @@ import math
 
 import numpy as np
 import pytest
-from cheap_fits import MATRIX, Growing, Linear, calls_of, exact, linear, measured
+from cheap_fits import MATRIX, Growing, Linear, calls_of, exact, linear, measured, stopping
 from scipy import stats
 
-from multicell.calibration.distance import ABSENT, groups_of, misfit, scaled, scales, standardised
+from multicell.calibration.distance import (
+    ABSENT,
+    groups_of,
+    misfit,
+    scale_readings,
+    scales,
+    standardise,
+)
 from multicell.calibration.emulator import draws, emulator
-from multicell.calibration.hands import OwnHands
+from multicell.calibration.pool import Pool
 from multicell.calibration.problem import Problem
 from multicell.calibration.search import Search, emulator_of
 from multicell.calibration.simulator import Reading
@@ -35,13 +42,13 @@ def test_one_run_has_no_scatter_and_absent_readings_cost_more_than_any_other():
     found = misfit(y, sigma, np.array([[1.5, math.nan]]))
     assert found.residuals.tolist() == [1.0, ABSENT]
     assert found.loss == 1.0 + ABSENT**2
-    assert standardised(y, sigma, np.array([0.5, math.nan])).tolist() == [-1.0, ABSENT]
+    assert standardise(y, sigma, np.array([0.5, math.nan])).tolist() == [-1.0, ABSENT]
 
 
 def test_counts_are_compared_by_their_ratio():
     data = measured([100.0], 5.0).data
     (log,) = (datum.__class__(**{**vars(datum), "log": True, "sigma": 0.1}) for datum in data)
-    by_ratio = scaled([log], [110.0]) - log.scaled(100.0)
+    by_ratio = scale_readings([log], [110.0]) - log.scaled(100.0)
     assert by_ratio[0] == pytest.approx(math.log(1.1))
 
 
@@ -143,7 +150,7 @@ def test_too_few_points_make_no_emulator():
 @pytest.mark.parametrize("bend", [0.0, 0.5])
 def test_the_search_finds_the_best_point_in_few_runs(bend):
     problem = linear(MATRIX, [0.45, 0.62, 1.01, -0.21], 0.05, bend=bend)
-    known = Search(problem, None, seed=1).run(OwnHands(), 30)
+    known = Search(problem, None, seed=1).run(Pool(), 30)
     best = min(known, key=lambda e: e.misfit.loss)
     straight, _ = exact(problem)
     x = (np.sqrt(1.0 + 4.0 * bend * straight) - 1.0) / (2.0 * bend) if bend else straight
@@ -154,7 +161,7 @@ def test_the_search_finds_the_best_point_in_few_runs(bend):
 def test_scatter_of_runs_widens_what_the_data_leave_open():
     """With many seeds the draws' variance is that of σ² + s²."""
     noisy = linear(MATRIX, [0.45, 0.62, 1.01, -0.21], 0.02, noise=0.04, seeds=60)
-    known = Search(noisy, None, seed=1).run(OwnHands(), 30)
+    known = Search(noisy, None, seed=1).run(Pool(), 30)
     found = emulator_of(noisy, known)
     drawn = draws(found.loss, 2, seed=2, count=10_000)
     _, covariance = exact(noisy)
@@ -163,7 +170,7 @@ def test_scatter_of_runs_widens_what_the_data_leave_open():
 
 def test_all_points_have_the_same_random_numbers():
     problem = linear(MATRIX, [0.4, 0.6, 1.0, -0.2], 0.05, noise=0.1, seeds=3)
-    _, calls = calls_of(lambda: Search(problem, None).run(OwnHands(), 12))
+    _, calls = calls_of(lambda: Search(problem, None).run(Pool(), 12))
     seeds = {}
     for shares, _, seed in calls:
         seeds.setdefault(shares, []).append(seed)
@@ -171,39 +178,16 @@ def test_all_points_have_the_same_random_numbers():
     assert all(sorted(used) == [0, 1, 2] for used in seeds.values())
 
 
-class Stopping:
-    """Hands that stop after some calls, as a process does that is killed."""
-
-    def __init__(self, calls):
-        self._inner, self._left, self.count = OwnHands(), calls, 1
-
-    def give(self, *arguments):
-        self._inner.give(*arguments)
-
-    def take(self):
-        if self._left == 0:
-            raise KeyboardInterrupt
-        self._left -= 1
-        return self._inner.take()
-
-    def drop(self):
-        self._inner.drop()
-
-    @property
-    def busy(self):
-        return self._inner.busy
-
-
 @pytest.mark.parametrize("calls", [1, 20, 33])
 def test_a_search_that_is_stopped_goes_on_with_what_is_there(calls, tmp_path):
     problem = linear(MATRIX, [0.4, 0.6, 1.0, -0.2], 0.05, noise=0.1, seeds=2)
     path = tmp_path / "search.log"
-    whole = Search(problem, None, seed=4).run(OwnHands(), 25)
-    _, first = calls_of(lambda: Search(problem, path, seed=4).run(Stopping(calls), 25))
+    whole = Search(problem, None, seed=4).run(Pool(), 25)
+    _, first = calls_of(lambda: Search(problem, path, seed=4).run(stopping(calls), 25))
     with path.open("a") as file:
         file.write('{"op_code": 6, "half')  # what a kill leaves of a line
     path.with_name("search.log.lock").symlink_to("search.log")
-    known, second = calls_of(lambda: Search(problem, path, seed=4).run(OwnHands(), 25))
+    known, second = calls_of(lambda: Search(problem, path, seed=4).run(Pool(), 25))
     assert (len(first), len(second)) == (calls, 50 - calls)
     assert [e.shares.tolist() for e in known] == [e.shares.tolist() for e in whole]
     assert [e.misfit.loss for e in known] == [e.misfit.loss for e in whole]
@@ -214,9 +198,9 @@ def test_half_a_batch_is_forgotten(asked, tmp_path, monkeypatch):
     """A search that is stopped while it asks for its next points."""
     problem = linear(MATRIX, [0.4, 0.6, 1.0, -0.2], 0.05, noise=0.1, seeds=2)
     path = tmp_path / "search.log"
-    whole = Search(problem, None, seed=4).run(OwnHands(), 25)
+    whole = Search(problem, None, seed=4).run(Pool(), 25)
     stopped = Search(problem, path, seed=4)
-    stopped.run(OwnHands(), 15)
+    stopped.run(Pool(), 15)
     left = [asked]
     ask = stopped._study.ask
 
@@ -228,8 +212,8 @@ def test_half_a_batch_is_forgotten(asked, tmp_path, monkeypatch):
 
     monkeypatch.setattr(stopped._study, "ask", asking)
     with pytest.raises(KeyboardInterrupt):
-        stopped.run(OwnHands(), 25)
-    known = Search(problem, path, seed=4).run(OwnHands(), 25)
+        stopped.run(Pool(), 25)
+    known = Search(problem, path, seed=4).run(Pool(), 25)
     assert [e.shares.tolist() for e in known] == [e.shares.tolist() for e in whole]
 
 
@@ -242,7 +226,7 @@ def test_a_search_whose_runs_all_fail_says_why():
     good = linear(MATRIX, [0.4, 0.6, 1.0, -0.2], 0.05)
     problem = Problem(good.measured, good.ranges, Failing(), (0,))
     with pytest.raises(FitFailed, match=r"no run of the first 5 .* too stiff"):
-        Search(problem, None).run(OwnHands(), 30)
+        Search(problem, None).run(Pool(), 30)
 
 
 class Patchy(Linear):
@@ -255,7 +239,7 @@ class Patchy(Linear):
 def test_parameters_whose_runs_fail_are_avoided():
     good = linear(MATRIX, [0.69, 0.6, 1.29, 0.09], 0.05)
     problem = Problem(good.measured, good.ranges, Patchy(good.simulator.matrix), (0,))
-    known = Search(problem, None).run(OwnHands(), 40)
+    known = Search(problem, None).run(Pool(), 40)
     best = min(known, key=lambda e: e.misfit.loss)
     np.testing.assert_allclose(best.shares, [0.69, 0.6], atol=0.02)
     assert any(e.reasons for e in known)

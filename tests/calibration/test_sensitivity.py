@@ -11,13 +11,13 @@ import pytest
 from click.testing import CliRunner
 
 import multicell as mc
-from multicell.calibration.ensemble import Observed
-from multicell.calibration.indices import analysed, sample
-from multicell.calibration.sensitivity import analyse, ranges_of
+from multicell.calibration.indices import analyse, sample
+from multicell.calibration.responses import Responses
+from multicell.calibration.sensitivity import plan_of, ranges_of, result_of
 from multicell.cli.main import main
 from multicell.errors import OutputError, SceneError
 from multicell.studies import engine
-from multicell.studies.task import carried_out, task
+from multicell.studies.task import do_run, task
 
 CELL = mc.Scene.from_dict(
     {"title": "One cell", "duration": "10 min", "coupling_step": "5 min", "initial": {"count": 1},
@@ -60,10 +60,10 @@ def of_function(method, size, seeds=1, noise=0.0, shift=0.0, lost=()):
             values[place] = np.nan
         times = np.array([1.0, 2.0])
         courses = np.stack([0.5 * values, values], axis=-1)
-        return Observed({"diameter": values}, times, {"diameter": courses}, {})
+        return Responses({"diameter": values}, times, {"diameter": courses}, {})
 
     ranges = ranges_of(CELL, FOUR)
-    return analyse(CELL, method, ranges, size, range(seeds), ["diameter"], evaluate)
+    return result_of(CELL, method, ranges, size, range(seeds), ["diameter"], evaluate)
 
 
 def column(result, name):
@@ -98,7 +98,7 @@ def test_morris_finds_what_has_no_effect_and_what_interacts():
 def test_effects_of_a_linear_function_are_its_slopes():
     names = ["a", "b", "c"]
     shares = sample("morris", names, 8)
-    found = analysed("morris", names, shares, (shares @ [3.0, -2.0, 0.0])[:, None])
+    found = analyse("morris", names, shares, (shares @ [3.0, -2.0, 0.0])[:, None])
     for index, slope in zip(found.indices, (3.0, -2.0, 0.0), strict=True):
         assert index.mu == pytest.approx(slope, abs=1e-12)
         assert index.mu_star == pytest.approx(abs(slope), abs=1e-12)
@@ -155,7 +155,7 @@ def test_seeds_that_lack_a_run_are_left_out_of_their_block_alone():
     shares = sample("morris", names, 6)
     values = np.stack([shares[:, 0], shares[:, 0] + 100.0], axis=1)
     values[0, 1] = np.nan
-    found = analysed("morris", names, shares, values)
+    found = analyse("morris", names, shares, values)
     assert found.used == 6
     assert found.indices[0].mu == pytest.approx(1.0)
 
@@ -183,7 +183,7 @@ def here(monkeypatch):
     def carry_out(runs, folder, *, progress=None, **options):
         outcomes = []
         for run in runs:
-            outcome = carried_out(task(run, folder, False))
+            outcome = do_run(task(run, folder, False))
             if not outcome.reused:
                 ran.append(run.name)
             outcomes.append(outcome)
@@ -224,6 +224,24 @@ def test_nothing_is_computed_twice(tmp_path, here):
     asked(tmp_path, size=6, seeds=2, observables=["largest_pressure"])
     names = {path.name for path in (tmp_path / "runs").iterdir()}
     assert len(here) == len(names)
+
+
+def test_an_analysis_is_a_study_whose_runs_can_be_looked_at(tmp_path, here):
+    result = asked(tmp_path, FREE)
+    study = mc.load_study(tmp_path)
+    assert {state.state for state in study.status()} == {"done"}
+    assert [run.name for run in study.runs] == [row["name"] for row in result.runs]
+    ends = study.to_xarray()["diameter"].isel(time=-1).values.ravel()
+    assert ends.tolist() == [row["diameter"] for row in result.runs]
+
+
+def test_points_of_a_sample_that_are_the_same_are_one_point_of_the_study():
+    plan = plan_of(CELL, ONE, size=8)
+    values = [point.coordinates["division_radius"] for point in plan.study.points]
+    assert len(values) == len(set(values)) <= 4  # the levels of the grid of Morris
+    own = sample("morris", ["division_radius"], 8)[:, 0]
+    wanted = [plan.ranges[0].value(share) for share in own]
+    assert [values[row] for row in plan.rows] == wanted
 
 
 def test_another_question_in_the_folder_is_refused(tmp_path, here):
@@ -322,7 +340,7 @@ def test_the_command_tells_the_table_and_asks_nothing_of_what_is_short(tmp_path,
 def test_what_is_expected_to_take_long_is_asked_for(tmp_path, here):
     done = command(tmp_path, "--set", "initial.count=100000", "--set", "duration=100 d")
     assert done.exit_code == 2
-    assert "--yes says go on" in done.output
+    assert "--yes confirms" in done.output
     assert not here
 
 
