@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from multicell.calibration.indices import CLEAR, CLEAR_SINGLE, block
+from multicell.calibration.verdict import in_words
 from multicell.report.html import write_page
-from multicell.report.wording import time_unit
 from multicell.studies.pictures.values import key_words, sentence, words
 
 if TYPE_CHECKING:
@@ -60,13 +60,9 @@ def write_report(result: Sensitivity, folder: Path) -> Path:
 
 
 def _ends(free: Range) -> tuple[str, str]:
-    """Return both ends of a range with their unit; long times in minutes, hours or days."""
-    unit, factor = free.unit.replace("um", "µm"), 1.0
-    if unit == "s":
-        shown = time_unit(free.high)
-        unit, factor = shown.name, shown.seconds
+    """Return both ends of a range in words; long times in minutes, hours or days."""
     log = ", by ratio" if free.log else ""
-    return f"{free.low / factor:.4g}", f"{free.high / factor:.4g} {unit}{log}".strip()
+    return in_words(free.low, free.unit), in_words(free.high, free.unit) + log
 
 
 def _subtitle(result: Sensitivity) -> str:

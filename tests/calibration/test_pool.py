@@ -58,7 +58,7 @@ def ended(future, number):
     [
         (lambda future: future.cancel(), ClusterError, "the scheduler has gone"),
         (lambda future: future.set_exception(KilledWorker("run")), FitFailed, "time after time"),
-        (lambda future: future.set_exception(ZeroDivisionError()), ZeroDivisionError, ""),
+        (lambda future: future.set_exception(ZeroDivisionError()), ZeroDivisionError, None),
     ],
 )
 def test_calls_that_come_to_nothing_say_why(lose, error, said):

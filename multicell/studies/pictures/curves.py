@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from multicell.errors import SceneError
 from multicell.report.plots.style import BLUE, SIZE, draw_style, span, styled, type_colours
 from multicell.report.wording import time_unit
-from multicell.studies.pictures.layout import panels, spread
+from multicell.studies.pictures.layout import panels, spread, write_plainly
 from multicell.studies.pictures.values import (
     DONE,
     POINT,
@@ -217,4 +217,4 @@ def _set_limits(axes: Axes, values: FloatArray) -> None:
     else:
         room = 0.06 * (high - low) or 0.05 * abs(high) or 1.0
         axes.set_ylim(0.0 if 0.0 <= low < 0.6 * high else low - room, high + room)
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.6g}"))
+    write_plainly(axes.yaxis)

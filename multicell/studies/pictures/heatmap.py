@@ -11,8 +11,8 @@ import numpy as np
 from matplotlib.colors import Normalize, to_rgb
 
 from multicell.report.plots.night import ON_COLOUR, luminance
-from multicell.report.plots.style import INK, QUIET, RED, SIZE, counts, styled
-from multicell.studies.pictures.layout import panels, spread
+from multicell.report.plots.style import INK, QUIET, RED, SIZE, styled
+from multicell.studies.pictures.layout import panels, spread, write_plainly
 from multicell.studies.pictures.values import (
     DONE,
     SEED,
@@ -114,8 +114,7 @@ def heatmap(
     bar.outline.set_visible(False)
     bar.ax.grid(False)
     bar.set_label(label(table, name))
-    if bar.ax.get_ylim()[1] >= 1e3:
-        counts(bar.ax.yaxis)
+    write_plainly(bar.ax.yaxis)
     return figure
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib.ticker import FuncFormatter
 
 from multicell.report.plots.style import DPI, SIZE, blank
 
@@ -47,6 +48,11 @@ def panels(
     for axes in grid[count:]:
         axes.set_axis_off()
     return figure, grid[:count]
+
+
+def write_plainly(axis: Any) -> None:
+    """Write the numbers of an axis with commas and without powers of ten."""
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.7g}"))
 
 
 def spread(count: int, most: int) -> list[int]:

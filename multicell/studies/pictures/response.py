@@ -9,7 +9,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from multicell.report.plots.style import BLUE, QUIET, RED, SIZE, styled
-from multicell.studies.pictures.layout import panels
+from multicell.studies.pictures.layout import panels, write_plainly
 from multicell.studies.pictures.values import (
     POINT,
     SEED,
@@ -64,7 +64,7 @@ def response(table: xr.Dataset, title: str, name: str) -> Figure:
         _draw(axes, values, table[STATE], scale(table, axis), table[axis].values)
         if place % columns == 0:
             axes.set_ylabel(label(table, name))
-            axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.7g}"))
+            write_plainly(axes.yaxis)
     failed = int((table[STATE].values == "failed").sum())
     if failed:
         handle = Line2D([], [], ls="", marker="x", color=RED, label=f"failed ({failed:,})")
