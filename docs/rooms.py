@@ -19,7 +19,8 @@ import matplotlib.pyplot as plt
 HERE = Path(__file__).parent
 PACKAGE = HERE.parent / "multicell"
 WHAT = {
-    "cli": "commands", "comparison": "work–precision, stability", "studies": "many runs, fits",
+    "cli": "commands", "comparison": "work–precision, stability", "studies": "many runs",
+    "calibration": "fits, sensitivity",
     "testing": "conformance",
     "ode": "for outside solvers", "runner": "run, resume", "report": "result, pages, pictures",
     "simulation": "the coupling step", "coupling": "its parts", "growth_laws": "volume in time",

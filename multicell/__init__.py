@@ -25,6 +25,10 @@ ignore_settings_of_working_folder()
 
 if TYPE_CHECKING:
     from multicell import testing
+    from multicell.calibration.fit import fit
+    from multicell.calibration.fitted import Fit
+    from multicell.calibration.sensitivity import sensitivity
+    from multicell.calibration.sensitivity_result import Sensitivity
     from multicell.cells import Cells, State
     from multicell.comparison.field_solvers.compare import compare_fields
     from multicell.comparison.field_solvers.result import FieldComparison
@@ -56,10 +60,6 @@ if TYPE_CHECKING:
     from multicell.scene.reactions import Reaction
     from multicell.scene.scene import Scene, load_scene, scene_names
     from multicell.simulation import Simulation
-    from multicell.studies.fit import fit
-    from multicell.studies.fitted import Fit
-    from multicell.studies.sensitivity import sensitivity
-    from multicell.studies.sensitivity_result import Sensitivity
     from multicell.studies.study import Study, load_study, study
 
 __version__ = "0.1.0"
@@ -166,10 +166,10 @@ _LAZY = {
     "run": "multicell.runner",
     "scene_names": "multicell.scene.scene",
     "stability": "multicell.comparison.stability_limits.search",
-    "Sensitivity": "multicell.studies.sensitivity_result",
-    "sensitivity": "multicell.studies.sensitivity",
-    "Fit": "multicell.studies.fitted",
-    "fit": "multicell.studies.fit",
+    "Sensitivity": "multicell.calibration.sensitivity_result",
+    "sensitivity": "multicell.calibration.sensitivity",
+    "Fit": "multicell.calibration.fitted",
+    "fit": "multicell.calibration.fit",
     "Study": "multicell.studies.study",
     "load_study": "multicell.studies.study",
     "study": "multicell.studies.study",

@@ -36,8 +36,8 @@ from multicell.cli.study import (
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from multicell.studies.fit import FitPlan
-    from multicell.studies.fitted import Fit
+    from multicell.calibration.fit import FitPlan
+    from multicell.calibration.fitted import Fit
 
 _LINES: Final = 20  # lines of a log
 
@@ -66,7 +66,7 @@ def _budget(context: click.Context, option: click.Parameter, value: str | None) 
     help="A free parameter and its range, as growth.cycle_time='8:25 h' or "
     "drag.viscosity='log 0.1:10 kPa s' (equal ratios count the same). May be given several times.",
 )
-@output_option("Folder of the fit; what is there of the same fit is gone on with.")
+@output_option("Folder of the fit; the same fit there is continued.")
 @click.option(
     "--method",
     default="best",
@@ -137,24 +137,24 @@ def fit(
     """Fit free parameters of a SCENE to measured data.
 
     The result says how far each parameter is determined, and what the data leave open. A fit that
-    was stopped goes on with the same command; a larger --budget adds to it.
+    was stopped continues with the same command; a larger --budget adds to it.
     """
     pairs = key_values(free, "--free")
     described = scene_of(scene, changes, law)
-    from multicell.studies.fit import carried_out, planned
+    from multicell.calibration.fit import carry_out, plan_of
 
     with planning():
-        plan = planned(described, data, pairs, **options)
+        plan = plan_of(described, data, pairs, **options)
     count = cores_wanted(cores, scheduler)
     confirm(_cost(plan, None if overwrite else output, count), count, yes, quiet or as_json)
     try:
         with _reporter(show=not quiet) as progress:
-            found = carried_out(
+            found = carry_out(
                 plan, output=output, cores=cores, scheduler=scheduler, overwrite=overwrite,
                 progress=progress,
             )  # fmt: skip
     except KeyboardInterrupt:
-        complain(f"What has run is kept in '{output}'; the same command goes on with it.")
+        complain(f"What has run is kept in '{output}'; the same command continues with it.")
         raise
     if as_json:
         print_json(found.summary())
@@ -180,7 +180,7 @@ def _cost(plan: FitPlan, folder: Path | None, cores: int | None) -> Any:
 
 @contextmanager
 def _reporter(*, show: bool) -> Iterator[Callable[[str, int, int], None] | None]:
-    """Yield what is called as a fit goes on: a bar in a terminal, lines elsewhere."""
+    """Yield what reports the progress of a fit: a bar in a terminal, lines elsewhere."""
     if not show:
         yield None
         return
@@ -225,7 +225,7 @@ def _print(out: Console, found: Fit, output: Path) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    from multicell.studies.fit_page import parameters_in_words
+    from multicell.calibration.fit_page import parameters_in_words
 
     table = Table(box=None, pad_edge=False, header_style="bold")
     for column in ("parameter", "best", "95 % interval", "of its range"):

@@ -105,28 +105,29 @@ def sensitivity(
     """Find out which parameters of a SCENE decide its observables.
 
     Every index has its 95 % interval, and says whether it can be told from the noise over seeds.
-    An analysis that was stopped goes on with the same command; a larger --size or more --seeds
+    An analysis that was stopped continues with the same command; a larger --size or more --seeds
     take the runs that are there.
     """
     pairs = key_values(free, "--free")
     described = scene_of(scene, changes, law)
-    from multicell.studies.sensitivity import carried_out, planned, prepare
+    from multicell.calibration.sensitivity import carry_out, plan_of, prepare
+    from multicell.studies.study import Study
 
     with planning():
-        plan = planned(described, pairs, observables=observables or None, output=output, **options)
+        plan = plan_of(described, pairs, observables=observables or None, **options)
     count = cores_wanted(cores, scheduler)
     prepare(plan, output, overwrite=overwrite)
-    confirm(plan.ensemble.left(output, count or 1), count, yes, quiet or as_json)
+    study = Study(plan.study, output)
+    confirm(study.expected(count or 1), count, yes, quiet or as_json)
     from multicell.cli.study_progress import reporter
 
-    shown: Any = plan  # all that is asked of it are its runs
     try:
-        with reporter(shown, count, show=not quiet) as progress:
-            result = carried_out(
+        with reporter(study, count, show=not quiet) as progress:
+            result = carry_out(
                 plan, output, cores=cores, scheduler=scheduler, retry=retry, progress=progress
             )
     except KeyboardInterrupt:
-        complain("Stopped: the same command goes on with what is there.")
+        complain("Stopped: the same command continues with what is there.")
         raise
     page = None if no_report else result.report()
     if as_json:

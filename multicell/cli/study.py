@@ -167,7 +167,7 @@ def _groups(items: Sequence[str]) -> list[dict[str, str]]:
 
 
 def _tell_plan(made: Study, quiet: bool, as_json: bool) -> None:
-    """Tell what a study is of, what it is expected to take, and how to go on."""
+    """Tell what a study is of, what it is expected to take, and how to continue."""
     cores = _known_cores()
     cost, states = made.expected(cores), made.status()
     done = sum(state.state == "done" for state in states)
@@ -265,8 +265,8 @@ def run(
     """Compute all runs of the study in FOLDER that are not done.
 
     It may be stopped by anything, Ctrl-C or a kill, and started again: nothing is computed twice,
-    and runs that were begun go on from their last frame. A run that fails is told with its reason,
-    and the others go on.
+    and runs that were begun continue from their last frame. A run that fails is reported with its
+    reason, and the others continue.
     """
     made = _opened(folder, law, integrator)
     from multicell.extras import needs
@@ -318,7 +318,7 @@ def cores_wanted(cores: int | None, scheduler: str | None) -> int | None:
 
 
 def _known_cores() -> int:
-    """Return on how many cores runs would go on this machine, also where Dask is not installed."""
+    """Return on how many cores runs would use on this machine, also where Dask is not installed."""
     from multicell.studies.workers import own_cores
 
     try:
@@ -336,7 +336,7 @@ def confirm(cost: StudyCost, cores: int | None, yes: bool, silent: bool) -> None
     if seconds <= _ASKED or yes:
         return
     if not _terminal():
-        raise click.UsageError(f"{words}. There is no terminal to ask at: --yes says go on.")
+        raise click.UsageError(f"{words}. There is no terminal to ask at: --yes confirms.")
     if not click.confirm("Go on?", err=True):
         complain("Nothing has run.")
         raise click.exceptions.Exit(1)
@@ -348,12 +348,12 @@ def _terminal() -> bool:
 
 
 def _stopped(made: Study) -> None:
-    """Say what there is after Ctrl-C, and how to go on."""
+    """Say what there is after Ctrl-C, and how to continue."""
     states = Counter(state.state for state in made.status())
     done, begun = states["done"], states["partial"] + states["running"]
     complain(
         f"{done:,} of {_count(sum(states.values()), 'run')} are done and {begun:,} begun; "
-        f"'multicell study run {made.folder}' goes on with them."
+        f"'multicell study run {made.folder}' continues with them."
     )
 
 

@@ -1,4 +1,4 @@
-"""How a study tells that it goes on: a bar in a terminal, a line now and then elsewhere."""
+"""How a study reports its progress: a bar in a terminal, a line now and then elsewhere."""
 
 from __future__ import annotations
 

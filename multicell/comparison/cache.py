@@ -26,7 +26,7 @@ from multicell.scene.scene import Scene
 FORMAT: Final = 5
 """Counts up whenever a reference is computed or written in another way."""
 
-_NO_NUMBERS: Final = ("cli", "comparison", "report", "studies")
+_NO_NUMBERS: Final = ("cli", "comparison", "report", "studies", "calibration")
 """Rooms that can change no number of a reference; for this one :data:`FORMAT` answers."""
 
 

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 from multicell.errors import SceneError
 from multicell.files import parse_toml
 from multicell.studies.keys import Key, key_of
-from multicell.studies.limits import MOST_POINTS
+from multicell.studies.limits import MAX_POINTS
 from multicell.units import shown
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ _NUMBER: Final = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _QUANTITY: Final = re.compile(rf"\s*({_NUMBER})\s*(.*?)\s*", re.DOTALL)
 _SPACED: Final = re.compile(rf"(log\s+)?({_NUMBER}):({_NUMBER}):(\d+)\s*(.*)")
 _RANGE: Final = re.compile(rf"(log\s+)?({_NUMBER}):({_NUMBER})\s*(.*)")
-_MOST_CHECKED: Final = 100
+_MAX_CHECKED: Final = 100
 _FIRST: Final = ("contact.law",)
 """Keys that are set before others: those that decide which others there are."""
 _NUMERIC: Final = ("quantity", "quantity_or_name", "number", "count", "rate_constant")
@@ -195,7 +195,7 @@ def parse_range(key: str, text: str | Sequence[Any], scene: Scene) -> Range:
     return Range(found.name, low, high, found.unit, log, name, found.spec.kind == "count")
 
 
-def named(axes: Iterable[Axis | Range], taken: Iterable[str] = ()) -> list[Any]:
+def with_unique_names(axes: Iterable[Axis | Range], taken: Iterable[str] = ()) -> list[Any]:
     """Return axes or ranges with names that are unique: as much of the keys as that takes.
 
     ``taken`` are further names that none of them may have.
@@ -276,8 +276,8 @@ def _evenly(key: Key, match: re.Match[str]) -> list[Any]:
     """Return evenly spaced values, by ratio if ``log`` stands before them."""
     log, count, unit = bool(match[1]), int(match[4][:10]), match[5]
     low, high = float(match[2]), float(match[3])
-    if len(match[4]) > 9 or count > MOST_POINTS:
-        problem = f"has more than {MOST_POINTS:,} values in {shown(match[0])}"
+    if len(match[4]) > 9 or count > MAX_POINTS:
+        problem = f"has more than {MAX_POINTS:,} values in {shown(match[0])}"
         raise SceneError(key.name, problem, "Vary less.")
     if count < 2 or not low < high or (log and low <= 0.0):
         hint = "Write 'low:high:count unit', the lower end first, with at least two values."
@@ -370,7 +370,7 @@ def check_axes(scene: Scene, axes: Sequence[Axis | Range]) -> None:
         and values that the scene refuses, with the key: those of an axis, and ends of a range that
         are refused whatever the other ranges are at.
     """
-    from multicell.studies.meaning import refuse_needless
+    from multicell.studies.ineffective import refuse_ineffective
 
     seen: set[str] = set()
     for axis in axes:
@@ -384,12 +384,12 @@ def check_axes(scene: Scene, axes: Sequence[Axis | Range]) -> None:
             _somewhere(scene, {axis.key: setting}, others)
     words = [axis for axis in axes if isinstance(axis, Axis) and axis.numbers is None]
     numeric = [axis for axis in axes if axis not in words]
-    chosen = itertools.islice(itertools.product(*(axis.values for axis in words)), _MOST_CHECKED)
+    chosen = itertools.islice(itertools.product(*(axis.values for axis in words)), _MAX_CHECKED)
     cases = []
     for values in chosen:
         changes = dict(zip((axis.key for axis in words), values, strict=True))
         cases.append((changes, _somewhere(scene, changes, numeric)))
-    refuse_needless(cases, [axis.key for axis in axes])
+    refuse_ineffective(cases, [axis.key for axis in axes])
 
 
 def _ends_of(axis: Axis | Range) -> tuple[Any, Any]:
@@ -411,14 +411,14 @@ def _somewhere(scene: Scene, changes: Mapping[str, Any], others: Sequence[Axis |
     for place in (0, 1):
         at = {other.key: _ends_of(other)[place] for other in others}
         try:
-            return changed(scene, {**at, **changes})
+            return change(scene, {**at, **changes})
         except SceneError as error:
             refused = refused or error
     assert refused is not None
     raise refused
 
 
-def changed(scene: Scene, changes: Mapping[str, Any]) -> Scene:
+def change(scene: Scene, changes: Mapping[str, Any]) -> Scene:
     """Return a scene with other values, or say with which it is refused.
 
     Raises

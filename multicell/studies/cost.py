@@ -70,7 +70,7 @@ def cost_of(scene: Scene) -> Cost:
     return Cost(found.seconds, found.memory, found.file)
 
 
-def together(costs: Iterable[Cost], cores: int) -> StudyCost:
+def total_cost(costs: Iterable[Cost], cores: int) -> StudyCost:
     """Return what runs are expected to take together on a number of cores."""
     costs = list(costs)
     total = sum(cost.seconds for cost in costs)
@@ -96,7 +96,7 @@ def costs_of(plan: Plan, folder: Path | None = None) -> list[Cost]:
     folder
         Of the study; what is found is kept there for the next time.
     """
-    known = {} if folder is None else _kept(folder / NAME)
+    known = {} if folder is None else _read_known(folder / NAME)
     names = plan.names[:: plan.seeds]
     costs = [known.get(name) for name in names]
     step = forecast_step(len(costs))
@@ -106,11 +106,11 @@ def costs_of(plan: Plan, folder: Path | None = None) -> list[Cost]:
             cost = found[-1] if number % step else cost_of(scene)
         found.append(cost)
     if folder is not None and None in costs and folder.is_dir():
-        _keep(folder / NAME, names, found)
+        _store(folder / NAME, names, found)
     return found
 
 
-def _kept(path: Path) -> dict[str, Cost]:
+def _read_known(path: Path) -> dict[str, Cost]:
     """Return what was found before; nothing where that cannot be read: it is found again."""
     try:
         entries: Mapping[str, Any] = read_table(path) or {}
@@ -119,7 +119,7 @@ def _kept(path: Path) -> dict[str, Cost]:
         return {}
 
 
-def _keep(path: Path, names: Sequence[str], costs: Sequence[Cost]) -> None:
+def _store(path: Path, names: Sequence[str], costs: Sequence[Cost]) -> None:
     entries: Mapping[str, Any] = {n: asdict(c) for n, c in zip(names, costs, strict=True)}
     try:
         write_table(path, entries)

@@ -7,7 +7,6 @@ by :mod:`scipy.stats.qmc`) spread a number of points evenly over ranges.
 
 from __future__ import annotations
 
-import csv
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -15,11 +14,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
-from multicell.errors import SceneError
-from multicell.files import read_regular
-from multicell.studies.axes import Axis, Range, named, parse_axis, parse_range
+from multicell.errors import DataError, SceneError
+from multicell.studies.axes import Axis, Range, parse_axis, parse_range, with_unique_names
 from multicell.studies.keys import key_of
 from multicell.studies.limits import check_runs
+from multicell.tables.fields import Table, read_table
+from multicell.tables.titles import split_title
 from multicell.units import shown
 
 if TYPE_CHECKING:
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 DESIGNS: Final = ("grid", "list", "lhs", "sobol")
 SAMPLED: Final = ("lhs", "sobol")
 """Designs that draw a number of points from ranges."""
-_LARGEST: Final = 20_000_000
-"""Bytes of a table of points: 1,000 for each of as many as there may be."""
+_MAX_BYTES: Final = 20_000_000
+"""Of a table of points: 1,000 for each of as many as there may be."""
 
 
 @final
@@ -101,7 +101,7 @@ class Design:
 
     def __post_init__(self) -> None:
         check_form(self)
-        names = iter(named([*self.axes, *itertools.chain(*self.zipped)]))
+        names = iter(with_unique_names([*self.axes, *itertools.chain(*self.zipped)]))
         axes = tuple(next(names) for _ in self.axes)
         zipped = tuple(tuple(next(names) for _ in group) for group in self.zipped)
         object.__setattr__(self, "axes", axes)
@@ -211,7 +211,7 @@ def _check_lengths(group: Sequence[Axis]) -> None:
 def _points(design: Design) -> Iterator[Point]:
     """Yield all points, the last dimension running fastest."""
     if design.kind in SAMPLED:
-        yield from _sampled(design)
+        yield from _sample_points(design)
         return
     if design.kind == "list":
         groups = [design.axes]
@@ -229,7 +229,7 @@ def _points(design: Design) -> Iterator[Point]:
         yield Point(values, coordinates)
 
 
-def _sampled(design: Design) -> Iterator[Point]:
+def _sample_points(design: Design) -> Iterator[Point]:
     """Yield points that fill ranges, and the values of axes, evenly."""
     from scipy.stats import qmc
 
@@ -287,9 +287,9 @@ def parse_column(key: str, values: Sequence[Any], scene: Scene) -> Axis:
 def read_points(path: str | Path, scene: Scene) -> tuple[Axis, ...]:
     """Return the columns of a table of points, a CSV file.
 
-    The header has the keys, each with the unit of its column in brackets,
-    ``nutrients.oxygen.boundary [mM]``; where there is none the values have units of their own, or
-    are numbers without. Lines that begin with ``#`` are remarks.
+    The header has the keys, each with the unit of its column, as ``nutrients.oxygen.boundary
+    [mM]`` or ``nutrients.oxygen.boundary / mM``; where there is none the values have units of their
+    own, or are numbers without. Lines that begin with ``#`` are remarks.
 
     Raises
     ------
@@ -298,39 +298,27 @@ def read_points(path: str | Path, scene: Scene) -> tuple[Axis, ...]:
         a value that its key cannot have, with the line.
     """
     try:
-        text = read_regular(Path(path).expanduser(), _LARGEST).decode("utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "it is not UTF-8 text"
-        raise SceneError("points", f"'{path}' cannot be read: {reason}") from None
-    lines = [
-        (number, row)
-        for number, row in enumerate(csv.reader(text.splitlines(), skipinitialspace=True), 1)
-        if any(map(str.strip, row)) and not row[0].lstrip().startswith("#")
-    ]
-    if len(lines) < 2:
-        raise SceneError("points", f"'{path}' has no points: it needs a header and a row")
-    (_, header), rows = lines[0], lines[1:]
-    for number, row in rows:
-        if len(row) != len(header):
-            problem = f"'{path}', line {number}, has {len(row)} values, its header {len(header)}"
-            raise SceneError("points", problem)
+        table = read_table(path, _MAX_BYTES)
+    except DataError as error:
+        raise SceneError("points", f"cannot be read: {error}") from None
+    columns = zip(*table.rows, strict=True)
     return tuple(
-        _column(path, title, [(number, row[k].strip()) for number, row in rows], scene)
-        for k, title in enumerate(header)
+        _column(table, title, column, scene)
+        for title, column in zip(table.titles, columns, strict=True)
     )
 
 
-def _column(path: str | Path, title: str, cells: list[tuple[int, str]], scene: Scene) -> Axis:
+def _column(table: Table, title: str, cells: Sequence[str], scene: Scene) -> Axis:
     """Return one column of a table of points."""
     from multicell.studies.axes import bare, is_numeric
 
-    name, unit = split_unit(title)
+    name, unit = split_title(title)
     if not name:
-        raise SceneError("points", f"'{path}' has a column without a key in its header")
+        raise SceneError("points", f"'{table.name}' has a column without a key in its header")
     key = key_of(scene, name)
     values: list[Any] = []
-    for number, cell in cells:
-        where = f"'{path}', line {number}"
+    for place, cell in zip(table.places, cells, strict=True):
+        where = f"'{table.name}', {place}"
         if not cell:
             raise SceneError(name, f"is empty in {where}")
         value = bare(cell)
@@ -338,20 +326,10 @@ def _column(path: str | Path, title: str, cells: list[tuple[int, str]], scene: S
             value = f"{cell} {unit}"
         if isinstance(value, int | float) and key.unit and is_numeric(key):
             hint = f"Write '{name} [{key.unit}]', or a unit behind every value."
-            raise SceneError(name, f"has no unit in the header of '{path}'", hint)
+            raise SceneError(name, f"has no unit in the header of '{table.name}'", hint)
         try:
             key.plain(value)
         except SceneError as error:
             raise SceneError(name, f"{error.problem} ({where})", error.hint) from None
         values.append(value)
     return parse_column(name, values, scene)
-
-
-def split_unit(title: str) -> tuple[str, str]:
-    """Return the name and the unit of a column's title, ``"name [unit]"`` or ``"name (unit)"``."""
-    title = title.strip()
-    for opening, closing in ("[]", "()"):
-        if title.endswith(closing) and opening in title:
-            name, _, unit = title[:-1].rpartition(opening)
-            return name.strip(), unit.strip()
-    return title, ""

@@ -1,4 +1,4 @@
-"""All runs of a study: the longest first, nothing twice, nothing lost.
+"""Do all runs of a study: the longest first, nothing twice, nothing lost.
 
 What is done is known from the folders of the runs alone, before Dask is even loaded. Workers write
 results themselves; what travels is a scene one way and an :class:`Outcome` the other. There are
@@ -21,7 +21,7 @@ from multicell.interrupts import STEP
 from multicell.results.folder import file_errors, in_use
 from multicell.studies.limits import check_cores
 from multicell.studies.status import RunStatus, run_folder, status, write_note
-from multicell.studies.task import Outcome, Task, carried_out, settled, task
+from multicell.studies.task import Outcome, Task, do_run, known_outcome, task
 from multicell.studies.workers import check_folder, own_cores, workers
 
 if TYPE_CHECKING:
@@ -29,10 +29,10 @@ if TYPE_CHECKING:
 
 __all__ = ["Outcome", "carry_out"]
 
-_LOOK: Final = 0.2  # s between looks at Ctrl-C
-_COUNT: Final = 2.0  # s between counts of workers
-_HELD: Final = 1.0  # s between looks at runs that another process does
-_PATIENCE: Final = 60.0  # s that runs have to end between two steps
+_POLL: Final = 0.2  # s between checks for Ctrl-C
+_RECOUNT: Final = 2.0  # s between counts of workers
+_RECHECK: Final = 1.0  # s between checks of runs that another process does
+_MAX_STOP: Final = 60.0  # s that runs have to end between two steps
 
 
 def carry_out(
@@ -44,11 +44,11 @@ def carry_out(
     retry: bool = False,
     progress: Callable[[Outcome], None] | None = None,
 ) -> list[Outcome]:
-    """Do all runs of a study that are not done; go on with those that were begun.
+    """Do all runs of a study that are not done; continue those that were begun.
 
     It may be stopped by anything, and called again: runs that are done are recognised by their
-    folders, others go on from their last frame, with the same bits. Several processes may do it at
-    the same time; each waits in the end for the runs that others do.
+    folders, others continue from their last frame, with the same bits. Several processes may do it
+    at the same time; each waits in the end for the runs that others do.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def carry_out(
         (folder / "runs").mkdir(parents=True, exist_ok=True)
     outcomes: dict[str, Outcome] = {}
 
-    def told(outcome: Outcome) -> None:
+    def report(outcome: Outcome) -> None:
         outcomes[outcome.name] = outcome
         if progress is not None:
             progress(outcome)
@@ -96,15 +96,15 @@ def carry_out(
     left: list[tuple[float, Run]] = []
     for run in {run.name: run for run in runs}.values():
         found = status(run.name, folder, run.integrator)
-        known = settled(found, retry)
+        known = known_outcome(found, retry)
         if known is None:
             left.append((_expected(run, found), run))
         else:
-            told(known)
+            report(known)
     if left:
         ordered = [run for _, run in sorted(left, key=lambda entry: -entry[0])]
         tasks = [task(run, folder, retry) for run in ordered]
-        _carry_out(tasks, folder, cores, scheduler, told)
+        _carry_out(tasks, folder, cores, scheduler, report)
     return [outcomes[run.name] for run in runs]
 
 
@@ -118,7 +118,7 @@ def _carry_out(
     folder: Path,
     cores: int | None,
     scheduler: str | None,
-    told: Callable[[Outcome], None],
+    report: Callable[[Outcome], None],
 ) -> None:
     """Have workers do tasks, in their order."""
     check_cores(cores)
@@ -128,11 +128,11 @@ def _carry_out(
     with STEP, workers(most, scheduler) as client:
         if scheduler is not None:
             check_folder(client, folder)
-        work = _Work(client, tasks, told)
+        work = _Work(client, tasks, report)
         try:
             while work.left:
                 STEP.deliver()
-                work.go_on()
+                work.advance()
         except KeyboardInterrupt:
             work.stop()
             raise
@@ -156,7 +156,7 @@ class _Work:
 
     client: Any
     tasks: Iterable[Task]
-    told: Callable[[Outcome], None]
+    report: Callable[[Outcome], None]
     waiting: deque[Task] = field(init=False)
     under_way: dict[str, _UnderWay] = field(default_factory=dict)
     held: list[Task] = field(default_factory=list)
@@ -165,21 +165,21 @@ class _Work:
         self.waiting = deque(self.tasks)
         self._ended: SimpleQueue[str] = SimpleQueue()
         self._threads = 0
-        self._counted = self._looked = -1e9
+        self._counted = self._checked = -1e9
 
     @property
     def left(self) -> int:
         """How many runs have not come to their ends."""
         return len(self.waiting) + len(self.under_way) + len(self.held)
 
-    def go_on(self) -> None:
-        """Give workers what they can take, and take what has ended meanwhile."""
+    def advance(self) -> None:
+        """Submit what workers have room for, and collect what has ended."""
         self._count()
-        self._look_after_others()
+        self._reclaim()
         while self.waiting and len(self.under_way) < self._threads:
             self._submit(self.waiting.popleft())
         try:
-            self._take(self._ended.get(timeout=_LOOK))
+            self._take(self._ended.get(timeout=_POLL))
         except Empty:
             return
 
@@ -190,12 +190,12 @@ class _Work:
         self.client.cancel([entry.future for entry in self.under_way.values()])
         begin = clock.monotonic()
         places = [run_folder(Path(e.work.folder), e.work.name) for e in self.under_way.values()]
-        while any(map(in_use, places)) and clock.monotonic() - begin < _PATIENCE:
+        while any(map(in_use, places)) and clock.monotonic() - begin < _MAX_STOP:
             clock.sleep(0.05)
 
     def _count(self) -> None:
         """Count the threads of all workers, and see whether there is a scheduler at all."""
-        if clock.monotonic() - self._counted < _COUNT and self.client.status == "running":
+        if clock.monotonic() - self._counted < _RECOUNT and self.client.status == "running":
             return
         try:
             found = sum(self.client.nthreads().values())
@@ -207,11 +207,11 @@ class _Work:
         self._threads = max(found, self._threads if cluster is not None else 1)
         self._counted = clock.monotonic()
 
-    def _look_after_others(self) -> None:
-        """Take up runs that another process had, and has no more."""
-        if self.waiting or not self.held or clock.monotonic() - self._looked < _HELD:
+    def _reclaim(self) -> None:
+        """Take back runs that another process had, and has no more."""
+        if self.waiting or not self.held or clock.monotonic() - self._checked < _RECHECK:
             return
-        self._looked = clock.monotonic()
+        self._checked = clock.monotonic()
         free = [e for e in self.held if not in_use(run_folder(Path(e.folder), e.name))]
         self.held = [entry for entry in self.held if entry not in free]
         self.waiting.extend(free)
@@ -234,12 +234,12 @@ class _Work:
         if outcome is not None and outcome.state == "held":
             self.held.append(entry.work)
         elif outcome is not None:
-            self.told(outcome)
+            self.report(outcome)
 
     def _result(self, entry: _UnderWay) -> Outcome | None:
         """Return what a worker has answered; None if it died with its answer."""
         try:
-            outcome: Outcome = entry.future.result(timeout=_COUNT)
+            outcome: Outcome = entry.future.result(timeout=_RECOUNT)
             return outcome
         except Exception:
             self.waiting.appendleft(entry.work)  # its folder says how it ended
@@ -277,7 +277,7 @@ class _Work:
 def _lost() -> ClusterError:
     return ClusterError(
         "the scheduler has gone",
-        "All that runs have saved is kept: run the study again, and it goes on",
+        "All that runs have saved is kept: run the study again, and it continues",
         exit_code=1,
     )
 
@@ -296,4 +296,4 @@ def _on_worker(work: Task) -> Outcome:
         here = worker.status.name in ("running", "paused")
         return here and known is not None and known.state == "executing"
 
-    return carried_out(work, wanted)
+    return do_run(work, wanted)

@@ -9,11 +9,11 @@ from typing import Any, Final
 from multicell.errors import SceneError
 from multicell.units import shown
 
-MOST_POINTS: Final = 20_000
+MAX_POINTS: Final = 20_000
 """Sets of parameters. The scene of each one is checked beforehand, which takes about 2 ms."""
-MOST_SEEDS: Final = 20_000
-MOST_RUNS: Final = 100_000
-MOST_FORECASTS: Final = 300
+MAX_SEEDS: Final = 20_000
+MAX_RUNS: Final = 100_000
+MAX_FORECASTS: Final = 300
 """Points whose cost is predicted, at about 15 ms each; others are expected to cost as much as one
 of these."""
 
@@ -41,7 +41,7 @@ def check_seeds(seeds: Any, first: int) -> int:
     SceneError
         If it is none or too many, or the seeds end too high.
     """
-    count = whole("seeds", seeds, 1, MOST_SEEDS, "It is the number of runs of each point.")
+    count = whole("seeds", seeds, 1, MAX_SEEDS, "It is the number of runs of each point.")
     if first + count - 1 >= 2**63:
         problem = f"is {count}: beginning with the scene's seed {first} they end too high"
         raise SceneError("seeds", problem, "Let the scene begin with a smaller seed.")
@@ -57,10 +57,10 @@ def check_runs(points: int, seeds: int, name: str = "seeds") -> None:
         With the number under ``name``.
     """
     hint = "Vary less, or sample it (--design lhs or sobol)."
-    if points > MOST_POINTS:
-        raise SceneError(name, f"makes {points:,} points, must be at most {MOST_POINTS:,}", hint)
-    if points * seeds > MOST_RUNS:
-        problem = f"makes {points * seeds:,} runs, must be at most {MOST_RUNS:,}"
+    if points > MAX_POINTS:
+        raise SceneError(name, f"makes {points:,} points, must be at most {MAX_POINTS:,}", hint)
+    if points * seeds > MAX_RUNS:
+        problem = f"makes {points * seeds:,} runs, must be at most {MAX_RUNS:,}"
         raise SceneError(name, problem, "Take fewer points or seeds.")
 
 
@@ -78,4 +78,4 @@ def check_cores(cores: int | None) -> None:
 
 def forecast_step(points: int) -> int:
     """Return of how many points, one after another, one has its cost predicted."""
-    return -(-points // MOST_FORECASTS)
+    return -(-points // MAX_FORECASTS)

@@ -14,7 +14,6 @@ from multicell.results.folder import file_errors
 from multicell.studies.pictures.values import (
     SEED,
     TIME,
-    Places,
     at_end,
     axes_of,
     axis_words,
@@ -25,7 +24,6 @@ from multicell.studies.pictures.values import (
     observables,
     scale,
     scale_alone,
-    with_states,
 )
 from multicell.studies.plots import StudyPlots
 
@@ -43,7 +41,7 @@ KEY_OBSERVABLES: Final = (
 )  # fmt: skip
 """Observables that a page shows, if they are there and change; further ones by wish."""
 
-MOST_ROWS: Final = 4000
+MAX_ROWS: Final = 4000
 """Runs that the table of a page lists; a browser takes long over more."""
 
 _MAPS: Final = 4  # observables that have a map or a response
@@ -72,7 +70,7 @@ def write_report(
     table
         Of the study, as ``study.to_xarray()``.
     runs, states
-        All runs and how they stand, in one order.
+        All runs and how they stand, in the order of the table.
     shown
         Observables to show, by default those of :data:`KEY_OBSERVABLES` that change.
 
@@ -91,7 +89,6 @@ def write_report(
     place = Path(folder)
     with file_errors("use the output folder", place):
         place.mkdir(parents=True, exist_ok=True)
-    table = with_states(table, runs, states)
     told = key_observables(table) if shown is None else list(shown)
     title = f"{scene.title or 'Untitled scene'}: study"
     drawings = _drawings(table, title, runs, states, place, told)
@@ -208,17 +205,15 @@ def _run_table(
 ) -> dict[str, Any]:
     """Return heads and rows of the table of runs; each cell with its rank in its column."""
     axes = [(name, scale_alone(table, name)) for name in coordinates_of(table)]
-    ends = {name: at_end(table, name).values for name in told}
-    chosen = _listed(states)
+    ends = [at_end(table, name).values.ravel() for name in told]
+    chosen = _rows_shown(states)
     heads = [*(shown.label for _, shown in axes), "seed", "state",
              *(label(table, name) for name in told), "wall time"]  # fmt: skip
-    rows, places = [], Places(table)
-    for run, state in ((runs[k], states[k]) for k in chosen):
+    rows = []
+    for k in chosen:
+        run, state = runs[k], states[k]
         own: list[Any] = [_coordinate(run.coordinates.get(n), s.factor) for n, s in axes]
-        place = places.of(run.coordinates)
-        values = [float(ends[n][place]) if place is not None else np.nan for n in told]
-        if state.state != "done":
-            values = [np.nan] * len(values)
+        values = [float(end[k]) if state.state == "done" else np.nan for end in ends]
         own += [run.coordinates.get(SEED, run.scene.seed), state.state, *values, state.wall]
         rows.append({"name": run.name, "state": state.state, "reason": state.reason, "own": own})
     count = len(heads)
@@ -232,12 +227,12 @@ def _run_table(
     return {"heads": heads, "rows": rows, "left_out": len(states) - len(chosen)}
 
 
-def _listed(states: Sequence[RunStatus]) -> list[int]:
+def _rows_shown(states: Sequence[RunStatus]) -> list[int]:
     """Return which runs are listed: all, or of very many those that failed, then the first ones."""
-    if len(states) <= MOST_ROWS:
+    if len(states) <= MAX_ROWS:
         return list(range(len(states)))
     order = sorted(range(len(states)), key=lambda k: states[k].state != "failed")
-    return sorted(order[:MOST_ROWS])
+    return sorted(order[:MAX_ROWS])
 
 
 def _coordinate(value: Any, factor: float) -> Any:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 from multicell.errors import SceneError
 from multicell.files import parse_toml, read_regular
 from multicell.schema import near_miss
-from multicell.studies.axes import Axis, Range, changed
+from multicell.studies.axes import Axis, Range, change
 from multicell.studies.design import (
     SAMPLED,
     Design,
@@ -27,8 +27,8 @@ from multicell.studies.design import (
     parse_varied,
     read_points,
 )
-from multicell.studies.limits import MOST_POINTS, check_runs, check_seeds, whole
-from multicell.studies.meaning import refuse_needless
+from multicell.studies.ineffective import refuse_ineffective
+from multicell.studies.limits import MAX_POINTS, check_runs, check_seeds, whole
 from multicell.studies.runs import Run, digest
 from multicell.units import BASE_UNITS, shown, to_base
 
@@ -86,10 +86,10 @@ class Plan:
 
             scene, _ = integrated_by(self.scene, self.integrator)
             object.__setattr__(self, "scene", scene)
-        scenes = tuple(changed(self.scene, point.changes) for point in self.design.points)
+        scenes = tuple(change(self.scene, point.changes) for point in self.design.points)
         object.__setattr__(self, "scenes", scenes)
         cases = zip((point.changes for point in self.design.points), scenes, strict=True)
-        refuse_needless(cases, [axis.key for axis in self.design.varied])
+        refuse_ineffective(cases, [axis.key for axis in self.design.varied])
         if self.design.kind in ("grid", "list"):
             self._refuse_equal_points()
 
@@ -208,7 +208,7 @@ def make_plan(
     elif design == "list":
         raise SceneError("points", "is missing: a list needs its points")
     else:
-        axes = _varied(vary, scene, design in SAMPLED)
+        axes = _parse_vary(vary, scene, design in SAMPLED)
     made = Design(
         kind=design,
         axes=axes,
@@ -224,14 +224,14 @@ def make_plan(
 def _size(size: int | None, design: str) -> int:
     """Return the number of points of a sample; 0 for other designs."""
     if size is not None:
-        return whole("size", size, 1, MOST_POINTS, "It is the number of points of a sample.")
+        return whole("size", size, 1, MAX_POINTS, "It is the number of points of a sample.")
     if design in SAMPLED:
         problem = f"is missing: a design of kind '{design}' draws as many points"
         raise SceneError("size", problem, "Give --size, or size in study.toml.")
     return 0
 
 
-def _varied(vary: Any, scene: Scene, sampled: bool) -> tuple[Axis | Range, ...]:
+def _parse_vary(vary: Any, scene: Scene, sampled: bool) -> tuple[Axis | Range, ...]:
     """Return axes and ranges, in their order."""
     if vary is None:
         return ()
@@ -374,7 +374,7 @@ def _lines(plan: Plan) -> Iterator[str]:
     design, seed = plan.design, plan.scene.seed
     last = "" if plan.seeds == 1 else f" to {seed + plan.seeds - 1}"
     yield "# A study of multicell: what is varied, and how. 'multicell study run' with the name of"
-    yield "# this folder computes what is missing; after any change here it goes on with what fits."
+    yield "# this folder computes what is missing; after any change here it keeps what fits."
     yield f"# Numbers without a unit: {BASE_UNITS}"
     yield ""
     yield f'scene = "{SCENE}"  # what is varied, in this folder'
@@ -406,7 +406,7 @@ _WORDS: Final = {
     "grid": "all combinations",
     "list": "the points below, one a place in the lists",
     "lhs": "a Latin hypercube of ranges",
-    "sobol": "a Sobol' sequence in ranges; twice the size goes on with it",
+    "sobol": "a Sobol' sequence in ranges; twice the size continues it",
 }
 
 

@@ -29,7 +29,7 @@ class StudyPlots:
     title
         Of the pictures.
     runs, states
-        All runs of the study and how they stand, in one order.
+        All runs of the study and how they stand, in the order of the table.
     folder
         Of the study.
     """
@@ -42,10 +42,7 @@ class StudyPlots:
         states: Sequence[RunStatus] = (),
         folder: Path | None = None,
     ) -> None:
-        from multicell.studies.pictures.values import with_states
-
-        self._table = with_states(table, runs, states)
-        self._title = title
+        self._table, self._title = table, title
         self._runs, self._states, self._folder = runs, states, folder
 
     def heatmap(

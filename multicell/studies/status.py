@@ -11,7 +11,7 @@ however many processes work on it. A run is
 ``failed``
     where a note in its folder says why (:data:`NOTE`), or what is there is damaged;
 ``partial``
-    where there are frames from which it can go on;
+    where there are frames from which it can continue;
 ``waiting``
     where there is nothing.
 """
@@ -19,10 +19,10 @@ however many processes work on it. A run is
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal, final
+from typing import Any, Final, Literal, final
 
 from multicell.errors import MulticellError, OutputError
 from multicell.results import hdf5, journal
@@ -30,9 +30,6 @@ from multicell.results.documents import read_table, write_table
 from multicell.results.folder import in_use
 from multicell.scene.scene import load_scene
 from multicell.studies.runs import digest
-
-if TYPE_CHECKING:
-    from multicell.studies.runs import Run
 
 NOTE: Final = "failure.json"
 """File in the folder of a run that failed: ``reason`` and ``kind``."""
@@ -57,13 +54,13 @@ class RunStatus:
     cells
         Number of cells at ``time``.
     time
-        Simulated time so far, s; as far as frames are saved where the run goes on.
+        Simulated time so far, s; as far as frames are saved where the run continues.
     wall
         Wall time that it took, s; NaN until it is done.
     kind
         What it failed for.
     frames
-        How many frames there are to go on from; not counted where it is done.
+        How many frames there are to continue from; not counted where it is done.
     """
 
     name: str
@@ -79,18 +76,6 @@ class RunStatus:
 def run_folder(folder: Path, name: str) -> Path:
     """Return the folder of a run of the study in ``folder``."""
     return folder / "runs" / name
-
-
-def statuses(runs: Sequence[Run], folder: str | Path) -> list[RunStatus]:
-    """Return the states of runs, in their order.
-
-    Parameters
-    ----------
-    runs
-    folder
-        Of the study.
-    """
-    return [status(run.name, Path(folder), run.integrator) for run in runs]
 
 
 def status(name: str, folder: Path, integrator: str = "", *, ours: bool = False) -> RunStatus:
@@ -120,7 +105,7 @@ def status(name: str, folder: Path, integrator: str = "", *, ours: bool = False)
 
 
 def _failed(found: RunStatus, place: Path) -> RunStatus:
-    """Return the state of a run that goes on nowhere, with why it failed if it did."""
+    """Return the state of a run that is not under way, with why it failed if it did."""
     note = read_note(place)
     if note is None:
         return found

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
 from multicell.errors import OutputError
-from multicell.studies.cost import StudyCost, costs_of, together
+from multicell.studies.cost import StudyCost, costs_of, total_cost
 from multicell.studies.plan import NAME, SCENE, Plan, make_plan, read_plan
 from multicell.studies.runs import Run, canonical, digest
 
@@ -67,7 +67,7 @@ class Study:
         costs = dict(zip(self.plan.names, (c for c in points for _ in range(self.plan.seeds)),
                          strict=True))  # fmt: skip
         settled = {s.name for s in self.status() if s.state == "done"} if left else set()
-        return together((cost for name, cost in costs.items() if name not in settled), cores)
+        return total_cost((cost for name, cost in costs.items() if name not in settled), cores)
 
     def run(
         self,
@@ -77,7 +77,7 @@ class Study:
         *,
         retry: bool = False,
     ) -> list[Outcome]:
-        """Do all runs that are not done, and go on with those that were begun.
+        """Do all runs that are not done, and continue those that were begun.
 
         It may be stopped by anything and called again; see
         :func:`multicell.studies.engine.carry_out` for the arguments, and for what is raised.
@@ -195,7 +195,7 @@ def study(
     """Plan a study of a scene in a folder; nothing runs until :meth:`Study.run` is called.
 
     A folder that holds the same study, or one that the new plan widens (further values, seeds or
-    keys), goes on: runs that are there are not computed again.
+    keys), is continued: runs that are there are not computed again.
 
     Parameters
     ----------
@@ -245,7 +245,7 @@ def study(
         base, vary, zipped=zipped, points=points, seeds=seeds, design=design, size=size,
         sample_seed=sample_seed, every=every, integrator=integrator,
     )  # fmt: skip
-    return settle(plan, output, overwrite=overwrite)
+    return write_study(plan, output, overwrite=overwrite)
 
 
 def load_study(folder: str | Path, *, integrator: str = "") -> Study:
@@ -266,7 +266,7 @@ def load_study(folder: str | Path, *, integrator: str = "") -> Study:
     return Study(read_plan(folder, integrator=integrator), folder)
 
 
-def settle(plan: Plan, folder: str | Path, *, overwrite: bool = False) -> Study:
+def write_study(plan: Plan, folder: str | Path, *, overwrite: bool = False) -> Study:
     """Write a plan to a folder, and return the study.
 
     Raises

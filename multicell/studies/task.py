@@ -1,4 +1,4 @@
-"""What a worker does with one run: begin it or go on with it, and say how that ended."""
+"""What a worker does with one run: begin or continue it, and report how that ended."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ class Stopped(BaseException):
     """Ends a run between two steps, since nobody waits for it any more."""
 
 
-def carried_out(work: Task, wanted: Callable[[], bool] = lambda: True) -> Outcome:
+def do_run(work: Task, wanted: Callable[[], bool] = lambda: True) -> Outcome:
     """Do one run in its folder, unless it is done; this is all that a worker does.
 
     Parameters
@@ -98,21 +98,21 @@ def carried_out(work: Task, wanted: Callable[[], bool] = lambda: True) -> Outcom
     work
         The run.
     wanted
-        Asked between steps; where it answers no the run ends there, and can be gone on with.
+        Asked between steps; where it answers no the run ends there, and can be continued.
     """
     begin, cpu = clock.perf_counter(), clock.thread_time()
-    outcome = _told(work, wanted)
+    outcome = _do_in_words(work, wanted)
     if outcome.reused:
         return outcome
     spent = clock.perf_counter() - begin, clock.thread_time() - cpu
     return replace(outcome, wall=spent[0], cpu=spent[1])
 
 
-def _told(work: Task, wanted: Callable[[], bool]) -> Outcome:
+def _do_in_words(work: Task, wanted: Callable[[], bool]) -> Outcome:
     """Do a run; put what kept it from its end into words, and into its folder."""
     place = run_folder(Path(work.folder), work.name)
     try:
-        return _attempted(work, place, wanted)
+        return _attempt(work, place, wanted)
     except Stopped:
         return Outcome(work.name, "held", "stopped")
     except Exception as error:
@@ -141,13 +141,13 @@ def _in_words(error: Exception) -> tuple[str, Kind]:
     return f"unexpected {type(error).__name__}: {said}. This is a bug of multicell", "run"
 
 
-def _attempted(work: Task, place: Path, wanted: Callable[[], bool]) -> Outcome:
+def _attempt(work: Task, place: Path, wanted: Callable[[], bool]) -> Outcome:
     """Do a run from wherever it stands; another process may come first at any moment."""
     for left in reversed(range(_ATTEMPTS)):
         found = status(work.name, Path(work.folder), work.integrator)
         if found.state == "running":
             return Outcome(work.name, "held")
-        known = settled(found, work.retry)
+        known = known_outcome(found, work.retry)
         if known is not None:
             return known
         try:
@@ -159,7 +159,7 @@ def _attempted(work: Task, place: Path, wanted: Callable[[], bool]) -> Outcome:
     raise AssertionError("unreachable")
 
 
-def settled(found: RunStatus, retry: bool) -> Outcome | None:
+def known_outcome(found: RunStatus, retry: bool) -> Outcome | None:
     """Return how a run ended that is not to be worked on any more; None for all others."""
     if found.state == "done":
         return Outcome(found.name, "done", reused=True)
@@ -169,7 +169,7 @@ def settled(found: RunStatus, retry: bool) -> Outcome | None:
 
 
 def _forward(work: Task, place: Path, found: RunStatus, wanted: Callable[[], bool]) -> None:
-    """Begin a run, or go on with it, up to its end."""
+    """Begin or continue a run, up to its end."""
     from multicell import runner
 
     def between(_: Simulation) -> None:

@@ -96,7 +96,7 @@ def workers(cores: int | None, scheduler: Any) -> Iterator[Client]:
         client = _client(Client, place if scheduler is None else address, security)
         stack.callback(_close, client)
         if scheduler is not None:
-            _check(client, address)
+            check_workers(client, address)
         yield client
 
 
@@ -239,8 +239,14 @@ def _close(client: Any) -> None:
         client.close(timeout=ANSWER)
 
 
-def _check(client: Any, scheduler: str) -> None:
-    """Refuse a cluster whose workers would not do what this process does."""
+def check_workers(client: Any, scheduler: str) -> None:
+    """Refuse a cluster whose workers would not do what this process does.
+
+    Raises
+    ------
+    ClusterError
+        If there are no workers, one has several threads, or other versions than this process.
+    """
     threads = client.nthreads()
     if not threads:
         raise ClusterError(

@@ -67,7 +67,7 @@ def rows_of(content: bytes, name: str) -> Iterator[Row]:
                     raise DataError(name, "has one column", "Columns are separated by commas.")
             elif len(row) != width:
                 problem = f"has {len(row)} fields, the header has {width}"
-                raise DataError(f"{name}, line {number}", problem, "A decimal point is a point.")
+                raise DataError(f"{name}, line {number}", problem, "Use '.' as decimal separator.")
             yield number, row
     except csv.Error as error:
         raise DataError(f"{name}, line {numbers[reader.line_num - 1]}", str(error)) from None

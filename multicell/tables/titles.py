@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import NamedTuple, final
 
@@ -10,11 +11,24 @@ from multicell.schema import near_miss
 from multicell.units import to_base
 
 _IN_NAMES = str.maketrans({"^": "", "/": "_per_", " ": "_"})
+_PARTS = re.compile(r"([^/\[(]*)(?:/(.*)|\[(.*)\]|\((.*)\))?")
 
 
 def titled(name: str, unit: str) -> str:
     """Return the title of a column: its name, and its unit where it has one (``radius_um``)."""
     return f"{name}_{unit.translate(_IN_NAMES)}" if unit else name
+
+
+def split_title(title: str) -> tuple[str, str]:
+    """Return name and unit of a title: ``name / unit``, ``name [unit]`` or ``name (unit)``.
+
+    The unit is empty where there is none. All tables that multicell reads have titles like these.
+    """
+    match = _PARTS.fullmatch(title.strip())
+    if match is None:
+        return title.strip(), ""
+    name, *units = match.groups()
+    return name.strip(), next((unit.strip() for unit in units if unit is not None), "")
 
 
 @final
@@ -68,10 +82,9 @@ def _parted(title: str, known: Mapping[str, str]) -> tuple[str, str]:
     """Return name and unit of a title, the unit empty where there is none."""
     if title in known:
         return title, ""
-    for mark, end in ((" / ", ""), ("[", "]"), ("(", ")")):
-        name, found, text = title.partition(mark)
-        if found and name.strip() in known:
-            return name.strip(), text.strip().removesuffix(end).strip()
+    name, unit = split_title(title)
+    if unit and name in known:
+        return name, unit
     for name in sorted(known, key=len, reverse=True):
         if title.startswith(f"{name}_"):
             return name, title.removeprefix(f"{name}_").replace("_per_", "/").replace("_", " ")

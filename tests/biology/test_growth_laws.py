@@ -214,7 +214,7 @@ def test_a_law_that_never_comes_to_division_is_refused(entries, path, words):
 
 
 def test_a_study_does_not_vary_a_target_that_nothing_goes_to():
-    from multicell.studies.meaning import no_effect
+    from multicell.studies.ineffective import no_effect
 
     assert "law" in no_effect(scene_of("linear"), "growth.target")
     assert no_effect(scene_of("logistic"), "growth.target") == ""

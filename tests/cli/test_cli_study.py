@@ -159,7 +159,7 @@ def test_above_an_hour_it_is_asked_and_without_a_terminal_refused(folder):
     assert call("new", RICH, "-o", folder, *long).exit_code == 0
     code, said = subprocess_free("run", folder)
     assert code == 2
-    assert "--yes says go on" in said
+    assert "--yes confirms" in said
     assert "50 runs left, expected to take about" in said
     assert not (folder / "runs").exists()
 
@@ -228,7 +228,7 @@ def test_ctrl_c_says_how_to_go_on(folder):
     finally:
         process.kill()
     assert process.returncode == 130
-    assert f"'multicell study run {folder}' goes on with them" in said
+    assert f"'multicell study run {folder}' continues with them" in said
     assert "begun" in call("status", folder).output
 
 

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 import multicell as mc
+from multicell.calibration.data import Condition, Datum, Measured
+from multicell.calibration.pool import InProcessExecutor, Pool
+from multicell.calibration.problem import Problem
+from multicell.calibration.simulator import Reading
 from multicell.studies.axes import Range
-from multicell.studies.data import Condition, Datum, Measured
-from multicell.studies.problem import Problem
-from multicell.studies.simulating import Reading
 
 MATRIX = [[1.0, 0.0], [0.0, 1.0], [1.0, 1.0], [1.0, -1.0]]
 """Four data of two parameters that determine both."""
@@ -27,6 +28,22 @@ def calls_of(work):
     except KeyboardInterrupt:
         found = None
     return found, CALLS[before:]
+
+
+class _Stopping(InProcessExecutor):
+    def __init__(self, calls):
+        self._left = calls
+
+    def submit(self, function, /, *arguments):
+        if self._left == 0:
+            raise KeyboardInterrupt
+        self._left -= 1
+        return super().submit(function, *arguments)
+
+
+def stopping(calls):
+    """Return a pool that stops after some calls, as a process does that is killed."""
+    return Pool(_Stopping(calls))
 
 
 SCENE = mc.load_scene("growth")

@@ -17,6 +17,7 @@ import multicell as mc
 from multicell.cli.process import exit_code
 from multicell.studies.engine import carry_out
 from multicell.studies.runs import Run, digest
+from multicell.studies.status import status
 
 HERE = Path(__file__)
 # cells grow and divide; a field, several frames, half a second of work
@@ -42,6 +43,11 @@ def runs_of(count, name="spheroid", changes=CHANGES):
 
 def short_runs(count, **changes):
     return runs_of(count, "growth", {**SHORT, **changes})
+
+
+def statuses(runs, folder):
+    """Return the states of runs of a study, in their order."""
+    return [status(run.name, Path(folder), run.integrator) for run in runs]
 
 
 def started(folder, count, *more, **options):

@@ -73,6 +73,7 @@ def sampled(*names, count=24, seeds=3):
 
 def _table(dimensions, data, coordinates, seeds):
     variables = {name: (dimensions, data[name], {"units": UNITS[name]}) for name in UNITS}
+    variables["state"] = (dimensions[:-1], np.full(data["cells"].shape[:-1], "done", dtype="U7"))
     coordinates |= {"seed": np.arange(seeds), "time": ("time", TIMES, {"units": "s"})}
     return xr.Dataset(variables, coordinates)
 

@@ -17,13 +17,13 @@ from stored import assert_same_bits
 
 import multicell as mc
 from multicell.biology.initial import initial_cells
+from multicell.calibration.data import read_data
 from multicell.cells import Phase, State
 from multicell.cli.main import main
 from multicell.errors import DataError, SceneError
 from multicell.report.explain.scene import explain
 from multicell.results.frame import Frame
 from multicell.scene.start_table import normalised, with_cells
-from multicell.studies.data import read_data
 from multicell.studies.runs import digest
 from multicell.tables.columns import from_bytes, from_object
 

@@ -11,7 +11,7 @@ from rich_medium import RICH
 
 import multicell as mc
 from multicell import SceneError
-from multicell.studies.axes import check_axes, named, parse_axis, parse_range
+from multicell.studies.axes import check_axes, parse_axis, parse_range, with_unique_names
 from multicell.studies.keys import all_keys
 from multicell.studies.plan import axis_line
 
@@ -204,7 +204,7 @@ def test_names_are_as_long_as_makes_them_unique(emt6):
         "growth.phases.G1.duration": "G1.duration",
         "duration": "duration",
     }
-    axes = named(parse_axis(key, [1.0], emt6) for key in keys)
+    axes = with_unique_names(parse_axis(key, [1.0], emt6) for key in keys)
     assert [axis.name for axis in axes] == list(keys.values())
 
 

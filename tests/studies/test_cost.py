@@ -5,7 +5,7 @@ import pytest
 import multicell as mc
 from multicell.report.explain.cost import predicted
 from multicell.results.documents import read_table
-from multicell.studies.cost import NAME, Cost, cost_of, costs_of, together
+from multicell.studies.cost import NAME, Cost, cost_of, costs_of, total_cost
 from multicell.studies.plan import make_plan
 
 EMT6 = mc.load_scene("emt6")
@@ -18,12 +18,12 @@ def test_it_is_what_explain_tells_of_each_run():
 
 def test_runs_together_share_cores():
     costs = [Cost(60.0, 3e8, 1e6), Cost(30.0, 2e8, 2e6), Cost(10.0, 1e8, 3e6)]
-    one, two, many = (together(costs, cores) for cores in (1, 2, 9))
+    one, two, many = (total_cost(costs, cores) for cores in (1, 2, 9))
     assert (one.runs, one.core_seconds, one.seconds) == (3, 100.0, 100.0)
     assert (two.seconds, many.seconds) == (60.0, 60.0)  # the longest decides
     assert [c.memory for c in (one, two, many)] == [3e8, 5e8, 6e8]
     assert [c.disk for c in (one, two, many)] == [6e6] * 3
-    assert together([], 4).seconds == 0.0
+    assert total_cost([], 4).seconds == 0.0
 
 
 def test_it_is_found_once(tmp_path, monkeypatch):

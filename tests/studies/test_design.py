@@ -12,7 +12,7 @@ from scipy.stats import qmc
 import multicell as mc
 from multicell import SceneError
 from multicell.studies.axes import parse_axis, parse_range
-from multicell.studies.design import Design, parse_column, parse_varied, read_points, split_unit
+from multicell.studies.design import Design, parse_column, parse_varied, read_points
 
 OXYGEN, GLUCOSE = "nutrients.oxygen.boundary", "nutrients.glucose.boundary"
 LENGTH = "growth.phases.G1.duration"
@@ -141,19 +141,6 @@ def test_a_row_stands_in_a_list_once():
         Design("list", columns)
 
 
-@pytest.mark.parametrize(
-    ("title", "parts"),
-    [
-        ("cells.young [kPa]", ("cells.young", "kPa")),
-        ("cells.young (kPa)", ("cells.young", "kPa")),
-        (" contact.law ", ("contact.law", "")),
-        ("a [nN/um]", ("a", "nN/um")),
-    ],
-)
-def test_titles_of_columns(title, parts):
-    assert split_unit(title) == parts
-
-
 def test_points_are_read_from_a_table(tmp_path):
     file = tmp_path / "points.csv"
     file.write_text(
@@ -173,13 +160,13 @@ def test_points_are_read_from_a_table(tmp_path):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", "has no points"),
-        ("cells.young [kPa]\n", "has no points"),
+        ("", "holds no data"),
+        ("cells.young [kPa]\n", "holds no data"),
         ("cells.yung [kPa]\n1\n", "Did you mean 'cells.young'"),
         ("cells.young\n1\n", "has no unit in the header"),
         ("cells.young [s]\n1\n", "line 2"),
         ("cells.young [kPa]\n1\n-1\n", "line 3"),
-        ("cells.young [kPa],contact.law\n1\n", "line 2, has 1 values, its header 2"),
+        ("cells.young [kPa],contact.law\n1\n", "line 2: has 1 fields, the header has 2"),
         ("cells.young [kPa],contact.law\n1,\n", "is empty in"),
         ("cells.young [kPa],\n1,2\n", "a column without a key"),
         ("cells.young [kPa],cells.young [kPa]\n1,2\n", "is varied twice"),

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from stored import assert_same_bits
-from studied import run_of, runs_of, short_runs
+from studied import run_of, runs_of, short_runs, statuses
 
 import multicell as mc
 from multicell.errors import ClusterError, SceneError
@@ -18,8 +18,8 @@ from multicell.results.documents import write_table
 from multicell.results.folder import locked
 from multicell.studies import engine
 from multicell.studies.engine import carry_out
-from multicell.studies.status import NOTE, statuses
-from multicell.studies.task import carried_out, task
+from multicell.studies.status import NOTE
+from multicell.studies.task import do_run, task
 from multicell.studies.workers import workers
 
 
@@ -61,7 +61,7 @@ def in_this_process(monkeypatch, *troubles):
             return {"here": 1}
 
         def submit(self, function, work, **_):
-            return Future(carried_out(work))
+            return Future(do_run(work))
 
     class Workers:
         def __init__(self, *_):
@@ -97,7 +97,7 @@ def test_a_study_is_done_once_and_each_run_is_what_it_would_be_alone(tmp_path):
 def test_what_is_done_needs_no_dask(tmp_path):
     runs = short_runs(2)
     for run in runs:
-        assert carried_out(task(run, tmp_path, retry=False)).state == "done"
+        assert do_run(task(run, tmp_path, retry=False)).state == "done"
     stamps = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
     code = (
         "import sys; from studied import short_runs; from multicell.studies.engine import carry_out"

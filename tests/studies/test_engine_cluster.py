@@ -1,20 +1,19 @@
 """Studies on a Dask cluster of which only the address is known."""
 
 import gc
-import shutil
+import sys
 import time
 
 import psutil
 import pytest
 from clusters import Cluster
 from stored import assert_same_bits
-from studied import CHANGES, alive, gone, runs_of, short_runs, started
+from studied import CHANGES, alive, gone, runs_of, short_runs, started, statuses
 
 import multicell as mc
 from multicell.errors import ClusterError
 from multicell.studies.engine import carry_out
-from multicell.studies.status import statuses
-from multicell.studies.workers import _sees, check_folder, workers
+from multicell.studies.workers import _sees, check_folder, check_workers, workers
 
 
 @pytest.fixture(scope="module")
@@ -52,25 +51,46 @@ def test_workers_are_used_that_others_have_started(cluster, tmp_path):
 
 def test_workers_that_cannot_run_scenes_as_we_do_are_named(cluster, tmp_path):
     runs, study = short_runs(1), tmp_path / "study"
-    for file, text, problem in (
-        ("sitecustomize", "import sys; sys.modules['multicell'] = None", "has no multicell"),
-        ("multicell", "raise ImportError", "cannot load multicell"),
-        ("multicell", "__version__ = '0.0.1'", "has multicell 0.0.1"),
-    ):
-        place = tmp_path / "other"
-        place.mkdir()
-        (place / f"{file}.py").write_text(text)
-        worker = cluster.worker(path=str(place))
-        said = refused(runs, study, cluster)
-        assert problem in said
-        assert f"but this process has multicell {mc.__version__}" in said
-        ended(worker)
-        shutil.rmtree(place)
+    hidden = "import sys; sys.modules['multicell'] = None"
+    (tmp_path / "sitecustomize.py").write_text(hidden)
+    worker = cluster.worker(path=str(tmp_path))
+    said = refused(runs, study, cluster)
+    assert "has no multicell" in said
+    assert f"but this process has multicell {mc.__version__}" in said
+    ended(worker)
     worker = cluster.worker("--nthreads", "3")
     said = refused(runs, study, cluster)
     assert "has 3 threads" in said
     assert "'--nthreads 1'" in said
     ended(worker)
+
+
+class Other:
+    """A client of one worker that answers otherwise than this process would."""
+
+    def __init__(self, answer):
+        self.answer = answer
+
+    def nthreads(self):
+        return {"tcp://10.0.0.7:4000": 1}
+
+    def run(self, function, *arguments, **options):
+        answer = self.answer if function is eval else function()
+        return {"tcp://10.0.0.7:4000": answer}
+
+
+@pytest.mark.parametrize(
+    ("answer", "problem"),
+    [
+        (ImportError("broken"), r"cannot load multicell \(ImportError: broken\)"),
+        ((*sys.version_info[:2], "0.0.1"), r"has multicell 0\.0\.1, but"),
+        ((3, 9, mc.__version__), r"has Python 3\.9, but this process has multicell"),
+    ],
+)
+def test_workers_with_other_versions_are_named(answer, problem):
+    with pytest.raises(ClusterError, match=problem):
+        check_workers(Other(answer), "tcp://10.0.0.7:8786")
+    check_workers(Other((*sys.version_info[:2], mc.__version__)), "tcp://10.0.0.7:8786")
 
 
 class Elsewhere:

@@ -12,11 +12,10 @@ import time
 import psutil
 import pytest
 from stored import assert_same_bits
-from studied import alive, family, gone, is_worker, runs_of, short_runs, started
+from studied import alive, family, gone, is_worker, runs_of, short_runs, started, statuses
 
 import multicell as mc
 from multicell.studies.engine import carry_out
-from multicell.studies.status import statuses
 
 COUNT = 4
 

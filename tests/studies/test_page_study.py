@@ -53,7 +53,7 @@ def frames(monkeypatch):
         asked.append(place.name)
         return frame
 
-    monkeypatch.setattr(tiles, "_last_frame", last)
+    monkeypatch.setattr(tiles, "last_frame", last)
     return asked
 
 
@@ -99,7 +99,7 @@ def folder(table, tmp_path_factory):
     place = tmp_path_factory.mktemp("study")
     frame = spheroid(400)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(tiles, "_last_frame", lambda place: frame)
+        patch.setattr(tiles, "last_frame", lambda place: frame)
         written(place, table, (OXYGEN, LAW))
     return place
 
@@ -220,7 +220,7 @@ def test_sections_show_the_right_runs_on_one_scale(table, tmp_path, frames):
 
 
 def test_a_tile_without_frames_says_why(table, tmp_path, monkeypatch):
-    monkeypatch.setattr(tiles, "_last_frame", lambda place: None)
+    monkeypatch.setattr(tiles, "last_frame", lambda place: None)
     runs, states = runs_of(table, (OXYGEN, LAW))
     figure = StudyPlots(table, "A study", runs, states, tmp_path).sections()
     words = [t.get_text() for t in figure.findobj(mpl.text.Text) if t.get_text()]
@@ -245,7 +245,7 @@ def test_times_of_all_runs_are_summed(page):
 
 
 def test_of_very_many_runs_those_that_failed_are_listed_first(table, tmp_path, monkeypatch, frames):
-    monkeypatch.setattr("multicell.studies.page.MOST_ROWS", 5)
+    monkeypatch.setattr("multicell.studies.page.MAX_ROWS", 5)
     monkeypatch.setattr("multicell.studies.page._drawings", lambda *given: iter(()))
     runs, states = runs_of(table, (OXYGEN, LAW))
     states[-1] = RunStatus(states[-1].name, "failed", "late")

@@ -13,7 +13,7 @@ import multicell as mc
 from multicell import OutputError, SceneError
 from multicell.studies.plan import Plan, make_plan, read_plan
 from multicell.studies.runs import digest
-from multicell.studies.study import settle
+from multicell.studies.study import write_study
 
 OXYGEN, GLUCOSE = "nutrients.oxygen.boundary", "nutrients.glucose.boundary"
 LENGTH = "growth.phases.G1.duration"
@@ -62,7 +62,7 @@ PLANS = {
 @pytest.mark.parametrize("name", PLANS)
 def test_a_plan_is_read_back_exactly(tmp_path, name):
     plan = make_plan(EMT6, **PLANS[name])
-    settle(plan, tmp_path / "study")
+    write_study(plan, tmp_path / "study")
     again = read_plan(tmp_path / "study")
     assert again == plan
     assert again.points == plan.points
@@ -75,7 +75,7 @@ def test_a_plan_is_read_back_exactly(tmp_path, name):
 def test_numbers_are_read_back_exactly(tmp_path_factory, values, seeds):
     plan = make_plan(EMT6, {OXYGEN: values}, seeds=seeds)
     folder = tmp_path_factory.mktemp("plan")
-    settle(plan, folder / "study")
+    write_study(plan, folder / "study")
     assert read_plan(folder / "study") == plan
 
 
@@ -235,14 +235,14 @@ def test_an_own_method_must_be_named_again(tmp_path):
     )
     plan = make_plan(EMT6, seeds=2, integrator=f"{file}:Stay")
     assert plan.integrator == f"{file}:Stay"
-    settle(plan, tmp_path / "study")
+    write_study(plan, tmp_path / "study")
     with pytest.raises(SceneError, match="not loaded by itself"):
         read_plan(tmp_path / "study")
     again = read_plan(tmp_path / "study", integrator=f"{file}:Stay")
     assert again.names == plan.names
     with pytest.raises(SceneError, match=r"has '.*:Stay'"):
         read_plan(tmp_path / "study", integrator=f"{file}:Go")
-    settle(make_plan(EMT6), tmp_path / "usual")
+    write_study(make_plan(EMT6), tmp_path / "usual")
     with pytest.raises(SceneError, match="has none"):
         read_plan(tmp_path / "usual", integrator=f"{file}:Stay")
     file.write_text(file.read_text() + "\n# another\n")

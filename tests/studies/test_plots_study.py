@@ -8,11 +8,10 @@ import pytest
 import xarray as xr
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
-from study_tables import AXES, grid, sampled, with_states
+from study_tables import AXES, UNITS, grid, sampled, with_states
 
 from multicell.errors import SceneError
 from multicell.studies.pictures.values import (
-    Places,
     at_end,
     axes_of,
     number_text,
@@ -37,7 +36,7 @@ def plots(table):
 
 def texts(figure):
     found = [text.get_text() for text in figure.findobj(mpl.text.Text) if text.get_visible()]
-    return [text for text in found if text]
+    return [line for text in found for line in text.split("\n") if line]
 
 
 def test_tiles_tell_mean_and_deviation_over_the_seeds(two):
@@ -67,7 +66,7 @@ def test_numbers_count_the_seeds_that_are_there(two):
 def test_the_end_is_that_of_each_run_and_nothing_is_shown_that_is_gone_then():
     table = grid("law")
     cut = table.copy(deep=True)
-    for name in cut.data_vars:
+    for name in UNITS:
         cut[name].values[0, 0, 21:] = np.nan  # this run ended sooner
     cut["viable_rim"].values[1, 1, -1] = np.nan  # here the core has gone
     assert float(at_end(cut, "diameter")[0, 0]) == table["diameter"].values[0, 0, 20]
@@ -114,7 +113,8 @@ def test_tiles_too_small_for_numbers_leave_them_to_a_line():
     values = np.arange(24.0)
     coordinates = {"a": ("a", values), "b": ("b", values), "seed": [0, 1]}
     data = values[:, None, None] + values[None, :, None] + np.array([0.0, 2.0])
-    table = xr.Dataset({"cells": (("a", "b", "seed"), data, {"units": ""})}, coordinates)
+    states = (("a", "b", "seed"), np.full(data.shape, "done"))
+    table = xr.Dataset({"cells": (("a", "b", "seed"), data), "state": states}, coordinates)
     figure = plots(table).heatmap("cells")
     assert not figure.axes[0].texts
     assert any("in the median tile" in word for word in texts(figure))
@@ -137,7 +137,7 @@ def test_bands_are_one_deviation_each_way():
 
 def test_where_a_seed_has_ended_there_is_no_mean_of_the_others():
     table = grid("law", seeds=3)
-    for name in table.data_vars:
+    for name in UNITS:
         table[name].values[0, 0, 30:] = np.nan
     axes = plots(table).curves("diameter").axes[0]
     first = axes.lines[0].get_ydata()
@@ -178,18 +178,25 @@ def test_points_of_a_sample_stand_at_their_values_with_their_deviation():
 
 def test_many_curves_are_the_same_as_few():
     table = sampled(OXYGEN, count=24, seeds=3)
-    for name in table.data_vars:
+    for name in UNITS:
         table[name].values[5, 1, 30:] = np.nan
     axes = plots(table).curves("diameter").axes[0]
-    bands, thin, lines = axes.collections
     values = table["diameter"].values
-    drawn = np.array([path.vertices[:, 1] for path in lines.get_paths()])
+    thick = [line for line in axes.lines if line.get_linewidth() > 1.0]
+    drawn = np.array([line.get_ydata() for line in thick])
     wanted = values.mean(axis=1)
     np.testing.assert_allclose(drawn[np.arange(24) != 5], wanted[np.arange(24) != 5])
     assert np.isnan(drawn[5, 30:]).all()
-    height = bands.get_paths()[0].vertices[:41, 1]
-    np.testing.assert_allclose(height, wanted[0] + values[0].std(axis=0, ddof=1))
-    assert len(thin.get_paths()) == 3
+    height = axes.collections[0].get_paths()[0].vertices[:, 1]
+    assert height.max() == pytest.approx((wanted[0] + values[0].std(axis=0, ddof=1)).max())
+    assert len(axes.lines) - len(thick) == 3
+
+
+def test_of_very_many_points_some_are_drawn_and_that_is_said(monkeypatch):
+    monkeypatch.setattr("multicell.studies.pictures.curves._MAX_CURVES", 10)
+    figure = plots(sampled(OXYGEN, count=24, seeds=2)).curves("diameter")
+    assert len(figure.axes[0].lines) == 10
+    assert any("10 of 24 points" in word for word in texts(figure))
 
 
 def test_failed_runs_are_counted_beside_the_points():
@@ -210,8 +217,6 @@ def test_values_that_go_together_are_one_axis():
     assert scale(table, OXYGEN).texts == ["0.07 · 0.8", "0.14 · 5.5", "0.28 · 5.5"]
     words = texts(plots(table).heatmap("diameter"))
     assert "0.14 · 5.5" in words
-    assert Places(table).of({OXYGEN: 0.14, "glucose": 5.5, "law": "jkr", "seed": 1}) == (1, 0, 1)
-    assert Places(table).of({OXYGEN: 0.14, "glucose": 0.8, "law": "jkr", "seed": 1}) is None
     assert len(plots(table).curves("diameter").axes) == 2
 
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from multicell.errors import DataError
 from multicell.tables import columns as reading
 from multicell.tables.columns import from_bytes, from_object
-from multicell.tables.titles import Title, read_title, titled
+from multicell.tables.titles import Title, read_title, split_title, titled
 
 KNOWN = {"radius": "um", "phase": "", "phase_length": "s", "stress": "kPa", "flow": "nN/um"}
 
@@ -136,6 +136,21 @@ def test_titles_name_columns_and_units(title, name, factor):
     found = read_title(title, KNOWN, "t")
     assert found.name == name
     assert found.factor == pytest.approx(factor, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("title", "parts"),
+    [
+        ("cells.young [kPa]", ("cells.young", "kPa")),
+        ("cells.young (kPa)", ("cells.young", "kPa")),
+        (" contact.law ", ("contact.law", "")),
+        ("a [nN/um]", ("a", "nN/um")),
+        ("a / nN/(um s)", ("a", "nN/(um s)")),
+        ("diameter sd/%", ("diameter sd", "%")),
+    ],
+)
+def test_titles_have_a_name_and_perhaps_a_unit(title, parts):
+    assert split_title(title) == parts
 
 
 def test_every_title_that_is_written_is_read():

@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING, Any, Final
 import matplotlib as mpl
 import numpy as np
 from matplotlib.colors import Normalize, to_rgb
-from matplotlib.ticker import FuncFormatter
 
 from multicell.report.plots.night import ON_COLOUR, luminance
-from multicell.report.plots.style import DPI, INK, QUIET, RED, SIZE, blank, styled
+from multicell.report.plots.style import INK, QUIET, RED, SIZE, styled
+from multicell.studies.pictures.layout import panels, spread, write_plainly
 from multicell.studies.pictures.values import (
     DONE,
     SEED,
+    STATE,
     Scale,
     Statistics,
     at_end,
@@ -25,15 +26,12 @@ from multicell.studies.pictures.values import (
     compact,
     is_sampled,
     label,
-    label_with,
     middle,
     number_text,
     point_text,
-    power,
     scale,
     scatter_text,
     sentence,
-    states,
     statistics,
     words,
 )
@@ -45,9 +43,9 @@ if TYPE_CHECKING:
 
     from multicell.cells import FloatArray
 
-MOST_PANELS: Final = 6
-_LEAST_FONT: Final = 6.5  # points; smaller numbers cannot be read
-_LETTER: Final = 0.62  # width of a digit over its height
+_MAX_PANELS: Final = 6
+_MIN_FONT: Final = 6.5  # points; smaller numbers cannot be read
+_DIGIT_WIDTH: Final = 0.62  # over the height of a digit
 _EMPTY, _FAILED = "#eceff2", "#f6dfd9"
 _COLOURS: Final = "viridis"
 
@@ -59,8 +57,8 @@ def heatmap(
 ) -> Figure:  # fmt: skip
     """Draw the mean of an observable over two axes, one tile for each pair of values.
 
-    Each tile tells mean and standard deviation over the seeds, and how many seeds there are where
-    some failed or have not run. A third axis makes panels; further ones are held.
+    Each tile states mean and standard deviation over the seeds, and how many seeds there are where
+    some failed or have not run. A third axis makes panels; further ones are fixed.
 
     Parameters
     ----------
@@ -73,7 +71,7 @@ def heatmap(
     x, y
         Axes of the map, by default the first two; of a study of one axis the map has one row.
     at
-        Axis -> value for axes that are held, by default their middle value.
+        Axis -> value for axes that are fixed, by default their middle value.
 
     Raises
     ------
@@ -87,34 +85,27 @@ def heatmap(
     if not axes_of(table):
         raise ValueError("nothing is varied: there are no axes to draw over")
     table = compact(table)
-    across, up, third, held = arranged(table, x, y, at or {})
-    part = at_point(table, held)
-    shown = _shown(part, third)
-    values = at_end(part, name)
-    factor, told = power(values.values)
-    known = statistics(values / factor)
-    subtitle = _subtitle(table, name, held, part.sizes[SEED])
+    across, up, third, fixed = arrange(table, x, y, at or {})
+    part = at_point(table, fixed)
+    shown = [0] if third is None else spread(part.sizes[third], _MAX_PANELS)
+    known = statistics(at_end(part, name))
+    sides = scale(part, across), None if up is None else scale(part, up)
+    subtitle = _subtitle(table, name, fixed)
     if third is not None and len(shown) < part.sizes[third]:
         subtitle += f"; {len(shown)} of {part.sizes[third]} values of {words(third)}"
-    sides, log = (scale(part, across), None if up is None else scale(part, up)), _runs(part)
-    rows = -(-len(shown) // 3)
-    columns = min(len(shown), 3)
-    size = (SIZE[0], _height(sides[1], rows))
-    figure = laid_out(title, subtitle, size)
-    grid = figure.subplots(rows, columns, squeeze=False, sharey=True)
+    columns, rows = min(len(shown), 3), -(-len(shown) // 3)
+    height = 0.9 + 4.2 * rows if rows > 1 else _height(sides[1])
+    figure, grid = panels(title, subtitle, len(shown), columns, height, sharey=True)
     norm = _norm(known.mean.values)
-    font = _font(size, sides, columns, rows, _longest(known))
-    for place, axes in enumerate(grid.flat):
-        if place >= len(shown):
-            axes.set_axis_off()
-            continue
-        chosen = {} if third is None else {third: shown[place]}
+    font = _font((SIZE[0], height), sides, (columns, rows), known)
+    for number, (axes, place) in enumerate(zip(grid, shown, strict=True)):
+        chosen = {} if third is None else {third: place}
         tiles = Statistics(*(entry.isel(chosen) for entry in known))
-        _draw(axes, tiles, log.isel(chosen), sides, norm, font)
-        if place % columns:
+        _draw(axes, tiles, part[STATE].isel(chosen), sides, norm, font)
+        if number % columns:
             axes.set_ylabel("")
         if third is not None:
-            heading = point_text(part, {third: part[third].values[shown[place]]})
+            heading = point_text(part, {third: part[third].values[place]})
             axes.set_title(textwrap.fill(heading, int(84 / columns)), fontsize=10.5)
     if not font:
         figure.text(0.04, 0.02, _scatter_note(known), fontsize=10, color=QUIET)
@@ -122,160 +113,121 @@ def heatmap(
     bar = figure.colorbar(mappable, ax=grid, shrink=0.9, aspect=26, pad=0.02)
     bar.outline.set_visible(False)
     bar.ax.grid(False)
-    bar.set_label(label_with(label(table, name), told))
-    counts = FuncFormatter(lambda value, _: f"{value:,.6g}")
-    bar.ax.yaxis.set_major_formatter(counts)
+    bar.set_label(label(table, name))
+    write_plainly(bar.ax.yaxis)
     return figure
 
 
-def arranged(
+def arrange(
     table: xr.Dataset, x: str | None, y: str | None, at: Mapping[str, Any]
 ) -> tuple[str, str | None, str | None, dict[str, Any]]:
-    """Return the axes across, up and of the panels, and the values of those that are held."""
-    names = axes_of(table)
-    taken = [axis_named(table, name) for name in (x, y) if name is not None]
-    for name in at:
-        axis_named(table, name)
-    free = [name for name in names if name not in taken and name not in at]
+    """Return the axes across, up and of the panels, and the values of those that are fixed."""
+    taken = [axis_named(table, name) for name in (x, y, *at) if name is not None]
+    free = [name for name in axes_of(table) if name not in taken]
     across = x if x is not None else free.pop(0)
     up = y if y is not None else (free.pop(0) if free else None)
     third = free.pop(0) if free else None
     return across, up, third, middle(table, free) | dict(at)
 
 
-def _shown(table: xr.Dataset, third: str | None) -> list[int]:
-    """Return the places along the third axis that have a panel: all, or some, evenly."""
-    if third is None:
-        return [0]
-    return spread(table.sizes[third], MOST_PANELS)
-
-
-def spread(count: int, most: int) -> list[int]:
-    """Return at most so many places of ``count``, evenly, the first and last among them."""
-    return sorted({round(place) for place in np.linspace(0, count - 1, min(count, most))})
-
-
-def _subtitle(table: xr.Dataset, name: str, held: Mapping[str, Any], seeds: int) -> str:
+def _subtitle(table: xr.Dataset, name: str, fixed: Mapping[str, Any]) -> str:
+    seeds = table.sizes[SEED]
     over = f"mean ± standard deviation over {seeds} seeds" if seeds > 1 else (
         "one seed: the scatter is unknown"
     )  # fmt: skip
-    told = f"{sentence(words(name))} at the end of each run, {over}"
-    return f"{told}; {point_text(table, held)}" if held else told
-
-
-def laid_out(title: str, subtitle: str, size: tuple[float, float]) -> Figure:
-    """Return a figure whose panels find their own margins below the heading."""
-    figure = blank(title, subtitle, size)
-    figure.set_layout_engine(
-        "constrained", rect=(0.03, 0.05, 0.94, 1.0 - 0.85 / size[1] - 0.05), w_pad=0.13, h_pad=0.08
-    )
-    figure.set_dpi(DPI)
-    return figure
+    text = f"{sentence(words(name))} at the end of each run, {over}"
+    return f"{text}; {point_text(table, fixed)}" if fixed else text
 
 
 def _norm(values: FloatArray) -> Normalize:
     """Return the range of the colours, which has a width even for one value."""
     known = values[np.isfinite(values)]
-    if not known.size:
-        return Normalize(0.0, 1.0)
-    low, high = float(known.min()), float(known.max())
+    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
     room = 0.0 if high > low else (0.05 * abs(low) or 1.0)
     return Normalize(low - room, high + room)
 
 
-def _runs(table: xr.Dataset) -> xr.DataArray:
-    return states(table)
-
-
-def _height(up: Scale | None, rows: int) -> float:
-    """Return the height of the figure in inches."""
-    if rows > 1:
-        return 0.9 + 4.2 * rows
+def _height(up: Scale | None) -> float:
+    """Return the height of a figure with one row of panels, inches."""
     return 3.4 if up is None else max(SIZE[1], 1.7 + 0.3 * len(up.texts))
 
 
 def _font(
-    size: tuple[float, float], sides: tuple[Scale, Scale | None], columns: int, rows: int,
-    letters: int,
+    size: tuple[float, float], sides: tuple[Scale, Scale | None], panels: tuple[int, int],
+    known: Statistics,
 ) -> float:  # fmt: skip
     """Return the size of letters that fit a tile, in points, 12 at most; 0 if none can be read."""
-    across, up = sides
-    wide = (0.8 * size[0] - 0.4 * columns) / columns / len(across.texts)
-    high = (0.8 * size[1] - 0.7 * rows) / rows / (len(up.texts) if up is not None else 1)
-    fits = min(12.0, 72.0 * wide / (letters * _LETTER), 72.0 * high / (3.0 * 1.3))
-    return fits if fits >= _LEAST_FONT else 0.0
-
-
-def _longest(known: Statistics) -> int:
-    """Return the number of letters of the longest text of a tile, with a little margin."""
     pairs = zip(known.mean.values.flat, known.sd.values.flat, strict=True)
     texts = [text for mean, sd in pairs for text in scatter_text(float(mean), float(sd))]
-    return 2 + max(6, *map(len, texts))
+    letters = 2 + max(6, *map(len, texts))
+    tiles = len(sides[0].texts), 1 if sides[1] is None else len(sides[1].texts)
+    wide, high = (
+        (0.8 * inches / count - more) / tile
+        for inches, count, more, tile in zip(size, panels, (0.4, 0.7), tiles, strict=True)
+    )
+    fits = min(12.0, 72.0 * wide / (letters * _DIGIT_WIDTH), 72.0 * high / (3.0 * 1.3))
+    return fits if fits >= _MIN_FONT else 0.0
 
 
 def _scatter_note(known: Statistics) -> str:
     """Return what is said of the scatter where tiles are too small for numbers."""
     sd = known.sd.values[np.isfinite(known.sd.values)]
+    note = "Tiles are too small for numbers."
     if not sd.size:
-        return "Tiles are too small for numbers."
+        return note
     return (
-        "Tiles are too small for numbers. Standard deviation over the seeds: "
-        f"{number_text(float(np.median(sd)), 2)} in the median tile, "
-        f"{number_text(float(sd.max()), 2)} at most."
+        f"{note} Standard deviation over the seeds: {number_text(float(np.median(sd)), 2)} in the "
+        f"median tile, {number_text(float(sd.max()), 2)} at most."
     )
 
 
 def _draw(
-    axes: Axes, tiles: Statistics, runs: xr.DataArray, sides: tuple[Scale, Scale | None],
+    axes: Axes, tiles: Statistics, states: xr.DataArray, sides: tuple[Scale, Scale | None],
     norm: Normalize, font: float,
 ) -> None:  # fmt: skip
     """Draw one map; ``font`` is the size of the numbers in its tiles, 0 for none."""
     across, up = sides
     order = [across.name] if up is None else [up.name, across.name]
-    grids = [np.atleast_2d(entry.transpose(*order).values) for entry in tiles]
-    log = np.atleast_3d(runs.transpose(*order, SEED).values)
-    log = log.reshape((*grids[0].shape, -1))
+    mean, sd, number = (np.atleast_2d(entry.transpose(*order).values) for entry in tiles)
+    runs = states.transpose(*order, SEED).values.reshape((*mean.shape, -1))
+    failed = (runs == "failed").any(axis=-1) & ~(runs == DONE).any(axis=-1)
     colours = mpl.colormaps[_COLOURS]
-    axes.set_facecolor(_EMPTY)
-    axes.pcolormesh(np.ma.masked_invalid(grids[0]), cmap=colours, norm=norm, edgecolors="white")
-    for place in np.ndindex(*grids[0].shape):
-        mean, sd, count = (float(grid[place]) for grid in grids)
-        text, small = _tile_text(mean, sd, int(count), log[place])
-        if not np.isfinite(mean):
-            face = _FAILED if "failed" in text else _EMPTY
-            corner = (place[1], place[0])
-            axes.add_patch(mpl.patches.Rectangle(corner, 1, 1, facecolor=face, edgecolor="white"))
-        if font:
-            ink = _ink(colours(norm(mean))) if np.isfinite(mean) else _told_ink(text)
-            _write(axes, place, text, small, ink, font, told=bool(np.isfinite(mean)))
+    # what has no mean is grey, or red where it failed
+    axes.pcolormesh(failed, cmap=mpl.colors.ListedColormap([_EMPTY, _FAILED]), vmin=0, vmax=1,
+                    edgecolors="white")  # fmt: skip
+    axes.pcolormesh(np.ma.masked_invalid(mean), cmap=colours, norm=norm, edgecolors="white")
+    for place in np.ndindex(*mean.shape) if font else ():
+        there = bool(np.isfinite(mean[place]))
+        text = _tile_text(float(mean[place]), float(sd[place]), int(number[place]), runs[place])
+        missing = RED if text.startswith("failed") else QUIET
+        axes.text(
+            place[1] + 0.5, place[0] + 0.5, text, ha="center", va="center", fontsize=font,
+            color=_ink(colours(norm(mean[place]))) if there else missing, weight="bold",
+            linespacing=1.2, parse_math=False, gid=ON_COLOUR if there else None,
+        )  # fmt: skip
     axes.grid(False)
     axes.spines[:].set_visible(False)
     axes.tick_params(length=0)
-    _ticks(axes.xaxis, across)
+    _name_tiles(axes.xaxis, across)
     axes.set_xlabel(across.label)
     if up is None:
         axes.set_yticks([])
     else:
-        _ticks(axes.yaxis, up)
+        _name_tiles(axes.yaxis, up)
         axes.set_ylabel(up.label)
 
 
-def _tile_text(mean: float, sd: float, count: int, runs: Any) -> tuple[str, str]:
-    """Return what a tile tells: the number with its scatter, and what is missing from it."""
+def _tile_text(mean: float, sd: float, count: int, runs: Any) -> str:
+    """Return what a tile states: the number with its scatter, and what is missing from it."""
     total, failed = len(runs), int((runs == "failed").sum())
     if count:
-        main, scatter = scatter_text(mean, sd)
         lacking = f"{count} of {total} seeds" if count < total else ""
-        return main, "\n".join(line for line in (scatter, lacking) if line)
+        return "\n".join(line for line in (*scatter_text(mean, sd), lacking) if line)
     if (runs == DONE).any():
-        return "none", ""
+        return "none"
     if failed:
-        return "failed", "" if failed == total else f"{failed} of {total} seeds"
-    return ("running" if (runs == "running").any() else "not run"), ""
-
-
-def _told_ink(text: str) -> str:
-    return RED if text == "failed" else QUIET
+        return "failed" if failed == total else f"failed\n{failed} of {total} seeds"
+    return "running" if (runs == "running").any() else "not run"
 
 
 def _ink(colour: Any) -> str:
@@ -288,28 +240,8 @@ def _ink(colour: Any) -> str:
     return INK if dark > 1.05 / (own + 0.05) else "white"
 
 
-def _write(
-    axes: Axes, place: tuple[int, ...], text: str, small: str, ink: str, font: float, told: bool
-) -> None:
-    x, y = place[1] + 0.5, place[0] + 0.5
-    style: dict[str, Any] = {"ha": "center", "color": ink, "parse_math": False}
-    style["gid"] = ON_COLOUR if told else None
-    if not small:
-        axes.text(x, y, text, va="center", fontsize=font, weight="bold", **style)
-        return
-    axes.annotate(
-        text, (x, y), (0, 0.15 * font), textcoords="offset points", va="bottom", fontsize=font,
-        weight="bold", **style,
-    )  # fmt: skip
-    axes.annotate(
-        small, (x, y), (0, -0.1 * font), textcoords="offset points", va="top",
-        fontsize=0.8 * font, linespacing=1.1, **style,
-    )  # fmt: skip
-
-
-def _ticks(axis: Any, side: Scale) -> None:
+def _name_tiles(axis: Any, side: Scale) -> None:
     """Name the tiles along a side, every second or third where there are many."""
-    every = -(-len(side.texts) // 12)
-    places = range(0, len(side.texts), every)
+    places = range(0, len(side.texts), -(-len(side.texts) // 12))
     texts = [textwrap.shorten(side.texts[place], 16, placeholder="…") for place in places]
     axis.set_ticks([place + 0.5 for place in places], texts)

@@ -12,21 +12,15 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from multicell.errors import MulticellError, SceneError
-from multicell.report.plots.section import (
-    Cut,
-    cut,
-    draw_circles,
-    frame_window,
-)
-from multicell.report.plots.style import INK, QUIET, RED, SIZE, blank, styled, type_label
+from multicell.report.plots.section import Cut, cut, draw_circles, frame_window, scale_bar
+from multicell.report.plots.style import INK, QUIET, RED, SIZE, styled, type_label
 from multicell.report.wording import cell_count, time_unit
 from multicell.results.observables import uniform_radius
-from multicell.studies.pictures.heatmap import arranged, spread
+from multicell.studies.pictures.heatmap import arrange
+from multicell.studies.pictures.layout import panels, spread
 from multicell.studies.pictures.values import (
     POINT,
     SEED,
-    Places,
-    Scale,
     axes_of,
     compact,
     is_sampled,
@@ -34,6 +28,7 @@ from multicell.studies.pictures.values import (
     nearest,
     point_text,
     scale,
+    sentence,
     sides_of,
 )
 
@@ -46,10 +41,9 @@ if TYPE_CHECKING:
     from multicell.studies.runs import Run
     from multicell.studies.status import RunStatus
 
-_LENGTHS: Final = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000)  # µm
-_MOST: Final = 6  # tiles in a row or column
-_SAMPLE: Final = 8  # tiles of a sample
-_RIGHT, _TOP, _FOOT, _GAP = 0.35, 1.3, 0.45, 0.06  # inches
+_MAX_SIDE: Final = 6  # tiles in a row or column
+_MAX_SAMPLE: Final = 8  # tiles of a sample
+_HEAD, _FOOT, _GAP = 1.3, 0.6, 0.12  # inches
 
 
 class _Tile(NamedTuple):
@@ -59,6 +53,17 @@ class _Tile(NamedTuple):
     size: float
     words: str
     failed: bool = False
+
+
+class _Plan(NamedTuple):
+    """Which runs are shown: their places over the axes, row by row, and what stands beside them."""
+
+    places: list[list[tuple[int, ...]]]
+    across: str
+    columns: list[str]
+    up: str
+    rows: list[str]
+    note: str
 
 
 @styled
@@ -76,16 +81,16 @@ def sections(
     title
         Of the picture.
     runs, states
-        All runs and how they stand.
+        All runs and how they stand, in the order of the table.
     folder
         Of the study.
     x, y
-        Axes of the tiles, by default the first two; further ones are held. A sample shows some
+        Axes of the tiles, by default the first two; further ones are fixed. A sample shows some
         of its points, in the order of the first axis.
     seed
         By default the first one.
     at
-        Axis -> value for axes that are held, by default their middle value.
+        Axis -> value for axes that are fixed, by default their middle value.
 
     Raises
     ------
@@ -96,94 +101,66 @@ def sections(
     seeds = [int(value) for value in table[SEED].values]
     chosen = seeds[0] if seed is None else int(seed)
     if chosen not in seeds:
-        told = f"Its seeds are {seeds[0]} to {seeds[-1]}."
-        raise SceneError("seed", f"is {chosen}, which is none of the study", told)
-    points, sides, told = _sample(table) if is_sampled(table) else _grid(table, x, y, at or {})
-    known = {state.name: state for state in states}
-    whereabouts = Places(table)
-    there = {whereabouts.of(run.coordinates): run for run in runs}
-    places = [
-        [None if point is None else (*point, seeds.index(chosen)) for point in row]
-        for row in points
-    ]
-    tiles = [
-        [_Tile(None, 0.0, "") if p is None else _tile(there.get(p), known, folder) for p in row]
-        for row in places
-    ]
-    return _drawn(title, f"last frames of seed {chosen}, all on one scale{told}", tiles, sides)
+        hint = f"Its seeds are {seeds[0]} to {seeds[-1]}."
+        raise SceneError("seed", f"is {chosen}, which is none of the study", hint)
+    plan = _of_sample(table) if is_sampled(table) else _of_grid(table, x, y, at or {})
+    shape = tuple(table.sizes[name] for name in sides_of(table))
+    tiles = []
+    for place in (place for row in plan.places for place in row):
+        number = int(np.ravel_multi_index((*place, seeds.index(chosen)), shape))
+        tiles.append(_tile(runs[number], states[number], folder))
+    subtitle = sentence(f"last frames of seed {chosen}, all on one scale{plan.note}")
+    return _draw(title, subtitle, tiles, plan)
 
 
-Points = list[list[tuple[int, ...] | None]]
-"""Places in an array over the axes, row by row; None for a tile that stays empty."""
-
-Sides = tuple[str, list[str], str, list[str], list[list[str]]]
-"""Label and texts across, label and texts up, and a heading of each tile."""
-
-
-def _grid(
-    table: xr.Dataset, x: str | None, y: str | None, at: Mapping[str, Any]
-) -> tuple[Points, Sides, str]:
-    """Return the points of a grid, the highest value of the second axis on top, and the labels."""
+def _of_grid(table: xr.Dataset, x: str | None, y: str | None, at: Mapping[str, Any]) -> _Plan:
+    """Return the tiles of a grid, the highest value of the second axis on top."""
     dimensions = sides_of(table)[:-1]
     if not axes_of(table):
-        return [[(0,) * len(dimensions)]], ("", [""], "", [""], [[""]]), ""
-    across, up, third, held = arranged(table, x, y, at)
-    if third is not None:
-        held = held | middle(table, [third])
-    told = f"; {point_text(table, held)}" if held else ""
-    columns = spread(table.sizes[across], _MOST)
-    rows = [0] if up is None else spread(table.sizes[up], _MOST)[::-1]
+        return _Plan([[(0,) * len(dimensions)]], "", [""], "", [""], "")
+    across, up, third, fixed = arrange(table, x, y, at)
+    fixed |= middle(table, [third] if third is not None else [])
+    note = f"; {point_text(table, fixed)}" if fixed else ""
+    columns = spread(table.sizes[across], _MAX_SIDE)
+    rows = [0] if up is None else spread(table.sizes[up], _MAX_SIDE)[::-1]
     if len(columns) < table.sizes[across] or (up is not None and len(rows) < table.sizes[up]):
-        told += "; not all values"
-    base = {name: nearest(table, name, value) for name, value in held.items()}
-    points: Points = []
-    for r in rows:
-        own = base if up is None else base | {up: r}
-        points.append([
-            tuple((own | {across: k}).get(name, 0) for name in dimensions) for k in columns
-        ])  # fmt: skip
-    second = None if up is None else scale(table, up)
-    headings = [["" for _ in columns] for _ in rows]
-    return points, _sides(scale(table, across), columns, second, rows, headings), told
+        note += "; not all values"
+    base = {name: nearest(table, name, value) for name, value in fixed.items()}
+    places = [
+        [
+            tuple((base | {across: column, up: row}).get(name, 0) for name in dimensions)
+            for column in columns
+        ]
+        for row in rows
+    ]
+    side, texts = scale(table, across), [""]
+    label = "" if up is None else scale(table, up).label
+    if up is not None:
+        texts = [scale(table, up).texts[row] for row in rows]
+    return _Plan(places, side.label, [side.texts[k] for k in columns], label, texts, note)
 
 
-def _sides(
-    side: Scale, columns: list[int], second: Scale | None, rows: list[int],
-    headings: list[list[str]],
-) -> Sides:  # fmt: skip
-    label, texts = ("", [""]) if second is None else (second.label, [second.texts[r] for r in rows])
-    return side.label, [side.texts[k] for k in columns], label, texts, headings
-
-
-def _sample(table: xr.Dataset) -> tuple[Points, Sides, str]:
+def _of_sample(table: xr.Dataset) -> _Plan:
     """Return some points of a sample, in the order of its first axis, four in a row."""
     names = axes_of(table)
     order = np.argsort(table[names[0]].values, kind="stable")
-    places = [int(order[k]) for k in spread(table.sizes[POINT], _SAMPLE)]
-    found: list[tuple[int, ...] | None] = [(place,) for place in places]
-    texts = [
-        point_text(table, {name: table[name].values[place] for name in names[:3]})
-        for place in places
-    ]
+    found = [int(order[k]) for k in spread(table.sizes[POINT], _MAX_SAMPLE)]
+    texts = [point_text(table, {n: table[n].values[k] for n in names[:3]}) for k in found]
     wide = min(4, len(found))
-    found += [None] * (-len(found) % wide)
-    texts += [""] * (len(found) - len(texts))
-    rows = [found[k : k + wide] for k in range(0, len(found), wide)]
-    headings = [texts[k : k + wide] for k in range(0, len(texts), wide)]
-    told = f"; {len(places)} of {table.sizes[POINT]} points, in the order of their first value"
-    return rows, ("", [""] * wide, "", [""] * len(rows), headings), told
+    places: list[list[tuple[int, ...]]] = [
+        [(k,) for k in found[first : first + wide]] for first in range(0, len(found), wide)
+    ]
+    note = f"; {len(found)} of {table.sizes[POINT]} points, in the order of their first value"
+    return _Plan(places, "", texts, "", [""] * len(places), note)
 
 
-def _tile(run: Run | None, states: Mapping[str, RunStatus], folder: Path) -> _Tile:
+def _tile(run: Run, state: RunStatus, folder: Path) -> _Tile:
     """Return the section of a run, or why there is none."""
     from multicell.studies.status import run_folder
 
-    state = None if run is None else states.get(run.name)
-    if run is None or state is None:
-        return _Tile(None, 0.0, "not run")
     failed = state.state == "failed"
     try:
-        frame = _last_frame(run_folder(folder, run.name))
+        frame = last_frame(run_folder(folder, run.name))
     except MulticellError:
         frame = None
     if frame is None or not len(frame.cells):
@@ -203,7 +180,7 @@ def _section(frame: Frame, scene: Scene, state: str) -> _Tile:
     return _Tile(shown, reach, words, state == "failed")
 
 
-def _last_frame(place: Path) -> Frame | None:
+def last_frame(place: Path) -> Frame | None:
     """Return the last frame in the folder of a run, or None where there is none yet."""
     from multicell.results.reader import Contents, Frames
 
@@ -213,36 +190,34 @@ def _last_frame(place: Path) -> Frame | None:
     return frames[-1] if len(frames) else None
 
 
-def _drawn(title: str, subtitle: str, tiles: list[list[_Tile]], sides: Sides) -> Figure:
+def _draw(title: str, subtitle: str, tiles: list[_Tile], plan: _Plan) -> Figure:
     """Lay out the tiles and draw them."""
-    rows, columns = len(tiles), len(tiles[0])
-    across, texts, up, marks, headings = sides
-    left = 0.55 + 0.105 * max(map(len, marks)) if up else 0.4
-    head = 0.42 if any(map(any, headings)) else 0.0
-    side = min(2.9, (SIZE[0] - left - _RIGHT) / columns - _GAP)
-    tall = _TOP + rows * (side + head + _GAP) + _FOOT + 0.2
-    figure = blank(title, subtitle[0].upper() + subtitle[1:], (SIZE[0], tall))
-    half = max((tile.size for row in tiles for tile in row), default=0.0) or 1.0
-    for r, row in enumerate(tiles):
-        base = tall - _TOP - (r + 1) * (side + head + _GAP)
-        for k, tile in enumerate(row):
-            place = (left + k * (side + _GAP), base, side, side)
-            axes = figure.add_axes(
-                tuple(np.array(place) / (SIZE[0], tall, SIZE[0], tall)), label=f"{r} {k}"
-            )
-            _fill(axes, tile, half, 0.9 + 2.6 * side)
-            if headings[r][k]:
-                axes.set_title(textwrap.fill(headings[r][k], 34), fontsize=7.5, weight="normal")
-            if k == 0 and marks[r]:
-                axes.set_ylabel(marks[r], rotation=0, ha="right", va="center")
-            if r == rows - 1:
-                axes.set_xlabel(textwrap.shorten(texts[k], 18, placeholder="…"))
-    middle = (left + 0.5 * columns * (side + _GAP)) / SIZE[0]
-    figure.text(middle, 0.16 / tall, across, ha="center", va="center")
-    upright = (tall - _TOP - 0.5 * rows * (side + _GAP)) / tall
-    figure.text(0.03, upright, up, rotation=90, ha="center", va="center")
-    _legend(figure, tiles, tall)
-    _scale_bar(figure, 2.0 * half / side, left + columns * (side + _GAP), tall)
+    rows, columns = len(plan.places), len(plan.places[0])
+    sample = len(plan.columns) > columns or not plan.across
+    heading = 0.5 if sample and any(plan.columns) else 0.0
+    side = min(2.9, (SIZE[0] - 1.2) / columns - _GAP)
+    height = _HEAD + rows * (side + heading + _GAP) + _FOOT
+    figure, grid = panels(title, subtitle, len(tiles), columns, height, _HEAD)
+    half = max((tile.size for tile in tiles), default=0.0) or 1.0
+    for number, (axes, tile) in enumerate(zip(grid, tiles, strict=True)):
+        row, column = divmod(number, columns)
+        _fill(axes, tile, half, 0.9 + 2.6 * side)
+        if sample:
+            axes.set_title(textwrap.fill(plan.columns[number], 34), fontsize=7.5, weight="normal")
+        elif row == rows - 1:
+            axes.set_xlabel(textwrap.shorten(plan.columns[column], 18, placeholder="…"))
+        if column == 0 and plan.rows[row]:
+            axes.set_ylabel(plan.rows[row], rotation=0, ha="right", va="center")
+    if plan.across:
+        figure.supxlabel(plan.across, fontsize=12)
+    if plan.up:
+        figure.supylabel(plan.up, fontsize=12)
+    with_cells = [(axes, tile) for axes, tile in zip(grid, tiles, strict=True) if tile.section]
+    if with_cells:
+        axes, tile = with_cells[0]
+        assert tile.section is not None
+        scale_bar(axes, tile.section.middle, half)
+    _legend(figure, [tile.section for _, tile in with_cells if tile.section], height)
     return figure
 
 
@@ -263,30 +238,18 @@ def _fill(axes: Axes, tile: _Tile, half: float, font: float) -> None:
               transform=axes.transAxes, zorder=6)  # fmt: skip
 
 
-def _scale_bar(figure: Figure, microns: float, right: float, tall: float) -> None:
-    """Draw a bar of a round length beside the legend; ``microns`` are those of an inch."""
-    length = max(n for n in _LENGTHS if n <= 1.2 * microns or n == _LENGTHS[0])
-    wide, high = length / microns / SIZE[0], 1.0 - 0.98 / tall
-    end = right / SIZE[0]
-    line = Line2D([end - wide, end], [high, high], color=INK, lw=4, solid_capstyle="butt")
-    figure.add_artist(line)
-    figure.text(end - wide - 0.012, high, f"{length:,} µm", ha="right", va="center", fontsize=10.5)
-
-
-def _legend(figure: Figure, tiles: list[list[_Tile]], tall: float) -> None:
+def _legend(figure: Figure, cuts: Sequence[Cut], height: float) -> None:
     """Explain the colours of the groups that are shown."""
     groups: dict[str, str] = {}
-    for tile in (tile for row in tiles for tile in row if tile.section is not None):
-        assert tile.section is not None
-        there = np.unique(tile.section.group)
-        names = list(tile.section.palette)
-        groups |= {names[k]: tile.section.palette[names[k]] for k in there}
+    for shown in cuts:
+        names = list(shown.palette)
+        groups |= {names[k]: shown.palette[names[k]] for k in np.unique(shown.group)}
     handles = [
         Line2D([], [], ls="", marker="o", ms=8, color=colour, label=type_label(name))
         for name, colour in groups.items()
     ]
     if handles:
         figure.legend(
-            handles=handles, loc="center left", bbox_to_anchor=(0.03, 1.0 - 0.98 / tall),
+            handles=handles, loc="center left", bbox_to_anchor=(0.03, 1.0 - 0.98 / height),
             ncols=len(handles), fontsize=10.5, handletextpad=0.2, columnspacing=1.4,
         )  # fmt: skip

@@ -2,15 +2,18 @@
 
 The table is an ``xarray.Dataset`` with the dimensions of the axes, ``seed`` and ``time``; of a
 sampled design ``point``, ``seed`` and ``time``, with the value of each axis as a coordinate along
-``point``.
+``point``. Its variable ``state`` says how each run stands. Runs are in the order of their places
+over axes and seeds, the last of which runs fastest.
 """
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
+import warnings
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
+from matplotlib.ticker import EngFormatter
 from numpy.typing import NDArray
 
 from multicell.errors import SceneError
@@ -22,13 +25,11 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from multicell.cells import FloatArray
-    from multicell.studies.runs import Run
-    from multicell.studies.status import RunStatus
 
 POINT, SEED, TIME, STATE = "point", "seed", "time", "state"
 DONE: Final = "done"
 _PLAIN: Final = ("cells", "growth", "nutrients")  # tables whose keys speak for themselves
-_DECADES: Final = 30.0  # ratio of the ends of an axis from which it is drawn logarithmically
+_LOG_RATIO: Final = 30.0  # ratio of the ends of an axis from which it is drawn logarithmically
 
 
 class Statistics(NamedTuple):
@@ -74,7 +75,7 @@ class Scale(NamedTuple):
         if self.numbers is None or len(self.numbers) < 2:
             return False
         low, high = float(self.numbers.min()), float(self.numbers.max())
-        return low > 0.0 and high >= _DECADES * low
+        return low > 0.0 and high >= _LOG_RATIO * low
 
 
 def is_sampled(table: xr.Dataset) -> bool:
@@ -91,7 +92,7 @@ def axes_of(table: xr.Dataset) -> list[str]:
             if entry.dims == (POINT,) and name != POINT
         ]
     else:
-        names = [str(name) for name in _dimensions(table) if name not in (SEED, TIME)]
+        names = sides_of(table)[:-1]
     return [name for name in names if len(distinct(table[name].values)) > 1] or names
 
 
@@ -119,13 +120,6 @@ def compact(table: xr.Dataset) -> xr.Dataset:
 def distinct(values: NDArray[Any]) -> NDArray[Any]:
     """Return sorted numbers, or words, each once."""
     return np.unique(values if values.dtype.kind in "fiu" else values.astype(str))
-
-
-def _dimensions(table: xr.Dataset) -> list[Hashable]:
-    """Return the dimensions in the order of the variables, which a data set itself may not keep."""
-    wide = max(table.data_vars.values(), key=lambda entry: entry.ndim, default=None)
-    found = [] if wide is None else list(wide.dims)
-    return [*found, *(name for name in table.dims if name not in found)]
 
 
 def observables(table: xr.Dataset) -> list[str]:
@@ -169,26 +163,16 @@ def at_end(table: xr.Dataset, name: str) -> xr.DataArray:
     if TIME not in values.dims:
         return values
     going = table["cells"].notnull() if "cells" in table else values.notnull()
-    order = np.arange(table.sizes[TIME])
-    last = (going * going[TIME].copy(data=order).drop_vars(TIME)).max(TIME).astype(int)
+    last = going.cumsum(TIME).argmax(TIME)
     return values.isel({TIME: last}).drop_vars(TIME).where(going.any(TIME))
 
 
-def statistics(values: xr.DataArray) -> Statistics:
-    """Return mean and scatter over the seeds of what is finite."""
-    count = values.notnull().sum(SEED)
-    mean = values.sum(SEED, skipna=True) / count.where(count > 0)
-    squares = ((values - mean) ** 2).sum(SEED, skipna=True)
-    return Statistics(mean, (squares / (count - 1).where(count > 1)) ** 0.5, count)
-
-
-def states(table: xr.Dataset) -> xr.DataArray:
-    """Return the state of every run over the axes and seeds: as recorded, or by its values."""
-    if STATE in table:
-        return table[STATE]
-    values = table["cells"] if "cells" in table else table[observables(table)[0]]
-    known = values.notnull().any(TIME) if TIME in values.dims else values.notnull()
-    return known.copy(data=np.where(known, DONE, "waiting"))
+def statistics(values: xr.DataArray, over: Sequence[str] = (SEED,)) -> Statistics:
+    """Return mean and scatter of what is finite, over the seeds or other dimensions."""
+    with warnings.catch_warnings():
+        # of no seed there is no mean, of one no deviation
+        warnings.simplefilter("ignore", RuntimeWarning)
+        return Statistics(values.mean(over), values.std(over, ddof=1), values.count(over))
 
 
 def unit_text(table: xr.Dataset, name: str) -> str:
@@ -278,31 +262,17 @@ def number_text(value: float, digits: int = 3) -> str:
 
 
 def scatter_text(mean: float, sd: float) -> tuple[str, str]:
-    """Return a mean and its standard deviation, which is empty for one seed."""
+    """Return a mean and its standard deviation, which is empty for one seed.
+
+    From 100,000 on they are written as ``157k`` or ``1.2M``, which leaves room in a tile.
+    """
     if not np.isfinite(sd):
         return number_text(mean), ""
+    if abs(mean) >= 1e5:
+        short = EngFormatter(sep="")
+        return short(float(f"{mean:.3g}")), f"± {short(float(f'{sd:.2g}'))}"
     spread = f"{sd:#.2g}".rstrip(".") if 0.0 < sd < 100.0 else number_text(sd, 2)
     return number_text(mean), f"± {spread}"
-
-
-def power(values: FloatArray) -> tuple[float, str]:
-    """Return a power of ten in which large numbers are short, and how a label tells it."""
-    known = np.abs(values[np.isfinite(values)])
-    largest = float(known.max()) if known.size else 0.0
-    if largest < 1e5:
-        return 1.0, ""
-    return (1e3, "10³") if largest < 1e8 else (1e6, "10⁶")
-
-
-def label_with(text: str, factor: str) -> str:
-    """Return a label with a power of ten in its bracket: ``"cells (10³)"``."""
-    if not factor:
-        return text
-    return (
-        f"{text[:-1].replace('(', f'({factor} ', 1)})"
-        if text.endswith(")")
-        else f"{text} ({factor})"
-    )
 
 
 def at_point(table: xr.Dataset, fixed: Mapping[str, Any]) -> xr.Dataset:
@@ -336,7 +306,7 @@ def nearest(table: xr.Dataset, name: str, wanted: Any) -> int:
     return known.index(str(wanted))
 
 
-def middle(table: xr.Dataset, names: list[str]) -> dict[str, Any]:
+def middle(table: xr.Dataset, names: Sequence[str]) -> dict[str, Any]:
     """Return the middle value of each of some axes."""
     return {name: table[name].values[(table.sizes[name] - 1) // 2] for name in names}
 
@@ -358,58 +328,12 @@ def point_text(table: xr.Dataset, fixed: Mapping[str, Any]) -> str:
     return ", ".join(parts)
 
 
-def with_states(table: xr.Dataset, runs: Sequence[Run], found: Sequence[RunStatus]) -> xr.Dataset:
-    """Return a table that knows the state of each run, over the axes and seeds.
-
-    The states of runs that are not among them are those of the table, if it has any.
-    """
-    if not runs:
-        return table
-    own = {state.name: state.state for state in found}
-    sides = sides_of(table)
-    data = np.full(tuple(table.sizes[name] for name in sides), "waiting", dtype="U8")
-    places = Places(table)
-    for run in runs:
-        place = places.of(run.coordinates)
-        if place is not None:
-            data[place] = own.get(run.name, "waiting")
-    return table.assign({STATE: (sides, data)})
-
-
 def sides_of(table: xr.Dataset) -> list[str]:
-    """Return the dimensions of one number of each run, the seeds last."""
-    names = [str(name) for name in _dimensions(table) if name not in (SEED, TIME)]
-    return [*names, SEED]
+    """Return the dimensions of one number of each run, the seeds last.
 
-
-@final
-class Places:
-    """Where runs stand in an array over the axes and seeds of a table."""
-
-    def __init__(self, table: xr.Dataset) -> None:
-        coordinates = {str(n): (c.dims, c.values) for n, c in table.coords.items()}
-        self._sides = [
-            [(n, values) for n, (dims, values) in coordinates.items() if dims == (side,)]
-            for side in sides_of(table)
-        ]
-        self._sizes = [table.sizes[side] for side in sides_of(table)]
-
-    def of(self, coordinates: Mapping[str, Any]) -> tuple[int, ...] | None:
-        """Return the place of a run with these coordinates; None if it is not part of the table."""
-        place = []
-        for size, side in zip(self._sizes, self._sides, strict=True):
-            there = np.ones(size, bool)
-            for name, values in side:
-                if name in coordinates:
-                    there &= _equal(values, coordinates[name])
-            found = np.flatnonzero(there)
-            if not len(found):
-                return None
-            place.append(int(found[0]))
-        return tuple(place)
-
-
-def _equal(values: NDArray[Any], value: Any) -> NDArray[np.bool_]:
-    if values.dtype.kind in "fiu" and not isinstance(value, str):
-        return np.asarray(np.abs(values - float(value)) <= 1e-9 * abs(float(value)))
-    return np.asarray((values == str(value)) | (values == value), dtype=bool)
+    They are in the order of the variables, which a data set itself may not keep.
+    """
+    wide = max(table.data_vars.values(), key=lambda entry: entry.ndim, default=None)
+    found = [] if wide is None else list(wide.dims)
+    names = [*found, *(name for name in table.dims if name not in found)]
+    return [*(str(name) for name in names if name not in (SEED, TIME)), SEED]

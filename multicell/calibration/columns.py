@@ -1,0 +1,207 @@
+"""What each column of measured data holds, by its title ``NAME / UNIT``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, final
+
+from multicell.errors import DataError, SceneError
+from multicell.schema import specs
+from multicell.studies.observed import at_the_end, in_history, is_known_elsewhere, likely, signed
+from multicell.tables.fields import Table
+from multicell.tables.titles import split_title
+from multicell.units import to_base
+
+if TYPE_CHECKING:
+    from multicell.scene.scene import Scene
+
+_ERRORS: Final = ("sd", "sem")
+_NO_CONDITIONS: Final = ("title", "seed")
+
+
+@final
+@dataclass(frozen=True)
+class Column:
+    """One column.
+
+    Attributes
+    ----------
+    kind
+        ``"time"``, ``"start"``, ``"at"``, ``"value"``, ``"sd"``, ``"sem"``, ``"n"``,
+        ``"condition"``, ``"label"`` or ``"remark"``.
+    name
+        Of the observable, or key of the scene.
+    unit
+        As the title states it.
+    base
+        Base unit of the numbers.
+    title
+        As it stands in the header.
+    """
+
+    kind: str
+    name: str
+    unit: str
+    base: str
+    title: str
+
+    @property
+    def relative(self) -> bool:
+        """Whether it holds errors as parts of the values."""
+        return self.kind in _ERRORS and self.unit == "%"
+
+    def number(self, text: str, place: str) -> float:
+        """Return a field as a number of base units.
+
+        Raises
+        ------
+        DataError
+            If it is none.
+        """
+        try:
+            number = float(text)
+        except ValueError:
+            hint = "Use '.' as decimal separator." if "," in text else ""
+            raise DataError(place, f"is {text[:40]!r}, must be a number", hint) from None
+        if not math.isfinite(number):
+            hint = "Leave the field empty where nothing was measured."
+            raise DataError(place, f"is {text}, must be a finite number", hint)
+        if self.relative:
+            return number / 100.0
+        if number < 0.0 and self.kind != "time" and not signed(self.name):
+            raise DataError(place, f"is {text}, must not be negative")
+        if not self.base:
+            return number
+        return _convert(f"{number!r} {self.unit}", self.base, place)
+
+    def of_scene(self, text: str) -> Any:
+        """Return a field of a condition as :meth:`Scene.with_changes` takes it."""
+        if self.unit:
+            return f"{text} {self.unit}"
+        if text in ("true", "false"):
+            return text == "true"
+        for kind in (int, float):
+            try:
+                return kind(text)
+            except ValueError:
+                continue
+        return text
+
+
+def columns_of(table: Table, scene: Scene) -> list[Column]:
+    """Return what the columns of a table hold.
+
+    Raises
+    ------
+    DataError
+        For a title that names nothing, has no unit or one of another dimension, for two columns
+        of the same, and where nothing is measured.
+    """
+    columns = [_column(title, scene, table.name) for title in table.titles]
+    seen: dict[tuple[str, str], str] = {}
+    for column in columns:
+        key = column.kind, column.name
+        if column.kind != "remark" and key in seen:
+            problem = f"says the same as '{seen[key]}'"
+            raise DataError(f"{table.name}, '{column.title}'", problem)
+        seen[key] = column.title
+    values = {column.name for column in columns if column.kind == "value"}
+    for column in columns:
+        if column.kind in (*_ERRORS, "n") and column.name not in values:
+            problem = f"has no column '{column.name}' beside it"
+            raise DataError(f"{table.name}, '{column.title}'", problem)
+    if not values:
+        hint = f"Observables of the scene: {', '.join(in_history(scene))}."
+        raise DataError(table.name, "has no column of measured values", hint)
+    return columns
+
+
+def _column(title: str, scene: Scene, table: str) -> Column:
+    """Return what one column holds."""
+    place = f"{table}, '{title}'"
+    name, unit = split_title(title)
+    if title.startswith("#"):
+        return Column("remark", title, "", "", title)
+    if not name:
+        raise DataError(place, "is a column without a name")
+    if title.endswith("/"):
+        raise DataError(place, "has a '/' and no unit after it")
+    if name in ("time", "start"):
+        return _with_unit(name, name, unit, "s", title, place)
+    if name == "label":
+        return Column("label", name, "", "", title)
+    if name.startswith("at "):
+        name = name.removeprefix("at ").strip()
+        return _with_unit("at", name, unit, _unit_in(name, in_history(scene), place), title, place)
+    stem, _, kind = name.rpartition(" ")
+    if stem and kind in (*_ERRORS, "n"):
+        base = "" if kind == "n" else _unit_of(stem, scene, place)
+        if kind != "n" and unit == "%":
+            return Column(kind, stem, unit, base, title)
+        return _with_unit(kind, stem, unit, base, title, place)
+    if _is_key(name, scene):
+        return _condition(name, unit, title, place)
+    return _with_unit("value", name, unit, _unit_of(name, scene, place), title, place)
+
+
+def _condition(name: str, unit: str, title: str, place: str) -> Column:
+    if name in _NO_CONDITIONS:
+        raise DataError(place, f"'{name}' is no condition that tissue can be under")
+    return Column("condition", name, unit, "", title)
+
+
+def _is_key(name: str, scene: Scene) -> bool:
+    """Return whether a name is a key of scenes and no observable."""
+    first, dot, _ = name.partition(".")
+    known = specs(type(scene))
+    return (bool(dot) and first in known) or (name in known and name not in _everywhere(scene))
+
+
+def _everywhere(scene: Scene) -> Sequence[str]:
+    return [*in_history(scene), *at_the_end(scene), "pull", "cells"]
+
+
+def _unit_of(name: str, scene: Scene, place: str) -> str:
+    """Return the base unit of an observable.
+
+    One that the scene has under other conditions only is taken here, and checked with its rows.
+    """
+    known = in_history(scene) | at_the_end(scene)
+    if name in known:
+        return known[name]
+    if is_known_elsewhere(name) and name.startswith(("hypoxic_radius_", "medium_", "ledger.")):
+        from multicell.results.quantities import unit_of
+
+        return unit_of(name)
+    return _unit_in(name, known, place)
+
+
+def _unit_in(name: str, known: dict[str, str], place: str) -> str:
+    if name in known:
+        return known[name]
+    if is_known_elsewhere(name):
+        problem = f"'{name}' is no observable of this scene"
+    else:
+        problem = f"'{name}' is no observable and no key of the scene"
+    raise DataError(place, problem, likely(name, known))
+
+
+def _with_unit(kind: str, name: str, unit: str, base: str, title: str, place: str) -> Column:
+    """Return a column of numbers once its unit has been checked."""
+    stem = split_title(title)[0]
+    if base and not unit:
+        raise DataError(place, "has no unit", f"Write '{stem} / {base}'.")
+    if unit and not base:
+        raise DataError(place, f"has the unit '{unit}', must have none", f"Write '{stem}'.")
+    if base:
+        _convert(f"1 {unit}", base, place)
+    return Column(kind, name, unit, base, title)
+
+
+def _convert(text: str, base: str, place: str) -> float:
+    try:
+        return to_base(text, base)
+    except SceneError as error:
+        raise DataError(place, error.problem, error.hint) from None

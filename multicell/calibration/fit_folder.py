@@ -1,0 +1,221 @@
+"""The folder of a fit: what it is a fit of, what was tried, what was found."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import json
+import math
+import sqlite3
+import time as clock
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, final
+
+from multicell.calibration.problem import Problem
+from multicell.errors import OutputError
+from multicell.results.documents import Lines, read_table, write_table
+from multicell.results.folder import (
+    locked,
+    make_folder,
+    package_version,
+    remove,
+    to_json,
+    versions,
+    write_text,
+)
+from multicell.results.start_copy import with_copy
+from multicell.scene.start_table import COPIES
+from multicell.studies.runs import MODEL_VERSION, canonical
+from multicell.tables.fields import Table
+
+if TYPE_CHECKING:
+    from multicell.calibration.fitted import Fit
+    from multicell.scene.scene import Scene
+
+FIT: Final = "fit.json"
+"""What the folder is a fit of."""
+SEARCH: Final = "search.log"
+"""Optuna's storage."""
+_JOURNAL: Final = "posterior.journal"
+_ELAPSED: Final = "elapsed.json"
+_NOTED: Final = 5.0
+"""Time in s between two notes of how long a fit has taken, which is what a kill can lose of it."""
+FILES: Final = (
+    FIT, "scene.toml", "data.csv", SEARCH, f"{SEARCH}.lock", "posterior.db", _JOURNAL,
+    "result.json", "best.toml", "posterior.csv", "residuals.csv", "report.html", "data.png",
+    "parameters.png", _ELAPSED, *COPIES,
+)  # fmt: skip
+_PACKAGES: Final = ("optuna", "pyabc", "distributed", "pandas", "scikit-learn")
+
+
+def describe(
+    problem: Problem, scene: Scene, table: Table, options: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return what decides all numbers of a fit; a fit of anything else is another one."""
+    return {
+        "model": MODEL_VERSION,
+        "scene": canonical(scene),
+        "data": {"titles": list(table.titles), "rows": [list(row) for row in table.rows]},
+        "free": {
+            free.key: {"low": free.low, "high": free.high, "unit": free.unit, "log": free.log}
+            for free in problem.ranges
+        },
+        "seeds": list(problem.seeds),
+        **options,
+    }
+
+
+@contextmanager
+def open_folder(
+    folder: str | Path,
+    problem: Mapping[str, Any],
+    scene: Scene,
+    table: Table,
+    *,
+    overwrite: bool = False,
+) -> Iterator[Path]:
+    """Make the folder of a fit, or open that of the same fit, and keep other processes out of it.
+
+    Raises
+    ------
+    OutputError
+        If the folder holds something else and may not be overwritten, another process works on
+        it, or it cannot be used.
+    """
+    folder = Path(folder)
+    name = digest(problem)
+    known = _read_fit(folder)
+    if known is None or overwrite:
+        make_folder(folder, overwrite=overwrite)
+    elif known.get("digest") != name:
+        problem_there = known.get("problem")
+        parts = problem_there if isinstance(problem_there, dict) else {}
+        other = [key for key in problem if parts.get(key) != problem[key]]
+        raise OutputError(
+            f"'{folder}' holds another fit: {', '.join(other) or 'its version'} differ. Choose "
+            "another folder, or allow overwriting (--overwrite, overwrite=True)"
+        )
+    with locked(folder):
+        if overwrite:
+            remove(folder, FILES)
+        if _read_fit(folder) is None:
+            entry = {"digest": name, "multicell": package_version(), "problem": problem}
+            kept = with_copy(scene, folder)
+            write_text(folder / "scene.toml", kept.to_toml(beside=folder))
+            write_text(folder / "data.csv", _csv([table.titles, *table.rows]))
+            write_table(folder / FIT, entry)  # the last: then all is there
+        yield folder
+
+
+def work_done(folder: str | Path, problem: Mapping[str, Any]) -> tuple[int, int, bool]:
+    """Return what a folder has of a fit: runs of the search, draws, whether the posterior is done.
+
+    Nothing of another fit counts.
+    """
+    folder = Path(folder)
+    known = _read_fit(folder)
+    if known is None or known.get("digest") != digest(problem):
+        return 0, 0, False
+    log, database, journal = (folder / name for name in (SEARCH, "posterior.db", _JOURNAL))
+    attributes = [entry.get("user_attr", {}) for entry in Lines(log).entries]
+    runs = sum(isinstance(value, dict) for found in attributes for value in found.values())
+    draws = len(Lines(journal).entries)
+    finished = False
+    if database.is_file():
+        with closing(sqlite3.connect(database)) as connection:
+            try:
+                rows = connection.execute(
+                    "SELECT t, nr_samples, epsilon FROM populations"
+                ).fetchall()
+            except sqlite3.DatabaseError:
+                rows = []  # whoever opens it says what is wrong
+        # the journal may still hold the last generation: what is left is said to be at most so much
+        draws = max(draws, sum(int(samples) for _, samples, _ in rows))
+        finished = any(t >= 0 and temperature <= 1.0 for t, _, temperature in rows)
+    return runs, draws, finished
+
+
+@final
+class Elapsed:
+    """Wall time that a fit has taken in all, also before it was stopped.
+
+    Parameters
+    ----------
+    folder
+        Of the fit; None counts from now on.
+
+    Raises
+    ------
+    OutputError
+        If the folder's note of it is damaged.
+    """
+
+    def __init__(self, folder: Path | None) -> None:
+        self._path = None if folder is None else folder / _ELAPSED
+        self._before = 0.0 if self._path is None else _seconds(self._path)
+        self._begin = self._noted = clock.monotonic()
+
+    @property
+    def seconds(self) -> float:
+        """Wall time in s."""
+        return self._before + clock.monotonic() - self._begin
+
+    def note(self, *, now: bool = False) -> None:
+        """Write it to the folder, if that was not done a moment ago or is wanted now."""
+        if self._path is None or not (now or clock.monotonic() - self._noted > _NOTED):
+            return
+        write_table(self._path, {"seconds": self.seconds})
+        self._noted = clock.monotonic()
+
+
+def _seconds(path: Path) -> float:
+    """Return the time in s that a file notes, 0 without one."""
+    found = (read_table(path) or {"seconds": 0.0}).get("seconds")
+    if not isinstance(found, int | float) or not 0.0 <= found < math.inf:
+        raise OutputError(f"'{path}' is damaged: remove it, and the time is counted from now on")
+    return float(found)
+
+
+def digest(problem: Mapping[str, Any]) -> str:
+    """Return a digest of what decides all numbers of a fit."""
+    text = json.dumps(json.loads(to_json(problem)), sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()[:24]
+
+
+def write_result(fit: Fit, folder: Path) -> None:
+    """Write what was found: ``result.json``, ``best.toml`` and the tables.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be written.
+    """
+    about = {**versions(), **{name: package_version(name) for name in _PACKAGES}}
+    write_text(folder / "result.json", to_json({**fit.summary(), "versions": about}) + "\n")
+    best = with_copy(fit.best.scene, folder)
+    write_text(folder / "best.toml", best.to_toml(beside=folder))
+    rows = fit.rows()
+    write_text(folder / "residuals.csv", _csv([list(rows[0]), *(list(r.values()) for r in rows)]))
+    if fit.sample is not None:
+        frame = fit.posterior
+        units = frame.attrs["units"]
+        titles = [f"{name} / {units[name]}" if units.get(name) else name for name in frame.columns]
+        lines = frame.to_numpy().tolist()
+        write_text(folder / "posterior.csv", _csv([titles, *lines]))
+
+
+def _read_fit(folder: Path) -> dict[str, Any] | None:
+    """Return what a folder is a fit of, None where there is none."""
+    try:
+        return read_table(folder / FIT)
+    except OutputError as error:
+        raise OutputError(f"{error}. Allow overwriting to begin anew") from error
+
+
+def _csv(rows: Sequence[Sequence[Any]]) -> str:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue()

@@ -1,0 +1,114 @@
+"""The page of a fit."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from multicell.calibration.verdict import in_words
+from multicell.errors import OutputError
+from multicell.report.html import write_page
+from multicell.report.wording import clock, time_unit
+
+if TYPE_CHECKING:
+    from multicell.calibration.fitted import Fit
+
+
+_DATA: Final = (
+    "Data with their standard deviations, the best runs (lines) and the band that the posterior "
+    "gives: what 95 % of tissues would show."
+)
+_POSTERIOR: Final = (
+    "Posterior of the parameters; axes are the ranges searched, or of narrow posteriors a part of "
+    "them. Red: best. Dashed: before the data. Dotted: ends of 95 % intervals."
+)
+
+
+def write_report(fit: Fit, folder: str | Path | None = None) -> Path:
+    """Write ``report.html`` and its pictures, and return the page.
+
+    Raises
+    ------
+    OutputError
+        If there is no folder, or it cannot be written to.
+    """
+    place = fit.folder if folder is None else Path(folder)
+    if place is None:
+        raise OutputError("the fit has no folder to report to: name one")
+    pictures = {
+        "data.png": (fit.plot.data, _DATA),
+        "parameters.png": (fit.plot.parameters, _POSTERIOR),
+    }
+    return write_page(
+        place / "report.html",
+        "fit.html",
+        scene=fit.best.scene,
+        title=f"{fit.scene.title or 'Untitled scene'}: fit",
+        subtitle=_subtitle(fit),
+        tiles=_tiles(fit),
+        pictures={place / name: drawing for name, drawing in pictures.items()},
+        parameters=parameters_in_words(fit),
+        undetermined=[str(entry) for entry in fit.undetermined],
+        asked=fit.sample is not None,
+        notes=fit.notes,
+        emulated=fit.kind == "emulated" and fit.fresh is not None,
+        rows=_rows(fit),
+    )
+
+
+def _subtitle(fit: Fit) -> str:
+    ways = {
+        "best": "best point by Optuna and Gaussian processes",
+        "posterior": "posterior by sequential Monte Carlo (pyABC)",
+        "both": "best point, and posterior by sequential Monte Carlo (pyABC)",
+    }
+    return f"{ways[fit.facts['method']]} · data: {fit.problem.measured.source}"
+
+
+def _tiles(fit: Fit) -> dict[str, str]:
+    best = {f"best {key}": words for key, words in list(fit.best.words.items())[:4]}
+    conditions = len(fit.problem.measured.conditions)
+    runs = fit.facts["sets_of_parameters"] * len(fit.problem.tasks())
+    runs += (fit.facts["draws"] + fit.facts["fresh_runs"]) * conditions
+    return {
+        **best,
+        "χ² per datum": f"{fit.best.per_datum:.3g}",
+        "data": f"{len(fit.best.residuals)}",
+        "conditions": f"{conditions}",
+        "runs": f"{runs:,}",
+        "wall time": clock(fit.facts["seconds"]),
+    }
+
+
+def parameters_in_words(fit: Fit) -> list[dict[str, str]]:
+    """Return the parameters one by one in words."""
+    known = fit.intervals() if fit.sample is not None else {}
+    rows = []
+    for free in fit.problem.ranges:
+        interval = known.get(free.name)
+        row = {
+            "key": free.key,
+            "best": fit.best.words[free.key],
+            "range": f"{in_words(free.low, free.unit)} to {in_words(free.high, free.unit)}",
+            "median": "", "interval": "", "part": "",
+        }  # fmt: skip
+        if interval is not None:
+            row["median"] = in_words(interval.median, free.unit)
+            low, high = in_words(interval.low, free.unit), in_words(interval.high, free.unit)
+            row["interval"] = f"{low} to {high}"
+            row["part"] = f"{100.0 * interval.part:.0f} %"
+        rows.append(row)
+    return rows
+
+
+def _rows(fit: Fit) -> list[dict[str, Any]]:
+    """Return the data one by one in words."""
+    rows = fit.rows()
+    for row in rows:
+        row["unit"] = row["unit"].replace("um", "µm")
+        row["when"] = row["at"] or "at the end"
+        if row["time"] == row["time"]:
+            row["when"] = time_unit(row["time"]).text(row["time"])
+        row["tissues"] = "their mean" if math.isinf(row["tissues"]) else f"{row['tissues']:g}"
+    return rows

@@ -1,0 +1,343 @@
+"""Pictures of a fit: data beside runs, and the posterior of the parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Final, final
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
+
+from multicell.calibration.distance import Array
+from multicell.calibration.verdict import quantiles
+from multicell.report.plots.style import BLUE, INK, QUIET, RED, blank, counts, styled
+from multicell.report.wording import TimeUnit, time_unit
+from multicell.results.quantities import unit_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from multicell.calibration.data import Datum
+    from multicell.calibration.fitted import Fit
+    from multicell.studies.axes import Range
+
+_COLOURS: Final = (
+    "#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#a04000", "#6a5acd", "#7a8b00",
+)  # fmt: skip
+_MAX_PAIRED: Final = 6
+"""Parameters that are drawn pairwise; of more the first ones."""
+_UPRIGHT: Final = 9
+"""Single data whose labels stand beside each other."""
+_ZOOMED: Final = 0.35
+"""Part of a range below which only that is drawn."""
+_BAND: Final = (0.025, 0.5, 0.975)
+
+
+@final
+class FitPlots:
+    """The pictures of one fit; calling it draws data and runs."""
+
+    def __init__(self, fit: Fit) -> None:
+        self._fit = fit
+
+    def __call__(self) -> Figure:
+        """Draw the data with their deviations, the best runs and the posterior's band."""
+        return data(self._fit)
+
+    def data(self) -> Figure:
+        """Draw the data with their deviations, the best runs and the posterior's band."""
+        return data(self._fit)
+
+    def parameters(self) -> Figure:
+        """Draw the posterior: each parameter, and each pair of them."""
+        return parameters(self._fit)
+
+
+@styled
+def data(fit: Fit) -> Figure:
+    """Draw each observable in a panel of its own: against time, or datum by datum."""
+    panels = _panels(fit)
+    wide = any(not timed and len(numbers) > 4 for _, timed, numbers in panels)
+    columns = 1 if wide else min(len(panels), 2)
+    rows = -(-len(panels) // columns)
+    labels = max((_lines(fit, numbers) for _, timed, numbers in panels if not timed), default=1)
+    below = 0.6 + 0.19 * labels  # inches for what stands under a panel
+    height = 1.15 + rows * (3.1 + below + 0.35)
+    figure = blank(_title(fit), _subtitle(fit), (10.0, height))
+    grid = figure.add_gridspec(
+        rows, columns, left=0.09, right=0.97, top=1.0 - 1.15 / height, bottom=below / height,
+        wspace=0.27, hspace=(below + 0.45) / 3.1,
+    )  # fmt: skip
+    band = fit.predicted(_BAND)
+    for k, (name, timed, numbers) in enumerate(panels):
+        axes = figure.add_subplot(grid[k // columns, k % columns])
+        unit = fit.problem.measured.units[name]
+        axes.set_title(_named(name, unit))
+        if timed:
+            _over_time(axes, fit, numbers, band)
+        else:
+            _one_by_one(axes, fit, numbers, band)
+        if fit.problem.measured.data[numbers[0]].log:
+            axes.set_yscale("log")
+            low, high = axes.get_ylim()
+            few = high < 10.0 * low  # of 1, 2 and 5 perhaps a single one lies within
+            axes.yaxis.set_major_locator(LogLocator(subs=range(1, 10) if few else (1.0, 2.0, 5.0)))
+            axes.yaxis.set_minor_formatter(NullFormatter())
+            counts(axes.yaxis)
+        else:
+            axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
+    return figure
+
+
+def _panels(fit: Fit) -> list[tuple[str, bool, list[int]]]:
+    """Return observable, whether it is over time, and the numbers of the data, by panel."""
+    found: dict[tuple[str, bool], list[int]] = {}
+    for number, datum in enumerate(fit.problem.measured.data):
+        found.setdefault((datum.observable, datum.time is not None), []).append(number)
+    panels = []
+    for (name, timed), numbers in found.items():
+        times = {fit.problem.measured.data[k].time for k in numbers}
+        panels.append((name, timed and len(times) > 1, numbers))
+    return panels
+
+
+def _over_time(axes: Axes, fit: Fit, numbers: Sequence[int], band: Array) -> None:
+    """Draw one observable against time, each condition in a colour."""
+    data = fit.problem.measured.data
+    unit = time_unit(max(data[k].time or 0.0 for k in numbers))
+    conditions = list(dict.fromkeys(data[k].condition for k in numbers))
+    for condition in conditions:
+        own = sorted(
+            (k for k in numbers if data[k].condition == condition),
+            key=lambda k: data[k].time or 0.0,
+        )
+        colour = _COLOURS[condition % len(_COLOURS)]
+        label = fit.problem.measured.conditions[condition].label
+        _draw_course(axes, fit, own, band, unit, colour, label)
+    axes.set_xlabel(f"time ({unit.name})")
+    axes.set_xlim(left=0.0)
+    if len(conditions) > 1:
+        axes.legend(fontsize=9)
+
+
+def _draw_course(
+    axes: Axes, fit: Fit, own: Sequence[int], band: Array, unit: TimeUnit, colour: str, label: str
+) -> None:
+    data = fit.problem.measured.data
+    times = np.array([data[k].time or 0.0 for k in own]) / unit.seconds
+    axes.fill_between(times, band[0, own], band[2, own], color=colour, alpha=0.22, linewidth=0)
+    axes.plot(times, fit.best.readings[list(own)], color=colour, linewidth=1.8)
+    values, errors = _bars([data[k] for k in own])
+    axes.errorbar(
+        times, values, errors, fmt="o", color=colour, markersize=5, capsize=3, label=label,
+        markeredgecolor="white", markeredgewidth=0.6,
+    )  # fmt: skip
+
+
+def _one_by_one(axes: Axes, fit: Fit, numbers: Sequence[int], band: Array) -> None:
+    """Draw the data of one observable side by side."""
+    data, places = fit.problem.measured.data, np.arange(len(numbers))
+    own = list(numbers)
+    values, errors = _bars([data[k] for k in own])
+    lower, upper = band[0, own], band[2, own]
+    axes.bar(places, upper - lower, 0.5, bottom=lower, color=BLUE, alpha=0.22, linewidth=0)
+    for place, value in zip(places, fit.best.readings[own], strict=True):
+        axes.plot([place - 0.25, place + 0.25], [value, value], color=BLUE, linewidth=2.0)
+    axes.errorbar(
+        places, values, errors, fmt="o", color=INK, markersize=5, capsize=3,
+        markeredgecolor="white", markeredgewidth=0.6,
+    )  # fmt: skip
+    names = [_place(fit, data[k]) for k in own]
+    if len(own) <= _UPRIGHT:
+        axes.set_xticks(places, [name.replace(", ", "\n") for name in names], fontsize=9)
+    else:
+        axes.set_xticks(places, names, fontsize=8, rotation=90)
+    same = {_when(data[k]) for k in own}
+    if len(same) == 1:
+        axes.set_xlabel(same.pop())
+    axes.set_xlim(-0.6, len(own) - 0.4)
+    axes.grid(False, axis="x")
+
+
+def _bars(data: Sequence[Datum]) -> tuple[Array, Array]:
+    """Return values and the lower and upper length of their bars, base units."""
+    values = np.array([datum.value for datum in data])
+    lower = [d.value * -np.expm1(-d.sigma) if d.log else d.deviation for d in data]
+    upper = [d.value * np.expm1(d.sigma) if d.log else d.deviation for d in data]
+    return values, np.array([lower, upper])
+
+
+def _lines(fit: Fit, numbers: Sequence[int]) -> float:
+    """Return how many lines of text the labels under a panel of single data take."""
+    names = [_place(fit, fit.problem.measured.data[k]) for k in numbers]
+    if len(names) <= _UPRIGHT:
+        return float(max(name.count(", ") + 1 for name in names))
+    return 0.4 * max(map(len, names))  # turned by a right angle
+
+
+def _place(fit: Fit, datum: Datum) -> str:
+    """Return where a datum belongs, in words; what all of them share stands below the panel."""
+    measured = fit.problem.measured
+    same = {_when(d) for d in measured.data if d.observable == datum.observable}
+    parts = []
+    if len(measured.conditions) > 1:
+        parts.append(measured.conditions[datum.condition].label)
+    if len(same) > 1:
+        parts.append(_when(datum))
+    return ", ".join(parts)
+
+
+def _when(datum: Datum) -> str:
+    """Return when a datum was measured, in words."""
+    if datum.at is not None:
+        unit = unit_of(datum.at[0]).replace("um", "µm")
+        return f"at a {datum.at[0].replace('_', ' ')} of {datum.at[1]:g} {unit}".strip()
+    return "at the end" if datum.time is None else f"after {time_unit(datum.time).text(datum.time)}"
+
+
+@styled
+def parameters(fit: Fit) -> Figure:
+    """Draw the posterior: each parameter on the diagonal, pairs below it.
+
+    Axes are the ranges that were searched; of a parameter whose posterior fills a small part of
+    its range they are that part, and how much it is stands in its panel.
+    """
+    ranges = fit.problem.ranges[:_MAX_PAIRED]
+    count = len(ranges)
+    size = max(6.25, 2.3 * count + 1.5)
+    figure = blank(_title(fit), _posterior_words(fit), (max(size, 10.0), size))
+    width, height = figure.get_size_inches()
+    grid = figure.add_gridspec(
+        count, count, left=1.05 / width, right=1.0 - 0.35 / width, top=1.0 - 1.15 / height,
+        bottom=0.8 / height, wspace=0.12, hspace=0.12,
+    )  # fmt: skip
+    sample = fit.sample
+    windows = [_window(fit, k) for k in range(count)]
+    for i in range(count):
+        for j in range(i + 1):
+            axes = figure.add_subplot(grid[i, j])
+            if i == j:
+                _marginal(axes, fit, ranges[i], i, sample, windows[i])
+            else:
+                _pair(axes, fit, (ranges[j], ranges[i]), (j, i), sample)
+            _edges(axes, (ranges[j], ranges[i]), (windows[j], windows[i]), (i, j), count)
+    return figure
+
+
+def _unit(free: Range) -> tuple[str, float]:
+    """Return the unit that a parameter is shown in, and its size in base units."""
+    if free.unit == "s":
+        unit = time_unit(free.high)
+        return unit.name, unit.seconds
+    return free.unit.replace("um", "µm"), 1.0
+
+
+def _window(fit: Fit, k: int) -> tuple[float, float]:
+    """Return the part of a range that is drawn: all of it, or where the posterior is."""
+    if fit.sample is None:
+        return 0.0, 1.0
+    shares, weights = fit.sample
+    low, high = quantiles(shares[:, k], weights, (0.001, 0.999))
+    free = fit.problem.ranges[k]
+    best = free.share(fit.best.values[free.key])
+    low, high = min(low, best), max(high, best)
+    if high - low > _ZOOMED:
+        return 0.0, 1.0
+    more = 0.35 * (high - low) + 1e-3
+    return max(0.0, float(low - more)), min(1.0, float(high + more))
+
+
+def _at(free: Range, shares: Array) -> Array:
+    """Return the values at shares of a range in the unit that is shown, as if not whole."""
+    size = _unit(free)[1]
+    if free.log:
+        return np.asarray(free.low * (free.high / free.low) ** shares / size)
+    return np.asarray((free.low + (free.high - free.low) * shares) / size)
+
+
+def _marginal(
+    axes: Axes, fit: Fit, free: Range, k: int, sample: Any, window: tuple[float, float]
+) -> None:
+    if sample is not None:
+        shares, weights = sample
+        edges = np.linspace(*window, 33)
+        heights, _ = np.histogram(shares[:, k], edges, weights=weights)
+        heights = heights / (weights.sum() * (edges[1] - edges[0]))
+        axes.stairs(heights, _at(free, edges), fill=True, color=BLUE, alpha=0.55)
+        ends = quantiles(shares[:, k], weights, (0.025, 0.975))
+        for x in _at(free, ends):
+            axes.axvline(x, color=INK, linewidth=0.9, linestyle=":")
+        axes.set_title(
+            f"95 %: {100.0 * (ends[1] - ends[0]):.0f} % of its range", fontsize=10, weight="normal"
+        )
+    axes.axhline(1.0, color=QUIET, linewidth=1.0, linestyle="--")
+    axes.axvline(fit.best.values[free.key] / _unit(free)[1], color=RED, linewidth=1.6)
+    axes.set_ylim(bottom=0.0)
+    axes.set_yticks([])
+    axes.grid(False)
+
+
+def _pair(
+    axes: Axes, fit: Fit, pair: tuple[Range, Range], places: tuple[int, int], sample: Any
+) -> None:
+    if sample is not None:
+        shares, weights = sample
+        chosen = np.random.default_rng(0).choice(len(weights), 600, p=weights / weights.sum())
+        x, y = (_at(free, shares[chosen, k]) for free, k in zip(pair, places, strict=True))
+        axes.plot(x, y, ".", color=BLUE, alpha=0.3, markersize=4, markeredgewidth=0)
+    at = [fit.best.values[free.key] / _unit(free)[1] for free in pair]
+    axes.plot(*at, "x", color=RED, markersize=9, markeredgewidth=2.0, clip_on=False)
+
+
+def _edges(
+    axes: Axes,
+    ranges: tuple[Range, Range],
+    windows: tuple[tuple[float, float], tuple[float, float]],
+    place: tuple[int, int],
+    count: int,
+) -> None:
+    """Set the ends and the labels of one panel: of the range across, and of that upwards."""
+    row, column = place
+    for k, axis in enumerate((axes.xaxis, axes.yaxis)):
+        if k == 1 and row == column:
+            continue
+        low, high = _at(ranges[k], np.array(windows[k]))
+        (axes.set_xlim, axes.set_ylim)[k](low, high)
+        if ranges[k].log and high > 10.0 * low:
+            (axes.set_xscale, axes.set_yscale)[k]("log")
+        else:
+            axis.set_major_locator(MaxNLocator(4, prune="both"))
+    if row == count - 1:
+        axes.set_xlabel(_named(ranges[0].name, _unit(ranges[0])[0]), fontsize=10)
+    else:
+        axes.tick_params(labelbottom=False)
+    if column == 0 and row > 0:
+        axes.set_ylabel(_named(ranges[1].name, _unit(ranges[1])[0]), fontsize=10)
+    elif row != column:
+        axes.tick_params(labelleft=False)
+
+
+def _named(name: str, unit: str) -> str:
+    shown = unit.replace("um", "µm")
+    words = name.replace("_", " ")
+    return f"{words} ({shown})" if shown else words
+
+
+def _title(fit: Fit) -> str:
+    return f"{fit.scene.title or 'Untitled scene'}: fit"
+
+
+def _subtitle(fit: Fit) -> str:
+    band = "" if fit.sample is None else ", band: 95 % of what tissues would show"
+    return f"bars: standard deviations, lines: best runs{band}; χ² {fit.best.per_datum:.2g} a datum"
+
+
+def _posterior_words(fit: Fit) -> str:
+    kinds = {
+        "exact": "posterior sampled with runs",
+        "tempered": "too wide: the budget ended early",
+        "emulated": "posterior by Gaussian processes through the runs",
+        "none": "too few points for a posterior",
+    }
+    return f"{kinds[fit.kind]}; red: best, dashed: before the data, dotted: 95 %"

@@ -1,0 +1,171 @@
+"""What a fit has to solve: data, free parameters with their ranges, and what simulates."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multicell.calibration.data import Measured
+from multicell.calibration.distance import (
+    Array,
+    Misfit,
+    groups_of,
+    misfit,
+    scale_readings,
+    scales,
+    standardise,
+)
+from multicell.calibration.simulator import Reading, SceneSimulator, Simulator
+from multicell.errors import SceneError
+from multicell.studies.axes import Range, check_axes, parse_range, with_unique_names
+from multicell.studies.observed import signed
+
+
+@final
+@dataclass(frozen=True)
+class Problem:
+    """Data and how runs are compared with them.
+
+    Attributes
+    ----------
+    measured
+        The data.
+    ranges
+        The free parameters; all of them are uniform a priori (on a logarithmic range: in the
+        logarithm).
+    simulator
+        Gives the readings of one run.
+    seeds
+        Random numbers of the runs that are averaged, the same ones for all parameters.
+    """
+
+    measured: Measured
+    ranges: tuple[Range, ...]
+    simulator: Simulator
+    seeds: tuple[int, ...]
+
+    @cached_property
+    def _scales(self) -> tuple[Array, Array]:
+        return scales(self.measured.data)
+
+    @property
+    def observed(self) -> Array:
+        """The data on the scales of their comparison, (n,)."""
+        return self._scales[0]
+
+    @property
+    def sigma(self) -> Array:
+        """Their standard deviations, (n,)."""
+        return self._scales[1]
+
+    @cached_property
+    def tissues(self) -> Array:
+        """How many tissues each datum is the mean of, (n,); see :class:`Datum`."""
+        return np.array([datum.tissues for datum in self.measured.data])
+
+    @cached_property
+    def lowest(self) -> Array:
+        """(0 - datum) / σ where an observable cannot be negative, else -inf: (n,)."""
+        data = self.measured.data
+        free = np.array([datum.log or signed(datum.observable) for datum in data])
+        return np.where(free, -np.inf, -self.observed / self.sigma)
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the free parameters."""
+        return [free.name for free in self.ranges]
+
+    def tasks(self) -> list[tuple[int, int]]:
+        """Return condition and seed of each run that one set of parameters takes."""
+        return [(k, seed) for k in range(len(self.measured.conditions)) for seed in self.seeds]
+
+    def values(self, shares: Sequence[float]) -> dict[str, float]:
+        """Return the values of the parameters at shares of their ranges, base units, by key."""
+        return {f.key: f.value(s) for f, s in zip(self.ranges, shares, strict=True)}
+
+    def on_scales(self, condition: int, reading: Reading) -> Array:
+        """Return the readings of a run on the scales of its data."""
+        return scale_readings(self.measured.of(condition), reading.values)
+
+    def runs(self, readings: Mapping[tuple[int, int], Array], seeds: Sequence[int]) -> Array:
+        """Return the readings of all conditions by seed, (K, n)."""
+        found = np.full((len(seeds), len(self.measured.data)), np.nan)
+        for condition, places in self.measured.numbers.items():
+            for row, seed in enumerate(seeds):
+                found[row, list(places)] = readings[condition, seed]
+        return found
+
+    def misfit(self, readings: Mapping[tuple[int, int], Array]) -> Misfit:
+        """Return how the runs of one set of parameters differ from the data."""
+        runs = self.runs(readings, self.seeds)
+        return misfit(self.observed, self.sigma, runs, self._groups, self.tissues)
+
+    @cached_property
+    def _groups(self) -> tuple[NDArray[np.int64], Array]:
+        return groups_of(self.measured.data)
+
+    def once(self, shares: Sequence[float], seed: int) -> Array:
+        """Run all conditions once; return (reading - datum) / σ, (n,)."""
+        readings = {
+            (k, seed): self.on_scales(k, self.simulator(shares, k, seed))
+            for k in range(len(self.measured.conditions))
+        }
+        return standardise(self.observed, self.sigma, self.runs(readings, [seed])[0])
+
+
+def ranges_of(free: Mapping[str, str | Sequence[object]], measured: Measured) -> tuple[Range, ...]:
+    """Return the ranges of free parameters.
+
+    Raises
+    ------
+    SceneError
+        If there are none, one is no key of the scene of every condition, one is a condition of
+        the data, or the end of a range is refused by the scene.
+    """
+    if not free:
+        raise SceneError("free", "names no parameter", "For example 'cells.division_radius'.")
+    for condition in measured.conditions:
+        for key in free:
+            if key in condition.changes:
+                problem = "is a condition of the data, so that no fit can choose it"
+                raise SceneError(key, problem)
+    scene = measured.conditions[0].scene
+    ranges = with_unique_names([parse_range(key, text, scene) for key, text in free.items()])
+    for condition in measured.conditions:
+        try:
+            check_axes(condition.scene, ranges)
+        except SceneError as error:
+            if not condition.changes:
+                raise
+            problem = f"{error.problem} (under the condition '{condition.label}')"
+            raise SceneError(error.path, problem, error.hint) from None
+    return tuple(ranges)
+
+
+def problem_of(
+    measured: Measured,
+    ranges: Sequence[Range],
+    seeds: int,
+    first_seed: int,
+    simulator: Simulator | None = None,
+) -> Problem:
+    """Return the problem of fitting a scene to data.
+
+    Parameters
+    ----------
+    measured, ranges
+        Data and free parameters.
+    seeds
+        Number of runs with different random numbers for each set of parameters.
+    first_seed
+        Of these runs.
+    simulator
+        What stands for the scene's runs; by default they themselves.
+    """
+    chosen = SceneSimulator.of(measured, ranges) if simulator is None else simulator
+    return Problem(measured, tuple(ranges), chosen, tuple(range(first_seed, first_seed + seeds)))

@@ -1,0 +1,419 @@
+"""Which parameters of a scene decide its observables: Morris' screening, Sobol' indices."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, final
+
+import numpy as np
+
+from multicell.calibration.indices import (
+    DEFAULT_SIZE,
+    NOISE,
+    RELIABLE,
+    Analysis,
+    Index,
+    analyse,
+    block,
+    check_size,
+    sample,
+)
+from multicell.calibration.responses import Evaluate, Responses, responses_of
+from multicell.calibration.sensitivity_result import COLUMNS, Row, Sensitivity
+from multicell.errors import OutputError, SceneError
+from multicell.extras import needs
+from multicell.files import parse_toml, read_regular
+from multicell.results.folder import file_errors, make_folder, write_text
+from multicell.results.quantities import known_unit
+from multicell.studies.axes import Range, check_axes, parse_range, with_unique_names
+from multicell.studies.limits import check_runs, check_seeds
+from multicell.studies.observed import at_the_end, in_history, likely
+from multicell.studies.plan import Plan, make_plan
+from multicell.studies.study import Study, write_study
+
+if TYPE_CHECKING:
+    from multicell.scene.scene import Scene
+    from multicell.studies.runs import Run
+    from multicell.studies.task import Outcome
+
+_LARGEST: Final = 20_000_000
+"""Bytes of the file that says what is asked: twice those of the largest scene."""
+PLAN: Final = "sensitivity.toml"
+"""File in the folder that says what is asked there."""
+
+_USUAL: Final = ("cells", "diameter", "viable_rim", "necrotic_radius", "heterotypic_fraction",
+                 "pull", "largest_pressure")  # fmt: skip
+_MAX_USUAL: Final = 4
+_COURSE_RESAMPLES: Final = 100
+
+
+def sensitivity(
+    scene: Scene | str | Path,
+    free: Mapping[str, Any],
+    *,
+    method: str = "morris",
+    size: int | None = None,
+    seeds: int = 1,
+    observables: Sequence[str] | None = None,
+    output: str | Path = "sensitivity",
+    overwrite: bool = False,
+    cores: int | None = None,
+    scheduler: str | None = None,
+    retry: bool = False,
+    report: bool = True,
+    progress: Callable[[Outcome], None] | None = None,
+) -> Sensitivity:
+    """Find out which parameters of a scene decide its observables.
+
+    The runs are those of a study whose points are a list, in the same folder: ``multicell study
+    status`` says how they stand. An analysis that was stopped continues when it is asked for
+    again, and a larger ``size`` or more ``seeds`` take the runs that are there.
+
+    Parameters
+    ----------
+    scene
+        A scene, the name of a built-in one, or a path.
+    free
+        Key -> range, ``{"growth.cycle_time": "8:25 h", "drag.viscosity": "log 0.1:10 kPa s"}``.
+    method
+        ``"morris"`` tells with few runs which parameters matter, ``"sobol"`` which part of the
+        variance each one makes.
+    size
+        Trajectories of Morris (by default 10: so many times one more than parameters), or base
+        points of Sobol' (64: so many times two more than parameters), a power of two.
+    seeds
+        How many runs at each point: the seed of the scene and those after it, the same ones at all
+        points. With two or more the indices are set against the noise.
+    observables
+        Columns of a run's history, taken at its end, and dotted entries of its summary.
+    output
+        Folder.
+    overwrite
+        Whether the folder may hold another analysis, whose runs stay.
+    cores, scheduler, retry
+        As in :meth:`multicell.studies.study.Study.run`.
+    report
+        Whether to write the page and its pictures.
+    progress
+        Called with the outcome of each run.
+
+    Raises
+    ------
+    SceneError
+        For anything that cannot be asked: unknown keys, ranges that the scene refuses, an unknown
+        observable, a sample that is too small.
+    MissingPackage
+        If SALib or Dask is not installed.
+    OutputError
+        If the folder cannot be used, or holds something else.
+    ClusterError
+        If the scheduler does not answer.
+    """
+    plan = plan_of(scene, free, method=method, size=size, seeds=seeds, observables=observables)
+    prepare(plan, output, overwrite=overwrite)
+    result = carry_out(
+        plan, output, cores=cores, scheduler=scheduler, retry=retry, progress=progress
+    )
+    if report:
+        result.report()
+    return result
+
+
+@final
+@dataclass(frozen=True)
+class SensitivityPlan:
+    """An analysis that was checked and has not run.
+
+    Attributes
+    ----------
+    scene, method, ranges, size, observables
+        As in :func:`sensitivity`.
+    study
+        The plan of its runs: the points that differ, as a list.
+    rows : (n,)
+        The number of each point of the sample in the study.
+    """
+
+    scene: Scene
+    method: str
+    ranges: tuple[Range, ...]
+    size: int
+    observables: tuple[str, ...]
+    study: Plan
+    rows: tuple[int, ...]
+
+    @property
+    def seeds(self) -> tuple[int, ...]:
+        """The seeds of the runs at each point."""
+        return tuple(range(self.scene.seed, self.scene.seed + self.study.seeds))
+
+
+def plan_of(
+    scene: Scene | str | Path,
+    free: Mapping[str, Any],
+    *,
+    method: str = "morris",
+    size: int | None = None,
+    seeds: int = 1,
+    observables: Sequence[str] | None = None,
+) -> SensitivityPlan:
+    """Return the plan of an analysis, in which everything is checked.
+
+    Parameters and errors are those of :func:`sensitivity`.
+    """
+    needs("SALib", "distributed")
+    described = _scene(scene)
+    size = DEFAULT_SIZE.get(method, 0) if size is None else size
+    check_size(method, size)
+    ranges = ranges_of(described, free)
+    chosen = observables_of(described, observables)
+    check_seeds(seeds, described.seed)
+    check_runs(size * block(method, len(ranges)), seeds, "size")
+    shares = sample(method, [one.name for one in ranges], size)
+    points = [
+        tuple(free.setting(free.value(float(x))) for free, x in zip(ranges, row, strict=True))
+        for row in shares
+    ]
+    numbers = {point: number for number, point in enumerate(dict.fromkeys(points))}
+    columns = zip(*numbers, strict=True)
+    table = {free.key: list(column) for free, column in zip(ranges, columns, strict=True)}
+    study = make_plan(described, points=table, seeds=seeds)
+    rows = tuple(numbers[point] for point in points)
+    return SensitivityPlan(described, method, ranges, size, tuple(chosen), study, rows)
+
+
+def carry_out(
+    plan: SensitivityPlan,
+    output: str | Path,
+    *,
+    cores: int | None = None,
+    scheduler: str | None = None,
+    retry: bool = False,
+    progress: Callable[[Outcome], None] | None = None,
+) -> Sensitivity:
+    """Do all runs of a plan that are not done, and return what they show.
+
+    Parameters and errors are those of :func:`sensitivity`.
+    """
+    folder = Path(output)
+    study = Study(plan.study, folder)
+    outcomes = study.run(cores, scheduler, progress, retry=retry)
+    found = responses_of(outcomes, plan.study.seeds, folder, plan.observables)
+    return result_of(
+        plan.scene, plan.method, plan.ranges, plan.size, plan.seeds, plan.observables,
+        lambda _: found.at(plan.rows), _run_rows(study.runs, found), folder,
+    )  # fmt: skip
+
+
+def result_of(
+    scene: Scene,
+    method: str,
+    ranges: Sequence[Range],
+    size: int,
+    seeds: Sequence[int],
+    observables: Sequence[str],
+    evaluate: Evaluate,
+    runs: Sequence[Row] = (),
+    folder: Path | None = None,
+) -> Sensitivity:
+    """Return the sensitivity of whatever gives values at points of the unit cube.
+
+    Parameters
+    ----------
+    scene, method, ranges, size, seeds, observables
+        As in :func:`sensitivity`, checked.
+    evaluate
+        Gives the observables at the points of the sample.
+    runs, folder
+        A row for each run, and where they are.
+    """
+    names = [free.name for free in ranges]
+    shares = sample(method, names, size)
+    seen = evaluate(shares)
+    found = {name: analyse(method, names, shares, seen.final[name]) for name in observables}
+    table = [
+        _row(method, name, free, index)
+        for name, analysis in found.items()
+        for free, index in zip(ranges, analysis.indices, strict=True)
+    ]
+    return Sensitivity(
+        scene=scene,
+        method=method,
+        ranges=tuple(ranges),
+        size=size,
+        seeds=tuple(seeds),
+        table=table,
+        courses=_courses(method, ranges, shares, seen),
+        notes=_notes(method, size, seeds, found, seen, table),
+        runs=list(runs),
+        folder=folder,
+    )
+
+
+def ranges_of(scene: Scene, free: Mapping[str, Any]) -> tuple[Range, ...]:
+    """Return the free parameters of a scene, checked.
+
+    Raises
+    ------
+    SceneError
+        If there are none, or one of them does not fit.
+    """
+    if not free:
+        raise SceneError("free", "names no parameter", "For example drag.viscosity='1:10 kPa s'.")
+    ranges = with_unique_names([parse_range(key, text, scene) for key, text in free.items()])
+    check_axes(scene, ranges)
+    return tuple(ranges)
+
+
+def observables_of(scene: Scene, names: Sequence[str] | None) -> list[str]:
+    """Return the observables that are asked for, or the usual ones of a scene.
+
+    Raises
+    ------
+    SceneError
+        For a name that no run of the scene has.
+    """
+    history = in_history(scene)
+    known = {**history, **at_the_end(scene)}
+    if names is None:
+        starves = bool(scene.nutrients)
+        usual: list[str] = [n for n in _USUAL if n in history and (starves or n not in _USUAL[2:4])]
+        return usual[:_MAX_USUAL]
+    if not names:
+        raise SceneError("observables", "names none", f"For example {_USUAL[1]}.")
+    for name in names:
+        if name not in known:
+            raise SceneError(
+                "observable", f"runs of this scene have no {name!r}", likely(name, known)
+            )
+    return list(dict.fromkeys(names))
+
+
+def _scene(scene: Scene | str | Path) -> Scene:
+    from multicell.scene.scene import load_scene
+
+    return load_scene(scene) if isinstance(scene, str | Path) else scene
+
+
+def prepare(plan: SensitivityPlan, output: str | Path, *, overwrite: bool = False) -> None:
+    """Make the folder of an analysis, or see that it holds the same one; write down what is asked.
+
+    Raises
+    ------
+    OutputError
+        If it holds something else, or cannot be used.
+    """
+    import tomli_w
+
+    folder = Path(output)
+    path = folder / PLAN
+    question = tomli_w.dumps(
+        {
+            "method": plan.method,
+            "free": {free.key: _range_text(free) for free in plan.ranges},
+            "scene": plan.scene.to_dict(),
+        }
+    )
+    there = os.path.lexists(path)
+    make_folder(folder, overwrite=there)
+    if there and not overwrite and not _same(path, question):
+        raise OutputError(
+            f"'{path}' asks something else (another scene, method or ranges): choose another "
+            "folder, or allow overwriting (--overwrite, overwrite=True), which keeps all runs"
+        )
+    write_study(plan.study, folder, overwrite=True)
+    write_text(path, question)
+
+
+def _same(path: Path, question: str) -> bool:
+    """Return whether a file asks the same; one that cannot be read as TOML does not."""
+    with file_errors("read", path):
+        before = read_regular(path, _LARGEST)
+    try:
+        return parse_toml(before.decode()) == parse_toml(question)
+    except ValueError:
+        return False
+
+
+def _row(method: str, observable: str, free: Range, index: Index) -> Row:
+    about: Row = {
+        "observable": observable,
+        "unit": known_unit(observable),
+        "parameter": free.name,
+        "key": free.key,
+        "low": free.low,
+        "high": free.high,
+        "parameter_unit": free.unit,
+    }
+    own = {name: getattr(index, name) for name in COLUMNS[method]}
+    return {**about, **own, "noise": index.noise, "verdict": index.verdict}
+
+
+def _courses(
+    method: str, ranges: Sequence[Range], shares: np.ndarray[Any, Any], seen: Responses
+) -> list[Row]:
+    """Return the indices over time; times at which nothing can be told are left out."""
+    rows, names = [], [free.name for free in ranges]
+    for observable, values in seen.courses.items():
+        for place, time in enumerate(seen.times):
+            found = analyse(method, names, shares, values[:, :, place], _COURSE_RESAMPLES)
+            if found.constant or found.used < 2:
+                continue
+            rows += [
+                {**_row(method, observable, free, index), "time": float(time)}
+                for free, index in zip(ranges, found.indices, strict=True)
+            ]
+    return rows
+
+
+def _notes(
+    method: str, size: int, seeds: Sequence[int], found: Mapping[str, Analysis],
+    seen: Responses, table: Sequence[Row],
+) -> list[str]:  # fmt: skip
+    """Return what the reader must know of the result."""
+    what = "trajectories" if method == "morris" else "base points"
+    notes = []
+    if seen.failures:
+        reason = next(iter(seen.failures.values()))
+        notes.append(f"{len(seen.failures)} runs failed, the first one: {reason}")
+    for name, analysis in found.items():
+        if analysis.used < 2:
+            notes.append(f"{name}: fewer than two {what} have all their runs: no index is known")
+        elif analysis.constant:
+            notes.append(f"{name} is the same in all runs: no parameter decides it")
+        if 2 <= analysis.used < size:
+            notes.append(f"{name}: {size - analysis.used} of {size} {what} lack a run and are out")
+    if method == "morris" and size < RELIABLE:
+        notes.append(
+            f"{size} trajectories: intervals of 95 % cover about 90 %, from {RELIABLE} on what "
+            "they say"
+        )
+    if len(seeds) == 1:
+        notes.append("one seed: the noise is unknown, an index may be noise; take at least two")
+    hidden = [row for row in table if row["verdict"] == NOISE]
+    if hidden:
+        pairs = ", ".join(f"{row['parameter']} on {row['observable']}" for row in hidden[:6])
+        more = f" and {len(hidden) - 6} more" if len(hidden) > 6 else ""
+        notes.append(f"not told from the noise over {len(seeds)} seeds: {pairs}{more}")
+    return notes
+
+
+def _run_rows(runs: Sequence[Run], found: Responses) -> list[Row]:
+    """Return a row for each run of a study: name, coordinates, observables, why it failed."""
+    ends = {name: values.ravel() for name, values in found.final.items()}
+    return [
+        {
+            "name": run.name,
+            **run.coordinates,
+            **{name: float(values[number]) for name, values in ends.items()},
+            "reason": found.failures.get(run.name, ""),
+        }
+        for number, run in enumerate(runs)
+    ]
+
+
+def _range_text(free: Range) -> str:
+    return f"{'log ' if free.log else ''}{free.low!r}:{free.high!r} {free.unit}".strip()

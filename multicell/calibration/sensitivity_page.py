@@ -1,0 +1,91 @@
+"""The page of an analysis of sensitivity."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from multicell.calibration.indices import CLEAR, CLEAR_SINGLE, block
+from multicell.calibration.verdict import in_words
+from multicell.report.html import write_page
+from multicell.studies.pictures.values import key_words, sentence, words
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from multicell.calibration.sensitivity_result import Sensitivity
+    from multicell.studies.axes import Range
+
+
+def write_report(result: Sensitivity, folder: Path) -> Path:
+    """Write ``report.html`` and its pictures, and return the page.
+
+    Raises
+    ------
+    OutputError
+        If the folder cannot be written to.
+    """
+    pictures: dict[Path, tuple[Callable[[], Figure], str]] = {}
+    index = "Size of effects" if result.method == "morris" else "Parts of the variance"
+    for name in result.observables:
+        rows = result.ordered(name)
+        first = "mu_star" if result.method == "morris" else "st"
+        if not any(row[first] > 0.0 for row in rows):
+            continue  # nothing to draw: a note says why
+        told = sentence(words(name))
+        file = name.replace(".", "_")
+        path = folder / f"sensitivity-{file}.png"
+        caption = (
+            f"{told}: {index.lower()} at the end of the runs, with 95 % intervals; pale is what "
+            "cannot be told from noise or zero."
+        )
+        pictures[path] = partial(result.plot, name), caption
+        if any(row["observable"] == name for row in result.courses):
+            path = folder / f"course-{file}.png"
+            caption = f"{told}: {index.lower()} over time, with bands of 95 % intervals."
+            pictures[path] = partial(result.plot_course, name), caption
+    return write_page(
+        folder / "report.html",
+        "sensitivity.html",
+        scene=result.scene,
+        title=f"{result.scene.title or 'Untitled scene'}: sensitivity",
+        subtitle=_subtitle(result),
+        tiles=_tiles(result),
+        pictures=pictures,
+        result=result,
+        ends={free.key: _ends(free) for free in result.ranges},
+    )
+
+
+def _ends(free: Range) -> tuple[str, str]:
+    """Return both ends of a range in words; long times in minutes, hours or days."""
+    log = ", by ratio" if free.log else ""
+    return in_words(free.low, free.unit), in_words(free.high, free.unit) + log
+
+
+def _subtitle(result: Sensitivity) -> str:
+    method = "Screening by Morris" if result.method == "morris" else "Indices of Sobol'"
+    names = ", ".join(key_words(free.key, free.name) for free in result.ranges)
+    return f"{method} · {names}"
+
+
+def _tiles(result: Sensitivity) -> dict[str, str]:
+    points = result.size * block(result.method, len(result.ranges))
+    failed = sum(bool(row["reason"]) for row in result.runs)
+    told = {
+        "free parameters": f"{len(result.ranges)}",
+        "trajectories" if result.method == "morris" else "base points": f"{result.size:,}",
+        "points": f"{points:,}",
+        "seeds": f"{len(result.seeds)}",
+    }
+    if result.runs:
+        told["runs"] = f"{len(result.runs):,}"
+    if failed:
+        told["runs that failed"] = f"{failed:,}"
+    for name in result.observables[:3]:
+        first = result.ordered(name)[0]
+        if first["verdict"] in (CLEAR, CLEAR_SINGLE):
+            told[f"decides {words(name)} most"] = key_words(first["key"], first["parameter"])
+    return told

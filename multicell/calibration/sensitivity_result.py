@@ -1,0 +1,206 @@
+"""What an analysis of sensitivity has found: indices, intervals, what noise hides."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, final
+
+from multicell.errors import OutputError, SceneError
+from multicell.results.folder import file_errors, package_version, to_json, versions, write_text
+from multicell.results.quantities import known_unit
+from multicell.studies.observed import likely
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from multicell.scene.scene import Scene
+    from multicell.studies.axes import Range
+
+Row = dict[str, Any]
+"""One row of a table: column -> value."""
+
+COLUMNS: Final = {
+    "morris": ("mu", "mu_star", "mu_star_conf", "sigma"),
+    "sobol": ("s1", "s1_conf", "st", "st_conf"),
+}
+"""Columns of a table that hold the indices of a method."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Sensitivity:
+    """How much each free parameter decides each observable.
+
+    Attributes
+    ----------
+    scene : Scene
+    method : "morris" or "sobol"
+    ranges : tuple of Range
+        The free parameters.
+    size : int
+        Trajectories of Morris, base points of Sobol'.
+    seeds : tuple of int
+        Runs at each point, whose observables are averaged.
+    table : list of dict
+        A row for each observable and parameter: ``observable``, ``unit``, ``parameter``, ``key``,
+        ``low``, ``high``, ``parameter_unit`` and of Morris ``mu``, ``mu_star``, ``mu_star_conf``,
+        ``sigma`` (in ``unit``, for the whole range), of Sobol' ``s1``, ``s1_conf``, ``st``,
+        ``st_conf`` (parts of the variance); ``..._conf`` are half widths of 95 % intervals.
+        ``noise`` is what scatter over the seeds alone gives (NaN for one seed) and ``verdict`` what
+        can be said: see :class:`multicell.calibration.indices.Index`.
+    courses : list of dict
+        The same over ``time`` (s), for observables that have a course.
+    notes : list of str
+        What the reader must know: failed runs, an observable that does not vary.
+    runs : list of dict
+        One row for each run: its ``name``, parameters, ``seed``, observables and ``reason``.
+    folder : Path or None
+    """
+
+    scene: Scene
+    method: str
+    ranges: tuple[Range, ...]
+    size: int
+    seeds: tuple[int, ...]
+    table: list[Row]
+    courses: list[Row]
+    notes: list[str]
+    runs: list[Row] = field(default_factory=list)
+    folder: Path | None = None
+
+    @property
+    def observables(self) -> list[str]:
+        """Names of the observables."""
+        return list(dict.fromkeys(row["observable"] for row in self.table))
+
+    def index(self, observable: str, parameter: str) -> Row:
+        """Return one row of the table.
+
+        Raises
+        ------
+        SceneError
+            If there is none of these names.
+        """
+        for row in self.table:
+            if row["observable"] == observable and parameter in (row["parameter"], row["key"]):
+                return dict(row)
+        known = [*self.observables, *(free.name for free in self.ranges)]
+        missing = observable if observable not in known else parameter
+        raise SceneError(
+            "", f"the analysis has no {missing!r}", likely(missing, dict.fromkeys(known))
+        )
+
+    def plot(self, observable: str | None = None) -> Figure:
+        """Draw the indices of an observable (by default the first) with their intervals."""
+        from multicell.calibration.index_plots import indices
+
+        return indices(self, observable or self.observables[0])
+
+    def plot_course(self, observable: str | None = None) -> Figure:
+        """Draw the indices of an observable over time.
+
+        Raises
+        ------
+        ValueError
+            If it has no course.
+        """
+        from multicell.calibration.index_plots import course
+
+        return course(self, observable or self.observables[0])
+
+    def to_csv(self) -> str:
+        """Return the table as CSV."""
+        return _csv(self.table)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as plain values."""
+        return {
+            "method": self.method,
+            "size": self.size,
+            "seeds": self.seeds,
+            "free": [asdict(free) for free in self.ranges],
+            "table": self.table,
+            "courses": self.courses,
+            "notes": self.notes,
+            "versions": {**versions(), "SALib": package_version("SALib")},
+            "scene": self.scene.to_dict(),
+        }
+
+    def to_json(self) -> str:
+        """Return everything as strict JSON; NaN is null."""
+        return to_json(self.to_dict()) + "\n"
+
+    def text(self) -> str:
+        """Return the table in words, the largest index of each observable first."""
+        lines = []
+        for name in self.observables:
+            unit = known_unit(name)
+            lines.append(f"{name.replace('_', ' ')}{f' ({unit})' if unit else ''}")
+            lines += [f"  {line}" for line in _told(self.method, self.ordered(name))]
+        return "\n".join([*lines, *(f"Note: {note}" for note in self.notes)])
+
+    def ordered(self, observable: str) -> list[Row]:
+        """Return the rows of an observable, the largest index first."""
+        first = "mu_star" if self.method == "morris" else "st"
+        rows = [row for row in self.table if row["observable"] == observable]
+        return sorted(rows, key=lambda row: -row[first] if row[first] == row[first] else 0.0)
+
+    def report(self, folder: str | Path | None = None) -> Path:
+        """Write tables, pictures and the page ``report.html``; return the page.
+
+        Raises
+        ------
+        OutputError
+            If there is no folder, or it cannot be written to.
+        """
+        from multicell.calibration.sensitivity_page import write_report
+
+        place = self.folder if folder is None else Path(folder)
+        if place is None:
+            raise OutputError("the analysis has no output folder: say where the report shall go")
+        with file_errors("use the output folder", place):
+            place.mkdir(parents=True, exist_ok=True)
+        texts = {"sensitivity.csv": self.to_csv(), "sensitivity.json": self.to_json()}
+        texts |= {"courses.csv": _csv(self.courses)} if self.courses else {}
+        texts |= {"runs.csv": _csv(self.runs)} if self.runs else {}
+        for name, text in texts.items():
+            write_text(place / name, text)
+        return write_report(self, place)
+
+
+def _csv(rows: Sequence[Row]) -> str:
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def _told(method: str, rows: Sequence[Row]) -> list[str]:
+    """Return lines of a table of one observable."""
+    heads = ["parameter", "mu*", "± 95 %", "mu", "sigma", "noise", ""] if method == "morris" else (
+        ["parameter", "S1", "± 95 %", "ST", "± 95 %", "noise", ""]
+    )  # fmt: skip
+    names = ("mu_star", "mu_star_conf", "mu", "sigma") if method == "morris" else (
+        COLUMNS["sobol"]
+    )  # fmt: skip
+    cells = [heads]
+    for row in rows:
+        numbers = [_number(row[name]) for name in (*names, "noise")]
+        cells.append([row["parameter"], *numbers, row["verdict"]])
+    wide = [max(len(line[k]) for line in cells) for k in range(len(heads))]
+    return [
+        "  ".join(
+            text.ljust(wide[k]) if k in (0, len(heads) - 1) else text.rjust(wide[k])
+            for k, text in enumerate(line)
+        ).rstrip()
+        for line in cells
+    ]
+
+
+def _number(value: float) -> str:
+    return "unknown" if value != value else f"{value:.3g}"

@@ -1,0 +1,213 @@
+"""One run of a fit: from values of the free parameters to what the data are compared with.
+
+It happens on workers: what travels there are a scene as plain values and the data of one condition,
+and back comes one number for each datum.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final, Protocol, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multicell.calibration.data import Datum, Measured
+from multicell.errors import MulticellError
+from multicell.studies.axes import Range
+from multicell.studies.observed import continued, entry_of
+from multicell.studies.runs import own_laws, own_observables
+from multicell.studies.task import load_observables
+
+OUTGROWN: Final = {"cells": 3.0, "diameter": 1.5}
+"""A run ends when one of these is so many times the largest one measured in its condition."""
+
+
+@final
+@dataclass(frozen=True)
+class Reading:
+    """What a run has in place of each datum.
+
+    Attributes
+    ----------
+    values
+        One for each datum of the condition, in base units; NaN where the run has none.
+    reason
+        Why a run failed; empty for one that did not.
+    """
+
+    values: tuple[float, ...]
+    reason: str = ""
+
+
+class Simulator(Protocol):
+    """Anything that stands for the runs of a scene. It must be able to travel to workers."""
+
+    def __call__(self, shares: Sequence[float], condition: int, seed: int) -> Reading:
+        """Return what a run gives.
+
+        Parameters
+        ----------
+        shares
+            Place of each free parameter in its range, from 0 to 1.
+        condition
+            Number of the condition.
+        seed
+            Of the run's random numbers.
+        """
+        ...
+
+
+@final
+@dataclass(frozen=True)
+class SceneSimulator:
+    """Runs of a scene under the conditions of measured data.
+
+    Attributes
+    ----------
+    scenes
+        The scene of each condition as plain values.
+    data
+        The data of each condition.
+    ranges
+        The free parameters.
+    laws
+        Contact laws of the user's own, ``file.py:Name``, that workers load first.
+    observables
+        See :func:`multicell.studies.runs.own_observables`.
+    """
+
+    scenes: tuple[Mapping[str, Any], ...]
+    data: tuple[tuple[Datum, ...], ...]
+    ranges: tuple[Range, ...]
+    laws: tuple[str, ...] = ()
+    observables: Mapping[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, measured: Measured, ranges: Sequence[Range]) -> SceneSimulator:
+        """Return the simulator that stands for the conditions of some data."""
+        scenes = tuple(condition.scene.to_dict() for condition in measured.conditions)
+        data = tuple(tuple(measured.of(k)) for k in range(len(scenes)))
+        laws = {law for condition in measured.conditions for law in own_laws(condition.scene)}
+        own: dict[str, str] = {}
+        for condition in measured.conditions:
+            own |= own_observables(condition.scene)
+        return cls(scenes, data, tuple(ranges), tuple(sorted(laws)), own)
+
+    def __call__(self, shares: Sequence[float], condition: int, seed: int) -> Reading:
+        """Run the scene; a run that fails is a reading of NaN with its reason."""
+        data = self.data[condition]
+        try:
+            return Reading(tuple(self._run(shares, condition, seed)))
+        except MulticellError as error:
+            return Reading((float("nan"),) * len(data), str(error))
+
+    def _run(self, shares: Sequence[float], condition: int, seed: int) -> list[float]:
+        from multicell.scene.scene import Scene
+        from multicell.simulation import Simulation
+
+        for law in self.laws:
+            from multicell.contact.custom import load_law
+
+            load_law(law)
+        load_observables(self.observables)
+        data = self.data[condition]
+        changes: dict[str, Any] = {
+            free.key: free.setting(free.value(share))
+            for free, share in zip(self.ranges, shares, strict=True)
+        }
+        scene = Scene.from_dict(self.scenes[condition]).with_changes({**changes, "seed": seed})
+        simulation = Simulation(scene, threads=1)
+        watch = _Watch(data)
+        watch.add(simulation.history_row())
+        while not simulation.finished and not watch.done:
+            simulation.step()
+            watch.add(simulation.history_row())
+        of_the_end = any(datum.observable not in watch.columns for datum in data)
+        summary = simulation.summary() if of_the_end else {}
+        return [watch.reading(datum, summary) for datum in data]
+
+
+@final
+class _Watch:
+    """The history of a run as far as its data ask for it."""
+
+    def __init__(self, data: Sequence[Datum]) -> None:
+        self._data = data
+        self._rows: list[dict[str, float]] = []
+        self._limits: dict[str, float] = {}
+        for datum in data:
+            for name, value in ((datum.observable, datum.value), datum.at or ("", 0.0)):
+                if name in OUTGROWN:
+                    limit = OUTGROWN[name] * value
+                    self._limits[name] = max(limit, self._limits.get(name, 0.0))
+        self.outgrown = False
+
+    def add(self, row: dict[str, float]) -> None:
+        """Take in a row of the history."""
+        self._rows.append(row)
+        # not at the start, which the fit may not change
+        if len(self._rows) > 1:
+            self.outgrown |= any(row[name] > limit > 0.0 for name, limit in self._limits.items())
+
+    @property
+    def columns(self) -> Mapping[str, float]:
+        """The first row, whose names are those of the history."""
+        return self._rows[0]
+
+    @property
+    def done(self) -> bool:
+        """Whether no datum asks for more of the run."""
+        return self.outgrown or all(map(self._passed, self._data))
+
+    def _passed(self, datum: Datum) -> bool:
+        last = self._rows[-1]
+        if datum.time is not None:
+            return last["time"] >= datum.time
+        if datum.at is None:
+            return False
+        name, value = datum.at
+        begin, now = self._rows[0][name] - value, last[name] - value
+        return begin * now <= 0.0
+
+    def reading(self, datum: Datum, summary: Mapping[str, Any]) -> float:
+        """Return what the run has in place of a datum, NaN if nothing."""
+        if datum.observable not in self.columns:
+            return entry_of(summary, datum.observable)
+        history = {name: np.array([row[name] for row in self._rows]) for name in self._rows[0]}
+        return reading(history, datum, outgrown=self.outgrown)
+
+
+def reading(
+    history: Mapping[str, NDArray[np.float64]], datum: Datum, *, outgrown: bool = False
+) -> float:
+    """Return what the history of a run has in place of a datum, NaN if it has nothing.
+
+    Values are linear between rows. Where there is no necrotic core the viable rim is taken to be
+    the radius, which is what it tends to as a core vanishes. A run that has outgrown its data and
+    was ended has its last values for later times.
+    """
+    times = history["time"]
+    values = continued(history, datum.observable)
+    if datum.at is not None:
+        when = _crossing(times, history[datum.at[0]], datum.at[1])
+    else:
+        when = float(times[-1]) if datum.time is None else datum.time
+    # the last step may miss the end by rounding
+    if not when <= times[-1] * (1.0 + 1e-9):
+        return float(values[-1]) if outgrown else float("nan")
+    return float(np.interp(when, times, values))
+
+
+def _crossing(times: NDArray[np.float64], values: NDArray[np.float64], level: float) -> float:
+    """Return when an observable first has a value, NaN if never."""
+    above = values - level
+    if above[0] == 0.0:
+        return float(times[0])
+    beyond = np.flatnonzero(above * above[0] <= 0.0)
+    if len(beyond) == 0:
+        return float("nan")
+    k = int(beyond[0])
+    share = above[k - 1] / (above[k - 1] - above[k])
+    return float(times[k - 1] + share * (times[k] - times[k - 1]))

@@ -1,0 +1,169 @@
+"""What data say of the parameters: intervals, and what they cannot determine."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final, final
+
+import numpy as np
+
+from multicell.calibration.distance import Array
+from multicell.report.wording import time_unit
+from multicell.studies.axes import Range
+
+OPEN: Final = 0.7
+"""Part of its range from which a 95 % interval says that a parameter is not determined."""
+RIDGE: Final = 0.9
+"""Size of a correlation from which only a combination of two parameters is determined."""
+EDGE: Final = 0.02
+"""Part of a range next to its end in which half of the posterior is too much."""
+_CAUSES: Final = {
+    "error": "the emulator is at fault, with an exact one it would be {}: a larger budget helps",
+    "scatter": "the scatter of runs is at fault, without it it would be {}: data of more tissues "
+    "(column 'n') help",
+}
+
+
+@final
+@dataclass(frozen=True)
+class Interval:
+    """A credible interval of one parameter, base units.
+
+    Attributes
+    ----------
+    low, median, high
+        Of the posterior.
+    part
+        Of the range (of its logarithm where that is logarithmic) that the interval covers.
+    """
+
+    low: float
+    median: float
+    high: float
+    part: float
+
+    def __contains__(self, value: float) -> bool:
+        return self.low <= value <= self.high
+
+
+@final
+@dataclass(frozen=True)
+class Undetermined:
+    """Something that the data do not determine.
+
+    Attributes
+    ----------
+    names
+        Of one parameter, or of two that only have a combination.
+    kind
+        ``"open"``: its interval covers most of its range; ``"ridge"``: a strong correlation;
+        ``"edge"``: the posterior presses against an end of the range.
+    words
+        In words.
+    cause
+        Why a parameter is open: ``"error"`` of the emulator, ``"scatter"`` of runs or ``"data"``;
+        empty where that is not known.
+    """
+
+    names: tuple[str, ...]
+    kind: str
+    words: str
+    cause: str = ""
+
+    def because(self, parts: Mapping[str, Mapping[str, float]]) -> Undetermined:
+        """Return it with its cause.
+
+        Parameters
+        ----------
+        parts
+            By cause: by name which part of its range a parameter's interval would cover without.
+        """
+        cause = min(parts, key=lambda one: parts[one][self.names[0]])
+        part = parts[cause][self.names[0]]
+        if part >= OPEN:
+            words = "neither exact emulation nor runs without scatter would help: the data leave it"
+            return replace(self, words=f"{self.words}; {words}", cause="data")
+        words = _CAUSES[cause].format(f"{100.0 * part:.0f} %")
+        return replace(self, words=f"{self.words}; {words}", cause=cause)
+
+    def __str__(self) -> str:
+        return self.words
+
+
+def intervals(
+    ranges: Sequence[Range], shares: Array, weights: Array, level: float = 0.95
+) -> dict[str, Interval]:
+    """Return a central credible interval of each parameter from weighted draws."""
+    tails = (0.5 - level / 2.0, 0.5, 0.5 + level / 2.0)
+    found = {}
+    for free, column in zip(ranges, shares.T, strict=True):
+        low, median, high = quantiles(column, weights, tails)
+        ends = [free.value(float(x)) for x in (low, median, high)]
+        found[free.name] = Interval(ends[0], ends[1], ends[2], float(high - low))
+    return found
+
+
+def quantiles(values: Array, weights: Array, levels: Sequence[float]) -> Array:
+    """Return quantiles of weighted draws (k, ...) over the first axis: (levels, ...)."""
+    return np.quantile(values, levels, axis=0, weights=weights, method="inverted_cdf")
+
+
+def correlations(shares: Array, weights: Array) -> Array:
+    """Return the correlations of the parameters on the scales of their ranges, (d, d)."""
+    covariance = np.atleast_2d(np.cov(shares.T, aweights=weights))
+    spread = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    return np.asarray(covariance / np.outer(spread, spread))
+
+
+def undetermined(ranges: Sequence[Range], shares: Array, weights: Array) -> list[Undetermined]:
+    """Return what the data do not determine: open intervals, ridges, ends of ranges."""
+    found = []
+    known = intervals(ranges, shares, weights)
+    for free, column in zip(ranges, shares.T, strict=True):
+        interval = known[free.name]
+        if interval.part >= OPEN:
+            found.append(
+                Undetermined(
+                    (free.name,),
+                    "open",
+                    f"{free.name} is not determined: its 95 % interval, "
+                    f"{in_words(interval.low, free.unit)} to {in_words(interval.high, free.unit)}, "
+                    f"covers {100.0 * interval.part:.0f} % of its range",
+                )
+            )
+            continue
+        for end, near in (("lower", column < EDGE), ("upper", column > 1.0 - EDGE)):
+            if weights[near].sum() > 0.5 * weights.sum():
+                value = free.low if end == "lower" else free.high
+                words = (
+                    f"{free.name} lies at the {end} end of its range, {in_words(value, free.unit)}:"
+                    " the data may ask for more"
+                )
+                found.append(Undetermined((free.name,), "edge", words))
+    return found + _ridges(ranges, correlations(shares, weights))
+
+
+def _ridges(ranges: Sequence[Range], correlation: Array) -> list[Undetermined]:
+    """Return the pairs of parameters of which only a combination is determined."""
+    found = []
+    for i in range(len(ranges)):
+        for j in range(i):
+            size = float(correlation[i, j])
+            if abs(size) < RIDGE:
+                continue
+            names = ranges[j].name, ranges[i].name
+            together = "rise together" if size > 0.0 else "make up for each other"
+            words = (
+                f"{names[0]} and {names[1]} {together} (correlation {size:+.2f}): the data "
+                "determine a combination of them better than each"
+            )
+            found.append(Undetermined(names, "ridge", words))
+    return found
+
+
+def in_words(value: float, unit: str) -> str:
+    """Return a value in base units in words, times in a unit that suits them."""
+    if unit == "s" and value:
+        return time_unit(abs(value)).text(value)
+    return f"{value:.4g} {unit}".replace("um", "µm").strip()

@@ -1,0 +1,60 @@
+"""Figures of panels below a heading, which the pictures of studies share."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.ticker import FuncFormatter
+
+from multicell.report.plots.style import DPI, SIZE, blank
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+def with_heading(
+    title: str, subtitle: str, size: tuple[float, float], head: float = 0.85
+) -> Figure:
+    """Return a figure whose panels find their own margins below a heading of so many inches."""
+    figure = blank(title, subtitle, size)
+    figure.set_layout_engine(
+        "constrained", rect=(0.03, 0.05, 0.94, 1.0 - head / size[1] - 0.05), w_pad=0.13, h_pad=0.08
+    )
+    figure.set_dpi(DPI)
+    return figure
+
+
+def panels(
+    title: str, subtitle: str, count: int, columns: int, height: float, head: float = 0.85,
+    **shared: Any,
+) -> tuple[Figure, list[Axes]]:  # fmt: skip
+    """Return a figure with so many panels in rows of so many columns; the rest of a row is empty.
+
+    Parameters
+    ----------
+    title, subtitle
+        Of the figure.
+    count, columns
+        Panels in all, and in a row.
+    height, head
+        Of the figure and of its heading, inches.
+    **shared
+        As ``Figure.subplots`` takes them: ``sharex``, ``sharey``.
+    """
+    figure = with_heading(title, subtitle, (SIZE[0], height), head)
+    grid = figure.subplots(-(-count // columns), columns, squeeze=False, **shared).ravel().tolist()
+    for axes in grid[count:]:
+        axes.set_axis_off()
+    return figure, grid[:count]
+
+
+def write_plainly(axis: Any) -> None:
+    """Write the numbers of an axis with commas and without powers of ten."""
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.7g}"))
+
+
+def spread(count: int, most: int) -> list[int]:
+    """Return at most so many places of ``count``, evenly, the first and last among them."""
+    return sorted({round(place) for place in np.linspace(0, count - 1, min(count, most))})

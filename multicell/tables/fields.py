@@ -1,0 +1,76 @@
+"""Tables as fields of text: from a CSV file, a ``DataFrame`` or a mapping of columns.
+
+For tables whose columns may hold words, numbers with units and nothing at all; columns of numbers
+are read by :mod:`multicell.tables.columns`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, final
+
+from multicell.errors import DataError
+from multicell.tables.columns import from_object
+from multicell.tables.text import read_bytes, rows_of
+
+
+@final
+@dataclass(frozen=True)
+class Table:
+    """Titles and fields of a table, without blanks around them.
+
+    Attributes
+    ----------
+    name
+        Of the file, or ``"data"``.
+    titles
+        Of the columns.
+    rows
+        The fields of each row; empty text where there is no value.
+    places
+        Each row in words: the line of the file, or the row counted from 0.
+    """
+
+    name: str
+    titles: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    places: tuple[str, ...]
+
+
+def read_table(source: Any, largest: int) -> Table:
+    """Return a table as text.
+
+    Parameters
+    ----------
+    source
+        Path of a CSV file, a ``DataFrame``, or a mapping of titles to columns.
+    largest
+        Number of bytes that a file may have.
+
+    Raises
+    ------
+    DataError
+        For a file that cannot be read, rows or columns of different lengths, two columns of one
+        title in a frame, and a table without rows.
+    """
+    if isinstance(source, str | Path):
+        path = Path(source).expanduser()
+        (_, titles), *rows = rows_of(read_bytes(path, largest), path.name)
+        if not rows:
+            raise DataError(path.name, "holds no data")
+        places = tuple(f"line {number}" for number, _ in rows)
+        return Table(path.name, tuple(titles), tuple(tuple(row) for _, row in rows), places)
+    found = from_object(source, "data")
+    columns = [[_text(value) for value in column.tolist()] for column in found.columns.values()]
+    rows_of_text = tuple(zip(*columns, strict=True))
+    places = tuple(f"row {number}" for number in range(len(rows_of_text)))
+    return Table("data", tuple(found.columns), rows_of_text, places)
+
+
+def _text(value: Any) -> str:
+    """Return a field as a CSV file has it; what is missing is empty."""
+    if value != value:
+        return ""
+    text = str(value)
+    return text.lower() if text in ("True", "False") else text

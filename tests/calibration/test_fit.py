@@ -1,0 +1,421 @@
+"""Fits of scenes: readings of runs, what is recovered, folders, bad input, the command."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import math
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cheap_fits import MATRIX, calls_of, linear, stopping
+from click.testing import CliRunner
+
+import multicell as mc
+from multicell.calibration import fit_folder
+from multicell.calibration.data import Datum, read_data
+from multicell.calibration.fit import plan_of
+from multicell.calibration.fitted import Fit
+from multicell.calibration.fresh import _check, fresh
+from multicell.calibration.likelihood import scatter_of
+from multicell.calibration.pool import Pool, open_pool
+from multicell.calibration.posterior import posterior
+from multicell.calibration.problem import ranges_of
+from multicell.calibration.search import Search
+from multicell.calibration.simulator import SceneSimulator, reading
+from multicell.calibration.verdict import intervals, undetermined
+from multicell.cli.main import main
+from multicell.errors import ClusterError, DataError, FitFailed
+
+SMALL = mc.load_scene("growth").with_changes(
+    {"duration": "20 h", "initial.count": 6, "coupling_step": "1 h"}
+)
+FREE = {"growth.cycle_time": "8:30 h"}
+
+
+def datum(observable="diameter", time=None, at=None, value=1.0):
+    return Datum(observable, value, 1.0, False, False, time, at, 0, "row 0")
+
+
+HISTORY = {
+    "time": np.array([0.0, 10.0, 20.0, 30.0]),
+    "diameter": np.array([100.0, 200.0, 400.0, 500.0]),
+    "necrotic_radius": np.array([0.0, 0.0, 50.0, 100.0]),
+    "viable_rim": np.array([np.nan, np.nan, 150.0, 150.0]),
+}
+
+
+@pytest.mark.parametrize(
+    ("asked", "expected"),
+    [
+        (datum(time=0.0), 100.0),
+        (datum(time=15.0), 300.0),
+        (datum(time=30.0), 500.0),
+        (datum(time=30.0000000001), 500.0),
+        (datum(), 500.0),
+        (datum(time=31.0), math.nan),
+        (datum("viable_rim", time=10.0), 100.0),
+        (datum("viable_rim", time=15.0), 125.0),
+        (datum("viable_rim", at=("diameter", 450.0)), 150.0),
+        (datum("viable_rim", at=("diameter", 100.0)), 50.0),
+        (datum("viable_rim", at=("diameter", 501.0)), math.nan),
+        (datum("time", at=("diameter", 250.0)), 12.5),
+    ],
+)
+def test_runs_are_read_where_the_data_ask(asked, expected):
+    assert reading(HISTORY, asked) == pytest.approx(expected, nan_ok=True)
+
+
+def test_a_run_that_was_ended_by_outgrowing_its_data_has_its_last_values():
+    assert reading(HISTORY, datum(time=50.0), outgrown=True) == 500.0
+
+
+def simulated(data, changes=None, **free):
+    scene = SMALL.with_changes(changes or {})
+    measured = read_data(data, scene)
+    ranges = ranges_of(free or FREE, measured)
+    return SceneSimulator.of(measured, ranges)
+
+
+def test_a_reading_is_what_a_run_of_the_scene_has():
+    data = {"time / h": [5, 20, None], "cells": [6, 9, 9], "divisions": [None, None, 3]}
+    simulator = simulated(data)
+    share = simulator.ranges[0].share(12 * 3600.0)
+    found = simulator((share,), 0, 3).values
+    changes = {"growth.cycle_time": "12 h", "seed": 3}
+    result = mc.run(SMALL.with_changes(changes), threads=1)
+    cells = np.interp([5 * 3600.0, 20 * 3600.0], result.history["time"], result.history["cells"])
+    assert found == (*cells, cells[-1], float(result.summary()["divisions"]))
+
+
+def test_a_run_that_outgrows_its_data_ends_early(monkeypatch):
+    steps = []
+    step = mc.Simulation.step
+    monkeypatch.setattr(mc.Simulation, "step", lambda self: (steps.append(1), step(self))[1])
+    simulator = simulated({"time / h": [1, 20], "cells": [2, 2], "cells sd": [1, 1]})
+    values = simulator((0.0,), 0, 1).values
+    assert len(steps) < 20
+    assert values[-1] > 6.0
+
+
+def test_a_run_that_fails_is_a_reading_with_its_reason():
+    data = {"time / h": [5], "cells": [6]}
+    simulator = simulated(data, **{"growth.cycle_variation": "0.1:0.5"})
+    broken = SceneSimulator(
+        ({**simulator.scenes[0], "coupling_step": -1.0},), simulator.data, simulator.ranges
+    )
+    found = broken((0.5,), 0, 1)
+    assert math.isnan(found.values[0])
+    assert "coupling_step" in found.reason
+
+
+@pytest.fixture(scope="module")
+def example(tmp_path_factory):
+    file = Path(__file__).parents[2] / "examples" / "fit_growth.py"
+    spec = importlib.util.spec_from_file_location("example_fit_growth", file)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    folder = tmp_path_factory.mktemp("example")
+    return module, folder, module.main(folder, budget=60)
+
+
+def test_the_fit_recovers_what_made_the_data_within_its_intervals(example):
+    module, _, found = example
+    known = found.intervals()
+    for free in found.problem.ranges:
+        assert module.TRUTH[free.key] in known[free.name]
+        assert known[free.name].part < 0.4
+    assert 0.1 < found.best.per_datum < 2.5
+    assert found.undetermined == []
+
+
+def test_the_folder_holds_all_and_the_same_fit_runs_nothing_again(example, monkeypatch):
+    module, folder, found = example
+    monkeypatch.setattr(SceneSimulator, "__call__", None)
+    again = module.main(folder, budget=60)
+    assert again.best.values == found.best.values
+    assert again.summary()["residuals"] == found.summary()["residuals"]
+    result = json.loads((folder / "result.json").read_text())
+    assert result["parameters"]["growth.cycle_time"]["unit"] == "s"
+    assert mc.load_scene(folder / "best.toml") == found.best.scene
+    page = (folder / "report.html").read_text()
+    for words in ("growth.cycle_time", "What the data do not determine", "diameter", "χ²"):
+        assert words in page
+    for name in ("data.png", "parameters.png"):
+        assert (folder / name).read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    titles = (folder / "posterior.csv").read_text().splitlines()[0]
+    assert titles == "cycle_time / s,division_radius / um,weight"
+
+
+def test_a_folder_of_another_fit_is_refused(example):
+    module, folder, _ = example
+    with pytest.raises(mc.OutputError, match="holds another fit: free differ"):
+        mc.fit(module.setup(), module.DATA, FREE, output=folder, cores=1)
+    changed = module.setup().with_changes({"seed": 77})
+    with pytest.raises(mc.OutputError, match="holds another fit: scene, seeds differ"):
+        mc.fit(changed, module.DATA, module.FREE, output=folder, cores=1)
+
+
+def test_a_sampled_posterior_of_a_scene_has_the_best_point_in_it(tmp_path):
+    """Few draws of a scene of six cells: the path from the scene through pyABC and its files."""
+    data = {"time / h": [20], "diameter / um": [22.0], "diameter sd / um": [2.0]}
+    found = mc.fit(
+        SMALL, data, {"cells.division_radius": "4:10 um"}, method="both", seeds=1, population=12,
+        budget=200, cores=1, output=tmp_path,
+    )  # fmt: skip
+    assert found.kind == "exact"
+    frame = found.posterior
+    assert frame.weight.sum() == pytest.approx(1.0)
+    assert frame.attrs["kind"] == "exact"
+    inside = found.intervals(0.999)["division_radius"]
+    assert inside.low < found.best.values["cells.division_radius"] < inside.high
+    plan = plan_of(SMALL, data, {"cells.division_radius": "4:10 um"}, method="both", seeds=1,
+                   population=12, budget=200)  # fmt: skip
+    assert plan.left(None)[0] == 200
+    assert plan.left(tmp_path) == (0, 0.0)
+
+
+def fitted(problem, points=30):
+    search = Search(problem, None, seed=1)
+    known = search.run(Pool(), points)
+    facts = {"method": "best", "sd": 0.1, "seconds": 1.0, "draws": 0, "sets_of_parameters": points}
+    again = fresh(problem, search, Pool(), search.emulator(), None)
+    return Fit(problem, SMALL, known, None, None, facts, again)
+
+
+def test_a_parameter_without_effect_is_said_to_be_open():
+    problem = linear([[1.0, 0.0]] * 3, [0.5] * 3, 0.05)
+    ((entry),) = fitted(problem).undetermined
+    assert (entry.names, entry.kind) == (("p1",), "open")
+    assert "p1 is not determined: its 95 % interval" in str(entry)
+    assert entry.cause == "data"
+
+
+def test_a_parameter_that_only_scatter_hides_is_said_to_be_hidden_by_it():
+    problem = linear([[1.0]], [0.5], 0.02, noise=0.6, seeds=2)
+    (entry,) = fitted(problem).undetermined
+    assert (entry.kind, entry.cause) == ("open", "scatter")
+    assert "without it it would be" in str(entry)
+
+
+def test_the_best_point_is_run_again_with_seeds_that_had_no_part_in_finding_it():
+    problem = linear(MATRIX, [0.4, 0.6, 1.0, -0.2], 0.05, noise=0.05, seeds=2)
+    found, calls = calls_of(lambda: fitted(problem, 20))
+    by_point = {}
+    for shares, _, seed in calls:
+        by_point.setdefault(shares, set()).add(seed)
+    best = tuple(found.best.values[key] for key in ("toy.p0", "toy.p1"))
+    assert by_point[best] == set(range(2, 14))
+    runs = np.array([problem.simulator(best, 0, seed).values for seed in range(2, 14)])
+    np.testing.assert_allclose(found.best.readings, runs.mean(axis=0), rtol=1e-12)
+
+
+def test_fresh_runs_that_were_stopped_go_on_with_what_is_there(tmp_path):
+    problem = linear(MATRIX, [0.4, 0.6, 1.0, -0.2], 0.05, noise=0.05, seeds=2)
+    points = [([0.4, 0.5], seed) for seed in range(10, 16)]
+    path = tmp_path / "search.log"
+    _, first = calls_of(lambda: Search(problem, path).extra(stopping(4), points))
+    (runs, reasons), second = calls_of(lambda: Search(problem, path).extra(Pool(), points))
+    assert (len(first), len(second), reasons) == (4, 2, [])
+    expected = [problem.simulator(shares, 0, seed).values for shares, seed in points]
+    np.testing.assert_array_equal(runs, expected)
+
+
+def test_checks_widen_the_error_where_the_emulator_is_off_and_nowhere_else():
+    scatter = scatter_of(np.random.default_rng(1).normal(0.0, 1.0, (12, 2)))
+    away = np.array([[0.5, 9.0], [-1.0, -8.0], [0.8, 9.5], [0.1, 7.0], [-0.4, -9.0], [1.2, 8.0]])
+    checks, error = _check(away, np.full((6, 2), 0.25), scatter)
+    assert checks.off.tolist() == [False, True]
+    explained = scatter.variance[1] * (1.0 + 1.0 / 12.0) + 0.25
+    assert error.tolist() == [0.0, pytest.approx((away[:, 1] ** 2).mean() - explained)]
+
+
+def test_wall_time_adds_up_over_what_was_stopped(tmp_path, monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr(fit_folder.clock, "monotonic", lambda: now[0])
+    first = fit_folder.Elapsed(tmp_path)
+    now[0] += 30.0
+    first.note(now=True)
+    now[0] += 500.0
+    second = fit_folder.Elapsed(tmp_path)
+    now[0] += 12.0
+    assert second.seconds == 42.0
+    (tmp_path / "elapsed.json").write_text('{"seconds": -1}')
+    with pytest.raises(mc.OutputError, match=r"elapsed\.json' is damaged"):
+        fit_folder.Elapsed(tmp_path)
+
+
+def test_parameters_of_which_only_the_sum_counts_are_said_to_make_up_for_each_other():
+    problem = linear([[1.0, 1.0]] * 3, [1.0] * 3, 0.01)
+    kinds = {entry.kind: entry for entry in fitted(problem).undetermined}
+    assert "make up for each other (correlation -" in str(kinds["ridge"])
+    assert set(kinds["ridge"].names) == {"p0", "p1"}
+    assert "open" in kinds
+
+
+def test_data_beyond_a_range_press_the_posterior_against_its_end():
+    problem = linear([[1.0, 0.0], [0.0, 1.0]], [1.5, 0.5], 0.02)
+    (entry,) = fitted(problem).undetermined
+    assert (entry.names, entry.kind) == (("p0",), "edge")
+    assert "upper end" in str(entry)
+
+
+def test_determined_parameters_are_said_to_be():
+    assert fitted(linear(MATRIX, [0.4, 0.6, 1.0, -0.2], 0.02)).undetermined == []
+
+
+def test_intervals_are_those_of_the_draws():
+    problem = linear([[1.0]], [0.5], 0.1)
+    draws = np.linspace(0.0, 1.0, 1001)[:, None]
+    even = np.full(1001, 1 / 1001)
+    found = intervals(problem.ranges, draws, even)["p0"]
+    assert (found.low, found.median, found.high) == pytest.approx((0.025, 0.5, 0.975), abs=1e-3)
+    assert undetermined(problem.ranges, draws, even)[0].kind == "open"
+    tilted = intervals(problem.ranges, draws, draws[:, 0] / draws.sum())["p0"]
+    assert tilted.median == pytest.approx(math.sqrt(0.5), abs=2e-3)
+
+
+def test_workers_of_a_cluster_find_the_same_as_this_process(tmp_path):
+    """Two processes: the search and the posterior are the same to the bit."""
+    problem = linear(MATRIX, [0.4, 0.6, 1.0, -0.2], 0.2, noise=0.1, seeds=2)
+    own = Search(problem, None, seed=4).run(Pool(), 15)
+    drawn = posterior(problem, Pool(), seed=7, population=10)
+    with open_pool(2, None) as pool:
+        assert pool.count == 2
+        theirs, here = calls_of(lambda: Search(problem, None, seed=4).run(pool, 15))
+        draws = posterior(problem, pool, seed=7, population=10, folder=tmp_path)
+    assert here == []
+    assert [e.misfit.loss for e in theirs] == [e.misfit.loss for e in own]
+    assert draws.shares.tolist() == drawn.shares.tolist()
+
+
+DATA = {"time / h": [10, 20], "cells": [7, 9]}
+REFUSED = [
+    ({"free": {}}, "free: names no parameter"),
+    ({"free": {"growth.cycle_tim": "8:25 h"}}, "Did you mean 'growth.cycle_time'?"),
+    ({"free": {"growth.cycle_time": "8:25 um"}}, "growth.cycle_time: is '8 um', must be a time"),
+    ({"free": {"growth.cycle_time": "25:8 h"}}, "must have the lower end first"),
+    ({"free": {"growth.cycle_time": "-5:8 h"}}, "growth.cycle_time: is "),
+    ({"free": {"seed": "1:5"}}, "seed: cannot be varied"),
+    ({"method": "bets"}, "Did you mean 'best'?"),
+    ({"seeds": 0}, "seeds: is 0, must be a whole number from 1 to"),
+    ({"population": 2}, "population: is 2, must be a whole number from 10 to"),
+    ({"budget": 23}, "budget: is 23 runs: what 18 fresh runs leave tries 2 sets of parameters, 2"),
+    ({"repeats": 3}, "repeats: is 3, must be a whole number from 4 to 1,000"),
+    ({"repeats": 1001}, "repeats: is 1001, must be a whole number from 4 to 1,000"),
+    ({"budget": "5 um"}, "budget: is '5 um', must be a time"),
+    ({"budget": 100, "method": "posterior"}, "leaves 88 draws for the posterior"),
+    ({"scene": "no-such"}, "there is no scene named 'no-such'"),
+]
+
+
+@pytest.mark.parametrize(("wrong", "words"), REFUSED)
+def test_bad_input_is_named_before_anything_runs(wrong, words, monkeypatch):
+    monkeypatch.setattr(SceneSimulator, "__call__", None)
+    arguments = {"scene": SMALL, "data": DATA, "free": FREE, **wrong}
+    with pytest.raises(mc.SceneError) as caught:
+        mc.fit(**arguments, cores=1)
+    assert words in str(caught.value)
+
+
+def test_a_scheduler_that_does_not_answer_is_named(tmp_path, monkeypatch):
+    monkeypatch.setattr(SceneSimulator, "__call__", None)
+    with pytest.raises(ClusterError, match=r"tcp://127\.0\.0\.1:9' does not answer"):
+        mc.fit(SMALL, DATA, FREE, scheduler="tcp://127.0.0.1:9", output=tmp_path / "out")
+
+
+def test_a_condition_cannot_be_fitted():
+    data = {**DATA, "growth.cycle_time / h": [10, 12]}
+    with pytest.raises(mc.SceneError, match=r"growth\.cycle_time: is a condition of the data"):
+        mc.fit(SMALL, data, FREE, cores=1)
+    with pytest.raises(DataError, match="has no unit"):
+        mc.fit(SMALL, {"time": [1], "cells": [2]}, FREE, cores=1)
+
+
+def test_budgets_are_shared_out():
+    plan = plan_of(SMALL, DATA, FREE, method="both", budget=3000)
+    assert (plan.points, plan.draws) == (35, 3000 - 70 - 12)
+    assert plan.runs == 3000
+    plan = plan_of(SMALL, DATA, FREE, budget="2 h")
+    assert plan.seconds == 7200.0
+    assert plan_of(SMALL, DATA, FREE, budget=41 + 12 + 6).points == 20
+    assert plan_of(SMALL, DATA, FREE, budget=41 + 8 + 6, repeats=8).points == 20
+    assert plan_of(SMALL, DATA, FREE).left(None)[1] > 0.0
+
+
+def test_too_few_points_tell_a_best_one_and_no_intervals():
+    found = fitted(linear(MATRIX, [0.4, 0.6, 1.0, -0.2], 0.02), points=3)
+    assert found.kind == "none"
+    assert found.undetermined == []
+    assert "Too few points were tried to tell intervals." in found.notes
+    with pytest.raises(FitFailed, match="too few points"):
+        _ = found.posterior
+    assert found.summary()["parameters"]["toy.p0"]["interval"] is None
+
+
+def test_the_command_fits_and_says_what_is_open(tmp_path):
+    (tmp_path / "growth.csv").write_text("time / h, cells\n10, 7\n20, 9\n")
+    arguments = [
+        "fit", "growth", "--data", str(tmp_path / "growth.csv"), "--free",
+        "growth.cycle_time=8:30 h", "--set", "duration=20 h", "--set", "initial.count=6", "--set",
+        "coupling_step=1 h", "--budget", "34", "--repeats", "8", "--seeds", "1", "--cores",
+        "1", "-o", str(tmp_path / "out"),
+    ]  # fmt: skip
+    shown = CliRunner().invoke(main, arguments, standalone_mode=False)
+    assert shown.exception is None
+    assert "growth.cycle_time" in shown.stdout
+    assert "fresh runs: 6 of 6" in shown.stderr
+    assert "34 runs left, expected to take" in shown.stderr
+    finished = CliRunner().invoke(main, arguments, standalone_mode=False)
+    assert finished.stderr == ""
+    again = CliRunner().invoke(main, [*arguments, "--json"], standalone_mode=False)
+    document = json.loads(again.stdout)
+    assert document["data"] == 2
+    assert "without a standard deviation" in document["notes"][0]
+    assert document["chi_squared"] >= 0.0
+
+
+@pytest.mark.slow
+def test_a_command_that_is_killed_goes_on_to_the_same_bits(tmp_path):
+    """Killed (-9) three times while it runs: no run is made twice, and the result is the same."""
+    (tmp_path / "growth.csv").write_text("time / h, cells\n10, 7\n20, 9\n")
+
+    def command(folder):
+        return [
+            sys.executable, "-m", "multicell", "fit", "growth", "--data",
+            str(tmp_path / "growth.csv"), "--free", "growth.cycle_time=8:30 h", "--set",
+            "duration=20 h", "--set", "initial.count=6", "--set", "coupling_step=1 h", "--budget",
+            "42", "--seeds", "1", "--cores", "1", "--quiet", "-o", str(folder),
+        ]  # fmt: skip
+
+    def lines():
+        log = tmp_path / "killed" / "search.log"
+        return len(log.read_bytes().splitlines()) if log.exists() else 0
+
+    subprocess.run(command(tmp_path / "whole"), check=True)
+    for more in (1, 9, 17):
+        begun, wanted = subprocess.Popen(command(tmp_path / "killed")), lines() + more
+        while lines() < wanted and begun.poll() is None:
+            time.sleep(0.002)
+        begun.kill()
+        assert begun.wait() == -signal.SIGKILL
+    subprocess.run(command(tmp_path / "killed"), check=True)
+    for name in ("best.toml", "posterior.csv", "residuals.csv"):
+        assert (tmp_path / "killed" / name).read_text() == (tmp_path / "whole" / name).read_text()
+    logs = [(tmp_path / name / "search.log").read_text() for name in ("killed", "whole")]
+    assert [log.count('"reason"') for log in logs] == [42, 42]
+
+
+def test_the_command_refuses_bad_data_with_exit_code_2(tmp_path):
+    (tmp_path / "bad.csv").write_text("time, cells\n10, 7\n")
+    arguments = ["fit", "growth", "--data", str(tmp_path / "bad.csv"), "--free",
+                 "growth.cycle_time=8:30 h", "-o", str(tmp_path / "out")]  # fmt: skip
+    ended = CliRunner().invoke(main, arguments)
+    assert ended.exit_code == 2
+    assert "bad.csv, 'time': has no unit" in ended.stderr
+    assert not (tmp_path / "out").exists()

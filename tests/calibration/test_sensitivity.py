@@ -1,0 +1,398 @@
+"""Sensitivity: Ishigami's function, a scene with a closed form, noise over seeds, errors."""
+
+import csv
+import io
+import json
+import math
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import multicell as mc
+from multicell.calibration.indices import analyse, sample
+from multicell.calibration.responses import Responses
+from multicell.calibration.sensitivity import plan_of, ranges_of, result_of
+from multicell.cli.main import main
+from multicell.errors import OutputError, SceneError
+from multicell.studies import engine
+from multicell.studies.task import do_run, task
+
+CELL = mc.Scene.from_dict(
+    {"title": "One cell", "duration": "10 min", "coupling_step": "5 min", "initial": {"count": 1},
+     "output": {"every": "10 min"}}
+)  # fmt: skip
+FREE = {
+    "cells.division_radius": "5:8 um",
+    "cells.young": "0.5:2 kPa",
+    "drag.viscosity": "log 0.1:10 kPa s",
+}
+ONE = {"cells.division_radius": "5:8 um"}
+FOUR = {**FREE, "cells.poisson": "0.2:0.4"}
+
+
+def ishigami(shares, a=7.0, b=0.1):
+    """Return Ishigami's function of the first three parameters, -pi to pi."""
+    x, y, z = (math.pi * (2.0 * shares[:, k] - 1.0) for k in range(3))
+    return np.sin(x) + a * np.sin(y) ** 2 + b * z**4 * np.sin(x)
+
+
+def exact(a=7.0, b=0.1):
+    """Return S1 and ST in closed form (Ishigami & Homma 1990)."""
+    first = 0.5 * (1.0 + b * math.pi**4 / 5.0) ** 2
+    second = a**2 / 8.0
+    both = 8.0 * b**2 * math.pi**8 / 225.0
+    whole = first + second + both
+    return np.array([first, second, 0.0, 0.0]) / whole, np.array(
+        [first + both, second, both, 0.0]
+    ) / whole
+
+
+def of_function(method, size, seeds=1, noise=0.0, shift=0.0, lost=()):
+    """Return the analysis of Ishigami's function in place of runs."""
+    rng = np.random.default_rng(3)
+
+    def evaluate(shares):
+        values = np.repeat(ishigami(shares)[:, None], seeds, axis=1)
+        values += noise * rng.standard_normal(values.shape) + shift * np.arange(seeds)
+        for place in lost:
+            values[place] = np.nan
+        times = np.array([1.0, 2.0])
+        courses = np.stack([0.5 * values, values], axis=-1)
+        return Responses({"diameter": values}, times, {"diameter": courses}, {})
+
+    ranges = ranges_of(CELL, FOUR)
+    return result_of(CELL, method, ranges, size, range(seeds), ["diameter"], evaluate)
+
+
+def column(result, name):
+    return np.array([row[name] for row in result.table])
+
+
+def test_sobol_indices_of_ishigami_are_the_exact_ones_within_their_intervals():
+    result = of_function("sobol", 1024)
+    alone, whole = exact()
+    for name, wanted in (("s1", alone), ("st", whole)):
+        error = np.abs(column(result, name) - wanted)
+        assert (error <= column(result, f"{name}_conf") + 1e-12).all(), name
+        assert error.max() < 0.03, name
+    assert column(result, "st")[3] == 0.0
+
+
+def test_intervals_of_sobol_shrink_as_the_root_of_the_sample():
+    small, large = (column(of_function("sobol", size), "st_conf")[:3] for size in (64, 1024))
+    assert (small / large > 2.0).all()
+    assert (small / large < 8.0).all()
+
+
+def test_morris_finds_what_has_no_effect_and_what_interacts():
+    result = of_function("morris", 40)
+    assert column(result, "mu_star")[3] == 0.0
+    assert column(result, "sigma")[3] == 0.0
+    # z acts only through its product with sin(x): its effects have both signs
+    assert abs(column(result, "mu")[2]) < 0.5 * column(result, "mu_star")[2]
+    assert column(result, "sigma")[2] > column(result, "mu_star")[2]
+
+
+def test_effects_of_a_linear_function_are_its_slopes():
+    names = ["a", "b", "c"]
+    shares = sample("morris", names, 8)
+    found = analyse("morris", names, shares, (shares @ [3.0, -2.0, 0.0])[:, None])
+    for index, slope in zip(found.indices, (3.0, -2.0, 0.0), strict=True):
+        assert index.mu == pytest.approx(slope, abs=1e-12)
+        assert index.mu_star == pytest.approx(abs(slope), abs=1e-12)
+        assert index.sigma == pytest.approx(0.0, abs=1e-12)
+        assert index.mu_star_conf == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("method", ["morris", "sobol"])
+def test_noise_is_known_and_hides_what_has_no_effect(method):
+    size, seeds, noise = (40, 4, 1.0) if method == "morris" else (256, 4, 1.0)
+    result = of_function(method, size, seeds, noise)
+    # differences of two means over the seeds have this variance
+    variance = 2.0 * noise**2 / seeds
+    wanted = math.sqrt(2.0 / math.pi * variance) * 1.5  # a step of Morris is 2/3 of the range
+    if method == "sobol":
+        whole = 7.0**2 / 8.0 + 0.1 * math.pi**4 / 5.0 + 0.1**2 * math.pi**8 / 18.0 + 0.5
+        wanted = 0.5 * variance / (whole + 0.5 * variance)
+    assert column(result, "noise") == pytest.approx(np.full(4, wanted), rel=0.2)
+    assert [row["verdict"] for row in result.table] == [*["clear"] * 3, "not told from noise"]
+    assert any("not told from the noise over 4 seeds: poisson" in note for note in result.notes)
+
+
+def test_what_all_points_share_of_a_seed_is_no_noise():
+    result = of_function("sobol", 64, seeds=3, shift=5.0)
+    assert column(result, "noise") == pytest.approx(np.zeros(4), abs=1e-12)
+    plain = of_function("sobol", 64)
+    assert column(result, "st") == pytest.approx(column(plain, "st"))
+
+
+def test_one_seed_leaves_the_noise_unknown():
+    result = of_function("sobol", 64)
+    assert np.isnan(column(result, "noise")).all()
+    assert result.table[0]["verdict"] == "clear of zero, noise unknown"
+    assert result.table[3]["verdict"] == "not told from zero"
+    assert any("the noise is unknown" in note for note in result.notes)
+
+
+@pytest.mark.parametrize(("method", "size"), [("morris", 12), ("sobol", 32)])
+def test_a_larger_sample_begins_with_the_smaller_one(method, size):
+    names = ["a", "b", "c"]
+    small, large = sample(method, names, size), sample(method, names, 2 * size)
+    np.testing.assert_array_equal(large[: len(small)], small)
+
+
+def test_base_points_that_lack_a_run_are_left_out():
+    result = of_function("sobol", 128, lost=[0, 13, 14])  # of blocks 0, 2 and 2
+    assert any("2 of 128 base points lack a run" in note for note in result.notes)
+    _, whole = exact()
+    assert column(result, "st") == pytest.approx(whole, abs=0.25)
+
+
+def test_seeds_that_lack_a_run_are_left_out_of_their_block_alone():
+    names = ["a"]
+    shares = sample("morris", names, 6)
+    values = np.stack([shares[:, 0], shares[:, 0] + 100.0], axis=1)
+    values[0, 1] = np.nan
+    found = analyse("morris", names, shares, values)
+    assert found.used == 6
+    assert found.indices[0].mu == pytest.approx(1.0)
+
+
+def test_without_values_nothing_is_claimed():
+    result = of_function("sobol", 8, lost=range(48))
+    assert {row["verdict"] for row in result.table} == {"unknown"}
+    assert any("no index is known" in note for note in result.notes)
+
+
+def test_indices_over_time_follow_the_course():
+    result = of_function("sobol", 64)
+    times = sorted({row["time"] for row in result.courses})
+    assert times == [1.0, 2.0]
+    # both times have the same shape, so parts of the variance are equal
+    early = [row["st"] for row in result.courses if row["time"] == 1.0]
+    assert early == pytest.approx(list(column(result, "st")))
+
+
+@pytest.fixture
+def here(monkeypatch):
+    """Carry runs out in this process, as a worker would; keep the names of those that ran."""
+    ran = []
+
+    def carry_out(runs, folder, *, progress=None, **options):
+        outcomes = []
+        for run in runs:
+            outcome = do_run(task(run, folder, False))
+            if not outcome.reused:
+                ran.append(run.name)
+            outcomes.append(outcome)
+            if progress is not None:
+                progress(outcome)
+        return outcomes
+
+    monkeypatch.setattr(engine, "carry_out", carry_out)
+    return ran
+
+
+def asked(folder, free=ONE, **options):
+    given = {"size": 4, "observables": ["diameter"], "output": folder, "report": False}
+    return mc.sensitivity(CELL, free, **(given | options))
+
+
+def test_the_diameter_of_one_cell_depends_on_its_size_alone(tmp_path, here):
+    result = asked(tmp_path, FREE, seeds=2)
+    # a young cell has half the volume of one that divides
+    wanted = 2.0 * (8.0 - 5.0) / 2.0 ** (1.0 / 3.0)
+    row = result.index("diameter", "cells.division_radius")
+    assert row["mu"] == pytest.approx(wanted, rel=1e-9)
+    assert row["mu_star_conf"] == pytest.approx(0.0, abs=1e-9)
+    assert row["verdict"] == "clear"
+    for other in ("young", "viscosity"):
+        assert result.index("diameter", other)["mu_star"] == 0.0
+        assert result.index("diameter", other)["verdict"] == "not told from zero"
+    with pytest.raises(SceneError, match="Did you mean 'viscosity'"):
+        result.index("diameter", "viscosty")
+
+
+def test_nothing_is_computed_twice(tmp_path, here):
+    asked(tmp_path)
+    first = len(here)
+    assert first == len(set(here))
+    asked(tmp_path)
+    assert len(here) == first
+    asked(tmp_path, size=6, seeds=2, observables=["largest_pressure"])
+    names = {path.name for path in (tmp_path / "runs").iterdir()}
+    assert len(here) == len(names)
+
+
+def test_an_analysis_is_a_study_whose_runs_can_be_looked_at(tmp_path, here):
+    result = asked(tmp_path, FREE)
+    study = mc.load_study(tmp_path)
+    assert {state.state for state in study.status()} == {"done"}
+    assert [run.name for run in study.runs] == [row["name"] for row in result.runs]
+    ends = study.to_xarray()["diameter"].isel(time=-1).values.ravel()
+    assert ends.tolist() == [row["diameter"] for row in result.runs]
+
+
+def test_points_of_a_sample_that_are_the_same_are_one_point_of_the_study():
+    plan = plan_of(CELL, ONE, size=8)
+    values = [point.coordinates["division_radius"] for point in plan.study.points]
+    assert len(values) == len(set(values)) <= 4  # the levels of the grid of Morris
+    own = sample("morris", ["division_radius"], 8)[:, 0]
+    wanted = [plan.ranges[0].value(share) for share in own]
+    assert [values[row] for row in plan.rows] == wanted
+
+
+def test_another_question_in_the_folder_is_refused(tmp_path, here):
+    asked(tmp_path)
+    with pytest.raises(OutputError, match="asks something else"):
+        asked(tmp_path, method="sobol", size=8)
+    assert asked(tmp_path, method="sobol", size=8, overwrite=True).method == "sobol"
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "file").write_text("")
+    with pytest.raises(OutputError, match="is not empty"):
+        asked(tmp_path / "other")
+
+
+def test_a_run_that_fails_is_told_and_left_out(tmp_path, here, monkeypatch):
+    inner = engine.carry_out
+
+    def failing(runs, folder, **options):
+        from dataclasses import replace
+
+        outcomes = inner(runs, folder, **options)
+        return [replace(outcomes[0], state="failed", reason="step failed: no way"), *outcomes[1:]]
+
+    monkeypatch.setattr(engine, "carry_out", failing)
+    result = asked(tmp_path)
+    assert any("1 runs failed, the first one: step failed: no way" in n for n in result.notes)
+    assert sum(bool(row["reason"]) for row in result.runs) == 1
+    row = result.index("diameter", "division_radius")
+    assert row["mu"] == pytest.approx(6.0 / 2.0 ** (1.0 / 3.0))
+
+
+BAD = {
+    "range reversed": ({"free": {"cells.young": "2:1 kPa"}}, "lower end first"),
+    "unknown key": ({"free": {"cells.yong": "1:2 kPa"}}, "Did you mean 'cells.young'"),
+    "wrong unit": ({"free": {"cells.young": "1:2 s"}}, "pressure"),
+    "no parameter": ({"free": {}}, "names no parameter"),
+    "unknown observable": ({"observables": ["diametre"]}, "Did you mean 'diameter'"),
+    "no observable": ({"observables": []}, "names none"),
+    "unknown method": ({"method": "soboll"}, "must be one of morris, sobol"),
+    "too few": ({"size": 3}, "too few trajectories"),
+    "too few points": ({"method": "sobol", "size": 4}, "too few base points"),
+    "no power of two": ({"method": "sobol", "size": 48}, "Take 32 or 64"),
+    "no seeds": ({"seeds": 0}, "from 1 to 20,000"),
+    "of another scene": ({"observables": ["pull"]}, "have no 'pull'"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_what_cannot_be_asked_is_refused_before_anything_runs(case, tmp_path, here):
+    changed, words = BAD[case]
+    given = {"free": FREE, "size": 4, "observables": ["diameter"], "output": tmp_path / "out"}
+    with pytest.raises(SceneError, match=words):
+        mc.sensitivity(CELL, **(given | changed))
+    assert not here
+    assert not (tmp_path / "out").exists()
+
+
+def test_values_that_the_scene_refuses_are_told_with_their_point(tmp_path, here):
+    free = {"contact.smoothing": "0:100 um"}
+    with pytest.raises(SceneError, match=r"contact\.smoothing.*100"):
+        mc.sensitivity(CELL, free, size=4, output=tmp_path / "out")
+
+
+def command(folder, *more):
+    path = folder / "cell.toml"
+    path.write_text(CELL.to_toml())
+    free = [part for key, text in FREE.items() for part in ("--free", f"{key}={text}")]
+    return CliRunner().invoke(
+        main,
+        ["sensitivity", str(path), *free, "--size", "4", "-o", str(folder / "out"), *more],
+    )
+
+
+def test_the_command_writes_tables_pictures_and_a_page(tmp_path, here):
+    done = command(tmp_path, "--seeds", "2", "--observable", "diameter", "--json")
+    assert done.exit_code == 0, done.output
+    document = json.loads(done.stdout)
+    assert document["table"][0]["parameter"] == "division_radius"
+    files = {path.name for path in (tmp_path / "out").iterdir()}
+    assert {"report.html", "sensitivity.csv", "sensitivity.json", "courses.csv", "runs.csv",
+            "sensitivity-diameter.png"} <= files  # fmt: skip
+    rows = list(csv.DictReader(io.StringIO((tmp_path / "out" / "sensitivity.csv").read_text())))
+    assert float(rows[0]["mu_star"]) == pytest.approx(document["table"][0]["mu_star"])
+    assert len(list(csv.reader((tmp_path / "out" / "runs.csv").open()))) == len(here) + 1
+    html = (tmp_path / "out" / "report.html").read_text("utf-8")
+    assert "division radius" in html
+    assert "http" not in html.replace("http-equiv", "")
+
+
+def test_the_command_tells_the_table_and_asks_nothing_of_what_is_short(tmp_path, here):
+    done = command(tmp_path, "--no-report")
+    assert done.exit_code == 0, done.output
+    assert "division_radius" in done.stdout
+    assert "one seed: the noise is unknown" in done.stdout
+
+
+def test_what_is_expected_to_take_long_is_asked_for(tmp_path, here):
+    done = command(tmp_path, "--set", "initial.count=100000", "--set", "duration=100 d")
+    assert done.exit_code == 2
+    assert "--yes confirms" in done.output
+    assert not here
+
+
+def test_pictures_show_every_index_with_its_interval():
+    result = of_function("sobol", 64, seeds=2, noise=0.5)
+    figure = result.plot("diameter")
+    words = [t.get_text() for t in figure.findobj(mpl.text.Text)]
+    for name in ("division radius", "young", "drag viscosity", "poisson"):
+        assert name in words
+    (axes,) = figure.axes
+    widths = sorted(bar.get_width() for bar in axes.patches)
+    both = np.concatenate([column(result, "st"), column(result, "s1")])
+    assert widths == pytest.approx(sorted(both))
+    bars = [bar for bar in axes.containers if hasattr(bar, "has_xerr")]
+    lengths = sorted(
+        np.ptp(segment[:, 0]) for bar in bars for segment in bar.lines[2][0].get_segments()
+    )
+    halves = np.concatenate([column(result, "st_conf"), column(result, "s1_conf")])
+    assert lengths == pytest.approx(sorted(2.0 * halves))
+
+
+def test_the_plane_of_morris_has_a_point_for_each_parameter():
+    result = of_function("morris", 10, seeds=2, noise=0.5)
+    plane = result.plot("diameter").axes[1]
+    points = np.concatenate([line.get_xydata() for line in plane.lines if line.get_marker() == "o"])
+    wanted = np.stack([column(result, "mu_star"), column(result, "sigma")], axis=1)
+    np.testing.assert_allclose(np.sort(points, axis=0), np.sort(wanted, axis=0))
+
+
+def test_the_course_has_a_line_for_each_parameter():
+    result = of_function("morris", 10)
+    lines = result.plot_course("diameter").axes[0].lines
+    assert len([line for line in lines if len(line.get_xdata()) == 2]) >= 4
+    with pytest.raises(ValueError, match="over time"):
+        result.plot_course("cells")
+
+
+def test_salib_is_loaded_for_analyses_only():
+    import subprocess
+    import sys
+
+    code = (
+        "import sys, multicell as mc, multicell.cli.main; mc.load_scene('settle'); mc.sensitivity; "
+        "print(*(name in sys.modules for name in ('SALib', 'pandas', 'xarray', 'distributed')))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert set(done.stdout.split()) == {"False"}
+
+
+@pytest.mark.slow
+def test_workers_of_the_engine_give_the_same(tmp_path):
+    found = asked(tmp_path / "workers", cores=2)
+    assert found.index("diameter", "division_radius")["mu"] == pytest.approx(
+        6.0 / 2.0 ** (1.0 / 3.0)
+    )

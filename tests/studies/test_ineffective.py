@@ -1,0 +1,159 @@
+"""Keys without effect are refused, with the reason and where."""
+
+import pytest
+from rich_medium import RICH
+
+import multicell as mc
+from multicell import SceneError
+from multicell.studies.axes import check_axes, parse_axis, parse_range
+from multicell.studies.ineffective import _KEYS, no_effect
+from multicell.studies.keys import all_keys, key_of
+
+NONE = [
+    (RICH, {}, "growth.cycle_time", "phases of the cycle"),
+    (RICH, {}, "growth.cycle_variation", "phases of the cycle"),
+    ("spheroid", {}, "growth.restriction", "has no phases"),
+    (RICH, {}, "growth.phases.S.variation", "a fixed duration"),
+    (RICH, {}, "growth.phases.S.shift", "'fixed'"),
+    (RICH, {}, "coupling_tolerance", "not 'auto'"),
+    (RICH, {}, "integrator.step", "chooses its steps"),
+    (RICH, {"integrator": "euler"}, "integrator.atol", "has no atol"),
+    (RICH, {}, "death.swelling_time", "do not swell"),
+    (RICH, {"death.apoptosis_rate": 0}, "death.apoptosis_time", "apoptosis_rate is 0"),
+    (RICH, {}, "nutrients.oxygen.temperature", "only converts pressures"),
+    (RICH, {"nutrients.oxygen.media": [[0, 0.1]]}, "nutrients.oxygen.boundary", "'media'"),
+    (RICH, {}, "nutrients.oxygen.media_change", "no schedule"),
+    (RICH, {"nutrients.oxygen.regime": "steady"}, "nutrients.oxygen.time_tolerance", "steady"),
+    (RICH, {"nutrients.oxygen.uptake": 0}, "nutrients.oxygen.half_saturation", "uptake"),
+    (RICH, {"nutrients.oxygen.geometry": "box"}, "nutrients.oxygen.roundness_limit", "'box'"),
+    (RICH, {}, "nutrients.oxygen.height", "3 dimensions"),
+    ("growth", {}, "initial.spacing", "one cell"),
+    ("growth", {"death": {}}, "death.lysis_time", "threshold of necrosis"),
+    ("sorting", {}, "contact.surface_energy", "surface energy of its own"),
+    ("growth", {"haptotaxis": {}}, "haptotaxis.length", "'gradient'"),
+    (
+        "emt6",
+        {"nutrients.glucose.uptake_per_volume": 0},
+        "nutrients.glucose.half_saturation",
+        "uptake",
+    ),
+    ("emt6", {"energy.necrosis": None}, "death.lysis_time", "nor ATP has a threshold"),
+    ("emt6", {}, "nutrients.oxygen.margin", "'layer'"),
+]
+
+
+@pytest.mark.parametrize(("name", "changes", "key", "said"), NONE)
+def test_keys_without_effect(name, changes, key, said):
+    scene = mc.load_scene(name).with_changes(changes)
+    assert said in no_effect(scene, key)
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "key"),
+    [
+        (RICH, {}, "growth.phases.G1.variation"),
+        (RICH, {}, "growth.phases.G1.shift"),
+        ("spheroid", {}, "growth.cycle_time"),
+        (RICH, {"integrator": "euler"}, "integrator.step"),
+        (RICH, {}, "integrator.atol"),
+        (RICH, {}, "integrator.method"),
+        (RICH, {}, "death.lysis_time"),
+        (RICH, {}, "death.apoptosis_time"),
+        (RICH, {}, "nutrients.oxygen.boundary"),
+        (RICH, {"nutrients.oxygen.media": [["1 d", 0.1]]}, "nutrients.oxygen.boundary"),
+        (RICH, {}, "nutrients.oxygen.margin"),
+        (RICH, {}, "nutrients.oxygen.roundness_limit"),
+        (RICH, {}, "cells.young"),
+        ("growth", {}, "contact.surface_energy"),
+        ("emt6", {}, "death.lysis_time"),
+        ("emt6", {}, "death.removal_fraction"),
+        ("emt6", {}, "nutrients.oxygen.half_saturation"),
+    ],
+)
+def test_keys_with_an_effect(name, changes, key):
+    assert no_effect(mc.load_scene(name).with_changes(changes), key) == ""
+
+
+@pytest.mark.parametrize("name", mc.scene_names())
+def test_every_key_of_a_scene_is_found_and_can_be_asked_for_its_effect(name):
+    scene = mc.load_scene(name)
+    keys = list(all_keys(scene))
+    assert len(keys) > 20
+    for key in keys:
+        assert key_of(scene, key).name == key
+        assert isinstance(no_effect(scene, key), str)
+
+
+def test_rules_name_keys_that_there_are():
+    """Each rule is of a key that some scene has, so that renamed keys do not leave rules behind."""
+    rich = mc.load_scene(RICH).with_changes(
+        {
+            "types": {"a": {}, "b": {}}, "haptotaxis": {},
+            "nutrients.oxygen.uptake_on": {"glucose": {"effect": 0, "half": 1.0}},
+            "nutrients.glucose.finite_medium": {"volume": "1 mL"},
+        }
+    )  # fmt: skip
+    keys = set(all_keys(rich))
+    named = [key for key in _KEYS if "*" not in key or key.count("*") > 1]
+    missing = [
+        rule
+        for rule in _KEYS
+        if not any(
+            len(rule.split(".")) == len(key.split("."))
+            and all(r in ("*", k) for r, k in zip(rule.split("."), key.split("."), strict=True))
+            for key in keys
+        )
+    ]
+    assert len(named) < len(_KEYS)
+    assert missing == []
+
+
+def checked(scene, **given):
+    axes = [
+        parse_range(key, text, scene) if ":" in text else parse_axis(key, text, scene)
+        for key, text in given.items()
+    ]
+    check_axes(scene, axes)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (
+            {"contact.law": "jkr,hertz", "contact.surface_energy": "0.1,0.2 nN/um"},
+            "contact.surface_energy: has no meaning where contact.law = 'hertz'",
+        ),
+        (
+            {"contact.surface_energy": "0.1:0.2 nN/um", "contact.law": "jkr,hertz"},
+            "contact.surface_energy: has no meaning where contact.law = 'hertz'",
+        ),
+        (
+            {"integrator.method": "euler,cvode", "integrator.step": "1,2 s"},
+            "integrator.step: has no effect where integrator.method = 'cvode'",
+        ),
+        (
+            {"growth.phases.S.distribution": "fixed,gamma", "growth.phases.S.variation": "0.1:0.3"},
+            "growth.phases.S.variation: has no effect where growth.phases.S.distribution = 'fixed'",
+        ),
+        ({"growth.cycle_time": "8:25 h"}, "growth.cycle_time: has no effect: the phases"),
+        ({"nutrients.oxygen.necrosis": "0.001:0.05 mM"}, "must be below quiescence"),
+        ({"nutrients.oxygen.necrosis": "0.001,0.05 mM"}, "must be below quiescence"),
+    ],
+)
+def test_axes_that_do_not_go_together_are_told(given, said):
+    with pytest.raises(SceneError) as error:
+        checked(mc.load_scene(RICH), **given)
+    assert said in str(error.value)
+
+
+def test_ranges_that_go_together_are_taken():
+    """Each alone would leave the scene behind: the thresholds rise together."""
+    checked(
+        mc.load_scene(RICH),
+        **{
+            "nutrients.oxygen.necrosis": "0.001:0.03 mM",
+            "nutrients.oxygen.quiescence": "0.02:0.06 mM",
+            "integrator.method": "euler,rkc2",
+        },
+    )
+    assert no_effect(mc.load_scene(RICH), "nutrients.oxygen.necrosis") == ""
