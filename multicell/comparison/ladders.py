@@ -195,15 +195,6 @@ def _steps(problem: Problem, stiffness: float) -> list[float]:
     return [length / (count * 2**k) for k in range(_HALVINGS)]
 
 
-def looks(methods: Sequence[Method]) -> dict[str, list[str]]:
-    """Return colour, marker and line of the methods that the registry does not know."""
-    return {
-        m.name: [m.info.colour, m.info.marker, "--" if m.info.outside else "-"]
-        for m in methods
-        if registry.find(m.name) is None
-    }
-
-
 def weighted_cost(work: Work) -> float:
     """Return the cost of some work in evaluations of the right-hand side.
 

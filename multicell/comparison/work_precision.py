@@ -9,11 +9,12 @@ from typing import Any
 from multicell.cells import Cells
 from multicell.comparison.conditioning import SHIFT
 from multicell.comparison.files import CLOCKS, Row, prepare
-from multicell.comparison.ladders import Ladder, Method, able, listed, looks, settings, stiffness
+from multicell.comparison.ladders import Ladder, Method, able, listed, settings, stiffness
 from multicell.comparison.measure import Effort, Timed, climb, time_again
 from multicell.comparison.record import sample_size
 from multicell.comparison.reference import Reference, blank, paired, reference
 from multicell.comparison.result import FILES, WorkPrecision
+from multicell.comparison.styles import unregistered_styles
 from multicell.errors import SceneError
 from multicell.integrators.base import Integrator
 from multicell.results.folder import versions
@@ -140,7 +141,7 @@ def compare(
     tell("timing again, all methods in turns")
     time_again(again, exact.problem, repeats)
     named = [] if methods is None else [method.name for method in chosen]
-    facts = {**_facts(exact, decay), "looks": looks(chosen), "named": named}
+    facts = {**_facts(exact, decay), "looks": unregistered_styles(chosen), "named": named}
     result = WorkPrecision(described, table, exact.uncertainty, facts, clock, exact.conditioning)
     if output is not None:
         result.save(output)

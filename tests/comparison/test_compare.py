@@ -165,7 +165,7 @@ def test_a_planted_failure_stays_in_the_table_as_nan_with_its_words(failing):
 
 
 def test_failures_are_drawn_as_crosses_in_the_colour_of_their_method(failing):
-    from multicell.comparison.charts import look
+    from multicell.comparison.styles import appearance
 
     figure = failing.figure()
     strip = next(axes for axes in figure.axes if axes.get_label() == "failures")
@@ -174,7 +174,7 @@ def test_failures_are_drawn_as_crosses_in_the_colour_of_their_method(failing):
     for name, count in (("fragile", 1), ("raising", 2), ("nan", 2)):
         line = crosses[f"{name} failed"]
         assert line.get_marker() == "x"
-        assert line.get_color() == look(name, failing)[0]
+        assert line.get_color() == appearance(failing)[name].colour
         spent = [row["spent"] for row in failing.rows(name, "failed")]
         np.testing.assert_array_equal(line.get_xdata(), spent)
         assert len(spent) == count

@@ -134,15 +134,16 @@ def test_a_solve_is_stopped_when_its_time_is_over(scripts, tmp_path):
 
 def test_the_crossing_of_a_power_law_is_found(scripts):
     """(z / z0)^0.4 is a straight line in both logarithms: interpolation is exact."""
+    crossing = scripts.ratios.crossing
     for known in (3e2, 4.2e4, 9e5):
-        assert scripts.ratios.crossing(PLACES, (PLACES / known) ** 0.4) == pytest.approx(known, rel=1e-12)
-    assert scripts.ratios.crossing(PLACES, np.full(5, 2.0)) == 0.0
-    assert scripts.ratios.crossing(PLACES, np.full(5, 0.5)) == math.inf
-    assert math.isnan(scripts.ratios.crossing(PLACES, np.full(5, np.nan)))
+        assert crossing(PLACES, (PLACES / known) ** 0.4) == pytest.approx(known, rel=1e-12)
+    assert crossing(PLACES, np.full(5, 2.0)) == 0.0
+    assert crossing(PLACES, np.full(5, 0.5)) == math.inf
+    assert math.isnan(crossing(PLACES, np.full(5, np.nan)))
     # what is not known is bridged
     ratio = (PLACES / 4.2e4) ** 0.4
     ratio[2] = np.nan
-    assert scripts.ratios.crossing(PLACES, ratio) == pytest.approx(4.2e4, rel=1e-12)
+    assert crossing(PLACES, ratio) == pytest.approx(4.2e4, rel=1e-12)
 
 
 def test_intervals_of_crossings_cover_the_true_one(scripts):

@@ -9,27 +9,23 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, final
 
-from multicell.comparison.field_solvers.measure import climb
-from multicell.comparison.field_solvers.problems import (
-    KINDS,
+from multicell.comparison.field_solvers.equations import (
+    BACKENDS,
     SHELLS,
-    TRANSIENT,
-    Case,
-    case,
+    Layout,
     geometries,
     grids,
-    nodes_of,
+    node_count,
+    own_spacing,
 )
+from multicell.comparison.field_solvers.measure import TRIAL_PATIENCE, Bench, stability_rows
+from multicell.comparison.field_solvers.problems import KINDS, TRANSIENT, Case, case
 from multicell.comparison.field_solvers.reference import GridError, of_grids, on_one_grid
 from multicell.comparison.field_solvers.result import FieldComparison, all_files
-from multicell.comparison.field_solvers.solvers import DIRECT, FieldSolver, chosen
-from multicell.comparison.field_solvers.stability import TRIAL_PATIENCE, stability_rows
-from multicell.comparison.field_solvers.watched import BACKENDS
+from multicell.comparison.field_solvers.solvers import DIRECT, FieldSolver, select_solvers
 from multicell.comparison.files import CLOCKS, Row, prepare
 from multicell.comparison.measure import Effort
 from multicell.errors import NutrientFailed, SceneError
-from multicell.nutrient.grid import Layout
-from multicell.nutrient.parameters import FieldParameters
 from multicell.results.folder import versions
 from multicell.results.frame import Frame
 from multicell.scene.scene import Scene, load_scene
@@ -38,16 +34,16 @@ from multicell.simulation import Simulation
 from multicell.units import to_base
 
 SPACINGS: Final = 3
-MOST_NODES: Final = 60_000
-"""Nodes of a grid above which only its own error is looked at, not the solvers'."""
+MAX_NODES: Final = 60_000
+"""Nodes of a grid above which its own error is measured, but not the solvers'."""
 
-_FEWEST = 20
-"""Nodes that the stability map is drawn for at least, where there are as many."""
+_MIN_MAP_NODES = 20
+"""Nodes of the grid of the stability map at least, where there are as many."""
 
-_TRIED = 0.5
+_MIN_PATIENCE = 0.5
 """Wall time in s that a first point may take however short the budget is."""
 
-_POINTS = 6  # of a ladder, about
+_RUNGS = 6  # of a ladder, about
 
 _LOOPING = (
     "py-pde judges the iteration in a loop over the nodes, which is tens of times faster with "
@@ -131,15 +127,15 @@ def compare_fields(
         If the run to ``at`` fails. Solvers that fail are rows of the table.
     """
     described = scene if isinstance(scene, Scene) else load_scene(scene)
-    names = _named(described, fields)
-    wanted = chosen(solvers)
+    names = _select_fields(described, fields)
+    wanted = select_solvers(solvers)
     _check(clock, backend, spacings)
     tell = progress or (lambda _: None)
     time = None if at is None else _time(at, described)
     if at is not None and frame is not None:
         raise SceneError("at", "is given beside a frame, which has a time of its own")
     prepare(output, all_files(), overwrite)
-    taken = frame or state_at(described, time, threads, tell)
+    taken = frame or frame_at(described, time, threads, tell)
     looping = [solver.name for solver in wanted if solver.iterates]
     notes = [f"{' and '.join(looping)}: {_LOOPING}"] if looping and backend != "numba" else []
     ladders = list(_ladders(described, taken, names, spacings, notes))
@@ -154,7 +150,7 @@ def compare_fields(
         "cells": len(taken.cells), "time": taken.time, "backend": backend,
         "backend_words": BACKENDS[backend], "notes": list(dict.fromkeys(notes)),
         "trial_patience": TRIAL_PATIENCE * patience,
-        "spacing": {name: FieldParameters.of(described, name).spacing for name in names},
+        "spacing": {name: own_spacing(described, name) for name in names},
         "solvers": {solver.name: solver.words for solver in wanted}, "versions": versions(),
     }  # fmt: skip
     result = FieldComparison(described, race.table, race.grid_table, failures, facts, clock)
@@ -163,7 +159,7 @@ def compare_fields(
     return result
 
 
-def _named(scene: Scene, fields: Sequence[str] | None) -> list[str]:
+def _select_fields(scene: Scene, fields: Sequence[str] | None) -> list[str]:
     """Return the fields that are wanted."""
     if not scene.nutrients:
         problem = "are none: the scene has no fields whose solvers could be compared"
@@ -199,7 +195,7 @@ def _time(at: float | str, scene: Scene) -> float:
     return time
 
 
-def state_at(scene: Scene, time: float | None, threads: int | None, tell: Tell) -> Frame:
+def frame_at(scene: Scene, time: float | None, threads: int | None, tell: Tell) -> Frame:
     """Return the frame of a scene at its start, or at the first coupling time from ``time`` on.
 
     Raises
@@ -284,20 +280,20 @@ class _Race:
             return
         for layout, error in zip(layouts, spatial, strict=True):
             self.grid_table.append(_grid_row(name, geometry, kind, layout, error))
-            if nodes_of(layout) > MOST_NODES:
-                self.notes.append(f"solvers are not compared on more than {MOST_NODES:,} nodes")
+            if node_count(layout) > MAX_NODES:
+                self.notes.append(f"solvers are not compared on more than {MAX_NODES:,} nodes")
                 self.series -= len(self.solvers)
                 continue
             self._on(case(self.scene, self.frame, name, kind, layout), error)
 
     def _on(self, problem: Case, error: GridError) -> None:
         """Let all solvers try one problem on one grid."""
-        exact = on_one_grid(problem)
+        bench = Bench(problem, on_one_grid(problem), self.backend)
         for solver in self.solvers:
             share = self.left / max(self.series, 1)
-            longest = min(self.patience, max(_TRIED, 3.0 * share))
-            effort = Effort(self.repeats, longest, share, _POINTS)
-            rows, spent = climb(solver, problem, exact, self.backend, effort, self.tell)
+            longest = min(self.patience, max(_MIN_PATIENCE, 3.0 * share))
+            effort = Effort(self.repeats, longest, share, _RUNGS)
+            rows, spent = bench.climb(solver, effort, self.tell)
             if (why := solver.refusal(problem)) and solver.kind != DIRECT:
                 self.notes.append(f"{solver.name} is left out of {problem.name}: {why}")
             self.table += [{**row, "space_error": error.error} for row in rows]
@@ -308,7 +304,7 @@ class _Race:
 def _grid_row(name: str, geometry: str, kind: str, layout: Layout, error: GridError) -> Row:
     return {
         "field": name, "geometry": geometry, "spacing": layout.spacing,
-        "nodes": nodes_of(layout), "problem": kind, "error": error.error,
+        "nodes": node_count(layout), "problem": kind, "error": error.error,
         "uncertainty": error.uncertainty,
     }  # fmt: skip
 
@@ -326,7 +322,9 @@ def _smallest(
         return None
     first = eaten[0][0]
     layouts = [layout for name, _, found in eaten if name == first for layout in found]
-    smallest = min(layouts, key=lambda layout: (nodes_of(layout) < _FEWEST, nodes_of(layout)))
+    smallest = min(
+        layouts, key=lambda layout: (node_count(layout) < _MIN_MAP_NODES, node_count(layout))
+    )
     try:
         return case(scene, frame, first, TRANSIENT, smallest)
     except (NutrientFailed, SceneError) as trouble:

@@ -39,7 +39,6 @@ def context(result: StabilityMap) -> dict[str, Any]:
             "trials that failed": f"{failures} of {len(result.table):,}",
             "wall time": clock(result.facts["wall"]),
         },
-        "result": result,
         "colours": COLOURS,
         "kinds": KINDS,
         "failed": [row for row in own if row["kind"] != STABLE],

@@ -10,12 +10,13 @@ from pathlib import Path
 from typing import Any, Final
 
 from multicell.comparison.files import Row, prepare
-from multicell.comparison.ladders import Method, able, listed, looks
+from multicell.comparison.ladders import Method, able, listed
 from multicell.comparison.replay import without_compiling
 from multicell.comparison.stability_limits.result import FILES, StabilityMap
 from multicell.comparison.stability_limits.state import State, divided, settled
 from multicell.comparison.stability_limits.trial import STABLE, judge, watch
 from multicell.comparison.stability_limits.unsettled import check, state_of
+from multicell.comparison.styles import unregistered_styles
 from multicell.contact.law import effective_modulus
 from multicell.errors import SceneError, StepFailed
 from multicell.integrators.base import Integrator
@@ -140,7 +141,7 @@ def stability(
         "precision": precision,
         "wall": clock.perf_counter() - begin,
         "skipped": skipped,
-        "looks": looks(chosen),
+        "looks": unregistered_styles(chosen),
         "versions": versions(),
     }
     result = StabilityMap(described, table, facts)
