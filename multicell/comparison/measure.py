@@ -14,7 +14,7 @@ from multicell.comparison.files import DONE, FAILED, SKIPPED, Row
 from multicell.comparison.ladders import Method, weighted_cost
 from multicell.comparison.norms import WORST_CELL, errors, no_errors, observe
 from multicell.comparison.reference import Reference
-from multicell.comparison.replay import Problem, Trajectory, replay, without_compiling
+from multicell.comparison.replay import Problem, Trajectory, replay, solve_compiled
 from multicell.mechanics.motion import Work
 
 _MAX_FAILURES = 3
@@ -55,7 +55,7 @@ class Effort:
 
 @final
 @dataclass
-class Timed:
+class TimedPoint:
     """A point that was solved and is to be timed again; ``spent`` is the wall time that took.
 
     ``repeats`` holds wall and processor time in s of every timed solve so far.
@@ -74,14 +74,14 @@ def climb(
     exact: Reference,
     effort: Effort,
     tell: Callable[[str], None],
-) -> tuple[list[Row], list[Timed], float]:
+) -> tuple[list[Row], list[TimedPoint], float]:
     """Return the rows of one method, from coarse to fine, until patience or budget end.
 
     Each point that was solved is timed once; the others of its repeats are left for
     :func:`time_again`, and their time is set aside in the budget. The third value is the part of
     the budget that is gone, in s; compilation and loading are not part of it.
     """
-    again: list[Timed] = []
+    again: list[TimedPoint] = []
     failures = 0
     # compiled and loaded before the clock of the first point runs, however short the patience
     first = replace(exact.problem, steps=exact.problem.steps[:1])
@@ -91,12 +91,12 @@ def climb(
         nonlocal failures
         tell(f"{method.name} at {setting:.3g}")
         solve = partial(replay, exact.problem, method.make(setting), effort.patience)
-        found, lost = without_compiling(solve)
+        found, lost = solve_compiled(solve)
         row = _measured(method, setting, found, exact, effort)
         reserved = 0.0
         if found.done:
             wall = row["wall"]
-            again.append(Timed(row, method, effort.share, wall, [(wall, row["cpu"])]))
+            again.append(TimedPoint(row, method, effort.share, wall, [(wall, row["cpu"])]))
             reserved = min((effort.repeats - 1) * wall, effort.share)
         finer = next((setting / other for other in ladder if other < setting), 1.0)
         # half the step takes twice as long; a tolerance costs less the higher the order
@@ -157,7 +157,7 @@ def climb_ladder(
     return rows, clock.perf_counter() - begin + reserved
 
 
-def time_again(points: Sequence[Timed], problem: Problem, repeats: int) -> None:
+def time_again(points: Sequence[TimedPoint], problem: Problem, repeats: int) -> None:
     """Time points of all methods in turns, and keep minimum, median and maximum of each.
 
     A machine is slower for minutes at a time. In turns all methods meet the same minutes, and

@@ -152,7 +152,7 @@ def _worst(position: FloatArray, other: FloatArray) -> float:
     return float(np.sqrt(np.square(position - other).sum(axis=1).max()))
 
 
-def apart(
+def displacements(
     positions: Sequence[FloatArray], others: Sequence[FloatArray]
 ) -> tuple[FloatArray, FloatArray]:
     """Return how far cells are from other places at each of m times.

@@ -15,9 +15,9 @@ from multicell.comparison.field_solvers.equations import (
     CUBES,
     SHELLS,
     SQUARES,
+    coarse_means,
     geometries,
     grids,
-    means,
 )
 from multicell.comparison.field_solvers.measure import (
     NO_CONVERGENCE,
@@ -80,7 +80,7 @@ def test_grids_are_nested_and_means_keep_amounts(geometry):
     rng = np.random.default_rng(4)
     values = rng.random(fine.filled(0.0).shape)
     for layout, factor in ((middle, 2), (coarse, 4)):
-        held = means(values, fine, factor)
+        held = coarse_means(values, fine, factor)
         assert held.size == layout.filled(0.0).size
         amounts = np.sum(layout.volumes * held.reshape(layout.filled(0.0).shape))
         assert amounts == pytest.approx(np.sum(fine.volumes * values), rel=1e-12)
@@ -210,7 +210,7 @@ def test_the_error_of_shells_is_that_against_the_closed_form():
     # the reference by ever finer grids leaves no more open than it says
     for k, found in enumerate(of_grids(scene, frame, "oxygen", STEADY, layouts)):
         problem = case(scene, frame, "oxygen", STEADY, layouts[k])
-        steady = means(problem.whole.steady_state(problem.start, 0.0)[0], layouts[k], 2**k)
+        steady = coarse_means(problem.whole.steady_state(problem.start, 0.0)[0], layouts[k], 2**k)
         error = np.abs(steady - np.array(right)).max() / problem.scale
         assert error > 1e-4
         assert abs(found.error - error) <= found.uncertainty

@@ -9,7 +9,7 @@ import pytest
 from matplotlib.colors import to_hex
 from two_cells import EXACT, PAIR, Planted, compared, step_method
 
-from multicell.comparison.measure import Timed, time_again
+from multicell.comparison.measure import TimedPoint, time_again
 from multicell.comparison.norms import NORMS, WORST_CELL
 from multicell.comparison.replay import Trajectory
 from multicell.comparison.result import WorkPrecision
@@ -261,7 +261,7 @@ def test_points_are_medians_with_bars_from_the_shortest_to_the_longest(monkeypat
     )
     result = result_of([("a", 2.0, 1e-2)])
     row = result.table[0]
-    time_again([Timed(row, EXACT, 100.0, 2.0, [(2.0, 1.5)])], None, 4)
+    time_again([TimedPoint(row, EXACT, 100.0, 2.0, [(2.0, 1.5)])], None, 4)
     assert (row["wall"], row["wall_median"], row["wall_longest"]) == (2.0, 4.5, 9.0)
     assert (row["cpu"], row["cpu_longest"]) == (1.0, 1.5)
     panel = panels(result.figure())[0]

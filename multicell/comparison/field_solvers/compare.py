@@ -5,9 +5,9 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Final, final
+from typing import Final, NamedTuple, final
 
 from multicell.comparison.field_solvers.equations import (
     BACKENDS,
@@ -20,7 +20,7 @@ from multicell.comparison.field_solvers.equations import (
 )
 from multicell.comparison.field_solvers.measure import TRIAL_PATIENCE, Bench, stability_rows
 from multicell.comparison.field_solvers.problems import KINDS, TRANSIENT, Case, case
-from multicell.comparison.field_solvers.reference import GridError, of_grids, on_one_grid
+from multicell.comparison.field_solvers.reference import of_grids, on_one_grid
 from multicell.comparison.field_solvers.result import FieldComparison, all_files
 from multicell.comparison.field_solvers.solvers import DIRECT, FieldSolver, select_solvers
 from multicell.comparison.files import CLOCKS, Row, prepare
@@ -136,19 +136,16 @@ def compare_fields(
         raise SceneError("at", "is given beside a frame, which has a time of its own")
     prepare(output, all_files(), overwrite)
     taken = frame or frame_at(described, time, threads, tell)
+    race = _Race(described, taken, wanted, backend, Effort(repeats, patience, budget, _RUNGS), tell)
     looping = [solver.name for solver in wanted if solver.iterates]
-    notes = [f"{' and '.join(looping)}: {_LOOPING}"] if looping and backend != "numba" else []
-    ladders = list(_ladders(described, taken, names, spacings, notes))
-    race = _Race(described, taken, wanted, backend, repeats, patience, budget, tell, notes)
+    if looping and backend != "numba":
+        race.notes.append(f"{' and '.join(looping)}: {_LOOPING}")
+    ladders = list(race.ladders(names, spacings))
     race.run(ladders)
-    failures: list[Row] = []
-    if stability:
-        smallest = _smallest(described, taken, ladders, notes)
-        if smallest is not None:
-            failures = stability_rows(smallest, wanted, backend, patience, tell)
+    failures = race.failures(ladders) if stability else []
     facts = {
         "cells": len(taken.cells), "time": taken.time, "backend": backend,
-        "backend_words": BACKENDS[backend], "notes": list(dict.fromkeys(notes)),
+        "backend_words": BACKENDS[backend], "notes": list(dict.fromkeys(race.notes)),
         "trial_patience": TRIAL_PATIENCE * patience,
         "spacing": {name: own_spacing(described, name) for name in names},
         "solvers": {solver.name: solver.words for solver in wanted}, "versions": versions(),
@@ -210,19 +207,12 @@ def frame_at(scene: Scene, time: float | None, threads: int | None, tell: Tell) 
     return simulation.frame()
 
 
-def _ladders(
-    scene: Scene, frame: Frame, names: Sequence[str], spacings: int, notes: list[str]
-) -> Iterator[tuple[str, str, list[Layout]]]:
-    """Yield field, geometry and its grids."""
-    for name in names:
-        found = geometries(scene, frame, name)
-        if SHELLS not in found and scene.dimensions == 3:
-            notes.append(f"{name} has no shells here: the tissue is no ball, or its sides differ")
-        for geometry in found:
-            try:
-                yield name, geometry, grids(scene, frame, name, geometry, spacings)
-            except NutrientFailed as trouble:
-                notes.append(f"{name} has no {geometry}: {trouble}")
+class _Ladder(NamedTuple):
+    """Nested grids of one geometry for one field, from coarse to fine."""
+
+    field: str
+    geometry: str
+    layouts: list[Layout]
 
 
 @final
@@ -232,10 +222,12 @@ class _Race:
 
     Attributes
     ----------
+    effort : Effort
+        Its budget is the wall time for all solvers.
+    notes
+        What is left out and why.
     series
         Solvers on problems that are still to come.
-    left : float, s
-        Wall time for all of them.
     table, grid_table
         Rows of the solvers, and of the grids' own errors.
     """
@@ -244,16 +236,28 @@ class _Race:
     frame: Frame
     solvers: Sequence[FieldSolver]
     backend: str
-    repeats: int
-    patience: float
-    left: float
+    effort: Effort
     tell: Tell
-    notes: list[str]
+    notes: list[str] = field(default_factory=list)
     series: int = 0
     table: list[Row] = field(default_factory=list)
     grid_table: list[Row] = field(default_factory=list)
 
-    def run(self, ladders: Sequence[tuple[str, str, list[Layout]]]) -> None:
+    def ladders(self, names: Sequence[str], spacings: int) -> Iterator[_Ladder]:
+        """Yield the grids of each field and geometry."""
+        for name in names:
+            found = geometries(self.scene, self.frame, name)
+            if SHELLS not in found and self.scene.dimensions == 3:
+                why = "the tissue is no ball, or its sides differ"
+                self.notes.append(f"{name} has no shells here: {why}")
+            for geometry in found:
+                try:
+                    layouts = grids(self.scene, self.frame, name, geometry, spacings)
+                    yield _Ladder(name, geometry, layouts)
+                except NutrientFailed as trouble:
+                    self.notes.append(f"{name} has no {geometry}: {trouble}")
+
+    def run(self, ladders: Sequence[_Ladder]) -> None:
         """Solve all problems.
 
         Raises
@@ -261,72 +265,66 @@ class _Race:
         SceneError
             If none can be posed.
         """
-        rivals = [(*ladder, kind) for ladder, kind in itertools.product(ladders, KINDS)]
-        self.series = sum(len(layouts) for _, _, layouts, _ in rivals) * len(self.solvers)
-        for name, geometry, layouts, kind in rivals:
-            self._along(name, geometry, kind, layouts)
+        rungs = sum(len(ladder.layouts) for ladder in ladders)
+        self.series = len(KINDS) * rungs * len(self.solvers)
+        for ladder, kind in itertools.product(ladders, KINDS):
+            self._climb(ladder, kind)
         if not self.table:
             problem = "; ".join(self.notes) or "have no problem that can be posed"
             raise SceneError("nutrients", problem)
 
-    def _along(self, name: str, geometry: str, kind: str, layouts: list[Layout]) -> None:
+    def _climb(self, ladder: _Ladder, kind: str) -> None:
         """Solve one problem on a ladder of grids."""
+        name, geometry, layouts = ladder
         self.tell(f"{name}, {kind}: errors of {geometry}")
         try:
-            spatial = of_grids(self.scene, self.frame, name, kind, layouts)
+            errors = of_grids(self.scene, self.frame, name, kind, layouts)
         except (NutrientFailed, SceneError) as trouble:
             self.notes.append(f"{name}, {kind}, on {geometry} is left out: {trouble}")
             self.series -= len(layouts) * len(self.solvers)
             return
-        for layout, error in zip(layouts, spatial, strict=True):
-            self.grid_table.append(_grid_row(name, geometry, kind, layout, error))
-            if node_count(layout) > MAX_NODES:
+        for layout, (error, uncertainty) in zip(layouts, errors, strict=True):
+            nodes = node_count(layout)
+            self.grid_table.append(
+                {
+                    "field": name, "geometry": geometry, "spacing": layout.spacing, "nodes": nodes,
+                    "problem": kind, "error": error, "uncertainty": uncertainty,
+                }
+            )  # fmt: skip
+            if nodes > MAX_NODES:
                 self.notes.append(f"solvers are not compared on more than {MAX_NODES:,} nodes")
                 self.series -= len(self.solvers)
-                continue
-            self._on(case(self.scene, self.frame, name, kind, layout), error)
+            else:
+                self._solve(case(self.scene, self.frame, name, kind, layout), error)
 
-    def _on(self, problem: Case, error: GridError) -> None:
+    def _solve(self, problem: Case, space_error: float) -> None:
         """Let all solvers try one problem on one grid."""
         bench = Bench(problem, on_one_grid(problem), self.backend)
         for solver in self.solvers:
-            share = self.left / max(self.series, 1)
-            longest = min(self.patience, max(_MIN_PATIENCE, 3.0 * share))
-            effort = Effort(self.repeats, longest, share, _RUNGS)
+            share = self.effort.budget / max(self.series, 1)
+            longest = min(self.effort.patience, max(_MIN_PATIENCE, 3.0 * share))
+            effort = replace(self.effort, patience=longest, budget=share)
             rows, spent = bench.climb(solver, effort, self.tell)
             if (why := solver.refusal(problem)) and solver.kind != DIRECT:
                 self.notes.append(f"{solver.name} is left out of {problem.name}: {why}")
-            self.table += [{**row, "space_error": error.error} for row in rows]
-            self.left -= spent
+            self.table += [{**row, "space_error": space_error} for row in rows]
+            self.effort = replace(self.effort, budget=self.effort.budget - spent)
             self.series -= 1
 
-
-def _grid_row(name: str, geometry: str, kind: str, layout: Layout, error: GridError) -> Row:
-    return {
-        "field": name, "geometry": geometry, "spacing": layout.spacing,
-        "nodes": node_count(layout), "problem": kind, "error": error.error,
-        "uncertainty": error.uncertainty,
-    }  # fmt: skip
-
-
-def _smallest(
-    scene: Scene,
-    frame: Frame,
-    ladders: Sequence[tuple[str, str, list[Layout]]],
-    notes: list[str],
-) -> Case | None:
-    """Return the transient with fewest nodes, of the first field that cells take up."""
-    eaten = [x for x in ladders if scene.nutrients[x[0]].takes_up]
-    if not eaten or not len(frame.cells):
-        notes.append("no stability map: no cell takes up any field")
-        return None
-    first = eaten[0][0]
-    layouts = [layout for name, _, found in eaten if name == first for layout in found]
-    smallest = min(
-        layouts, key=lambda layout: (node_count(layout) < _MIN_MAP_NODES, node_count(layout))
-    )
-    try:
-        return case(scene, frame, first, TRANSIENT, smallest)
-    except (NutrientFailed, SceneError) as trouble:
-        notes.append(f"no stability map: {trouble}")
-        return None
+    def failures(self, ladders: Sequence[_Ladder]) -> list[Row]:
+        """Return where solvers fail: in the smallest transient of the first field taken up."""
+        eaten = [x for x in ladders if self.scene.nutrients[x.field].takes_up]
+        if not eaten or not len(self.frame.cells):
+            self.notes.append("no stability map: no cell takes up any field")
+            return []
+        name = eaten[0].field
+        layouts = [layout for x in eaten if x.field == name for layout in x.layouts]
+        layouts.sort(key=node_count)
+        large = [layout for layout in layouts if node_count(layout) >= _MIN_MAP_NODES]
+        try:
+            problem = case(self.scene, self.frame, name, TRANSIENT, (large or layouts)[0])
+        except (NutrientFailed, SceneError) as trouble:
+            self.notes.append(f"no stability map: {trouble}")
+            return []
+        patience = self.effort.patience
+        return stability_rows(problem, self.solvers, self.backend, patience, self.tell)

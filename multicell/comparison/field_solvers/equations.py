@@ -98,10 +98,10 @@ def grids(scene: Scene, frame: Frame, field: str, geometry: str, count: int) -> 
     first = laid(2.0 * parameters.spacing)
     if max(first.filled(0.0).shape) < MIN_NODES:
         first = laid(parameters.spacing)
-    return [refined(first, 2**k) for k in range(count)]
+    return [refine(first, 2**k) for k in range(count)]
 
 
-def refined(layout: Layout, factor: int) -> Layout:
+def refine(layout: Layout, factor: int) -> Layout:
     """Return a grid of which ``factor`` nodes make one of another along each axis."""
     if isinstance(layout, ShellLayout):
         return ShellLayout(layout.centre, layout.spacing / factor, factor * layout.count)
@@ -113,7 +113,7 @@ def refined(layout: Layout, factor: int) -> Layout:
     return BoxLayout(Box((x, y, z), (nx, ny, nz), h, box.height))
 
 
-def means(values: FloatArray, layout: Layout, factor: int) -> FloatArray:
+def coarse_means(values: FloatArray, layout: Layout, factor: int) -> FloatArray:
     """Return the means over the nodes of a grid ``factor`` times as coarse; amounts stay."""
     if isinstance(layout, ShellLayout):
         parts = layout.volumes.reshape(-1, factor)

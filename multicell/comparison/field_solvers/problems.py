@@ -138,7 +138,7 @@ def case(scene: Scene, frame: Frame, field: str, kind: str, layout: Layout) -> C
         length = max(usual_step(scene), 2.0 * SPAN * slowest)
         quiet = length - 0.5 * SPAN * slowest
         whole = with_medium(equation, [(0.0, level), (quiet, 0.5 * level)])
-        _refuse_unreached(equation, field, level)
+        _refuse_unreached(whole, field, level)
         half = with_medium(equation, [(0.0, 0.5 * level)])
         pieces = (Piece(equation, 0.0, quiet), Piece(half, quiet, length))
     return Case(

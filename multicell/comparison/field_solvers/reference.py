@@ -15,7 +15,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
 
 import numpy as np
 
@@ -23,9 +23,9 @@ from multicell.cells import FloatArray
 from multicell.comparison.field_solvers.equations import (
     FieldEquation,
     Layout,
-    means,
+    coarse_means,
     node_count,
-    refined,
+    refine,
 )
 from multicell.comparison.field_solvers.problems import STEADY, Case, case
 from multicell.comparison.field_solvers.solvers import SOLVERS, Attempt
@@ -132,9 +132,7 @@ def _at_rest(problem: Case, equation: FieldEquation) -> Exact:
     return Exact(data, last / problem.scale, words)
 
 
-@final
-@dataclass(frozen=True)
-class GridError:
+class GridError(NamedTuple):
     """What a grid itself gets wrong, over the scale of the problem; NaN where it is not known.
 
     ``uncertainty`` is what the extrapolation from the finest grids leaves open.
@@ -170,13 +168,13 @@ def of_grids(
     """
     layouts = list(grids)
     while (
-        node_count(finer := refined(layouts[-1], 2)) <= max_nodes and len(layouts) < len(grids) + 2
+        node_count(finer := refine(layouts[-1], 2)) <= max_nodes and len(layouts) < len(grids) + 2
     ):
         layouts.append(finer)
     solved = [_solution(case(scene, frame, field, kind, layout)) for layout in layouts]
     scale = solved[-1][1]
     # all by means over the coarsest nodes: nearer to a cell there is no limit
-    found = [means(values, layouts[k], 2**k) for k, (values, _) in enumerate(solved)]
+    found = [coarse_means(values, layouts[k], 2**k) for k, (values, _) in enumerate(solved)]
     if len(found) == 1:
         return [GridError(math.nan, math.nan)]
     change = [float(np.abs(b - a).max()) / scale for a, b in itertools.pairwise(found)]

@@ -37,8 +37,8 @@ class StabilityMap(Comparison):
     scene : Scene
     table : list of dict
         One row for each trial: ``sweep`` (empty for the scene itself) and ``value``, ``state`` (a
-        key of :data:`multicell.comparison.stability_limits.unsettled.STATES`), ``cells``, ``rate``
-        (λ_max, 1/s; of a state that is not settled the largest on the way), ``end_rate`` (λ_max at
+        key of :data:`multicell.comparison.stability_limits.moving_states.STATES`), ``cells``,
+        ``rate`` (λ_max, 1/s; of a moving state the largest on the way), ``end_rate`` (λ_max at
         the end), ``growth_rate`` (μ at the start, 1/s; NaN from a settled state), ``length`` (of a
         trial, s; NaN from a settled state), ``method``, ``control`` (``"tolerance"`` in mean
         radii or ``"step"`` in s), ``setting``, ``theory`` (largest stable step, s; infinite for
