@@ -148,7 +148,7 @@ def _panel(
 ) -> None:  # fmt: skip
     """Draw the curves of one norm over one cost, with decades of the same length.
 
-    Shaded are the errors that the reference cannot tell from zero, and those that a shift makes.
+    Errors within the uncertainty of the reference, and within the effect of a shift, are shaded.
     """
     series = {method: points(result, norm, cost, method) for method in styles}
     draw_curves(axes, series, styles, size)

@@ -1,10 +1,10 @@
 """The conditioning of single coupling steps: what a random shift of all positions does to the end.
 
-Fresh daughters and contacts that form are unstable: there a coupling step amplifies whatever
-is wrong at its beginning, whatever the method, and now and then a cell falls into another pocket.
-Elsewhere the step forgets a shift. So the error of a method is judged beside the change that a
-shift of the tolerance's size makes to the end, solved by the method of the reference. Below that
-floor the difference of two trajectories tells nothing about a method.
+Fresh daughters and contacts that form are unstable: there a coupling step amplifies any error at
+its beginning, by every method, and now and then a cell falls into another pocket. Elsewhere a step
+damps a shift. The error of a method is therefore compared with the change that a shift of the
+tolerance's size makes to the end, solved by the method of the reference. Smaller errors are
+indistinguishable from that noise.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the page of a comparison says beside its table."""
+"""Contents of the page of a comparison."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ Range = tuple[float, float]
 """Smallest and largest value on a logarithmic axis."""
 
 UNCERTAIN: Final = "#e9edf0"
-"""Colour of errors that the reference cannot tell from zero."""
+"""Colour of errors within the uncertainty of the reference."""
 
 _MARGIN: Final = 0.12  # decades between the data and the end of an axis
 _SHORTEST: Final = 0.8  # decades of an axis at least

@@ -1,12 +1,12 @@
 """Record a scene once: all its coupling steps with their events, or a sample of them.
 
-Of each coupling step the motion (radii and their rates, moduli) and what the events did to the
-cells are kept. In a growing or driven population the trajectories of any two methods part after a
-while: a contact that forms a moment later sends cells into another pocket, and an error at the
-end of the run then tells nothing about a method. There a *sample* of the steps is kept, each with
-the state at its beginning, from which every method starts; no error is carried from one step to
-the next. The sample is taken from the middles of equal parts of the run: the first steps, in which
-an artificial beginning collapses, are typical of nothing.
+Each coupling step is recorded with its motion (radii and their rates, moduli) and with what the
+events did to the cells. In a growing or driven population the trajectories of any two methods
+diverge: a contact that forms a moment later sends cells into another pocket, and the error at the
+end of the run no longer measures a method. For such runs a *sample* of the steps is recorded, each
+with the state at its beginning, from which every method starts; no error is carried from one step
+to the next. The sample is taken from the middles of equal parts of the run, because the first
+steps, in which an artificial beginning collapses, are not typical.
 """
 
 from __future__ import annotations
@@ -61,10 +61,10 @@ class RecordedStep(NamedTuple):
 
 @final
 class Recorder:
-    """An integrator that notes what passes through another one: all of it, or evenly some.
+    """Record the steps of another integrator: all of them, or an even sample.
 
-    How many steps there will be is not known before the end. So for a sample every step is kept
-    at first; whenever there are too many, every second one is dropped.
+    The number of steps is not known before the end. For a sample every step is stored at first;
+    whenever there are too many, every second one is dropped.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """The reference solution, and how far it can be trusted.
 
 The solution is computed twice, by two methods or with two tolerances. The difference of the two,
-in every norm, is the uncertainty of the reference: what a method is off by less than that says
-nothing about the method. Of single coupling steps the conditioning is part of the reference too
+in every norm, is the uncertainty of the reference: smaller errors of a method mean nothing. For
+single coupling steps the conditioning is part of the reference
 (:mod:`multicell.comparison.conditioning`).
 """
 
@@ -164,7 +164,7 @@ def default_pairs(scene: Scene, unsolved: Problem, stepwise: int | None = None) 
 
 
 def _about(solved: Reference) -> dict[str, Any]:
-    """Return what the cache holds beside the problem and its solution, as JSON can hold it."""
+    """Return what the cache stores besides the problem and its solution, as JSON."""
     about = {name: getattr(solved, name) for name in ("uncertainty", "wall", "words")}
     known = solved.conditioning
     return about | {"conditioning": None if known is None else known.to_dict()}
@@ -263,16 +263,16 @@ def _recorded(
     recording: dict[str, Any],
     tell: Callable[[str], None],
 ) -> tuple[Problem, Trajectory]:
-    """Return the run, or a sample of it, by a method; every tenth of it is told."""
+    """Return the run, or a sample of it, by a method; report every tenth of it."""
     states = "" if recording["samples"] is None else "states by "
     tell(f"reference: {states}{method.name} at {setting:g}")
-    told = 0
+    reported = 0
 
     def share(part: float) -> None:
-        nonlocal told
-        if int(10.0 * part) > told:
-            told = int(10.0 * part)
-            tell(f"reference: {10 * told} % of the scene")
+        nonlocal reported
+        if int(10.0 * part) > reported:
+            reported = int(10.0 * part)
+            tell(f"reference: {10 * reported} % of the scene")
 
     return record(unsolved.scene, method.make(setting), progress=share, **recording)
 

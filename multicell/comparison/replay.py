@@ -184,8 +184,8 @@ def replay(problem: Problem, integrator: Integrator, limit: float = np.inf) -> T
     Returns
     -------
     Trajectory
-        Of a failure the words are kept, whatever it was: in a chart of many methods the fault
-        of one must not lose the others.
+        A failure is returned in words, whatever it was: in a chart of many methods the fault of
+        one must not lose the others.
     """
     system = problem.system()
     position = problem.start
@@ -210,14 +210,13 @@ def replay(problem: Problem, integrator: Integrator, limit: float = np.inf) -> T
 
 @final
 class _OutOfTime(Exception):  # noqa: N818 - it names what happened
-    """A solve has taken longer than it may."""
+    """Report a solve that takes longer than it may."""
 
 
 def solve_compiled(solve: Callable[[], T]) -> tuple[T, float]:
-    """Return what a solve gives in which nothing is compiled, and the wall time lost before, s.
+    """Solve without compiling; return the result and the wall time lost to compilation, s.
 
-    A tolerance or a step may be the first to need some kernel. It is solved again then: what it
-    has compiled is there the second time.
+    A tolerance or a step may be the first to need some kernel; then it is solved a second time.
     """
     begin = clock.perf_counter()
     with install_recorder("numba:compile") as compiled:

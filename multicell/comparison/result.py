@@ -45,7 +45,7 @@ class WorkPrecision(StoredComparison):
         (``"tolerance"`` in mean radii, or ``"step"`` in s), ``setting``, ``status`` (``"done"``,
         ``"failed"``, or ``"skipped"`` where it would have taken too long), ``words`` (of a
         failure), ``wall`` and ``cpu`` (s on the wall and of the processors, the minimum of several
-        solves; ``wall_median``, ``wall_longest`` and the same of ``cpu`` tell how they spread),
+        solves; ``wall_median``, ``wall_longest`` and the same of ``cpu`` show their spread),
         ``spent`` (s, the one solve that the errors are of, also of a failure),
         ``error_...`` in every norm of :data:`multicell.comparison.norms.NORMS`, dimensionless,
         ``worst_cell_um`` and ``worst_cell_median_um`` (the worst cell's error in µm),
@@ -61,8 +61,8 @@ class WorkPrecision(StoredComparison):
     clock : "wall" or "cpu"
         The time that judges.
     conditioning : Conditioning or None
-        Of single coupling steps: the floor below which a difference of trajectories tells nothing
-        of a method (:mod:`multicell.comparison.conditioning`).
+        Of single coupling steps: the floor below which the error of a method is indistinguishable
+        from noise (:mod:`multicell.comparison.conditioning`).
     """
 
     scene: Scene
@@ -157,10 +157,9 @@ class WorkPrecision(StoredComparison):
         return dict(sorted(reached.items(), key=lambda item: item[1][self.clock]))
 
     def below_floor(self, norm: str = "worst_cell_median") -> list[Row]:
-        """Return the rows whose error is not above what a shift of all positions does.
+        """Return the rows whose error is not above the effect of a shift of all positions.
 
-        Of these the difference of trajectories says nothing: the step changes a shift of that
-        size by more. Without conditioning there are none.
+        Such errors are indistinguishable from noise. Without conditioning there are none.
         """
         self._check(norm)
         if self.conditioning is None:

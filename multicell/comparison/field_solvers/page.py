@@ -1,4 +1,4 @@
-"""What the page and the terminal say of a comparison of field solvers."""
+"""Contents of the page of a comparison of field solvers, and its report for the terminal."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the page of a study of stability says beside its table."""
+"""Contents of the page of a study of stability."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def context(result: StabilityMap) -> dict[str, Any]:
 
 
 def _moving_tiles(row: Row) -> dict[str, str]:
-    """Return what there is to say of a state that is not settled."""
+    """Return the tiles of a moving state."""
     if row["state"] == "settled":
         return {}
     return {

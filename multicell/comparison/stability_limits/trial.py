@@ -37,9 +37,9 @@ KINDS: Final = {
     STALL: "the end is not reached within the allowed steps, or nothing moves where it should",
     WRONG: "cells pass through each other, displacements alternate from step to step, the energy "
     "rises, or the end is not that of the reference",
-    DAMPED: "the end is not that of the reference, and earlier a cell did not follow a motion that "
-    "grows: when the true one left the neighbourhood of the start it had gone less than half of "
-    "that way, in steps longer than 1/μ of the growth",
+    DAMPED: "the end is not that of the reference, and earlier a cell did not follow an unstable "
+    "mode: when the true cell left the neighbourhood of the start, this one had moved less than "
+    "half as far, in steps longer than 1/μ of the growth",
 }
 """How a trial ends -> what that means.
 
