@@ -39,7 +39,7 @@ class Comparison(ABC):
         return self.scene.title or "Untitled scene"
 
     @abstractmethod
-    def tables(self) -> dict[str, Sequence[Row]]:
+    def tables(self) -> Mapping[str, Sequence[Row]]:
         """Return the tables to write: name of a CSV file -> rows."""
 
     @abstractmethod

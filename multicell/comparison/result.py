@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Self, final
@@ -211,7 +211,7 @@ class WorkPrecision(StoredComparison):
 
         return norms(self)
 
-    def tables(self) -> dict[str, Sequence[Row]]:
+    def tables(self) -> Mapping[str, Sequence[Row]]:
         """Return all solves, and the conditioning of single steps."""
         found: dict[str, Sequence[Row]] = {"workprecision.csv": self.table}
         if self.conditioning is not None:
@@ -222,7 +222,7 @@ class WorkPrecision(StoredComparison):
         """Return error over cost for all cells and the worst one, and all norms."""
         from multicell.comparison.page import CAPTIONS
 
-        draw = {
+        draw: dict[str, Callable[[], Figure]] = {
             "workprecision.png": self.figure,
             "worst-cell.png": partial(self.figure, "worst_cell"),
             "norms.png": self.norms_figure,

@@ -80,7 +80,7 @@ def solvers(result: FieldComparison, field: str) -> Figure:
             _panel(axes, strip, result, own, styles)
             strip.set_title(f"{kind}, {geometry}", fontsize=11, pad=5)
             _label(axes, result, last=row == len(shown) - 1, first=column == 0)
-    others = [
+    others: list[Line2D | Patch] = [
         Line2D([], [], color=INK, lw=4.5, alpha=0.13, label="Pareto front"),
         Line2D([], [], color=_GRID, lw=1.3, ls=":", label="error of the grid itself"),
         Patch(color=UNCERTAIN, label="reference unsure"),
@@ -139,10 +139,10 @@ def stability_map(result: FieldComparison) -> Figure:
     where = f"{first['nodes']:,} {first['geometry']} of {first['spacing']:.3g} µm"
     subtitle = f"{first['field']}: where solvers fail in a transient · {where}"
     figure = blank(result.title, subtitle, (wide, tall))
-    for row, line in enumerate(lines):
+    for level, line in enumerate(lines):
         for column, name in enumerate(line):
             left = 0.85 + column * (_MAP_WIDTH + 0.28)
-            base = tall - 1.0 - (row + 1) * (_MAP_HEIGHT + 0.95) + 0.65
+            base = tall - 1.0 - (level + 1) * (_MAP_HEIGHT + 0.95) + 0.65
             place = (left / wide, base / tall, _MAP_WIDTH / wide, _MAP_HEIGHT / tall)
             axes = figure.add_axes(place, label=name)
             _map(axes, trials[name])

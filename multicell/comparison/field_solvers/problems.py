@@ -131,7 +131,8 @@ def case(scene: Scene, frame: Frame, field: str, kind: str, layout: Layout) -> C
     scale = _scale(equation, start, level, kind)
     slowest = _slowest_time(equation, start)
     limit = 2.0 / fastest_rate(equation, scale, start)
-    whole, pieces = equation, (Piece(equation, 0.0, np.inf),)
+    whole = equation
+    pieces: tuple[Piece, ...] = (Piece(equation, 0.0, np.inf),)
     if kind == TRANSIENT:
         pieces = (Piece(equation, 0.0, SPAN * slowest),)
     elif kind == SWITCH:

@@ -90,8 +90,9 @@ class FieldComparison(StoredComparison):
         KeyError, ValueError
             If the table describes something else.
         """
-        tables = [rows_from(table[name]) for name in ("table", "grids", "failures")]
-        return cls(Scene.from_dict(table["scene"]), *tables, table["facts"], table["clock"])
+        rows, grids, failures = (rows_from(table[name]) for name in ("table", "grids", "failures"))
+        scene = Scene.from_dict(table["scene"])
+        return cls(scene, rows, grids, failures, table["facts"], table["clock"])
 
     def to_dict(self) -> dict[str, Any]:
         """Return tables, facts and scene as numbers, text and lists."""
@@ -172,7 +173,7 @@ class FieldComparison(StoredComparison):
         """Return the rows of the solves that failed."""
         return self.with_values(status=FAILED)
 
-    def tables(self) -> dict[str, Sequence[Row]]:
+    def tables(self) -> Mapping[str, Sequence[Row]]:
         """Return all solves, the errors of the grids, and how solvers fail."""
         found = {"field-solvers.csv": self.table, "field-grids.csv": self.grids}
         return found | ({"field-stability.csv": self.failures} if self.failures else {})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Final, final
 
@@ -129,7 +129,7 @@ class StabilityMap(Comparison):
         """Return the limits at the scene itself and along all sweeps."""
         return [row for sweep in ("", *self.sweeps()) for row in self.limits(sweep)]
 
-    def tables(self) -> dict[str, Sequence[Row]]:
+    def tables(self) -> Mapping[str, Sequence[Row]]:
         """Return all trials, and the limits."""
         return {"stability.csv": self.table, "limits.csv": self.all_limits()}
 
