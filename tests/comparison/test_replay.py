@@ -214,11 +214,11 @@ def noted(total, count):
             return position
 
     sampler = Recorder(Stays(), count)
-    kept_steps = 0
+    stored = 0
     for k in range(total):
         sampler.integrate(System(), np.full((1, 3), float(k)))
-        kept_steps = max(kept_steps, len(sampler.kept_steps))
-    return [int(state.start[0, 0]) for state in sampler.chosen()], kept_steps
+        stored = max(stored, len(sampler.steps))
+    return [int(state.start[0, 0]) for state in sampler.select()], stored
 
 
 @pytest.mark.parametrize(("total", "count"), [(1, 4), (7, 24), (24, 24), (25, 24), (97, 5)])
@@ -232,9 +232,9 @@ def test_a_sample_is_taken_from_the_middles_of_equal_parts(total, count):
 
 
 def test_a_long_run_is_sampled_with_few_states_held():
-    chosen, kept_steps = noted(5000, 6)
-    assert kept_steps <= 16 * 6 + 1
-    # states are kept_steps at a stride of at most an eighth of the distance between two samples
+    chosen, stored = noted(5000, 6)
+    assert stored <= 16 * 6 + 1
+    # states are stored at a stride of at most an eighth of the distance between two samples
     middles = (np.arange(6) + 0.5) * 5000 / 6
     np.testing.assert_allclose(chosen, middles, atol=5000 / 6 / 16 + 1)
 

@@ -138,8 +138,8 @@ def test_chart_page_and_csv_state_the_mode(failing, tmp_path):
     assert "positions, largest over the steps / mean radius" in page
     rows = list(csv.DictReader(io.StringIO((tmp_path / "workprecision.csv").read_text())))
     assert {row["mode"] for row in rows} == {mode}
-    kept_steps = json.loads((tmp_path / "workprecision.json").read_text())
-    assert "over the steps" in kept_steps["norms"]["energy"]
+    table = json.loads((tmp_path / "workprecision.json").read_text())
+    assert "over the steps" in table["norms"]["energy"]
     whole = compared([EXACT], [1.0], stepwise=False)
     assert whole.table[0]["mode"] == "whole run"
     assert not any("step-wise" in text.get_text() for text in whole.figure().texts)
