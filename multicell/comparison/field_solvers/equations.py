@@ -182,7 +182,7 @@ class CountedEquation(PDEBase):  # type: ignore[no-untyped-call]
         self.explicit_time_dependence = equation.explicit_time_dependence
         self.evaluations = 0
         # what solvers ask an equation for beside its rates
-        self.make_evolution_rate: Any = equation.make_evolution_rate  # type: ignore[method-assign]
+        self.make_evolution_rate: Any = equation.make_evolution_rate
         self.shifted_inverse: Callable[[FloatArray, float], Inverse] = equation.shifted_inverse
         self.switches, self.steady_state = equation.switches, equation.steady_state
         self.check = equation.check
