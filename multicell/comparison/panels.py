@@ -159,7 +159,7 @@ def draw_legend(
         handles=handles, loc="upper left", bbox_to_anchor=place, fontsize=10,
         labelspacing=0.5, handlelength=1.8, borderaxespad=0.0,
     )  # fmt: skip
-    below = place[1] - (0.203 * len(handles) + 0.12) / figure.get_figheight()
+    below = place[1] - (0.208 * len(handles) + 0.14) / figure.get_figheight()
     figure.text(
         place[0] + 0.01, below, "\n".join(_pale_names(styles)), fontsize=8, color=QUIET, va="top",
         linespacing=1.35,
