@@ -22,14 +22,13 @@ from multicell.comparison.field_solvers.measure import TRIAL_PATIENCE, Bench, st
 from multicell.comparison.field_solvers.problems import KINDS, TRANSIENT, Case, case
 from multicell.comparison.field_solvers.reference import of_grids, on_one_grid
 from multicell.comparison.field_solvers.result import FieldComparison, all_files
-from multicell.comparison.field_solvers.solvers import DIRECT, FieldSolver, select_solvers
+from multicell.comparison.field_solvers.solvers import DIRECT, SOLVERS, FieldSolver, select_names
 from multicell.comparison.files import CLOCKS, Row, prepare
 from multicell.comparison.measure import Effort
 from multicell.errors import NutrientFailed, SceneError
 from multicell.results.folder import versions
 from multicell.results.frame import Frame
 from multicell.scene.scene import Scene, load_scene
-from multicell.schema import near_miss
 from multicell.simulation import Simulation
 from multicell.units import to_base
 
@@ -127,8 +126,13 @@ def compare_fields(
         If the run to ``at`` fails. Solvers that fail are rows of the table.
     """
     described = scene if isinstance(scene, Scene) else load_scene(scene)
-    names = _select_fields(described, fields)
-    wanted = select_solvers(solvers)
+    if not described.nutrients:
+        problem = "are none: the scene has no fields whose solvers could be compared"
+        raise SceneError("nutrients", problem)
+    names = select_names("fields", fields, described.nutrients, "field of the scene")
+    wanted = [
+        SOLVERS[name] for name in select_names("solvers", solvers, SOLVERS, "solver of fields")
+    ]
     _check(clock, backend, spacings)
     tell = progress or (lambda _: None)
     time = None if at is None else _time(at, described)
@@ -154,22 +158,6 @@ def compare_fields(
     if output is not None:
         result.save(output)
     return result
-
-
-def _select_fields(scene: Scene, fields: Sequence[str] | None) -> list[str]:
-    """Return the fields that are wanted."""
-    if not scene.nutrients:
-        problem = "are none: the scene has no fields whose solvers could be compared"
-        raise SceneError("nutrients", problem)
-    if fields is None:
-        return list(scene.nutrients)
-    if isinstance(fields, str) or not fields:
-        raise SceneError("fields", f"is {fields!r}, expected a list of names")
-    for name in fields:
-        if name not in scene.nutrients:
-            hint = near_miss(name, scene.nutrients) or f"Has {', '.join(scene.nutrients)}."
-            raise SceneError("fields", f"has {name!r}, which is no field of the scene", hint)
-    return list(fields)
 
 
 def _check(clock: str, backend: str, spacings: int) -> None:

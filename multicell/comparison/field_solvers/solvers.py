@@ -9,7 +9,7 @@ can take.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import reduce
 from typing import Any, Final, cast, final
@@ -136,23 +136,25 @@ SOLVERS: Final = {
 """Name -> solver: ours, then py-pde's, SciPy's through py-pde's last."""
 
 
-def select_solvers(names: Sequence[str] | None) -> list[FieldSolver]:
-    """Return the solvers of some names, by default all.
+def select_names(
+    key: str, names: Sequence[str] | None, known: Iterable[str], what: str
+) -> list[str]:
+    """Return the names that are asked for, by default all that are known.
 
     Raises
     ------
     SceneError
-        For a name that is none, and where there is none.
+        For a name that is not known, and where there is none.
     """
+    known = list(known)
     if names is None:
-        return list(SOLVERS.values())
+        return known
     if isinstance(names, str) or not names:
-        raise SceneError("solvers", f"is {names!r}, expected a list of names")
+        raise SceneError(key, f"is {names!r}, expected a list of names")
     for name in names:
-        if name not in SOLVERS:
-            hint = near_miss(name, SOLVERS) or f"There are {', '.join(SOLVERS)}."
-            raise SceneError("solvers", f"has {name!r}, which is no solver of fields", hint)
-    return [SOLVERS[name] for name in dict.fromkeys(names)]
+        if name not in known:
+            raise SceneError(key, f"has {name!r}, which is no {what}", near_miss(name, known))
+    return list(dict.fromkeys(names))
 
 
 @final
