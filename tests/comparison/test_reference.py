@@ -143,7 +143,7 @@ def test_a_cached_reference_is_not_used_when_anything_changed(
 )
 def test_cvode_as_reference_is_as_tight_as_the_scene_allows(name, changes, tolerance):
     scene = load_scene(name).with_changes(changes)
-    *_, last = references.default_pairs(scene, references.blank(scene, None, 1))
+    *_, last = references.default_pairs(scene, references.unsolved_problem(scene, None, 1))
     assert [(method.name, setting) for method, setting in last] == [
         ("cvode", tolerance),
         ("cvode", 10.0 * tolerance),
@@ -152,7 +152,7 @@ def test_cvode_as_reference_is_as_tight_as_the_scene_allows(name, changes, toler
 
 def test_an_order_of_eight_is_the_reference_and_another_method_checks_it():
     (best, _), few = (
-        references.default_pairs(scene, references.blank(scene, None, 1))
+        references.default_pairs(scene, references.unsolved_problem(scene, None, 1))
         for scene in (PAIR, load_scene("settle").with_changes({"initial.count": 2500}))
     )
     assert [(method.name, setting) for method, setting in best] == [
