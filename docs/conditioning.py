@@ -28,10 +28,10 @@ import numpy as np
 
 import multicell as mc
 from multicell.cells import Cells
-from multicell.comparison.conditioning import SHIFT, shifted
-from multicell.comparison.ladders import named
-from multicell.comparison.norms import apart
-from multicell.comparison.reference import Reference, paired, reference
+from multicell.comparison.conditioning import SHIFT, shift_starts
+from multicell.comparison.ladders import find_method
+from multicell.comparison.norms import displacements
+from multicell.comparison.reference import Reference, method_pair, reference
 from multicell.comparison.replay import advance, replay
 from multicell.mechanics.growth_rate import largest_growth_rate
 
@@ -68,7 +68,7 @@ def solved(viscosity: float, steps: int) -> Reference:
     """Return the steps with their reference and conditioning."""
     scene, cells = grown(viscosity, steps)
     radius = float(cells.radius.mean())
-    pair = paired([(name, atol / radius) for name, atol in REFERENCE], scene, radius)
+    pair = method_pair([(name, atol / radius) for name, atol in REFERENCE], scene, radius)
     return reference(scene, pair=pair, stepwise=steps, shift=SHIFT, cells=cells, cache=False)
 
 
@@ -78,15 +78,17 @@ def errors(exact: Reference, viscosity: float) -> list[Row]:
     assert known is not None
     ends = [("shift", SHIFT, known.rms, known.worst_cell)]
     for shift in SHIFTS:
-        solver = named("rkc2", problem.scene, problem.mean_radius).make(1e-4 / problem.mean_radius)
-        found = replay(shifted(problem, shift), solver)
-        ends.append(("shift", shift, *apart(found.positions, exact.trajectory.positions)))
+        solver = find_method("rkc2", problem.scene, problem.mean_radius).make(
+            1e-4 / problem.mean_radius
+        )
+        found = replay(shift_starts(problem, shift), solver)
+        ends.append(("shift", shift, *displacements(found.positions, exact.trajectory.positions)))
     for name, atol in METHODS:
-        method = named(name, problem.scene, problem.mean_radius)
+        method = find_method(name, problem.scene, problem.mean_radius)
         found = replay(problem, method.make(atol / problem.mean_radius))
         if not found.done:
             raise SystemExit(f"{name} at {atol:g} µm and {viscosity:g} kPa·s: {found.problem}")
-        ends.append((name, atol, *apart(found.positions, exact.trajectory.positions)))
+        ends.append((name, atol, *displacements(found.positions, exact.trajectory.positions)))
     return [
         {"viscosity_kPa_s": viscosity, "method": name, "tolerance_um": atol, "step": k,
          "cells": int(problem.counts[k]), "radius_um": problem.mean_radius,
@@ -100,7 +102,7 @@ def growth(exact: Reference, viscosity: float) -> list[Row]:
     """Return μ at the times of :data:`AFTER`, one row each for every step."""
     problem = exact.problem
     radius = problem.mean_radius
-    solver = named("rkc2", problem.scene, radius).make(REFERENCE[0][1] / radius)
+    solver = find_method("rkc2", problem.scene, radius).make(REFERENCE[0][1] / radius)
     rows = []
     for (k, step), after in product(enumerate(problem.steps), AFTER):
         system = problem.system()

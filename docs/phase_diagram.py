@@ -31,7 +31,7 @@ from phase_race import REACHED, SLOW, not_tried, race, warm_up
 from phase_tables import Point, crossings_table, points, points_table
 
 from multicell.comparison.files import Row, to_csv
-from multicell.comparison.ladders import Method, named
+from multicell.comparison.ladders import Method, find_method
 
 HERE = Path(__file__).parent
 NAME = "phase-diagram"
@@ -94,7 +94,7 @@ def tried(tile: Tile, methods: Sequence[str], rows: Sequence[Row]) -> list[Row]:
     kept = rows_of(rows, tile)
     step = solved(tile.state, tile.cells, tile.stiffness, tile.seed)
     missing = [name for name in methods if name not in {row["method"] for row in kept}]
-    chosen = [named(name, step.problem.scene, step.problem.mean_radius) for name in missing]
+    chosen = [find_method(name, step.problem.scene, step.problem.mean_radius) for name in missing]
     hopeless = {m.name: why for m in chosen if (why := slower(m, tile, rows)) is not None}
     turn = tile.seed + STATES.index(tile.state) + round(2.0 * math.log10(tile.stiffness))
     racing = [m for m in chosen if m.name not in hopeless]
@@ -202,7 +202,7 @@ def compute(given: argparse.Namespace) -> None:
     if not open_tiles:
         return
     small = solved("divided", 100, 1e3, 1)
-    warm_up(small, [named(m, small.problem.scene, small.problem.mean_radius)
+    warm_up(small, [find_method(m, small.problem.scene, small.problem.mean_radius)
                     for m in given.methods])  # fmt: skip
     begin = time.perf_counter()
     for k, tile in enumerate(open_tiles):

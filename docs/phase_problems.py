@@ -24,8 +24,8 @@ from multicell.biology.division import divide
 from multicell.biology.plan import biology_plan
 from multicell.cells import SPHERE, Cells, FloatArray
 from multicell.comparison.cache import cache_folder, source_hash
-from multicell.comparison.conditioning import shifted
-from multicell.comparison.ladders import named
+from multicell.comparison.conditioning import shift_starts
+from multicell.comparison.ladders import find_method
 from multicell.comparison.norms import gyration, pair_distances
 from multicell.comparison.replay import Problem, Step, Trajectory, replay
 from multicell.integrators.rosenbrock import Rosenbrock
@@ -191,7 +191,7 @@ def _reference(
 ) -> dict[str, FloatArray | float]:
     """Return end, uncertainty, conditioning and cost; a tighter one where that is too open."""
     radius, atol = step.mean_radius, SOLVED
-    turned = named(method, step.scene, radius)
+    turned = find_method(method, step.scene, radius)
 
     def run(task: Problem, tolerance: float) -> Trajectory:
         tell(f"reference: {method} at {tolerance:g} µm")
@@ -201,7 +201,7 @@ def _reference(
         return ends
 
     check = run(step, 10.0 * atol)
-    shifts = [run(shifted(step, PART * a * radius), 10.0 * atol) for a in ACCURACIES]
+    shifts = [run(shift_starts(step, PART * a * radius), 10.0 * atol) for a in ACCURACIES]
     end = run(step, atol)
     conditioning = [_worst(s.positions[0], check.positions[0]) / radius for s in shifts]
     uncertainty = _worst(end.positions[0], check.positions[0]) / radius

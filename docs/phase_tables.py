@@ -10,10 +10,10 @@ from typing import Final, final
 
 import numpy as np
 from phase_race import REACHED
+from phase_ratios import Interval, mean_crossing, mean_ratio
 
 from multicell.cells import FloatArray
 from multicell.comparison.files import Row
-from multicell.comparison.ratios import Interval, mean_crossing, mean_ratio
 
 MIXED: Final = ("auto",)
 """Methods that choose between both kinds: they stand beside the ratio, not in it."""

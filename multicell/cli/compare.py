@@ -80,7 +80,7 @@ def _comparing(command: Callable[..., None]) -> Callable[..., None]:
     is_flag=False,
     flag_value=24,
     help="Compare N coupling steps of the run (24 if no number is given), each from its own "
-    "recorded state: for scenes whose trajectories part.",
+    "recorded state: for scenes whose trajectories diverge.",
 )
 @click.option(
     "--shift",
@@ -135,9 +135,9 @@ def compare(
 ) -> None:
     """Chart error against cost of integration methods on a SCENE.
 
-    All methods replay the same events at the same times; the reference is computed twice, and
-    its own uncertainty is part of the chart. Trajectories of a growing or driven population part
-    whatever the method: compare those with --stepwise.
+    All methods replay the same events at the same times. The reference is computed twice, and
+    its uncertainty is part of the chart. Trajectories of a growing or driven population diverge
+    with any method: compare those with --stepwise.
 
     With --fields the cells stay as they are, and solvers of the nutrient fields are compared on
     steady, transient and switching-medium problems, on grids of several spacings.
@@ -215,9 +215,9 @@ def stability(
 ) -> None:
     """Find the largest stable step of each method on a SCENE, and how it fails beyond.
 
-    Parameters of the scene are swept one at a time; limits stand beside theory. From another
-    --state than settled each method goes over one coupling step, and a method that keeps cells
-    where the true motion truly grows is said to damp a real instability.
+    Parameters of the scene are swept one at a time; limits are compared with theory. From another
+    --state than settled each method solves one coupling step, and a method that suppresses
+    unstable modes of the true motion is reported to damp a real instability.
     """
     described = scene_of(scene, changes, law)
     from multicell import comparison

@@ -1,4 +1,4 @@
-"""Methods of integration against each other: work, precision, stability."""
+"""Compare methods of integration and field solvers: error against cost, limits of stability."""
 
 from __future__ import annotations
 

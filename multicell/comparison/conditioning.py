@@ -1,10 +1,10 @@
 """The conditioning of single coupling steps: what a random shift of all positions does to the end.
 
-Fresh daughters and contacts that form are unstable: there a coupling step amplifies whatever
-is wrong at its beginning, whatever the method, and now and then a cell falls into another pocket.
-Elsewhere the step forgets a shift. So the error of a method is judged beside the change that a
-shift of the tolerance's size makes to the end, solved by the method of the reference. Below that
-floor the difference of two trajectories tells nothing about a method.
+Fresh daughters and contacts that form are unstable: there a coupling step amplifies any error at
+its beginning, by every method, and now and then a cell falls into another pocket. Elsewhere a step
+damps a shift. The error of a method is therefore compared with the change that a shift of the
+tolerance's size makes to the end, solved by the method of the reference. Smaller errors are
+indistinguishable from that noise.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 
 from multicell.cells import FloatArray
 from multicell.comparison.files import Row
-from multicell.comparison.norms import Observed, apart, errors
+from multicell.comparison.norms import Observed, displacements, errors
 from multicell.comparison.replay import Problem
 from multicell.integrators import shift as online
 
@@ -61,7 +61,7 @@ class Conditioning:
         }
 
     @classmethod
-    def from_dict(cls, held: Mapping[str, Any] | None) -> Conditioning | None:
+    def from_dict(cls, table: Mapping[str, Any] | None) -> Conditioning | None:
         """Return what :meth:`to_dict` has given; None for None.
 
         Raises
@@ -69,11 +69,11 @@ class Conditioning:
         KeyError
             If something is missing.
         """
-        if held is None:
+        if table is None:
             return None
         names = ("begin_s", "rms_um", "worst_cell_um")
-        begin, rms, worst = (np.array(held[name], dtype=float) for name in names)
-        return cls(held["shift_um"], begin, rms, worst, dict(held["floor"]))
+        begin, rms, worst = (np.array(table[name], dtype=float) for name in names)
+        return cls(table["shift_um"], begin, rms, worst, dict(table["floor"]))
 
     @property
     def amplification(self) -> FloatArray:
@@ -82,15 +82,15 @@ class Conditioning:
 
     def rows(self) -> list[Row]:
         """Return the steps as rows of a table; columns of a quantity end in its unit."""
-        held = self.to_dict()
+        table = self.to_dict()
         columns = ("begin_s", "rms_um", "worst_cell_um")
         return [
-            {"step": k, "shift_um": self.shift, **{name: held[name][k] for name in columns}}
+            {"step": k, "shift_um": self.shift, **{name: table[name][k] for name in columns}}
             for k in range(len(self.begin))
         ]
 
 
-def shifted(problem: Problem, shift: float) -> Problem:
+def shift_starts(problem: Problem, shift: float) -> Problem:
     """Return a step-wise problem whose steps start from shifted positions.
 
     Each coordinate is moved by ``shift`` µm times a standard normal number, which depends on the
@@ -109,7 +109,9 @@ def shifted(problem: Problem, shift: float) -> Problem:
     return replace(problem, starts=starts)
 
 
-def measured(problem: Problem, shift: float, found: Observed, exact: Observed) -> Conditioning:
+def conditioning_of(
+    problem: Problem, shift: float, found: Observed, exact: Observed
+) -> Conditioning:
     """Return the conditioning of the steps of a problem.
 
     Parameters
@@ -117,10 +119,10 @@ def measured(problem: Problem, shift: float, found: Observed, exact: Observed) -
     problem
         The step-wise problem.
     shift
-        See :func:`shifted`.
+        See :func:`shift_starts`.
     found, exact
         What is compared of the ends from shifted positions, and of those of the reference.
     """
     begin = np.array([step.motion.begin for step in problem.steps])
-    rms, worst = apart(found.positions, exact.positions)
+    rms, worst = displacements(found.positions, exact.positions)
     return Conditioning(shift, begin, rms, worst, errors(problem, found, exact))

@@ -28,7 +28,7 @@ TOLERANCES: Final = tuple(10.0 ** (-0.5 * k) for k in range(2, 15))
 
 # a step far beyond the limit of stability to one far below it, in units of that limit
 _COARSEST, _HALVINGS = 4.0, 11
-_MANY_STEPS = 1_000_000
+_MAX_STEPS = 1_000_000
 _SOLVED = 1e-6
 
 
@@ -59,7 +59,7 @@ class Method:
             object.__setattr__(self, "info", registry.find(self.name) or MethodInfo(self.name))
 
 
-def named(method: Any, scene: Scene, radius: float) -> Method:
+def find_method(method: Any, scene: Scene, radius: float) -> Method:
     """Return a method of any kind, ready to be turned.
 
     With a tolerance t the absolute tolerance is t ``radius``. The relative one is t / 100, so
@@ -88,12 +88,12 @@ def named(method: Any, scene: Scene, radius: float) -> Method:
     wanted = "step" if info.control == "step" else "atol"
     if wanted not in info.settings:
         raise SceneError("methods", f"{info.name!r} cannot be turned: it takes no {wanted!r}")
-    return turned(info, scene, radius)
+    return as_method(info, scene, radius)
 
 
-def listed(methods: Sequence[Any], scene: Scene, radius: float) -> list[Method]:
-    """Return some methods, of which no two may have one name (see :func:`named`)."""
-    found = [named(method, scene, radius) for method in methods]
+def select_methods(methods: Sequence[Any], scene: Scene, radius: float) -> list[Method]:
+    """Return some methods, of which no two may have one name (see :func:`find_method`)."""
+    found = [find_method(method, scene, radius) for method in methods]
     if not found:
         raise ValueError("methods is empty: there is nothing to compare")
     for k, method in enumerate(found):
@@ -102,11 +102,11 @@ def listed(methods: Sequence[Any], scene: Scene, radius: float) -> list[Method]:
     return found
 
 
-def turned(info: MethodInfo, scene: Scene, radius: float) -> Method:
-    """Return the method of which something is known; see :func:`named`."""
+def as_method(info: MethodInfo, scene: Scene, radius: float) -> Method:
+    """Return the method of which something is known; see :func:`find_method`."""
     limits: dict[str, Any] = {
         "max_displacement": scene.integrator.max_displacement,
-        "max_steps": _MANY_STEPS,
+        "max_steps": _MAX_STEPS,
     }
 
     def by_tolerance(tolerance: float) -> Integrator:
@@ -122,7 +122,7 @@ def turned(info: MethodInfo, scene: Scene, radius: float) -> Method:
     return Method(info.name, "tolerance", by_tolerance, info)
 
 
-def able(scene: Scene) -> list[str]:
+def capable_methods(scene: Scene) -> list[str]:
     """Return the names of all methods that can hold a scene, as far as its beginning tells."""
     cells, friction = scene.initial.count, scene.friction is not None
     return [name for name, m in METHODS.items() if m.refusal(cells, friction=friction) is None]
@@ -193,15 +193,6 @@ def _steps(problem: Problem, stiffness: float) -> list[float]:
     length = max(step.motion.end - step.motion.begin for step in problem.steps)
     count = max(1, math.ceil(length * stiffness / (2.0 * _COARSEST)))
     return [length / (count * 2**k) for k in range(_HALVINGS)]
-
-
-def looks(methods: Sequence[Method]) -> dict[str, list[str]]:
-    """Return colour, marker and line of the methods that the registry does not know."""
-    return {
-        m.name: [m.info.colour, m.info.marker, "--" if m.info.outside else "-"]
-        for m in methods
-        if registry.find(m.name) is None
-    }
 
 
 def weighted_cost(work: Work) -> float:

@@ -8,17 +8,17 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from statistics import median
-from typing import Any, final
+from typing import Any, NamedTuple, final
 
 from multicell.comparison.files import DONE, FAILED, SKIPPED, Row
 from multicell.comparison.ladders import Method, weighted_cost
 from multicell.comparison.norms import WORST_CELL, errors, no_errors, observe
 from multicell.comparison.reference import Reference
-from multicell.comparison.replay import Problem, Trajectory, replay, without_compiling
+from multicell.comparison.replay import Problem, Trajectory, replay, solve_compiled
 from multicell.mechanics.motion import Work
 
-_TRIALS = 3
-"""Tolerances at which a method may fail before it is held to be too slow for finer ones."""
+_MAX_FAILURES = 3
+"""Tolerances at which a method may fail before it counts as too slow for finer ones."""
 _SHORT = 0.02
 """Wall time in s of a solve up to which an untimed one goes before it."""
 _COMPILATION = 20.0
@@ -55,7 +55,7 @@ class Effort:
 
 @final
 @dataclass
-class Timed:
+class TimedPoint:
     """A point that was solved and is to be timed again; ``spent`` is the wall time that took.
 
     ``repeats`` holds wall and processor time in s of every timed solve so far.
@@ -74,51 +74,90 @@ def climb(
     exact: Reference,
     effort: Effort,
     tell: Callable[[str], None],
-) -> tuple[list[Row], list[Timed], float]:
+) -> tuple[list[Row], list[TimedPoint], float]:
     """Return the rows of one method, from coarse to fine, until patience or budget end.
 
     Each point that was solved is timed once; the others of its repeats are left for
     :func:`time_again`, and their time is set aside in the budget. The third value is the part of
     the budget that is gone, in s; compilation and loading are not part of it.
     """
-    rows: list[Row] = []
-    again: list[Timed] = []
-    foreseen, failures, aside = 0.0, 0, 0.0
+    again: list[TimedPoint] = []
+    failures = 0
     # compiled and loaded before the clock of the first point runs, however short the patience
     first = replace(exact.problem, steps=exact.problem.steps[:1])
     replay(first, method.make(ladder[0]), max(effort.patience, _COMPILATION))
-    begin = clock.perf_counter()
-    for k, setting in enumerate(ladder):
-        spent = clock.perf_counter() - begin + aside
-        # a point takes two solves at least; the first one is tried in any case
-        dear = foreseen > effort.patience or spent + 2.0 * foreseen > effort.budget
-        if rows and dear:
-            text = f"not tried: it would take about {foreseen:.2g} s, after {spent:.2g} s"
-            rows.append(_row(method, setting, SKIPPED, words=text))
-            continue
+
+    def measure(setting: float) -> Rung:
+        nonlocal failures
         tell(f"{method.name} at {setting:.3g}")
         solve = partial(replay, exact.problem, method.make(setting), effort.patience)
-        found, lost = without_compiling(solve)
-        begin += lost
-        rows.append(_measured(method, setting, found, exact, effort))
+        found, lost = solve_compiled(solve)
+        row = _measured(method, setting, found, exact, effort)
+        reserved = 0.0
         if found.done:
-            wall = rows[-1]["wall"]
-            again.append(Timed(rows[-1], method, effort.share, wall, [(wall, rows[-1]["cpu"])]))
-            aside += min((effort.repeats - 1) * wall, effort.share)
-        finer = ladder[k] / ladder[k + 1] if k + 1 < len(ladder) else 1.0
+            wall = row["wall"]
+            again.append(TimedPoint(row, method, effort.share, wall, [(wall, row["cpu"])]))
+            reserved = min((effort.repeats - 1) * wall, effort.share)
+        finer = next((setting / other for other in ladder if other < setting), 1.0)
         # half the step takes twice as long; a tolerance costs less the higher the order
         growth = finer if method.control == "step" else 1.0
-        foreseen = growth * (rows[-1]["wall"] if found.done else found.wall)
+        foreseen = growth * (row["wall"] if found.done else found.wall)
         failures += not found.done
-        if not found.done and method.control == "tolerance" and failures < _TRIALS:
+        if not found.done and method.control == "tolerance" and failures < _MAX_FAILURES:
             # a loose tolerance may be what it fails at, or what takes so long
             foreseen = 0.0
+        return Rung(row, foreseen, reserved - lost)
+
+    def skip(setting: float, words: str) -> Row:
+        return _row(method, setting, SKIPPED, words=words)
+
+    # a point takes two solves at least
+    rows, spent = climb_ladder(ladder, effort, measure, skip, solves=2)
     for row in rows:
         row["mode"] = exact.problem.mode
-    return rows, again, clock.perf_counter() - begin + aside
+    return rows, again, spent
 
 
-def time_again(points: Sequence[Timed], problem: Problem, repeats: int) -> None:
+class Rung(NamedTuple):
+    """A setting that was measured.
+
+    Wall times in s: what a solve at the next setting is expected to take; and what the budget
+    loses beside the time that has passed (gains, if negative).
+    """
+
+    row: Row
+    foreseen: float
+    reserved: float = 0.0
+
+
+def climb_ladder(
+    ladder: Sequence[float],
+    effort: Effort,
+    measure: Callable[[float], Rung],
+    skip: Callable[[float, str], Row],
+    solves: int = 1,
+) -> tuple[list[Row], float]:
+    """Return the rows of all settings from coarse to fine, and the part of the budget used, s.
+
+    Settings are skipped whose solve would last longer than patience, or whose ``solves`` solves
+    would exceed the budget; the first one is tried in any case.
+    """
+    rows: list[Row] = []
+    foreseen, reserved = 0.0, 0.0
+    begin = clock.perf_counter()
+    for setting in ladder:
+        spent = clock.perf_counter() - begin + reserved
+        if rows and (foreseen > effort.patience or spent + solves * foreseen > effort.budget):
+            words = f"not tried: it would take about {foreseen:.2g} s, after {spent:.2g} s"
+            rows.append(skip(setting, words))
+            continue
+        rung = measure(setting)
+        rows.append(rung.row)
+        foreseen, reserved = rung.foreseen, reserved + rung.reserved
+    return rows, clock.perf_counter() - begin + reserved
+
+
+def time_again(points: Sequence[TimedPoint], problem: Problem, repeats: int) -> None:
     """Time points of all methods in turns, and keep minimum, median and maximum of each.
 
     A machine is slower for minutes at a time. In turns all methods meet the same minutes, and

@@ -1,10 +1,10 @@
 """How far a trajectory is from the reference, in several norms.
 
 Positions of single cells are the sharpest measure, but in a cluster where contacts form and
-break single cells diverge below any tolerance; energy, size and pair distances then still tell
-whether the population is right. The median over time is not decided by one cell that
-settled elsewhere shortly before the end. The root mean square over the cells hides a single cell
-that went astray: the error of the worst cell stands beside it.
+break single cells diverge below any tolerance. Energy, size and pair distances still show whether
+the population is right. The median over time does not depend on one cell that settles elsewhere
+shortly before the end. The root mean square over the cells hides a single stray cell, so the error
+of the worst cell is given as well.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _MOMENTS: Final = {
     "median": ("median over the common times", "median over the steps"),
     "last": ("at the end", "after the last step"),
 }
-"""Where a norm looks -> in words of a whole run, and of single steps."""
+"""Moment of a norm -> its words for a whole run, and for single steps."""
 
 _SHORT: Final = {
     "worst": ("worst time", "worst step"),
@@ -152,7 +152,7 @@ def _worst(position: FloatArray, other: FloatArray) -> float:
     return float(np.sqrt(np.square(position - other).sum(axis=1).max()))
 
 
-def apart(
+def displacements(
     positions: Sequence[FloatArray], others: Sequence[FloatArray]
 ) -> tuple[FloatArray, FloatArray]:
     """Return how far cells are from other places at each of m times.

@@ -1,4 +1,4 @@
-"""What the page of a comparison says beside its table."""
+"""Contents of the page of a comparison."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from multicell.comparison.charts import appearance
 from multicell.comparison.files import CLOCKS
+from multicell.comparison.styles import appearance
 from multicell.report.plots.colour_vision import PALE
 from multicell.report.wording import time_unit
 
@@ -41,10 +41,9 @@ CAPTIONS: Final = {
 def context(result: WorkPrecision) -> dict[str, Any]:
     """Return what ``compare.html`` asks for."""
     return {
-        "title": f"{result.scene.title or 'Untitled scene'}: work and precision",
+        "title": f"{result.title}: work and precision",
         "subtitle": _subtitle(result),
         "tiles": _tiles(result),
-        "result": result,
         "judge": CLOCKS[result.clock],
         "verdicts": {
             norm: {f"{target:.4g}": result.within(target, norm) for target in TARGETS}
@@ -54,7 +53,7 @@ def context(result: WorkPrecision) -> dict[str, Any]:
             result.norms[norm]: f"{value:.2e}" for norm, value in result.uncertainty.items()
         },
         "orders": _orders(result),
-        "looks": appearance(result),
+        "styles": appearance(result),
         "pale": PALE,
         "conditioning": _conditioning(result),
         "below": [(row["method"], row["setting"]) for row in result.below_floor()],

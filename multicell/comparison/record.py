@@ -1,12 +1,12 @@
 """Record a scene once: all its coupling steps with their events, or a sample of them.
 
-Of each coupling step the motion (radii and their rates, moduli) and what the events did to the
-cells are kept. In a growing or driven population the trajectories of any two methods part after a
-while: a contact that forms a moment later sends cells into another pocket, and an error at the
-end of the run then tells nothing about a method. There a *sample* of the steps is kept, each with
-the state at its beginning, from which every method starts; no error is carried from one step to
-the next. The sample is taken from the middles of equal parts of the run: the first steps, in which
-an artificial beginning collapses, are typical of nothing.
+Each coupling step is recorded with its motion (radii and their rates, moduli) and with what the
+events did to the cells. In a growing or driven population the trajectories of any two methods
+diverge: a contact that forms a moment later sends cells into another pocket, and the error at the
+end of the run no longer measures a method. For such runs a *sample* of the steps is recorded, each
+with the state at its beginning, from which every method starts; no error is carried from one step
+to the next. The sample is taken from the middles of equal parts of the run, because the first
+steps, in which an artificial beginning collapses, are not typical.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from multicell.simulation import Simulation
 SAMPLES: Final = 24
 """Number of coupling steps that are compared unless another one is asked for."""
 
-_SPARE = 16  # so many times more states are held during the run than are taken in the end
+_SPARE = 16  # times as many states are stored during the run as the sample has
 
 
 def sample_size(stepwise: bool | int | None) -> int | None:
@@ -51,8 +51,8 @@ def sample_size(stepwise: bool | int | None) -> int | None:
     return int(stepwise)
 
 
-class Held(NamedTuple):
-    """A coupling step that was seen; of a whole run only the first start matters, none is kept."""
+class RecordedStep(NamedTuple):
+    """A coupling step of the run; its start is stored in a sample only."""
 
     motion: Motion
     end: FloatArray
@@ -61,17 +61,17 @@ class Held(NamedTuple):
 
 @final
 class Recorder:
-    """An integrator that notes what passes through another one: all of it, or evenly some.
+    """Record the steps of another integrator: all of them, or an even sample.
 
-    How many steps there will be is not known before the end. So for a sample every step is kept
-    at first; whenever too many are held every second one is dropped.
+    The number of steps is not known before the end. For a sample every step is stored at first;
+    whenever there are too many, every second one is dropped.
 
     Parameters
     ----------
     inner
         The method that moves the cells.
     samples
-        Number of steps that :meth:`chosen` is asked for; None to keep all.
+        Number of steps that :meth:`select` returns; None to keep all.
     """
 
     def __init__(self, inner: Integrator, samples: int | None = None) -> None:
@@ -79,7 +79,7 @@ class Recorder:
         self.samples = samples
         self.system: Mechanics | None = None
         self.stride, self.total = 1, 0
-        self.held: dict[int, Held] = {}
+        self.steps: dict[int, RecordedStep] = {}
         self.end: FloatArray = np.empty((0, 3))
 
     def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
@@ -89,23 +89,23 @@ class Recorder:
         outcome = self.inner.integrate(system, position)
         self.end = system.at_end(outcome.position)
         if self.total % self.stride == 0:
-            self.held[self.total] = Held(system.motion, self.end, start)
+            self.steps[self.total] = RecordedStep(system.motion, self.end, start)
         self.total += 1
         most = math.inf if self.samples is None else _SPARE * self.samples
-        while len(self.held) > most:
+        while len(self.steps) > most:
             self.stride *= 2
-            self.held = {k: state for k, state in self.held.items() if k % self.stride == 0}
+            self.steps = {k: state for k, state in self.steps.items() if k % self.stride == 0}
         return outcome
 
-    def chosen(self) -> list[Held]:
+    def select(self) -> list[RecordedStep]:
         """Return all steps, or the sample: from the middles of equal parts of the run."""
         if self.samples is None:
-            return list(self.held.values())
+            return list(self.steps.values())
         parts = min(self.samples, self.total)
-        known = np.array(sorted(self.held))
+        known = np.array(sorted(self.steps))
         middles = (np.arange(parts) + 0.5) * self.total / parts - 0.5
         nearest = {int(known[np.abs(known - middle).argmin()]) for middle in middles}
-        return [self.held[k] for k in sorted(nearest)]
+        return [self.steps[k] for k in sorted(nearest)]
 
 
 def record(
@@ -164,7 +164,7 @@ def record(
                 events.append(happened)
                 happened = None
             end = recorder.end if moved else before.position
-            happened = both(happened, events_between(before, end, simulation.cells))
+            happened = compose_events(happened, events_between(before, end, simulation.cells))
         if progress is not None:
             progress(simulation.time / scene.duration)
     if recorder.system is None or first is None:
@@ -174,20 +174,21 @@ def record(
             "outside, a motion or a wall acts on",
             "Start from two cells, or let the only one divide: a longer duration, [growth]",
         )
-    held = recorder.chosen()
-    starts = None if samples is None else [s.start for s in held if s.start is not None]
+    recorded = recorder.select()
+    starts = None if samples is None else [s.start for s in recorded if s.start is not None]
     steps = [
-        Step(state.motion, events[k] if samples is None else None) for k, state in enumerate(held)
+        Step(state.motion, events[k] if samples is None else None)
+        for k, state in enumerate(recorded)
     ]
     problem = Problem(
         scene, recorder.system, first.position, first.radius, steps, starts, recorder.total
     )
     wall, cpu = clock.perf_counter() - begin, clock.process_time() - begin_cpu
-    ends = [state.end for state in held]
+    ends = [state.end for state in recorded]
     return problem, Trajectory(ends, replace(recorder.system.work), wall, cpu)
 
 
-def both(first: Events | None, second: Events | None) -> Events | None:
+def compose_events(first: Events | None, second: Events | None) -> Events | None:
     """Return what two events do to the cells one after the other, None for nothing."""
     if first is None or second is None:
         return second if first is None else first

@@ -1,8 +1,8 @@
 """The reference solution, and how far it can be trusted.
 
 The solution is computed twice, by two methods or with two tolerances. The difference of the two,
-in every norm, is the uncertainty of the reference: what a method is off by less than that says
-nothing about the method. Of single coupling steps the conditioning is part of the reference too
+in every norm, is the uncertainty of the reference: smaller errors of a method mean nothing. For
+single coupling steps the conditioning is part of the reference
 (:mod:`multicell.comparison.conditioning`).
 """
 
@@ -16,8 +16,8 @@ from typing import Any, Final, final
 
 from multicell.cells import Cells
 from multicell.comparison import cache as reference_cache
-from multicell.comparison.conditioning import SHIFT, Conditioning, measured, shifted
-from multicell.comparison.ladders import Method, named
+from multicell.comparison.conditioning import SHIFT, Conditioning, conditioning_of, shift_starts
+from multicell.comparison.ladders import Method, find_method
 from multicell.comparison.norms import Observed, errors, observe
 from multicell.comparison.record import record
 from multicell.comparison.replay import Problem, Trajectory, replay
@@ -113,7 +113,7 @@ def reference(
         If the cache cannot be written.
     """
     tell = progress or (lambda _: None)
-    unsolved = blank(scene, cells, threads)
+    unsolved = unsolved_problem(scene, cells, threads)
     shift = 0.0 if stepwise is None else shift
     recording = {"samples": stepwise, "cells": cells, "threads": threads}
     sampled: tuple[Problem, Trajectory] | None = None
@@ -129,7 +129,7 @@ def reference(
         try:
             if stepwise is not None and sampled is None:
                 name, tolerance = _RECORDED
-                leading = named(name, scene, unsolved.mean_radius)
+                leading = find_method(name, scene, unsolved.mean_radius)
                 sampled = _recorded(unsolved, leading, tolerance, recording, tell)
             solved = _solve(unsolved, chosen, sampled, shift, recording, tell)
         except StepFailed as error:
@@ -154,28 +154,29 @@ def default_pairs(scene: Scene, unsolved: Problem, stepwise: int | None = None) 
     few = _expected(scene, len(unsolved.start)) <= (_FEW if scene.growth else _FEW_AT_REST)
     tolerance = _TIGHT if few else _LESS_TIGHT
     radius = unsolved.mean_radius
-    cvode = named("cvode", scene, radius)
+    cvode = find_method("cvode", scene, radius)
     pairs: list[Pair] = [((cvode, tolerance), (cvode, 10.0 * tolerance))]
-    dopri5 = named("dopri5", scene, radius)
+    dopri5 = find_method("dopri5", scene, radius)
     if stepwise is not None:
         return [((dopri5, _TIGHT_STEP), (cvode, 10.0 * _TIGHT_STEP)), *pairs]
     check = (cvode, _TIGHT) if few else (dopri5, 10.0 * _TIGHT)
-    return [((named("scipy-dop853", scene, radius), _TIGHT), check), *pairs]
+    return [((find_method("scipy-dop853", scene, radius), _TIGHT), check), *pairs]
 
 
 def _about(solved: Reference) -> dict[str, Any]:
-    """Return what the cache holds beside the problem and its solution, as JSON can hold it."""
+    """Return what the cache stores besides the problem and its solution, as JSON."""
     about = {name: getattr(solved, name) for name in ("uncertainty", "wall", "words")}
     known = solved.conditioning
     return about | {"conditioning": None if known is None else known.to_dict()}
 
 
-def paired(
+def method_pair(
     methods: Sequence[tuple[str, float] | tuple[Method, float]], scene: Scene, radius: float
 ) -> Pair:
     """Return two methods with settings; a method may be given by its name."""
     first, second = (
-        (m if isinstance(m, Method) else named(m, scene, radius), float(s)) for m, s in methods
+        (m if isinstance(m, Method) else find_method(m, scene, radius), float(s))
+        for m, s in methods
     )
     return first, second
 
@@ -193,7 +194,7 @@ def key(
     return reference_cache.key(scene, cells, [solved_by, recorded])
 
 
-def blank(scene: Scene, cells: Cells | None, threads: int | None) -> Problem:
+def unsolved_problem(scene: Scene, cells: Cells | None, threads: int | None) -> Problem:
     """Return the problem before anything has moved: it has no steps yet."""
     # the scene's own method moves nothing here, and may be one that is not at hand
     simulation = Simulation(scene, threads=threads, cells=cells, integrator=Euler(1.0))
@@ -246,9 +247,9 @@ def _solve(
     uncertainty = errors(problem, observe(problem, check), observed)
     conditioning = None
     if shift > 0.0:
-        moved = shifted(problem, shift)
+        moved = shift_starts(problem, shift)
         ends = _replayed(moved, method, setting, f"reference after a shift of {shift:g} um", tell)
-        conditioning = measured(problem, shift, observe(problem, ends), observed)
+        conditioning = conditioning_of(problem, shift, observe(problem, ends), observed)
     text = f"{method.name} at {setting:g}, checked by {checking.name} at {other:g}"
     return Reference(
         problem, found, observed, uncertainty, wall, text, cached=False, conditioning=conditioning
@@ -262,16 +263,16 @@ def _recorded(
     recording: dict[str, Any],
     tell: Callable[[str], None],
 ) -> tuple[Problem, Trajectory]:
-    """Return the run, or a sample of it, by a method; every tenth of it is told."""
+    """Return the run, or a sample of it, by a method; report every tenth of it."""
     states = "" if recording["samples"] is None else "states by "
     tell(f"reference: {states}{method.name} at {setting:g}")
-    told = 0
+    reported = 0
 
     def share(part: float) -> None:
-        nonlocal told
-        if int(10.0 * part) > told:
-            told = int(10.0 * part)
-            tell(f"reference: {10 * told} % of the scene")
+        nonlocal reported
+        if int(10.0 * part) > reported:
+            reported = int(10.0 * part)
+            tell(f"reference: {10 * reported} % of the scene")
 
     return record(unsolved.scene, method.make(setting), progress=share, **recording)
 

@@ -184,15 +184,15 @@ def replay(problem: Problem, integrator: Integrator, limit: float = np.inf) -> T
     Returns
     -------
     Trajectory
-        Of a failure the words are kept, whatever it was: in a chart of many methods the fault
-        of one must not lose the others.
+        A failure is returned in words, whatever it was: in a chart of many methods the fault of
+        one must not lose the others.
     """
     system = problem.system()
     position = problem.start
     ends: list[FloatArray] = []
     begin, begin_cpu = clock.perf_counter(), clock.process_time()
     if limit < np.inf:
-        watch(system, begin + limit, too_late(limit))
+        set_deadline(system, begin + limit, timeout_words(limit))
     words = ""
     for k, step in enumerate(problem.steps):
         position = problem.beginning(k, position)
@@ -200,7 +200,7 @@ def replay(problem: Problem, integrator: Integrator, limit: float = np.inf) -> T
         words, position = advance(system, integrator, position)
         last = k + 1 == len(problem.steps)
         if not words and not last and clock.perf_counter() - begin > limit:
-            words = f"{too_late(limit)} (t = {step.motion.end:.6g} s)"
+            words = f"{timeout_words(limit)} (t = {step.motion.end:.6g} s)"
         if words:
             break
         ends.append(position)
@@ -210,14 +210,13 @@ def replay(problem: Problem, integrator: Integrator, limit: float = np.inf) -> T
 
 @final
 class _OutOfTime(Exception):  # noqa: N818 - it names what happened
-    """A solve has taken longer than it may."""
+    """Report a solve that takes longer than it may."""
 
 
-def without_compiling(solve: Callable[[], T]) -> tuple[T, float]:
-    """Return what a solve gives in which nothing is compiled, and the wall time lost before, s.
+def solve_compiled(solve: Callable[[], T]) -> tuple[T, float]:
+    """Solve without compiling; return the result and the wall time lost to compilation, s.
 
-    A tolerance or a step may be the first to need some kernel. It is solved again then: what it
-    has compiled is there the second time.
+    A tolerance or a step may be the first to need some kernel; then it is solved a second time.
     """
     begin = clock.perf_counter()
     with install_recorder("numba:compile") as compiled:
@@ -228,12 +227,12 @@ def without_compiling(solve: Callable[[], T]) -> tuple[T, float]:
     return solve(), lost
 
 
-def too_late(limit: float) -> str:
+def timeout_words(limit: float) -> str:
     """Return the words for a solve that takes longer than ``limit`` s of wall time."""
     return f"not done after {limit:g} s of wall time"
 
 
-def watch(system: Mechanics, deadline: float, words: str) -> None:
+def set_deadline(system: Mechanics, deadline: float, words: str) -> None:
     """Let the next evaluation of this one system end the solve once a time has passed."""
     inner = system.velocity
 

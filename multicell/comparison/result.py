@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import json
 import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, final
+from functools import partial
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Self, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from multicell.comparison.base import Pictures, StoredComparison, rows_from
 from multicell.comparison.conditioning import Conditioning
-from multicell.comparison.files import DONE, FAILED, Row, to_csv, write
+from multicell.comparison.files import DONE, FAILED, Row
 from multicell.comparison.norms import NORMS, WORST_CELL
-from multicell.results.folder import to_json
 from multicell.scene.scene import Scene
 
 if TYPE_CHECKING:
@@ -35,7 +34,7 @@ FILES: Final = (
 
 @final
 @dataclass(frozen=True, eq=False)
-class WorkPrecision:
+class WorkPrecision(StoredComparison):
     """What each method reached, and at what cost.
 
     Attributes
@@ -46,7 +45,7 @@ class WorkPrecision:
         (``"tolerance"`` in mean radii, or ``"step"`` in s), ``setting``, ``status`` (``"done"``,
         ``"failed"``, or ``"skipped"`` where it would have taken too long), ``words`` (of a
         failure), ``wall`` and ``cpu`` (s on the wall and of the processors, the minimum of several
-        solves; ``wall_median``, ``wall_longest`` and the same of ``cpu`` tell how they spread),
+        solves; ``wall_median``, ``wall_longest`` and the same of ``cpu`` show their spread),
         ``spent`` (s, the one solve that the errors are of, also of a failure),
         ``error_...`` in every norm of :data:`multicell.comparison.norms.NORMS`, dimensionless,
         ``worst_cell_um`` and ``worst_cell_median_um`` (the worst cell's error in µm),
@@ -62,8 +61,8 @@ class WorkPrecision:
     clock : "wall" or "cpu"
         The time that judges.
     conditioning : Conditioning or None
-        Of single coupling steps: the floor below which a difference of trajectories tells nothing
-        of a method (:mod:`multicell.comparison.conditioning`).
+        Of single coupling steps: the floor below which the error of a method is indistinguishable
+        from noise (:mod:`multicell.comparison.conditioning`).
     """
 
     scene: Scene
@@ -73,28 +72,41 @@ class WorkPrecision:
     clock: str = "wall"
     conditioning: Conditioning | None = None
 
+    template: ClassVar[str] = "compare.html"
+    document: ClassVar[str] = "workprecision.json"
+
     @classmethod
-    def from_json(cls, text: str) -> WorkPrecision:
-        """Return what :meth:`to_json` has written.
+    def from_dict(cls, table: Mapping[str, Any]) -> Self:
+        """Return what :meth:`to_dict` has described; norms of later versions are NaN.
 
         Raises
         ------
         KeyError, ValueError
-            If the text is something else.
+            If the table describes something else.
         """
-        held = json.loads(text)
-        # a file of an earlier version lacks norms that came later
         late = (*(f"error_{norm}" for norm in NORMS), *WORST_CELL.values(), "worst_cell_over_shift")
-        unknown = dict.fromkeys(late)
-        table = [
-            {name: math.nan if v is None else v for name, v in (row | unknown | row).items()}
-            for row in held["table"]
-        ]
-        scene = Scene.from_dict(held["scene"])
-        known = {n: math.nan if v is None else v for n, v in held["uncertainty"].items()}
-        uncertainty = dict.fromkeys(NORMS, math.nan) | known
-        conditioning = Conditioning.from_dict(held.get("conditioning"))
-        return cls(scene, table, uncertainty, held["facts"], held["clock"], conditioning)
+        unknown = dict.fromkeys(late, math.nan)
+        (uncertainty,) = rows_from([table["uncertainty"]])
+        return cls(
+            Scene.from_dict(table["scene"]),
+            [row | unknown | row for row in rows_from(table["table"])],
+            dict.fromkeys(NORMS, math.nan) | uncertainty,
+            table["facts"],
+            table["clock"],
+            Conditioning.from_dict(table.get("conditioning")),
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return table, uncertainty, facts and scene as numbers, text and lists."""
+        return {
+            "scene": self.scene.to_dict(),
+            "uncertainty": self.uncertainty,
+            "norms": self.norms,
+            "clock": self.clock,
+            "conditioning": None if self.conditioning is None else self.conditioning.to_dict(),
+            "facts": self.facts,
+            "table": self.table,
+        }
 
     @property
     def stepwise(self) -> bool:
@@ -109,19 +121,15 @@ class WorkPrecision:
     @property
     def methods(self) -> list[str]:
         """Names of the methods in the order of the table."""
-        return list(dict.fromkeys(row["method"] for row in self.table))
-
-    def columns(self) -> dict[str, NDArray[Any]]:
-        """Return the table as one array for each column."""
-        return {name: np.array([row[name] for row in self.table]) for name in self.table[0]}
+        return self.column("method")
 
     def rows(self, method: str, status: str = DONE) -> list[Row]:
         """Return the rows of a method that have a status."""
-        return [r for r in self.table if r["method"] == method and r["status"] == status]
+        return self.with_values(method=method, status=status)
 
     def failures(self) -> list[Row]:
         """Return the rows of all solves that failed."""
-        return [row for row in self.table if row["status"] == FAILED]
+        return self.with_values(status=FAILED)
 
     def within(self, error: float, norm: str = "position") -> dict[str, Row]:
         """Return for each method that reaches an error its cheapest row that does.
@@ -149,10 +157,9 @@ class WorkPrecision:
         return dict(sorted(reached.items(), key=lambda item: item[1][self.clock]))
 
     def below_floor(self, norm: str = "worst_cell_median") -> list[Row]:
-        """Return the rows whose error is not above what a shift of all positions does.
+        """Return the rows whose error is not above the effect of a shift of all positions.
 
-        Of these the difference of trajectories says nothing: the step changes a shift of that
-        size by more. Without conditioning there are none.
+        Such errors are indistinguishable from noise. Without conditioning there are none.
         """
         self._check(norm)
         if self.conditioning is None:
@@ -204,44 +211,29 @@ class WorkPrecision:
 
         return norms(self)
 
-    def to_csv(self) -> str:
-        """Return the table as CSV; NaN is written as ``nan``."""
-        return to_csv(self.table)
-
-    def to_json(self) -> str:
-        """Return table, uncertainty, facts and scene as JSON; NaN becomes null."""
-        return to_json(
-            {
-                "scene": self.scene.to_dict(),
-                "uncertainty": self.uncertainty,
-                "norms": self.norms,
-                "clock": self.clock,
-                "conditioning": None if self.conditioning is None else self.conditioning.to_dict(),
-                "facts": self.facts,
-                "table": self.table,
-            }
-        )
-
-    def save(self, folder: str | Path) -> Path:
-        """Write CSV, JSON, pictures and ``report.html`` (:data:`FILES`) and return the page.
-
-        Raises
-        ------
-        OutputError
-            If the folder cannot be written to.
-        """
-        from multicell.comparison.page import CAPTIONS, context
-
-        csv, document, steps, chart, worst, norms, _ = FILES
-        texts = {csv: self.to_csv(), document: self.to_json() + "\n"}
+    def tables(self) -> Mapping[str, Sequence[Row]]:
+        """Return all solves, and the conditioning of single steps."""
+        found: dict[str, Sequence[Row]] = {"workprecision.csv": self.table}
         if self.conditioning is not None:
-            texts[steps] = to_csv(self.conditioning.rows())
-        drawings = {
-            chart: (self.figure, CAPTIONS[chart]),
-            worst: (lambda: self.figure("worst_cell"), CAPTIONS[worst]),
-            norms: (self.norms_figure, CAPTIONS[norms]),
+            found["conditioning.csv"] = self.conditioning.rows()
+        return found
+
+    def pictures(self) -> Pictures:
+        """Return error over cost for all cells and the worst one, and all norms."""
+        from multicell.comparison.page import CAPTIONS
+
+        draw: dict[str, Callable[[], Figure]] = {
+            "workprecision.png": self.figure,
+            "worst-cell.png": partial(self.figure, "worst_cell"),
+            "norms.png": self.norms_figure,
         }
-        return write(folder, self.scene, texts, drawings, "compare.html", **context(self))
+        return {name: (drawn, CAPTIONS[name]) for name, drawn in draw.items()}
+
+    def page(self) -> dict[str, Any]:
+        """Return what the template of the page asks for."""
+        from multicell.comparison.page import context
+
+        return context(self)
 
     def _check(self, norm: str) -> None:
         if norm not in NORMS:

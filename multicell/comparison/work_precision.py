@@ -9,11 +9,19 @@ from typing import Any
 from multicell.cells import Cells
 from multicell.comparison.conditioning import SHIFT
 from multicell.comparison.files import CLOCKS, Row, prepare
-from multicell.comparison.ladders import Ladder, Method, able, listed, looks, settings, stiffness
-from multicell.comparison.measure import Effort, Timed, climb, time_again
+from multicell.comparison.ladders import (
+    Ladder,
+    Method,
+    capable_methods,
+    select_methods,
+    settings,
+    stiffness,
+)
+from multicell.comparison.measure import Effort, TimedPoint, climb, time_again
 from multicell.comparison.record import sample_size
-from multicell.comparison.reference import Reference, blank, paired, reference
+from multicell.comparison.reference import Reference, method_pair, reference, unsolved_problem
 from multicell.comparison.result import FILES, WorkPrecision
+from multicell.comparison.styles import unregistered_styles
 from multicell.errors import SceneError
 from multicell.integrators.base import Integrator
 from multicell.results.folder import versions
@@ -116,10 +124,10 @@ def compare(
     if moved < 0.0:
         raise SceneError("shift", f"is {shift!r}, must be 0 um or more")
     tell = progress or (lambda _: None)
-    radius = blank(described, cells, threads).mean_radius
-    asked = able(described) if methods is None else methods
-    chosen = listed(asked, described, radius)
-    pair = None if references is None else paired(references, described, radius)
+    radius = unsolved_problem(described, cells, threads).mean_radius
+    asked = capable_methods(described) if methods is None else methods
+    chosen = select_methods(asked, described, radius)
+    pair = None if references is None else method_pair(references, described, radius)
     _check_ladder(chosen, ladder)
     prepare(output, FILES, overwrite)
     exact = reference(
@@ -129,7 +137,7 @@ def compare(
     decay = stiffness(exact.problem, exact.trajectory)
     left = max(60.0, 10.0 * exact.wall) if budget is None else budget
     table: list[Row] = []
-    again: list[Timed] = []
+    again: list[TimedPoint] = []
     for k, method in enumerate(chosen):
         rungs = settings(method, ladder, exact.problem, decay)
         effort = Effort(repeats, patience, left / (len(chosen) - k), len(rungs))
@@ -140,7 +148,7 @@ def compare(
     tell("timing again, all methods in turns")
     time_again(again, exact.problem, repeats)
     named = [] if methods is None else [method.name for method in chosen]
-    facts = {**_facts(exact, decay), "looks": looks(chosen), "named": named}
+    facts = {**_facts(exact, decay), "looks": unregistered_styles(chosen), "named": named}
     result = WorkPrecision(described, table, exact.uncertainty, facts, clock, exact.conditioning)
     if output is not None:
         result.save(output)

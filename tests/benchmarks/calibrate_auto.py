@@ -26,7 +26,7 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "docs"))
 
 from phase_problems import STATES, Solved, solved
 
-from multicell.comparison.ladders import named
+from multicell.comparison.ladders import find_method
 from multicell.comparison.replay import replay
 from multicell.integrators.adams_bashforth import AdaptiveAdams
 from multicell.integrators.auto import CANDIDATES, Choice, choose
@@ -60,7 +60,7 @@ def measured(step: Solved, atol: float, repeats: int) -> list[Row]:
         if predicted > MOST_EVALUATIONS and name != choice.method:
             continue
         finer = choice.finer if CANDIDATES[name].info.implicit else 1.0
-        method = named(name, problem.scene, problem.mean_radius)
+        method = find_method(name, problem.scene, problem.mean_radius)
         solver = method.make(finer * atol / problem.mean_radius)
         runs = [replay(problem, solver) for _ in range(repeats)]
         away = np.linalg.norm(runs[0].positions[0] - step.end, axis=1).max()

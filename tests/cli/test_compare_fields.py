@@ -6,7 +6,7 @@ import pytest
 from click.testing import CliRunner
 
 from multicell.cli.main import main
-from multicell.comparison.field_solvers import stability
+from multicell.comparison.field_solvers import measure
 
 SMALL = [
     "compare", "spheroid", "--set", "coupling_step=2 s", "--set", "duration=4 s", "--fields",
@@ -17,8 +17,8 @@ SMALL = [
 
 @pytest.fixture(autouse=True)
 def _small_map(monkeypatch):
-    monkeypatch.setattr(stability, "FACTORS", (1.0, 10.0))
-    monkeypatch.setattr(stability, "TOLERANCES", (1e-1, 1e-2))
+    monkeypatch.setattr(measure, "UPTAKES", (1.0, 10.0))
+    monkeypatch.setattr(measure, "TOLERANCES", (1e-2, 1e-1))
 
 
 @pytest.mark.slow

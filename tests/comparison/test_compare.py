@@ -25,10 +25,10 @@ from two_cells import (
 
 import multicell.comparison.measure as measure
 from multicell import OutputError, SceneError
-from multicell.comparison.ladders import named, settings, stiffness, weighted_cost
+from multicell.comparison.ladders import find_method, settings, stiffness, weighted_cost
 from multicell.comparison.norms import NORMS, errors, observe, pair_distances
 from multicell.comparison.record import record
-from multicell.comparison.reference import paired, reference
+from multicell.comparison.reference import method_pair, reference
 from multicell.comparison.replay import Trajectory, replay
 from multicell.comparison.work_precision import compare
 from multicell.integrators.base import Outcome
@@ -50,7 +50,7 @@ class NotANumber:
 @pytest.fixture(scope="module")
 def exact():
     """Return the exact solution as a reference."""
-    return reference(PAIR, cache=False, pair=paired(BOTH_EXACT, PAIR, 1.0))
+    return reference(PAIR, cache=False, pair=method_pair(BOTH_EXACT, PAIR, 1.0))
 
 
 @pytest.fixture(scope="module")
@@ -165,7 +165,7 @@ def test_a_planted_failure_stays_in_the_table_as_nan_with_its_words(failing):
 
 
 def test_failures_are_drawn_as_crosses_in_the_colour_of_their_method(failing):
-    from multicell.comparison.charts import look
+    from multicell.comparison.styles import appearance
 
     figure = failing.figure()
     strip = next(axes for axes in figure.axes if axes.get_label() == "failures")
@@ -174,7 +174,7 @@ def test_failures_are_drawn_as_crosses_in_the_colour_of_their_method(failing):
     for name, count in (("fragile", 1), ("raising", 2), ("nan", 2)):
         line = crosses[f"{name} failed"]
         assert line.get_marker() == "x"
-        assert line.get_color() == look(name, failing)[0]
+        assert line.get_color() == appearance(failing)[name].colour
         spent = [row["spent"] for row in failing.rows(name, "failed")]
         np.testing.assert_array_equal(line.get_xdata(), spent)
         assert len(spent) == count
@@ -301,10 +301,10 @@ def test_a_solve_that_never_ends_is_stopped_within_its_step(exact):
 
 
 def test_the_kind_of_a_method_is_seen_from_its_integrator():
-    assert named("euler", PAIR, 4.0).control == "step"
-    assert named("euler", PAIR, 4.0).make(3.0).step == 3.0
-    assert named("backward-euler", PAIR, 4.0).control == "step"
-    cvode = named("cvode", PAIR, 4.0)
+    assert find_method("euler", PAIR, 4.0).control == "step"
+    assert find_method("euler", PAIR, 4.0).make(3.0).step == 3.0
+    assert find_method("backward-euler", PAIR, 4.0).control == "step"
+    cvode = find_method("cvode", PAIR, 4.0)
     assert cvode.control == "tolerance"
     made = cvode.make(1e-4)
     assert (made.rtol, made.atol) == pytest.approx((1e-6, 4e-4))
@@ -313,14 +313,16 @@ def test_the_kind_of_a_method_is_seen_from_its_integrator():
 def test_default_steps_halve_from_four_times_the_limit_of_euler(grown):
     problem, trajectory = grown
     rate = stiffness(problem, trajectory)
-    steps = settings(named("euler", GROWING, 4.0), None, problem, rate)
+    steps = settings(find_method("euler", GROWING, 4.0), None, problem, rate)
     np.testing.assert_allclose(np.array(steps[:-1]) / steps[1:], 2.0)
     length = GROWING.coupling_step
     assert 0.5 * min(8.0 / rate, length) < steps[0] <= min(8.0 / rate, length)
     counts = length / np.array(steps)
     np.testing.assert_allclose(counts, counts.round())
     # a hundred times less viscous, a hundred times faster
-    assert settings(named("euler", GROWING, 4.0), None, problem, 100 * rate)[0] < 0.02 * steps[0]
+    assert (
+        settings(find_method("euler", GROWING, 4.0), None, problem, 100 * rate)[0] < 0.02 * steps[0]
+    )
 
 
 def test_the_bound_on_decay_rates_is_above_the_true_rate(exact):

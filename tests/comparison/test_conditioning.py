@@ -17,11 +17,11 @@ from two_cells import PAIR, RADIUS, PlantedInSteps, parted, step_method
 
 from multicell import Hertz, SceneError
 from multicell.cli.main import main
-from multicell.comparison.conditioning import measured, shifted
-from multicell.comparison.ladders import named
-from multicell.comparison.norms import NORMS, apart, observe
+from multicell.comparison.conditioning import conditioning_of, shift_starts
+from multicell.comparison.ladders import find_method
+from multicell.comparison.norms import NORMS, displacements, observe
 from multicell.comparison.page import VERDICT_NORMS
-from multicell.comparison.reference import key, paired, reference
+from multicell.comparison.reference import key, method_pair, reference
 from multicell.comparison.replay import Problem, Step, replay
 from multicell.comparison.result import FILES, WorkPrecision
 from multicell.mechanics.growth_rate import largest_growth_rate
@@ -46,7 +46,7 @@ def test_the_worst_cell_of_each_time_is_that_with_the_largest_displacement():
     moved[2] = (3.0, 4.0, 0.0)
     moved[3] = (0.0, 0.0, 1.0)
     other[0] = (6.0, 0.0, 8.0)
-    rms, worst = apart([moved, other], [first, second])
+    rms, worst = displacements([moved, other], [first, second])
     np.testing.assert_allclose(worst, [5.0, 10.0], rtol=1e-15)
     np.testing.assert_allclose(rms, [math.sqrt(26.0 / 4.0), math.sqrt(50.0)], rtol=1e-15)
 
@@ -96,9 +96,9 @@ def test_what_an_earlier_version_wrote_is_read_without_the_norms_that_it_lacks()
 
 def test_the_shift_of_two_hertz_cells_decays_as_the_closed_form_has_it():
     """Along the line of centres the derivative of the end by the distance is (h_end / h)^1.5."""
-    found = reference(PAIR, pair=paired(BOTH_EXACT, PAIR, RADIUS), stepwise=5, cache=False)
+    found = reference(PAIR, pair=method_pair(BOTH_EXACT, PAIR, RADIUS), stepwise=5, cache=False)
     problem, known = found.problem, found.conditioning
-    moved = shifted(problem, 0.01)
+    moved = shift_starts(problem, 0.01)
     for k, (start, other) in enumerate(zip(problem.starts, moved.starts, strict=True)):
         ends = [parted(x, 60.0) for x in (start, other)]
         off = np.linalg.norm(ends[1] - ends[0], axis=1)
@@ -109,7 +109,7 @@ def test_the_shift_of_two_hertz_cells_decays_as_the_closed_form_has_it():
     axis = (start[1] - start[0]) / np.linalg.norm(start[1] - start[0])
     small = 1e-6 * np.stack([-axis, axis])
     gap = [2.0 * RADIUS - np.linalg.norm(x[1] - x[0]) for x in (start, parted(start, 60.0))]
-    solver = named("dopri5", PAIR, RADIUS).make(1e-12)
+    solver = find_method("dopri5", PAIR, RADIUS).make(1e-12)
     one, two = (
         replay(replace(problem, steps=problem.steps[:1], starts=[x]), solver).positions[0]
         for x in (start, start + small)
@@ -142,11 +142,11 @@ def test_a_small_shift_of_an_unstable_state_ends_as_exp_jt_has_it():
     rate = largest_growth_rate(system, 0.0, position, products=100).rate
     length = 4.0 / rate
     problem, *_ = held(length)
-    solver = named("dopri5", PAIR, RADIUS).make(1e-12)
-    found, exact = (observe(p, replay(p, solver)) for p in (shifted(problem, 1e-6), problem))
+    solver = find_method("dopri5", PAIR, RADIUS).make(1e-12)
+    found, exact = (observe(p, replay(p, solver)) for p in (shift_starts(problem, 1e-6), problem))
     np.testing.assert_allclose(exact.positions[0], position, rtol=0, atol=1e-10)
-    known = measured(problem, 1e-6, found, exact)
-    begin = shifted(problem, 1e-6).starts[0] - position
+    known = conditioning_of(problem, 1e-6, found, exact)
+    begin = shift_starts(problem, 1e-6).starts[0] - position
     end = (expm(length * jacobian) @ begin.ravel()).reshape(-1, 3)
     off = np.linalg.norm(end, axis=1)
     assert known.worst_cell[0] == pytest.approx(off.max(), rel=1e-3)
@@ -157,11 +157,11 @@ def test_a_small_shift_of_an_unstable_state_ends_as_exp_jt_has_it():
 
 
 def test_the_same_seed_gives_the_same_bits_and_another_one_does_not():
-    pair = paired(BOTH_EXACT, PAIR, RADIUS)
+    pair = method_pair(BOTH_EXACT, PAIR, RADIUS)
     problem = reference(PAIR, pair=pair, stepwise=3, cache=False).problem
-    first, second = (shifted(problem, 0.01).starts for _ in range(2))
+    first, second = (shift_starts(problem, 0.01).starts for _ in range(2))
     np.testing.assert_array_equal(first, second)
-    other = shifted(replace(problem, scene=replace(problem.scene, seed=99)), 0.01).starts
+    other = shift_starts(replace(problem, scene=replace(problem.scene, seed=99)), 0.01).starts
     assert not np.array_equal(first, other)
     # and every step has numbers of its own
     moves = [a - b for a, b in zip(first, problem.starts, strict=True)]
@@ -170,19 +170,19 @@ def test_the_same_seed_gives_the_same_bits_and_another_one_does_not():
 
 def test_cells_of_a_plane_stay_in_it_and_a_whole_run_has_no_conditioning():
     flat = PAIR.with_changes({"dimensions": 2})
-    pair = paired([("dopri5", 1e-6), ("dopri5", 1e-5)], flat, RADIUS)
+    pair = method_pair([("dopri5", 1e-6), ("dopri5", 1e-5)], flat, RADIUS)
     problem = reference(flat, pair=pair, stepwise=2, cache=False).problem
-    for start, other in zip(problem.starts, shifted(problem, 0.01).starts, strict=True):
+    for start, other in zip(problem.starts, shift_starts(problem, 0.01).starts, strict=True):
         np.testing.assert_array_equal(start[:, 2], other[:, 2])
         assert (start[:, :2] != other[:, :2]).all()
-    whole = reference(PAIR, pair=paired(BOTH_EXACT, PAIR, RADIUS), cache=False)
+    whole = reference(PAIR, pair=method_pair(BOTH_EXACT, PAIR, RADIUS), cache=False)
     assert whole.conditioning is None
     with pytest.raises(ValueError, match="single coupling steps"):
-        shifted(whole.problem, 0.01)
+        shift_starts(whole.problem, 0.01)
 
 
 def test_the_cache_keeps_it_and_knows_the_shift(tmp_path):
-    pair = paired(BOTH_EXACT, PAIR, RADIUS)
+    pair = method_pair(BOTH_EXACT, PAIR, RADIUS)
     first, second = (reference(PAIR, pair=pair, stepwise=3, cache=tmp_path) for _ in range(2))
     assert (first.cached, second.cached) == (False, True)
     assert second.conditioning.to_dict() == first.conditioning.to_dict()

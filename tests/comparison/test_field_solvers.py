@@ -9,30 +9,31 @@ import pytest
 from scipy.optimize import brentq
 
 import multicell as mc
-from multicell.comparison.field_solvers import compare as comparing
-from multicell.comparison.field_solvers import stability
+from multicell.comparison.field_solvers import measure
+from multicell.comparison.field_solvers.compare import frame_at
+from multicell.comparison.field_solvers.equations import (
+    CUBES,
+    SHELLS,
+    SQUARES,
+    coarse_means,
+    geometries,
+    grids,
+)
 from multicell.comparison.field_solvers.measure import (
     NO_CONVERGENCE,
     RIGHT,
     RUNS_AWAY,
     TOO_SLOW,
-    _measured,
-    attempted,
-    judged,
+    Bench,
+    stability_rows,
 )
 from multicell.comparison.field_solvers.problems import (
-    CUBES,
     KINDS,
-    SHELLS,
-    SQUARES,
     STEADY,
     SWITCH,
     TRANSIENT,
     case,
     fastest_rate,
-    geometries,
-    grids,
-    means,
 )
 from multicell.comparison.field_solvers.reference import of_grids, on_one_grid
 from multicell.comparison.field_solvers.solvers import SOLVERS, neighbours
@@ -55,8 +56,12 @@ def scene_with(oxygen=None, **changes):
     )
 
 
+def bench_of(problem):
+    return Bench(problem, on_one_grid(problem), "kernels")
+
+
 def problem_of(scene, kind, geometry=CUBES, rung=1):
-    frame = comparing.state_at(scene, None, 1, print)
+    frame = frame_at(scene, None, 1, print)
     layout = grids(scene, frame, "oxygen", geometry, rung + 1)[rung]
     return case(scene, frame, "oxygen", kind, layout)
 
@@ -67,7 +72,7 @@ def problem_of(scene, kind, geometry=CUBES, rung=1):
 @pytest.mark.parametrize("geometry", [CUBES, SHELLS, SQUARES])
 def test_grids_are_nested_and_means_keep_amounts(geometry):
     scene = scene_with(dimensions=2) if geometry == SQUARES else scene_with()
-    frame = comparing.state_at(scene, None, 1, print)
+    frame = frame_at(scene, None, 1, print)
     coarse, middle, fine = grids(scene, frame, "oxygen", geometry, 3)
     assert coarse.spacing == pytest.approx(4.0 * fine.spacing, rel=1e-12)
     assert middle.spacing <= 15.0 * (1.0 + 1e-9)
@@ -75,7 +80,7 @@ def test_grids_are_nested_and_means_keep_amounts(geometry):
     rng = np.random.default_rng(4)
     values = rng.random(fine.filled(0.0).shape)
     for layout, factor in ((middle, 2), (coarse, 4)):
-        held = means(values, fine, factor)
+        held = coarse_means(values, fine, factor)
         assert held.size == layout.filled(0.0).size
         amounts = np.sum(layout.volumes * held.reshape(layout.filled(0.0).shape))
         assert amounts == pytest.approx(np.sum(fine.volumes * values), rel=1e-12)
@@ -87,7 +92,7 @@ def test_grids_are_nested_and_means_keep_amounts(geometry):
 def test_geometries_are_those_that_fit():
     def found(*args, **changes):
         scene = scene_with(*args, **changes)
-        return geometries(scene, comparing.state_at(scene, None, 1, print), "oxygen")
+        return geometries(scene, frame_at(scene, None, 1, print), "oxygen")
 
     assert found() == [CUBES, SHELLS]
     assert found({"geometry": "radial"}) == [SHELLS, CUBES]
@@ -135,15 +140,16 @@ def test_neighbours_are_where_rates_depend_on_nodes():
 def test_the_reference_is_known_far_better_than_solvers(kind, geometry):
     scene = scene_with(dimensions=2) if geometry == SQUARES else scene_with()
     problem = problem_of(scene, kind, geometry, rung=0)
-    exact = on_one_grid(problem)
+    bench = bench_of(problem)
+    exact = bench.exact
     assert exact.uncertainty < 1e-8
     assert exact.data.min() >= 0.0
     assert np.abs(exact.data - problem.start).max() > 0.03 * problem.scale
     name = "multicell-steady" if kind == STEADY else "multicell-march"
-    data, attempt, found = attempted(SOLVERS[name], problem, 1e-3, "kernels", 60.0)
-    assert data is not None, found["words"]
-    assert judged(data, exact, problem.scale)[2] < 3e-3
-    assert attempt.steps > 0
+    found = bench.attempt(SOLVERS[name], 1e-3, 60.0)
+    assert found.data is not None, found.words
+    assert found.error < 3e-3
+    assert found.attempt.steps > 0
 
 
 @pytest.mark.slow
@@ -156,15 +162,16 @@ def test_all_solvers_meet_the_closed_form_of_a_medium_that_switches():
     problem = problem_of(scene, SWITCH, rung=0)
     _, (_, begin, end) = problem.pieces
     expected = 0.07 * (0.5 + 0.5 * math.exp(-k * (end - begin)))
-    assert np.abs(on_one_grid(problem).data - expected).max() < 1e-9
+    bench = bench_of(problem)
+    assert np.abs(bench.exact.data - expected).max() < 1e-9
     for solver in SOLVERS.values():
         if solver.refusal(problem):
             continue
         setting = 1e-5 if solver.kind == "controlled" else 0.25 * solver.stable
-        data, attempt, found = attempted(solver, problem, setting, "kernels", 60.0)
-        assert data is not None, f"{solver.name}: {found['words']}"
-        assert np.abs(data - expected).max() < 5e-3 * 0.07, solver.name
-        assert attempt.steps > 0, solver.name
+        found = bench.attempt(solver, setting, 60.0)
+        assert found.data is not None, f"{solver.name}: {found.words}"
+        assert np.abs(found.data - expected).max() < 5e-3 * 0.07, solver.name
+        assert found.attempt.steps > 0, solver.name
 
 
 def test_the_error_of_shells_is_that_against_the_closed_form():
@@ -173,7 +180,7 @@ def test_the_error_of_shells_is_that_against_the_closed_form():
     D 4πr² dc/dr = Σ of what the cells inside take up; shooting from the middle outwards.
     """
     scene = scene_with({"geometry": "radial", "half_saturation": "0.02 mM", "uptake": "60 amol/s"})
-    frame = comparing.state_at(scene, None, 1, print)
+    frame = frame_at(scene, None, 1, print)
     nutrient = scene.nutrients["oxygen"]
     layouts = grids(scene, frame, "oxygen", SHELLS, 3)
     r = np.sort(np.linalg.norm(frame.cells.position - layouts[0].centre, axis=1))
@@ -203,7 +210,7 @@ def test_the_error_of_shells_is_that_against_the_closed_form():
     # the reference by ever finer grids leaves no more open than it says
     for k, found in enumerate(of_grids(scene, frame, "oxygen", STEADY, layouts)):
         problem = case(scene, frame, "oxygen", STEADY, layouts[k])
-        steady = means(problem.whole.steady_state(problem.start, 0.0)[0], layouts[k], 2**k)
+        steady = coarse_means(problem.whole.steady_state(problem.start, 0.0)[0], layouts[k], 2**k)
         error = np.abs(steady - np.array(right)).max() / problem.scale
         assert error > 1e-4
         assert abs(found.error - error) <= found.uncertainty
@@ -213,7 +220,7 @@ def test_the_error_of_shells_is_that_against_the_closed_form():
 @pytest.mark.parametrize("geometry", [CUBES, SHELLS])
 def test_errors_of_grids_fall_with_the_square_of_the_spacing(geometry):
     scene = scene_with({"uptake": "60 amol/s"})
-    frame = comparing.state_at(scene, None, 1, print)
+    frame = frame_at(scene, None, 1, print)
     layouts = grids(scene, frame, "oxygen", geometry, 3)
     errors = [found.error for found in of_grids(scene, frame, "oxygen", STEADY, layouts)]
     for coarse, fine in itertools.pairwise(errors):
@@ -226,11 +233,11 @@ def test_backends_differ_by_rounding_only():
     exact = on_one_grid(problem)
     found = []
     for backend in ("kernels", "numpy", "numba"):
-        effort = Effort(2, 60.0, 60.0, 1)
-        row = _measured(SOLVERS["euler"], problem, 0.9, exact, backend, effort)
-        assert row["status"] == DONE
+        bench = Bench(problem, exact, backend)
+        rows, _ = bench.climb(SOLVERS["euler"], Effort(2, 60.0, 60.0, 1), lambda _: None)
+        row = next(row for row in rows if row["status"] == DONE)
         assert (row["backend"], row["steps"] > 0.0) == (backend, True)
-        found.append(attempted(SOLVERS["euler"], problem, 0.9, backend, 60.0)[0])
+        found.append(bench.attempt(SOLVERS["euler"], 0.9, 60.0).data)
         # compilation takes seconds, and is no part of it
         assert row["cpu"] < 1.0
     np.testing.assert_allclose(found[1], found[0], rtol=1e-12)
@@ -242,14 +249,12 @@ def test_backends_differ_by_rounding_only():
 
 def test_failures_are_results_of_their_kind():
     problem = problem_of(scene_with(), TRANSIENT, rung=0)
-    exact = on_one_grid(problem)
+    bench = bench_of(problem)
 
     def kind(name, setting, patience=20.0):
-        data, _, found = attempted(SOLVERS[name], problem, setting, "kernels", patience)
-        if data is None:
-            assert found["words"]
-            return found["kind"]
-        return judged(data, exact, problem.scale)[0]
+        found = bench.attempt(SOLVERS[name], setting, patience)
+        assert found.data is not None or found.words
+        return found.kind
 
     assert kind("euler", 0.9) == RIGHT
     assert kind("euler", 6.0) == RUNS_AWAY
@@ -262,13 +267,13 @@ def test_failures_are_results_of_their_kind():
     assert kind("multicell-implicit", 1e-4) == RIGHT
 
 
-def test_the_map_of_stability_knows_the_limits(monkeypatch):
-    monkeypatch.setattr(stability, "FACTORS", (1.0, 1000.0))
-    monkeypatch.setattr(stability, "STEPS", (0.25, 4.0))
-    monkeypatch.setattr(stability, "TOLERANCES", (1e-3,))
+def test_the_map_of_stability_knows_the_limits():
     problem = problem_of(scene_with(), TRANSIENT, SHELLS, rung=1)
     wanted = [SOLVERS[name] for name in ("euler", "crank-nicolson", "multicell-implicit")]
-    rows = stability.stability_rows(problem, wanted, "kernels", 20.0, lambda _: None)
+    rows = stability_rows(
+        problem, wanted, "kernels", 20.0, lambda _: None, uptakes=(1.0, 1000.0),
+        steps=(0.25, 4.0), tolerances=(1e-3,),
+    )  # fmt: skip
     kinds = {(r["solver"], r["factor"], r["setting"]): r["kind"] for r in rows}
     assert kinds["euler", 1.0, 0.25] == RIGHT
     assert kinds["euler", 1.0, 4.0] == RUNS_AWAY
@@ -286,10 +291,10 @@ def test_the_map_of_stability_knows_the_limits(monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_comparison_is_written_read_and_told(tmp_path, monkeypatch):
-    monkeypatch.setattr(stability, "FACTORS", (1.0, 30.0))
-    monkeypatch.setattr(stability, "STEPS", (0.5, 4.0))
-    monkeypatch.setattr(stability, "TOLERANCES", (1e-2, 1e-3))
+def test_a_comparison_is_written_read_and_reported(tmp_path, monkeypatch):
+    monkeypatch.setattr(measure, "UPTAKES", (1.0, 30.0))
+    monkeypatch.setattr(measure, "STEPS", (0.5, 4.0))
+    monkeypatch.setattr(measure, "TOLERANCES", (1e-3, 1e-2))
     names = ["multicell-steady", "multicell-implicit", "euler", "crank-nicolson", "scipy-BDF"]
     result = mc.compare_fields(
         scene_with(coupling_step="2 s"), tmp_path / "out", solvers=names, spacings=1, repeats=1,
@@ -312,7 +317,9 @@ def test_a_comparison_is_written_read_and_told(tmp_path, monkeypatch):
         assert row["uncertainty"] < 1e-7
     best = result.cheapest(1e-3, problem=STEADY, geometry=CUBES)
     assert best["solver"] == "multicell-steady"
-    again = mc.FieldComparison.from_json((tmp_path / "out" / "field-solvers.json").read_text())
+    document = tmp_path / "out" / "field-solvers.json"
+    again = mc.FieldComparison.read(document)
+    assert mc.FieldComparison.from_json(document.read_text()).text() == result.text()
     assert again.text() == result.text()
     assert json.loads(again.to_json()) == json.loads(result.to_json())
     assert "within 0.1 %: multicell-steady" in result.text()

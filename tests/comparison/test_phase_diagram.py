@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 from formulas import dense_jacobian
 
-from multicell.comparison.ratios import crossing, mean_crossing, mean_ratio
-
 DOCS = Path(__file__).parents[2] / "docs"
 PLACES = np.array([1e2, 1e3, 1e4, 1e5, 1e6])
 
@@ -24,12 +22,13 @@ def scripts():
         import phase_diagram
         import phase_problems
         import phase_race
+        import phase_ratios
         import phase_tables
     finally:
         sys.path.remove(str(DOCS))
     return argparse.Namespace(
         diagram=phase_diagram, problems=phase_problems, race=phase_race, tables=phase_tables,
-        defaults=defaults_tables,
+        defaults=defaults_tables, ratios=phase_ratios,
     )  # fmt: skip
 
 
@@ -133,8 +132,9 @@ def test_a_solve_is_stopped_when_its_time_is_over(scripts, tmp_path):
     assert 0.05 < cost < 0.06
 
 
-def test_the_crossing_of_a_power_law_is_found():
+def test_the_crossing_of_a_power_law_is_found(scripts):
     """(z / z0)^0.4 is a straight line in both logarithms: interpolation is exact."""
+    crossing = scripts.ratios.crossing
     for known in (3e2, 4.2e4, 9e5):
         assert crossing(PLACES, (PLACES / known) ** 0.4) == pytest.approx(known, rel=1e-12)
     assert crossing(PLACES, np.full(5, 2.0)) == 0.0
@@ -146,26 +146,26 @@ def test_the_crossing_of_a_power_law_is_found():
     assert crossing(PLACES, ratio) == pytest.approx(4.2e4, rel=1e-12)
 
 
-def test_intervals_of_crossings_cover_the_true_one():
+def test_intervals_of_crossings_cover_the_true_one(scripts):
     """Scatter of the costs in every seed; 40 draws of eight seeds, most cover the truth."""
     rng = np.random.default_rng(3)
     truth = 2e4
     covered = 0
     for _ in range(40):
         ratios = (PLACES / truth) ** 0.4 * np.exp(0.5 * rng.normal(size=(8, 1)))
-        found = mean_crossing(PLACES, ratios)
+        found = scripts.ratios.mean_crossing(PLACES, ratios)
         assert found.low <= found.value <= found.high
         covered += found.low <= truth <= found.high
     assert covered >= 32
 
 
-def test_ratios_are_averaged_in_logarithms():
-    found = mean_ratio(np.array([0.5, 2.0, 8.0]))
+def test_ratios_are_averaged_in_logarithms(scripts):
+    found = scripts.ratios.mean_ratio(np.array([0.5, 2.0, 8.0]))
     assert found.value == pytest.approx(2.0)
     assert 0.5 <= found.low < 2.0 < found.high <= 8.0
-    assert mean_ratio(np.array([3.0])).high == math.inf
+    assert scripts.ratios.mean_ratio(np.array([3.0])).high == math.inf
     with pytest.raises(ValueError, match="positive"):
-        mean_ratio(np.array([1.0, 0.0]))
+        scripts.ratios.mean_ratio(np.array([1.0, 0.0]))
 
 
 def seed_rows(explicit, implicit, seed, status=("reached", "reached")):

@@ -9,13 +9,19 @@ import pytest
 from matplotlib.colors import to_hex
 from two_cells import EXACT, PAIR, Planted, compared, step_method
 
-from multicell.comparison.charts import appearance
-from multicell.comparison.highlights import MOST, Point, in_colour, pareto_front, points
-from multicell.comparison.measure import Timed, time_again
+from multicell.comparison.measure import TimedPoint, time_again
 from multicell.comparison.norms import NORMS, WORST_CELL
 from multicell.comparison.replay import Trajectory
 from multicell.comparison.result import WorkPrecision
 from multicell.comparison.stability_limits.result import StabilityMap
+from multicell.comparison.styles import (
+    MAX_COLOURED,
+    Point,
+    appearance,
+    in_colour,
+    pareto_front,
+    points,
+)
 from multicell.integrators.registry import METHODS
 from multicell.report.plots.colour_vision import (
     APART,
@@ -89,7 +95,7 @@ def test_at_most_eight_series_are_coloured_and_all_are_drawn(count):
             lines = series(axes)
             assert set(lines) == set(result.methods)
             coloured = [n for n, line in lines.items() if to_hex(line.get_color()) != PALE]
-            assert len(coloured) == min(count, MOST)
+            assert len(coloured) == min(count, MAX_COLOURED)
             front = min(line.get_zorder() for n, line in lines.items() if n in coloured)
             pale = [line.get_zorder() for n, line in lines.items() if n not in coloured]
             assert all(zorder < front for zorder in pale)
@@ -113,11 +119,11 @@ def test_methods_on_the_front_are_always_coloured(seed):
     solves = [(name, *10.0 ** rng.uniform(-2, 1, 2)) for name in names for _ in range(2)]
     result = result_of(solves, named=names[::-1])
     holders = {p.method for p in pareto_front(points(result, "position", "wall"))}
-    assert len(holders) <= MOST
+    assert len(holders) <= MAX_COLOURED
     assert holders <= set(in_colour(result, "position"))
     # the rest are those that the user named, in that order
     named = [name for name in names[::-1] if name not in holders]
-    assert in_colour(result, "position")[len(holders) :] == named[: MOST - len(holders)]
+    assert in_colour(result, "position")[len(holders) :] == named[: MAX_COLOURED - len(holders)]
 
 
 def test_of_a_front_of_more_than_eight_those_stay_that_hold_most_decades():
@@ -182,7 +188,7 @@ def test_a_spare_colour_is_left_for_every_one_of_eight_series():
 def test_the_colours_of_a_chart_are_told_apart():
     result = crowd(12)
     colours = {colour for colour, _, _ in appearance(result).values()}
-    assert len(colours) == MOST + 1
+    assert len(colours) == MAX_COLOURED + 1
     assert all(distance(a, b) >= APART for a, b in itertools.combinations(colours, 2))
 
 
@@ -255,7 +261,7 @@ def test_points_are_medians_with_bars_from_the_shortest_to_the_longest(monkeypat
     )
     result = result_of([("a", 2.0, 1e-2)])
     row = result.table[0]
-    time_again([Timed(row, EXACT, 100.0, 2.0, [(2.0, 1.5)])], None, 4)
+    time_again([TimedPoint(row, EXACT, 100.0, 2.0, [(2.0, 1.5)])], None, 4)
     assert (row["wall"], row["wall_median"], row["wall_longest"]) == (2.0, 4.5, 9.0)
     assert (row["cpu"], row["cpu_longest"]) == (1.0, 1.5)
     panel = panels(result.figure())[0]
@@ -272,7 +278,7 @@ def test_every_pale_series_is_named_in_the_page_and_under_the_pointer(tmp_path):
     result = crowd(15)
     page = result.save(tmp_path).read_text(encoding="utf-8")
     pale = [name for name, (colour, _, _) in appearance(result).items() if colour == PALE]
-    assert len(pale) == 15 - MOST
+    assert len(pale) == 15 - MAX_COLOURED
     keys = re.search(r'<ul class="keys">(.*?)</ul>', page, re.S)[1]
     shown = re.findall(r"background:(#\w+)[^>]*></span>([^<]+)</li>", keys)
     assert {name: colour for colour, name in shown} == {
@@ -320,7 +326,7 @@ def test_sweeps_of_stability_have_the_same_colours_and_names_under_the_pointer()
     figure = StabilityMap(PAIR, table, {}).sweeps_figure()
     axes = figure.axes[0]
     colours = {name: to_hex(line.get_markeredgecolor()) for name, line in series(axes).items()}
-    assert [name for name, colour in colours.items() if colour == PALE] == names[MOST:]
+    assert [name for name, colour in colours.items() if colour == PALE] == names[MAX_COLOURED:]
     apart = {*colours.values()}
     assert all(distance(a, b) >= APART for a, b in itertools.combinations(apart, 2))
     assert {mark.name for mark in marks(figure)} == set(names)

@@ -19,7 +19,7 @@ from two_cells import (
 import multicell.comparison.reference as references
 from multicell import StepFailed
 from multicell.comparison import cache
-from multicell.comparison.reference import paired, reference
+from multicell.comparison.reference import method_pair, reference
 from multicell.comparison.replay import replay
 from multicell.integrators.runge_kutta import Euler
 from multicell.scene.scene import load_scene
@@ -143,7 +143,7 @@ def test_a_cached_reference_is_not_used_when_anything_changed(
 )
 def test_cvode_as_reference_is_as_tight_as_the_scene_allows(name, changes, tolerance):
     scene = load_scene(name).with_changes(changes)
-    *_, last = references.default_pairs(scene, references.blank(scene, None, 1))
+    *_, last = references.default_pairs(scene, references.unsolved_problem(scene, None, 1))
     assert [(method.name, setting) for method, setting in last] == [
         ("cvode", tolerance),
         ("cvode", 10.0 * tolerance),
@@ -152,7 +152,7 @@ def test_cvode_as_reference_is_as_tight_as_the_scene_allows(name, changes, toler
 
 def test_an_order_of_eight_is_the_reference_and_another_method_checks_it():
     (best, _), few = (
-        references.default_pairs(scene, references.blank(scene, None, 1))
+        references.default_pairs(scene, references.unsolved_problem(scene, None, 1))
         for scene in (PAIR, load_scene("settle").with_changes({"initial.count": 2500}))
     )
     assert [(method.name, setting) for method, setting in best] == [
@@ -184,7 +184,7 @@ def test_the_cache_folder_can_be_chosen(monkeypatch, tmp_path):
 
 
 def test_a_growing_problem_survives_the_cache(tmp_path):
-    pair = paired([("euler", 5.0), ("euler", 10.0)], GROWING, 4.0)
+    pair = method_pair([("euler", 5.0), ("euler", 10.0)], GROWING, 4.0)
     first = reference(GROWING, pair=pair, cache=tmp_path)
     second = reference(GROWING, pair=pair, cache=tmp_path)
     assert (first.cached, second.cached) == (False, True)
@@ -207,7 +207,7 @@ SORTING = GROWING.with_changes(
 
 
 def test_pairs_and_types_of_a_motion_survive_the_cache(tmp_path):
-    pair = paired([("euler", 10.0), ("euler", 20.0)], SORTING, 4.0)
+    pair = method_pair([("euler", 10.0), ("euler", 20.0)], SORTING, 4.0)
     first, second = (reference(SORTING, pair=pair, cache=tmp_path) for _ in range(2))
     assert second.cached
     for one, two in zip(first.problem.steps, second.problem.steps, strict=True):

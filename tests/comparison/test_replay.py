@@ -8,7 +8,7 @@ from synthetic import cells_at
 from two_cells import GROWING
 
 from multicell import Simulation
-from multicell.comparison.record import Recorder, both, events_between, record
+from multicell.comparison.record import Recorder, compose_events, events_between, record
 from multicell.comparison.replay import Events, replay
 from multicell.comparison.work_precision import compare
 from multicell.errors import SceneError
@@ -161,9 +161,9 @@ def test_events_of_steps_that_are_left_out_are_carried_on():
     died = Events(np.array([1]), np.zeros((1, 3)))
     again = Events(np.array([0, 0]), np.array([2 * east, 2 * west]))
     position = np.array([[10.0, 0.0, 0.0], [50.0, 0.0, 0.0]])
-    whole = both(both(divided, died), again)
+    whole = compose_events(compose_events(divided, died), again)
     np.testing.assert_array_equal(whole.apply(position), [[11.0, 0.0, 0.0], [7.0, 0.0, 0.0]])
-    assert both(None, died) is both(died, None) is died
+    assert compose_events(None, died) is compose_events(died, None) is died
 
 
 @pytest.mark.parametrize("stepwise", [False, 3])
@@ -214,11 +214,11 @@ def noted(total, count):
             return position
 
     sampler = Recorder(Stays(), count)
-    held = 0
+    stored = 0
     for k in range(total):
         sampler.integrate(System(), np.full((1, 3), float(k)))
-        held = max(held, len(sampler.held))
-    return [int(state.start[0, 0]) for state in sampler.chosen()], held
+        stored = max(stored, len(sampler.steps))
+    return [int(state.start[0, 0]) for state in sampler.select()], stored
 
 
 @pytest.mark.parametrize(("total", "count"), [(1, 4), (7, 24), (24, 24), (25, 24), (97, 5)])
@@ -232,9 +232,9 @@ def test_a_sample_is_taken_from_the_middles_of_equal_parts(total, count):
 
 
 def test_a_long_run_is_sampled_with_few_states_held():
-    chosen, held = noted(5000, 6)
-    assert held <= 16 * 6 + 1
-    # states are held at a stride of at most an eighth of the distance between two samples
+    chosen, stored = noted(5000, 6)
+    assert stored <= 16 * 6 + 1
+    # states are stored at a stride of at most an eighth of the distance between two samples
     middles = (np.arange(6) + 0.5) * 5000 / 6
     np.testing.assert_allclose(chosen, middles, atol=5000 / 6 / 16 + 1)
 

@@ -16,7 +16,7 @@ from multicell import SceneError, StepFailed
 from multicell.cli.main import main
 from multicell.comparison.norms import NORMS
 from multicell.comparison.record import SAMPLES, sample_size
-from multicell.comparison.reference import default_pairs, key, paired, reference
+from multicell.comparison.reference import default_pairs, key, method_pair, reference
 from multicell.comparison.replay import Trajectory, replay
 from multicell.comparison.result import WorkPrecision
 from multicell.comparison.work_precision import compare
@@ -138,8 +138,8 @@ def test_chart_page_and_csv_state_the_mode(failing, tmp_path):
     assert "positions, largest over the steps / mean radius" in page
     rows = list(csv.DictReader(io.StringIO((tmp_path / "workprecision.csv").read_text())))
     assert {row["mode"] for row in rows} == {mode}
-    held = json.loads((tmp_path / "workprecision.json").read_text())
-    assert "over the steps" in held["norms"]["energy"]
+    table = json.loads((tmp_path / "workprecision.json").read_text())
+    assert "over the steps" in table["norms"]["energy"]
     whole = compared([EXACT], [1.0], stepwise=False)
     assert whole.table[0]["mode"] == "whole run"
     assert not any("step-wise" in text.get_text() for text in whole.figure().texts)
@@ -199,7 +199,7 @@ def test_nutrient_division_types_friction_and_remembered_contacts_are_held(tmp_p
 
 
 def test_a_cached_sample_gives_the_same_steps_and_no_other_count(tmp_path):
-    pair = paired([("euler", 5.0), ("euler", 10.0)], GROWING, 4.0)
+    pair = method_pair([("euler", 5.0), ("euler", 10.0)], GROWING, 4.0)
     first, second = (reference(GROWING, pair=pair, stepwise=6, cache=tmp_path) for _ in range(2))
     assert (first.cached, second.cached) == (False, True)
     assert second.problem.mode == first.problem.mode == "step-wise, 6 of 36 coupling steps"

@@ -171,14 +171,14 @@ def test_methods_of_one_name_and_methods_that_cannot_be_turned_are_refused(mine)
 @pytest.mark.parametrize("method", ["cvode-sparse", "scipy-lsoda", "scipy-radau", "scipy-bdf"])
 def test_methods_that_cannot_hold_a_scene_are_refused_with_it(method):
     """Friction makes J full: said when the scene is read, not in its first step."""
-    from multicell.comparison.ladders import able
+    from multicell.comparison.ladders import capable_methods
 
     rough = scene(friction={"normal": "0.1 nN s/um^3"})
     with pytest.raises(mc.SceneError, match="friction between cells") as caught:
         rough.with_changes({"integrator": method})
     assert caught.value.path == "integrator.method"
-    assert method in able(scene())
-    assert method not in able(rough)
+    assert method in capable_methods(scene())
+    assert method not in capable_methods(rough)
     with pytest.raises(mc.SceneError, match="holds at most"):
         scene(**{"integrator": method, "initial.count": 20_000})
 

@@ -8,7 +8,7 @@ import pytest
 from stored import assert_same_bits
 
 import multicell as mc
-from multicell.comparison.conditioning import shifted
+from multicell.comparison.conditioning import shift_starts
 from multicell.comparison.record import record
 from multicell.integrators import shift
 from multicell.integrators.auto import Auto
@@ -112,7 +112,7 @@ def test_shifts_are_normal_numbers_by_identity_and_stay_in_a_plane():
 
 def test_comparisons_shift_by_the_same_numbers():
     problem, _ = record(scene_of(duration="2 h"), Auto(), samples=3)
-    moved = shifted(problem, 0.02)
+    moved = shift_starts(problem, 0.02)
     seed = problem.scene.seed
     for k, (before, after) in enumerate(zip(problem.starts, moved.starts, strict=True)):
         ids = np.arange(len(before))

@@ -5,49 +5,44 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Final, final
+from typing import Final, NamedTuple, final
 
-from multicell.comparison.field_solvers.measure import climb
-from multicell.comparison.field_solvers.problems import (
-    KINDS,
+from multicell.comparison.field_solvers.equations import (
+    BACKENDS,
     SHELLS,
-    TRANSIENT,
-    Case,
-    case,
+    Layout,
     geometries,
     grids,
-    nodes_of,
+    node_count,
+    own_spacing,
 )
-from multicell.comparison.field_solvers.reference import GridError, of_grids, on_one_grid
+from multicell.comparison.field_solvers.measure import TRIAL_PATIENCE, Bench, stability_rows
+from multicell.comparison.field_solvers.problems import KINDS, TRANSIENT, Case, case
+from multicell.comparison.field_solvers.reference import of_grids, on_one_grid
 from multicell.comparison.field_solvers.result import FieldComparison, all_files
-from multicell.comparison.field_solvers.solvers import DIRECT, FieldSolver, chosen
-from multicell.comparison.field_solvers.stability import TRIAL_PATIENCE, stability_rows
-from multicell.comparison.field_solvers.watched import BACKENDS
+from multicell.comparison.field_solvers.solvers import DIRECT, SOLVERS, FieldSolver, select_names
 from multicell.comparison.files import CLOCKS, Row, prepare
 from multicell.comparison.measure import Effort
 from multicell.errors import NutrientFailed, SceneError
-from multicell.nutrient.grid import Layout
-from multicell.nutrient.parameters import FieldParameters
 from multicell.results.folder import versions
 from multicell.results.frame import Frame
 from multicell.scene.scene import Scene, load_scene
-from multicell.schema import near_miss
 from multicell.simulation import Simulation
 from multicell.units import to_base
 
 SPACINGS: Final = 3
-MOST_NODES: Final = 60_000
-"""Nodes of a grid above which only its own error is looked at, not the solvers'."""
+MAX_NODES: Final = 60_000
+"""Nodes of a grid above which its own error is measured, but not the solvers'."""
 
-_FEWEST = 20
-"""Nodes that the stability map is drawn for at least, where there are as many."""
+_MIN_MAP_NODES = 20
+"""Nodes of the grid of the stability map at least, where there are as many."""
 
-_TRIED = 0.5
+_MIN_PATIENCE = 0.5
 """Wall time in s that a first point may take however short the budget is."""
 
-_POINTS = 6  # of a ladder, about
+_RUNGS = 6  # of a ladder, about
 
 _LOOPING = (
     "py-pde judges the iteration in a loop over the nodes, which is tens of times faster with "
@@ -131,52 +126,38 @@ def compare_fields(
         If the run to ``at`` fails. Solvers that fail are rows of the table.
     """
     described = scene if isinstance(scene, Scene) else load_scene(scene)
-    names = _named(described, fields)
-    wanted = chosen(solvers)
+    if not described.nutrients:
+        problem = "are none: the scene has no fields whose solvers could be compared"
+        raise SceneError("nutrients", problem)
+    names = select_names("fields", fields, described.nutrients, "field of the scene")
+    wanted = [
+        SOLVERS[name] for name in select_names("solvers", solvers, SOLVERS, "solver of fields")
+    ]
     _check(clock, backend, spacings)
     tell = progress or (lambda _: None)
     time = None if at is None else _time(at, described)
     if at is not None and frame is not None:
         raise SceneError("at", "is given beside a frame, which has a time of its own")
     prepare(output, all_files(), overwrite)
-    taken = frame or state_at(described, time, threads, tell)
+    taken = frame or frame_at(described, time, threads, tell)
+    race = _Race(described, taken, wanted, backend, Effort(repeats, patience, budget, _RUNGS), tell)
     looping = [solver.name for solver in wanted if solver.iterates]
-    notes = [f"{' and '.join(looping)}: {_LOOPING}"] if looping and backend != "numba" else []
-    ladders = list(_ladders(described, taken, names, spacings, notes))
-    race = _Race(described, taken, wanted, backend, repeats, patience, budget, tell, notes)
+    if looping and backend != "numba":
+        race.notes.append(f"{' and '.join(looping)}: {_LOOPING}")
+    ladders = list(race.ladders(names, spacings))
     race.run(ladders)
-    failures: list[Row] = []
-    if stability:
-        smallest = _smallest(described, taken, ladders, notes)
-        if smallest is not None:
-            failures = stability_rows(smallest, wanted, backend, patience, tell)
+    failures = race.failures(ladders) if stability else []
     facts = {
         "cells": len(taken.cells), "time": taken.time, "backend": backend,
-        "backend_words": BACKENDS[backend], "notes": list(dict.fromkeys(notes)),
+        "backend_words": BACKENDS[backend], "notes": list(dict.fromkeys(race.notes)),
         "trial_patience": TRIAL_PATIENCE * patience,
-        "spacing": {name: FieldParameters.of(described, name).spacing for name in names},
+        "spacing": {name: own_spacing(described, name) for name in names},
         "solvers": {solver.name: solver.words for solver in wanted}, "versions": versions(),
     }  # fmt: skip
     result = FieldComparison(described, race.table, race.grid_table, failures, facts, clock)
     if output is not None:
         result.save(output)
     return result
-
-
-def _named(scene: Scene, fields: Sequence[str] | None) -> list[str]:
-    """Return the fields that are wanted."""
-    if not scene.nutrients:
-        problem = "are none: the scene has no fields whose solvers could be compared"
-        raise SceneError("nutrients", problem)
-    if fields is None:
-        return list(scene.nutrients)
-    if isinstance(fields, str) or not fields:
-        raise SceneError("fields", f"is {fields!r}, expected a list of names")
-    for name in fields:
-        if name not in scene.nutrients:
-            hint = near_miss(name, scene.nutrients) or f"Has {', '.join(scene.nutrients)}."
-            raise SceneError("fields", f"has {name!r}, which is no field of the scene", hint)
-    return list(fields)
 
 
 def _check(clock: str, backend: str, spacings: int) -> None:
@@ -199,7 +180,7 @@ def _time(at: float | str, scene: Scene) -> float:
     return time
 
 
-def state_at(scene: Scene, time: float | None, threads: int | None, tell: Tell) -> Frame:
+def frame_at(scene: Scene, time: float | None, threads: int | None, tell: Tell) -> Frame:
     """Return the frame of a scene at its start, or at the first coupling time from ``time`` on.
 
     Raises
@@ -214,19 +195,12 @@ def state_at(scene: Scene, time: float | None, threads: int | None, tell: Tell) 
     return simulation.frame()
 
 
-def _ladders(
-    scene: Scene, frame: Frame, names: Sequence[str], spacings: int, notes: list[str]
-) -> Iterator[tuple[str, str, list[Layout]]]:
-    """Yield field, geometry and its grids."""
-    for name in names:
-        found = geometries(scene, frame, name)
-        if SHELLS not in found and scene.dimensions == 3:
-            notes.append(f"{name} has no shells here: the tissue is no ball, or its sides differ")
-        for geometry in found:
-            try:
-                yield name, geometry, grids(scene, frame, name, geometry, spacings)
-            except NutrientFailed as trouble:
-                notes.append(f"{name} has no {geometry}: {trouble}")
+class _Ladder(NamedTuple):
+    """Nested grids of one geometry for one field, from coarse to fine."""
+
+    field: str
+    geometry: str
+    layouts: list[Layout]
 
 
 @final
@@ -236,10 +210,12 @@ class _Race:
 
     Attributes
     ----------
+    effort : Effort
+        Its budget is the wall time for all solvers.
+    notes
+        What is left out and why.
     series
         Solvers on problems that are still to come.
-    left : float, s
-        Wall time for all of them.
     table, grid_table
         Rows of the solvers, and of the grids' own errors.
     """
@@ -248,16 +224,28 @@ class _Race:
     frame: Frame
     solvers: Sequence[FieldSolver]
     backend: str
-    repeats: int
-    patience: float
-    left: float
+    effort: Effort
     tell: Tell
-    notes: list[str]
+    notes: list[str] = field(default_factory=list)
     series: int = 0
     table: list[Row] = field(default_factory=list)
     grid_table: list[Row] = field(default_factory=list)
 
-    def run(self, ladders: Sequence[tuple[str, str, list[Layout]]]) -> None:
+    def ladders(self, names: Sequence[str], spacings: int) -> Iterator[_Ladder]:
+        """Yield the grids of each field and geometry."""
+        for name in names:
+            found = geometries(self.scene, self.frame, name)
+            if SHELLS not in found and self.scene.dimensions == 3:
+                why = "the tissue is no ball, or its sides differ"
+                self.notes.append(f"{name} has no shells here: {why}")
+            for geometry in found:
+                try:
+                    layouts = grids(self.scene, self.frame, name, geometry, spacings)
+                    yield _Ladder(name, geometry, layouts)
+                except NutrientFailed as trouble:
+                    self.notes.append(f"{name} has no {geometry}: {trouble}")
+
+    def run(self, ladders: Sequence[_Ladder]) -> None:
         """Solve all problems.
 
         Raises
@@ -265,70 +253,66 @@ class _Race:
         SceneError
             If none can be posed.
         """
-        rivals = [(*ladder, kind) for ladder, kind in itertools.product(ladders, KINDS)]
-        self.series = sum(len(layouts) for _, _, layouts, _ in rivals) * len(self.solvers)
-        for name, geometry, layouts, kind in rivals:
-            self._along(name, geometry, kind, layouts)
+        rungs = sum(len(ladder.layouts) for ladder in ladders)
+        self.series = len(KINDS) * rungs * len(self.solvers)
+        for ladder, kind in itertools.product(ladders, KINDS):
+            self._climb(ladder, kind)
         if not self.table:
             problem = "; ".join(self.notes) or "have no problem that can be posed"
             raise SceneError("nutrients", problem)
 
-    def _along(self, name: str, geometry: str, kind: str, layouts: list[Layout]) -> None:
+    def _climb(self, ladder: _Ladder, kind: str) -> None:
         """Solve one problem on a ladder of grids."""
+        name, geometry, layouts = ladder
         self.tell(f"{name}, {kind}: errors of {geometry}")
         try:
-            spatial = of_grids(self.scene, self.frame, name, kind, layouts)
+            errors = of_grids(self.scene, self.frame, name, kind, layouts)
         except (NutrientFailed, SceneError) as trouble:
             self.notes.append(f"{name}, {kind}, on {geometry} is left out: {trouble}")
             self.series -= len(layouts) * len(self.solvers)
             return
-        for layout, error in zip(layouts, spatial, strict=True):
-            self.grid_table.append(_grid_row(name, geometry, kind, layout, error))
-            if nodes_of(layout) > MOST_NODES:
-                self.notes.append(f"solvers are not compared on more than {MOST_NODES:,} nodes")
+        for layout, (error, uncertainty) in zip(layouts, errors, strict=True):
+            nodes = node_count(layout)
+            self.grid_table.append(
+                {
+                    "field": name, "geometry": geometry, "spacing": layout.spacing, "nodes": nodes,
+                    "problem": kind, "error": error, "uncertainty": uncertainty,
+                }
+            )  # fmt: skip
+            if nodes > MAX_NODES:
+                self.notes.append(f"solvers are not compared on more than {MAX_NODES:,} nodes")
                 self.series -= len(self.solvers)
-                continue
-            self._on(case(self.scene, self.frame, name, kind, layout), error)
+            else:
+                self._solve(case(self.scene, self.frame, name, kind, layout), error)
 
-    def _on(self, problem: Case, error: GridError) -> None:
+    def _solve(self, problem: Case, space_error: float) -> None:
         """Let all solvers try one problem on one grid."""
-        exact = on_one_grid(problem)
+        bench = Bench(problem, on_one_grid(problem), self.backend)
         for solver in self.solvers:
-            share = self.left / max(self.series, 1)
-            longest = min(self.patience, max(_TRIED, 3.0 * share))
-            effort = Effort(self.repeats, longest, share, _POINTS)
-            rows, spent = climb(solver, problem, exact, self.backend, effort, self.tell)
+            share = self.effort.budget / max(self.series, 1)
+            longest = min(self.effort.patience, max(_MIN_PATIENCE, 3.0 * share))
+            effort = replace(self.effort, patience=longest, budget=share)
+            rows, spent = bench.climb(solver, effort, self.tell)
             if (why := solver.refusal(problem)) and solver.kind != DIRECT:
                 self.notes.append(f"{solver.name} is left out of {problem.name}: {why}")
-            self.table += [{**row, "space_error": error.error} for row in rows]
-            self.left -= spent
+            self.table += [{**row, "space_error": space_error} for row in rows]
+            self.effort = replace(self.effort, budget=self.effort.budget - spent)
             self.series -= 1
 
-
-def _grid_row(name: str, geometry: str, kind: str, layout: Layout, error: GridError) -> Row:
-    return {
-        "field": name, "geometry": geometry, "spacing": layout.spacing,
-        "nodes": nodes_of(layout), "problem": kind, "error": error.error,
-        "uncertainty": error.uncertainty,
-    }  # fmt: skip
-
-
-def _smallest(
-    scene: Scene,
-    frame: Frame,
-    ladders: Sequence[tuple[str, str, list[Layout]]],
-    notes: list[str],
-) -> Case | None:
-    """Return the transient with fewest nodes, of the first field that cells take up."""
-    eaten = [x for x in ladders if scene.nutrients[x[0]].takes_up]
-    if not eaten or not len(frame.cells):
-        notes.append("no stability map: no cell takes up any field")
-        return None
-    first = eaten[0][0]
-    layouts = [layout for name, _, found in eaten if name == first for layout in found]
-    smallest = min(layouts, key=lambda layout: (nodes_of(layout) < _FEWEST, nodes_of(layout)))
-    try:
-        return case(scene, frame, first, TRANSIENT, smallest)
-    except (NutrientFailed, SceneError) as trouble:
-        notes.append(f"no stability map: {trouble}")
-        return None
+    def failures(self, ladders: Sequence[_Ladder]) -> list[Row]:
+        """Return where solvers fail: in the smallest transient of the first field taken up."""
+        eaten = [x for x in ladders if self.scene.nutrients[x.field].takes_up]
+        if not eaten or not len(self.frame.cells):
+            self.notes.append("no stability map: no cell takes up any field")
+            return []
+        name = eaten[0].field
+        layouts = [layout for x in eaten if x.field == name for layout in x.layouts]
+        layouts.sort(key=node_count)
+        large = [layout for layout in layouts if node_count(layout) >= _MIN_MAP_NODES]
+        try:
+            problem = case(self.scene, self.frame, name, TRANSIENT, (large or layouts)[0])
+        except (NutrientFailed, SceneError) as trouble:
+            self.notes.append(f"no stability map: {trouble}")
+            return []
+        patience = self.effort.patience
+        return stability_rows(problem, self.solvers, self.backend, patience, self.tell)

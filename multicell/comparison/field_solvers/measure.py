@@ -5,20 +5,31 @@ from __future__ import annotations
 import math
 import time as clock
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from statistics import median
-from typing import Any, Final
+from typing import Any, Final, final
 
 import numpy as np
 from pde.solvers.base import ConvergenceError
 
 from multicell.cells import FloatArray
-from multicell.comparison.field_solvers.problems import Case
-from multicell.comparison.field_solvers.reference import Exact
-from multicell.comparison.field_solvers.solvers import Attempt, FieldSolver
-from multicell.comparison.field_solvers.watched import TooSlow
+from multicell.comparison.field_solvers.equations import (
+    TooSlow,
+    thiele_modulus,
+    with_uptake,
+)
+from multicell.comparison.field_solvers.problems import Case, Piece, fastest_rate
+from multicell.comparison.field_solvers.reference import Exact, on_one_grid
+from multicell.comparison.field_solvers.solvers import (
+    CONTROLLED,
+    DIRECT,
+    Attempt,
+    FieldSolver,
+)
 from multicell.comparison.files import DONE, FAILED, SKIPPED, Row
-from multicell.comparison.measure import Effort
+from multicell.comparison.measure import Effort, Rung, climb_ladder
 from multicell.errors import NutrientFailed
 
 RIGHT, OFF, NEGATIVE, RUNS_AWAY = "right", "off", "negative", "runs away"
@@ -31,49 +42,260 @@ KINDS: Final = {
     NEGATIVE: "a concentration below zero by more than 0.1 % of the scale",
     RUNS_AWAY: "off by more than ten times the scale",
     NOT_FINITE: "a concentration that is no finite number",
-    NO_CONVERGENCE: "the solver says that its iteration or its step control failed",
+    NO_CONVERGENCE: "the solver reports that its iteration or its step control failed",
     RAISES: "another exception",
     TOO_SLOW: "took longer than it may",
 }
 """How a solve ends -> what that means; the last that applies counts."""
 
-WRONG, AWAY, BELOW = 0.1, 10.0, 1e-3
+MAX_ERROR, RUNAWAY_ERROR, MAX_NEGATIVE = 0.1, 10.0, 1e-3
 """Errors over the scale from which on a solve is off and has run away, and how far below zero it
 may come."""
+
+UPTAKES: Final = tuple(10.0**k for k in np.arange(-1.0, 3.51, 0.9))
+"""Uptake over that of the scene in the stability map."""
+STEPS: Final = tuple(2.0**k for k in range(-4, 6))
+"""Steps in the stability map over the largest stable one of explicit Euler without uptake."""
+TOLERANCES: Final = tuple(10.0**-k for k in range(6, 0, -1))
+"""Tolerances in the stability map over the scale."""
+TRIAL_PATIENCE: Final = 0.2
+"""Longest trial of the stability map over the longest solve of the comparison."""
 
 _WARMED: set[tuple[str, str, str]] = set()
 """Solver, geometry and problem that this process has loaded and compiled for."""
 
-_SAID = ("not converge", "Time step below", "NaN", "Required step size", "Not-A-Number")
+_FAILURES = ("not converge", "Time step below", "NaN", "Required step size", "Not-A-Number")
+"""Words by which solvers report that they failed."""
 
 
-def attempted(
-    solver: FieldSolver, problem: Case, setting: float, backend: str, patience: float
-) -> tuple[FloatArray | None, Attempt | None, dict[str, Any]]:
-    """Solve once; return the data, or None with the kind of failure and its words.
+@final
+@dataclass
+class Solve:
+    """What became of one solve.
 
-    The third value holds ``kind``, ``words``, ``wall`` and ``cpu`` (s).
+    Attributes
+    ----------
+    data : FloatArray or None, mM
+        At the end; None where the solver failed.
+    attempt : Attempt or None
+        Its counts.
+    kind, words : str
+        A key of :data:`KINDS`, and what was seen.
+    error : float
+        Largest error over the scale of the problem.
+    wall, cpu : float, s
     """
-    begun, work = clock.perf_counter(), clock.process_time()
-    attempt = None
-    with warnings.catch_warnings(), np.errstate(all="ignore"):
-        warnings.simplefilter("ignore")  # of a solve that runs away; what became of it is told
-        try:
-            attempt = Attempt(solver, problem, setting, backend, patience)
-            data, kind, words = attempt.solve(), RIGHT, ""
-        # whatever a solver raises is its result
-        except Exception as trouble:
-            data, kind, words = None, _kind(trouble), _words(trouble)
-    found = {"kind": kind, "words": words, "wall": clock.perf_counter() - begun}
-    return data, attempt, found | {"cpu": clock.process_time() - work}
+
+    data: FloatArray | None = None
+    attempt: Attempt | None = None
+    kind: str = RIGHT
+    words: str = ""
+    error: float = math.nan
+    wall: float = 0.0
+    cpu: float = 0.0
+
+    @contextmanager
+    def timed(self) -> Iterator[None]:
+        """Time a solve, of which warnings do not matter: its end is judged."""
+        begun, work = clock.perf_counter(), clock.process_time()
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore")
+            yield
+        self.wall, self.cpu = clock.perf_counter() - begun, clock.process_time() - work
+
+    def judge(self, exact: Exact, scale: float) -> None:
+        """Compare the data, if there are any, with the exact ones."""
+        data = self.data
+        if data is None:
+            return
+        if not np.isfinite(data).all():
+            bad = f"{int((~np.isfinite(data)).sum())} of {data.size} nodes"
+            self.kind, self.words = NOT_FINITE, bad
+            return
+        self.error = float(np.abs(data - exact.data).max()) / scale
+        lowest = float(data.min()) / scale
+        off = f"off by {self.error:.3g} of the scale"
+        if self.error > RUNAWAY_ERROR:
+            self.kind, self.words = RUNS_AWAY, off
+        elif lowest < -MAX_NEGATIVE:
+            self.kind, self.words = NEGATIVE, f"lowest concentration {lowest:.3g} of the scale"
+        elif self.error > MAX_ERROR:
+            self.kind, self.words = OFF, off
+
+
+@final
+@dataclass(frozen=True)
+class Bench:
+    """One problem with its solution, on which solvers are tried.
+
+    Attributes
+    ----------
+    problem : Case
+    exact : Exact
+    backend : str
+        Of py-pde's solvers, one of :data:`BACKENDS`.
+    """
+
+    problem: Case
+    exact: Exact
+    backend: str
+
+    def attempt(self, solver: FieldSolver, setting: float, patience: float) -> Solve:
+        """Solve once and judge the end; whatever a solver raises is its result."""
+        found = Solve()
+        with found.timed():
+            try:
+                found.attempt = Attempt(solver, self.problem, setting, self.backend, patience)
+                found.data = found.attempt.solve()
+            except Exception as trouble:
+                found.kind, found.words = _kind(trouble), _words(trouble)
+        found.judge(self.exact, self.problem.scale)
+        return found
+
+    def climb(
+        self, solver: FieldSolver, effort: Effort, tell: Callable[[str], None]
+    ) -> tuple[list[Row], float]:
+        """Return the rows of one solver from coarse to fine, and the s that took.
+
+        Compilation is no part of the times: a solver is run once before, and if numba compiles
+        for every step anew, before each point.
+        """
+        problem = self.problem
+        if solver.refusal(problem):
+            return [], 0.0
+        ladder = solver.ladder(problem)
+        self._warm(solver, ladder[0], effort.patience)
+
+        def measure(setting: float) -> Rung:
+            tell(f"{problem.name}: {solver.name} at {setting:.3g}")
+            row = self._measured(solver, setting, effort)
+            finer = ladder[min(ladder.index(setting) + 1, len(ladder) - 1)]
+            return Rung(row, row["spent"] * _dearer(solver.control(problem), setting, finer))
+
+        def skip(setting: float, words: str) -> Row:
+            return self._row(solver, setting, SKIPPED, words=words)
+
+        return climb_ladder(ladder, effort, measure, skip)
+
+    def _compiles(self, solver: FieldSolver) -> bool:
+        """Return whether every attempt of a solver compiles its steps anew."""
+        return self.backend == "numba" and not solver.ours
+
+    def _warm(self, solver: FieldSolver, setting: float, patience: float) -> None:
+        """Load and compile what the first solve would load and compile, once for each geometry."""
+        warmed = (solver.name, self.problem.geometry, self.problem.kind)
+        if warmed not in _WARMED and not self._compiles(solver):
+            self.attempt(solver, setting, 0.2 * patience)
+            _WARMED.add(warmed)
+
+    def _measured(self, solver: FieldSolver, setting: float, effort: Effort) -> Row:
+        """Return the row of a setting; one that reached the end is timed."""
+        found = self.attempt(solver, setting, effort.patience)
+        if found.data is None or found.attempt is None:
+            return self._row(
+                solver, setting, FAILED, kind=found.kind, words=found.words, spent=found.wall
+            )
+        times = [] if self._compiles(solver) else [(found.wall, found.cpu)]
+        spent = found.wall
+        while len(times) < effort.repeats and (spent < effort.share or not times):
+            again = self._again(solver, setting, found.attempt)
+            times.append((again.wall, again.cpu))
+            spent += again.wall
+        columns = {}
+        for k, name in enumerate(("wall", "cpu")):
+            series = [time[k] + self.problem.assembly for time in times]
+            columns[name], columns[f"{name}_longest"] = median(series), max(series)
+            columns[f"{name}_shortest"] = min(series)
+        return self._row(
+            solver, setting, DONE if found.kind == RIGHT else FAILED, kind=found.kind,
+            words=found.words, error=found.error,
+            lowest=float(np.min(found.data)) / self.problem.scale,
+            spent=median([wall for wall, _ in times]),
+            evaluations=found.attempt.evaluations or math.nan,
+            steps=found.attempt.steps or math.nan, **columns,
+        )  # fmt: skip
+
+    def _again(self, solver: FieldSolver, setting: float, before: Attempt) -> Solve:
+        """Solve again for the time it takes."""
+        if not self._compiles(solver):
+            return self.attempt(solver, setting, math.inf)
+        found = Solve()
+        with found.timed():
+            before.solve()
+        return found
+
+    def place(self, solver: FieldSolver, setting: float) -> Row:
+        """Return the columns that tell a solve from others."""
+        problem = self.problem
+        return {
+            "field": problem.field, "geometry": problem.geometry,
+            "spacing": problem.layout.spacing, "nodes": problem.nodes, "problem": problem.kind,
+            "solver": solver.name, "backend": "kernels" if solver.ours else self.backend,
+            "control": solver.control(problem), "setting": setting,
+        }  # fmt: skip
+
+    def _row(self, solver: FieldSolver, setting: float, status: str, **known: Any) -> Row:
+        """Return one row of the table; what is not known is NaN."""
+        unknown = (
+            "error", "lowest", "cpu", "cpu_shortest", "cpu_longest", "wall", "wall_shortest",
+            "wall_longest", "spent", "evaluations", "steps",
+        )  # fmt: skip
+        problem = self.problem
+        about = {
+            "assembly": problem.assembly, "uncertainty": self.exact.uncertainty,
+            "scale": problem.scale, "slowest_time": problem.slowest,
+            "explicit_limit": problem.limit,
+        }  # fmt: skip
+        first = {**self.place(solver, setting), "status": status, "kind": "", "words": ""}
+        return {**first, **dict.fromkeys(unknown, math.nan), **about, **known}
+
+
+def stability_rows(
+    problem: Case,
+    solvers: Sequence[FieldSolver],
+    backend: str,
+    patience: float,
+    tell: Callable[[str], None],
+    *,
+    uptakes: Sequence[float] | None = None,
+    steps: Sequence[float] | None = None,
+    tolerances: Sequence[float] | None = None,
+) -> list[Row]:
+    """Return how each solver ends for each step or tolerance and strength of uptake.
+
+    Steps are relative to explicit Euler's limit without uptake, which is the same in all rows.
+    Uptake is stated as a Thiele modulus. By default :data:`UPTAKES`, :data:`STEPS` and
+    :data:`TOLERANCES` are tried.
+    """
+    uptakes, steps, tolerances = uptakes or UPTAKES, steps or STEPS, tolerances or TOLERANCES
+    rows: list[Row] = []
+    diffusive = 2.0 / fastest_rate(with_uptake(problem.whole, 0.0), problem.scale, problem.start)
+    for factor in uptakes:
+        equation = with_uptake(problem.whole, factor)
+        limit = 2.0 / fastest_rate(equation, problem.scale, problem.start)
+        piece = Piece(equation, 0.0, problem.end)
+        stiff = replace(problem, whole=equation, pieces=(piece,), limit=diffusive)
+        bench = Bench(stiff, on_one_grid(stiff), backend)
+        modulus = thiele_modulus(equation)
+        about = {"factor": factor, "thiele": modulus, "limit": limit / diffusive}
+        for solver in solvers:
+            if solver.kind == DIRECT or solver.refusal(stiff):
+                continue
+            tell(f"stability: {solver.name} at a Thiele modulus of {modulus:.2g}")
+            for setting in tolerances if solver.kind == CONTROLLED else steps:
+                found = bench.attempt(solver, setting, TRIAL_PATIENCE * patience)
+                seen = {"kind": found.kind, "words": found.words, "error": found.error}
+                row = bench.place(solver, setting) | seen | about
+                rows.append({**row, "cpu": found.cpu, "explicit_limit": diffusive})
+    return rows
 
 
 def _kind(trouble: Exception) -> str:
     if isinstance(trouble, TooSlow):
         return TOO_SLOW
-    told = isinstance(trouble, ConvergenceError | NutrientFailed)
-    said = any(words in str(trouble) for words in _SAID)
-    return NO_CONVERGENCE if told or said else RAISES
+    reported = isinstance(trouble, ConvergenceError | NutrientFailed)
+    described = any(words in str(trouble) for words in _FAILURES)
+    return NO_CONVERGENCE if reported or described else RAISES
 
 
 def _words(trouble: Exception) -> str:
@@ -81,135 +303,8 @@ def _words(trouble: Exception) -> str:
     return f"{name}{trouble}".strip()
 
 
-def judged(data: FloatArray, exact: Exact, scale: float) -> tuple[str, str, float]:
-    """Return how a solve ended, in words, and its largest error over the scale."""
-    if not np.isfinite(data).all():
-        return NOT_FINITE, f"{int((~np.isfinite(data)).sum())} of {data.size} nodes", math.nan
-    error = float(np.abs(data - exact.data).max()) / scale
-    lowest = float(data.min()) / scale
-    if error > AWAY:
-        return RUNS_AWAY, f"off by {error:.3g} of the scale", error
-    if lowest < -BELOW:
-        return NEGATIVE, f"lowest concentration {lowest:.3g} of the scale", error
-    if error > WRONG:
-        return OFF, f"off by {error:.3g} of the scale", error
-    return RIGHT, "", error
-
-
-def climb(
-    solver: FieldSolver,
-    problem: Case,
-    exact: Exact,
-    backend: str,
-    effort: Effort,
-    tell: Callable[[str], None],
-) -> tuple[list[Row], float]:
-    """Return the rows of one solver on one problem from coarse to fine, and the s that took.
-
-    Compilation is no part of the times: a solver is run once before, and if numba compiles for
-    every step anew, before each point.
-    """
-    begun = clock.perf_counter()
-    rows: list[Row] = []
-    if why := solver.refusal(problem):
-        return [], 0.0
-    ladder = solver.ladder(problem)
-    _warm(solver, problem, backend, effort.patience)  # compilation is no part of any time
-    lost = clock.perf_counter() - begun
-    foreseen = 0.0
-    for k, setting in enumerate(ladder):
-        spent = clock.perf_counter() - begun - lost
-        dear = foreseen > effort.patience or spent + foreseen > effort.budget
-        if rows and dear:
-            why = f"not tried: it would take about {foreseen:.2g} s, after {spent:.2g} s"
-            rows.append(_row(solver, problem, setting, exact, backend, SKIPPED, words=why))
-            continue
-        tell(f"{problem.name}: {solver.name} at {setting:.3g}")
-        row = _measured(solver, problem, setting, exact, backend, effort)
-        rows.append(row)
-        following = ladder[min(k + 1, len(ladder) - 1)]
-        foreseen = row["spent"] * _dearer(solver.control(problem), setting, following)
-    return rows, clock.perf_counter() - begun - lost
-
-
 def _dearer(control: str, now: float, then: float) -> float:
     """Return how many times as long the next setting takes, about."""
     if control == "tolerance":
         return 1.0
     return then / now if control == "time" else now / then if then else 1.0
-
-
-def _warm(solver: FieldSolver, problem: Case, backend: str, patience: float) -> None:
-    """Load and compile what the first solve would load and compile, once for each geometry."""
-    warmed = (solver.name, problem.geometry, problem.kind)
-    if warmed not in _WARMED and (backend != "numba" or solver.ours):
-        attempted(solver, problem, solver.ladder(problem)[0], backend, 0.2 * patience)
-        _WARMED.add(warmed)
-
-
-def _measured(
-    solver: FieldSolver, problem: Case, setting: float, exact: Exact, backend: str, effort: Effort
-) -> Row:
-    """Return the row of a setting."""
-    data, attempt, found = attempted(solver, problem, setting, backend, effort.patience)
-    if data is None:
-        return _row(
-            solver, problem, setting, exact, backend, FAILED, kind=found["kind"],
-            words=found["words"], spent=found["wall"],
-        )  # fmt: skip
-    assert attempt is not None
-    kind, words, error = judged(data, exact, problem.scale)
-    counts = {"evaluations": attempt.evaluations or math.nan, "steps": attempt.steps or math.nan}
-    compiled = backend == "numba" and not solver.ours
-    times = [] if compiled else [(found["wall"], found["cpu"])]
-    spent = found["wall"]
-    while len(times) < effort.repeats and (spent < effort.share or not times):
-        wall, cpu = _again(solver, problem, setting, backend, attempt if compiled else None)
-        times.append((wall, cpu))
-        spent += wall
-    columns = {}
-    for k, name in enumerate(("wall", "cpu")):
-        series = [time[k] + problem.assembly for time in times]
-        columns[name], columns[f"{name}_longest"] = median(series), max(series)
-        columns[f"{name}_shortest"] = min(series)
-    return _row(
-        solver, problem, setting, exact, backend, DONE if kind == RIGHT else FAILED, kind=kind,
-        words=words, error=error, lowest=float(np.min(data)) / problem.scale,
-        spent=median([wall for wall, _ in times]), **counts, **columns,
-    )  # fmt: skip
-
-
-def _again(
-    solver: FieldSolver, problem: Case, setting: float, backend: str, compiled: Attempt | None
-) -> tuple[float, float]:
-    """Return wall and processor time in s of another solve."""
-    if compiled is None:
-        _, _, found = attempted(solver, problem, setting, backend, math.inf)
-        return found["wall"], found["cpu"]
-    begun, work = clock.perf_counter(), clock.process_time()
-    with np.errstate(all="ignore"):
-        compiled.solve()
-    return clock.perf_counter() - begun, clock.process_time() - work
-
-
-def _row(
-    solver: FieldSolver, problem: Case, setting: float, exact: Exact, backend: str, status: str,
-    **known: Any,
-) -> Row:  # fmt: skip
-    """Return one row of the table; what is not known is NaN."""
-    own = "kernels" if solver.ours else backend
-    first = {
-        "field": problem.field, "geometry": problem.geometry,
-        "spacing": problem.layout.spacing, "nodes": problem.nodes, "problem": problem.kind,
-        "solver": solver.name, "backend": own, "control": solver.control(problem),
-        "setting": setting, "status": status, "kind": "", "words": "",
-    }  # fmt: skip
-    unknown = (
-        "error", "lowest", "cpu", "cpu_shortest", "cpu_longest", "wall", "wall_shortest",
-        "wall_longest", "spent", "evaluations", "steps",
-    )  # fmt: skip
-    about = {
-        "assembly": problem.assembly, "uncertainty": exact.uncertainty, "scale": problem.scale,
-        "slowest_time": problem.slowest, "explicit_limit": problem.limit,
-    }  # fmt: skip
-    return {**first, **dict.fromkeys(unknown, math.nan), **about, **known}

@@ -1,11 +1,10 @@
-"""What the page and the terminal say of a comparison of field solvers."""
+"""Contents of the page of a comparison of field solvers, and its report for the terminal."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from multicell.comparison.field_solvers.charts import state
-from multicell.comparison.field_solvers.maps import COLOURS
+from multicell.comparison.field_solvers.charts import COLOURS, state
 from multicell.comparison.field_solvers.measure import KINDS
 from multicell.comparison.files import CLOCKS, FAILED
 
@@ -33,7 +32,7 @@ def context(result: FieldComparison) -> dict[str, Any]:
     """Return what ``fields.html`` asks for."""
     facts = result.facts
     return {
-        "title": f"{result.scene.title or 'Untitled scene'}: solvers of fields",
+        "title": f"{result.title}: solvers of fields",
         "subtitle": f"{state(facts)} · {facts['backend_words']}",
         "tiles": {
             "fields": ", ".join(result.fields),
@@ -41,7 +40,6 @@ def context(result: FieldComparison) -> dict[str, Any]:
             "solves": f"{len(result.table):,}",
             "solves that failed": f"{sum(r['status'] == FAILED for r in result.table)}",
         },
-        "result": result,
         "cheapest": verdicts(result),
         "targets": [f"{100.0 * target:g} %" for target in TARGETS],
         "kinds": KINDS,

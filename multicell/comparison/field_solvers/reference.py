@@ -15,23 +15,21 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, final
 
 import numpy as np
 
 from multicell.cells import FloatArray
-from multicell.comparison.field_solvers.problems import (
-    STEADY,
-    Case,
-    case,
-    means,
-    nodes_of,
-    refined,
+from multicell.comparison.field_solvers.equations import (
+    FieldEquation,
+    Layout,
+    coarse_means,
+    node_count,
+    refine,
 )
+from multicell.comparison.field_solvers.problems import STEADY, Case, case
 from multicell.comparison.field_solvers.solvers import SOLVERS, Attempt
 from multicell.errors import NutrientFailed
-from multicell.nutrient.equations.equation import FieldEquation
-from multicell.nutrient.grid import Layout
 
 if TYPE_CHECKING:
     from multicell.results.frame import Frame
@@ -41,7 +39,7 @@ _TIGHT, _SECOND = 1e-10, 1e-11
 _SETTLED = 40.0  # slowest times after which nothing is left of a start
 _CORRECTIONS = 3
 _SPATIAL = 1e-6  # tolerance of transients on finer grids
-MOST_NODES: Final = 300_000
+MAX_NODES: Final = 300_000
 """Largest grid that the error of a coarser one is judged by, unless another is asked for."""
 
 
@@ -94,9 +92,9 @@ def on_one_grid(problem: Case) -> Exact:
         y = done.y[:, -1]
     data = y.reshape(problem.start.shape)
     second = _by_ours(problem, _SECOND)
-    open_error = float(np.abs(second - data).max()) / problem.scale
+    uncertainty = float(np.abs(second - data).max()) / problem.scale
     words = f"DOP853 at {_TIGHT:g}, beside multicell-implicit at {_SECOND:g}"
-    return Exact(data, open_error, words)
+    return Exact(data, uncertainty, words)
 
 
 def _by_ours(problem: Case, rtol: float) -> FloatArray:
@@ -134,9 +132,7 @@ def _at_rest(problem: Case, equation: FieldEquation) -> Exact:
     return Exact(data, last / problem.scale, words)
 
 
-@final
-@dataclass(frozen=True)
-class GridError:
+class GridError(NamedTuple):
     """What a grid itself gets wrong, over the scale of the problem; NaN where it is not known.
 
     ``uncertainty`` is what the extrapolation from the finest grids leaves open.
@@ -152,7 +148,7 @@ def of_grids(
     field: str,
     kind: str,
     grids: Sequence[Layout],
-    most: int = MOST_NODES,
+    max_nodes: int = MAX_NODES,
 ) -> list[GridError]:
     """Return the error of each of some nested grids, from coarse to fine.
 
@@ -162,7 +158,7 @@ def of_grids(
         See :func:`multicell.comparison.field_solvers.problems.case`.
     grids
         See :func:`multicell.comparison.field_solvers.problems.grids`.
-    most
+    max_nodes
         Nodes of the finest grid that is solved on for it.
 
     Raises
@@ -171,19 +167,21 @@ def of_grids(
         If a problem cannot be posed or solved.
     """
     layouts = list(grids)
-    while nodes_of(finer := refined(layouts[-1], 2)) <= most and len(layouts) < len(grids) + 2:
+    while (
+        node_count(finer := refine(layouts[-1], 2)) <= max_nodes and len(layouts) < len(grids) + 2
+    ):
         layouts.append(finer)
     solved = [_solution(case(scene, frame, field, kind, layout)) for layout in layouts]
     scale = solved[-1][1]
     # all by means over the coarsest nodes: nearer to a cell there is no limit
-    found = [means(values, layouts[k], 2**k) for k, (values, _) in enumerate(solved)]
+    found = [coarse_means(values, layouts[k], 2**k) for k, (values, _) in enumerate(solved)]
     if len(found) == 1:
         return [GridError(math.nan, math.nan)]
     change = [float(np.abs(b - a).max()) / scale for a, b in itertools.pairwise(found)]
     limit = found[-1] + (found[-1] - found[-2]) / 3.0
-    left_open = change[-1] / (2.0 ** _order(change) - 1.0)
+    uncertainty = change[-1] / (2.0 ** _order(change) - 1.0)
     errors = [float(np.abs(values - limit).max()) / scale for values in found[: len(grids)]]
-    return [GridError(error, left_open) for error in errors]
+    return [GridError(error, uncertainty) for error in errors]
 
 
 def _order(change: Sequence[float]) -> float:

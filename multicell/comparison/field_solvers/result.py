@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Self, final
 
-from multicell.comparison.files import DONE, FAILED, Row, to_csv, write
-from multicell.results.folder import to_json
+from multicell.comparison.base import Pictures, StoredComparison, rows_from
+from multicell.comparison.files import DONE, FAILED, Row
 from multicell.scene.scene import Scene
 
 if TYPE_CHECKING:
@@ -28,24 +27,24 @@ FILES: Final = (
 )
 """What a comparison writes; of several fields each later one has pictures of its own."""
 
-_OF_FIELDS: Final = ("field-solvers.png", "field-spacings.png")
-_MOST_FIELDS = 50
+_PICTURES_OF_FIELDS: Final = ("field-solvers.png", "field-spacings.png")
+_MAX_FIELDS = 50
 
 
-def numbered(name: str, k: int) -> str:
+def picture_name(name: str, k: int) -> str:
     """Return the name of a picture of the k-th field, from 0 on."""
     return name if k == 0 else name.replace(".png", f"-{k + 1}.png")
 
 
 def all_files() -> list[str]:
     """Return the names of everything that an earlier comparison may have written."""
-    more = [numbered(name, k) for name in _OF_FIELDS for k in range(1, _MOST_FIELDS)]
+    more = [picture_name(name, k) for name in _PICTURES_OF_FIELDS for k in range(1, _MAX_FIELDS)]
     return [*FILES, *more]
 
 
 @final
 @dataclass(frozen=True, eq=False)
-class FieldComparison:
+class FieldComparison(StoredComparison):
     """What each solver of fields reached, and at what cost.
 
     Attributes
@@ -79,36 +78,46 @@ class FieldComparison:
     facts: dict[str, Any]
     clock: str = "cpu"
 
+    template: ClassVar[str] = "fields.html"
+    document: ClassVar[str] = "field-solvers.json"
+
     @classmethod
-    def from_json(cls, text: str) -> FieldComparison:
-        """Return what :meth:`to_json` has written.
+    def from_dict(cls, table: Mapping[str, Any]) -> Self:
+        """Return what :meth:`to_dict` has described.
 
         Raises
         ------
         KeyError, ValueError
-            If the text is something else.
+            If the table describes something else.
         """
-        held = json.loads(text)
-        table, grids, failures = (
-            [{key: math.nan if x is None else x for key, x in row.items()} for row in held[name]]
-            for name in ("table", "grids", "failures")
-        )
-        scene = Scene.from_dict(held["scene"])
-        return cls(scene, table, grids, failures, held["facts"], held["clock"])
+        rows, grids, failures = (rows_from(table[name]) for name in ("table", "grids", "failures"))
+        scene = Scene.from_dict(table["scene"])
+        return cls(scene, rows, grids, failures, table["facts"], table["clock"])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return tables, facts and scene as numbers, text and lists."""
+        return {
+            "scene": self.scene.to_dict(), "clock": self.clock, "facts": self.facts,
+            "table": self.table, "grids": self.grids, "failures": self.failures,
+        }  # fmt: skip
 
     @property
     def fields(self) -> list[str]:
         """Names of the fields."""
-        return list(dict.fromkeys(row["field"] for row in self.table))
+        return self.column("field")
 
     @property
     def solvers(self) -> list[str]:
         """Names of the solvers in the order of the table."""
-        return list(dict.fromkeys(row["solver"] for row in self.table))
+        return self.column("solver")
+
+    def geometries(self, field: str) -> list[str]:
+        """Return the geometries of the grids of a field."""
+        return list(dict.fromkeys(row["geometry"] for row in self.rows(field=field)))
 
     def rows(self, **where: Any) -> list[Row]:
         """Return the rows of the table whose columns have these values."""
-        return [row for row in self.table if all(row[key] == x for key, x in where.items())]
+        return self.with_values(**where)
 
     def own_spacing(self, field: str, geometry: str) -> float:
         """Return the spacing of the ladder that is nearest to the field's own, µm."""
@@ -154,7 +163,7 @@ class FieldComparison:
         ValueError
             If that was not looked for.
         """
-        from multicell.comparison.field_solvers.maps import stability_map
+        from multicell.comparison.field_solvers.charts import stability_map
 
         if not self.failures:
             raise ValueError("the comparison was made without a stability map")
@@ -162,36 +171,29 @@ class FieldComparison:
 
     def failed(self) -> list[Row]:
         """Return the rows of the solves that failed."""
-        return [row for row in self.table if row["status"] == FAILED]
+        return self.with_values(status=FAILED)
 
-    def to_json(self) -> str:
-        """Return tables, facts and scene as JSON; NaN becomes null."""
-        return to_json(
-            {
-                "scene": self.scene.to_dict(), "clock": self.clock, "facts": self.facts,
-                "table": self.table, "grids": self.grids, "failures": self.failures,
-            }
-        )  # fmt: skip
+    def tables(self) -> Mapping[str, Sequence[Row]]:
+        """Return all solves, the errors of the grids, and how solvers fail."""
+        found = {"field-solvers.csv": self.table, "field-grids.csv": self.grids}
+        return found | ({"field-stability.csv": self.failures} if self.failures else {})
 
-    def save(self, folder: str | Path) -> Path:
-        """Write tables, pictures and ``report.html`` and return the page.
+    def pictures(self) -> Pictures:
+        """Return error over cost and over spacings of each field, and the stability map."""
+        from multicell.comparison.field_solvers.page import CAPTIONS
 
-        Raises
-        ------
-        OutputError
-            If the folder cannot be written to.
-        """
-        from multicell.comparison.field_solvers.page import CAPTIONS, context
-
-        table, grids, failures, document, chart, spacings, stability, _ = FILES
-        texts = {
-            table: to_csv(self.table), grids: to_csv(self.grids), document: self.to_json() + "\n"
-        }  # fmt: skip
-        drawings: dict[str, Any] = {}
+        found: Pictures = {}
+        draw = (self.figure, self.spacings_figure)
         for k, field in enumerate(self.fields):
-            for name, draw in ((chart, self.figure), (spacings, self.spacings_figure)):
-                drawings[numbered(name, k)] = (partial(draw, field), CAPTIONS[name])
+            for name, drawn in zip(_PICTURES_OF_FIELDS, draw, strict=True):
+                found[picture_name(name, k)] = (partial(drawn, field), CAPTIONS[name])
         if self.failures:
-            texts[failures] = to_csv(self.failures)
-            drawings[stability] = (self.stability_figure, CAPTIONS[stability])
-        return write(folder, self.scene, texts, drawings, "fields.html", **context(self))
+            name = "field-stability.png"
+            found[name] = (self.stability_figure, CAPTIONS[name])
+        return found
+
+    def page(self) -> dict[str, Any]:
+        """Return what the template of the page asks for."""
+        from multicell.comparison.field_solvers.page import context
+
+        return context(self)

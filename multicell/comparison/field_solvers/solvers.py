@@ -9,18 +9,17 @@ can take.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import reduce
 from typing import Any, Final, cast, final
 
 import numpy as np
 
 from multicell.cells import FloatArray
+from multicell.comparison.field_solvers.equations import CountedEquation, march_of_runs
 from multicell.comparison.field_solvers.problems import STEADY, Case, Piece
-from multicell.comparison.field_solvers.watched import Watched
 from multicell.errors import SceneError
-from multicell.nutrient.steady import SolveReport
-from multicell.nutrient.transient import Amounts, March, march
 from multicell.schema import near_miss
 
 STEPS, TOLERANCES, TIMES, ONCE = "step", "tolerance", "time", "once"
@@ -32,12 +31,12 @@ DIRECT, STEPPING, CONTROLLED = "direct", "stepping", "controlled"
 
 _TOLERANCES: Final = tuple(10.0**-k for k in range(1, 8))
 _TIMES: Final = (3.0, 4.5, 6.0, 8.0, 11.0, 15.0, 20.0)
-_ITERATED = 1e-6  # of the scale: where py-pde's fixed-point iterations end
-_MOST_DENSE = 1500  # nodes: dense Jacobians of more take longer than anything else
-_FIRST = 0.1  # step that adaptive solvers begin with / explicit Euler's limit
+_ITERATION_ERROR = 1e-6  # of the scale, at which py-pde's fixed-point iterations end
+_MAX_DENSE_NODES = 1500  # dense Jacobians of more take longer than anything else
+_FIRST_STEP = 0.1  # of adaptive solvers, over explicit Euler's limit
 
-Advance = Callable[[Piece, FloatArray], FloatArray]
-"""(an interval, data at its begin) -> data at its end."""
+Advance = Callable[[FloatArray], FloatArray]
+"""Data at the begin of an interval -> data at its end."""
 
 
 @final
@@ -98,7 +97,7 @@ class FieldSolver:
         """Return why it is not tried on a problem; empty where it is."""
         if self.kind == DIRECT and case.kind != STEADY:
             return "finds states at rest only"
-        if self.name == "scipy-LSODA" and case.nodes > _MOST_DENSE:
+        if self.name == "scipy-LSODA" and case.nodes > _MAX_DENSE_NODES:
             gib = 8.0 * case.nodes**2 / 2**30
             return f"its dense Jacobian of {case.nodes:,} nodes would take {gib:.3g} GiB"
         return ""
@@ -137,23 +136,25 @@ SOLVERS: Final = {
 """Name -> solver: ours, then py-pde's, SciPy's through py-pde's last."""
 
 
-def chosen(names: Sequence[str] | None) -> list[FieldSolver]:
-    """Return the solvers of some names, by default all.
+def select_names(
+    key: str, names: Sequence[str] | None, known: Iterable[str], what: str
+) -> list[str]:
+    """Return the names that are asked for, by default all that are known.
 
     Raises
     ------
     SceneError
-        For a name that is none, and where there is none.
+        For a name that is not known, and where there is none.
     """
+    known = list(known)
     if names is None:
-        return list(SOLVERS.values())
+        return known
     if isinstance(names, str) or not names:
-        raise SceneError("solvers", f"is {names!r}, expected a list of names")
+        raise SceneError(key, f"is {names!r}, expected a list of names")
     for name in names:
-        if name not in SOLVERS:
-            hint = near_miss(name, SOLVERS) or f"There are {', '.join(SOLVERS)}."
-            raise SceneError("solvers", f"has {name!r}, which is no solver of fields", hint)
-    return [SOLVERS[name] for name in dict.fromkeys(names)]
+        if name not in known:
+            raise SceneError(key, f"has {name!r}, which is no {what}", near_miss(name, known))
+    return list(dict.fromkeys(names))
 
 
 @final
@@ -165,14 +166,14 @@ class Attempt:
     solver, case, setting
         See :class:`FieldSolver`.
     backend
-        Of py-pde's solvers, see :data:`multicell.comparison.field_solvers.watched.BACKENDS`.
+        Of py-pde's solvers, see :data:`multicell.comparison.field_solvers.equations.BACKENDS`.
     patience : float, s
         Wall time of a solve.
 
     Attributes
     ----------
     steps
-        That were taken, where the solver says so.
+        Number of steps, where the solver reports it.
     """
 
     def __init__(
@@ -180,23 +181,19 @@ class Attempt:
     ) -> None:
         self.solver, self.case, self.setting = solver, case, setting
         self.backend = backend
-        self.watched: list[Watched] = []
         self.steps = 0
-        self.end = case.end if math.isfinite(case.end) else max(setting, 1.0) * case.slowest
-        one_go = solver.ours and solver.name != "multicell-march"
-        pieces = (Piece(case.whole, 0.0, self.end),) if one_go else case.pieces
-        self.parts: list[tuple[Piece, Advance]] = []
-        for piece in pieces:
-            watched = Watched(piece.equation, backend, patience)
-            self.watched.append(watched)
-            within = piece._replace(end=min(piece.end, self.end))
-            make = self._marching if not solver.pde else self._by_pde
-            self.parts.append((within, make(watched, within)))
+        end = case.end if math.isfinite(case.end) else max(setting, 1.0) * case.slowest
+        jumps = solver.ours and solver.pde != ""
+        pieces = (Piece(case.whole, 0.0, end),) if jumps else case.pieces
+        self.pieces = [piece._replace(end=min(piece.end, end)) for piece in pieces]
+        self.counted = [CountedEquation(p.equation, backend, patience) for p in self.pieces]
+        make = self._by_pde if solver.pde else self._by_march
+        self.parts = list(map(make, self.counted, self.pieces))
 
     @property
     def evaluations(self) -> int:
         """Evaluations of the rates, of the march: Newton steps."""
-        return sum(watched.evaluations for watched in self.watched)
+        return sum(equation.evaluations for equation in self.counted)
 
     def solve(self) -> FloatArray:
         """Return the data at the end.
@@ -204,13 +201,14 @@ class Attempt:
         Raises
         ------
         Exception
-            Whatever the solver raises, and :class:`TooSlow`.
+            Whatever the solver raises, and
+            :class:`multicell.comparison.field_solvers.equations.TooSlow`.
         """
         data = self.case.start.copy()
-        for watched in self.watched:
-            watched.begin()
-        for piece, advance in self.parts:
-            data = advance(piece, data)
+        for equation in self.counted:
+            equation.begin()
+        for advance in self.parts:
+            data = advance(data)
         return data
 
     @property
@@ -228,38 +226,38 @@ class Attempt:
             over = 0.95 * self.solver.stable
         return length / max(1, math.ceil(length / (over * self.case.limit) * (1.0 - 1e-9)))
 
-    def _by_pde(self, watched: Watched, piece: Piece) -> Advance:
-        """Return a solver of py-pde's kind."""
+    def _by_pde(self, counted: CountedEquation, piece: Piece) -> Advance:
+        """Return a solver that py-pde knows by its name."""
         from pde.solvers.base import SolverBase
 
-        ours = self.solver.ours
-        backend = "auto" if ours else "numba" if self.backend == "numba" else "numpy"
-        made = SolverBase.from_name(
-            self.solver.pde, pde=watched, backend=backend, **self._options()
-        )
+        backend = "numba" if self.backend == "numba" else "numpy"
+        solver = SolverBase.from_name(
+            self.solver.pde, pde=counted, backend="auto" if self.solver.ours else backend,
+            **self._options(),
+        )  # fmt: skip
         state = cast(Any, piece.equation.state({self.case.field: self.case.start}))
-        stepper = made.make_stepper(state, self._first(piece))
+        stepper = solver.make_stepper(state, self._first_step(piece))
 
-        def advance(piece: Piece, data: FloatArray) -> FloatArray:
+        def advance(data: FloatArray) -> FloatArray:
             state.data[...] = data
-            before = made.info["steps"]
+            before = solver.info["steps"]
             stepper(state, piece.begin, piece.end)
-            self.steps += made.info["steps"] - before
+            self.steps += solver.info["steps"] - before
             return np.array(state.data)
 
         return advance
 
-    def _first(self, piece: Piece) -> float | None:
-        """Return the step in s that py-pde is told."""
+    def _first_step(self, piece: Piece) -> float | None:
+        """Return the step in s that a solver begins with, or keeps."""
         if self.solver.kind == STEPPING:
             return self._step(piece.end - piece.begin)
-        return _FIRST * self.case.limit if "adaptive" in self.solver.options else None
+        return _FIRST_STEP * self.case.limit if "adaptive" in self.solver.options else None
 
     def _options(self) -> dict[str, Any]:
         """Return the options of py-pde's solver."""
         solver, scale, options = self.solver, self.case.scale, dict(self.solver.options)
         if solver.iterates:
-            return {"maxerror": _ITERATED * scale, **options}
+            return {"maxerror": _ITERATION_ERROR * scale, **options}
         if solver.kind != CONTROLLED:
             return options
         if solver.ours:
@@ -270,29 +268,16 @@ class Attempt:
             return {"rtol": self.tolerance, "atol": 0.1 * self.tolerance * scale, **options}
         return {"tolerance": self.tolerance * scale, **options}
 
-    def _marching(self, watched: Watched, piece: Piece) -> Advance:
-        """Return the march that runs take, on the operator of a term."""
-        term = next(iter(piece.equation.terms.values()))
-        substance, level = term.substance, term.schedule.at(0.0)
-        fixed = term.secreted + term.supplied + substance.perfusion * level
+    def _by_march(self, counted: CountedEquation, piece: Piece) -> Advance:
+        """Return the march of runs."""
 
-        def step(c: FloatArray, dt: float, time: float) -> tuple[FloatArray, SolveReport, float]:
-            watched.look()
-            found, report = term.operator.solve(
-                term.sink, substance.half_saturation, c,
-                linear=term.linear + 1.0 / dt, supply=fixed + c / dt,
+        def advance(data: FloatArray) -> FloatArray:
+            found, steps = march_of_runs(
+                counted, data, piece.begin, piece.end, tolerance=self.tolerance,
+                scale=self.case.scale,
             )  # fmt: skip
-            watched.evaluations += report.newton
-            return found, report, level
-
-        def advance(piece: Piece, data: FloatArray) -> FloatArray:
-            done = March(Amounts())
-            found = march(
-                step, piece.equation.layout.volumes, data.reshape(term.shape), piece.begin,
-                piece.end, tolerance=self.tolerance, scale=self.case.scale, done=done,
-            )  # fmt: skip
-            self.steps += done.steps
-            return found.reshape(data.shape)
+            self.steps += steps
+            return found
 
         return advance
 
@@ -301,11 +286,7 @@ def neighbours(shape: tuple[int, ...]) -> Any:
     """Return which rates depend on which nodes, (n, n), sparse: those next to each other."""
     from scipy import sparse
 
-    chains = [sparse.diags_array([1.0, 1.0, 1.0], offsets=[-1, 0, 1], shape=(n, n)) for n in shape]
-    found: Any = None
-    for axis, chain in enumerate(chains):
-        part: Any = sparse.eye_array(1)
-        for other, n in enumerate(shape):
-            part = sparse.kron(part, chain if other == axis else sparse.eye_array(n))
-        found = part if found is None else found + part
-    return sparse.csr_array(found)
+    chains: list[Any] = [
+        sparse.diags_array([1.0, 1.0, 1.0], offsets=[-1, 0, 1], shape=(n, n)) for n in shape
+    ]
+    return sparse.csr_array(reduce(lambda rest, chain: sparse.kronsum(chain, rest), chains))

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 
-from multicell.comparison.charts import Look, looks_apart
-from multicell.comparison.highlights import MOST
+from multicell.comparison.panels import draw_kinds, draw_strips
 from multicell.comparison.stability_limits.trial import BLOW_UP, DAMPED, STABLE, STALL, WRONG
+from multicell.comparison.styles import MAX_COLOURED, Style, method_styles
 from multicell.report.plots.marks import NAMED
-from multicell.report.plots.style import INK, QUIET, blank, few_decades, styled
+from multicell.report.plots.style import QUIET, blank, few_decades, styled
 from multicell.report.wording import cell_count
 
 if TYPE_CHECKING:
@@ -42,80 +40,38 @@ _TITLES: Final = {
     "overlap at division": ("overlap of two daughters / sum of radii", "linear"),
     "ratio of moduli": ("modulus of two neighbours / of the others", "log"),
 }
-_MARGIN = 1.35
 
 
 @styled
 def stability_map(result: StabilityMap) -> Figure:
     """Draw one strip for each method, coloured by what happens at each step or tolerance."""
-    cells, rate = result.table[0]["cells"], result.table[0]["rate"]
-    growth = result.table[0]["growth_rate"]
+    first = result.table[0]
+    growth = first["growth_rate"]
     grows = f" · μ = {growth:.3g}/s" if growth > 0.0 else ""
     figure = blank(
         f"{result.title}: stability",
-        f"{cell_count(cells)} · λmax = {rate:.3g}/s, Euler's limit 2/λmax = {2.0 / rate:.3g} s"
-        + grows,
+        f"{cell_count(first['cells'])} · λmax = {first['rate']:.3g}/s, Euler's limit 2/λmax = "
+        f"{2.0 / first['rate']:.3g} s{grows}",
     )
-    groups = [
-        (control, [m for m in result.methods if _control(result, m) == control])
+    groups = {
+        control: {m: result.rows(m) for m in result.methods if _control(result, m) == control}
         for control in ("step", "tolerance")
-    ]
-    groups = [(control, methods) for control, methods in groups if methods]
+    }
+    groups = {control: strips for control, strips in groups.items() if strips}
     left, width = 0.135, (0.845 if len(groups) == 1 else 0.455)
-    for control, methods in groups:
+    for control, strips in groups.items():
         axes = figure.add_axes((left, 0.225, width, 0.61), label=control)
-        _strips(axes, result, control, methods)
+        steps = control == "step"
+        limits = {method: rows[0]["theory"] for method, rows in strips.items() if steps}
+        draw_strips(axes, strips, COLOURS, limits, 2.0 / first["rate"] if steps else 1.0)
+        axes.tick_params(labelsize=10.5)
+        axes.set_xlabel("step / Euler's limit" if steps else "tolerance / mean radius", fontsize=11)
+        axes.set_title("Fixed step" if steps else "Error control", fontsize=12)
         left, width = left + width + 0.125, 0.265
     seen = {row["kind"] for row in result.table if not row["sweep"]}
-    kinds = [kind for kind in result.kinds if kind in seen]
-    _kinds_legend(figure, kinds, any(control == "step" for control, _ in groups))
+    colours = {kind: COLOURS[kind] for kind in result.kinds if kind in seen}
+    draw_kinds(figure, colours, 0.125, theory="step" in groups)
     return figure
-
-
-def _strips(axes: Axes, result: StabilityMap, control: str, methods: Sequence[str]) -> None:
-    """Draw the strips of the methods that have one kind of setting."""
-    scale = 2.0 / result.table[0]["rate"] if control == "step" else 1.0
-    for level, method in enumerate(methods):
-        rows = result.rows(method)
-        settings = [row["setting"] / scale for row in rows]
-        edges = _edges(settings)
-        for row, low, high in zip(rows, edges[:-1], edges[1:], strict=True):
-            axes.barh(
-                level, high - low, left=low, height=0.66, color=COLOURS[row["kind"]], lw=0,
-                label=row["kind"], gid=f"{method}|{row['kind']}",
-            )  # fmt: skip
-        axes.plot(settings, [level] * len(settings), ".", ms=2.2, color=INK, alpha=0.55)
-        theory = rows[0]["theory"]
-        if control == "step" and math.isfinite(theory):
-            axes.plot([theory / scale] * 2, [level - 0.44, level + 0.44], color=INK, lw=2.0)
-    axes.set_xscale("log")
-    few_decades(axes.xaxis)
-    axes.set_yticks(range(len(methods)), methods)
-    axes.set_ylim(len(methods) - 0.5, -0.5)
-    axes.grid(visible=False, axis="y")
-    axes.spines["left"].set_visible(False)
-    axes.tick_params(axis="y", length=0, labelsize=10.5)
-    axes.tick_params(axis="x", labelsize=10.5)
-    steps = control == "step"
-    axes.set_xlabel("step / Euler's limit" if steps else "tolerance / mean radius", fontsize=11)
-    axes.set_title("Fixed step" if steps else "Error control", fontsize=12)
-
-
-def _edges(settings: Sequence[float]) -> list[float]:
-    """Return where strips begin and end: midway between settings on a logarithmic axis."""
-    between = [math.sqrt(a * b) for a, b in itertools.pairwise(settings)]
-    return [settings[0] / _MARGIN, *between, settings[-1] * _MARGIN]
-
-
-def _kinds_legend(figure: Figure, kinds: Sequence[str], theory: bool) -> None:
-    handles: list[Any] = [Patch(color=COLOURS[kind], label=kind) for kind in kinds]
-    handles.append(Line2D([], [], color=INK, marker=".", ls="", ms=4, alpha=0.55, label="a trial"))
-    if theory:
-        handles.append(Line2D([], [], color=INK, lw=2.0, label="limit in theory"))
-    figure.legend(
-        handles=handles, loc="lower left", bbox_to_anchor=(0.125, 0.015), ncols=4, fontsize=10.5,
-        columnspacing=1.5, handlelength=1.4,
-    )  # fmt: skip
 
 
 @styled
@@ -128,7 +84,7 @@ def sweeps(result: StabilityMap) -> Figure:
         "beyond it; triangle: no limit found",
     )
     stepping = [m for m in result.methods if _control(result, m) == "step"]
-    looks = looks_apart(stepping, stepping[:MOST], result.facts)
+    styles = method_styles(stepping, stepping[:MAX_COLOURED], result.facts)
     limits = {
         sweep: [row for row in result.limits(sweep) if row["control"] == "step"]
         for sweep in result.sweeps()
@@ -145,7 +101,7 @@ def sweeps(result: StabilityMap) -> Figure:
             # where limits coincide the first one stays visible around the later ones
             size = 9.0 - 4.5 * level / len(stepping)
             own = [row for row in rows if row["method"] == method]
-            _limits(axes, own, looks[method][0], size)
+            _limits(axes, own, styles[method].colour, size)
         name, scale = _TITLES.get(sweep, (sweep, _scale(result.sweeps()[sweep])))
         axes.set_xscale(scale)
         axes.set_yscale("log")
@@ -157,7 +113,7 @@ def sweeps(result: StabilityMap) -> Figure:
         if column == 0:
             axes.set_ylabel("step (s)", fontsize=10.5)
     shown = [row for rows in limits.values() for row in rows]
-    _sweeps_legend(figure, looks, shown, (0.7, 0.46) if many else (0.81, 0.85))
+    _sweeps_legend(figure, styles, shown, (0.7, 0.46) if many else (0.81, 0.85))
     return figure
 
 
@@ -177,11 +133,11 @@ def _limits(axes: Axes, rows: Sequence[Row], colour: str, size: float) -> None:
 
 
 def _sweeps_legend(
-    figure: Figure, looks: Mapping[str, Look], rows: Sequence[Row], place: tuple[float, float]
+    figure: Figure, styles: Mapping[str, Style], rows: Sequence[Row], place: tuple[float, float]
 ) -> None:
     kinds = {row["kind"] for row in rows} - {STABLE}
     handles: list[Any] = [
-        Line2D([], [], color=looks[method][0], lw=1.8, label=method)
+        Line2D([], [], color=styles[method].colour, lw=1.8, label=method)
         for method in dict.fromkeys(row["method"] for row in rows)
     ]
     handles += [

@@ -1,11 +1,10 @@
-"""Motion that grows: the unstable modes of a state.
+"""The unstable modes of a state.
 
-With the eigenvectors w of Γ^½ J Γ^-½ that belong to positive eigenvalues μ, the part of a
-displacement Δx that grows is P Δx = Γ^-½ Σ w (w · Γ^½ Δx). Along the true course a disturbance
-grows there like e^{μt}, until a cell has left the neighbourhood in which the motion is linear. An
-explicit method follows, if late: its growth in a step h is 1 + hμ + ... > 1. Backward Euler
-multiplies by 1 / (1 - hμ) instead, which is below 1 in size from hμ = 2 on, and BDF does the like:
-the cells stay where the true ones leave.
+The unstable part of a displacement Δx is P Δx = Γ^-½ Σ w (w · Γ^½ Δx), with the eigenvectors w of
+Γ^½ J Γ^-½ that belong to positive eigenvalues μ. Along the true course it grows like e^{μt}, until
+a cell has left the neighbourhood in which the motion is linear. Explicit methods follow late: their
+growth in a step h is 1 + hμ + ... > 1. Backward Euler multiplies by 1 / (1 - hμ), whose size is
+below 1 for hμ > 2, and BDF behaves alike: the cells stay where the true ones leave.
 """
 
 from __future__ import annotations
@@ -20,14 +19,14 @@ from multicell.comparison.stability_limits.decay import Product, scaled_decay
 from multicell.mechanics.growth_rate import largest_growth_rate
 from multicell.mechanics.system import Mechanics
 
-_MOST = 40  # modes of a large system
-_DENSE = 400  # cells from which only these are computed
+_MAX_MODES = 40  # modes of a large system
+_MAX_DENSE_CELLS = 400  # cells from which only these are computed
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Unstable:
-    """The modes of a state that grow.
+    """The unstable modes of a state.
 
     Attributes
     ----------
@@ -46,8 +45,8 @@ class Unstable:
     modes: FloatArray
     weight: FloatArray
 
-    def growing_part(self, displacement: FloatArray, least: float) -> FloatArray:
-        """Return the size of each cell's displacement along modes that grow, (n,) µm.
+    def unstable_part(self, displacement: FloatArray, least: float) -> FloatArray:
+        """Return the size of each cell's displacement along unstable modes, (n,) µm.
 
         Parameters
         ----------
@@ -62,7 +61,7 @@ class Unstable:
 
 
 def unstable_modes(system: Mechanics, position: FloatArray, flat: bool, least: float) -> Unstable:
-    """Return the modes that grow at the beginning of a step.
+    """Return the unstable modes at the beginning of a step.
 
     Parameters
     ----------
@@ -73,13 +72,13 @@ def unstable_modes(system: Mechanics, position: FloatArray, flat: bool, least: f
     flat
         Whether motion out of the plane z = 0 is left out.
     least
-        Growth rate in 1/s below which nothing counts as growing.
+        Growth rate in 1/s below which a mode does not count.
     """
     found = largest_growth_rate(system, system.motion.begin, position, dimensions=2 if flat else 3)
     product, weight = scaled_decay(system, position, flat)
     if not found.rate > least:
         return Unstable(found.rate, np.empty(0), np.empty((0, position.size)), weight)
-    if len(position) <= _DENSE:
+    if len(position) <= _MAX_DENSE_CELLS:
         matrix = np.stack([product(column) for column in np.eye(position.size)], axis=1)
         values, vectors = np.linalg.eigh(-0.5 * (matrix + matrix.T))
     else:
@@ -94,5 +93,5 @@ def _by_lanczos(product: Product, size: int) -> tuple[FloatArray, FloatArray]:
     operator = LinearOperator((size, size), matvec=lambda v: -product(v), dtype=float)
     # a fixed start: the same state gives the same modes
     start = np.random.default_rng(0).normal(size=size)
-    values, vectors = eigsh(operator, k=_MOST, which="LA", v0=start, tol=1e-6)
+    values, vectors = eigsh(operator, k=_MAX_MODES, which="LA", v0=start, tol=1e-6)
     return values, vectors

@@ -1,12 +1,12 @@
-"""What the page of a study of stability says beside its table."""
+"""Contents of the page of a study of stability."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
 from multicell.comparison.stability_limits.charts import COLOURS
+from multicell.comparison.stability_limits.moving_states import STATES
 from multicell.comparison.stability_limits.trial import KINDS, STABLE
-from multicell.comparison.stability_limits.unsettled import STATES
 from multicell.report.wording import clock
 
 if TYPE_CHECKING:
@@ -34,20 +34,19 @@ def context(result: StabilityMap) -> dict[str, Any]:
             "cells": f"{first['cells']:,}",
             "largest decay rate λmax": f"{first['rate']:.3g}/s",
             "Euler's limit 2/λmax": f"{2.0 / first['rate']:.3g} s",
-            **_unsettled_tiles(first),
+            **_moving_tiles(first),
             "methods": f"{len(result.methods)}",
             "trials that failed": f"{failures} of {len(result.table):,}",
             "wall time": clock(result.facts["wall"]),
         },
-        "result": result,
         "colours": COLOURS,
         "kinds": KINDS,
         "failed": [row for row in own if row["kind"] != STABLE],
     }
 
 
-def _unsettled_tiles(row: Row) -> dict[str, str]:
-    """Return what there is to say of a state that is not settled."""
+def _moving_tiles(row: Row) -> dict[str, str]:
+    """Return the tiles of a moving state."""
     if row["state"] == "settled":
         return {}
     return {

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Any, ClassVar, Final, final
 
-from multicell.comparison.files import Row, to_csv, write
+from multicell.comparison.base import Comparison, Pictures
+from multicell.comparison.files import Row
 from multicell.comparison.stability_limits.trial import KINDS, STABLE
 from multicell.scene.scene import Scene
 
@@ -29,7 +29,7 @@ FILES: Final = ("stability.csv", "limits.csv", "stability.png", "sweeps.png", "r
 
 @final
 @dataclass(frozen=True, eq=False)
-class StabilityMap:
+class StabilityMap(Comparison):
     """How each method went at each setting that was tried.
 
     Attributes
@@ -37,8 +37,8 @@ class StabilityMap:
     scene : Scene
     table : list of dict
         One row for each trial: ``sweep`` (empty for the scene itself) and ``value``, ``state`` (a
-        key of :data:`multicell.comparison.stability_limits.unsettled.STATES`), ``cells``, ``rate``
-        (λ_max, 1/s; of a state that is not settled the largest on the way), ``end_rate`` (λ_max at
+        key of :data:`multicell.comparison.stability_limits.moving_states.STATES`), ``cells``,
+        ``rate`` (λ_max, 1/s; of a moving state the largest on the way), ``end_rate`` (λ_max at
         the end), ``growth_rate`` (μ at the start, 1/s; NaN from a settled state), ``length`` (of a
         trial, s; NaN from a settled state), ``method``, ``control`` (``"tolerance"`` in mean
         radii or ``"step"`` in s), ``setting``, ``theory`` (largest stable step, s; infinite for
@@ -57,22 +57,23 @@ class StabilityMap:
     table: list[Row]
     facts: dict[str, Any]
 
+    template: ClassVar[str] = "stability.html"
+
     @property
     def title(self) -> str:
         """The scene's title, and its state unless that is the settled one."""
-        title, state = self.scene.title or "Untitled scene", self.table[0]["state"]
-        return title if state == "settled" else f"{title}, {_CALLED[state]}"
+        state = self.table[0]["state"]
+        return super().title if state == "settled" else f"{super().title}, {_CALLED[state]}"
 
     @property
     def methods(self) -> list[str]:
         """Names of the methods in the order of the table."""
-        return list(dict.fromkeys(row["method"] for row in self.table))
+        return self.column("method")
 
     @property
     def kinds(self) -> list[str]:
         """The kinds that were seen, in the order of :data:`KINDS`."""
-        seen = {row["kind"] for row in self.table}
-        return [kind for kind in KINDS if kind in seen]
+        return [kind for kind in KINDS if kind in self.column("kind")]
 
     def sweeps(self) -> dict[str, list[float]]:
         """Return the values of each sweep."""
@@ -124,30 +125,28 @@ class StabilityMap:
 
         return sweeps(self)
 
-    def to_csv(self) -> str:
-        """Return the table as CSV; NaN is written as ``nan``."""
-        return to_csv(self.table)
-
     def all_limits(self) -> list[Row]:
         """Return the limits at the scene itself and along all sweeps."""
         return [row for sweep in ("", *self.sweeps()) for row in self.limits(sweep)]
 
-    def save(self, folder: str | Path) -> Path:
-        """Write CSV, pictures and ``report.html`` (:data:`FILES`) and return the page.
+    def tables(self) -> Mapping[str, Sequence[Row]]:
+        """Return all trials, and the limits."""
+        return {"stability.csv": self.table, "limits.csv": self.all_limits()}
 
-        Raises
-        ------
-        OutputError
-            If the folder cannot be written to.
-        """
-        from multicell.comparison.stability_limits.page import CAPTIONS, context
+    def pictures(self) -> Pictures:
+        """Return the map, and the limits along sweeps."""
+        from multicell.comparison.stability_limits.page import CAPTIONS
 
-        trials, limits, chart, sweeps, _ = FILES
-        texts = {trials: self.to_csv(), limits: to_csv(self.all_limits())}
-        drawings = {chart: (self.figure, CAPTIONS[chart])}
+        draw = {"stability.png": self.figure}
         if self.sweeps():
-            drawings[sweeps] = (self.sweeps_figure, CAPTIONS[sweeps])
-        return write(folder, self.scene, texts, drawings, "stability.html", **context(self))
+            draw["sweeps.png"] = self.sweeps_figure
+        return {name: (drawn, CAPTIONS[name]) for name, drawn in draw.items()}
+
+    def page(self) -> dict[str, Any]:
+        """Return what the template of the page asks for."""
+        from multicell.comparison.stability_limits.page import context
+
+        return context(self)
 
 
 def _limit(rows: Sequence[Row]) -> Row:

@@ -10,12 +10,13 @@ from pathlib import Path
 from typing import Any, Final
 
 from multicell.comparison.files import Row, prepare
-from multicell.comparison.ladders import Method, able, listed, looks
-from multicell.comparison.replay import without_compiling
+from multicell.comparison.ladders import Method, capable_methods, select_methods
+from multicell.comparison.replay import solve_compiled
+from multicell.comparison.stability_limits.moving_states import check, state_of
 from multicell.comparison.stability_limits.result import FILES, StabilityMap
-from multicell.comparison.stability_limits.state import State, divided, settled
-from multicell.comparison.stability_limits.trial import STABLE, judge, watch
-from multicell.comparison.stability_limits.unsettled import check, state_of
+from multicell.comparison.stability_limits.state import State, divided_state, settled_state
+from multicell.comparison.stability_limits.trial import STABLE, judge, run_trial
+from multicell.comparison.styles import unregistered_styles
 from multicell.contact.law import effective_modulus
 from multicell.errors import SceneError, StepFailed
 from multicell.integrators.base import Integrator
@@ -28,17 +29,17 @@ OVERLAP: Final = "overlap at division"
 RATIO: Final = "ratio of moduli"
 """Sweeps that are no parameters of a scene, see :func:`default_sweeps`."""
 
-LOOSEST: Final = 0.1
+LOOSEST_TOLERANCE: Final = 0.1
 """Loosest tolerance that is tried, in mean radii; one that loose asks for hardly anything."""
 
 _TIGHTEST = 1e-8
 _EXTRA = ("rkc2-5", "rkc2-10")
-_FIRST, _MOST_STEP = 0.45, 1000.0  # first and longest step that are tried, over Euler's limit
+_FIRST, _MAX_STEP = 0.45, 1000.0  # first and longest step that are tried, over Euler's limit
 _BEYOND = (0.25, 0.5, 0.8, 1.25, 1.6, 2.5, 4.0, 8.0, 20.0)
-_TOLERANCES = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.03, LOOSEST)
+_TOLERANCES = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.03, LOOSEST_TOLERANCE)
 _FACTORS = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
 _POINTS = 5
-_DEEPEST = 0.35  # overlap at rest over the sum of radii, beyond which second neighbours touch
+_MAX_OVERLAP = 0.35  # overlap at rest over the sum of radii, beyond which second neighbours touch
 
 Trial = Callable[[float], bool]
 
@@ -98,7 +99,7 @@ def stability(
         Whether the folder may hold something: files of an earlier map are replaced.
     state
         What the cells start from, a key of
-        :data:`multicell.comparison.stability_limits.unsettled.STATES`: ``"settled"``,
+        :data:`multicell.comparison.stability_limits.moving_states.STATES`: ``"settled"``,
         ``"growing"`` (a coupling step of the growing tissue right after a division),
         ``"compressed"`` (settled, positions scaled by 0.9), ``"divided"`` (settled, every tenth
         cell just divided) or ``"snap"`` (settled, pulled until a contact of exact JKR is near its
@@ -140,7 +141,7 @@ def stability(
         "precision": precision,
         "wall": clock.perf_counter() - begin,
         "skipped": skipped,
-        "looks": looks(chosen),
+        "looks": unregistered_styles(chosen),
         "versions": versions(),
     }
     result = StabilityMap(described, table, facts)
@@ -170,7 +171,7 @@ def default_sweeps(scene: Scene) -> dict[str, list[float]]:
 
 
 def _default_sweeps(scene: Scene, state: str) -> dict[str, list[float]]:
-    """Return the default sweeps, from an unsettled state those over parameters of the scene."""
+    """Return the default sweeps, from a moving state those over parameters of the scene."""
     own = () if state == "settled" else (OVERLAP, RATIO)
     return {name: values for name, values in default_sweeps(scene).items() if name not in own}
 
@@ -184,7 +185,7 @@ def _holds(scene: Scene, changes: Mapping[str, float]) -> bool:
     radius, cells = 0.9 * changed.cells.division_radius, changed.cells
     modulus = effective_modulus(cells.young, cells.poisson, cells.young, cells.poisson)
     rest = changed.contact.equilibrium_overlap(modulus, 0.5 * radius)
-    return float(rest) <= _DEEPEST * 2.0 * radius
+    return float(rest) <= _MAX_OVERLAP * 2.0 * radius
 
 
 def limit_in_theory(method: Method, rate: float) -> float:
@@ -216,7 +217,7 @@ def _measured(
         more: Sequence[float] = _TOLERANCES
     else:
         # the search starts well below Euler's limit and knows nothing of the theory
-        ceiling = _MOST_STEP * state.stiff_limit
+        ceiling = _MAX_STEP * state.stiff_limit
         if not state.settled:
             ceiling = min(ceiling, state.length)
         limit = bracket(stable, _FIRST * state.stiff_limit, ceiling, precision)
@@ -279,7 +280,7 @@ def bisect(stable: Trial, low: float, high: float, precision: float) -> float:
 
 def _row(state: State, method: Method, setting: float, theory: float, patience: float) -> Row:
     """Try one setting."""
-    trace, _ = without_compiling(lambda: watch(state, method, setting, patience))
+    trace, _ = solve_compiled(lambda: run_trial(state, method, setting, patience))
     verdict = judge(state, trace)
     fixed = method.control == "step"
     mean = setting if fixed else float(trace.times[-1]) / max(trace.steps, 1)
@@ -314,9 +315,9 @@ def _points(
             if sweep == OVERLAP and value >= 1.0:
                 raise SceneError(f"sweeps.{sweep}", f"is {value:g}, must be below 1")
             if sweep == OVERLAP:
-                make = partial(divided, scene, value, threads)
+                make = partial(divided_state, scene, value, threads)
             elif sweep == RATIO:
-                make = partial(settled, scene, threads, value)
+                make = partial(settled_state, scene, threads, value)
             else:
                 changed = scene.with_changes({sweep: value})
                 check(state, changed)
@@ -327,8 +328,8 @@ def _points(
 def _chosen(methods: Sequence[Any] | None, scene: Scene) -> list[Method]:
     """Return methods for names; by default all that can hold the scene."""
     if methods is None:
-        methods = [*able(scene), *_EXTRA]
-    return listed(methods, scene, 0.9 * scene.cells.division_radius)
+        methods = [*capable_methods(scene), *_EXTRA]
+    return select_methods(methods, scene, 0.9 * scene.cells.division_radius)
 
 
 def _taking_part(names: Sequence[str] | None, chosen: Sequence[Method]) -> list[Method]:

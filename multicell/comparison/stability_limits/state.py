@@ -27,10 +27,10 @@ PUSH: Final = 0.005
 """Displacement along the stiffest mode from which a settled cluster starts, over the overlap of
 the contact that this mode strains most."""
 
-NOTICED: Final = 0.035
+MIN_NOTICED: Final = 0.035
 """Motion that counts as instability, over the same overlap."""
 
-UNNOTICED: Final = 0.02
+MAX_UNNOTICED: Final = 0.02
 """Displacement of cells that have divided that must not matter, in radii."""
 
 _TWINS = 3
@@ -39,7 +39,7 @@ _HALVINGS = 15  # of the length of a trial, to the first moment at which it is l
 _AT_REST = 1e-10  # speed of a cluster at rest, in radii times the largest decay rate
 _DOUBLINGS = 16
 _RTOL, _ATOL = 1e-11, 1e-9  # of the reference; the second in mean radii
-_MANY = 50_000  # steps of the reference
+_MAX_STEPS = 50_000  # steps of the reference
 
 
 @final
@@ -68,12 +68,12 @@ class State:
     known : list of (time, positions)
         What has been computed of the true course, by CVODE at a tight tolerance.
     kind : str
-        A key of :data:`multicell.comparison.stability_limits.unsettled.STATES`.
+        A key of :data:`multicell.comparison.stability_limits.moving_states.STATES`.
     length : float, s
-        Length of a trial of a state that is not settled; NaN where it follows from the setting
+        Length of a trial of a moving state; NaN where it follows from the setting
         of the method, for states that are close to rest.
     unstable : Unstable or None
-        The modes that grow at the start of a state that is not settled.
+        The unstable modes at the start of a moving state.
     end_rate : float, 1/s
         Largest decay rate at the end of the trial of such a state; ``rate`` is then the largest
         on the way.
@@ -102,8 +102,8 @@ class State:
         return math.isnan(self.length)
 
     @property
-    def looks(self) -> list[float]:
-        """Times in s at which the true course of an unsettled state is known: halves of halves."""
+    def observation_times(self) -> list[float]:
+        """Times in s at which the true course of a moving state is computed: halves of halves."""
         return [self.length * 0.5**k for k in range(_HALVINGS, -1, -1)]
 
     @property
@@ -138,7 +138,7 @@ class State:
         if not self.settled:
             # a trial is one coupling step: contacts are remembered from its start
             touching = None
-            motion = moved_on(motion, begin)
+            motion = motion_at(motion, begin)
         if motion.touching is not None and touching is not None:
             motion = replace(motion, touching=touching)
         system.begin(motion)
@@ -168,7 +168,7 @@ class State:
         return position
 
 
-def settled(scene: Scene, threads: int | None = None, ratio: float = 1.0) -> State:
+def settled_state(scene: Scene, threads: int | None = None, ratio: float = 1.0) -> State:
     """Return a scene's first cells at rest, pushed a little along the mode that decays fastest.
 
     Parameters
@@ -193,27 +193,27 @@ def settled(scene: Scene, threads: int | None = None, ratio: float = 1.0) -> Sta
         young = motion.young.copy()
         young[innermost(position)[:2]] *= ratio
         motion = replace(motion, young=young)
-    share = (NOTICED / PUSH) ** 2
+    share = (MIN_NOTICED / PUSH) ** 2
     blank = State(scene, template, motion, position, math.nan, math.nan, share)
-    rest = at_rest(blank)
+    rest = rest_positions(blank)
     rate, mode = largest_decay(blank.system(0.0, 1.0), rest, scene.dimensions == 2)
     overlap = _strained(blank, rest, mode)
     mode *= PUSH * overlap / np.sqrt(np.square(mode).sum(axis=1)).max()
-    return replace(blank, start=rest + mode, rate=rate, noticed=NOTICED * overlap, known=[])
+    return replace(blank, start=rest + mode, rate=rate, noticed=MIN_NOTICED * overlap, known=[])
 
 
-def divided(scene: Scene, overlap: float, threads: int | None = None) -> State:
+def divided_state(scene: Scene, overlap: float, threads: int | None = None) -> State:
     """Return the settled first cells of a scene just after the innermost one has divided.
 
     Parameters
     ----------
     scene, threads
-        As for :func:`settled`.
+        As for :func:`settled_state`.
     overlap
         Overlap of the two daughters over the sum of their radii.
     """
     template, motion, position = first_cells(scene, threads)
-    rest = at_rest(State(scene, template, motion, position, math.nan, math.nan, math.nan))
+    rest = rest_positions(State(scene, template, motion, position, math.nan, math.nan, math.nan))
     inner = int(innermost(rest)[0])
     source = np.append(np.arange(len(rest)), inner)
     radius = motion.radius[source]
@@ -223,10 +223,10 @@ def divided(scene: Scene, overlap: float, threads: int | None = None) -> State:
     axis = np.array([0.8, 0.6, 0.0]) if scene.dimensions == 2 else np.array([0.48, 0.64, 0.6])
     start[inner] += (1.0 - overlap) * radius[inner] * axis
     start[-1] -= (1.0 - overlap) * radius[inner] * axis
-    motion = taken(motion, source, radius)
-    state = State(scene, template, motion, start, math.nan, math.nan, UNNOTICED)
+    motion = select_cells(motion, source, radius)
+    state = State(scene, template, motion, start, math.nan, math.nan, MAX_UNNOTICED)
     rate, _ = largest_decay(state.system(0.0, 1.0), start, scene.dimensions == 2)
-    state = replace(state, rate=rate, noticed=UNNOTICED * state.radius, known=[])
+    state = replace(state, rate=rate, noticed=MAX_UNNOTICED * state.radius, known=[])
     return replace(state, twins=twins_of(state), known=[])
 
 
@@ -276,7 +276,7 @@ def innermost(position: FloatArray) -> IntArray:
     return np.argsort(np.square(position - position[middle]).sum(axis=1), kind="stable")
 
 
-def at_rest(state: State) -> FloatArray:
+def rest_positions(state: State) -> FloatArray:
     """Return where the cells of a state come to rest, or where they are after a long time."""
     position = state.start
     length = 10.0 / _bound(state, position)
@@ -304,20 +304,20 @@ def _bound(state: State, position: FloatArray) -> float:
 def _carried(system: Mechanics, position: FloatArray) -> FloatArray:
     """Return the positions at the end of a step by the reference method."""
     atol = _ATOL * float(system.motion.radius.mean())
-    outcome = Cvode(_RTOL, atol, _MANY).integrate(system, position)
+    outcome = Cvode(_RTOL, atol, _MAX_STEPS).integrate(system, position)
     if not outcome.done:
         raise StepFailed(outcome.time, f"the reference: {outcome.problem}", outcome.hint)
     return outcome.position
 
 
-def taken(motion: Motion, source: IntArray, radius: FloatArray) -> Motion:
+def select_cells(motion: Motion, source: IntArray, radius: FloatArray) -> Motion:
     """Return the motion of cells that descend from those at ``source``."""
     columns = {name: getattr(motion, name) for name in ("young", "poisson", "bonds", "kind")}
     taken: dict[str, Any] = {n: None if x is None else x[source] for n, x in columns.items()}
     return replace(motion, radius=radius, radius_rate=np.zeros(len(radius)), **taken)
 
 
-def moved_on(motion: Motion, time: float) -> Motion:
+def motion_at(motion: Motion, time: float) -> Motion:
     """Return a motion whose values at time 0 are given with those at another time, s."""
     bonds, offset = motion.bonds, motion.offset
     if bonds is not None:

@@ -1,9 +1,9 @@
-"""One trial of a method: it is watched step by step, and how it fails is named.
+"""One trial of a method: its steps are recorded, and the kind of failure is named.
 
 There are four kinds of failure. A *blow-up* and a *stall* end a trial; a *wrong state* is one that
 the true motion does not come to, whether it was seen on the way or at the end. Where that came
-about because cells did not follow a motion that truly grows, the method *damps a real instability*;
-:func:`damped` says when.
+about because cells did not follow truly unstable modes, the method *damps a real instability*
+(:func:`describe_damping`).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 
 from multicell.cells import FloatArray, IntArray
 from multicell.comparison.ladders import Method
-from multicell.comparison.replay import advance, too_late
+from multicell.comparison.replay import advance, timeout_words
 from multicell.comparison.stability_limits.state import State
 from multicell.mechanics.motion import StateRejected
 from multicell.mechanics.system import Mechanics
@@ -37,36 +37,36 @@ KINDS: Final = {
     STALL: "the end is not reached within the allowed steps, or nothing moves where it should",
     WRONG: "cells pass through each other, displacements alternate from step to step, the energy "
     "rises, or the end is not that of the reference",
-    DAMPED: "the end is not that of the reference, and earlier a cell did not follow a motion that "
-    "grows: when the true one left the neighbourhood of the start it had gone less than half of "
-    "that way, in steps longer than 1/μ of the growth",
+    DAMPED: "the end is not that of the reference, and earlier a cell did not follow an unstable "
+    "mode: when the true cell left the neighbourhood of the start, this one had moved less than "
+    "half as far, in steps longer than 1/μ of the growth",
 }
 """How a trial ends -> what that means.
 
 Where several apply, blow-up or stall counts first, then damping. After a division cells may take
 another pocket than in the reference: only a higher energy at the end is wrong there. In other
-unsettled states they may where a small shift of the start has them take another pocket too.
+moving states they may where a small shift of the start has them take another pocket too.
 """
 
-LEFT: Final = 0.05
+DEPARTURE_RADII: Final = 0.05
 """Growing part of a cell's displacement, in mean radii, from which it has left the neighbourhood of
 the start, in which the motion is linear."""
 
-BELOW: Final = 0.5
+MIN_FOLLOWED: Final = 0.5
 """Part of the true growth of a cell below which a method has damped it."""
 
-STEPS: Final = 200
+TRIAL_STEPS: Final = 200
 """Steps that a method with a fixed step takes in a trial."""
 
-_WINDOWS, _LENGTH = 8, 2000.0  # of methods under error control; time in 1/λ_max
+_WINDOWS, _CONTROLLED_LENGTH = 8, 2000.0  # of methods under error control; time in 1/λ_max
 _THROWN = re.compile("would move|not a number|on top of each other|not finite")
-_DISTANCE = 0.05  # pair distances off by more are wrong, in radii
+_MAX_PAIR_ERROR = 0.05  # pair distances off by more are wrong, in radii
 _SAFETY = 3.0  # on what differs among the true courses of twins
 _SHORT = 1e-3  # of a step, for what must not be timed
-_STILL = 0.01  # part of the true way that counts as no progress
-_SEEN = 200  # windows of a fixed step in a trial whose length is given
-_LAST = 3  # single steps at its end, in which displacements may alternate
-_SOON = 4.0  # after cells have left the neighbourhood, over the time until then
+_MIN_PROGRESS = 0.01  # part of the true way that counts as no progress
+_MAX_WINDOWS = 200  # windows of a fixed step in a trial whose length is given
+_FINAL_STEPS = 3  # single steps at its end, in which displacements may alternate
+_EARLIER_FACTOR = 4.0  # after cells have left the neighbourhood, over the time until then
 
 
 @final
@@ -145,15 +145,15 @@ class Verdict:
     deviation: float
 
 
-def watch(state: State, method: Method, setting: float, patience: float = 20.0) -> Trace:
-    """Let a method go from a state, and look at its steps.
+def run_trial(state: State, method: Method, setting: float, patience: float = 20.0) -> Trace:
+    """Run a method from a state and record what it does.
 
-    From a settled state a method with a fixed step takes :data:`STEPS` steps, one at a time; one
-    that looks back at earlier steps goes from the start again for every state that is looked at.
-    Methods under error control are looked at eight times in 2000 / λ_max, at the ends of coupling
-    steps. From other states both go over the length of the state's trial: a fixed step is looked
-    at 200 times at most; methods under error control, and those that look back, go from the start
-    again for each of few moments, as one coupling step to its end.
+    From a settled state a method with a fixed step takes :data:`TRIAL_STEPS` steps, one at a time;
+    a multistep method starts anew for every recorded state. Methods under error control are
+    recorded eight times in 2000 / λ_max, at the ends of coupling steps. From other states both
+    solve the length of the state's trial: a fixed step is recorded 200 times at most; methods
+    under error control and multistep methods start anew for each of a few observation times, as
+    one coupling step to its end.
 
     Parameters
     ----------
@@ -172,7 +172,7 @@ def watch(state: State, method: Method, setting: float, patience: float = 20.0) 
     system = state.system(0.0, times[0])
     touching = at_start = system.contacts(0.0, state.start)
     energy = system.energy(0.0, state.start)
-    late = max(3, len(times) // 4) if state.settled else _LAST * fixed
+    late = max(3, len(times) // 4) if state.settled else _FINAL_STEPS * fixed
     trace = Trace([0.0], [state.start], [energy], times[-1], [], late=late)
     trace.step = setting if fixed else math.nan
     for k, end in enumerate(times):
@@ -190,7 +190,7 @@ def watch(state: State, method: Method, setting: float, patience: float = 20.0) 
         trace.energy.append(_energy(state, system, end, position))
         trace.out_of_bounds = not trace.energy[-1] <= max(state.energy_unit, energy)
         if clock.perf_counter() - begin > patience and k + 1 < len(times):
-            trace.problem = too_late(patience)
+            trace.problem = timeout_words(patience)
         if trace.problem or trace.out_of_bounds:
             break
         if trace.late:
@@ -204,18 +204,18 @@ def _times(state: State, method: Method, setting: float) -> list[float]:
     """Return the moments at which a trial is looked at, s; the last one is its end."""
     fixed = method.control == "step"
     if state.settled:
-        count = STEPS if fixed else _WINDOWS
-        length = setting if fixed else _LENGTH / (_WINDOWS * state.rate)
+        count = TRIAL_STEPS if fixed else _WINDOWS
+        length = setting if fixed else _CONTROLLED_LENGTH / (_WINDOWS * state.rate)
         return [(k + 1) * length for k in range(count)]
     if not fixed:
-        return state.looks
+        return state.observation_times
     count = max(1, round(state.length / setting))
     if method.info.remembers:
-        seen = [math.ceil(time / setting * (1.0 - 1e-9)) for time in state.looks]
+        seen = [math.ceil(time / setting * (1.0 - 1e-9)) for time in state.observation_times]
     else:
-        windows = -(-count // -(-count // _SEEN))
+        windows = -(-count // -(-count // _MAX_WINDOWS))
         seen = [-(-count * (k + 1) // windows) for k in range(windows)]
-    last = range(max(1, count - _LAST), count + 1)
+    last = range(max(1, count - _FINAL_STEPS), count + 1)
     return [state.length * k / count for k in sorted({*(min(k, count) for k in seen), *last})]
 
 
@@ -274,7 +274,7 @@ def judge(state: State, trace: Trace) -> Verdict:
         deviation = pair_deviation(state, trace.positions[-1], true_end, trace.end)
         excess = (trace.energy[-1] - rest) / noticed
         wrong = list(_wrong(state, trace, climb, excess, deviation))
-        words = damped(state, trace) if wrong else ""
+        words = describe_damping(state, trace) if wrong else ""
         found = [(DAMPED, words)] * bool(words) + found + [(WRONG, said) for said in wrong]
     kind, words = found[0] if found else (STABLE, "")
     return Verdict(kind, words, tuple(words for _, words in found[1:]), climb, deviation)
@@ -306,7 +306,7 @@ def _stillness(state: State, trace: Trace, true_end: FloatArray) -> str:
     """Return the words for cells that have not moved though they should have, or none."""
     way = np.abs(true_end - trace.positions[0]).max()
     gone = np.abs(trace.positions[-1] - trace.positions[0]).max()
-    if way > state.noticed and gone < _STILL * way:
+    if way > state.noticed and gone < _MIN_PROGRESS * way:
         return f"no progress: the cells should move by {way / state.radius:.2g} radii"
     return ""
 
@@ -339,13 +339,13 @@ def _tolerated(state: State, end: float) -> float:
     twins tell what a small shift of the start changes.
     """
     if state.settled:
-        return math.inf if state.twins else _DISTANCE
+        return math.inf if state.twins else _MAX_PAIR_ERROR
     true = state.at(end)
     apart = (pair_deviation(state, twin.at(end), true, end) for twin in state.twins)
-    return max(_DISTANCE, _SAFETY * max(apart, default=0.0))
+    return max(_MAX_PAIR_ERROR, _SAFETY * max(apart, default=0.0))
 
 
-def damped(state: State, trace: Trace) -> str:
+def describe_damping(state: State, trace: Trace) -> str:
     """Return the words for real growth that a method has damped, or none.
 
     At a moment that is looked at let h be the method's mean step since half that time, and P the
@@ -360,24 +360,28 @@ def damped(state: State, trace: Trace) -> str:
     unstable = state.unstable
     if unstable is None or not trace.implicit:
         return ""
-    for k in _indices(trace.times, state.looks):
+    for k in _indices(trace.times, state.observation_times):
         time, step = trace.times[k], _mean_step(trace, k)
         if not (unstable.rates * step > 1.0).any():
             continue
 
         def part(course: FloatArray, start: FloatArray, least: float = 1.0 / step) -> FloatArray:
-            return unstable.growing_part(course - start, least) / state.radius
+            return unstable.unstable_part(course - start, least) / state.radius
 
         true = part(state.at(time), state.start)
-        left = np.flatnonzero(true >= LEFT)
+        left = np.flatnonzero(true >= DEPARTURE_RADII)
         if len(left) == 0:
             continue
-        sooner = max((t for t in state.looks if t * _SOON <= time), default=0.0)
-        if (part(state.at(sooner), state.start) >= LEFT).any():
+        sooner = max(
+            (t for t in state.observation_times if t * _EARLIER_FACTOR <= time), default=0.0
+        )
+        if (part(state.at(sooner), state.start) >= DEPARTURE_RADII).any():
             break
         own = part(trace.positions[k], state.start)
         least = np.min([true, *(part(twin.at(time), twin.start) for twin in state.twins)], axis=0)
-        held = left[(own[left] < BELOW * true[left]) & (least[left] >= BELOW * true[left])]
+        held = left[
+            (own[left] < MIN_FOLLOWED * true[left]) & (least[left] >= MIN_FOLLOWED * true[left])
+        ]
         if len(held):
             cell = int(held[true[held].argmax()])
             return (
@@ -388,9 +392,9 @@ def damped(state: State, trace: Trace) -> str:
     return ""
 
 
-def _indices(times: list[float], looks: list[float]) -> list[int]:
+def _indices(times: list[float], moments: list[float]) -> list[int]:
     """Return the indices of the first times that are not before given ones, none twice."""
-    places = np.searchsorted(times, np.array(looks) * (1.0 - 1e-9))
+    places = np.searchsorted(times, np.array(moments) * (1.0 - 1e-9))
     return [int(k) for k in np.unique(places) if 0 < k < len(times)]
 
 

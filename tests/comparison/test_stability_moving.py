@@ -12,17 +12,24 @@ from strategies import mechanics
 
 from multicell import Hertz, SceneError
 from multicell.cli.main import main
-from multicell.comparison.ladders import named
+from multicell.comparison.ladders import find_method
 from multicell.comparison.stability_limits.charts import COLOURS
-from multicell.comparison.stability_limits.search import OVERLAP, stability
-from multicell.comparison.stability_limits.state import UNNOTICED, State
-from multicell.comparison.stability_limits.trial import DAMPED, KINDS, STABLE, WRONG, judge, watch
-from multicell.comparison.stability_limits.unsettled import (
+from multicell.comparison.stability_limits.moving_states import (
     COMPRESSED,
     SNAP,
     STATES,
-    completed,
+    complete_state,
     state_of,
+)
+from multicell.comparison.stability_limits.search import OVERLAP, stability
+from multicell.comparison.stability_limits.state import MAX_UNNOTICED, State
+from multicell.comparison.stability_limits.trial import (
+    DAMPED,
+    KINDS,
+    STABLE,
+    WRONG,
+    judge,
+    run_trial,
 )
 from multicell.contact.law import compliance
 from multicell.mechanics.walls import Walls
@@ -88,8 +95,8 @@ def chain():
     zigzag = TINY * RADIUS * np.array([0.5, -1.0, 0.5])
     start = np.stack([DISTANCE * np.array([-1.0, 0.0, 1.0]), zigzag, np.zeros(3)], axis=1)
     scene = SMALL.with_changes({"dimensions": 2})
-    state = State(scene, system, system.motion, start, math.nan, math.nan, UNNOTICED)
-    return completed(state, 40.0 / Chain.rate)
+    state = State(scene, system, system.motion, start, math.nan, math.nan, MAX_UNNOTICED)
+    return complete_state(state, 40.0 / Chain.rate)
 
 
 def test_a_compressed_chain_has_the_growth_rate_of_its_prestress(chain):
@@ -97,7 +104,7 @@ def test_a_compressed_chain_has_the_growth_rate_of_its_prestress(chain):
     assert sorted(chain.unstable.rates) == pytest.approx([Chain.rate / 3.0, Chain.rate], rel=1e-4)
     # a rigid motion and one along the chain are no growth
     still = np.array([[1.0, 1.0, 0.0]] * 3)
-    assert chain.unstable.growing_part(still, 0.0) == pytest.approx(np.zeros(3), abs=1e-3)
+    assert chain.unstable.unstable_part(still, 0.0) == pytest.approx(np.zeros(3), abs=1e-3)
 
 
 def test_the_true_zigzag_grows_exponentially_as_an_outside_solver_has_it(chain):
@@ -117,27 +124,27 @@ def test_the_true_zigzag_grows_exponentially_as_an_outside_solver_has_it(chain):
 def test_backward_euler_goes_where_the_energy_falls_and_damps_no_real_instability(chain, product):
     far = chain.scene.with_changes({"integrator.max_displacement": 1.0})
     step = chain.length / round(chain.length * Chain.rate / product)
-    trace = watch(chain, named("backward-euler", far, RADIUS), step)
+    trace = run_trial(chain, find_method("backward-euler", far, RADIUS), step)
     assert judge(chain, trace).kind == STABLE
     assert np.abs(trace.positions[1][:, 1]).max() > 0.8 * RADIUS
     true = np.abs(chain.at(chain.length)[:, 1]).max()
     assert np.abs(trace.positions[-1][:, 1]).max() == pytest.approx(true, rel=0.01)
     # what the scene allows a cell to move in a step is another matter
-    trace = watch(chain, named("backward-euler", chain.scene, RADIUS), step)
+    trace = run_trial(chain, find_method("backward-euler", chain.scene, RADIUS), step)
     assert "would move the cell" in judge(chain, trace).words
 
 
 @pytest.mark.parametrize("name", ["backward-euler", "euler"])
 def test_short_steps_follow_what_grows(chain, name):
-    method = named(name, chain.scene, RADIUS)
-    verdict = judge(chain, watch(chain, method, chain.length / 800))
+    method = find_method(name, chain.scene, RADIUS)
+    verdict = judge(chain, run_trial(chain, method, chain.length / 800))
     assert (verdict.kind, verdict.words) == (STABLE, "")
 
 
 @pytest.mark.parametrize(("tolerance", "kind"), [(1e-4, STABLE), (0.03, DAMPED)])
 def test_cvode_damps_it_where_its_tolerance_hides_the_disturbance(chain, tolerance, kind):
-    method = named("cvode", chain.scene, RADIUS)
-    verdict = judge(chain, watch(chain, method, tolerance))
+    method = find_method("cvode", chain.scene, RADIUS)
+    verdict = judge(chain, run_trial(chain, method, tolerance))
     assert verdict.kind == kind
     assert ("unstable modes" in verdict.words) == (kind == DAMPED)
     assert any("energy ends" in words for words in verdict.also) == (kind == DAMPED)
@@ -145,8 +152,8 @@ def test_cvode_damps_it_where_its_tolerance_hides_the_disturbance(chain, toleran
 
 def test_an_end_that_is_wrong_in_spite_of_growth_is_a_wrong_state(chain):
     """A method that stops where the motion is not linear any more has not damped its growth."""
-    method = named("backward-euler", chain.scene, RADIUS)
-    trace = watch(chain, method, chain.length / 800)
+    method = find_method("backward-euler", chain.scene, RADIUS)
+    trace = run_trial(chain, method, chain.length / 800)
     aside = [np.abs(x[:, 1]).max() for x in trace.positions]
     first = next(k for k, y in enumerate(aside) if y > 0.7 * aside[-1])
     held = [trace.positions[min(k, first)] for k in range(len(aside))]
@@ -209,8 +216,8 @@ def test_a_growing_state_grows_on_in_the_trial():
     later = state.system(100.0, 200.0).motion.radius
     np.testing.assert_allclose(later, state.motion.radius + 100.0 * state.motion.radius_rate)
     assert (state.motion.radius_rate > 0.0).any()
-    method = named("rkc2", SMALL, state.radius)
-    assert judge(state, watch(state, method, 1e-4)).kind == STABLE
+    method = find_method("rkc2", SMALL, state.radius)
+    assert judge(state, run_trial(state, method, 1e-4)).kind == STABLE
 
 
 @pytest.mark.parametrize("count", [2, 14])

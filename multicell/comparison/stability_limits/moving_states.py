@@ -20,13 +20,13 @@ from multicell.comparison.conditioning import SHIFT
 from multicell.comparison.stability_limits.decay import largest_decay
 from multicell.comparison.stability_limits.instability import unstable_modes
 from multicell.comparison.stability_limits.state import (
-    UNNOTICED,
+    MAX_UNNOTICED,
     State,
-    at_rest,
     first_cells,
     innermost,
-    settled,
-    taken,
+    rest_positions,
+    select_cells,
+    settled_state,
     twins_of,
 )
 from multicell.contact.exact_jkr import ExactJKR
@@ -48,9 +48,9 @@ SNAP: Final = 0.1
 """Distance of the contact that is stretched most from its turning point, over 3 k, the distance of
 the turning point from first contact."""
 
-_EVERY = 10  # one cell of so many divides
-_GROWTH = 1.25  # of the number of cells, until a coupling step is taken
-_LEAST = 200.0  # length of a trial at least, times the largest decay rate
+_CELLS_PER_DIVISION = 10  # one cell of so many divides
+_GROWTH_FACTOR = 1.25  # of the number of cells, until a coupling step is taken
+_MIN_LENGTH = 200.0  # length of a trial at least, times the largest decay rate
 _MARGIN = 0.1  # what twins are shifted by at the snap, over what is left to it
 
 
@@ -60,8 +60,8 @@ def state_of(kind: str, scene: Scene, threads: int | None = None) -> State:
     Parameters
     ----------
     kind
-        ``"settled"``: see :func:`multicell.comparison.stability_limits.state.settled`; or one of
-        the others, which are made by the functions of this module.
+        ``"settled"`` (:func:`multicell.comparison.stability_limits.state.settled_state`), or one
+        of the others, which are made by the functions of this module.
     scene
         The scene. What acts beside contacts, bonds and walls is left out.
     threads
@@ -94,7 +94,7 @@ def check(kind: str, scene: Scene) -> None:
         )
 
 
-def growing(scene: Scene, threads: int | None = None) -> State:
+def growing_state(scene: Scene, threads: int | None = None) -> State:
     """Return a coupling step of the growing scene, right after a division.
 
     The scene runs, by the method ``auto``, until its cells are a quarter more than at first; then
@@ -110,7 +110,7 @@ def growing(scene: Scene, threads: int | None = None) -> State:
         If the scene cannot be run.
     """
     simulation = Simulation(scene, threads=threads, integrator=Auto())
-    enough = _GROWTH * len(simulation.cells)
+    enough = _GROWTH_FACTOR * len(simulation.cells)
     found: tuple[Motion, FloatArray] | None = None
     while not simulation.finished and (found is None or len(found[1]) < enough):
         before = simulation.divisions
@@ -121,11 +121,11 @@ def growing(scene: Scene, threads: int | None = None) -> State:
     if found is None:
         raise SceneError("duration", "is over before a cell divides", "Raise it")
     motion, start = found
-    state = State(scene, simulation.mechanics, motion, start, math.nan, math.nan, UNNOTICED)
-    return completed(replace(state, kind="growing"), motion.end - motion.begin)
+    state = State(scene, simulation.mechanics, motion, start, math.nan, math.nan, MAX_UNNOTICED)
+    return complete_state(replace(state, kind="growing"), motion.end - motion.begin)
 
 
-def compressed(scene: Scene, threads: int | None = None) -> State:
+def compressed_state(scene: Scene, threads: int | None = None) -> State:
     """Return the settled first cells of a scene with positions scaled by 0.9, then released.
 
     They are scaled about their centroid.
@@ -133,17 +133,19 @@ def compressed(scene: Scene, threads: int | None = None) -> State:
     rest = _rest(scene, threads)
     middle = rest.start.mean(axis=0)
     start = middle + COMPRESSED * (rest.start - middle)
-    return completed(_touching(replace(rest, start=start, kind="compressed")), usual_step(scene))
+    return complete_state(
+        _touching(replace(rest, start=start, kind="compressed")), usual_step(scene)
+    )
 
 
-def just_divided(scene: Scene, threads: int | None = None) -> State:
+def freshly_divided_state(scene: Scene, threads: int | None = None) -> State:
     """Return the settled first cells of a scene just after every tenth of them has divided.
 
     Counted by distance from the centroid, the innermost first. Daughters lie as in a run: at
     ± r (1 - 2^(-1/3)) from their mother's centre, r her radius, along a random axis.
     """
     rest = _rest(scene, threads)
-    mothers = innermost(rest.start)[::_EVERY]
+    mothers = innermost(rest.start)[::_CELLS_PER_DIVISION]
     n = len(rest.start)
     source = np.concatenate([np.arange(n), mothers])
     radius, start = rest.motion.radius[source], rest.start[source]
@@ -152,12 +154,12 @@ def just_divided(scene: Scene, threads: int | None = None) -> State:
     for daughters, sign in ((mothers, 1.0), (np.arange(n, len(source)), -1.0)):
         radius[daughters] *= HALF
         start[daughters] += sign * offset
-    motion = taken(rest.motion, source, radius)
+    motion = select_cells(rest.motion, source, radius)
     state = replace(rest, motion=motion, start=start, kind="divided")
-    return completed(_touching(state), usual_step(scene))
+    return complete_state(_touching(state), usual_step(scene))
 
 
-def snap(scene: Scene, threads: int | None = None) -> State:
+def snapping_state(scene: Scene, threads: int | None = None) -> State:
     """Return the settled first cells of a scene, pulled apart until a contact nearly breaks.
 
     Positions are scaled about the centroid until the overlap of the contact that is nearest to
@@ -178,10 +180,10 @@ def snap(scene: Scene, threads: int | None = None) -> State:
     middle = position.mean(axis=0)
     start = middle + float((allowed / distance).min()) * (position - middle)
     state = replace(rest, start=start, kind="snap")
-    return completed(state, usual_step(scene), _MARGIN * SNAP * float(turning.min()))
+    return complete_state(state, usual_step(scene), _MARGIN * SNAP * float(turning.min()))
 
 
-def completed(state: State, length: float, shift: float | None = None) -> State:
+def complete_state(state: State, length: float, shift: float | None = None) -> State:
     """Return a state with what its true course tells: decay rate, unstable modes, twins.
 
     Parameters
@@ -195,12 +197,12 @@ def completed(state: State, length: float, shift: float | None = None) -> State:
         each coordinate by :data:`multicell.comparison.conditioning.SHIFT`.
     """
     flat = state.scene.dimensions == 2
-    state = replace(state, length=length, noticed=UNNOTICED * state.radius, known=[])
+    state = replace(state, length=length, noticed=MAX_UNNOTICED * state.radius, known=[])
     rates = _rates(state, flat)
-    if length * max(rates) < _LEAST:
-        state = replace(state, length=_LEAST / max(rates))
+    if length * max(rates) < _MIN_LENGTH:
+        state = replace(state, length=_MIN_LENGTH / max(rates))
         rates = _rates(state, flat)
-    times = [0.0, *state.looks]
+    times = [0.0, *state.observation_times]
     energy = np.array([state.energy(time, state.at(time)) for time in times])
     state = replace(
         state,
@@ -213,8 +215,10 @@ def completed(state: State, length: float, shift: float | None = None) -> State:
 
 
 def _rates(state: State, flat: bool) -> list[float]:
-    """Return the largest decay rates at the start and at the looks of a state, 1/s."""
-    return [_rate(state.system(t, t + 1.0), state.at(t), flat) for t in (0.0, *state.looks)]
+    """Return the largest decay rates at the start and at the observation times of a state, 1/s."""
+    return [
+        _rate(state.system(t, t + 1.0), state.at(t), flat) for t in (0.0, *state.observation_times)
+    ]
 
 
 def _rate(system: Mechanics, position: FloatArray, flat: bool) -> float:
@@ -227,8 +231,8 @@ def _rate(system: Mechanics, position: FloatArray, flat: bool) -> float:
 def _rest(scene: Scene, threads: int | None) -> State:
     """Return the first cells of a scene where they come to rest."""
     template, motion, position = first_cells(scene, threads)
-    state = State(scene, template, motion, position, math.nan, math.nan, UNNOTICED)
-    return _touching(replace(state, start=at_rest(state), known=[]))
+    state = State(scene, template, motion, position, math.nan, math.nan, MAX_UNNOTICED)
+    return _touching(replace(state, start=rest_positions(state), known=[]))
 
 
 def _touching(state: State) -> State:
@@ -251,9 +255,9 @@ STATES: Final = {
 """Name of a state -> how it is made, in words."""
 
 _MAKERS: Final[dict[str, Callable[[Scene, int | None], State]]] = {
-    "settled": settled,
-    "growing": growing,
-    "compressed": compressed,
-    "divided": just_divided,
-    "snap": snap,
+    "settled": settled_state,
+    "growing": growing_state,
+    "compressed": compressed_state,
+    "divided": freshly_divided_state,
+    "snap": snapping_state,
 }

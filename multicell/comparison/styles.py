@@ -1,19 +1,30 @@
-"""Which methods a chart shows in colour: those that a reader looks for, and at most eight."""
+"""Which methods a chart shows in colour, at most eight, and in which style each is drawn."""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final, NamedTuple
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from multicell.comparison.files import Row
+from multicell.comparison.ladders import Method
 from multicell.integrators.base import MethodInfo
 from multicell.integrators.registry import find
+from multicell.report.plots.colour_vision import PALE, told_apart
 
 if TYPE_CHECKING:
     from multicell.comparison.result import WorkPrecision
 
-MOST: Final = 8
+MAX_COLOURED: Final = 8
 """Most series in colour; with more, neither colours nor a legend can be followed."""
+
+
+class Style(NamedTuple):
+    """Colour (may be empty where it is chosen later), marker and line of a method."""
+
+    colour: str
+    marker: str
+    line: str
 
 
 class Point(NamedTuple):
@@ -74,27 +85,60 @@ def in_colour(result: WorkPrecision, norm: str) -> list[str]:
     First those on the Pareto front of error over the time that judges, then those that the user
     named, the scene's own method and ``auto``, the front of error over evaluations, and then the
     others: outside references, and those without a point in the chart, last. Of a front of more
-    than eight methods those stay that hold most decades of error.
+    than eight methods those stay that lower the error by most decades.
     """
     named = result.facts.get("named", [])
     own = [result.scene.integrator.method, "auto"]
     drawn = {point.method for point in points(result, norm, result.clock)}
-    others = sorted(result.methods, key=lambda name: (name not in drawn, _outside(name)))
-    fronts = (_holders(result, norm, cost) for cost in (result.clock, "cost"))
+    others = sorted(result.methods, key=lambda name: (name not in drawn, _info(name).outside))
+    fronts = (_by_decades(points(result, norm, cost)) for cost in (result.clock, "cost"))
     ranked = dict.fromkeys([*next(fronts), *named, *own, *next(fronts), *others])
-    return [name for name in ranked if name in result.methods][:MOST]
+    return [name for name in ranked if name in result.methods][:MAX_COLOURED]
 
 
-def _outside(name: str) -> bool:
-    return (find(name) or MethodInfo(name)).outside
+def _info(name: str) -> MethodInfo:
+    return find(name) or MethodInfo(name)
 
 
-def _holders(result: WorkPrecision, norm: str, cost: str) -> list[str]:
-    """Return the methods on the Pareto front, those first that hold most decades of error."""
-    front = pareto_front(points(result, norm, cost))
-    held: dict[str, float] = {}
+def _by_decades(solves: list[Point]) -> list[str]:
+    """Return the methods on the Pareto front, those first that lower the error by most decades."""
+    front = pareto_front(solves)
+    decades: dict[str, float] = {}
     above = front[0].error * 10.0 if front else 1.0
     for point in front:
-        held[point.method] = held.get(point.method, 0.0) + math.log10(above / point.error)
+        decades[point.method] = decades.get(point.method, 0.0) + math.log10(above / point.error)
         above = point.error
-    return sorted(held, key=lambda name: -held[name])
+    return sorted(decades, key=lambda name: -decades[name])
+
+
+def appearance(result: WorkPrecision, norm: str = "position") -> dict[str, Style]:
+    """Return the style of every method: at most eight in colour, the others in :data:`PALE`."""
+    return method_styles(result.methods, in_colour(result, norm), result.facts)
+
+
+def method_styles(
+    methods: Iterable[str], coloured: Sequence[str], facts: Mapping[str, Any]
+) -> dict[str, Style]:
+    """Return the style of each method, in colours that can be told apart (:func:`told_apart`)."""
+    return distinct({name: preferred_style(name, facts) for name in methods}, coloured)
+
+
+def distinct(preferred: Mapping[str, Style], coloured: Sequence[str]) -> dict[str, Style]:
+    """Return styles of which those in ``coloured`` differ in colour and the others are pale."""
+    own = told_apart({name: preferred[name].colour for name in coloured})
+    return {name: style._replace(colour=own.get(name, PALE)) for name, style in preferred.items()}
+
+
+def preferred_style(method: str, facts: Mapping[str, Any]) -> Style:
+    """Return the style that a method asks for; its colour may be empty."""
+    own = facts.get("looks", {})  # the name in files on disk
+    return Style(*own[method]) if method in own else _style_of(_info(method))
+
+
+def _style_of(info: MethodInfo) -> Style:
+    return Style(info.colour, info.marker, "--" if info.outside else "-")
+
+
+def unregistered_styles(methods: Sequence[Method]) -> dict[str, Style]:
+    """Return the styles of the methods that the registry does not know."""
+    return {m.name: _style_of(m.info) for m in methods if find(m.name) is None}
