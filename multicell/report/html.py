@@ -60,7 +60,7 @@ def write_page(
         Key figures: name -> value in words.
     pictures
         Path of a PNG file to write -> the function that draws it, and its caption. The page
-        holds it without its title, for light and for dark mode.
+        holds it without its title.
     **context
         What else the template asks for.
 
@@ -102,7 +102,7 @@ def _environment() -> Environment:
         "limit": _limit,
         "present": _present,
         "setting": _setting,
-        "swatch": _swatch,
+        "swatch": "background:{}".format,
         "text": _text,
     }
     return environment
@@ -110,11 +110,11 @@ def _environment() -> Environment:
 
 def _embedded(path: Path, figure: Figure, caption: str) -> dict[str, Any]:
     """Write a figure beside the page and return it as part of the page."""
-    from multicell.report.plots.embedded import embedded
+    from multicell.report.plots.inline import inline_picture
     from multicell.report.plots.style import save
 
     save(figure, path)
-    return {"caption": caption, "shown": embedded(figure)}
+    return {"caption": caption, "shown": inline_picture(figure)}
 
 
 def _blocks(part: Any, title: str) -> Iterator[tuple[str, list[dict[str, Any]]]]:
@@ -165,16 +165,6 @@ def _setting(row: Mapping[str, Any]) -> str:
 def _present(entries: Mapping[str, Any] | None) -> dict[str, Any]:
     """Return the entries that are not zero: what a run has none of needs no row."""
     return {name: value for name, value in (entries or {}).items() if value != 0}
-
-
-def _swatch(colour: str) -> str:
-    """Return the background of a key, for light and for dark mode."""
-    from matplotlib.colors import to_hex
-
-    from multicell.report.plots.night import at_night
-
-    # browsers that know no light-dark() keep the first
-    return f"background:{colour};background:light-dark({colour},{at_night(to_hex(colour))})"
 
 
 def _limit(value: float, unit: str = "", missing: str = "") -> str:

@@ -25,7 +25,6 @@ from multicell.comparison.field_solvers.measure import (
     TOO_SLOW,
 )
 from multicell.comparison.field_solvers.solvers import SOLVERS
-from multicell.report.plots.night import ON_COLOUR
 from multicell.report.plots.style import INK, blank, styled
 
 if TYPE_CHECKING:
@@ -105,7 +104,7 @@ def _map(axes: Axes, rows: Sequence[Row], name: str) -> None:
     stepping = rows[0]["control"] == "step"
     if stepping:
         limits = {row["thiele"]: row["limit"] * SOLVERS[name].stable for row in rows}
-        axes.plot([limits[m] for m in moduli], moduli, color=INK, lw=1.6, gid=ON_COLOUR)
+        axes.plot([limits[m] for m in moduli], moduli, color=INK, lw=1.6)
         axes.set_xlim(_edges(settings)[[0, -1]])
     else:
         axes.invert_xaxis()

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import matplotlib as mpl
 import numpy as np
 from matplotlib.collections import EllipseCollection
-from matplotlib.colors import Colormap, Normalize, to_rgb
+from matplotlib.colors import Colormap, LinearSegmentedColormap, Normalize, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
@@ -17,7 +17,6 @@ from multicell.cells import FloatArray, IntArray
 from multicell.errors import OutputError
 from multicell.report.plots.colouring import SCALE, Colouring, colouring
 from multicell.report.plots.necrosis import LABEL, STYLE, draw_necrotic
-from multicell.report.plots.night import WATER, fades
 from multicell.report.plots.plane import Plane, height, turned
 from multicell.report.plots.style import (
     HEADING,
@@ -44,6 +43,8 @@ if TYPE_CHECKING:
 
 _GONE = 1e-9  # part of the highest concentration of a field below which it is not drawn
 _DEEP: Final = 3.0  # mean diameters behind a plane within which cells are drawn
+_WATER: Final = LinearSegmentedColormap.from_list("water", ["#ffffff", "#8fbce0"])
+"""Shades of a field behind cells: white to a light blue, against which cells stand out."""
 
 
 @styled
@@ -161,8 +162,7 @@ def _draw_deep(
         return
     paler = (0.45 + 0.45 * depth[order] / reach)[:, None]
     pale = rgb[order] * (1.0 - paler) + paler
-    drawn = draw_discs(axes, place[order, :2], radius[order], pale, edge=0.0)
-    fades(drawn, rgb[order], paler)
+    draw_discs(axes, place[order, :2], radius[order], pale, edge=0.0)
 
 
 def _name_axes(axes: Axes, plane: Plane, middle: FloatArray, half: float) -> None:
@@ -258,7 +258,7 @@ def draw_discs(
     radius: FloatArray,
     rgb: FloatArray,
     edge: float | None = None,
-) -> EllipseCollection:
+) -> None:
     """Draw circles of true size, each in its colour; ``edge`` is the width of their white line."""
     size = 2.0 * radius
     if edge is None:
@@ -276,7 +276,6 @@ def draw_discs(
         zorder=2,
     )
     axes.add_collection(discs)
-    return discs
 
 
 def slice_at(field: Field, z: float) -> FloatArray:
@@ -367,7 +366,7 @@ def _draw_behind(
     line: dict[str, Any] = {"color": RED, "lw": 1.8}
     handles = [Line2D([], [], ls=STYLE, label=LABEL, **line)] if dead else []
     if field is not None and nutrient is not None and _is_there(field, nutrient):
-        shades, resting = draw_field(axes, field, z, nutrient, nutrient.boundary, 0.0, WATER)
+        shades, resting = draw_field(axes, field, z, nutrient, nutrient.boundary, 0.0, _WATER)
         bar = _name_shades(figure, shades, f"{field.name.capitalize()} ({field.unit})")
         if resting is not None:
             bar.ax.axhline(resting, **line)

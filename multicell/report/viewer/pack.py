@@ -17,14 +17,13 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.colors import to_hex, to_rgb
+from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 
 from multicell import random
 from multicell.cells import FloatArray, IntArray, Phase, State
 from multicell.random import Purpose
 from multicell.report.plots.colouring import SCALE, founder, limits_of, written
-from multicell.report.plots.night import at_night
 from multicell.report.plots.style import COLOURS, type_colours
 from multicell.report.wording import cell_count, time_unit
 from multicell.results.frame import Frame
@@ -313,7 +312,7 @@ def _colourings(
             continue
         entry: dict[str, Any] = {"name": column.name, "label": column.label, "unit": column.unit}
         if column.words:
-            yield entry | {"palette": _palette(column), "night": _palette(column, dark=True)}
+            yield entry | {"palette": _palette(column)}
             continue
         low, high = limits_of([column.values(frame) for frame in frames], from_zero=False)
         shades = mpl.colormaps[SCALE](np.linspace(0.0, 1.0, _SHADES))[:, :3]
@@ -321,8 +320,8 @@ def _colourings(
         yield entry | {"low": low, "high": high, "palette": palette}
 
 
-def _palette(column: Column, *, dark: bool = False) -> list[list[float]]:
-    """Return the colour of each group, as in the other pictures for light or for dark mode."""
+def _palette(column: Column) -> list[list[float]]:
+    """Return the colour of each group, as in the other pictures."""
     if column.name == "state":
         colours = [COLOURS[word] for word in column.words]
     elif column.name == "clone":
@@ -330,8 +329,7 @@ def _palette(column: Column, *, dark: bool = False) -> list[list[float]]:
         return [[round(float(c), 3) for c in rgb[:3]] for rgb in mpl.colormaps["turbo"](turns)]
     else:
         colours = list(type_colours(column.words).values())
-    shown = [at_night(to_hex(colour)) if dark else colour for colour in colours]
-    return [[round(c, 3) for c in to_rgb(colour)] for colour in shown]
+    return [[round(c, 3) for c in to_rgb(colour)] for colour in colours]
 
 
 def _extent(frames: Sequence[Frame]) -> dict[str, Any]:

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.colors import Normalize, to_rgb
 from matplotlib.ticker import FuncFormatter
 
-from multicell.report.plots.night import ON_COLOUR, luminance
+from multicell.report.plots.colour_vision import luminance
 from multicell.report.plots.style import DPI, INK, QUIET, RED, SIZE, blank, styled
 from multicell.studies.pictures.values import (
     DONE,
@@ -247,7 +247,7 @@ def _draw(
             axes.add_patch(mpl.patches.Rectangle(corner, 1, 1, facecolor=face, edgecolor="white"))
         if font:
             ink = _ink(colours(norm(mean))) if np.isfinite(mean) else _told_ink(text)
-            _write(axes, place, text, small, ink, font, told=bool(np.isfinite(mean)))
+            _write(axes, place, text, small, ink, font)
     axes.grid(False)
     axes.spines[:].set_visible(False)
     axes.tick_params(length=0)
@@ -289,11 +289,10 @@ def _ink(colour: Any) -> str:
 
 
 def _write(
-    axes: Axes, place: tuple[int, ...], text: str, small: str, ink: str, font: float, told: bool
+    axes: Axes, place: tuple[int, ...], text: str, small: str, ink: str, font: float
 ) -> None:
     x, y = place[1] + 0.5, place[0] + 0.5
     style: dict[str, Any] = {"ha": "center", "color": ink, "parse_math": False}
-    style["gid"] = ON_COLOUR if told else None
     if not small:
         axes.text(x, y, text, va="center", fontsize=font, weight="bold", **style)
         return
