@@ -45,7 +45,7 @@ class View:
         if self.cut not in CUTS:
             raise OutputError(f"{self.cut!r} is no cut: write {', '.join(CUTS)}")
         if not math.isfinite(self.turn):
-            raise OutputError(f"a turn of {self.turn} degrees is none")
+            raise OutputError(f"turn must be finite, got {self.turn}")
 
     def axes(self) -> FloatArray:
         """Return the directions to the right, upwards and to the eye as rows, (3, 3)."""
