@@ -12,8 +12,8 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from multicell.report.wording import clock, time_unit
-from multicell.results.folder import package_version, write_text
+from multicell.report.wording import clock, time_unit, unit_text
+from multicell.results.folder import file_errors, package_version, write_text
 from multicell.results.quantities import known_unit
 
 if TYPE_CHECKING:
@@ -41,15 +41,15 @@ def write_page(
     title: str,
     subtitle: str,
     tiles: Mapping[str, str],
-    pictures: Mapping[Path, tuple[Callable[[], Figure], str]],
+    pictures: Mapping[str | Path, tuple[Callable[[], Figure], str]],
     **context: Any,
 ) -> Path:
-    """Write one page and return its path.
+    """Write one page with its pictures beside it, and return its path.
 
     Parameters
     ----------
     path
-        Of the page.
+        Of the page; its folder is made if it does not exist.
     template
         Name of a file in ``templates``.
     scene
@@ -59,8 +59,8 @@ def write_page(
     tiles
         Key figures: name -> value in words.
     pictures
-        Path of a PNG file to write -> the function that draws it, and its caption. The page
-        holds it without its title.
+        PNG file to write, relative to the page's folder -> the function that draws it, and its
+        caption. The page holds it without its title.
     **context
         What else the template asks for.
 
@@ -69,13 +69,16 @@ def write_page(
     OutputError
         If a picture or the page cannot be written.
     """
+    with file_errors("use the output folder", path.parent):
+        path.parent.mkdir(parents=True, exist_ok=True)
     page = _environment().get_template(template)
     text = page.render(
         title=title,
         subtitle=subtitle,
         tiles=dict(tiles),
         pictures=[
-            _embedded(picture, draw(), caption) for picture, (draw, caption) in pictures.items()
+            _embedded(path.parent / name, draw(), caption)
+            for name, (draw, caption) in pictures.items()
         ],
         blocks=list(_blocks(scene, "run")),
         version=package_version(),
@@ -153,7 +156,7 @@ def _label(key: str, path: str = "") -> str:
     name = str(_LABELS.get(key, key)).replace("_", " ")
     if not path:
         return name
-    unit = known_unit(f"{path}.{key}").replace("um", "µm").replace("^3", "³")
+    unit = unit_text(known_unit(f"{path}.{key}"))
     return f"{name} ({unit})" if unit else name
 
 

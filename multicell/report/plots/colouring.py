@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from multicell.cells import Cells, FloatArray, IntArray, Phase, State
 from multicell.errors import OutputError
 from multicell.report.plots.style import COLOURS, type_colours
+from multicell.report.wording import unit_text
 from multicell.results.quantities import unit_of
 from multicell.schema import near_miss
 
@@ -177,7 +178,7 @@ def _by_value(frame: Frame, name: str, limits: tuple[float, float] | None) -> Co
     rgb = np.tile(np.array(to_rgb(_NOTHING)), (len(values), 1))
     rgb[finite] = mpl.colormaps[SCALE]((values[finite] - low) / (high - low))[:, :3]
     shown = name.replace("_", " ")
-    title = f"{shown} ({written(unit)})" if unit else shown
+    title = f"{shown} ({unit_text(unit)})" if unit else shown
     return Colouring(title, rgb, values=values, range=(low, high))
 
 
@@ -208,8 +209,3 @@ def limits_of(parts: Sequence[FloatArray], *, from_zero: bool) -> tuple[float, f
     low, high = map(float, np.percentile(values, (0.5, 99.5))) if len(values) else (0.0, 1.0)
     low = 0.0 if from_zero else low
     return low, high if high > low else low + 1.0
-
-
-def written(unit: str) -> str:
-    """Return a unit as pictures write it."""
-    return unit.replace("um", "µm").replace("^3", "³").replace("^2", "²")

@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 from multicell import random
 from multicell.cells import FloatArray, IntArray, Phase, State
 from multicell.random import Purpose
-from multicell.report.plots.colouring import SCALE, founder, limits_of, written
+from multicell.report.plots.colouring import SCALE, founder, limits_of
 from multicell.report.plots.style import COLOURS, type_colours
-from multicell.report.wording import cell_count, time_unit
+from multicell.report.wording import cell_count, time_unit, unit_text
 from multicell.results.frame import Frame
 from multicell.results.observables import centre
 from multicell.results.quantities import known_unit, unit_of
@@ -187,7 +187,7 @@ def _columns(result: Result, frames: Sequence[Frame]) -> list[Column]:
     columns.append(_quantity("pressure", "Pa", lambda f: 1000.0 * f.cells.pressure))
     for name in scene.nutrients:
         if all(name in frame.concentrations for frame in frames):
-            unit = written(unit_of(f"cells.concentration_{name}"))
+            unit = unit_text(unit_of(f"cells.concentration_{name}"))
             columns.append(_quantity(name, unit, partial(_concentration, name=name)))
     return columns
 
@@ -362,7 +362,7 @@ def _curves(result: Result, frames: Sequence[Frame]) -> tuple[dict[str, Any], li
         values = history.get(name)
         if values is not None and np.isfinite(values).any():
             shown = [_rounded(float(v)) for v in values[rows]]
-            label, unit = name.replace("_", " ").capitalize(), written(known_unit(name))
+            label, unit = name.replace("_", " ").capitalize(), unit_text(known_unit(name))
             curves.append({"name": name, "label": label, "unit": unit, "values": shown})
     end = float(time[-1])
     about = {
