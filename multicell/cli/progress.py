@@ -5,6 +5,7 @@ All of it goes to stderr; stdout belongs to results.
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 import time
@@ -80,19 +81,19 @@ def status(simulation: Any, wall: float, left: float | None = None) -> str:
     )
 
 
-_ESTIMATE_EVERY: Final = 0.5  # s
-_FORECAST_AFTER: Final = 5.0  # s: shorter runs are not worth a forecast, which takes half a second
+_TELL_EVERY: Final = 0.5  # s between two looks ahead
+_WORTH: Final = 10.0  # s that are left, from which on the scene is asked for a forecast
 
 
 @final
 class _Clock:
-    """Times a run and reports where it stands; to be asked after every step."""
+    """Times a run and tells where it stands; to be asked after every step."""
 
     def __init__(self, scene: Scene) -> None:
-        self._remaining = Remaining(scene.duration, scene.stop_cells)
-        self._start = self._before = self._estimated = time.perf_counter()
+        cycle = math.inf if scene.growth is None else scene.growth.mean_cycle
+        self._remaining = Remaining(scene.duration, scene.stop_cells, cycle)
+        self._start = self._before = self._told = time.perf_counter()
         self._left: float | None = None
-        self._forecast: Forecast | None = None
         self._scene = scene
 
     def status(self, simulation: Any) -> str:
@@ -100,11 +101,12 @@ class _Clock:
         now = time.perf_counter()
         self._remaining.note(simulation.time, len(simulation.cells), now - self._before)
         self._before = now
-        if self._forecast is None and now - self._start > _FORECAST_AFTER:
-            self._forecast = _forecast(self._scene)
-            self._before = time.perf_counter()
-        if self._forecast is not None and now - self._estimated > _ESTIMATE_EVERY:
-            self._estimated, self._left = now, self._remaining.left(self._forecast)
+        if now - self._told > _TELL_EVERY:
+            self._told, self._left = now, self._remaining.left()
+            if self._remaining.forecast is None and (self._left or 0.0) > _WORTH:
+                self._remaining.forecast = _forecast(self._scene)
+                self._left = self._remaining.left()
+                self._before = time.perf_counter()
         return status(simulation, now - self._start, self._left)
 
 

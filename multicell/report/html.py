@@ -12,7 +12,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from multicell.report.wording import clock, time_unit, unit_text
+from multicell.report.wording import clock, time_unit
 from multicell.results.folder import file_errors, package_version, write_text
 from multicell.results.quantities import known_unit
 
@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from multicell.scene.scene import Scene
+
+Drawing = tuple[Callable[[], "Figure"], str]
+"""A function that draws a picture, and its caption."""
 
 _LABELS: Final = {
     "discretisation_error": "estimated error at the cells",
@@ -41,7 +44,7 @@ def write_page(
     title: str,
     subtitle: str,
     tiles: Mapping[str, str],
-    pictures: Mapping[str | Path, tuple[Callable[[], Figure], str]],
+    pictures: Mapping[str, Drawing] | Mapping[Path, Drawing],
     **context: Any,
 ) -> Path:
     """Write one page with its pictures beside it, and return its path.
@@ -77,7 +80,7 @@ def write_page(
         subtitle=subtitle,
         tiles=dict(tiles),
         pictures=[
-            _embedded(path.parent / name, draw(), caption)
+            _inline(path.parent / name, draw(), caption)
             for name, (draw, caption) in pictures.items()
         ],
         blocks=list(_blocks(scene, "run")),
@@ -111,7 +114,7 @@ def _environment() -> Environment:
     return environment
 
 
-def _embedded(path: Path, figure: Figure, caption: str) -> dict[str, Any]:
+def _inline(path: Path, figure: Figure, caption: str) -> dict[str, Any]:
     """Write a figure beside the page and return it as part of the page."""
     from multicell.report.plots.inline import inline_picture
     from multicell.report.plots.style import save
@@ -156,7 +159,7 @@ def _label(key: str, path: str = "") -> str:
     name = str(_LABELS.get(key, key)).replace("_", " ")
     if not path:
         return name
-    unit = unit_text(known_unit(f"{path}.{key}"))
+    unit = known_unit(f"{path}.{key}").replace("um", "µm").replace("^3", "³")
     return f"{name} ({unit})" if unit else name
 
 

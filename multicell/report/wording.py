@@ -8,6 +8,7 @@ from typing import Any, Final, NamedTuple
 SEPARATION: Final = "separation force"
 MIXED: Final = "contacts between unlike cells"
 
+
 _NOT_AS_ZERO: Final = ("necrotic_radius", "held_by_pressure", "divisions", "removals")
 
 
@@ -28,11 +29,6 @@ def time_unit(longest: float) -> TimeUnit:
         if longest >= 3.0 * seconds:
             return TimeUnit(name, seconds)
     return TimeUnit("s", 1.0)
-
-
-def unit_text(unit: str) -> str:
-    """Return a unit as people write it, for example ``"µm³"``."""
-    return unit.replace("um", "µm").replace("^3", "³").replace("^2", "²")
 
 
 def cell_count(n: float) -> str:

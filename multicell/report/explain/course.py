@@ -32,15 +32,15 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 SHELLS: Final = 40
-_IN_CYCLE: Final = 12  # steps of the forecast
-_MOST_STEPS: Final = 300
-_MOST_GROWTH: Final = 60.0  # exponent of growth in a step: then it is over
-_MOST_CELLS: Final = 1e12  # no forecast goes on beyond
-_ITERATIONS: Final = 40
+_STEPS_IN_CYCLE: Final = 12  # steps of the forecast
+_MAX_STEPS: Final = 300
+_MAX_EXPONENT: Final = 60.0  # exponent of growth in a step: then it is over
+_MAX_CELLS: Final = 1e12  # no forecast goes on beyond
+_MAX_ITERATIONS: Final = 40
 _PACKING: Final = 0.77  # volume of cells in that of tissue, as runs have it
-_LEAST: Final = 1e-3  # living cells: with fewer nothing comes any more
-_SETTLED: Final = 0.01  # change of pressure's factor that ends its iteration
-_CLOSE: Final = 1e-3  # change of a field, relative to its medium, that ends its iteration
+_MIN_LIVING: Final = 1e-3  # living cells: with fewer nothing comes any more
+_PRESSURE_TOLERANCE: Final = 0.01  # change of pressure's factor that ends its iteration
+_FIELD_TOLERANCE: Final = 1e-3  # change of a field, relative to its medium, that ends its iteration
 
 
 @final
@@ -71,7 +71,7 @@ def course(scene: Scene) -> Course:
         cells.append(state.cells)
         radius.append(state.radius)
         full = scene.stop_cells is not None and state.cells >= scene.stop_cells
-        if full or state.cells > _MOST_CELLS:
+        if full or state.cells > _MAX_CELLS:
             break
     k = len(cells)
     return Course(times[:k], np.array(cells), np.array(radius))
@@ -82,7 +82,7 @@ def _times(scene: Scene) -> FloatArray:
     if scene.growth is None and scene.death is None:
         return np.array([0.0, scene.duration])
     cycle = scene.duration if scene.growth is None else scene.growth.mean_cycle
-    count = int(min(max(_IN_CYCLE * scene.duration / cycle, 20), _MOST_STEPS))
+    count = int(min(max(_STEPS_IN_CYCLE * scene.duration / cycle, 20), _MAX_STEPS))
     switches = [
         time for field in scene.nutrients.values() for time in field.switches(0.0, scene.duration)
     ]
@@ -140,7 +140,7 @@ class _Tissue:
     def advance(self, begin: float, end: float) -> None:
         """Grow, starve and remove cells from one time to another."""
         dt = end - begin
-        if self._living < _LEAST:
+        if self._living < _MIN_LIVING:
             return self._clear(end)
         shells = np.linspace(self._radius(self._core()), self.radius, SHELLS + 1)
         share = np.diff(shells**self._dimensions)
@@ -188,21 +188,21 @@ class _Tissue:
         rate = self._rate * growth
         width = np.diff(shells)
         factor = self._factor
-        for _ in range(_ITERATIONS):
+        for _ in range(_MAX_ITERATIONS):
             flow = np.cumsum(rate * factor * np.diff(shells**d) / d)
             push = resistance * flow / shells[1:] ** (d - 1) * width
             pressure = np.cumsum(push[::-1])[::-1] - 0.5 * push
             new = np.clip(1.0 - pressure / scene.growth.critical_pressure, 0.0, 1.0)
             change = float(np.abs(new - factor).max())
             factor = 0.7 * factor + 0.3 * new
-            if change < _SETTLED:
+            if change < _PRESSURE_TOLERANCE:
                 break
         self._factor = factor
         return factor
 
     def _grow(self, factor: float, dt: float) -> None:
         if self._scene.growth is not None:
-            self._living *= math.exp(min(self._rate * factor * dt, _MOST_GROWTH))
+            self._living *= math.exp(min(self._rate * factor * dt, _MAX_EXPONENT))
 
     def _die(self, starved: float, begin: float, dt: float) -> None:
         death: Death | None = self._scene.death
@@ -324,13 +324,13 @@ class Profile:
         source = field.perfusion * medium * volumes
         source[-1] += surface * medium
         level: FloatArray = np.minimum(np.maximum(self._last, 0.0), max(medium, 1e-30))
-        for _ in range(_ITERATIONS):
+        for _ in range(_MAX_ITERATIONS):
             lost = field.decay + field.perfusion
             sink = volumes * (self._uptake(level, volume) + lost)
             new = _tridiagonal(between, diagonal + sink, source)
             change = float(np.abs(new - level).max())
             level = 0.5 * (level + new)
-            if change <= _CLOSE * max(medium, 1e-30):
+            if change <= _FIELD_TOLERANCE * max(medium, 1e-30):
                 break
         self._last, self._active = level, _active(field, level)
         self._spend(4.0 * math.pi * surface * (medium - level[-1]), end - begin)

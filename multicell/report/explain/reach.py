@@ -28,7 +28,7 @@ _FACES: Final = {2: 1.0787, 3: 1.14445}
 the conformal radius of a square, and the harmonic one of a cube."""
 
 _FINE: Final = 4000  # points along the radius at which a profile is compared with a threshold
-_NOTED: Final = 0.01  # part of the tissue whose death at the start is worth a note
+_NOTED_SHARE: Final = 0.01  # part of the tissue whose death at the start is worth a note
 
 
 def start_radius(scene: Scene, name: str) -> float | None:
@@ -46,7 +46,7 @@ def start_radius(scene: Scene, name: str) -> float | None:
         return typical_radius(scene) * scene.initial.count ** (1.0 / scene.dimensions)
     from multicell.results.observables import diameter
 
-    return 0.5 * diameter(cells, scene.dimensions)
+    return 0.5 * float(diameter(cells, scene.dimensions))
 
 
 def reach_numbers(scene: Scene, name: str) -> list[Number]:
@@ -111,7 +111,7 @@ def reach_notes(scene: Scene) -> list[str]:
     notes = []
     for name, nutrient in scene.nutrients.items():
         lost = 0.0 if nutrient.necrosis is None else below(scene, name, nutrient.necrosis)
-        if lost > _NOTED:
+        if lost > _NOTED_SHARE:
             notes.append(
                 f"While all cells are active {100.0 * lost:.2g} % of the tissue of the start has "
                 f"less {name} than necrosis ({nutrient.necrosis:g} mM) and would die at once."

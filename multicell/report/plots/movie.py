@@ -182,7 +182,8 @@ def _save(
     """Write figures as a film by matplotlib's writers; the last one stays for ``hold`` more."""
     from matplotlib.animation import FFMpegWriter, PillowWriter
 
-    writer = FFMpegWriter(fps=rate) if path.suffix == ".mp4" else PillowWriter(fps=rate)
+    fps: Any = rate  # annotated as whole numbers, but any will do
+    writer = FFMpegWriter(fps=fps) if path.suffix == ".mp4" else PillowWriter(fps=fps)
     first = next(figures)
     with writer.saving(first, str(path), _DPI):
         for done, figure in enumerate(chain([first], figures), start=1):

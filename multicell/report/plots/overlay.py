@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from multicell.errors import OutputError
+from multicell.report.plots.colouring import written
 from multicell.report.plots.style import (
     History,
     blank,
@@ -16,7 +17,7 @@ from multicell.report.plots.style import (
     type_colours,
     type_label,
 )
-from multicell.report.wording import time_unit, unit_text
+from multicell.report.wording import time_unit
 from multicell.results.quantities import known_unit
 from multicell.schema import near_miss
 
@@ -65,7 +66,7 @@ def overlay(runs: Mapping[str, History], quantity: str) -> Figure:
         )  # fmt: skip
     dimension = known_unit(quantity)
     axes.set_xlabel(f"time ({unit.name})")
-    axes.set_ylabel(f"{title.lower()} ({unit_text(dimension)})" if dimension else title.lower())
+    axes.set_ylabel(f"{title.lower()} ({written(dimension)})" if dimension else title.lower())
     times = np.concatenate([history["time"] for history in runs.values()])
     axes.set_xlim(*span(np.sort(times) / unit.seconds))
     if len(runs) > 1:

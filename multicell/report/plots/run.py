@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 _Method = TypeVar("_Method", bound="Callable[..., Figure]")
 
-_CROWD: Final = 10  # cells, below which averages over shells say nothing
+_MIN_CROWD: Final = 10  # cells, below which averages over shells say nothing
 
 
 @final
@@ -202,7 +202,7 @@ class Plots:
     @_picture(
         "Averages over spherical shells about the centre.",
         "Averages over rings about the centre.",
-        on_page=lambda run: run._crowd(_CROWD),
+        on_page=lambda run: run._crowd(_MIN_CROWD),
     )
     def profiles(self, frame: int = -1) -> Figure:
         """Draw concentration (or pressure) and states against the distance from the centre."""

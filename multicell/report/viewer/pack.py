@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 from multicell import random
 from multicell.cells import FloatArray, IntArray, Phase, State
 from multicell.random import Purpose
-from multicell.report.plots.colouring import SCALE, founder, limits_of
+from multicell.report.plots.colouring import SCALE, founder, limits_of, written
 from multicell.report.plots.style import COLOURS, type_colours
-from multicell.report.wording import cell_count, time_unit, unit_text
+from multicell.report.wording import cell_count, time_unit
 from multicell.results.frame import Frame
 from multicell.results.observables import centre
 from multicell.results.quantities import known_unit, unit_of
@@ -40,12 +40,12 @@ CELLS: Final = 10_000
 BYTES: Final = 5_500_000
 """Size of the packed columns at most; fewer cells are shown where it would be more."""
 
-_READ: Final = 3e6  # cells of all frames that are read at most
-_FEWEST: Final = 8  # frames, however large
+_MAX_READ: Final = 3e6  # cells of all frames that are read at most
+_MIN_FRAMES: Final = 8  # frames, however large
 _POINTS: Final = 300  # of a curve, besides those of the frames
 _CURVES: Final = ("cells", "diameter", "viable_rim", "largest_pressure")
 _SHADES: Final = 64
-_CLONES: Final = 250
+_MAX_CLONES: Final = 250
 
 
 @final
@@ -89,7 +89,7 @@ class Packed:
     note: str
 
 
-def packed(result: Result) -> Packed | None:
+def pack_frames(result: Result) -> Packed | None:
     """Return the frames of a run for the view, or None where there is nothing to see.
 
     Of more than :data:`FRAMES` frames some are left out, evenly; of more than :data:`CELLS` cells
@@ -97,11 +97,11 @@ def packed(result: Result) -> Packed | None:
     once is shown as long as there is room. The note says both.
     """
     frames, whole = [], []
-    for number in _chosen(result):
+    for number in _frame_numbers(result):
         frame = result.frames[number]
         if len(frame.cells):
             whole.append({"cells": len(frame.cells), "groups": _groups(frame)})
-            frames.append(_thinned(frame, CELLS))  # one whole frame in memory at a time
+            frames.append(_thin(frame, CELLS))  # one whole frame in memory at a time
     if not frames:
         return None
     curves, points = _curves(result, frames)
@@ -113,12 +113,12 @@ def packed(result: Result) -> Packed | None:
     squeezed = gzip.compress(body, 9, mtime=0)
     while len(squeezed) > BYTES and most > 100:
         most = int(most * 0.95 * BYTES / len(squeezed))
-        frames = [_thinned(frame, most) for frame in frames]
+        frames = [_thin(frame, most) for frame in frames]
         body, contents = _body(frames, whole, columns, ranges)
         squeezed = gzip.compress(body, 9, mtime=0)
     about = {
         "frames": contents,
-        "columns": [_described(column, ranges[column.name]) for column in columns],
+        "columns": [_describe(column, ranges[column.name]) for column in columns],
         "colourings": list(_colourings(columns, frames, result)),
         "flat": result.scene.dimensions == 2,
         **_extent(frames),
@@ -127,7 +127,7 @@ def packed(result: Result) -> Packed | None:
     return Packed(about, base64.b64encode(squeezed).decode("ascii"), _note(result, contents))
 
 
-def _chosen(result: Result) -> list[int]:
+def _frame_numbers(result: Result) -> list[int]:
     """Return the numbers of the frames to show: first, last, and evenly between.
 
     Fewer of runs so large that reading frames would take long.
@@ -135,15 +135,15 @@ def _chosen(result: Result) -> list[int]:
     count = len(result.frames)
     cells = result.history.get("cells", np.empty(0))
     mean = float(cells.mean()) if len(cells) else 0.0
-    most = min(FRAMES, max(_FEWEST, int(_READ / mean))) if mean > 0.0 else FRAMES
+    most = min(FRAMES, max(_MIN_FRAMES, int(_MAX_READ / mean))) if mean > 0.0 else FRAMES
     if count <= most:
         return list(range(count))
     return sorted({round(k) for k in np.linspace(0, count - 1, most)})
 
 
-def _thinned(frame: Frame, most: int) -> Frame:
+def _thin(frame: Frame, most: int) -> Frame:
     """Return a frame with at most so many cells, in the order of their identities, no fields."""
-    rows = _shown(frame.cells.id, most)
+    rows = _rows_shown(frame.cells.id, most)
     values = {name: column[rows] for name, column in frame.concentrations.items()}
     return Frame(frame.time, frame.step, frame.cells.take(rows), values)
 
@@ -187,7 +187,7 @@ def _columns(result: Result, frames: Sequence[Frame]) -> list[Column]:
     columns.append(_quantity("pressure", "Pa", lambda f: 1000.0 * f.cells.pressure))
     for name in scene.nutrients:
         if all(name in frame.concentrations for frame in frames):
-            unit = unit_text(unit_of(f"cells.concentration_{name}"))
+            unit = written(unit_of(f"cells.concentration_{name}"))
             columns.append(_quantity(name, unit, partial(_concentration, name=name)))
     return columns
 
@@ -213,7 +213,7 @@ def _clone_numbers(
     founders = np.unique(np.concatenate([founder(f.cells.id, lineage) for f in frames]))
     if len(founders) < 2:
         return None
-    count = min(len(founders), _CLONES)
+    count = min(len(founders), _MAX_CLONES)
 
     def numbers(frame: Frame) -> NDArray[Any]:
         return np.searchsorted(founders, founder(frame.cells.id, lineage)) % count
@@ -273,7 +273,7 @@ def _body(
     return b"".join(parts), contents
 
 
-def _shown(ids: IntArray, most: int) -> IntArray:
+def _rows_shown(ids: IntArray, most: int) -> IntArray:
     """Return the rows of the cells to show in the order of their identities."""
     rows = np.argsort(ids, kind="stable")
     if len(rows) <= most:
@@ -293,7 +293,7 @@ def _integers(
     return np.rint(_top(column) * share).astype(column.kind)
 
 
-def _described(column: Column, limits: tuple[float, float]) -> dict[str, Any]:
+def _describe(column: Column, limits: tuple[float, float]) -> dict[str, Any]:
     entry: dict[str, Any] = {
         "name": column.name, "label": column.label, "unit": column.unit, "kind": column.kind,
         "low": limits[0], "high": limits[1],
@@ -362,7 +362,7 @@ def _curves(result: Result, frames: Sequence[Frame]) -> tuple[dict[str, Any], li
         values = history.get(name)
         if values is not None and np.isfinite(values).any():
             shown = [_rounded(float(v)) for v in values[rows]]
-            label, unit = name.replace("_", " ").capitalize(), unit_text(known_unit(name))
+            label, unit = name.replace("_", " ").capitalize(), written(known_unit(name))
             curves.append({"name": name, "label": label, "unit": unit, "values": shown})
     end = float(time[-1])
     about = {
