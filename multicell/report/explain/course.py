@@ -19,6 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.biology.durations import malthusian_rate
+from multicell.biology.growth import growth_factor
+from multicell.biology.states import beyond
 from multicell.cells import SPHERE, FloatArray
 from multicell.scene.checks import solving_order
 from multicell.scene.pairs import drag
@@ -26,7 +28,6 @@ from multicell.scene.scales import height
 from multicell.scene.sizes import birth_radius, typical_radius
 
 if TYPE_CHECKING:
-    from multicell.scene.energy import Energy
     from multicell.scene.nutrient import Nutrient
     from multicell.scene.parts import Death
     from multicell.scene.scene import Scene
@@ -145,24 +146,32 @@ class _Tissue:
         shells = np.linspace(self._radius(self._core()), self.radius, SHELLS + 1)
         share = np.diff(shells**self._dimensions)
         share /= share.sum()
-        growth, starved = np.ones(SHELLS), np.zeros(SHELLS, dtype=bool)
-        levels: dict[str, FloatArray] = {}
-        for name, field in self._fields.items():
-            levels[name] = field.solve(shells, begin, end, self._cell_volume, levels)
-            growth *= _growth(field.nutrient, levels[name])
-            starved |= _starved(field.nutrient, levels[name])
-        energy = self._scene.energy
-        if energy is not None:
-            made = energy.supply(self._scene.nutrients, levels)
-            growth *= _of_energy(energy, made)
-            starved |= made < (energy.necrosis or 0.0)
-            for field in self._fields.values():
-                field.rest(made < (energy.quiescence or 0.0))
-        growth[starved] = 0.0
+        growth, starved = self._supplied(shells, begin, end)
         growth *= self._pressed(shells, growth)
         self._grow(float((share * growth).sum()), dt)
         self._die(float(share[starved].sum()), begin, dt)
         self._clear(end)
+
+    def _supplied(
+        self, shells: FloatArray, begin: float, end: float
+    ) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Solve the fields; return the factor on growth in each shell, and where cells starve."""
+        scene = self._scene
+        # fields without effect on cells are not solved
+        levels = {name: np.full(SHELLS, n.medium(begin)) for name, n in scene.nutrients.items()}
+        for name, field in self._fields.items():
+            levels[name] = field.solve(shells, begin, end, self._cell_volume, levels)
+        growth = growth_factor(scene, levels, np.zeros(SHELLS))
+        starved = beyond(scene, levels, SHELLS)
+        for name, field in self._fields.items():
+            growth *= _active(field.nutrient, levels[name])
+        if scene.energy is not None and scene.energy.quiescence is not None:
+            resting = scene.energy.supply(scene.nutrients, levels) < scene.energy.quiescence
+            growth[resting] = 0.0
+            for field in self._fields.values():
+                field.rest(resting)
+        growth[starved] = 0.0
+        return growth, starved
 
     def _clear(self, end: float) -> None:
         """Remove the remains of those that died long ago."""
@@ -236,39 +245,11 @@ def _needed(scene: Scene) -> set[str]:
     return needed
 
 
-def _of_energy(energy: Energy, made: FloatArray) -> FloatArray:
-    """Return the factor on growth of the ATP that is made."""
-    factor = np.ones(len(made))
-    if energy.growth_half_saturation is not None:
-        factor *= made / (energy.growth_half_saturation + made)
-    if energy.quiescence is not None:
-        factor *= made >= energy.quiescence
-    return factor
-
-
-def _growth(field: Nutrient, level: FloatArray) -> FloatArray:
-    factor = np.ones(len(level))
-    if field.growth_half_saturation is not None:
-        factor *= level / (field.growth_half_saturation + level)
-    if field.growth_inhibition is not None:
-        factor *= field.growth_inhibition / (field.growth_inhibition + level)
-    return factor * _active(field, level)
-
-
 def _active(field: Nutrient, level: FloatArray) -> FloatArray:
     """Return where cells do not rest: one, and zero below quiescence."""
     if field.quiescence is None:
         return np.ones(len(level))
     return (level >= field.quiescence).astype(np.float64)
-
-
-def _starved(field: Nutrient, level: FloatArray) -> np.ndarray:
-    below = np.zeros(len(level), dtype=bool)
-    if field.necrosis is not None:
-        below |= level < field.necrosis
-    if field.necrosis_above is not None:
-        below |= level > field.necrosis_above
-    return below
 
 
 @final
