@@ -46,7 +46,8 @@ def start_radius(scene: Scene, name: str) -> float | None:
         return typical_radius(scene) * scene.initial.count ** (1.0 / scene.dimensions)
     from multicell.results.observables import diameter
 
-    return 0.5 * float(diameter(cells, scene.dimensions))
+    radius: float = 0.5 * diameter(cells, scene.dimensions)
+    return radius
 
 
 def reach_numbers(scene: Scene, name: str) -> list[Number]:
