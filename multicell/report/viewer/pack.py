@@ -33,16 +33,17 @@ from multicell.results.quantities import known_unit, unit_of
 if TYPE_CHECKING:
     from multicell.report.result import Result
 
-FRAMES: Final = 50
+MAX_FRAMES: Final = 50
 """Frames that are shown at most."""
-CELLS: Final = 10_000
+MAX_CELLS: Final = 10_000
 """Cells of a frame that are shown at most."""
-BYTES: Final = 5_500_000
+MAX_BYTES: Final = 5_500_000
 """Size of the packed columns at most; fewer cells are shown where it would be more."""
+POINTS: Final = 300
+"""Points of a curve, besides those of the frames."""
 
 _MAX_READ: Final = 3e6  # cells of all frames that are read at most
 _MIN_FRAMES: Final = 8  # frames, however large
-_POINTS: Final = 300  # of a curve, besides those of the frames
 _CURVES: Final = ("cells", "diameter", "viable_rim", "largest_pressure")
 _SHADES: Final = 64
 _MAX_CLONES: Final = 250
@@ -89,19 +90,22 @@ class Packed:
     note: str
 
 
-def pack_frames(result: Result) -> Packed | None:
+def pack_frames(
+    result: Result, *, max_cells: int = MAX_CELLS, max_bytes: int = MAX_BYTES
+) -> Packed | None:
     """Return the frames of a run for the view, or None where there is nothing to see.
 
-    Of more than :data:`FRAMES` frames some are left out, evenly; of more than :data:`CELLS` cells
-    those are shown whose identities a random function ranks first, so that a cell that is shown
-    once is shown as long as there is room. The note says both.
+    Of more than :data:`MAX_FRAMES` frames some are left out, evenly; of more than ``max_cells``
+    cells, or where the packed columns would exceed ``max_bytes``, those are shown whose identities
+    a random function ranks first, so that a cell that is shown once is shown as long as there is
+    room. The note says both.
     """
     frames, whole = [], []
     for number in _frame_numbers(result):
         frame = result.frames[number]
         if len(frame.cells):
             whole.append({"cells": len(frame.cells), "groups": _groups(frame)})
-            frames.append(_thin(frame, CELLS))  # one whole frame in memory at a time
+            frames.append(_thin(frame, max_cells))  # one whole frame in memory at a time
     if not frames:
         return None
     curves, points = _curves(result, frames)
@@ -111,8 +115,8 @@ def pack_frames(result: Result) -> Packed | None:
     most = max(len(frame.cells) for frame in frames)
     body, contents = _body(frames, whole, columns, ranges)
     squeezed = gzip.compress(body, 9, mtime=0)
-    while len(squeezed) > BYTES and most > 100:
-        most = int(most * 0.95 * BYTES / len(squeezed))
+    while len(squeezed) > max_bytes and most > 100:
+        most = int(most * 0.95 * max_bytes / len(squeezed))
         frames = [_thin(frame, most) for frame in frames]
         body, contents = _body(frames, whole, columns, ranges)
         squeezed = gzip.compress(body, 9, mtime=0)
@@ -135,7 +139,7 @@ def _frame_numbers(result: Result) -> list[int]:
     count = len(result.frames)
     cells = result.history.get("cells", np.empty(0))
     mean = float(cells.mean()) if len(cells) else 0.0
-    most = min(FRAMES, max(_MIN_FRAMES, int(_MAX_READ / mean))) if mean > 0.0 else FRAMES
+    most = min(MAX_FRAMES, max(_MIN_FRAMES, int(_MAX_READ / mean))) if mean > 0.0 else MAX_FRAMES
     if count <= most:
         return list(range(count))
     return sorted({round(k) for k in np.linspace(0, count - 1, most)})
@@ -354,7 +358,7 @@ def _curves(result: Result, frames: Sequence[Frame]) -> tuple[dict[str, Any], li
         return {"times": [], "curves": [], "end": 0.0, "end_label": ""}, [None] * len(frames)
     of_step = {int(s): row for row, s in enumerate(step)}
     own = [of_step.get(frame.step) for frame in frames]
-    even = np.rint(np.linspace(0, len(time) - 1, _POINTS)).astype(int).tolist()
+    even = np.rint(np.linspace(0, len(time) - 1, POINTS)).astype(int).tolist()
     rows = sorted({*even, *(row for row in own if row is not None)})
     points = [None if row is None else rows.index(row) for row in own]
     curves = []
