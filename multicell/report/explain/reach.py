@@ -43,11 +43,10 @@ def start_radius(scene: Scene, name: str) -> float | None:
         return None
     cells = placed(scene)
     if cells is None:
-        return typical_radius(scene) * scene.initial.count ** (1.0 / scene.dimensions)
+        return float(typical_radius(scene) * scene.initial.count ** (1.0 / scene.dimensions))
     from multicell.results.observables import diameter
 
-    radius: float = 0.5 * diameter(cells, scene.dimensions)
-    return radius
+    return 0.5 * diameter(cells, scene.dimensions)
 
 
 def reach_numbers(scene: Scene, name: str) -> list[Number]:
