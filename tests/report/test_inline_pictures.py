@@ -2,6 +2,7 @@
 
 import base64
 import io
+import json
 import re
 from importlib.resources import files
 
@@ -60,6 +61,13 @@ def test_what_is_written_can_be_read_in_dark_mode(colour):
 )
 def test_what_is_drawn_can_be_seen_in_dark_mode(colour):
     assert contrast(colour) >= 2.9
+
+
+def test_the_view_turns_its_colours_as_the_style_sheet_turns_pictures():
+    script = (files("multicell.report.viewer") / "viewer.js").read_text()
+    matrix = json.loads(re.search(r"TURN = (\[\[.*?\]\])", script)[1])
+    np.testing.assert_array_equal(matrix, HUE)
+    assert float(re.search(r"const value = ([\d.]+) \*", script)[1]) == BRIGHTNESS
 
 
 @styled
