@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -17,13 +17,15 @@ from multicell.cli.options import (
 )
 from multicell.cli.process import print_json
 from multicell.errors import OutputError
+from multicell.report.plots.run import PICTURES
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from multicell.report.result import Result
 
-PICTURES = ("section", "space", "growth", "fields", "profiles", "contacts", "pull")
+_OPTIONS = {"plane": "--section", "colour": "--colour", "cut": "--cut", "turn": "--turn"}
+"""Options of pictures by the names that their methods have for them."""
 
 
 @click.command()
@@ -31,7 +33,7 @@ PICTURES = ("section", "space", "growth", "fields", "profiles", "contacts", "pul
 @output_option("File for the picture: .png, .svg or .pdf.")
 @click.option(
     "--picture",
-    type=click.Choice(PICTURES),
+    type=click.Choice(list(PICTURES)),
     help="One of those of the report.  [default: section]",
 )
 @click.option(
@@ -78,8 +80,9 @@ def plot(
     as_json: bool,
 ) -> None:
     """Draw a picture of the run in FOLDERS, or a quantity of the runs in several of them."""
-    in_space = {"--cut": cut, "--turn": turn}
-    _refuse_mixed(folders, picture, section, colour, in_space, moment, frame, quantity)
+    named = {"plane": section, "colour": colour, "cut": cut, "turn": turn}
+    given: dict[str, Any] = {name: value for name, value in named.items() if value is not None}
+    _refuse_mixed(folders, picture, given, moment, frame, quantity)
     if law is not None:
         name_law(law)
     from multicell.report.plots.style import save
@@ -91,11 +94,13 @@ def plot(
     if quantity is not None:
         figure = _quantity(folders, runs, quantity)
     else:
-        number = _number(runs[0], moment, frame)
-        if picture == "space":
-            figure = _space(runs[0], number, cut or "quarter", turn or 0.0, colour)
-        else:
-            figure = _picture(runs[0], picture, section, colour, number)
+        name = picture or "section"
+        if "frame" in PICTURES[name].options:
+            given["frame"] = _number(runs[0], moment, frame)
+        try:
+            figure = getattr(runs[0].plot, name)(**given)
+        except ValueError as error:  # there is nothing to draw
+            raise OutputError(f"no picture of '{runs[0].folder}': {error}") from error
     save(figure, output)
     if as_json:
         print_json({"file": str(output)})
@@ -106,31 +111,28 @@ def plot(
 def _refuse_mixed(
     folders: Sequence[Path],
     picture: str | None,
-    section: str | None,
-    colour: str | None,
-    in_space: Mapping[str, object],
+    given: Mapping[str, object],
     moment: str | None,
     frame: int | None,
     quantity: str | None,
 ) -> None:
     """Refuse options that do not go together."""
-    of_section = {"--section": section, "--colour": colour}
-    of_frame = {**of_section, **in_space, "--time": moment, "--frame": frame, "--picture": picture}
     if quantity is not None:
-        for name, value in of_frame.items():
-            if value is not None:
-                raise click.UsageError(f"{name} has no meaning with --quantity")
-    elif len(folders) > 1:
+        of_frame = {"--time": moment, "--frame": frame, "--picture": picture}
+        for option in [
+            *(_OPTIONS[name] for name in given),
+            *(option for option, value in of_frame.items() if value is not None),
+        ]:
+            raise click.UsageError(f"{option} has no meaning with --quantity")
+        return
+    if len(folders) > 1:
         raise click.UsageError("several runs go into one picture with --quantity only")
-    known = {
-        "--section": (None, "section"), "--colour": (None, "section", "space"),
-        "--cut": ("space",), "--turn": ("space",),
-    }  # fmt: skip
-    for name, value in {**of_section, **in_space}.items():
-        if value is not None and picture not in known[name]:
-            named = " or ".join(f"--picture {one}" for one in known[name] if one)
-            raise click.UsageError(f"{name} has a meaning for {named} only")
-    if picture in ("growth", "contacts", "pull") and (moment is not None or frame is not None):
+    taken = PICTURES[picture or "section"].options
+    for name in given:
+        if name not in taken:
+            able = [f"--picture {key}" for key, kind in PICTURES.items() if name in kind.options]
+            raise click.UsageError(f"{_OPTIONS[name]} has a meaning for {' or '.join(able)} only")
+    if "frame" not in taken and (moment is not None or frame is not None):
         raise click.UsageError(f"--picture {picture} shows all times: leave --time and --frame out")
     if moment is not None and frame is not None:
         raise click.UsageError("--time and --frame both name the frame: give one of them")
@@ -156,31 +158,6 @@ def _number(run: Result, moment: str | None, frame: int | None) -> int:
     if not -count <= number < count:
         raise OutputError(f"there is no frame {number}: the run has {count}")
     return number
-
-
-def _picture(
-    run: Result, picture: str | None, section: str | None, colour: str | None, number: int
-) -> Figure:
-    """Return one of the pictures of a run."""
-    plots = run.plot
-    try:
-        if picture in (None, "section"):
-            return plots.section(number, plane=section, colour=colour)
-        if picture in ("fields", "profiles"):
-            draw = plots.fields if picture == "fields" else plots.profiles
-            return draw(number)
-        whole = {"growth": plots.growth, "contacts": plots.contacts, "pull": plots.pull}
-        return whole[str(picture)]()
-    except ValueError as error:  # there is nothing to draw
-        raise OutputError(f"no picture of '{run.folder}': {error}") from error
-
-
-def _space(run: Result, number: int, cut: str, turn: float, colour: str | None) -> Figure:
-    """Return the cells of a frame in space."""
-    try:
-        return run.plot.space(number, cut=cut, turn=turn, colour=colour)
-    except ValueError as error:
-        raise OutputError(f"no picture of '{run.folder}': {error}") from error
 
 
 def _quantity(folders: Sequence[Path], runs: Sequence[Result], quantity: str) -> Figure:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from multicell.report.wording import clock, time_unit
-from multicell.results.folder import package_version, write_text
+from multicell.results.folder import file_errors, package_version, write_text
 from multicell.results.quantities import known_unit, title_of
 
 if TYPE_CHECKING:
@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from multicell.scene.scene import Scene
+
+Drawing = tuple[Callable[[], "Figure"], str]
+"""A function that draws a picture, and its caption."""
 
 
 def write_page(
@@ -31,15 +34,15 @@ def write_page(
     title: str,
     subtitle: str,
     tiles: Mapping[str, str],
-    pictures: Mapping[Path, tuple[Callable[[], Figure], str]],
+    pictures: Mapping[str, Drawing] | Mapping[Path, Drawing],
     **context: Any,
 ) -> Path:
-    """Write one page and return its path.
+    """Write one page with its pictures beside it, and return its path.
 
     Parameters
     ----------
     path
-        Of the page.
+        Of the page; its folder is made if it does not exist.
     template
         Name of a file in ``templates``.
     scene
@@ -49,8 +52,8 @@ def write_page(
     tiles
         Key figures: name -> value in words.
     pictures
-        Path of a PNG file to write -> the function that draws it, and its caption. The page
-        holds it without its title, for light and for dark mode.
+        PNG file to write, relative to the page's folder -> the function that draws it, and its
+        caption. The page holds it without its title.
     **context
         What else the template asks for.
 
@@ -59,13 +62,16 @@ def write_page(
     OutputError
         If a picture or the page cannot be written.
     """
+    with file_errors("use the output folder", path.parent):
+        path.parent.mkdir(parents=True, exist_ok=True)
     page = _environment().get_template(template)
     text = page.render(
         title=title,
         subtitle=subtitle,
         tiles=dict(tiles),
         pictures=[
-            _embedded(picture, draw(), caption) for picture, (draw, caption) in pictures.items()
+            _inline(path.parent / name, draw(), caption)
+            for name, (draw, caption) in pictures.items()
         ],
         blocks=list(_blocks(scene, "run")),
         version=package_version(),
@@ -92,19 +98,19 @@ def _environment() -> Environment:
         "limit": _limit,
         "present": _present,
         "setting": _setting,
-        "swatch": _swatch,
+        "swatch": "background:{}".format,
         "text": _text,
     }
     return environment
 
 
-def _embedded(path: Path, figure: Figure, caption: str) -> dict[str, Any]:
+def _inline(path: Path, figure: Figure, caption: str) -> dict[str, Any]:
     """Write a figure beside the page and return it as part of the page."""
-    from multicell.report.plots.embedded import embedded
+    from multicell.report.plots.inline import inline_picture
     from multicell.report.plots.style import save
 
     save(figure, path)
-    return {"caption": caption, "shown": embedded(figure)}
+    return {"caption": caption, "shown": inline_picture(figure)}
 
 
 def _blocks(part: Any, title: str) -> Iterator[tuple[str, list[dict[str, Any]]]]:
@@ -155,16 +161,6 @@ def _setting(row: Mapping[str, Any]) -> str:
 def _present(entries: Mapping[str, Any] | None) -> dict[str, Any]:
     """Return the entries that are not zero: what a run has none of needs no row."""
     return {name: value for name, value in (entries or {}).items() if value != 0}
-
-
-def _swatch(colour: str) -> str:
-    """Return the background of a key, for light and for dark mode."""
-    from matplotlib.colors import to_hex
-
-    from multicell.report.plots.night import at_night
-
-    # browsers that know no light-dark() keep the first
-    return f"background:{colour};background:light-dark({colour},{at_night(to_hex(colour))})"
 
 
 def _limit(value: float, unit: str = "", missing: str = "") -> str:

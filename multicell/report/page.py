@@ -4,37 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from multicell.errors import OutputError
 from multicell.report.html import write_page
+from multicell.report.plots.run import PICTURES
 from multicell.report.wording import cell_count, measures, percent
-from multicell.results.folder import file_errors
 from multicell.results.quantities import title_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from multicell.report.result import Result
-
-
-_CROWD: Final = 10  # cells, below which averages over shells say nothing
-_CAPTIONS: Final = {
-    "growth": "The population in the course of the run.",
-    "section": "Cells that a plane through the centre cuts, each drawn with the radius of its cut.",
-    "fields": "A map of every field in the plane of the section, each over its own range.",
-    "profiles": "Averages over spherical shells about the centre.",
-    "contacts": "Contacts between cells of different types, and where each type is.",
-    "pull": "Force that pulls the cells apart, beside what their contact can bear.",
-}
-_FLAT_CAPTIONS: Final = {
-    **_CAPTIONS,
-    "section": "The cells, all in one plane.",
-    "fields": "A map of every field in the plane of the cells, each over its own range.",
-    "profiles": "Averages over rings about the centre.",
-}
 
 
 def write_report(result: Result, folder: str | Path | None = None) -> Path:
@@ -60,12 +43,8 @@ def write_report(result: Result, folder: str | Path | None = None) -> Path:
     place = result.folder if folder is None else Path(folder)
     if place is None:
         raise OutputError("the run has no output folder: say where the report shall go")
-    with file_errors("use the output folder", place):
-        place.mkdir(parents=True, exist_ok=True)
     from multicell.report.viewer.embed import view
 
-    captions = _CAPTIONS if result.scene.dimensions == 3 else _FLAT_CAPTIONS
-    pictures = {place / f"{name}.png": (draw, captions[name]) for name, draw in _drawings(result)}
     summary = result.summary()
     return write_page(
         place / "report.html",
@@ -74,7 +53,7 @@ def write_report(result: Result, folder: str | Path | None = None) -> Path:
         title=result.scene.title or "Untitled run",
         subtitle=_subtitle(result, summary),
         tiles=dict(measures(summary)) | dict(_contact_measures(result)),
-        pictures=pictures,
+        pictures=dict(_drawings(result)),
         viewer=view(result),
         summary=summary,
         **_phases(summary),
@@ -100,20 +79,13 @@ def _contact_measures(result: Result) -> Iterator[tuple[str, str]]:
         yield title_of("heterotypic_fraction"), f"{percent(known[0])} → {percent(known[-1])}"
 
 
-def _drawings(result: Result) -> Iterator[tuple[str, Callable[[], Figure]]]:
-    """Yield the pictures that this run has enough data for."""
-    if len(result.history.get("time", ())):
-        yield "growth", result.plot.growth
-    if len(result.frames) and len(result.frames[-1].cells):
-        yield "section", result.plot.section
-        if len(result.frames[-1].fields) > 1:
-            yield "fields", result.plot.fields
-        if len(result.frames[-1].cells) >= _CROWD:
-            yield "profiles", result.plot.profiles
-    if len(result.frames) and len(result.history.get("heterotypic_fraction", ())):
-        yield "contacts", result.plot.contacts
-    if len(result.frames) and len(result.history.get("pull", ())):
-        yield "pull", result.plot.pull
+def _drawings(result: Result) -> Iterator[tuple[str, tuple[Callable[[], Figure], str]]]:
+    """Yield the pictures that this run has enough data for, with their captions."""
+    plots, flat = result.plot, result.scene.dimensions == 2
+    for name, kind in PICTURES.items():
+        if kind.on_page(plots):
+            caption = kind.flat_caption if flat else kind.caption
+            yield f"{name}.png", (getattr(plots, name), caption)
 
 
 def _subtitle(result: Result, summary: Mapping[str, Any]) -> str:

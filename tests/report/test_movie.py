@@ -8,23 +8,14 @@ import pytest
 from click.testing import CliRunner
 from PIL import Image
 
-import multicell as mc
 from multicell.cli.main import main
 from multicell.report.plots.movie import movie
 
 
-@pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    scene = mc.load_scene("spheroid").with_changes(
-        {"duration": "20 h", "initial.count": 30, "output.every": "5 h"}
-    )
-    return mc.run(scene, output=tmp_path_factory.mktemp("movie") / "run", report=False)
-
-
-def test_a_gif_has_every_frame_in_turn(run, tmp_path):
+def test_a_gif_has_every_frame_in_turn(small_run, tmp_path):
     seen = []
-    path = movie(run, tmp_path / "a.gif", rate=4.0, progress=lambda k, n: seen.append((k, n)))
-    count = len(run.frames)
+    path = movie(small_run, tmp_path / "a.gif", rate=4.0, progress=lambda k, n: seen.append((k, n)))
+    count = len(small_run.frames)
     assert seen == [(k + 1, count) for k in range(count)]
     with Image.open(path) as film:
         assert film.n_frames == count
@@ -35,11 +26,11 @@ def test_a_gif_has_every_frame_in_turn(run, tmp_path):
             film.seek(k)
             rests.append(film.info["duration"])
             pictures.append(np.asarray(film.convert("RGB")).astype(int))
-    assert rests == [250] * (count - 1) + [1500]
+    assert rests == [250] * (count - 1) + [1750]  # the last one rests for 1.5 s
     assert all(np.abs(a - b).max() > 60 for a, b in itertools.pairwise(pictures))
 
 
-def test_the_window_and_the_colours_stay(run, tmp_path, monkeypatch):
+def test_the_window_and_the_colours_stay(small_run, tmp_path, monkeypatch):
     drawn = []
     from multicell.report.plots import movie as room
 
@@ -49,21 +40,21 @@ def test_the_window_and_the_colours_stay(run, tmp_path, monkeypatch):
 
     original = room.section
     monkeypatch.setattr(room, "section", noted)
-    movie(run, tmp_path / "b.gif", colour="pressure", plane="x")
+    movie(small_run, tmp_path / "b.gif", colour="pressure", plane="x")
     assert len(set(drawn)) == 1
-    every = np.concatenate([frame.cells.pressure for frame in run.frames])
+    every = np.concatenate([frame.cells.pressure for frame in small_run.frames])
     assert drawn[0][1] == pytest.approx(tuple(np.percentile(every, (0.5, 99.5))))
 
 
-def test_a_film_lasts_as_long_as_its_frames(run, tmp_path):
+def test_a_film_lasts_as_long_as_its_frames(small_run, tmp_path):
     import imageio_ffmpeg
 
-    path = movie(run, tmp_path / "c.mp4", rate=5.0)
+    path = movie(small_run, tmp_path / "c.mp4", rate=5.0)
     reader = imageio_ffmpeg.read_frames(str(path))
     about = next(reader)
     pictures = [np.frombuffer(picture, np.uint8) for picture in reader]
     assert about["size"] == (800, 500)
-    assert len(pictures) == len(run.frames) + 8  # the last one rests for 1.5 s
+    assert len(pictures) == len(small_run.frames) + 8  # the last one rests for 1.5 s
     assert np.abs(pictures[0].astype(int) - pictures[-1].astype(int)).max() > 60
 
 
@@ -76,17 +67,17 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_what_cannot_be_made_is_said(run, tmp_path, monkeypatch, case):
+def test_what_cannot_be_made_is_said(small_run, tmp_path, monkeypatch, case):
     monkeypatch.chdir(tmp_path)
     options, words = REFUSED[case]
-    done = CliRunner().invoke(main, ["movie", str(run.folder), *options])
+    done = CliRunner().invoke(main, ["movie", str(small_run.folder), *options])
     assert done.exit_code == 2, done.output
     assert re.search(words, done.output)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_command(run, tmp_path):
-    given = ["movie", str(run.folder), "-o", str(tmp_path / "d.gif"), "--colour", "age"]
+def test_command(small_run, tmp_path):
+    given = ["movie", str(small_run.folder), "-o", str(tmp_path / "d.gif"), "--colour", "age"]
     assert CliRunner().invoke(main, given).exit_code == 0
     assert (tmp_path / "d.gif").stat().st_size > 10_000
     assert CliRunner().invoke(main, given).exit_code == 2

@@ -5,7 +5,9 @@ import numpy as np
 import pytest
 from synthetic import SCENE, cells_at, growing_frames, history_of
 
+import multicell as mc
 from multicell.report.plots.run import Plots
+from multicell.report.plots.section import section
 from multicell.report.result import Result, history_arrays
 from multicell.results import observables
 from multicell.scene.scene import Scene
@@ -109,3 +111,18 @@ def test_a_frame_without_fields_has_no_map():
     with pytest.raises(ValueError, match="no fields"):
         Plots([bare], {}, SCENE).fields()
     assert len(Plots(frames, history_arrays(history_of(frames)), SCENE).growth().axes) == 3
+
+
+def draws_drug(left):
+    scene = mc.load_scene("growth").with_changes(
+        {"initial.count": 30, "duration": "1 h", "coupling_step": "20 min",
+         "nutrients.drug": {"boundary": 0, "media": [["20 min", 1.0], ["40 min", left]],
+                            "geometry": "radial", "uptake": 0}}
+    )  # fmt: skip
+    figure = section(mc.run(scene).frames[-1], scene)
+    return any(text.get_text().startswith("Drug") for text in figure.texts)
+
+
+def test_what_is_left_of_a_field_is_drawn_where_it_is_more_than_rounding():
+    assert draws_drug(1e-6)
+    assert not draws_drug(1e-11)

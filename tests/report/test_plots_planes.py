@@ -12,7 +12,7 @@ import multicell as mc
 from multicell.cells import Cells, State
 from multicell.cli.main import main
 from multicell.report.plots.colouring import colouring, colourings, founder
-from multicell.report.plots.plane import Plane, turned
+from multicell.report.plots.plane import Plane, turn_frame
 from multicell.report.plots.section import section, slice_at
 from multicell.report.plots.style import save
 from multicell.results.frame import Field, Frame
@@ -55,11 +55,11 @@ def test_what_is_turned_is_not_mirrored():
         matrix = np.eye(3)[order]
         assert np.linalg.det(matrix) == pytest.approx(1.0)
         Rotation.from_matrix(matrix)  # refuses what is none
-        seen = turned(frame, Plane(axis)).fields["oxygen"]
+        seen = turn_frame(frame, Plane(axis)).fields["oxygen"]
         for index in np.ndindex(values.shape):
             assert seen.values[tuple(np.array(index)[order])] == values[index]
         np.testing.assert_array_equal(seen.origin, field.origin[order])
-    middle = slice_at(turned(frame, Plane("x")).fields["oxygen"], 1.0 + 2.0 * 1.5)
+    middle = slice_at(turn_frame(frame, Plane("x")).fields["oxygen"], 1.0 + 2.0 * 1.5)
     np.testing.assert_array_equal(middle, values[1])
 
 

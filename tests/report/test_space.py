@@ -9,7 +9,6 @@ from click.testing import CliRunner
 from PIL import Image
 from synthetic import SCENE, spheroid
 
-import multicell as mc
 from multicell.cells import State
 from multicell.cli.main import main
 from multicell.errors import OutputError
@@ -118,18 +117,10 @@ def test_cells_in_a_plane_and_unknown_cuts_are_refused():
         View(turn=float("nan"))
 
 
-@pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    scene = mc.load_scene("spheroid").with_changes(
-        {"duration": "12 h", "initial.count": 20, "output.every": "4 h"}
-    )
-    return mc.run(scene, output=tmp_path_factory.mktemp("space") / "run", report=False)
-
-
-def test_a_film_in_space_swings_to_both_sides_and_may_be_transparent(run, tmp_path):
-    path = movie(run, tmp_path / "a.webp", space=True, rate=4.0, turn=80.0, transparent=True)
+def test_a_film_in_space_swings_to_both_sides_and_may_be_transparent(small_run, tmp_path):
+    path = movie(small_run, tmp_path / "a.webp", space=True, rate=5.0, turn=80.0, transparent=True)
     with Image.open(path) as film:
-        assert film.n_frames == len(run.frames) + 6
+        assert film.n_frames == len(small_run.frames) + 8  # 1.5 s more
         assert film.size == (640, 480)
         pictures = []
         for k in range(film.n_frames):
@@ -138,7 +129,7 @@ def test_a_film_in_space_swings_to_both_sides_and_may_be_transparent(run, tmp_pa
     assert pictures[0][0, -1, 3] == 0
     assert np.abs(pictures[-1] - pictures[-3]).max() > 60  # it turns after the last frame too
     # opaque elsewhere
-    with Image.open(movie(run, tmp_path / "b.gif", space=True, rate=4.0, cut="half")) as film:
+    with Image.open(movie(small_run, tmp_path / "b.gif", space=True, rate=4.0, cut="half")) as film:
         assert film.convert("RGBA").getextrema()[3] == (255, 255)
 
 
@@ -151,23 +142,25 @@ def test_a_film_in_space_swings_to_both_sides_and_may_be_transparent(run, tmp_pa
         ({"space": True, "cut": "all"}, "no cut"),
     ],
 )
-def test_options_that_do_not_go_together_are_refused(run, tmp_path, given, words):
+def test_options_that_do_not_go_together_are_refused(small_run, tmp_path, given, words):
     with pytest.raises(OutputError, match=words):
-        movie(run, tmp_path / "c.gif", **given)
+        movie(small_run, tmp_path / "c.gif", **given)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_commands_draw_cells_in_space(run, tmp_path):
+def test_commands_draw_cells_in_space(small_run, tmp_path):
     def call(*words):
         return CliRunner().invoke(main, list(map(str, words)))
 
     still = tmp_path / "a.pdf"
-    done = call("plot", run.folder, "-o", still, "--picture", "space", "--turn", 30, "--json")
+    done = call("plot", small_run.folder, "-o", still, "--picture", "space", "--turn", 30, "--json")
     assert done.exit_code == 0, done.output
     assert json.loads(done.output) == {"file": str(still)}
     assert still.read_bytes().startswith(b"%PDF")
     film = tmp_path / "a.gif"
-    done = call("movie", run.folder, "-o", film, "--space", "--cut", "none", "--rate", 2, "--quiet")
+    done = call(
+        "movie", small_run.folder, "-o", film, "--space", "--cut", "none", "--rate", 2, "--quiet"
+    )
     assert done.exit_code == 0, done.output
     assert film.stat().st_size > 10_000
     wrong = [
@@ -177,6 +170,6 @@ def test_commands_draw_cells_in_space(run, tmp_path):
         ("movie", "--turn", 3),
     ]
     for command, *options in wrong:
-        done = call(command, run.folder, "-o", tmp_path / "b.gif", *options)
+        done = call(command, small_run.folder, "-o", tmp_path / "b.gif", *options)
         assert done.exit_code == 2
         assert re.search("(has|have) a meaning", done.output)

@@ -66,7 +66,7 @@ def unpacked(view):
 
 def test_what_is_packed_is_the_run_within_its_rounding():
     frames = spread(40), spread(101, 3600.0, seed=2)
-    view = pack.packed(result_of(*frames))
+    view = pack.pack_frames(result_of(*frames))
     for frame, columns in zip(frames, unpacked(view), strict=True):
         cells = frame.cells
         np.testing.assert_array_equal(columns["id"], cells.id)
@@ -82,11 +82,10 @@ def test_what_is_packed_is_the_run_within_its_rounding():
     assert [entry["cells"] for entry in view.about["frames"]] == [40, 101]
 
 
-def test_many_cells_are_thinned_the_same_way_in_all_frames_and_it_is_said(monkeypatch):
-    monkeypatch.setattr(pack, "CELLS", 300)
+def test_many_cells_are_thinned_the_same_way_in_all_frames_and_it_is_said():
     first = spread(1000)
     second = Frame(3600.0, 1, first.cells.take(np.arange(800)))
-    view = pack.packed(result_of(first, second))
+    view = pack.pack_frames(result_of(first, second), max_cells=300)
     shown = [set(columns["id"].tolist()) for columns in unpacked(view)]
     assert [len(ids) for ids in shown] == [300, 300]
     # who is there in both and shown in the fuller one is shown in the other
@@ -94,18 +93,17 @@ def test_many_cells_are_thinned_the_same_way_in_all_frames_and_it_is_said(monkey
     assert "Of more than 300 cells in a frame so many are drawn" in view.note
 
 
-def test_what_is_too_large_is_thinned_until_it_fits(monkeypatch):
-    monkeypatch.setattr(pack, "BYTES", 20_000)
-    view = pack.packed(result_of(spread(4000)))
+def test_what_is_too_large_is_thinned_until_it_fits():
+    view = pack.pack_frames(result_of(spread(4000)), max_bytes=20_000)
     assert len(base64.b64decode(view.data)) <= 20_000
     assert 500 < view.about["frames"][0]["shown"] < 4000
 
 
 def test_of_many_frames_first_and_last_and_some_between_are_shown():
     frames = [spread(5, float(k)) for k in range(173)]
-    view = pack.packed(result_of(*frames))
+    view = pack.pack_frames(result_of(*frames))
     times = [entry["time"] for entry in view.about["frames"]]
-    assert len(times) == pack.FRAMES
+    assert len(times) == pack.MAX_FRAMES
     assert (times[0], times[-1]) == (0.0, 172.0)
     assert np.ptp(np.diff(times)) <= 1.0
     assert view.note == "50 of 173 frames are shown."
@@ -119,14 +117,13 @@ def long_run(tmp_path_factory):
     return mc.run(scene, output=tmp_path_factory.mktemp("long") / "run")
 
 
-def test_curves_have_at_every_frame_the_numbers_of_that_frame(long_run, monkeypatch):
-    monkeypatch.setattr(pack, "CELLS", 12)
-    view = pack.packed(long_run)
-    assert len(long_run.history["time"]) > pack._POINTS
+def test_curves_have_at_every_frame_the_numbers_of_that_frame(long_run):
+    view = pack.pack_frames(long_run, max_cells=12)
+    assert len(long_run.history["time"]) > pack.POINTS
     frames = [frame for frame in long_run.frames if len(frame.cells)]
     chosen = {frame.time: frame for frame in frames}
     curves = {curve["name"]: curve["values"] for curve in view.about["curves"]}
-    assert len(view.about["frames"]) == pack.FRAMES
+    assert len(view.about["frames"]) == pack.MAX_FRAMES
     for entry in view.about["frames"]:
         frame, point = chosen[entry["time"]], entry["point"]
         assert view.about["times"][point] == frame.time
@@ -144,18 +141,18 @@ def test_curves_have_at_every_frame_the_numbers_of_that_frame(long_run, monkeypa
 def test_a_frame_that_the_history_lacks_has_no_point_on_the_curves():
     history = {"time": np.arange(3.0), "step": np.arange(3.0), "cells": np.full(3, 5.0)}
     frames = spread(5), Frame(7.0, 7, spread(5).cells)
-    view = pack.packed(Result(None, frames, history, {}, mc.load_scene("settle")))
+    view = pack.pack_frames(Result(None, frames, history, {}, mc.load_scene("settle")))
     assert [entry["point"] for entry in view.about["frames"]] == [0, None]
 
 
 def test_a_run_without_cells_has_nothing_to_see():
-    assert pack.packed(result_of(Frame(0.0, 0, Cells.empty()))) is None
+    assert pack.pack_frames(result_of(Frame(0.0, 0, Cells.empty()))) is None
 
 
 @pytest.mark.slow
 def test_ten_thousand_cells_in_fifty_frames_are_a_page_of_less_than_8_mb(tmp_path):
     frames = [spread(10_000, 3600.0 * k, seed=k) for k in range(50)]
-    view = pack.packed(result_of(*frames))
+    view = pack.pack_frames(result_of(*frames))
     assert all(entry["shown"] == 10_000 for entry in view.about["frames"])
     scripts = sum((files("multicell.report.viewer") / n).stat().st_size
                   for n in ("three.min.js", "viewer.js"))  # fmt: skip
@@ -217,7 +214,7 @@ def test_the_page_says_one_number_of_cells_at_every_frame(browser, long_run):
         })"""
     )
     page.context.close()
-    assert len(shown) == pack.FRAMES
+    assert len(shown) == pack.MAX_FRAMES
     for entry in shown:
         assert re.search(r": (\S+) cell", entry["status"])[1] == f"{entry['cells']:,}"
         assert entry["curve"].strip() == f"{entry['cells']:,}"

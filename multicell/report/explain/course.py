@@ -19,6 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.biology.durations import malthusian_rate
+from multicell.biology.growth import growth_factor
+from multicell.biology.states import beyond
 from multicell.cells import SPHERE, FloatArray
 from multicell.scene.checks import solving_order
 from multicell.scene.pairs import drag
@@ -26,21 +28,20 @@ from multicell.scene.scales import height
 from multicell.scene.sizes import birth_radius, typical_radius
 
 if TYPE_CHECKING:
-    from multicell.scene.energy import Energy
     from multicell.scene.nutrient import Nutrient
     from multicell.scene.parts import Death
     from multicell.scene.scene import Scene
 
 SHELLS: Final = 40
-_IN_CYCLE: Final = 12  # steps of the forecast
-_MOST_STEPS: Final = 300
-_MOST_GROWTH: Final = 60.0  # exponent of growth in a step: then it is over
-_MOST_CELLS: Final = 1e12  # no forecast goes on beyond
-_ITERATIONS: Final = 40
+_STEPS_IN_CYCLE: Final = 12  # steps of the forecast
+_MAX_STEPS: Final = 300
+_MAX_EXPONENT: Final = 60.0  # exponent of growth in a step: then it is over
+_MAX_CELLS: Final = 1e12  # no forecast goes on beyond
+_MAX_ITERATIONS: Final = 40
 _PACKING: Final = 0.77  # volume of cells in that of tissue, as runs have it
-_LEAST: Final = 1e-3  # living cells: with fewer nothing comes any more
-_SETTLED: Final = 0.01  # change of pressure's factor that ends its iteration
-_CLOSE: Final = 1e-3  # change of a field, relative to its medium, that ends its iteration
+_MIN_LIVING: Final = 1e-3  # living cells: with fewer nothing comes any more
+_PRESSURE_TOLERANCE: Final = 0.01  # change of pressure's factor that ends its iteration
+_FIELD_TOLERANCE: Final = 1e-3  # change of a field, relative to its medium, that ends its iteration
 
 
 @final
@@ -71,7 +72,7 @@ def course(scene: Scene) -> Course:
         cells.append(state.cells)
         radius.append(state.radius)
         full = scene.stop_cells is not None and state.cells >= scene.stop_cells
-        if full or state.cells > _MOST_CELLS:
+        if full or state.cells > _MAX_CELLS:
             break
     k = len(cells)
     return Course(times[:k], np.array(cells), np.array(radius))
@@ -82,7 +83,7 @@ def _times(scene: Scene) -> FloatArray:
     if scene.growth is None and scene.death is None:
         return np.array([0.0, scene.duration])
     cycle = scene.duration if scene.growth is None else scene.growth.mean_cycle
-    count = int(min(max(_IN_CYCLE * scene.duration / cycle, 20), _MOST_STEPS))
+    count = int(min(max(_STEPS_IN_CYCLE * scene.duration / cycle, 20), _MAX_STEPS))
     switches = [
         time for field in scene.nutrients.values() for time in field.switches(0.0, scene.duration)
     ]
@@ -140,29 +141,37 @@ class _Tissue:
     def advance(self, begin: float, end: float) -> None:
         """Grow, starve and remove cells from one time to another."""
         dt = end - begin
-        if self._living < _LEAST:
+        if self._living < _MIN_LIVING:
             return self._clear(end)
         shells = np.linspace(self._radius(self._core()), self.radius, SHELLS + 1)
         share = np.diff(shells**self._dimensions)
         share /= share.sum()
-        growth, starved = np.ones(SHELLS), np.zeros(SHELLS, dtype=bool)
-        levels: dict[str, FloatArray] = {}
-        for name, field in self._fields.items():
-            levels[name] = field.solve(shells, begin, end, self._cell_volume, levels)
-            growth *= _growth(field.nutrient, levels[name])
-            starved |= _starved(field.nutrient, levels[name])
-        energy = self._scene.energy
-        if energy is not None:
-            made = energy.supply(self._scene.nutrients, levels)
-            growth *= _of_energy(energy, made)
-            starved |= made < (energy.necrosis or 0.0)
-            for field in self._fields.values():
-                field.rest(made < (energy.quiescence or 0.0))
-        growth[starved] = 0.0
+        growth, starved = self._supplied(shells, begin, end)
         growth *= self._pressed(shells, growth)
         self._grow(float((share * growth).sum()), dt)
         self._die(float(share[starved].sum()), begin, dt)
         self._clear(end)
+
+    def _supplied(
+        self, shells: FloatArray, begin: float, end: float
+    ) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Solve the fields; return the factor on growth in each shell, and where cells starve."""
+        scene = self._scene
+        # fields without effect on cells are not solved
+        levels = {name: np.full(SHELLS, n.medium(begin)) for name, n in scene.nutrients.items()}
+        for name, field in self._fields.items():
+            levels[name] = field.solve(shells, begin, end, self._cell_volume, levels)
+        growth = growth_factor(scene, levels, np.zeros(SHELLS))
+        starved = beyond(scene, levels, SHELLS)
+        for name, field in self._fields.items():
+            growth *= _active(field.nutrient, levels[name])
+        if scene.energy is not None and scene.energy.quiescence is not None:
+            resting = scene.energy.supply(scene.nutrients, levels) < scene.energy.quiescence
+            growth[resting] = 0.0
+            for field in self._fields.values():
+                field.rest(resting)
+        growth[starved] = 0.0
+        return growth, starved
 
     def _clear(self, end: float) -> None:
         """Remove the remains of those that died long ago."""
@@ -188,21 +197,21 @@ class _Tissue:
         rate = self._rate * growth
         width = np.diff(shells)
         factor = self._factor
-        for _ in range(_ITERATIONS):
+        for _ in range(_MAX_ITERATIONS):
             flow = np.cumsum(rate * factor * np.diff(shells**d) / d)
             push = resistance * flow / shells[1:] ** (d - 1) * width
             pressure = np.cumsum(push[::-1])[::-1] - 0.5 * push
             new = np.clip(1.0 - pressure / scene.growth.critical_pressure, 0.0, 1.0)
             change = float(np.abs(new - factor).max())
             factor = 0.7 * factor + 0.3 * new
-            if change < _SETTLED:
+            if change < _PRESSURE_TOLERANCE:
                 break
         self._factor = factor
         return factor
 
     def _grow(self, factor: float, dt: float) -> None:
         if self._scene.growth is not None:
-            self._living *= math.exp(min(self._rate * factor * dt, _MOST_GROWTH))
+            self._living *= math.exp(min(self._rate * factor * dt, _MAX_EXPONENT))
 
     def _die(self, starved: float, begin: float, dt: float) -> None:
         death: Death | None = self._scene.death
@@ -236,39 +245,11 @@ def _needed(scene: Scene) -> set[str]:
     return needed
 
 
-def _of_energy(energy: Energy, made: FloatArray) -> FloatArray:
-    """Return the factor on growth of the ATP that is made."""
-    factor = np.ones(len(made))
-    if energy.growth_half_saturation is not None:
-        factor *= made / (energy.growth_half_saturation + made)
-    if energy.quiescence is not None:
-        factor *= made >= energy.quiescence
-    return factor
-
-
-def _growth(field: Nutrient, level: FloatArray) -> FloatArray:
-    factor = np.ones(len(level))
-    if field.growth_half_saturation is not None:
-        factor *= level / (field.growth_half_saturation + level)
-    if field.growth_inhibition is not None:
-        factor *= field.growth_inhibition / (field.growth_inhibition + level)
-    return factor * _active(field, level)
-
-
 def _active(field: Nutrient, level: FloatArray) -> FloatArray:
     """Return where cells do not rest: one, and zero below quiescence."""
     if field.quiescence is None:
         return np.ones(len(level))
     return (level >= field.quiescence).astype(np.float64)
-
-
-def _starved(field: Nutrient, level: FloatArray) -> np.ndarray:
-    below = np.zeros(len(level), dtype=bool)
-    if field.necrosis is not None:
-        below |= level < field.necrosis
-    if field.necrosis_above is not None:
-        below |= level > field.necrosis_above
-    return below
 
 
 @final
@@ -324,13 +305,13 @@ class Profile:
         source = field.perfusion * medium * volumes
         source[-1] += surface * medium
         level: FloatArray = np.minimum(np.maximum(self._last, 0.0), max(medium, 1e-30))
-        for _ in range(_ITERATIONS):
+        for _ in range(_MAX_ITERATIONS):
             lost = field.decay + field.perfusion
             sink = volumes * (self._uptake(level, volume) + lost)
             new = _tridiagonal(between, diagonal + sink, source)
             change = float(np.abs(new - level).max())
             level = 0.5 * (level + new)
-            if change <= _CLOSE * max(medium, 1e-30):
+            if change <= _FIELD_TOLERANCE * max(medium, 1e-30):
                 break
         self._last, self._active = level, _active(field, level)
         self._spend(4.0 * math.pi * surface * (medium - level[-1]), end - begin)

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 
-_MOST_TRIED: Final = 50_000  # cells up to which a coupling step is tried to tell what is chosen
+_MAX_TRIED: Final = 50_000  # cells up to which a coupling step is tried to tell what is chosen
 
 
 def explain(scene: Scene, *, first_step: bool = False) -> dict[str, Any]:
@@ -185,7 +185,7 @@ def _integrator_words(scene: Scene, first_step: bool) -> str:
         words += f"; absolute tolerance {scene.integrator.tolerance:g} um"
     if method != "auto" or not first_step:
         return words
-    if scene.initial.count > _MOST_TRIED:
+    if scene.initial.count > _MAX_TRIED:
         return f"{words}; not tried here with so many cells"
     from multicell.report.explain.integrator import explained
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -40,12 +40,22 @@ _XYZ: Final = np.array(
 )
 
 
-def cielab(colour: str, *, deuteranope: bool = False) -> FloatArray:
-    """Return L*, a*, b* (CIE 1976, white D65), (3,), of a colour as matplotlib names it."""
+def luminance(colour: Any) -> float:
+    """Return the relative luminance of a colour (WCAG 2)."""
+    return float(_linear(colour) @ (0.2126, 0.7152, 0.0722))
+
+
+def _linear(colour: Any) -> FloatArray:
+    """Return red, green and blue without sRGB's gamma, (3,)."""
     from matplotlib.colors import to_rgb
 
     value = np.array(to_rgb(colour))
-    linear = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+
+
+def cielab(colour: str, *, deuteranope: bool = False) -> FloatArray:
+    """Return L*, a*, b* (CIE 1976, white D65), (3,), of a colour as matplotlib names it."""
+    linear = _linear(colour)
     if deuteranope:
         linear = np.clip(_DEUTERANOPE @ linear, 0.0, 1.0)
     ratio = _XYZ @ linear / _XYZ.sum(axis=1)

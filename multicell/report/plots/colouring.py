@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 
 _GROUPS: Final = ("state", "type", "phase", "clone")
 _NO_COLOUR: Final = ("id", "parent", "position", "kind", "state", "phase")
-_FOUNDERS: Final = 8  # clones into which the descendants of a single cell are parted
-_NAMED_CLONES: Final = 12  # more than these are coloured, not listed
-_NOTHING: Final = "#d5dbe0"  # of a cell without a value
+_MIN_FOUNDERS: Final = 8  # clones into which the descendants of a single cell are parted
+_MAX_NAMED_CLONES: Final = 12  # more than these are coloured, not listed
+_NO_VALUE: Final = "#d5dbe0"  # of a cell without a value
 
 
 @final
@@ -98,12 +98,12 @@ def colouring(
         name = "type" if len(scene.types) > 1 else "state"
     if name == "state":
         words = [state.name.lower() for state in State]
-        return _grouped("state", frame.cells.state, {word: COLOURS[word] for word in words})
+        return _by_group("state", frame.cells.state, {word: COLOURS[word] for word in words})
     if name == "type":
         return _by_type(frame.cells, list(scene.types) or ["cells"])
     if name == "phase":
         words = [phase.name for phase in Phase]
-        return _grouped("phase", frame.cells.phase, type_colours(words))
+        return _by_group("phase", frame.cells.phase, type_colours(words))
     if name == "clone":
         return _by_clone(frame.cells, lineage)
     known = colourings(frame)
@@ -113,7 +113,7 @@ def colouring(
     return _by_value(frame, name, limits)
 
 
-def _grouped(title: str, group: NDArray[Any], palette: Mapping[str, str]) -> Colouring:
+def _by_group(title: str, group: NDArray[Any], palette: Mapping[str, str]) -> Colouring:
     colours = np.array([to_rgb(colour) for colour in palette.values()])
     return Colouring(title, colours[group], group.astype(np.int64), palette)
 
@@ -124,7 +124,7 @@ def _by_type(cells: Cells, types: Sequence[str]) -> Colouring:
     # a type may be named like the state
     dead = "necrotic" if "necrotic" not in colours else "dead (necrotic)"
     group = np.where(cells.state == State.NECROTIC, len(types), cells.kind)
-    return _grouped("type", group, {**colours, dead: COLOURS["necrotic"]})
+    return _by_group("type", group, {**colours, dead: COLOURS["necrotic"]})
 
 
 def _by_clone(cells: Cells, lineage: Mapping[str, NDArray[Any]]) -> Colouring:
@@ -139,7 +139,7 @@ def _by_clone(cells: Cells, lineage: Mapping[str, NDArray[Any]]) -> Colouring:
     # neighbours in number are sisters: colours far apart tell them from each other
     turns = 0.05 + 0.9 * (np.arange(count) * 0.618034 % 1.0)
     rgb = mpl.colormaps["turbo"](turns)[:, :3]
-    names = [f"from cell {number}" for number in founders] if count <= _NAMED_CLONES else []
+    names = [f"from cell {number}" for number in founders] if count <= _MAX_NAMED_CLONES else []
     palette = dict(zip(names, map(mpl.colors.to_hex, rgb), strict=False))
     title = "clone" if palette else f"{count:,} clones"
     return Colouring(title, rgb[group], group.astype(np.int64), palette)
@@ -152,7 +152,7 @@ def founder(ids: IntArray, lineage: Mapping[str, NDArray[Any]]) -> IntArray:
     parent = np.full(int(max(known.max(initial=-1), ids.max(initial=-1))) + 1, -1, np.int64)
     parent[known] = parents
     first = known[parents < 0]
-    wanted = 1 if len(first) >= _FOUNDERS else _FOUNDERS
+    wanted = 1 if len(first) >= _MIN_FOUNDERS else _MIN_FOUNDERS
     generation = first
     for _ in range(64):  # a lineage in which each cell has one daughter at most ends, too
         if len(generation) >= wanted or len(generation) == 0:
@@ -174,7 +174,7 @@ def _by_value(frame: Frame, name: str, limits: tuple[float, float] | None) -> Co
     values, unit = quantity(frame, name)
     finite = np.isfinite(values)
     low, high = limits or limits_of([values], from_zero=name in frame.concentrations)
-    rgb = np.tile(np.array(to_rgb(_NOTHING)), (len(values), 1))
+    rgb = np.tile(np.array(to_rgb(_NO_VALUE)), (len(values), 1))
     rgb[finite] = mpl.colormaps[SCALE]((values[finite] - low) / (high - low))[:, :3]
     shown = name.replace("_", " ")
     title = f"{shown} ({written(unit)})" if unit else shown

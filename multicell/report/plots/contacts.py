@@ -183,7 +183,7 @@ def pull(frames: Sequence[Frame], history: History, scene: Scene) -> Figure:
     if len(history.get("pull", ())) == 0 or len(frames) == 0:
         raise ValueError("the run has no pull: nothing to draw")
     force, time = history["pull"], history["time"]
-    last = _last_held(history["contacts"])
+    last = _last_contact(history["contacts"])
     broken = 0 <= last < len(force) - 1
     told = f"the last contact broke at {force[last + 1]:.4g} nN" if broken else "not pulled apart"
     end = float(time[-1])
@@ -216,7 +216,7 @@ def pull(frames: Sequence[Frame], history: History, scene: Scene) -> Figure:
     return figure
 
 
-def _last_held(contacts: FloatArray) -> int:
+def _last_contact(contacts: FloatArray) -> int:
     """Return the last row before all contacts are gone, -1 if there never was one."""
     held = np.flatnonzero(contacts > 0)
     return int(held[-1]) if len(held) else -1

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 
-_MARKED: Final = 12  # switches of the medium, above which lines would hide the curves
+_MAX_MARKED: Final = 12  # switches of the medium, above which lines would hide the curves
 
 
 @styled
@@ -108,7 +108,7 @@ def mark_media(
     """Mark when the medium of a field is switched, with its new value where there is room."""
     begin, end = span[0] * unit.seconds, span[1] * unit.seconds
     found = sorted((time, name) for name, n in nutrients.items() for time in n.switches(begin, end))
-    for time, name in found[:_MARKED]:
+    for time, name in found[:_MAX_MARKED]:
         axes.axvline(time / unit.seconds, color=INK, lw=1.0, ls=":", zorder=1)
         text = f" {type_label(name)} {nutrients[name].medium(time):.3g} mM"
         axes.text(

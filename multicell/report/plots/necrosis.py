@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
 _WIDTH: Final = 1.5  # mean radii, the standard deviation: a bell about two diameters wide
 _FINE: Final = 4  # points of the grid to a smoothing length
-_LARGEST: Final = 2000  # points along a side
-_NOTHING: Final = 1e-9  # of the largest density, below which there is no tissue
+_MAX_POINTS: Final = 2000  # points along a side
+_MIN_DENSITY: Final = 1e-9  # of the largest density, below which there is no tissue
 STYLE: Final = "--"
 LABEL: Final = "most cells are necrotic"
 
@@ -54,7 +54,7 @@ def necrotic_share(
         return None
     width = _WIDTH * float(cells.radius.mean())
     low, high = place[:, :2].min(axis=0) - 2.0 * width, place[:, :2].max(axis=0) + 2.0 * width
-    step = max(width / _FINE, float((high - low).max()) / _LARGEST)
+    step = max(width / _FINE, float((high - low).max()) / _MAX_POINTS)
     edges = [np.arange(a, b + step, step) for a, b in zip(low, high, strict=True)]
     weight = np.exp(-0.5 * ((place[:, 2] - level) / width) ** 2)
     whole, part = (
@@ -66,7 +66,7 @@ def necrotic_share(
         )
         for of in (weight, weight * dead)
     )
-    known = whole > _NOTHING * whole.max()
+    known = whole > _MIN_DENSITY * whole.max()
     share = np.divide(part, whole, out=np.full_like(whole, np.nan), where=known)
     x, y = (0.5 * (edge[1:] + edge[:-1]) for edge in edges)
     return x, y, share.T

@@ -75,7 +75,7 @@ def _bare(text: str) -> bool:
 _ORDERS: Final = {"x": (1, 2, 0), "y": (2, 0, 1), "z": (0, 1, 2)}
 
 
-def turned(frame: Frame, plane: Plane) -> Frame:
+def turn_frame(frame: Frame, plane: Plane) -> Frame:
     """Return a frame with its axes in another order, so that the plane lies across the third.
 
     The order is cyclic: nothing is mirrored.

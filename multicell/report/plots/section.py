@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import matplotlib as mpl
 import numpy as np
 from matplotlib.collections import EllipseCollection
-from matplotlib.colors import Colormap, Normalize, to_rgb
+from matplotlib.colors import Colormap, LinearSegmentedColormap, Normalize, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
@@ -17,8 +17,7 @@ from multicell.cells import FloatArray, IntArray
 from multicell.errors import OutputError
 from multicell.report.plots.colouring import SCALE, Colouring, colouring
 from multicell.report.plots.necrosis import LABEL, STYLE, draw_necrotic
-from multicell.report.plots.night import WATER, fades
-from multicell.report.plots.plane import Plane, height, turned
+from multicell.report.plots.plane import Plane, height, turn_frame
 from multicell.report.plots.style import (
     HEADING,
     INK,
@@ -42,8 +41,10 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 
-_GONE = 1e-9  # part of the highest concentration of a field below which it is not drawn
-_DEEP: Final = 3.0  # mean diameters behind a plane within which cells are drawn
+_MIN_LEVEL = 1e-9  # part of the highest concentration of a field below which it is not drawn
+_DEPTH_DIAMETERS: Final = 3.0  # mean diameters behind a plane within which cells are drawn
+_WATER: Final = LinearSegmentedColormap.from_list("water", ["#ffffff", "#8fbce0"])
+"""Shades of a field behind cells: white to a light blue, against which cells stand out."""
 
 
 @styled
@@ -105,7 +106,7 @@ def section(
     axes.spines[["top", "right"]].set_visible(True)
     _draw_deep(axes, place, frame.cells.radius, level, shade.rgb)
     draw_discs(axes, place[inside, :2], np.sqrt(square[inside]), shade.rgb[inside])
-    fields = turned(frame, where).fields
+    fields = turn_frame(frame, where).fields
     name = next((name for name in scene.nutrients if name in fields), "")
     if shade.title in ("state", "type"):
         dead = draw_necrotic(axes, frame.cells, place, level) if fields else False
@@ -134,7 +135,7 @@ def _set_up(
 ) -> tuple[FloatArray, FloatArray, float]:
     """Return the centre and all positions in the axes of the picture, and the plane's height."""
     where = plane or Plane()
-    ahead = turned(frame, where)
+    ahead = turn_frame(frame, where)
     middle = centre(ahead.cells, scene.dimensions)
     few = plane is None and 1 < len(frame.cells) <= 3 and not frame.fields
     place = _in_plane(ahead.cells.position, middle) if few else ahead.cells.position
@@ -154,15 +155,14 @@ def _draw_deep(
 ) -> None:
     """Draw cells behind the plane, the deepest first, fading within some cells' widths."""
     depth = level - place[:, 2]
-    reach = _DEEP * 2.0 * float(radius.mean())
+    reach = _DEPTH_DIAMETERS * 2.0 * float(radius.mean())
     behind = np.flatnonzero((depth >= radius) & (depth < reach))
     order = behind[np.argsort(-depth[behind])]
     if len(order) == 0:
         return
     paler = (0.45 + 0.45 * depth[order] / reach)[:, None]
     pale = rgb[order] * (1.0 - paler) + paler
-    drawn = draw_discs(axes, place[order, :2], radius[order], pale, edge=0.0)
-    fades(drawn, rgb[order], paler)
+    draw_discs(axes, place[order, :2], radius[order], pale, edge=0.0)
 
 
 def _name_axes(axes: Axes, plane: Plane, middle: FloatArray, half: float) -> None:
@@ -258,7 +258,7 @@ def draw_discs(
     radius: FloatArray,
     rgb: FloatArray,
     edge: float | None = None,
-) -> EllipseCollection:
+) -> None:
     """Draw circles of true size, each in its colour; ``edge`` is the width of their white line."""
     size = 2.0 * radius
     if edge is None:
@@ -276,7 +276,6 @@ def draw_discs(
         zorder=2,
     )
     axes.add_collection(discs)
-    return discs
 
 
 def slice_at(field: Field, z: float) -> FloatArray:
@@ -301,7 +300,7 @@ def slice_at(field: Field, z: float) -> FloatArray:
     return np.asarray((1.0 - weight) * layers[:, :, below] + weight * layers[:, :, above])
 
 
-def refined(field: Field, z: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+def refine(field: Field, z: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return x, y and the field on the plane at z, four points to a grid spacing.
 
     The cubic spline is for the eye only: lines through the bare grid would look like polygons.
@@ -336,7 +335,7 @@ def draw_field(
     resting
         Concentration below which cells rest, if there is a line for it.
     """
-    x, y, plane = refined(field, z)
+    x, y, plane = refine(field, z)
     low = min(float(plane.min()), medium) if low is None else low
     top = max(float(plane.max()), medium)
     top = top if top > low else low + 1.0
@@ -367,7 +366,7 @@ def _draw_behind(
     line: dict[str, Any] = {"color": RED, "lw": 1.8}
     handles = [Line2D([], [], ls=STYLE, label=LABEL, **line)] if dead else []
     if field is not None and nutrient is not None and _is_there(field, nutrient):
-        shades, resting = draw_field(axes, field, z, nutrient, nutrient.boundary, 0.0, WATER)
+        shades, resting = draw_field(axes, field, z, nutrient, nutrient.boundary, 0.0, _WATER)
         bar = _name_shades(figure, shades, f"{field.name.capitalize()} ({field.unit})")
         if resting is not None:
             bar.ax.axhline(resting, **line)
@@ -378,7 +377,7 @@ def _draw_behind(
 
 
 def _is_there(field: Field, nutrient: Nutrient) -> bool:
-    return max(float(field.values.max()), nutrient.boundary) > _GONE * nutrient.highest
+    return max(float(field.values.max()), nutrient.boundary) > _MIN_LEVEL * nutrient.highest
 
 
 def _name_shades(figure: Figure, shades: AxesImage, title: str) -> Colorbar:

@@ -45,7 +45,7 @@ class View:
         if self.cut not in CUTS:
             raise OutputError(f"{self.cut!r} is no cut: write {', '.join(CUTS)}")
         if not math.isfinite(self.turn):
-            raise OutputError(f"a turn of {self.turn} degrees is none")
+            raise OutputError(f"turn must be finite, got {self.turn}")
 
     def axes(self) -> FloatArray:
         """Return the directions to the right, upwards and to the eye as rows, (3, 3)."""
@@ -105,10 +105,10 @@ def spheres(
         seen, radius, colours, planes, _LIGHT, 0.5 * (front + back), front,
         float(half[0]), float(half[1]), picture, depth,
     )  # fmt: skip
-    return _averaged(picture)
+    return _mean_of_squares(picture)
 
 
-def _averaged(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _mean_of_squares(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return the means of squares of points; colours count as much as they are opaque."""
     high, wide = picture.shape[0] // _LEVELS, picture.shape[1] // _LEVELS
     blocks = picture.reshape(high, _LEVELS, wide, _LEVELS, 4)

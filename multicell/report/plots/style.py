@@ -133,7 +133,7 @@ class Picture(Figure):
 
     def _repr_png_(self) -> bytes:
         """Return what ``save`` would write as PNG."""
-        return drawn_as(self, "png")
+        return render(self, "png")
 
 
 def blank(title: str, subtitle: str, size: tuple[float, float] = SIZE) -> Figure:
@@ -179,10 +179,10 @@ def save(figure: Figure, path: Path) -> None:
     if format is None:
         raise OutputError(f"'{path}' is no picture: its name must end in {', '.join(PICTURES)}")
     # drawn in memory: a picture is either complete or not there
-    write_bytes(path, drawn_as(figure, format))
+    write_bytes(path, render(figure, format))
 
 
-def drawn_as(figure: Figure, format: str) -> bytes:
+def render(figure: Figure, format: str) -> bytes:
     """Return a figure as a file of a format of ``PICTURES``; the same figure is the same file."""
     picture = io.BytesIO()
     by = {"pdf": "Creator", "svg": "Creator", "png": "Software"}[format]

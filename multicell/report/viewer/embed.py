@@ -5,14 +5,13 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
-from typing import TYPE_CHECKING, Final, final
+from typing import TYPE_CHECKING, Any, Final
 
 from markupsafe import Markup
 
-from multicell.report.viewer.pack import packed
+from multicell.report.viewer.pack import pack_frames
 
 if TYPE_CHECKING:
     from multicell.report.result import Result
@@ -20,43 +19,27 @@ if TYPE_CHECKING:
 _SCRIPTS: Final = ("three.min.js", "viewer.js")
 
 
-@final
-@dataclass(frozen=True)
-class View:
-    """What the template ``viewer.html`` needs.
+def view(result: Result) -> dict[str, Any] | None:
+    """Return what ``viewer.html`` shows of a run, or None where there is nothing to see.
 
-    Attributes
-    ----------
-    about
-        Table of contents, JSON.
-    data
-        Columns of all frames, as text.
-    scripts
-        Their texts.
-    policy
-        Sources of scripts for the page's Content-Security-Policy: these scripts, by their hashes.
-    note
-        What is left out.
+    ``about`` is the table of contents as JSON, ``data`` the columns of all frames as text,
+    ``scripts`` are texts, ``policy`` their hashes as sources for the page's
+    Content-Security-Policy, and ``note`` says what is left out.
     """
-
-    about: Markup
-    data: str
-    scripts: tuple[Markup, ...]
-    policy: str
-    note: str
-
-
-def view(result: Result) -> View | None:
-    """Return the view of a run, or None where there is nothing to see."""
-    contents = packed(result)
+    contents = pack_frames(result)
     if contents is None:
         return None
     # within a script "<" must not begin a tag; in JSON it can be written otherwise
     about = json.dumps(contents.about, allow_nan=False).replace("<", "\\u003c")
     scripts = _scripts()
     hashes = (hashlib.sha256(text.encode()).digest() for text in scripts)
-    policy = " ".join(f"'sha256-{base64.b64encode(one).decode('ascii')}'" for one in hashes)
-    return View(Markup(about), contents.data, tuple(map(Markup, scripts)), policy, contents.note)
+    return {
+        "about": Markup(about),
+        "data": contents.data,
+        "scripts": [Markup(script) for script in scripts],
+        "policy": " ".join(f"'sha256-{base64.b64encode(one).decode('ascii')}'" for one in hashes),
+        "note": contents.note,
+    }
 
 
 @cache

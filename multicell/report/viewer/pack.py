@@ -17,14 +17,13 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.colors import to_hex, to_rgb
+from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 
 from multicell import random
 from multicell.cells import FloatArray, IntArray, Phase, State
 from multicell.random import Purpose
 from multicell.report.plots.colouring import SCALE, founder, limits_of, written
-from multicell.report.plots.night import at_night
 from multicell.report.plots.style import COLOURS, type_colours
 from multicell.report.wording import cell_count, time_unit
 from multicell.results.frame import Frame
@@ -34,19 +33,20 @@ from multicell.results.quantities import known_unit, title_of, unit_of
 if TYPE_CHECKING:
     from multicell.report.result import Result
 
-FRAMES: Final = 50
+MAX_FRAMES: Final = 50
 """Frames that are shown at most."""
-CELLS: Final = 10_000
+MAX_CELLS: Final = 10_000
 """Cells of a frame that are shown at most."""
-BYTES: Final = 5_500_000
+MAX_BYTES: Final = 5_500_000
 """Size of the packed columns at most; fewer cells are shown where it would be more."""
+POINTS: Final = 300
+"""Points of a curve, besides those of the frames."""
 
-_READ: Final = 3e6  # cells of all frames that are read at most
-_FEWEST: Final = 8  # frames, however large
-_POINTS: Final = 300  # of a curve, besides those of the frames
+_MAX_READ: Final = 3e6  # cells of all frames that are read at most
+_MIN_FRAMES: Final = 8  # frames, however large
 _CURVES: Final = ("cells", "diameter", "viable_rim", "largest_pressure")
 _SHADES: Final = 64
-_CLONES: Final = 250
+_MAX_CLONES: Final = 250
 
 
 @final
@@ -90,19 +90,22 @@ class Packed:
     note: str
 
 
-def packed(result: Result) -> Packed | None:
+def pack_frames(
+    result: Result, *, max_cells: int = MAX_CELLS, max_bytes: int = MAX_BYTES
+) -> Packed | None:
     """Return the frames of a run for the view, or None where there is nothing to see.
 
-    Of more than :data:`FRAMES` frames some are left out, evenly; of more than :data:`CELLS` cells
-    those are shown whose identities a random function ranks first, so that a cell that is shown
-    once is shown as long as there is room. The note says both.
+    Of more than :data:`MAX_FRAMES` frames some are left out, evenly; of more than ``max_cells``
+    cells, or where the packed columns would exceed ``max_bytes``, those are shown whose identities
+    a random function ranks first, so that a cell that is shown once is shown as long as there is
+    room. The note says both.
     """
     frames, whole = [], []
-    for number in _chosen(result):
+    for number in _frame_numbers(result):
         frame = result.frames[number]
         if len(frame.cells):
             whole.append({"cells": len(frame.cells), "groups": _groups(frame)})
-            frames.append(_thinned(frame, CELLS))  # one whole frame in memory at a time
+            frames.append(_thin(frame, max_cells))  # one whole frame in memory at a time
     if not frames:
         return None
     curves, points = _curves(result, frames)
@@ -112,14 +115,14 @@ def packed(result: Result) -> Packed | None:
     most = max(len(frame.cells) for frame in frames)
     body, contents = _body(frames, whole, columns, ranges)
     squeezed = gzip.compress(body, 9, mtime=0)
-    while len(squeezed) > BYTES and most > 100:
-        most = int(most * 0.95 * BYTES / len(squeezed))
-        frames = [_thinned(frame, most) for frame in frames]
+    while len(squeezed) > max_bytes and most > 100:
+        most = int(most * 0.95 * max_bytes / len(squeezed))
+        frames = [_thin(frame, most) for frame in frames]
         body, contents = _body(frames, whole, columns, ranges)
         squeezed = gzip.compress(body, 9, mtime=0)
     about = {
         "frames": contents,
-        "columns": [_described(column, ranges[column.name]) for column in columns],
+        "columns": [_describe(column, ranges[column.name]) for column in columns],
         "colourings": list(_colourings(columns, frames, result)),
         "flat": result.scene.dimensions == 2,
         **_extent(frames),
@@ -128,7 +131,7 @@ def packed(result: Result) -> Packed | None:
     return Packed(about, base64.b64encode(squeezed).decode("ascii"), _note(result, contents))
 
 
-def _chosen(result: Result) -> list[int]:
+def _frame_numbers(result: Result) -> list[int]:
     """Return the numbers of the frames to show: first, last, and evenly between.
 
     Fewer of runs so large that reading frames would take long.
@@ -136,15 +139,15 @@ def _chosen(result: Result) -> list[int]:
     count = len(result.frames)
     cells = result.history.get("cells", np.empty(0))
     mean = float(cells.mean()) if len(cells) else 0.0
-    most = min(FRAMES, max(_FEWEST, int(_READ / mean))) if mean > 0.0 else FRAMES
+    most = min(MAX_FRAMES, max(_MIN_FRAMES, int(_MAX_READ / mean))) if mean > 0.0 else MAX_FRAMES
     if count <= most:
         return list(range(count))
     return sorted({round(k) for k in np.linspace(0, count - 1, most)})
 
 
-def _thinned(frame: Frame, most: int) -> Frame:
+def _thin(frame: Frame, most: int) -> Frame:
     """Return a frame with at most so many cells, in the order of their identities, no fields."""
-    rows = _shown(frame.cells.id, most)
+    rows = _rows_shown(frame.cells.id, most)
     values = {name: column[rows] for name, column in frame.concentrations.items()}
     return Frame(frame.time, frame.step, frame.cells.take(rows), values)
 
@@ -214,7 +217,7 @@ def _clone_numbers(
     founders = np.unique(np.concatenate([founder(f.cells.id, lineage) for f in frames]))
     if len(founders) < 2:
         return None
-    count = min(len(founders), _CLONES)
+    count = min(len(founders), _MAX_CLONES)
 
     def numbers(frame: Frame) -> NDArray[Any]:
         return np.searchsorted(founders, founder(frame.cells.id, lineage)) % count
@@ -274,7 +277,7 @@ def _body(
     return b"".join(parts), contents
 
 
-def _shown(ids: IntArray, most: int) -> IntArray:
+def _rows_shown(ids: IntArray, most: int) -> IntArray:
     """Return the rows of the cells to show in the order of their identities."""
     rows = np.argsort(ids, kind="stable")
     if len(rows) <= most:
@@ -294,7 +297,7 @@ def _integers(
     return np.rint(_top(column) * share).astype(column.kind)
 
 
-def _described(column: Column, limits: tuple[float, float]) -> dict[str, Any]:
+def _describe(column: Column, limits: tuple[float, float]) -> dict[str, Any]:
     entry: dict[str, Any] = {
         "name": column.name, "label": column.label, "unit": column.unit, "kind": column.kind,
         "low": limits[0], "high": limits[1],
@@ -313,7 +316,7 @@ def _colourings(
             continue
         entry: dict[str, Any] = {"name": column.name, "label": column.label, "unit": column.unit}
         if column.words:
-            yield entry | {"palette": _palette(column), "night": _palette(column, dark=True)}
+            yield entry | {"palette": _palette(column)}
             continue
         low, high = limits_of([column.values(frame) for frame in frames], from_zero=False)
         shades = mpl.colormaps[SCALE](np.linspace(0.0, 1.0, _SHADES))[:, :3]
@@ -321,8 +324,8 @@ def _colourings(
         yield entry | {"low": low, "high": high, "palette": palette}
 
 
-def _palette(column: Column, *, dark: bool = False) -> list[list[float]]:
-    """Return the colour of each group, as in the other pictures for light or for dark mode."""
+def _palette(column: Column) -> list[list[float]]:
+    """Return the colour of each group, as in the other pictures."""
     if column.name == "state":
         colours = [COLOURS[word] for word in column.words]
     elif column.name == "clone":
@@ -330,8 +333,7 @@ def _palette(column: Column, *, dark: bool = False) -> list[list[float]]:
         return [[round(float(c), 3) for c in rgb[:3]] for rgb in mpl.colormaps["turbo"](turns)]
     else:
         colours = list(type_colours(column.words).values())
-    shown = [at_night(to_hex(colour)) if dark else colour for colour in colours]
-    return [[round(c, 3) for c in to_rgb(colour)] for colour in shown]
+    return [[round(c, 3) for c in to_rgb(colour)] for colour in colours]
 
 
 def _extent(frames: Sequence[Frame]) -> dict[str, Any]:
@@ -356,7 +358,7 @@ def _curves(result: Result, frames: Sequence[Frame]) -> tuple[dict[str, Any], li
         return {"times": [], "curves": [], "end": 0.0, "end_label": ""}, [None] * len(frames)
     of_step = {int(s): row for row, s in enumerate(step)}
     own = [of_step.get(frame.step) for frame in frames]
-    even = np.rint(np.linspace(0, len(time) - 1, _POINTS)).astype(int).tolist()
+    even = np.rint(np.linspace(0, len(time) - 1, POINTS)).astype(int).tolist()
     rows = sorted({*even, *(row for row in own if row is not None)})
     points = [None if row is None else rows.index(row) for row in own]
     curves = []

@@ -130,7 +130,13 @@ function home() {
 
 // ---- what is shown
 const night = window.matchMedia("(prefers-color-scheme: dark)");
-const paletteOf = (entry) => (night.matches && entry.night) || entry.palette;
+// groups have the colours of the pictures, which style.css turns in dark mode: the same filter here
+const TURN = [[-0.574, 1.43, 0.144], [0.426, 0.43, 0.144], [0.426, 1.43, -0.856]];
+const turned = (rgb) => TURN.map((row) => {
+  const value = 1.2 * row.reduce((sum, share, k) => sum + share * (1 - rgb[k]), 0);
+  return Math.min(1, Math.max(0, value));
+});
+const paletteOf = (entry) => (night.matches && columnOf[entry.name].words ? entry.palette.map(turned) : entry.palette);
 night.addEventListener("change", () => show(shown));
 let shown = 0, colouring = about.colourings[0].name, pending = false;
 function fillColours() {

@@ -10,7 +10,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.colors import Normalize, to_rgb
 
-from multicell.report.plots.night import ON_COLOUR, luminance
+from multicell.report.plots.colour_vision import luminance
 from multicell.report.plots.style import INK, QUIET, RED, SIZE, styled
 from multicell.studies.pictures.layout import panels, spread, write_plainly
 from multicell.studies.pictures.values import (
@@ -203,7 +203,7 @@ def _draw(
         axes.text(
             place[1] + 0.5, place[0] + 0.5, text, ha="center", va="center", fontsize=font,
             color=_ink(colours(norm(mean[place]))) if there else missing, weight="bold",
-            linespacing=1.2, parse_math=False, gid=ON_COLOUR if there else None,
+            linespacing=1.2, parse_math=False,
         )  # fmt: skip
     axes.grid(False)
     axes.spines[:].set_visible(False)

@@ -1,4 +1,4 @@
-"""Figures as parts of a page, for light and dark mode, without the title: pages have their own."""
+"""Figures as parts of a page, without the title: pages have their own."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, Final, final
 from matplotlib.transforms import Bbox
 
 from multicell.report.plots.marks import Mark, marks
-from multicell.report.plots.night import darken
 from multicell.report.plots.style import DPI, SUBTITLE, TITLE
 
 if TYPE_CHECKING:
@@ -23,13 +22,13 @@ _COLOURS: Final = 256
 
 @final
 @dataclass(frozen=True)
-class Embedded:
-    """A picture as a page shows it.
+class InlinePicture:
+    """A picture as a page shows it; ``style.css`` turns its colours in dark mode.
 
     Attributes
     ----------
-    light, dark
-        PNG in base64, for either mode.
+    png
+        The picture in base64.
     marks
         Its places that have a name.
     wide, high
@@ -38,33 +37,28 @@ class Embedded:
         What the picture says of itself.
     """
 
-    light: str
-    dark: str
+    png: str
     marks: Sequence[Mark]
     wide: int
     high: int
     subtitle: str
 
 
-def embedded(figure: Figure) -> Embedded:
-    """Return a figure for a page. The figure is changed: it is dark afterwards, without title."""
+def inline_picture(figure: Figure) -> InlinePicture:
+    """Return a figure for a page; its title is hidden afterwards."""
     wide, high = figure.get_size_inches()
     titles = [text for text in figure.texts if text.get_gid() == TITLE]
     for text in titles:
         text.set_visible(False)
-    kept = high - _TITLE_HEIGHT if titles else high
-    shown = Bbox([[0.0, 0.0], [wide, kept]])
-    light, size = _png(figure, shown)
-    places = [_moved(mark, high, kept) for mark in marks(figure)]
-    told = [text.get_text() for text in figure.texts if text.get_gid() == SUBTITLE]
-    darken(figure)
-    return Embedded(light, _png(figure, shown)[0], places, *size, subtitle="".join(told))
-
-
-def _moved(mark: Mark, high: float, kept: float) -> Mark:
-    """Return a mark of a figure of which the upper end is cut off."""
-    share = high / kept
-    return mark._replace(y=1.0 - (1.0 - mark.y) * share, high=mark.high * share)
+    shown_height = high - _TITLE_HEIGHT if titles else high
+    png, size = _png(figure, Bbox([[0.0, 0.0], [wide, shown_height]]))
+    share = high / shown_height
+    places = [
+        mark._replace(y=1.0 - (1.0 - mark.y) * share, high=mark.high * share)
+        for mark in marks(figure)
+    ]
+    subtitles = [text.get_text() for text in figure.texts if text.get_gid() == SUBTITLE]
+    return InlinePicture(png, places, *size, subtitle="".join(subtitles))
 
 
 def _png(figure: Figure, shown: Bbox) -> tuple[str, tuple[int, int]]:

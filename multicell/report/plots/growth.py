@@ -1,0 +1,164 @@
+"""Growth of a population: numbers, diameters and states against time."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator, NullFormatter
+
+from multicell.cells import FloatArray
+from multicell.report.plots.fields import draw_hypoxic, mark_media
+from multicell.report.plots.style import (
+    BLUE,
+    COLOURS,
+    INK,
+    RED,
+    History,
+    counts,
+    draw_style,
+    headed,
+    span,
+    styled,
+)
+from multicell.report.wording import TimeUnit, cell_count, time_unit
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from multicell.scene.scene import Scene
+
+
+@styled
+def growth(history: History, scene: Scene) -> Figure:
+    """Draw number of cells, diameter and states against time; switches of media are marked.
+
+    Raises
+    ------
+    ValueError
+        If the history is empty.
+    """
+    unit, time, subtitle = _course(history)
+    figure = headed(scene, subtitle)
+    rim = np.isfinite(history["viable_rim"]).any()  # there is none without a core
+    rows = 3 if rim else 2
+    grid = figure.add_gridspec(
+        rows, 2, left=0.1, right=0.97, top=0.82, bottom=0.11, wspace=0.3, hspace=0.34
+    )
+    _draw_count(figure.add_subplot(grid[0, 0]), time, history["cells"])
+    _draw_size(figure.add_subplot(grid[1, 0]), time, history)
+    if rim:
+        _draw_rim(figure.add_subplot(grid[2, 0]), time, history["viable_rim"])
+    _draw_states(figure.add_subplot(grid[:, 1]), time, history)
+    for axes in figure.axes:
+        axes.set_xlim(*span(time))
+        axes.set_xlabel(f"time ({unit.name})")
+    mark_media(figure.axes[0], scene.nutrients, span(time), unit)
+    for axes in figure.axes[: rows - 1]:
+        axes.set_xlabel("")
+        if rim:  # little room between three
+            axes.tick_params(labelbottom=False)
+    return figure
+
+
+@styled
+def motion(history: History, scene: Scene) -> Figure:
+    """Draw diameter and largest pressure against time, for cells that only move.
+
+    Raises
+    ------
+    ValueError
+        If the history is empty.
+    """
+    unit, time, subtitle = _course(history)
+    figure = headed(scene, subtitle)
+    grid = figure.add_gridspec(2, 1, left=0.1, right=0.97, top=0.82, bottom=0.11, hspace=0.32)
+    upper, lower = figure.add_subplot(grid[0]), figure.add_subplot(grid[1])
+    _draw_size(upper, time, history)
+    size = history["diameter"]
+    room = float(np.ptp(size))
+    if room > 0.01 * float(size.max()):  # else noise would fill the picture
+        upper.set_ylim(float(size.min()) - 0.1 * room, float(size.max()) + 0.1 * room)
+    lower.plot(time, 1000.0 * history["largest_pressure"], draw_style(time), color=RED, lw=2)
+    lower.set(title="Largest pressure of a cell", ylabel="pressure (Pa)")
+    lower.set_xlabel(f"time ({unit.name})")
+    for axes in (upper, lower):
+        axes.set_xlim(*span(time))
+    return figure
+
+
+def _course(history: History) -> tuple[TimeUnit, FloatArray, str]:
+    """Return the unit of time, the times in it, and number of cells and time in words."""
+    if len(history.get("time", ())) == 0:
+        raise ValueError("the history is empty: there is nothing to draw")
+    last = float(history["time"][-1])
+    unit = time_unit(last)
+    subtitle = f"{cell_count(history['cells'][-1])} after {unit.text(last)}"
+    return unit, history["time"] / unit.seconds, subtitle
+
+
+def _draw_count(axes: Axes, time: FloatArray, cells: FloatArray) -> None:
+    """Draw the number of cells, on a log scale where it grows much."""
+    axes.set_title("Cells")
+    axes.plot(time, cells, draw_style(time), color=INK, lw=2)
+    if cells.min() > 0 and cells.max() >= 5 * cells.min():
+        axes.set_yscale("log")
+        counts(axes.yaxis)
+        axes.yaxis.set_minor_formatter(NullFormatter())
+        axes.set_ylabel("number")
+    else:
+        _count_axis(axes, 1.08 * float(cells.max()))
+
+
+def _count_axis(axes: Axes, largest: float) -> None:
+    """Give an axis of counts that starts at zero."""
+    axes.set_ylim(0.0, largest if largest > 0 else 1.0)
+    axes.yaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
+    counts(axes.yaxis)
+    axes.set_ylabel("number")
+
+
+def _draw_size(axes: Axes, time: FloatArray, history: History) -> None:
+    """Draw the diameters of the population and of its necrotic core."""
+    whole, core = history["diameter"], 2.0 * history["necrotic_radius"]
+    axes.plot(time, whole, draw_style(time), color=BLUE, lw=2, label="whole")
+    if core.max() > 0:
+        shown = np.where(core > 0, core, np.nan)
+        axes.plot(time, shown, color=COLOURS["necrotic"], lw=2, ls="--", label="necrotic core")
+    parts = draw_hypoxic(axes, time, history) > 0 or core.max() > 0
+    if parts:
+        axes.legend(loc="upper left", fontsize=9, ncols=2)
+    # room for the legend above the line
+    axes.set_ylim(0.0, (1.7 if parts else 1.1) * max(float(whole.max()), 1.0))
+    axes.set(title="Diameter", ylabel="diameter (µm)")
+
+
+def _draw_rim(axes: Axes, time: FloatArray, rim: FloatArray) -> None:
+    """Draw the thickness of the layer outside the necrotic core, since there is one."""
+    axes.plot(time, rim, draw_style(time), color=COLOURS["proliferating"], lw=2)
+    top = 1.15 * max(float(np.nanmax(rim)), 1.0)
+    axes.set(title="Viable rim", ylabel="thickness (µm)", ylim=(0.0, top))
+
+
+def _draw_states(axes: Axes, time: FloatArray, history: History) -> None:
+    """Draw the numbers of cells in each state on top of each other, necrotic ones below."""
+    axes.set_title("Cells by state")
+    names = [name for name in reversed(COLOURS) if history[name].max() > 0]
+    single = len(time) == 1
+    axes.stackplot(
+        span(time) if single else time,
+        [np.repeat(history[name], 2 if single else 1) for name in names],
+        colors=[COLOURS[name] for name in names],
+        labels=names,
+        lw=0,
+    )
+    held = history.get("held_by_pressure", np.zeros(1))
+    if held.max() > 0:  # above the dead, whom nothing holds back
+        dead = history["necrotic"] + history["apoptotic"]
+        label = "living, growth halved by pressure"
+        axes.plot(time, dead + held, draw_style(time), color=INK, lw=2, label=label)
+    # room for the legend above a flat top
+    _count_axis(axes, (1.25 if held.max() == 0 else 1.35) * float(history["cells"].max()))
+    handles, labels = axes.get_legend_handles_labels()
+    axes.legend(handles[::-1], labels[::-1], loc="upper left", handlelength=1.0)
