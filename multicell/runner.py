@@ -17,7 +17,7 @@ from multicell.integrators.base import info_of
 from multicell.integrators.own import chosen
 from multicell.interrupts import STEP
 from multicell.memory import Returns
-from multicell.rehearsal import Rehearsal
+from multicell.precompile import Precompilation
 from multicell.report.result import (
     Result,
     history_arrays,
@@ -144,14 +144,14 @@ def recorded(
         stack.enter_context(under_way())
         interrupt = stack.enter_context(STEP).deliver
         stack.callback(recorder.close)
-        rehearsal = Rehearsal(scene, threads)
-        stack.callback(rehearsal.close)
+        precompilation = None
         if own is None:
-            rehearsal.begin(scene)
+            precompilation = Precompilation(scene, threads)
+            stack.callback(precompilation.close)
         simulation = Simulation(scene, threads=threads, integrator=own, reactions=reactions)
         recorder.started(simulation, begin)
         recorder.record(simulation)
-        go_on(simulation, recorder, interrupt, progress, rehearsal)
+        go_on(simulation, recorder, interrupt, progress, precompilation)
     return recorder
 
 
@@ -175,15 +175,15 @@ def go_on(
     recorder: Recorder,
     interrupt: Callable[[], None],
     progress: Callable[[Simulation], None] | None,
-    rehearsal: Rehearsal | None = None,
+    precompilation: Precompilation | None = None,
 ) -> None:
     """Advance to the scene's end and record each step; ``interrupt`` may end it between two."""
-    rehearsal = rehearsal or Rehearsal(simulation.scene)
     try:
         while not simulation.finished:
             simulation.step()
             recorder.record(simulation)
-            rehearsal.watch(simulation)
+            if precompilation is not None:
+                precompilation.watch(simulation)
             if progress is not None:
                 progress(simulation)
             interrupt()
@@ -200,7 +200,8 @@ def go_on(
             error.add_note(str(trouble))  # the first error is the one that counts
         raise
     finally:
-        rehearsal.close()
+        if precompilation is not None:
+            precompilation.close()
     recorder.finish(simulation, interrupted=False)
 
 

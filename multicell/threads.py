@@ -81,12 +81,7 @@ def two_drivers(body: Callable[..., Any]) -> tuple[Any, Any]:
     twin.__qualname__, twin.__module__ = name, body.__module__
     serial = njit(**KERNEL)
     shared = njit(**KERNEL, parallel=True)
-    DRIVERS[twin.__module__, name] = made = serial(body), shared(twin)
-    return made
-
-
-DRIVERS: dict[tuple[str, str], tuple[Any, Any]] = {}
-"""Module and name of each driver for all threads -> the one for one thread, and itself."""
+    return serial(body), shared(twin)
 
 
 @final

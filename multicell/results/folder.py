@@ -165,35 +165,6 @@ def remove(folder: Path, names: Iterable[str]) -> None:
                 path.unlink(missing_ok=True)
 
 
-def prepare_folder(folder: str | Path, *, overwrite: bool = False) -> Path:
-    """Make an empty output folder, or clear an old one of multicell's own files.
-
-    Parameters
-    ----------
-    folder
-        Path of the folder; parents are made.
-    overwrite
-        Remove the files of an earlier run (:data:`FILES`, nothing else) first. Links among them
-        are removed themselves; what they lead to stays. A folder that is a link itself is
-        refused: what is removed must have been named.
-
-    Returns
-    -------
-    pathlib.Path
-        The folder.
-
-    Raises
-    ------
-    OutputError
-        If the folder is a file, holds something and may not be overwritten, cannot be made or
-        changed, or if a run is going on in it.
-    """
-    folder = make_folder(folder, overwrite=overwrite)
-    with locked(folder):
-        remove(folder, (*PASSING, *FILES))
-    return folder
-
-
 def new_file(path: Path) -> int:
     """Create a file, in the place of a file or link of this name, and return its descriptor.
 

@@ -20,10 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.errors import OutputError
-from multicell.results.condensing import Condenser, Expander
+from multicell.results import format4, stored
 from multicell.results.folder import package_version, replacing
 from multicell.results.journal import digest
-from multicell.results.layout import FORMAT, Kind, layout, of_rows
+from multicell.results.layout import FORMAT, READABLE, Kind, layout, of_rows
 from multicell.results.lineage import COLUMNS
 from multicell.results.quantities import known_unit
 from multicell.results.records import Arrays
@@ -136,10 +136,10 @@ class _Log:
     """Rows on their way into a file: HDF5 is quick with few large writes, slow with many."""
 
     def __init__(
-        self, target: Any, sets: Mapping[str, Kind], nutrients: Iterable[str], sink: Sink
+        self, target: Any, sets: Mapping[str, Kind], nutrients: Sequence[str], sink: Sink
     ) -> None:
         self._target = target
-        self._condenser = Condenser(nutrients)
+        self._nutrients = nutrients
         self._sets = sets
         self._sink = sink
         self._pieces: dict[str, list[NDArray[Any]]] = {path: [] for path in sets}
@@ -153,7 +153,7 @@ class _Log:
 
     def add(self, arrays: Arrays, check: int, log: Arrays) -> None:
         """Add a frame."""
-        rows = self._condenser.condensed(arrays)
+        rows = stored.frame_rows(arrays, self._nutrients)
         rows |= {f"lineage/{path}": a for path, a in log.items()}
         rows["frames/digest"] = np.array(check)
         for path, kind in self._sets.items():
@@ -234,7 +234,7 @@ def check_whole(path: Path) -> None:
         raise OutputError(f"'{path}' is missing")
     with _opened(path) as file:
         written = file.attrs.get("format", 0)
-        if np.shape(written) != () or written != FORMAT:
+        if np.shape(written) != () or written not in READABLE:
             raise OutputError(f"'{path}' is no result file that this multicell reads")
 
 
@@ -292,6 +292,8 @@ class File:
     Attributes
     ----------
     scene : str
+    version : int
+        Of the layout, one of :data:`~multicell.results.layout.READABLE`.
     nutrients : tuple of str
     identity, absorbed : str
     times : (k,) float64, s
@@ -318,11 +320,13 @@ class File:
         self._at_once: dict[str, int] = {}
         with _opened(path) as file:
             self._read_format(file)
-            for group in ("fields", "history", "cells", "kept", "frames", "lineage"):
+            for group in ("fields", "history", "cells", "frames", "lineage"):
                 self._group(file, group)
+            if self.version == 4:
+                self._group(file, "kept")
             self.nutrients = tuple(sorted(file["fields"]))
             self.columns = tuple(file["history"])
-            self._sets = layout(self.nutrients)
+            self._sets = layout(self.nutrients, self.version)
             self._check_sets(file)
             shared = _shared(file, self._sets)
             if digest(shared) != int(file.attrs["digest"]):
@@ -330,9 +334,8 @@ class File:
             self.identity, self.absorbed = (
                 self._name(file, key) for key in ("identity", "absorbed")
             )
-        ends = {path: a for path, a in shared.items() if path.endswith("/offset")}
+        self._offsets = {path: a for path, a in shared.items() if path.endswith("/offset")}
         self.times, self.steps = shared["frames/time"], shared["frames/step"]
-        self._expander = Expander(self.nutrients, ends, self.times, self.steps)
         self.digests = shared["frames/digest"]
         self.scene = shared["scene"].tobytes().decode("utf-8", "replace")
         self.ends = {log: shared[f"lineage/{log}/offset"] for log in COLUMNS}
@@ -349,10 +352,11 @@ class File:
         written = file.attrs.get("format", 0)
         if np.shape(written) != () or not np.issubdtype(np.asarray(written).dtype, np.integer):
             raise self._damaged("its format is no number")
-        if int(written) != FORMAT:
+        self.version = int(written)
+        if self.version not in READABLE:
             raise OutputError(
-                f"'{self.path}' has result format {int(written)}; this multicell reads format "
-                f"{FORMAT}"
+                f"'{self.path}' has result format {self.version}; this multicell reads formats "
+                f"{' and '.join(map(str, READABLE))}"
             )
         frames = file.attrs["frames"]
         if np.shape(frames) != () or int(frames) < 0:
@@ -447,8 +451,9 @@ class File:
         OutputError
             If they are not what was written.
         """
+        read_frame = format4.read_frame if self.version == 4 else stored.read_frame
         with self._again() as file:
-            arrays = self._expander.expanded(file, place)
+            arrays = read_frame(file, place, self.nutrients, self._offsets)
         if digest(arrays) != int(self.digests[place]):
             raise OutputError(f"it is not what was written to '{self.path}'")
         return arrays

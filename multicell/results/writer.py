@@ -11,21 +11,15 @@ leaves ``frames.h5`` as it is and begins a journal that says from which frame on
 
 Layout of ``frames.h5`` for k frames and m history rows::
 
-    /cells/<column>                  id, position, radius, state, pressure, phase: all frames one
-                                     after another, with a ``unit``
+    /cells/<column>                  all columns of cells, all frames one after another, with a
+                                     ``unit``; concentration_<nutrient> in mM
     /frames/offset (k + 1)           frame j owns the rows offset[j] ... offset[j + 1] - 1
     /frames/time, /frames/step (k)
     /frames/digest (k)               CRC-32 of all that a frame holds
-    /kept/<pool>/id, <column>        the other columns of cells, where they are not what is expected
-                                     from a cell's last entry (:mod:`multicell.results.keeping`)
-    /kept/<pool>/offset (k + 1)      frame j owns the entries offset[j] ... offset[j + 1] - 1
     /fields/<nutrient>/coded         grids one after another in C order, as differences from what a
                                      stencil tells (:mod:`multicell.results.coding`)
     /fields/<nutrient>/faces (k, 6)  what holds at the faces, for the same stencil
     /fields/<nutrient>/offset (k + 1), shape (k, 3), origin (k, 3), spacing, height, radial (k)
-    /concentrations/<nutrient>/row, value, offset (k + 1)
-                                     at the cells, row by row of a frame, where they are not the
-                                     field's (:mod:`multicell.results.following`), mM
     /contacts/pair (., 2)            identities of pairs in contact, where the law remembers them
     /contacts/offset (k + 1)
     /progress/text, /progress/offset (k + 1)   JSON: what else a run needs to be resumed
@@ -34,8 +28,9 @@ Layout of ``frames.h5`` for k frames and m history rows::
     /history/<column> (m)
     /scene                           bytes of ``scene.toml``
 
-All is compressed by filters that every HDF5 has (shuffle, gzip). What is left out follows bit by
-bit: a frame is put together again and held against its checksum whenever it is read.
+All is compressed by filters that every HDF5 has (shuffle, gzip). A frame is compared with its
+checksum whenever it is read. Files of format 4, which left out what follows from the rest, are read
+by :mod:`multicell.results.format4` and become format 5 when their run is resumed.
 
 It is an ordinary file without links to others: h5py, pandas and xarray open it, and a copy of it is
 complete. The attributes ``identity`` and ``absorbed`` tell it and its journals apart, ``digest``
@@ -124,7 +119,8 @@ class Store:
         Raises
         ------
         OutputError
-            If the folder cannot be used (:func:`multicell.results.folder.prepare_folder`).
+            If the folder cannot be used (:func:`multicell.results.folder.make_folder`), or a run
+            is going on in it.
         """
         folder = make_folder(folder, overwrite=overwrite)
         with ExitStack() as stack:

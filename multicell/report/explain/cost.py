@@ -36,7 +36,7 @@ _FIELD_PACKAGES: Final = 40e6  # and more where there are fields
 _CELL: Final = 850.0  # bytes of a cell: state, lists, vectors, lineage, and gaps between them
 _NODE: Final = 100.0  # bytes of a node of a field on cubes
 
-_CELL_FRAME: Final = 45.0  # bytes of a cell in a frame on the disk
+_CELL_FRAME: Final = 62.0  # bytes of a cell in a frame on the disk
 _NODE_FRAME: Final = 2.5
 _STEP_ROW: Final = 100.0  # of a row of the history
 _FILE: Final = 70e3  # of the structure of the file, and what is the same for all frames
