@@ -133,7 +133,7 @@ def first_method(scene: Scene) -> Integrator:
     from multicell.integrators import registry
     from multicell.integrators.auto import MILD, Auto
 
-    method = registry.make(scene.integrator)
+    method = registry.from_options(scene.integrator)
     return method.method(MILD) if isinstance(method, Auto) else method
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from multicell.errors import OutputError, SceneError
 from multicell.integrators.base import info_of
-from multicell.integrators.own import chosen
+from multicell.integrators.own import own_integrator
 from multicell.interrupts import STEP
 from multicell.memory import Returns
 from multicell.precompile import Precompilation
@@ -26,10 +26,10 @@ from multicell.report.result import (
 )
 from multicell.report.wording import time_unit
 from multicell.results.documents import read_table, write_summary
-from multicell.results.folder import locked
+from multicell.results.folder import lock_folder
 from multicell.results.frame import Frame
 from multicell.results.quantities import units_of
-from multicell.results.records import can_go_on
+from multicell.results.records import resume_obstacle
 from multicell.scene.scene import load_scene
 from multicell.simulation import Simulation
 from multicell.threads import thread_count
@@ -163,7 +163,7 @@ def integrated_by(
         return scene, None
     if isinstance(integrator, str) and ":" not in integrator:
         return scene.with_changes({"integrator": integrator}), None
-    options, own = chosen(integrator, scene.integrator)
+    options, own = own_integrator(integrator, scene.integrator)
     refused = info_of(own).refusal(scene.initial.count, friction=scene.friction is not None)
     if refused is not None:
         raise SceneError("integrator.method", *refused)
@@ -418,7 +418,7 @@ def gone_on(
     with ExitStack() as stack:
         contents = Contents(folder)
         if here:
-            stack.enter_context(locked(folder))
+            stack.enter_context(lock_folder(folder))
             contents = Contents(folder)  # another run may have come first
         place = _place(contents, frame)
         _check_damage(contents, frame, here)
@@ -431,7 +431,7 @@ def gone_on(
             for k in range(place):  # what is damaged is better known before the run than after it
                 contents.frame(k)
             kept = _planned(contents, place, simulation) if planned else place
-            store = Store.go_on(contents, kept, rows, scene)
+            store = Store.resume(contents, kept, rows, scene)
         else:
             kept = place
             store = Store.create(Path(output or folder), scene, overwrite)
@@ -488,7 +488,7 @@ def _simulation(
         raise OutputError(
             f"the frame at {start.time:g} s in '{folder}' does not hold what a run needs to go on"
         )
-    problem = can_go_on(start)
+    problem = resume_obstacle(start)
     if problem:
         raise OutputError(f"no run can go on from the frame at {start.time:g} s: {problem}")
     most = scene.stop_cells

@@ -31,7 +31,7 @@ from multicell.compiling import COMPILATION
 from multicell.contact.custom import Compiling
 from multicell.errors import NutrientFailed, SceneError, StepFailed
 from multicell.integrators import registry, stability
-from multicell.integrators.shift import SHIFT, Replays, replayed, shifted_positions
+from multicell.integrators.shift import SHIFT, Replays, replay_step, shifted_positions
 from multicell.integrators.stability import Stability
 from multicell.interrupts import STEP, UNCUT
 from multicell.mechanics import binning
@@ -193,14 +193,14 @@ class Simulation:
         self.separation: Mapping[str, float] | None = None
         self.named: dict[str, IntArray] = {}
         self.springs = Springs()
-        self._integrator = integrator or registry.make(scene.integrator)
+        self._integrator = integrator or registry.from_options(scene.integrator)
         self._limit = stability.limit_of(self._integrator)
         self._feeding = _feeding(scene, reactions, self._mechanics.threads)
         self.lineage = Lineage() if lineage is None else lineage
         if frame is None:
             table = scene.initial.cells
             given = cells is not None or (table is not None and "state" in table.given.columns)
-            first = start.separated(scene, initial_cells(scene) if cells is None else cells)
+            first = start.separate(scene, initial_cells(scene) if cells is None else cells)
             self._start(first, given_states=given)
         else:
             self._restore(frame)
@@ -604,7 +604,7 @@ class Simulation:
         if stability.is_due(known, n, product):
             begin, dimensions = system.motion.begin, self.scene.dimensions
             rate = stability.rate_at(system, begin, position, dimensions)
-            self.stability = stability.measured(known, rate, product, n)
+            self.stability = stability.add_measurement(known, rate, product, n)
 
     def _check_end(self, position: FloatArray, cost: float) -> None:
         """Refuse a fixed step that is beyond its limit after a coupling step as it was before.
@@ -619,13 +619,13 @@ class Simulation:
         product = self._limit / step
         was_beyond, suspect = known.rate > product, False
         if not was_beyond and stability.may_glance(known, n):
-            known = stability.glanced(known, n)
+            known = stability.add_glance(known, n)
             suspect = stability.suspect(system, end, position, product)
         if was_beyond or suspect:
             rate = stability.rate_at(system, end, position, self.scene.dimensions)
-            known = stability.measured(known, rate, product, n)
+            known = stability.add_measurement(known, rate, product, n)
             if was_beyond and rate > product:
-                words = stability.refused(self._integrator, step, self._limit, rate)
+                words = stability.refusal_words(self._integrator, step, self._limit, rate)
                 raise StepFailed(system.motion.begin, *words)
         self.stability = known
 
@@ -646,7 +646,7 @@ class Simulation:
                 self.scene.dimensions,
             )  # fmt: skip
             start = cells.position
-            effect, spent = replayed(self._integrator, self._mechanics, start, end, shifted)
+            effect, spent = replay_step(self._integrator, self._mechanics, start, end, shifted)
         self.replays = replays.after(cost, spent, effect)
 
     def _alone(self, motion: Motion) -> bool:

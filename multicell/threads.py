@@ -1,4 +1,4 @@
-"""How many threads the kernels may use, and how they share their loops."""
+"""Number of threads that kernels may use, and how these share loops."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ class Team:
     """Threads of the interpreter that share loops of kernels that release its lock.
 
     In place of numba's own where passes are few and long: nothing is compiled twice, and a thread
-    that waits for another one sleeps, and loses little beside a process that keeps cores busy. A
+    that waits for another one sleeps, and loses little beside a process that occupies all cores. A
     context, at whose end the threads are gone.
 
     Parameters

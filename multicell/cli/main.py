@@ -82,7 +82,7 @@ def explain(
         _print_facts(console(), scene, facts)
 
 
-def _simulating(command: Callable[..., None]) -> Callable[..., None]:
+def _run_options(command: Callable[..., None]) -> Callable[..., None]:
     """Add what ``run`` and ``resume`` take."""
     options = (
         law_option,
@@ -108,7 +108,7 @@ def _simulating(command: Callable[..., None]) -> Callable[..., None]:
     metavar="FILE",
     help="Cells to start with, a CSV or Parquet table (--set initial.cells=FILE).",
 )
-@_simulating
+@_run_options
 def run(
     scene: str,
     output: Path,
@@ -138,7 +138,7 @@ def run(
 @click.argument("folder", type=click.Path(path_type=Path))
 @click.option("--frame", type=int, default=-1, show_default=True, help="Frame to go on from.")
 @output_option("Folder for the whole run; by default it goes on in FOLDER.", required=False)
-@_simulating
+@_run_options
 def resume(
     folder: Path,
     frame: int,

@@ -105,7 +105,7 @@ def on_stderr() -> Console:
 
 
 @contextmanager
-def counted(what: str, *, show: bool = True) -> Iterator[Callable[[int, int], None] | None]:
+def count_progress(what: str, *, show: bool = True) -> Iterator[Callable[[int, int], None] | None]:
     """Yield what is called with how much is done and how much there is, or None to show nothing.
 
     A bar in a terminal; elsewhere nothing, since such work is short.

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from multicell.contact.constants import constants_of, fingerprint, further_arguments, helpers_of
-from multicell.contact.derived import Scalar, arranged, force_alone, whole_law, without_energy
+from multicell.contact.derived import Scalar, force_alone, whole_law, with_arguments, without_energy
 from multicell.contact.law import PairLaw
 from multicell.contact.registry import LAWS
 from multicell.errors import SceneError
@@ -175,7 +175,7 @@ def pair_law(
     or both after these if it has arguments of these names; see
     :mod:`multicell.contact.constants` for their meaning and units. ``p`` has the parameters as
     attributes, in base units. It is compiled: arithmetic on floats, :mod:`math` and other such
-    functions are what it may use. It is asked only where the law acts: for an overlap above
+    functions are what it may use. It is called only where the law acts: for an overlap above
     zero, or above minus the reach.
 
     Parameters
@@ -209,9 +209,9 @@ def pair_law(
         if taken:
             raise TypeError(f"{taken[0]!r} cannot be the name of a parameter of a law")
         parts = {"force": force, "stiffness": stiffness, "energy": energy, "reach": reach}
-        push = arranged(force)
-        slope = None if stiffness is None else arranged(stiffness)
-        work = None if energy is None else arranged(energy)
+        push = with_arguments(force)
+        slope = None if stiffness is None else with_arguments(stiffness)
+        work = None if energy is None else with_arguments(energy)
         whole = whole_law(push, slope, work, reach)
         constants = constants_of(
             whole,
@@ -219,7 +219,7 @@ def pair_law(
             without_energy=without_energy(push, slope, reach),
             force_alone=force_alone(push, reach),
         )
-        declared = {name: _declared(entry) for name, entry in parameters.items()}
+        declared = {name: _declaration(entry) for name, entry in parameters.items()}
         source = f"{os.path.basename(force.__code__.co_filename)}:{force.__qualname__}"
         mark = _mark(whole, declared)
         if f"{source}@{mark}" in LAWS:
@@ -286,7 +286,7 @@ def _mark(function: Any, declared: Mapping[str, Any]) -> str:
     return given.hexdigest()[:12]
 
 
-def _declared(entry: Any) -> Any:
+def _declaration(entry: Any) -> Any:
     """Return the declaration of a parameter that is given by its unit."""
     if not isinstance(entry, str):
         return entry

@@ -94,7 +94,7 @@ class Element:
 
 
 def _yes(text: str) -> bool:
-    """Return whether a text begins as true, yes or 1 do: more is not looked at."""
+    """Return whether a text begins as true, yes or 1 do; the rest is not read."""
     return text[:1] in ("1", "t", "T", "y", "Y")
 
 

@@ -65,7 +65,7 @@ def control(method: ErrorControl, system: Mechanics, order: float, lower: int) -
         Order p of the result where it is below that of the estimate, else 0.
     """
     radius = system.motion.radius
-    # θ of the module's text; a sum costs a third of a mean, which tells with two cells
+    # θ of the module's text; a sum costs a third of a mean, which matters with two cells
     mean = len(radius) / float(radius.sum()) if len(radius) else math.inf
     share = min(1.0, method.rtol + method.atol * mean)
     strictness = (1.0, share, math.sqrt(share))[lower]
@@ -203,11 +203,11 @@ def _borrow(system: Mechanics, counts: Any, *, passes: bool = False) -> tuple[An
         cells, system._offsets.data, system._law, system._list_radius, system._least_margin,
         system._rows, counts,
     )  # fmt: skip
-    return stepping.addressed(source, pairs, shared=shared, passes=passes), pairs
+    return stepping.with_addresses(source, pairs, shared=shared, passes=passes), pairs
 
 
 def _give_back(system: Mechanics, source: Any, pairs: forces.PairData) -> None:
-    """Let the mechanics go on with the list that the loop has built last."""
+    """Hand the list that the loop built last to the mechanics."""
     if np.isnan(source.cells.reference[0, 0]):
         system._pairs = None
         return

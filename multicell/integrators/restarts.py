@@ -1,4 +1,4 @@
-"""Stepping through a coupling step with solvers of others, starting again where one goes wrong.
+"""Step through a coupling step with solvers of other packages; restart where one fails.
 
 A solver with its own error control may accept a step that throws a cell away, or give up on
 a state that has no meaning. Its internal step cannot be taken back, so a new solver is
@@ -22,7 +22,7 @@ from typing import Any, Protocol, final
 from multicell.cells import FloatArray
 from multicell.integrators.base import Outcome
 from multicell.integrators.limits import beyond
-from multicell.integrators.stepping import furthest_moved, largest_length
+from multicell.integrators.stepping import furthest_move, largest_length
 from multicell.mechanics.motion import StateRejected
 from multicell.mechanics.system import Mechanics
 
@@ -38,7 +38,7 @@ _SMALLER = 0.25
 
 
 class StepImpossible(Exception):  # noqa: N818 - what happened to a solver, not a fault
-    """A solver cannot go on from where it is; the text is its own reason."""
+    """A solver cannot continue from its state; the text is its own reason."""
 
 
 class Restart(Exception):  # noqa: N818 - a request
@@ -71,7 +71,7 @@ Start = Callable[["Run", float], Solver]
 
 @final
 class Run:
-    """One integration under way: the last accepted state, and how it is getting on.
+    """One integration: the last accepted state and the counts so far.
 
     Attributes
     ----------
@@ -87,7 +87,7 @@ class Run:
         Part of the tolerances that a solver gets whose norm is a mean over all coordinates.
 
     With ``each_cell`` the tolerance, ``atol`` + ``rtol`` times the mean radius, is held by single
-    cells, too, as far as solvers tell the errors of their steps.
+    cells, too, as far as solvers report the errors of their steps.
     """
 
     def __init__(
@@ -200,7 +200,7 @@ class Run:
             self.share *= _SMALLER
             self.system.work.rejections += 1
             raise Restart
-        cell, moved = furthest_moved(self.position, moved_to, self.system.motion.radius)
+        cell, moved = furthest_move(self.position, moved_to, self.system.motion.radius)
         # a move that is no number is the largest
         if not moved <= self.max_displacement:
             raise _Refused(
@@ -225,7 +225,7 @@ def one_step(solver: Any, left: float) -> Any:
 
 @final
 class Predictor:
-    """CVODE's own estimate of its errors, which scikit-sundae does not hand on.
+    """CVODE's own estimate of its errors, which scikit-sundae does not report.
 
     Newton's method begins at the state that the formula's polynomial predicts, so that the first
     evaluation at a new time is there. The error of a step of order q is the difference between

@@ -122,7 +122,7 @@ class Field:
 @final
 @dataclass(frozen=True)
 class Progress:
-    """What a run must know besides cells and fields to go on exactly as it would have.
+    """State of a run besides cells and fields, which it needs to be resumed exactly.
 
     Attributes
     ----------

@@ -65,7 +65,7 @@ def layout(nutrients: Iterable[str], version: int = FORMAT) -> dict[str, Kind]:
 
 
 def of_rows(dtype: str, unit: str = "") -> Kind:
-    """Return what a data set is whose length nothing else tells: the scene, the history."""
+    """Return the kind of a data set of its own length: the scene, the history."""
     return Kind(dtype, None, "", unit, _MIDDLE)
 
 
@@ -127,7 +127,7 @@ def _concentration(name: str) -> dict[str, Kind]:
 
 
 def _entries(name: str) -> dict[str, Kind]:
-    """Return the concentrations at the cells in format 4, where the field does not tell them."""
+    """Return the concentrations at the cells in format 4, where not the interpolated field."""
     group = f"concentrations/{name}"
     return {
         f"{group}/offset": Kind("<i8", None, "ends"),

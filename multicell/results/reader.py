@@ -1,4 +1,4 @@
-"""Reading result folders, also those of runs that go on, were killed, or met a full disk."""
+"""Read result folders, also of runs that are running, were killed, or met a full disk."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from multicell.results.frame import Frame
 from multicell.results.lineage import COLUMNS, Lineage
 from multicell.results.records import Arrays, frame_of, lineage_of
 
-_ATTEMPTS: Final = 5  # how often a folder is looked at that changes while it is
+_ATTEMPTS: Final = 5  # to open a folder that changes meanwhile
 
 
 class _Place(NamedTuple):
@@ -222,7 +222,7 @@ class Contents:
             ) from error
 
     def _before(self, place: int) -> str:
-        """Tell which frame before one can be read."""
+        """Return in words which earlier frame can be read."""
         for k in range(place - 1, -1, -1):
             try:
                 frame_of(self.places[k].arrays(), self.nutrients)

@@ -1,4 +1,4 @@
-"""Whether the numbers of a scene have sizes that anything can be computed with.
+"""Check whether the numbers of a scene have sizes that can be computed with.
 
 Each number has a range of its own (:data:`multicell.units.RANGES`); what must fit together is
 checked here too. Bounds are orders of magnitude beyond any use: they keep out what would hang,
@@ -192,7 +192,7 @@ def check_memory(scene: Scene) -> None:
 
 
 def physical_memory() -> int | None:
-    """Return the memory of this machine in bytes, or None where it does not tell."""
+    """Return the memory of this machine in bytes, or None where it is unknown."""
     try:
         return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (AttributeError, OSError, ValueError):

@@ -1,4 +1,4 @@
-"""What there is: the typed description of a scene, read from TOML or a dict.
+"""The typed description of a scene, read from TOML or a dict.
 
 Every part is a frozen dataclass whose attributes are the keys of the TOML file. Quantities are
 numbers in base units (µm, s, nN, amol; kPa, mM) or strings with units; inside they are floats.
@@ -54,7 +54,7 @@ from multicell.scene.parts import (
 )
 from multicell.scene.ranges import check_sizes
 from multicell.scene.reactions import Reaction
-from multicell.scene.springs import Springs, check_springs, placed_pairs
+from multicell.scene.springs import Springs, check_springs, place_pairs
 from multicell.schema import (
     Tables,
     build,
@@ -306,10 +306,10 @@ def load_scene(source: str | Path) -> Scene:
 
 def beside(entries: dict[str, Any], source: str | Path) -> dict[str, Any]:
     """Return the entries of a scene file with paths that count from its folder made whole."""
-    from multicell.scene.start_table import placed
+    from multicell.scene.start_table import place_table
 
     folder = Path(os.path.expanduser(source)).parent
-    return placed_pairs(placed(entries, folder), folder)
+    return place_pairs(place_table(entries, folder), folder)
 
 
 def _read(source: str | Path) -> str:

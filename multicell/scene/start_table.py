@@ -207,7 +207,7 @@ class StartTable:
     def _read(self) -> Given:
         content = self._bytes()
         object.__setattr__(self, "sha256", hashlib.sha256(content).hexdigest())
-        return normalised(from_bytes(content, Path(self.file).name))
+        return normalise(from_bytes(content, Path(self.file).name))
 
     def _bytes(self) -> bytes:
         """Return the content of the file if it is the one that is meant."""
@@ -225,7 +225,7 @@ class StartTable:
         return content
 
 
-def placed(entries: dict[str, Any], folder: Path) -> dict[str, Any]:
+def place_table(entries: dict[str, Any], folder: Path) -> dict[str, Any]:
     """Return the entries of a scene with the file of its table, if it has one, in a folder."""
     initial = entries.get("initial")
     cells = initial.get("cells") if isinstance(initial, dict) else None
@@ -253,7 +253,7 @@ def in_memory(source: Any) -> StartTable:
     DataError
         With row and column, for what cannot be a start.
     """
-    given = normalised(from_object(source, "cells"))
+    given = normalise(from_object(source, "cells"))
     digest = hashlib.sha256(given.content()).hexdigest()
     given = _KNOWN.setdefault(digest, given)
     return StartTable(file="", sha256=digest, rows=len(given))
@@ -298,7 +298,7 @@ def _columns_of(cells: Cells, types: tuple[str, ...]) -> dict[str, NDArray[Any]]
     return {titled(name, READ[name]): found[name] for name in READ}
 
 
-def normalised(source: Columns) -> Given:
+def normalise(source: Columns) -> Given:
     """Return what a table says, in base units and under the names of :data:`READ`.
 
     Raises
@@ -382,7 +382,7 @@ def _kinds(column: NDArray[Any]) -> tuple[tuple[str, ...], NDArray[np.int64]]:
 def _read_column(given: Given, name: str, raw: NDArray[Any], factor: float) -> NDArray[Any]:
     """Return a column in base units, or as numbers of its names."""
     if name in _NAMES:
-        return _named(given, name, raw)
+        return _read_names(given, name, raw)
     title = given.titles[name]
     if raw.dtype == object:
         raw = parsed(raw.tolist())  # of numbers as text, as in a CSV file
@@ -436,7 +436,7 @@ def _ids(given: Given, raw: NDArray[Any]) -> NDArray[np.int64]:
     return ids
 
 
-def _named(given: Given, name: str, raw: NDArray[Any]) -> NDArray[np.int8]:
+def _read_names(given: Given, name: str, raw: NDArray[Any]) -> NDArray[np.int8]:
     """Return a column of names as numbers."""
     known = _NAMES[name]
     words, codes = np.unique(raw.astype(str), return_inverse=True)

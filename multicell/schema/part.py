@@ -219,7 +219,7 @@ def convert_fields(self: Any) -> None:
         check()
 
 
-def declared(
+def declare(
     kind: str,
     convert: Callable[[Any, str], Any],
     default: Any,
@@ -233,7 +233,7 @@ def declared(
     return field(default=default, metadata=metadata)
 
 
-def named(value: object, path: str, one: Callable[[Any, str], V]) -> Tables[V]:
+def read_named(value: object, path: str, one: Callable[[Any, str], V]) -> Tables[V]:
     """Return a table of names whose entries are each read by ``one``."""
     entries = mapping(value, path).items()
     return Tables({name: one(entry, f"{path}.{name}") for name, entry in entries})

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 from multicell.errors import OutputError
 from multicell.results.documents import Lines, read_table, write_table
 from multicell.results.folder import (
-    locked,
+    lock_folder,
     make_folder,
     package_version,
     remove,
@@ -99,7 +99,7 @@ def opened(
             f"'{folder}' holds another fit: {', '.join(other) or 'its version'} differ. Choose "
             "another folder, or allow overwriting (--overwrite, overwrite=True)"
         )
-    with locked(folder):
+    with lock_folder(folder):
         if overwrite:
             remove(folder, FILES)
         if _held(folder) is None:

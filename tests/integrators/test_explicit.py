@@ -410,10 +410,10 @@ def test_rkc2_refuses_stages_that_there_are_not(options):
 
 def test_control_of_steps_survives_what_is_no_number():
     for error in (np.nan, np.inf):
-        assert loops.again(1.0, error, 3.0, 0.2) == pytest.approx(0.2)
-    assert loops.shorter(1.0, 0.0, 0.5) < 1.0
-    assert loops.shorter(1.0, np.inf, 0.5) < 1.0
-    assert loops.again(1.0, 1.0, 3.0, 0.2) < 1.0
+        assert loops.step_after_error(1.0, error, 3.0, 0.2) == pytest.approx(0.2)
+    assert loops.step_after_move(1.0, 0.0, 0.5) < 1.0
+    assert loops.step_after_move(1.0, np.inf, 0.5) < 1.0
+    assert loops.step_after_error(1.0, 1.0, 3.0, 0.2) < 1.0
 
 
 @pytest.mark.parametrize(

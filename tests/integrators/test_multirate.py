@@ -159,15 +159,15 @@ def test_a_refused_step_is_not_made_longer_by_another_grouping():
 
 def test_steps_that_are_refused_without_end_end_a_loop():
     control = driver.control(MultirateEuler(), mechanics(np.ones(2), np.ones(2)), 2.0, lower=1)
-    walk, counts = stepping.begun(10.0), np.zeros(4, np.int64)
+    walk, counts = stepping.control_state(10.0), np.zeros(4, np.int64)
     tried = 0
-    while stepping.ended(walk, counts, control, 600.0) == stepping.DONE:
-        assert stepping.refused(walk, counts, control, stepping.MOVED, 1.0)
+    while stepping.stop_reason(walk, counts, control, 600.0) == stepping.DONE:
+        assert stepping.refuse_step(walk, counts, control, stepping.MOVED, 1.0)
         walk[stepping.STEP] = 10.0
         tried += 1
         assert tried < 1000
     assert counts[stepping.REJECTIONS] == tried > 100
-    assert stepping.ended(walk, counts, control, 600.0) == stepping.STALLED
+    assert stepping.stop_reason(walk, counts, control, 600.0) == stepping.STALLED
 
 
 def test_threads_and_chunks_keep_the_result(divided):

@@ -88,7 +88,7 @@ def _without_table(model: Model) -> Start:
         kinds = [kind for kind in model.kinds for _ in range(count)]
         random = np.random.default_rng(model.scene.get("seed", 0))
         position = low + (high - low) * random.random((len(kinds), 3))
-        return _separated(model, None, Start(position, kinds, np.full(len(kinds), np.nan)))
+        return _move_apart(model, None, Start(position, kinds, np.full(len(kinds), np.nan)))
     note = f"one cell of '{model.kinds[0].name}' in the middle: C++ code of the model places them"
     model.account.add("initial_conditions", "no table", Fate.LEFT_OUT, "initial.cells", note)
     return Start(0.5 * (low + high)[None], [model.kinds[0]], np.full(1, np.nan))
@@ -117,10 +117,10 @@ def _from_table(model: Model, path: Path) -> Start:
         note = f"{len(found) - len(cells)} cells of types that there are not, as in PhysiCell"
         model.account.add(path.name, "", Fate.LEFT_OUT, "", note)
     start = Start(position[keep], kinds, np.array([cell[2] for cell in cells])[keep])
-    return _separated(model, path, start)
+    return _move_apart(model, path, start)
 
 
-def _separated(model: Model, path: Path | None, start: Start) -> Start:
+def _move_apart(model: Model, path: Path | None, start: Start) -> Start:
     radius = float(np.cbrt(start.volumes().max() / SPHERE))
     return replace(start, position=_apart(model, path, start.position, radius))
 

@@ -148,7 +148,7 @@ def _nodes(scene: Scene, name: str, radius: FloatArray) -> FloatArray:
 
     nutrient, p = scene.nutrients[name], FieldParameters.of(scene, name)
     if scene.domain is not None:
-        counts = box.filling(box.sides(scene.domain), p.spacing)
+        counts = box.node_counts(box.sides(scene.domain), p.spacing)
         return np.full(len(radius), float(math.prod(counts or (1,))))
     flat = p.height if scene.dimensions == 2 else None
     shells = flat is None and nutrient.layout != "box"
@@ -194,12 +194,12 @@ def grid_sizes(scene: Scene, name: str) -> tuple[float, float]:
 def placed(scene: Scene) -> Cells | None:
     """Return the cells of a scene's start; None where they cannot be placed, or not at once."""
     from multicell.biology.initial import initial_cells
-    from multicell.scene.start import separated
+    from multicell.scene.start import separate
 
     if scene.initial.count > _PLACED:
         return None
     try:
-        return separated(scene, initial_cells(scene))
+        return separate(scene, initial_cells(scene))
     except SceneError:  # which the run will report
         return None
 
