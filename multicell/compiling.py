@@ -9,8 +9,11 @@ is neither optimised nor turned into machine code by itself (:data:`INNER`).
 from __future__ import annotations
 
 import gc
+import hashlib
 import time as clock
 from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
 from typing import Any, final
 
 import numpy as np
@@ -191,6 +194,15 @@ _boxers.functions |= {
     types.NamedTuple: _box_named_tuple,
     types.NamedUniTuple: _box_named_tuple,
 }
+
+
+def fingerprint_of(*modules: ModuleType) -> str:
+    """Return twelve hexadecimal digits that change with the files of modules."""
+    digest = hashlib.sha256()
+    for module in modules:
+        assert module.__file__ is not None
+        digest.update(Path(module.__file__).read_bytes())
+    return digest.hexdigest()[:12]
 
 
 _typeof: Any = typeof

@@ -271,7 +271,7 @@ def _check_failures(info: MethodInfo) -> None:
     position[2, 1] = np.nan
     outcome, _ = _solved(_instantiate(info, _usual(info)), (system, position))
     _require(not outcome.done, "it calls a state done that is no number")
-    _require(outcome.time == BEGIN, "it says that it has gone on from a state that is no number")
+    _require(outcome.time == BEGIN, "it reports progress from a state that is not a number")
 
 
 def _check_lone_cell(info: MethodInfo) -> None:

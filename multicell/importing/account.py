@@ -23,7 +23,7 @@ class Fate(StrEnum):
 
 MEANING = {
     Fate.MAPPED: "says the same here",
-    Fate.APPROXIMATED: "says something like it here; the note tells how it differs",
+    Fate.APPROXIMATED: "has a similar counterpart here; the note says how it differs",
     Fate.LEFT_OUT: "has no counterpart here, or none that is read",
     Fate.OFF: "has no effect in the model: disabled, zero, or overruled",
 }

@@ -299,7 +299,7 @@ class Walk:
                 self._cell,
             )  # fmt: skip
         if step < _SHORTEST * self.length:
-            problem = f"steps became too short to go on: {self._problem}"
+            problem = f"steps became too short to continue: {self._problem}"
             return Outcome(time, self.position, problem, _HINT, self._cell)
         return None
 

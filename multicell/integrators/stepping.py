@@ -15,6 +15,7 @@ returns a :class:`Report`.
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple, final
 
@@ -24,7 +25,15 @@ from numba.core.errors import TypingError
 from numba.extending import intrinsic, overload, register_jitable
 from numpy.typing import NDArray
 
-from multicell.compiling import ADDRESSED, KERNEL, address_of, arithmetic, call_at, kind_of
+from multicell.compiling import (
+    ADDRESSED,
+    KERNEL,
+    address_of,
+    arithmetic,
+    call_at,
+    fingerprint_of,
+    kind_of,
+)
 from multicell.integrators import fused
 from multicell.mechanics import forces, margins, neighbours
 from multicell.mechanics.motion import StateRejected
@@ -73,8 +82,19 @@ class Source(NamedTuple):
     assess_at: int = 0
 
 
-Serial = Shared = Source
-"""Names in the disk caches of earlier versions, which numba must be able to read to discard."""
+# numba's cache on disk compares the date of a loop's own file only, but code of these files is
+# compiled into it: after a change of one of them the loops take arguments of another type
+Source.__name__ = Source.__qualname__ = "Source_" + fingerprint_of(
+    sys.modules[__name__], forces, fused, margins, neighbours
+)
+globals()[Source.__name__] = Source
+
+
+def __getattr__(name: str) -> Any:
+    """Return a type of this name: numba must be able to read what earlier files have left."""
+    if name.startswith("Source_") or name in ("Serial", "Shared"):
+        return type(name, (), {"__module__": __name__})
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 class Control(NamedTuple):
@@ -102,28 +122,9 @@ class Report(NamedTuple):
     moved: float
 
 
-def _index(dispatcher: Any) -> Any:
-    """Return the part of numba that holds the stamp of a function's file, if it is there."""
-    index = getattr(getattr(dispatcher, "_cache", None), "_cache_file", None)
-    return index if hasattr(index, "_source_stamp") else None
-
-
 def compiled(function: Callable[..., Any], **options: Any) -> Any:
-    """Compile lazily, with a disk cache that notices changes in the kernels as well.
-
-    Numba compares the date of the function's own file only, but code of the other files
-    is compiled into it.
-    """
-    dispatcher = njit(**{**KERNEL, **options})(function)
-    inside = [
-        _index(other)
-        for other in (
-            forces.forces, neighbours.rebuild, margins.widened, copy, fused.chunks, dispatcher
-        )
-    ]  # fmt: skip
-    if all(inside):
-        inside[-1]._source_stamp = tuple(index._source_stamp for index in inside)
-    return dispatcher
+    """Compile a loop when it is called."""
+    return njit(**{**KERNEL, **options})(function)
 
 
 @final

@@ -87,7 +87,7 @@ def lock_folder(folder: Path) -> Iterator[None]:
             lock.acquire()
         except Timeout:
             raise OutputError(
-                f"a run is going on in '{folder}': wait for its end or choose another folder",
+                f"another run uses '{folder}': wait for its end or choose another folder",
                 in_use=True,
             ) from None
     try:

@@ -228,7 +228,7 @@ class Contents:
                 frame_of(self.places[k].arrays(), self.nutrients)
             except OutputError:
                 continue
-            return f"Frame {k} can be read: go on from it with 'multicell resume --frame {k}'"
+            return f"Frame {k} can be read: continue from it with 'multicell resume --frame {k}'"
         return "No frame before it can be read"
 
     def lineage(self, place: int) -> Lineage:
@@ -272,7 +272,7 @@ class Contents:
         if self.damage is not None:
             count = len(self.places)
             rest = (
-                f"The frames 0 to {count - 1} can be read: go on from the last of them with "
+                f"The frames 0 to {count - 1} can be read: continue from the last of them with "
                 f"'multicell resume --frame {count - 1} --output' and another folder"
                 if count
                 else "No frame can be read"

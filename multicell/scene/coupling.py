@@ -82,7 +82,7 @@ def check_coupling(scene: Scene) -> None:
         return
     if scene.growth is None:
         hint = 'Give a time, for example coupling_step = "10 min".'
-        problem = "is 'auto', but the scene has no growth: nothing tells how long steps may be"
+        problem = "is 'auto', but the scene has no growth, which limits the steps"
         raise SceneError("coupling_step", problem, hint)
     frozen = {
         "contact": scene.contact.remembers,

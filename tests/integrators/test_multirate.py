@@ -54,7 +54,7 @@ def test_velocities_of_a_part_are_those_of_the_whole(fast, chunk):
     system = everything(80, position, radius, young, chunk)
     whole, counts = np.empty_like(position), np.zeros(4, np.int64)
     system.velocity(30.0, position, whole)
-    source, pairs = driver._borrow(system, counts)
+    source, pairs = driver.source_of(system, counts)
     is_fast = np.random.default_rng(1).uniform(size=80) < fast
     drifted, member, found, share = velocities_of_a_part(source, pairs, is_fast, position, 30.0)
     assert not drifted
