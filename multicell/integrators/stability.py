@@ -62,7 +62,7 @@ class Stability(NamedTuple):
     """
 
     rate: float = 0.0
-    add_measurement: float = 0.0
+    measured: float = 0.0
     beyond: float = 0.0
     latest: float = 0.0
     largest: float = 0.0
