@@ -1,4 +1,4 @@
-"""What all commands share: options, and how they are read."""
+"""Options that commands share, and how they are read."""
 
 from __future__ import annotations
 

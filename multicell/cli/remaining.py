@@ -29,7 +29,7 @@ _POINTS: Final = 400
 @final
 @dataclass(frozen=True)
 class Forecast:
-    """How a population is expected to grow, and what a step costs with it.
+    """Expected growth of a population and cost of a coupling step.
 
     Attributes
     ----------

@@ -22,7 +22,7 @@ _LINES: Final = 20
 
 @final
 class Pace:
-    """How much of a study is done, and how long the rest will take.
+    """Progress of a study and prediction of the time that is left.
 
     What runs are expected to take is corrected by the ratio of what those that ended took to what
     they were expected to; the expectation counts as much as one more run.

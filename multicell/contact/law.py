@@ -1,4 +1,4 @@
-"""What every pair law of two elastic, sticky spheres offers.
+"""The base class of pair laws between two elastic, sticky spheres.
 
 Conventions (equation numbers of the thesis that the model page cites): the overlap is
 ``h = r_i + r_j - distance`` (3.1) and a positive force pushes the cells apart. Hertz and

@@ -1,4 +1,4 @@
-"""What became of each thing that another program's model says."""
+"""The account of an import: what became of each element of another program's model."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 @final
 class Fate(StrEnum):
-    """What can become of it."""
+    """Possible outcomes of an element."""
 
     MAPPED = "mapped"
     APPROXIMATED = "approximated"

@@ -100,7 +100,7 @@ _QUIET, _SHAKEN = 1e-3, 0.3
 @final
 @dataclass(frozen=True)
 class Choice:
-    """What was chosen and why.
+    """The chosen method and the reasons for it.
 
     Attributes
     ----------

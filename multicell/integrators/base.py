@@ -37,7 +37,7 @@ Control = Literal["tolerance", "step"]
 @final
 @dataclass(frozen=True)
 class Outcome:
-    """Where an integration ended.
+    """Result of an integration.
 
     Attributes
     ----------
@@ -156,7 +156,7 @@ class ErrorControl:
 @final
 @dataclass(frozen=True)
 class MethodInfo:
-    """What the rest of the package must know of a method.
+    """Properties of a method that the rest of the package uses.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""How an explicit method runs: its loop on a copy of the positions, its work, its end in words.
+"""Run an explicit method: its loop on a copy of the positions, its work, its outcome in words.
 
 The loops (:mod:`multicell.integrators.loops`) run compiled, each compiled when it is first used.
 All methods refuse a step that moves a cell further than ``max_displacement`` of its radius, or to

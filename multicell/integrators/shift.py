@@ -34,7 +34,7 @@ SHARE: Final = 0.02
 
 @final
 class Replays(NamedTuple):
-    """What replays of coupling steps from shifted positions have found, and what they cost.
+    """Results and cost of the replays of coupling steps from shifted positions.
 
     Attributes
     ----------

@@ -44,7 +44,7 @@ _SAFE = 0.9
 
 @final
 class Stability(NamedTuple):
-    """What measurements of λ have found, and what they cost.
+    """Results and cost of the measurements of λ in a run.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What is known at one moment of a run: the cells, and the fields around them."""
+"""The state of a run at one time: the cells and the fields around them."""
 
 from __future__ import annotations
 

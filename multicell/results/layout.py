@@ -31,7 +31,7 @@ _SHORT: Final = 256  # ... of what has one row for each frame
 
 @final
 class Kind(NamedTuple):
-    """What a data set holds: one row for each frame, or ``pool`` rows in all.
+    """The kind of a data set: one row for each frame, or ``pool`` rows in all.
 
     The pools ``frames`` and ``ends`` have one row for each frame and one more; any other is the
     path of the data set of offsets whose last entry is its length.

@@ -38,7 +38,7 @@ class _Rows(NamedTuple):
 
 @final
 class Contents:
-    """What a result folder holds: ``frames.h5``, and the journal of what came after.
+    """The contents of a result folder: ``frames.h5``, and the journal of what came after.
 
     Attributes
     ----------

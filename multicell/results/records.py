@@ -25,7 +25,7 @@ UNIT: Final = "mM"
 
 @final
 class FieldArray(NamedTuple):
-    """What is stored of a field beside its values.
+    """An array that is stored of a field beside its values.
 
     Type, entries (0: one number), unit, and what stands where there is no field.
     """

@@ -1,4 +1,4 @@
-"""Where a scene puts its cells at random: regions of space, and how many cells have room in them.
+"""Regions in which a scene places cells at random, and how many cells have room there.
 
 Cells are put one after another at places that are drawn uniformly over a region, and drawn anew
 where a cell would come too near to one that is there already (random sequential addition). That
@@ -49,7 +49,7 @@ OF_REGIONS: Final = ("radius", "inner_radius", "length", "centre", "axis", "x", 
 
 @final
 class Region(NamedTuple):
-    """Where centres of cells are drawn.
+    """A region in which centres of cells are drawn.
 
     Attributes
     ----------

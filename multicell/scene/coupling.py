@@ -1,4 +1,4 @@
-"""How long coupling steps may be: one length for all, or bounds between which a run chooses.
+"""Lengths of coupling steps: one for all, or bounds between which a run chooses.
 
 With ``coupling_step = "auto"`` steps are an hour halved some times, and end at multiples of their
 own length. So their times are exact numbers, and frames land on full hours.

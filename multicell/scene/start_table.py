@@ -62,7 +62,7 @@ _NOT_NEGATIVE: Final = ("age", "progress", "phase_length")
 @final
 @dataclass(frozen=True, eq=False)
 class Given:
-    """What a table says of the cells at the start.
+    """The cells at the start as a table states them.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What declares the fields of a part, and what builds, walks and writes parts by it."""
+"""Declare the fields of parts; build, walk and write parts by these declarations."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ V = TypeVar("V")
 @final
 @dataclass(frozen=True)
 class Parameter:
-    """What a field of a part accepts; found with :func:`specs`.
+    """The declaration of a field of a part; found with :func:`specs`.
 
     Attributes
     ----------

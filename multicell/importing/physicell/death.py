@@ -27,7 +27,7 @@ _USUAL = {
 @final
 @dataclass(frozen=True)
 class Dying:
-    """How a type dies in one way: 1/min, min; the last phase's length is None where unknown."""
+    """One way in which a type dies: 1/min, min; the last phase's length is None where unknown."""
 
     element: Element | None
     rate: float

@@ -1,4 +1,4 @@
-"""What cells take up and give off.
+"""Uptake and secretion of cells.
 
 A cell of volume V changes the amount of a substance around it by V [S (T - c) - U c] + E: S, T and
 U are rate and target of secretion and the rate of uptake, E the net export. Here uptake saturates
@@ -26,7 +26,7 @@ _MOST = 1e5
 @final
 @dataclass(frozen=True)
 class Exchange:
-    """What a type does with a substance: per minute, in the substance's own unit."""
+    """Exchange of a substance by a type: per minute, in the substance's own unit."""
 
     secretion: float
     target: float
