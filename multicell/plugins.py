@@ -29,7 +29,7 @@ from multicell.errors import MulticellError, SceneError
 from multicell.files import read_regular
 from multicell.schema import near_miss
 
-_LARGEST = 10_000_000
+_MAX_BYTES = 10_000_000
 """Bytes of a file of the user's own."""
 OWN_OBJECT = r"^.+\.py:[A-Za-z_].*$"
 """Pattern of how a scene names an object of the user's own, for editors."""
@@ -93,7 +93,7 @@ def _module(file: Path, what: str) -> ModuleType:
     if file.suffix != ".py":
         raise SceneError(what, f"'{file}' is no Python file: its name must end in .py")
     try:
-        source = read_regular(file, _LARGEST)
+        source = read_regular(file, _MAX_BYTES)
     except FileNotFoundError:
         hint = f"It is looked for in '{Path.cwd()}'." if not file.is_absolute() else ""
         raise SceneError(what, f"there is no file '{file}'", hint) from None

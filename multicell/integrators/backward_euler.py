@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from multicell.mechanics.system import Mechanics
 
 _HALVINGS = 30
-_MOST_ITERATIONS = 200
+_MAX_ITERATIONS = 200
 _RESIDUAL = 100.0
 """Largest residual at the end of Newton's method, in tolerances of its last correction.
 
@@ -252,7 +252,7 @@ class _Step:
         better = np.empty_like(residual)
         target = self.forcing * self._norm(residual)
         direction, before = np.zeros_like(residual), 1.0
-        for _ in range(_MOST_ITERATIONS):
+        for _ in range(_MAX_ITERATIONS):
             if self._norm(left) <= target:
                 break
             approximate.solve(self.system, left, better)

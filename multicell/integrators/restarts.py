@@ -26,12 +26,12 @@ from multicell.integrators.stepping import furthest_move, largest_length
 from multicell.mechanics.motion import StateRejected
 from multicell.mechanics.system import Mechanics
 
-_MOST_REFUSALS = 30
+_MAX_REFUSALS = 30
 _STEPS_BEFORE_LIFT = 8
 _SHARE = 0.1
 """Share of the tolerance that a norm over many cells gets; few cells get 1/√(3n), with which the
 norm bounds each of them."""
-_MOST_ERROR = 3.0
+_MAX_ERROR = 3.0
 """Estimated error of a cell in a step that is refused, in tolerances."""
 _SMALLER = 0.25
 """By how much the share is made smaller then."""
@@ -109,7 +109,7 @@ class Run:
         self.share, self._most_error = 1.0, math.inf
         if each_cell and len(system):
             self.share = max(_SHARE, 1.0 / math.sqrt(3.0 * len(system)))
-            self._most_error = _MOST_ERROR * (atol + rtol * float(system.motion.radius.mean()))
+            self._most_error = _MAX_ERROR * (atol + rtol * float(system.motion.radius.mean()))
         self.length = system.motion.end - system.motion.begin
         self.elapsed = 0.0
         self.offset = 0.0
@@ -151,7 +151,7 @@ class Run:
                 self.problem, self.cell = str(refusal), refusal.cell
                 self.hint = "Choose a shorter coupling_step or a tighter integrator.atol"
                 refusals += 1
-                if refusals > _MOST_REFUSALS:
+                if refusals > _MAX_REFUSALS:
                     break
                 ceiling = 0.25 * (refusal.step or self.left)
                 continue

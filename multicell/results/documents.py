@@ -19,8 +19,8 @@ from multicell.results.folder import file_errors, to_json, write_bytes, write_te
 from multicell.results.records import parse_table
 
 _CHECKSUM: Final = "checksum"
-_LARGEST: Final = 1 << 26
-_LARGEST_LINES: Final = 1 << 30
+_MAX_BYTES: Final = 1 << 26
+_MAX_LINES_BYTES: Final = 1 << 30
 
 
 def _checksum(table: Mapping[str, Any]) -> str:
@@ -50,7 +50,7 @@ def read_table(path: Path) -> dict[str, Any] | None:
     """
     with file_errors("read", path):
         try:
-            text = read_regular(path, _LARGEST)
+            text = read_regular(path, _MAX_BYTES)
         except FileNotFoundError:
             if path.is_symlink():
                 raise
@@ -101,7 +101,7 @@ class Lines:
         self.entries: list[Any] = []
         with file_errors("read", path):
             try:
-                data = read_regular(path, _LARGEST_LINES)
+                data = read_regular(path, _MAX_LINES_BYTES)
             except FileNotFoundError:
                 if path.is_symlink():
                     raise

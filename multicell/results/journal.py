@@ -39,7 +39,7 @@ _TAG: Final = b"mcj3"
 PREFIX: Final = struct.Struct("<4sIQIII")
 """Tag, lengths and checksums of a record: 28 bytes."""
 
-_LARGEST_HEADER: Final = 1 << 24
+_MAX_HEADER: Final = 1 << 24
 _LONG: Final = 1 << 18  # bytes of an array that is not copied together with others
 _SYNC_EVERY: Final = 1.0  # s
 _TYPES: Final = ("<f8", "<i8", "<i2", "|i1", "|u1")
@@ -249,7 +249,7 @@ class Reader:
         if len(head) < PREFIX.size:
             return False
         tag, letters, length, of_text, of_body, of_head = PREFIX.unpack(head)
-        if tag != _TAG or zlib.crc32(head[:-4], self.chain) != of_head or letters > _LARGEST_HEADER:
+        if tag != _TAG or zlib.crc32(head[:-4], self.chain) != of_head or letters > _MAX_HEADER:
             # after a loss of power the end may be there without what was written to it
             if any(head) or any(file.read(1 << 16)):
                 self.damage = f"the record at byte {self.end} is damaged"

@@ -49,7 +49,7 @@ _OF_PARTS: Final = ("driven", "springs", "first_states", "replays", "stability")
 _OF_OTHERS: Final = ("local_error",)
 """Entries that earlier versions noted: they are left out."""
 
-_DEEPEST: Final = 32
+_MAX_DEPTH: Final = 32
 
 
 def arrays_of(frame: Frame, nutrients: Iterable[str]) -> Arrays:
@@ -258,7 +258,7 @@ def parse_table(text: bytes | str) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise OutputError("it does not hold a table")
     level: list[Any] = [value]
-    for _ in range(_DEEPEST):
+    for _ in range(_MAX_DEPTH):
         below = [x for v in level for x in (v.values() if isinstance(v, dict) else v)]
         if any(type(x) is int and abs(x) >= 1 << 64 for x in below):
             raise OutputError("it holds a number that no run can have written")

@@ -74,7 +74,7 @@ from multicell.schema import (
 )
 from multicell.units import BASE_UNITS, shown
 
-_LARGEST_FILE = 10_000_000
+_MAX_FILE_BYTES = 10_000_000
 """Bytes of a scene file; those with thousands of media changes have less than one million."""
 
 
@@ -339,13 +339,13 @@ def _read(source: str | Path) -> str:
 def _file_text(path: Path, source: str | Path) -> str:
     """Return the text of a regular file of a scene's size; a pipe or device may never end."""
     try:
-        content = read_regular(path, _LARGEST_FILE)
+        content = read_regular(path, _MAX_FILE_BYTES)
     except OSError as error:
         if error.errno == errno.EINVAL:
             problem = f"the scene {str(source)!r} is a device, pipe or socket, not a file"
             raise SceneError("", problem, "Write the scene to a file first.") from None
         if error.errno == errno.EFBIG:
-            problem = f"the scene file {str(source)!r} is larger than {_LARGEST_FILE // 10**6} MB"
+            problem = f"the scene file {str(source)!r} is larger than {_MAX_FILE_BYTES // 10**6} MB"
             raise SceneError("", problem, "No scene needs so much text.") from None
         raise
     return content.decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")

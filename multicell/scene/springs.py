@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 _COLUMNS: Final = ("first_id", "second_id")
-_MOST: Final = 10_000_000
+_MAX_BYTES: Final = 10_000_000
 """Bytes of a file of pairs."""
 
 
@@ -103,7 +103,7 @@ def read_pairs(file: Path, path: str) -> list[list[int]]:
         With the line, for a file that cannot be read or is no such table.
     """
     try:
-        text = read_regular(file, _MOST).decode("utf-8-sig")
+        text = read_regular(file, _MAX_BYTES).decode("utf-8-sig")
         return _rows(csv.DictReader(io.StringIO(text, newline="")), str(file), path)
     except (OSError, ValueError, csv.Error) as error:  # text that is not UTF-8, names with \0
         reason = getattr(error, "strerror", None) or error

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 _FAR = 1e3
 """Half saturation over the largest concentration."""
-_MOST = 1e5
+_MAX_HALF = 1e5
 """Largest half saturation of a scene, mM."""
 
 
@@ -87,7 +87,7 @@ def _set_field(model: Model, name: str, known: dict[Kind, Exchange]) -> None:
     top = max([model.top[name], *(x.target for x in known.values() if x.secretion > 0.0)])
     fastest = max(x.taken_up for x in known.values())
     if fastest > 0.0:
-        half = min(max(_FAR * top * unit, _FAR * 1e-6), _MOST)
+        half = min(max(_FAR * top * unit, _FAR * 1e-6), _MAX_HALF)
         del made["uptake"]
         made["half_saturation"] = half
         made["uptake_per_volume"] = fastest / MINUTE * half

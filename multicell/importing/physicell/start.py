@@ -18,7 +18,7 @@ from multicell.importing.physicell.model import Kind, Model
 if TYPE_CHECKING:
     from pathlib import Path
 
-_MOST = 10**7
+_MAX_LINES = 10**7
 _NEAR, _AWAY = 0.021, 0.1
 """How near two cells are taken to coincide, and by how much one of them is moved, in radii."""
 _READ = ("x", "y", "z", "type", "cell_type", "volume")
@@ -79,7 +79,7 @@ def _without_table(model: Model) -> Start:
     )
     number = model.root.find("user_parameters/number_of_cells")
     count = 0 if number is None else int(number.number())
-    if number is not None and 0 < count * len(model.kinds) <= _MOST:
+    if number is not None and 0 < count * len(model.kinds) <= _MAX_LINES:
         note = (
             "so many of each type, at random in the box: PhysiCell's template does so, another "
             "model's C++ code may not"
@@ -96,8 +96,8 @@ def _without_table(model: Model) -> Start:
 
 def _from_table(model: Model, path: Path) -> Start:
     rows = read_rows(path)
-    if len(rows) > _MOST:
-        raise SceneError(path.name, f"has more than {_MOST:,} lines")
+    if len(rows) > _MAX_LINES:
+        raise SceneError(path.name, f"has more than {_MAX_LINES:,} lines")
     if not rows:
         raise SceneError(path.name, "has no cells")
     labels = None if _number(rows[0][1][0]) is not None else [w.lower() for w in rows.pop(0)[1]]
