@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from multicell.cells import FloatArray
 from multicell.compiling import INNER, KERNEL
 from multicell.errors import NutrientFailed
-from multicell.scene.domain import node_counts
+from multicell.scene.domain import filling
 from multicell.scene.scales import MAX_NODES
 
 if TYPE_CHECKING:
@@ -144,7 +144,7 @@ def fill(low: FloatArray, high: FloatArray, spacing: float, height: float | None
     low, high : (3,), µm
         Its corners; where ``height`` is given the third axis is not looked at.
     spacing : float, µm
-        Largest edge of a cube; see :func:`multicell.scene.domain.node_counts`.
+        Largest edge of a cube; see :func:`multicell.scene.domain.filling`.
     height : float, µm, optional
         Of the layer in two dimensions.
 
@@ -155,7 +155,7 @@ def fill(low: FloatArray, high: FloatArray, spacing: float, height: float | None
     """
     axes = 3 if height is None else 2
     lengths = (high - low)[:axes]
-    counts = node_counts(lengths.tolist(), spacing)
+    counts = filling(lengths.tolist(), spacing)
     if counts is None:
         raise NutrientFailed(
             f"no cubes of about {spacing:g} um fill the domain",

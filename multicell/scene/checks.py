@@ -325,7 +325,7 @@ def _check_in_domain(scene: Scene, name: str) -> None:
     if math.prod(max(length / wanted, 2.0) for length in lengths) > MAX_NODES:
         problem = f"is {wanted:g} um: the domain would need more than {MAX_NODES} nodes"
         raise SceneError(f"{path}.spacing", problem, "Take a larger spacing or a smaller domain.")
-    found = box.node_counts(lengths, wanted)
+    found = box.filling(lengths, wanted)
     if found is None:
         whole = [abs(length / wanted - round(length / wanted)) for length in lengths]
         axis = "xyz"[whole.index(max(whole))]

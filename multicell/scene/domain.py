@@ -53,7 +53,7 @@ def sides(domain: Domain) -> list[float]:
     return [high - low for low, high in (end for end in ends if end is not None)]
 
 
-def node_counts(lengths: Sequence[float], spacing: float) -> tuple[int, ...] | None:
+def filling(lengths: Sequence[float], spacing: float) -> tuple[int, ...] | None:
     """Return how many cubes of one size fill a box along each axis, at least two.
 
     Of all sizes up to ``spacing``, and not below a quarter of it, the largest is taken that fits
@@ -90,7 +90,7 @@ def walls(scene: Scene) -> Walls | None:
 
 def check_start(scene: Scene, cells: Cells) -> None:
     """Raise ``SceneError`` for a cell that starts outside the scene's domain."""
-    found = None if scene.domain is None else first_outside(scene.domain, cells.position)
+    found = None if scene.domain is None else strayed(scene.domain, cells.position)
     if found is not None:
         cell, side = found
         place = ", ".join(f"{x:g}" for x in cells.position[cell])
@@ -102,7 +102,7 @@ def check_start(scene: Scene, cells: Cells) -> None:
 def check_inside(scene: Scene, ids: IntArray, position: FloatArray, time: float) -> None:
     """Raise ``StepFailed`` where a centre (n, 3) µm has left the scene's domain at a time in s."""
     domain = scene.domain
-    found = None if domain is None else first_outside(domain, position)
+    found = None if domain is None else strayed(domain, position)
     if domain is None or found is None:
         return
     cell, side = found
@@ -114,7 +114,7 @@ def check_inside(scene: Scene, ids: IntArray, position: FloatArray, time: float)
     raise StepFailed(time, problem, hint, int(ids[cell]))
 
 
-def first_outside(domain: Domain, position: FloatArray) -> tuple[int, str] | None:
+def strayed(domain: Domain, position: FloatArray) -> tuple[int, str] | None:
     """Return the first cell whose centre is not in the box, and beyond which side it is.
 
     Parameters

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from multicell.cells import Phase, State
 from multicell.errors import DataError
-from multicell.scene.domain import first_outside
+from multicell.scene.domain import strayed
 from multicell.scene.sizes import birth_radius
 from multicell.schema import near_miss
 from multicell.tables.titles import titled
@@ -164,7 +164,7 @@ def _check_sizes(scene: Scene, given: Given) -> None:
 
 def _check_places(scene: Scene, given: Given) -> None:
     """Check that all centres are inside the domain."""
-    found = None if scene.domain is None else first_outside(scene.domain, positions(given))
+    found = None if scene.domain is None else strayed(scene.domain, positions(given))
     if found is None:
         return
     row, side = found

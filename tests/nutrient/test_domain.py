@@ -14,7 +14,7 @@ from multicell.contact.law import compliance
 from multicell.errors import SceneError, StepFailed
 from multicell.nutrient.cartesian import departure
 from multicell.report.explain.scene import explain
-from multicell.scene.domain import first_outside, node_counts
+from multicell.scene.domain import filling, strayed
 from multicell.scene.parts import Domain
 from multicell.scene.scales import scales
 from multicell.scene.scene import Scene
@@ -44,7 +44,7 @@ def scene(**changes):
 )
 def test_cubes_fill_a_box_and_no_larger_ones_do(counts, edge, coarser):
     lengths, wanted = [n * edge for n in counts], coarser * edge
-    found = node_counts(lengths, wanted)
+    found = filling(lengths, wanted)
     assert found is not None
     steps = np.array(lengths) / found
     np.testing.assert_allclose(steps, steps[0], rtol=1e-9)
@@ -59,8 +59,8 @@ def test_cubes_fill_a_box_and_no_larger_ones_do(counts, edge, coarser):
 
 
 def test_a_box_that_no_cubes_fill():
-    assert node_counts([100.0, 100.0 * np.sqrt(2.0), 50.0], 10.0) is None
-    assert node_counts([100.0, 40.0], 30.0) == (5, 2)
+    assert filling([100.0, 100.0 * np.sqrt(2.0), 50.0], 10.0) is None
+    assert filling([100.0, 40.0], 30.0) == (5, 2)
 
 
 @pytest.mark.parametrize("flat", [False, True])
@@ -105,13 +105,13 @@ def test_a_centre_on_any_side_is_on_the_grid():
         corners = np.array([low, high])
         position = np.array([[corners[i, 0], corners[j, 1], corners[k, 2]]
                              for i in (0, 1) for j in (0, 1) for k in (0, 1)])  # fmt: skip
-        assert first_outside(domain, position) is None
+        assert strayed(domain, position) is None
         from multicell.nutrient.grid import BoxLayout
 
         layout = BoxLayout.within(domain, 1.7 * edge, None)
         assert layout.box.spacing <= 1.7 * edge * (1 + 1e-12)
         np.testing.assert_allclose(layout.gather(position, layout.filled(2.0)), 2.0, rtol=1e-12)
-        assert first_outside(domain, np.nextafter(position[:1], -np.inf)) == (0, "x-")
+        assert strayed(domain, np.nextafter(position[:1], -np.inf)) == (0, "x-")
 
 
 # --- what is refused ----------------------------------------------------------------------------

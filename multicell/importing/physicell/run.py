@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from multicell.errors import SceneError
 from multicell.importing.account import Fate
 from multicell.importing.physicell.model import MINUTE, Model
-from multicell.scene.domain import node_counts
+from multicell.scene.domain import filling
 
 if TYPE_CHECKING:
     from multicell.importing.xml import Element
@@ -105,7 +105,7 @@ def _read_side(model: Model, axis: str, side: Element, step: float) -> None:
 
 def _fitting(ends: dict[str, tuple[float, float]], step: float) -> dict[str, tuple[float, float]]:
     """Return the ends of a box that cubes fill: as they are, or widened evenly to whole cubes."""
-    if node_counts([high - low for low, high in ends.values()], step) is not None:
+    if filling([high - low for low, high in ends.values()], step) is not None:
         return ends
     made = {}
     for axis, (low, high) in ends.items():

@@ -148,7 +148,7 @@ def _nodes(scene: Scene, name: str, radius: FloatArray) -> FloatArray:
 
     nutrient, p = scene.nutrients[name], FieldParameters.of(scene, name)
     if scene.domain is not None:
-        counts = box.node_counts(box.sides(scene.domain), p.spacing)
+        counts = box.filling(box.sides(scene.domain), p.spacing)
         return np.full(len(radius), float(math.prod(counts or (1,))))
     flat = p.height if scene.dimensions == 2 else None
     shells = flat is None and nutrient.layout != "box"

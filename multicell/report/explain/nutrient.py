@@ -138,7 +138,7 @@ def _standing(scene: Scene, spacing: float) -> str:
     """Return the words for the grid of a field on a fixed domain."""
     assert scene.domain is not None
     lengths = box.sides(scene.domain)
-    counts = box.node_counts(lengths, spacing) or ()
+    counts = box.filling(lengths, spacing) or ()
     step = lengths[0] / counts[0] if counts else spacing
     kind = "squares" if scene.dimensions == 2 else "cubes"
     return f"{' x '.join(map(str, counts))} {kind} of {step:g} um that stand still on the domain"
