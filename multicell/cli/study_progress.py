@@ -1,4 +1,4 @@
-"""Show how far a study is and how long it still takes."""
+"""How a study reports its progress: a bar in a terminal, a line now and then elsewhere."""
 
 from __future__ import annotations
 
