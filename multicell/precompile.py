@@ -39,27 +39,32 @@ class Precompilation:
         What the run simulates.
     threads
         Of the run; with one thread no second core is used.
+
+    Attributes
+    ----------
+    process
+        None where nothing needs to be compiled, or no core is free for it.
     """
 
     def __init__(self, scene: Scene, threads: int) -> None:
-        self._process: subprocess.Popen[bytes] | None = None
+        self.process: subprocess.Popen[bytes] | None = None
         useful = threads > 1 and _core_count() > 1 and begins_alone(scene)
         if useful and not forces_are_cached():
-            self._process = _start(scene)
+            self.process = _start(scene)
 
     def watch(self, simulation: Simulation) -> None:
         """Wait for the process once the first cell has divided."""
-        if self._process is not None and len(simulation.cells) > 1:
+        if self.process is not None and len(simulation.cells) > 1:
             with suppress(subprocess.TimeoutExpired):
-                self._process.wait(MAX_WAIT)
+                self.process.wait(MAX_WAIT)
             self.close()
 
     def close(self) -> None:
         """End the process."""
-        if self._process is not None:
-            self._process.kill()
-            self._process.wait()
-            self._process = None
+        if self.process is not None:
+            self.process.kill()
+            self.process.wait()
+            self.process = None
 
 
 def _core_count() -> int:

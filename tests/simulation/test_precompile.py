@@ -77,7 +77,7 @@ def test_a_process_without_a_usable_scene_ends_silently():
     assert done.stdout == b""
 
 
-PROGRAM = """
+COMPILED = """
 import numba.core.event as event
 import multicell as mc
 from multicell import precompile
@@ -92,28 +92,51 @@ class Names(event.Listener):
 names = []
 event.register("numba:compile", Names())
 scene = mc.load_scene("growth")
+"""
+"""What notes the names of the functions that numba compiles."""
+AHEAD = """
 assert not precompile.forces_are_cached()
 precompile.take_step(scene)
-assert "_forces" in names and precompile.forces_are_cached(), names
+assert "_forces" in names, names
 """
-RUN = (
-    PROGRAM.replace("assert not", "assert")
-    .replace(
-        "precompile.take_step(scene)",
-        """
+RUN = """
+assert precompile.forces_are_cached()
 simulation = Simulation(scene, threads=1)
 while len(simulation.cells) < 3:
     simulation.step()
-""",
-    )
-    .replace('"_forces" in names', 'not {"_forces", "_rebuild"} & set(names)')
-)
+assert not {"_forces", "_rebuild"} & set(names), names
+"""
+PROCESS = """
+from types import SimpleNamespace
+assert precompile.Precompilation(scene, 1).process is None
+alone, two = SimpleNamespace(cells=range(1)), SimpleNamespace(cells=range(2))
+ahead = precompile.Precompilation(scene, 2)
+first = ahead.process
+ahead.watch(alone)
+assert first.poll() is None
+ahead.close()
+assert first.poll() is not None and ahead.process is None
+ahead = precompile.Precompilation(scene, 2)
+ahead.process.kill()
+ahead.watch(two)
+assert ahead.process is None
+"""
+
+
+@pytest.mark.skipif(os.cpu_count() == 1, reason="no core is free for another process")
+def test_the_process_ends_with_the_run_or_with_the_first_division(tmp_path):
+    apart = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    done = subprocess.run(
+        [sys.executable, "-c", COMPILED + PROCESS], capture_output=True, text=True, env=apart,
+        check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[-1500:]
 
 
 @pytest.mark.slow
 def test_a_run_finds_on_disk_what_the_process_has_compiled(tmp_path):
     apart = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
-    for program in (PROGRAM, RUN):
+    for program in (COMPILED + AHEAD, COMPILED + RUN):
         done = subprocess.run(
             [sys.executable, "-c", program], capture_output=True, text=True, env=apart, check=False
         )
