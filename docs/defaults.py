@@ -122,7 +122,9 @@ def run(case: Case, candidate: tuple[str, float], seed: int) -> list[Row]:
     begin = time.process_time()
     problem = ""
     try:
-        simulation = mc.Simulation(scene, threads=1, integrator=registry.make(scene.integrator))
+        simulation = mc.Simulation(
+            scene, threads=1, integrator=registry.from_options(scene.integrator)
+        )
         while not simulation.finished and len(simulation.cells):
             simulation.step()
     except MulticellError as error:

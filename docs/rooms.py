@@ -30,7 +30,7 @@ WHAT = {
     "mechanics": "forces, Jacobian, lists", "contact": "pair laws", "plugins": "file.py:Name",
     "tables": "CSV, Parquet",
     "schema": "declarations", "units": "at the door", "random": "streams", "threads": "sharing",
-    "compiling": "by numba", "rehearsal": "compiling ahead", "rehearsed": "by a few cells",
+    "compiling": "by numba", "precompile": "compiling ahead",
     "memory": "given back", "importing": "models of PhysiCell",
     "extras": "there or not",
     "philox": "random words", "cells": "the state", "errors": "what users meet",

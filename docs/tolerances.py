@@ -19,7 +19,7 @@ import numpy as np
 import multicell as mc
 from multicell.comparison.reference import Reference, reference
 from multicell.comparison.replay import replay
-from multicell.integrators.registry import METHODS, make
+from multicell.integrators.registry import METHODS, from_options
 from multicell.scene.parts import IntegratorOptions
 
 STEPS = 8
@@ -41,7 +41,7 @@ def defaults() -> list[tuple[str, float]]:
 
 def errors(exact: Reference, options: IntegratorOptions) -> list[np.ndarray] | str:
     """Return how far each cell is off at the end of each step, µm, or why a step failed."""
-    found = replay(exact.problem, make(options))
+    found = replay(exact.problem, from_options(options))
     if not found.done:
         return found.problem
     pairs = zip(found.positions, exact.trajectory.positions, strict=True)

@@ -1,16 +1,19 @@
-"""How functions are compiled: without wasted collections, and apart from those that call them.
+"""Compile functions without garbage collection, and apart from their callers.
 
 Numba puts the code of a function into each one that calls it, where LLVM optimises all of it once
 more. What is large and called from several loops is compiled once instead, and called at its
-address (:func:`address_of`, :func:`calling`). What is small and called by other compiled code alone
+address (:func:`address_of`, :func:`call_at`). What is small and called by other compiled code alone
 is neither optimised nor turned into machine code by itself (:data:`INNER`).
 """
 
 from __future__ import annotations
 
 import gc
+import hashlib
 import time as clock
 from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
 from typing import Any, final
 
 import numpy as np
@@ -31,7 +34,7 @@ class _Piece(JITCodeLibrary):
 
     @property
     def codegen(self) -> Any:
-        """What would be told of the function's environment, which no caller needs."""
+        """A stand-in for the code generator: no caller needs the function's environment."""
         return _Nowhere()
 
     def get_pointer_to_function(self, name: str) -> int:
@@ -193,6 +196,15 @@ _boxers.functions |= {
 }
 
 
+def fingerprint_of(*modules: ModuleType) -> str:
+    """Return twelve hexadecimal digits that change with the files of modules."""
+    digest = hashlib.sha256()
+    for module in modules:
+        assert module.__file__ is not None
+        digest.update(Path(module.__file__).read_bytes())
+    return digest.hexdigest()[:12]
+
+
 _typeof: Any = typeof
 
 
@@ -243,7 +255,7 @@ def address_of(function: Any, result: Any, *arguments: Any) -> int:
     return _ADDRESSES[key]
 
 
-def calling(result: Any, address: Any, *arguments: Any) -> tuple[Any, Any]:
+def call_at(result: Any, address: Any, *arguments: Any) -> tuple[Any, Any]:
     """Return what an intrinsic needs that calls the function at an address, its first argument.
 
     The function must have been compiled for exactly the types of the other arguments, literal

@@ -15,7 +15,7 @@ EXTRAS: Final = {
 
 
 def needs(*packages: str) -> None:
-    """Refuse to go on without some packages.
+    """Raise an error unless some packages are installed.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Files and texts of others, read at a bounded cost: whatever stands there, the answer is soon."""
+"""Read files and TOML of any origin at a bounded cost."""
 
 from __future__ import annotations
 

@@ -141,7 +141,7 @@ _pressed: list[int] = []
 def watch_command() -> None:
     """Note every Ctrl-C of a command, and raise it again where Python can only print it.
 
-    Python prints an exception that comes while it deletes an object, and goes on.
+    Python prints an exception that comes while it deletes an object, and continues.
     """
     if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         return

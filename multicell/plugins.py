@@ -29,7 +29,7 @@ from multicell.errors import MulticellError, SceneError
 from multicell.files import read_regular
 from multicell.schema import near_miss
 
-_LARGEST = 10_000_000
+_MAX_BYTES = 10_000_000
 """Bytes of a file of the user's own."""
 OWN_OBJECT = r"^.+\.py:[A-Za-z_].*$"
 """Pattern of how a scene names an object of the user's own, for editors."""
@@ -40,7 +40,7 @@ _MISSING = re.compile(r"(?:name|attribute) '(\w+)'")
 _RECORDED = re.compile(_NAMED.pattern + r"(\(.*\))?")
 
 
-def recorded_object(text: str) -> bool:
+def is_recorded_object(text: str) -> bool:
     """Return whether a text has the form of a record, ``file.py:Name`` or ``file.py:Name(…)``."""
     return bool(_RECORDED.fullmatch(text)) and text.isprintable()
 
@@ -93,7 +93,7 @@ def _module(file: Path, what: str) -> ModuleType:
     if file.suffix != ".py":
         raise SceneError(what, f"'{file}' is no Python file: its name must end in .py")
     try:
-        source = read_regular(file, _LARGEST)
+        source = read_regular(file, _MAX_BYTES)
     except FileNotFoundError:
         hint = f"It is looked for in '{Path.cwd()}'." if not file.is_absolute() else ""
         raise SceneError(what, f"there is no file '{file}'", hint) from None
@@ -158,19 +158,19 @@ def own_fault(
     function
         What was compiled: numba does not always say in which line a name is missing.
     """
-    own = _loaded if own is None else own
+    own = _is_loaded if own is None else own
     known: BaseException | None = error
     while known is not None:
         for file, line in reversed(list(_lines(known))):
-            if not _installed(file) and own(file):
-                return f"'{file}', line {line}, {_said(known, file)}"
+            if not _is_installed(file) and own(file):
+                return f"'{file}', line {line}, {_message(known, file)}"
         known = known.__cause__ or known.__context__
     if function is None:
         return None
     code = function.__code__
-    uses = (part for part in get_instructions(code) if part.argval == _missing(error))
+    uses = (part for part in get_instructions(code) if part.argval == _missing_name(error))
     at = next((part.positions.lineno for part in uses if part.positions), code.co_firstlineno)
-    return f"'{code.co_filename}', line {at}, {_said(error, code.co_filename)}"
+    return f"'{code.co_filename}', line {at}, {_message(error, code.co_filename)}"
 
 
 @contextmanager
@@ -200,14 +200,14 @@ def _lines(error: BaseException) -> Iterator[tuple[str, int]]:
             yield frame.f_code.co_filename, number
 
 
-def _installed(file: str) -> bool:
+def _is_installed(file: str) -> bool:
     """Return whether a file belongs to this package, to Python or to another package."""
     places = [Path(__file__).parent, *map(Path, sysconfig.get_paths().values())]
     path = os.path.realpath(file)
     return file.startswith("<frozen") or any(Path(path).is_relative_to(p.resolve()) for p in places)
 
 
-def _loaded(file: str) -> bool:
+def _is_loaded(file: str) -> bool:
     known = [
         module for module in list(sys.modules.values()) if hasattr(module, "_multicell_source")
     ]
@@ -215,12 +215,12 @@ def _loaded(file: str) -> bool:
     return any(Path(os.path.realpath(file)).is_relative_to(folder) for folder in folders)
 
 
-def _said(error: BaseException, file: str) -> str:
+def _message(error: BaseException, file: str) -> str:
     """Return what an error says in one line, with the name that was likely meant."""
-    missing = _missing(error)
-    told = [line.strip() for line in str(error).splitlines()]
-    told = [line for line in told if line and not line.startswith("Failed in")]
-    text = next((line for line in told if f"'{missing}'" in line), next(iter(told), ""))
+    missing = _missing_name(error)
+    lines_said = [line.strip() for line in str(error).splitlines()]
+    lines_said = [line for line in lines_said if line and not line.startswith("Failed in")]
+    text = next((x for x in lines_said if f"'{missing}'" in x), next(iter(lines_said), ""))
     lines = iter(linecache.getlines(file))
     names = {part.string for part in generate_tokens(lines.__next__) if part.type == NAME}
     names |= {*dir(getattr(error, "obj", None)), *dir(builtins)}
@@ -229,6 +229,6 @@ def _said(error: BaseException, file: str) -> str:
     return f"raises {type(error).__name__}: {text}".rstrip(": ") + hint
 
 
-def _missing(error: BaseException) -> str:
+def _missing_name(error: BaseException) -> str:
     """Return the name that an error says does not exist, or nothing."""
     return str(getattr(error, "name", None) or "".join(_MISSING.findall(str(error))[:1]))

@@ -28,7 +28,7 @@ _WORD = 2**64
 
 @final
 class Purpose(IntEnum):
-    """What a random number is for; the values are part of every result and never change."""
+    """Purpose of a random number; the values are part of every result and never change."""
 
     PLACEMENT = 1
     STAGE = 2

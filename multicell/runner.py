@@ -14,10 +14,10 @@ import numpy as np
 
 from multicell.errors import OutputError, SceneError
 from multicell.integrators.base import info_of
-from multicell.integrators.own import chosen
+from multicell.integrators.own import own_integrator
 from multicell.interrupts import STEP
 from multicell.memory import Returns
-from multicell.rehearsal import Rehearsal
+from multicell.precompile import Precompilation
 from multicell.report.result import (
     Result,
     history_arrays,
@@ -26,11 +26,11 @@ from multicell.report.result import (
 )
 from multicell.report.wording import time_unit
 from multicell.results.documents import read_table, write_summary
-from multicell.results.folder import locked
+from multicell.results.folder import lock_folder
 from multicell.results.frame import Frame
 from multicell.results.measures import check_observables
 from multicell.results.quantities import units_of
-from multicell.results.records import can_go_on
+from multicell.results.records import resume_obstacle
 from multicell.scene.scene import load_scene
 from multicell.simulation import Simulation
 from multicell.threads import thread_count
@@ -149,14 +149,14 @@ def record_run(scene: Scene, options: RunOptions, cells: Any = None) -> Recorder
         stack.enter_context(failing_as_run())
         interrupt = stack.enter_context(STEP).deliver
         stack.callback(recorder.close)
-        rehearsal = Rehearsal(scene, threads)
-        stack.callback(rehearsal.close)
+        precompilation = None
         if own is None:
-            rehearsal.begin(scene)
+            precompilation = Precompilation(scene, threads)
+            stack.callback(precompilation.close)
         simulation = Simulation(scene, threads=threads, integrator=own, reactions=options.reactions)
         recorder.note_startup(simulation, begin)
         recorder.record(simulation)
-        advance_run(simulation, recorder, interrupt, options.progress, rehearsal)
+        advance_run(simulation, recorder, interrupt, options.progress, precompilation)
     return recorder
 
 
@@ -168,7 +168,7 @@ def integrated_by(
         return scene, None
     if isinstance(integrator, str) and ":" not in integrator:
         return scene.with_changes({"integrator": integrator}), None
-    options, own = chosen(integrator, scene.integrator)
+    options, own = own_integrator(integrator, scene.integrator)
     refused = info_of(own).refusal(scene.initial.count, friction=scene.friction is not None)
     if refused is not None:
         raise SceneError("integrator.method", *refused)
@@ -180,15 +180,15 @@ def advance_run(
     recorder: Recorder,
     interrupt: Callable[[], None],
     progress: Callable[[Simulation], None] | None,
-    rehearsal: Rehearsal | None = None,
+    precompilation: Precompilation | None = None,
 ) -> None:
     """Advance to the scene's end and record each step; ``interrupt`` may end it between two."""
-    rehearsal = rehearsal or Rehearsal(simulation.scene)
     try:
         while not simulation.finished:
             simulation.step()
             recorder.record(simulation)
-            rehearsal.watch(simulation)
+            if precompilation is not None:
+                precompilation.watch(simulation)
             if progress is not None:
                 progress(simulation)
             interrupt()
@@ -205,7 +205,8 @@ def advance_run(
             error.add_note(str(trouble))  # the first error is the one that counts
         raise
     finally:
-        rehearsal.close()
+        if precompilation is not None:
+            precompilation.close()
     recorder.finish(simulation, interrupted=False)
 
 
@@ -420,7 +421,7 @@ def record_resumed(
     with ExitStack() as stack:
         contents = Contents(folder)
         if here:
-            stack.enter_context(locked(folder))
+            stack.enter_context(lock_folder(folder))
             contents = Contents(folder)  # another run may have come first
         place = _place(contents, frame)
         _check_damage(contents, frame, here)
@@ -434,7 +435,7 @@ def record_resumed(
             for k in range(place):  # what is damaged is better known before the run than after it
                 contents.frame(k)
             last = _last_planned(contents, place, simulation) if planned else place
-            store = Store.go_on(contents, last, rows, scene)
+            store = Store.resume(contents, last, rows, scene)
         else:
             last = place
             store = Store.create(target, scene, options.overwrite)
@@ -485,7 +486,7 @@ def _simulation(scene: Scene, contents: Contents, place: int, options: RunOption
         raise OutputError(
             f"the frame at {start.time:g} s in '{folder}' does not hold what a run needs to go on"
         )
-    problem = can_go_on(start)
+    problem = resume_obstacle(start)
     if problem:
         raise OutputError(f"no run can go on from the frame at {start.time:g} s: {problem}")
     most = scene.stop_cells

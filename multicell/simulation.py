@@ -113,7 +113,7 @@ class Simulation(RunState):
         if frame is None:
             table = scene.initial.cells
             given = cells is not None or (table is not None and "state" in table.given.columns)
-            first = start.separated(scene, initial_cells(scene) if cells is None else cells)
+            first = start.separate(scene, initial_cells(scene) if cells is None else cells)
             self._start(first, given_states=given)
         else:
             self.resume(frame)

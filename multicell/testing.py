@@ -1,6 +1,6 @@
 """Conformance tests for parts of the user's own.
 
-:func:`check_integrator` tells whether a method keeps the promises that runs and comparisons rely
+:func:`check_integrator` checks whether a method keeps the promises that runs and comparisons rely
 on (:class:`multicell.Integrator`). It fits into any test suite:
 
 >>> from multicell.testing import check_integrator
@@ -29,7 +29,7 @@ from multicell.contact.law import PairLaw, effective_modulus
 from multicell.errors import SceneError
 from multicell.growth_laws.law import GrowthLaw
 from multicell.integrators.base import Integrator, MethodInfo, Outcome, build
-from multicell.integrators.own import known
+from multicell.integrators.own import method_info
 from multicell.mechanics.motion import Motion
 from multicell.mechanics.system import Mechanics
 from multicell.results.observable import Observable, TissueState
@@ -201,7 +201,7 @@ def check_integrator(method: Any) -> None:
     SceneError
         If there is no such method, it is no integrator, or cannot be made.
     """
-    info = known(method)
+    info = method_info(method)
     wanted = "step" if info.control == "step" else "atol"
     problems = []
     if wanted not in info.settings:
@@ -226,7 +226,7 @@ def _require(kept: object, problem: str) -> None:
         raise _Broken(problem)
 
 
-def _made(info: MethodInfo, setting: float) -> Integrator:
+def _instantiate(info: MethodInfo, setting: float) -> Integrator:
     """Return the method with a step in s or a tolerance in µm."""
     if info.control == "step":
         return build(info, step=setting, atol=1e-7, max_displacement=0.5)
@@ -291,7 +291,7 @@ def _finished(
     info: MethodInfo, setting: float, problem: tuple[Mechanics, FloatArray]
 ) -> tuple[FloatArray, Mechanics]:
     """Return where a solve ended, which must reach the end."""
-    outcome, system = _solved(_made(info, setting), problem)
+    outcome, system = _solved(_instantiate(info, setting), problem)
     at = f"with {'step' if info.control == 'step' else 'tolerance'} {setting:g}"
     _require(outcome.done, f"{at} it does not reach the end: {outcome.problem}")
     _require(outcome.time == END, f"{at} it ends at {outcome.time!r} s, not at {END!r} s")
@@ -327,7 +327,7 @@ def _check_inputs(info: MethodInfo) -> None:
     system, position = _spheres()
     motion, before = system.motion, position.copy()
     known = {f.name: np.array(getattr(motion, f.name)) for f in fields(motion)}
-    outcome, _ = _solved(_made(info, _usual(info)), (system, position))
+    outcome, _ = _solved(_instantiate(info, _usual(info)), (system, position))
     _require((position == before).all(), "it changes the positions that it was given")
     same = system.motion is motion and all(
         np.array_equal(value, np.array(getattr(motion, name))) for name, value in known.items()
@@ -348,13 +348,13 @@ def _check_counts(info: MethodInfo) -> None:
         count = math.ceil((END - BEGIN) / _usual(info))
         _require(work.steps == count, f"it counts {work.steps} steps where there are {count}")
         # 1.0 - 0.7 is a little more than three steps of 0.1
-        _, system = _solved(_made(info, 0.1), _lone(begin=0.7, end=1.0))
+        _, system = _solved(_instantiate(info, 0.1), _lone(begin=0.7, end=1.0))
         taken = system.work.steps
         _require(taken == 3, f"it takes {taken} steps of 0.1 s from 0.7 s to 1 s, and not 3")
 
 
 def _check_repetition(info: MethodInfo) -> None:
-    method = _made(info, _usual(info))
+    method = _instantiate(info, _usual(info))
     first, _ = _solved(method, _spheres())
     _solved(method, _lone(3))
     again, _ = _solved(method, _spheres())
@@ -365,9 +365,9 @@ def _check_repetition(info: MethodInfo) -> None:
 def _check_failures(info: MethodInfo) -> None:
     system, position = _spheres()
     position[2, 1] = np.nan
-    outcome, _ = _solved(_made(info, _usual(info)), (system, position))
+    outcome, _ = _solved(_instantiate(info, _usual(info)), (system, position))
     _require(not outcome.done, "it calls a state done that is no number")
-    _require(outcome.time == BEGIN, "it says that it has gone on from a state that is no number")
+    _require(outcome.time == BEGIN, "it reports progress from a state that is not a number")
 
 
 def _check_lone_cell(info: MethodInfo) -> None:

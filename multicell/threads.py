@@ -1,4 +1,4 @@
-"""How many threads the kernels may use, and how they share their loops."""
+"""Number of threads that kernels may use, and how these share loops."""
 
 from __future__ import annotations
 
@@ -81,12 +81,7 @@ def two_drivers(body: Callable[..., Any]) -> tuple[Any, Any]:
     twin.__qualname__, twin.__module__ = name, body.__module__
     serial = njit(**KERNEL)
     shared = njit(**KERNEL, parallel=True)
-    DRIVERS[twin.__module__, name] = made = serial(body), shared(twin)
-    return made
-
-
-DRIVERS: dict[tuple[str, str], tuple[Any, Any]] = {}
-"""Module and name of each driver for all threads -> the one for one thread, and itself."""
+    return serial(body), shared(twin)
 
 
 @final
@@ -94,7 +89,7 @@ class Team:
     """Threads of the interpreter that share loops of kernels that release its lock.
 
     In place of numba's own where passes are few and long: nothing is compiled twice, and a thread
-    that waits for another one sleeps, and loses little beside a process that keeps cores busy. A
+    that waits for another one sleeps, and loses little beside a process that occupies all cores. A
     context, at whose end the threads are gone.
 
     Parameters

@@ -9,7 +9,7 @@ from numba import njit, types
 from numba.extending import intrinsic
 
 from multicell import compiling
-from multicell.compiling import address_of, calling, kind_of
+from multicell.compiling import address_of, call_at, kind_of
 from multicell.contact.jkr import JKR
 
 
@@ -25,7 +25,7 @@ def _summed(values, weight):
 
 @intrinsic
 def _summed_at(context, address, values, weight):
-    return calling(types.Tuple((types.float64, values)), address, values, weight)
+    return call_at(types.Tuple((types.float64, values)), address, values, weight)
 
 
 @njit

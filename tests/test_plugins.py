@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from multicell.errors import SceneError
-from multicell.plugins import load_object, origin, recorded_object
+from multicell.plugins import is_recorded_object, load_object, origin
 
 
 def written(folder, text, name="mine.py"):
@@ -70,8 +70,8 @@ def test_a_folder_and_an_unreadable_file(tmp_path):
 
 
 def test_the_form_of_a_name():
-    assert recorded_object("mine.py:Own")
-    assert recorded_object("__main__:Own(alpha=0.3, name='x:y')")
-    assert not recorded_object("cvode")
-    assert not recorded_object("mine.py:")
-    assert not recorded_object("a\n.py:Own")
+    assert is_recorded_object("mine.py:Own")
+    assert is_recorded_object("__main__:Own(alpha=0.3, name='x:y')")
+    assert not is_recorded_object("cvode")
+    assert not is_recorded_object("mine.py:")
+    assert not is_recorded_object("a\n.py:Own")

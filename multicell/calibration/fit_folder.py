@@ -18,7 +18,7 @@ from multicell.calibration.problem import Problem
 from multicell.errors import OutputError
 from multicell.results.documents import Lines, read_table, write_table
 from multicell.results.folder import (
-    locked,
+    lock_folder,
     make_folder,
     package_version,
     remove,
@@ -98,7 +98,7 @@ def open_folder(
             f"'{folder}' holds another fit: {', '.join(other) or 'its version'} differ. Choose "
             "another folder, or allow overwriting (--overwrite, overwrite=True)"
         )
-    with locked(folder):
+    with lock_folder(folder):
         if overwrite:
             remove(folder, FILES)
         if _read_fit(folder) is None:

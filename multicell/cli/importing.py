@@ -37,7 +37,7 @@ def importing(
 ) -> None:
     """Make a scene of the model of another program: SETTINGS is PhysiCell_settings.xml.
 
-    What a scene can say is mapped, and account.md tells for each element of the file what became of
+    What a scene can say is mapped, and account.md lists for each element of the file what became of
     it: mapped, approximated (with how), left out (with why), or off because it has no effect in the
     model either. Tables of cells and of rules that the settings name are read as well, C++ code is
     not.

@@ -67,13 +67,13 @@ def main() -> None:
 @law_option
 @changes_option
 @click.option(
-    "--first-step", is_flag=True, help="Also tell what `auto` chooses for the first coupling step."
+    "--first-step", is_flag=True, help="Also show what `auto` chooses for the first coupling step."
 )
 @as_json_option
 def explain(
     scene: str, law: str | None, changes: Sequence[str], first_step: bool, as_json: bool
 ) -> None:
-    """Tell what a SCENE uses and why, without running it."""
+    """Explain what a SCENE uses and why, without running it."""
     from multicell.report.explain.scene import explain as explained
 
     facts = explained(scene_of(scene, changes, law), first_step=first_step)
@@ -83,7 +83,7 @@ def explain(
         _print_facts(console(), scene, facts)
 
 
-def _simulating(command: Callable[..., None]) -> Callable[..., None]:
+def _run_options(command: Callable[..., None]) -> Callable[..., None]:
     """Add what ``run`` and ``resume`` take."""
     options = (
         law_option,
@@ -110,7 +110,7 @@ def _simulating(command: Callable[..., None]) -> Callable[..., None]:
     metavar="FILE",
     help="Cells to start with, a CSV or Parquet table (--set initial.cells=FILE).",
 )
-@_simulating
+@_run_options
 def run(
     scene: str,
     output: Path,
@@ -138,9 +138,9 @@ def run(
 
 @main.command()
 @click.argument("folder", type=click.Path(path_type=Path))
-@click.option("--frame", type=int, default=-1, show_default=True, help="Frame to go on from.")
-@output_option("Folder for the whole run; by default it goes on in FOLDER.", required=False)
-@_simulating
+@click.option("--frame", type=int, default=-1, show_default=True, help="Frame to resume from.")
+@output_option("Folder for the whole run; by default FOLDER itself.", required=False)
+@_run_options
 def resume(
     folder: Path,
     frame: int,
@@ -150,10 +150,10 @@ def resume(
     integrator: str | None,
     **options: Any,
 ) -> None:
-    """Go on with the run in FOLDER, from its last frame or from another one.
+    """Resume the run in FOLDER from its last frame or from another one.
 
-    Without changes the run becomes what it would have been, bit for bit on the same machine. --set
-    may change what can change while a run goes on: duration, stop_cells, output and the medium.
+    Without changes the result is bitwise identical to one longer run on the same machine. --set
+    may change what can change during a run: duration, stop_cells, output and the medium.
     """
     parsed = parse_changes(changes)
     if law is not None:
@@ -258,7 +258,7 @@ def _finish_early(error: BaseException, output: Path, no_report: bool, as_json: 
     last = result.frames[-1].time if count else 0.0
     complain(f"{count} frame(s) up to {time_text(last)} are kept in '{output}'.")
     if isinstance(error, KeyboardInterrupt):
-        complain(f"To go on from there: multicell resume {shlex.quote(str(output))}")
+        complain(f"To continue from there: multicell resume {shlex.quote(str(output))}")
     if as_json and isinstance(error, KeyboardInterrupt):
         print_json({**result.summary(), "interrupted": True})
 
@@ -307,4 +307,4 @@ def _print_summary(console: Console, summary: dict[str, Any], output: Path) -> N
         console.print(plain(f"Note: {note}"), style="yellow")
     console.print(plain(f"Results are in '{output}'."))
     longer = f"multicell resume {shlex.quote(str(output))} --set duration='…'"
-    console.print(plain(f"To go on for longer: {longer}"))
+    console.print(plain(f"To continue the run: {longer}"))

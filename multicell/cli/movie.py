@@ -15,7 +15,7 @@ from multicell.cli.options import (
     quiet_option,
 )
 from multicell.cli.process import print_json
-from multicell.cli.progress import counted
+from multicell.cli.progress import count_progress
 from multicell.errors import OutputError
 
 
@@ -75,7 +75,7 @@ def movie(
     if (output.exists() or output.is_symlink()) and not overwrite:
         raise OutputError(f"'{output}' exists already: name another file (-o) or overwrite it")
     run = load_result(folder)
-    with counted("pictures", show=not quiet) as progress:
+    with count_progress("pictures", show=not quiet) as progress:
         written(
             run, output, plane=section, colour=colour, rate=rate, progress=progress, space=space,
             cut=cut or "quarter", turn=TURN if turn is None else turn, transparent=transparent,

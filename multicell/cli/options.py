@@ -1,4 +1,4 @@
-"""What all commands share: options, and how they are read."""
+"""Options that commands share, and how they are read."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 Option = Callable[[Any], Any]
 """A decorator of click."""
 
-_DEEPEST = 20
+_MAX_DEPTH = 20
 """Tables and lists of a scene stand at most five deep."""
 
 as_json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
@@ -174,8 +174,8 @@ def _value(key: str, text: str) -> Any:
     except ValueError as error:  # nested too deeply, integers of thousands of digits
         raise SceneError(key, f"is {shown(text)}, which cannot be read: {error}") from None
     value = parsed["value"]
-    if _depth(value) > _DEEPEST:
-        raise SceneError(key, f"is nested more than {_DEEPEST} deep")
+    if _depth(value) > _MAX_DEPTH:
+        raise SceneError(key, f"is nested more than {_MAX_DEPTH} deep")
     known = isinstance(value, bool | int | float | str | list | dict)
     # a line break would smuggle in a second key; a date is no value of a scene
     return value if known and set(parsed) == {"value"} else text

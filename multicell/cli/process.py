@@ -1,4 +1,4 @@
-"""Everything between a command and the process that runs it: streams, exit codes, last words.
+"""Run a command in a process: streams, exit codes, messages of errors.
 
 A command ends with one of the exit codes of :mod:`multicell.cli.main` and at most one line about
 what went wrong, whatever the streams are: of a narrow encoding, full, closed, or a pipe that nobody
@@ -58,14 +58,14 @@ _PLAIN = ("strict", "backslashreplace", "surrogateescape")
 """How streams treat what they cannot encode unless somebody has asked for another way."""
 
 
-def _degraded(error: UnicodeError) -> tuple[str, int]:
+def _degrade(error: UnicodeError) -> tuple[str, int]:
     """Spell out what an encoding does not have; the handler of codecs with our name."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
-    return "".join(map(spelt, error.object[error.start : error.end])), error.end
+    return "".join(map(spell, error.object[error.start : error.end])), error.end
 
 
-def spelt(character: str) -> str:
+def spell(character: str) -> str:
     """Return ASCII in place of a character: a name, its letter without accents, or ``?``."""
     if character in _SPELT:
         return _SPELT[character]
@@ -73,7 +73,7 @@ def spelt(character: str) -> str:
     return plain or "?"
 
 
-codecs.register_error("multicell.spelt", _degraded)
+codecs.register_error("multicell.spelt", _degrade)
 
 
 @final
@@ -102,7 +102,7 @@ class Commands(click.Group):
 def exit_code(command: Callable[[], Any], as_json: bool) -> int:
     """Run a command; put what went wrong into one line; return the exit code."""
     _open_standard_streams()
-    with _spelling():
+    with _spell_out():
         try:
             code = command()
             if sys.stdout is not None:
@@ -116,13 +116,13 @@ def exit_code(command: Callable[[], Any], as_json: bool) -> int:
             return leaving.exit_code
         except Exception as error:
             if interrupted() and not isinstance(error, MulticellError | OSError):
-                # a Ctrl-C that came while a library was being loaded, or told otherwise
+                # a Ctrl-C during the import of a library, or reported as another error
                 complain("Interrupted.")
                 return INTERRUPTED
-            return _explained(error, as_json)
+            return _explain(error, as_json)
 
 
-def _explained(error: Exception, as_json: bool) -> int:
+def _explain(error: Exception, as_json: bool) -> int:
     """Print one line (usage errors: click's) about an error; return its exit code."""
     if isinstance(error, BrokenPipeError):
         return PIPE_CLOSED
@@ -251,7 +251,7 @@ def _unwritable(error: Exception) -> bool:
 
 @contextmanager
 def quietly() -> Iterator[None]:
-    """Go on where a stream cannot be written to: the exit code says what there is to say."""
+    """Continue where a stream cannot be written to; the exit code reports it."""
     try:
         yield
     except (OSError, ValueError):
@@ -259,7 +259,7 @@ def quietly() -> Iterator[None]:
 
 
 @contextmanager
-def _spelling() -> Iterator[None]:
+def _spell_out() -> Iterator[None]:
     """Let the standard streams spell out what their encoding lacks."""
     changed = []
     for stream in (sys.stdout, sys.stderr):

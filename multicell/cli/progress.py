@@ -1,11 +1,10 @@
-"""How a run tells that it goes on: a bar in a terminal, a line now and then elsewhere.
+"""Show how far a run or a study is: a bar in a terminal, a line now and then elsewhere.
 
 All of it goes to stderr; stdout belongs to results.
 """
 
 from __future__ import annotations
 
-import math
 import os
 import sys
 import time
@@ -32,13 +31,67 @@ def reporter(scene: Scene, *, show: bool = True) -> Iterator[Progress | None]:
     if not show:
         yield None
         return
+    clock = _Clock(scene)
+    with display(lambda: clock.words, refresh=5, lines=10) as update:
+
+        def advance(simulation: Any) -> None:
+            clock.note(simulation)
+            update(simulation.time / scene.duration)
+
+        yield advance
+
+
+@contextmanager
+def display(
+    words: Callable[[], str], *, refresh: float, lines: int
+) -> Iterator[Callable[[float], None]]:
+    """Yield what is called with the part that is done.
+
+    Parameters
+    ----------
+    words
+        Returns what stands beside the bar, or in a line.
+    refresh
+        How often a terminal is drawn anew, 1/s.
+    lines
+        How many lines are printed in all where there is no terminal.
+    """
     console = on_stderr()
-    with _bar(scene, console) if console.is_terminal else _lines(scene, console) as progress:
-        yield progress
+    if not console.is_terminal:
+        printed = 0
+
+        def show(done: float) -> None:
+            nonlocal printed
+            part = int(lines * done * (1.0 + 1e-12))
+            if part > printed:
+                printed = part
+                console.print(
+                    f"{100 * part // lines:3d} %  {words()}", markup=False, soft_wrap=True
+                )
+
+        yield show
+        return
+    from rich import progress as rich_progress
+    from rich.text import Text
+
+    @final
+    class Words(rich_progress.ProgressColumn):
+        def render(self, task: Any) -> Text:
+            return Text(words())
+
+    columns = (
+        rich_progress.BarColumn(bar_width=24),
+        rich_progress.TaskProgressColumn(),
+        Words(),
+        rich_progress.TimeElapsedColumn(),
+    )
+    with rich_progress.Progress(*columns, console=console, refresh_per_second=refresh) as bar:
+        task = bar.add_task("", total=1.0)
+        yield lambda done: bar.update(task, completed=done)
 
 
 def on_stderr() -> Console:
-    """Return the console that progress is told on; the cell of a notebook is no terminal.
+    """Return the console that shows progress; the cell of a notebook is no terminal.
 
     IPython runs commands in a terminal of its own, but adds up what a terminal would redraw.
     """
@@ -52,7 +105,7 @@ def on_stderr() -> Console:
 
 
 @contextmanager
-def counted(what: str, *, show: bool = True) -> Iterator[Callable[[int, int], None] | None]:
+def count_progress(what: str, *, show: bool = True) -> Iterator[Callable[[int, int], None] | None]:
     """Yield what is called with how much is done and how much there is, or None to show nothing.
 
     A bar in a terminal; elsewhere nothing, since such work is short.
@@ -81,76 +134,34 @@ def status(simulation: Any, wall: float, left: float | None = None) -> str:
     )
 
 
-_TELL_EVERY: Final = 0.5  # s between two looks ahead
-_WORTH: Final = 10.0  # s that are left, from which on the scene is asked for a forecast
+_UPDATE_EVERY: Final = 0.5
+"""Wall time between two predictions, s."""
+_FORECAST_AFTER: Final = 10.0
+"""Wall time of a run after which its end is predicted, s."""
 
 
 @final
 class _Clock:
-    """Times a run and tells where it stands; to be asked after every step."""
+    """Times a run and says where it stands; to be called after every step."""
 
     def __init__(self, scene: Scene) -> None:
-        cycle = math.inf if scene.growth is None else scene.growth.mean_cycle
-        self._remaining = Remaining(scene.duration, scene.stop_cells, cycle)
-        self._start = self._before = self._told = time.perf_counter()
-        self._left: float | None = None
         self._scene = scene
+        self._start = self._before = self._predicted = time.perf_counter()
+        self._remaining: Remaining | None = None
+        self._left: float | None = None
+        self._last = 0.0
+        self.words = "starting"
 
-    def status(self, simulation: Any) -> str:
-        """Return where the run stands in words."""
+    def note(self, simulation: Any) -> None:
+        """Note a step."""
         now = time.perf_counter()
-        self._remaining.note(simulation.time, len(simulation.cells), now - self._before)
-        self._before = now
-        if now - self._told > _TELL_EVERY:
-            self._told, self._left = now, self._remaining.left()
-            if self._remaining.forecast is None and (self._left or 0.0) > _WORTH:
-                self._remaining.forecast = _forecast(self._scene)
-                self._left = self._remaining.left()
-                self._before = time.perf_counter()
-        return status(simulation, now - self._start, self._left)
-
-
-def _forecast(scene: Scene) -> Forecast:
-    """Return how a scene's population is expected to grow; it takes about half a second."""
-    from multicell.report.explain.cost import cost_of_step
-    from multicell.report.explain.course import course
-
-    found = course(scene)
-    return Forecast(found.times, found.cells, *cost_of_step(scene))
-
-
-@contextmanager
-def _bar(scene: Scene, console: Console) -> Iterator[Progress]:
-    """Draw a bar in simulated time."""
-    from rich import progress as rich_progress
-
-    columns = (
-        rich_progress.BarColumn(bar_width=24),
-        rich_progress.TaskProgressColumn(),
-        rich_progress.TextColumn("{task.fields[status]}", markup=False),
-    )
-    clock = _Clock(scene)
-    with rich_progress.Progress(*columns, console=console, refresh_per_second=5) as bar:
-        task = bar.add_task("", total=scene.duration, status="starting")
-
-        def advance(simulation: Any) -> None:
-            text = clock.status(simulation)
-            bar.update(task, completed=simulation.time, status=text)
-
-        yield advance
-
-
-@contextmanager
-def _lines(scene: Scene, console: Console) -> Iterator[Progress]:
-    """Print a line at every tenth of the simulated time, for logs."""
-    clock, printed = _Clock(scene), 0
-
-    def advance(simulation: Any) -> None:
-        nonlocal printed
-        text = clock.status(simulation)
-        tenth = int(10.0 * simulation.time / scene.duration * (1.0 + 1e-12))
-        if tenth > printed:
-            printed = tenth
-            console.print(f"{10 * tenth:3d} %  {text}", markup=False, soft_wrap=True)
-
-    yield advance
+        if self._remaining is not None:
+            length = simulation.time - self._last
+            self._remaining.note(simulation.time, length, len(simulation.cells), now - self._before)
+            if now - self._predicted > _UPDATE_EVERY:
+                self._predicted, self._left = now, self._remaining.left()
+        elif now - self._start > _FORECAST_AFTER:
+            forecast = Forecast.of(self._scene)
+            self._remaining = Remaining(self._scene.duration, forecast, self._scene.stop_cells)
+        self._last, self._before = simulation.time, time.perf_counter()
+        self.words = status(simulation, now - self._start, self._left)

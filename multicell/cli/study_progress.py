@@ -5,25 +5,24 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Final, final
 
-from multicell.cli.progress import on_stderr
+from multicell.cli.progress import display
 from multicell.cli.remaining import in_words
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from multicell.studies.runs import Run
     from multicell.studies.study import Study
     from multicell.studies.task import Outcome
 
 Progress = Callable[["Outcome"], None]
-_LINES: Final = 20  # lines of a log
+_LINES: Final = 20
+"""Lines of a log."""
 
 
 @final
 class Pace:
-    """How much of a study is done, and how long the rest will take.
+    """Progress of a study and prediction of the time that is left.
 
     What runs are expected to take is corrected by the ratio of what those that ended took to what
     they were expected to; the expectation counts as much as one more run.
@@ -92,51 +91,12 @@ def reporter(study: Study, cores: int | None, *, show: bool = True) -> Iterator[
     if not show:
         yield None
         return
-    console = on_stderr()
     pace = Pace(study.runs, cores, time.perf_counter())
-    with _bar(pace, console) if console.is_terminal else _lines(pace, console) as progress:
-        yield progress
-
-
-@contextmanager
-def _bar(pace: Pace, console: Console) -> Iterator[Progress]:
-    """Draw a bar in expected time."""
-    from rich import progress as rich_progress
-    from rich.text import Text
-
-    @final
-    class Standing(rich_progress.ProgressColumn):
-        def render(self, task: Any) -> Text:
-            return Text(pace.words(time.perf_counter()))
-
-    columns = (
-        rich_progress.BarColumn(bar_width=24),
-        rich_progress.TaskProgressColumn(),
-        Standing(),
-        rich_progress.TimeElapsedColumn(),
-    )
-    with rich_progress.Progress(*columns, console=console, refresh_per_second=2) as bar:
-        task = bar.add_task("", total=1.0)
+    with display(lambda: pace.words(time.perf_counter()), refresh=2, lines=_LINES) as update:
 
         def note(outcome: Outcome) -> None:
             pace.note(outcome, time.perf_counter())
-            bar.update(task, completed=pace.share)
+            if not outcome.reused:
+                update(pace.share)
 
         yield note
-
-
-@contextmanager
-def _lines(pace: Pace, console: Console) -> Iterator[Progress]:
-    """Print a line now and then, for logs; none for what was there."""
-    printed = 0
-
-    def note(outcome: Outcome) -> None:
-        nonlocal printed
-        now = time.perf_counter()
-        pace.note(outcome, now)
-        part = pace.done * _LINES // max(pace.total, 1)
-        if not outcome.reused and (part > printed or not pace.left):
-            printed = part
-            console.print(pace.words(now), markup=False, soft_wrap=True)
-
-    yield note

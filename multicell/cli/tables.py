@@ -1,4 +1,4 @@
-"""How tables and words are printed on the terminal."""
+"""Print tables and words on the terminal."""
 
 from __future__ import annotations
 

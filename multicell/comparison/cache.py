@@ -20,7 +20,7 @@ import numpy as np
 from multicell.cells import Cells
 from multicell.comparison.replay import Events, Problem, Step, Trajectory
 from multicell.mechanics.motion import Motion
-from multicell.results.folder import file_errors, replacing, versions
+from multicell.results.folder import file_errors, replace_file, versions
 from multicell.scene.scene import Scene
 
 FORMAT: Final = 5
@@ -108,7 +108,7 @@ def save(path: Path, problem: Problem, trajectory: Trajectory, about: Mapping[st
         arrays |= _packed(name, values)
     with file_errors("write", path):
         path.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(path) as file:
+    with replace_file(path) as file:
         np.savez(file, **arrays)
     return path
 

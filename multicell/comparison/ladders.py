@@ -13,7 +13,7 @@ from multicell.comparison.replay import Problem, Trajectory
 from multicell.errors import SceneError
 from multicell.integrators import registry
 from multicell.integrators.base import Control, Integrator, MethodInfo, build
-from multicell.integrators.own import known
+from multicell.integrators.own import method_info
 from multicell.integrators.registry import METHODS
 from multicell.mechanics.motion import Work
 from multicell.scene.scene import Scene
@@ -84,7 +84,7 @@ def find_method(method: Any, scene: Scene, radius: float) -> Method:
     """
     if isinstance(method, Method):
         return method
-    info = known(method, "methods")
+    info = method_info(method, "methods")
     wanted = "step" if info.control == "step" else "atol"
     if wanted not in info.settings:
         raise SceneError("methods", f"{info.name!r} cannot be turned: it takes no {wanted!r}")

@@ -1,4 +1,4 @@
-"""The constants of a pair law: NamedTuples whose type tells the kernels which law it is.
+"""Constants of pair laws: NamedTuples whose type selects the law in the kernels.
 
 The function of a law is written with bare floats and returns a tuple of force (nN), stiffness
 dF/dh (nN/µm) and energy (fJ). It is called as ``function(overlap, modulus, radius, p, ...)`` with

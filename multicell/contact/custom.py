@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from multicell.contact.constants import constants_of, fingerprint, further_arguments, helpers_of
-from multicell.contact.derived import Scalar, arranged, force_alone, whole_law, without_energy
+from multicell.contact.derived import Scalar, force_alone, whole_law, with_arguments, without_energy
 from multicell.contact.law import PairLaw
 from multicell.contact.registry import LAWS
 from multicell.errors import SceneError
@@ -162,7 +162,7 @@ def pair_law(
     or both after these if it has arguments of these names; see
     :mod:`multicell.contact.constants` for their meaning and units. ``p`` has the parameters as
     attributes, in base units. It is compiled: arithmetic on floats, :mod:`math` and other such
-    functions are what it may use. It is asked only where the law acts: for an overlap above
+    functions are what it may use. It is called only where the law acts: for an overlap above
     zero, or above minus the reach.
 
     Parameters
@@ -196,9 +196,9 @@ def pair_law(
         if taken:
             raise TypeError(f"{taken[0]!r} cannot be the name of a parameter of a law")
         parts = {"force": force, "stiffness": stiffness, "energy": energy, "reach": reach}
-        push = arranged(force)
-        slope = None if stiffness is None else arranged(stiffness)
-        work = None if energy is None else arranged(energy)
+        push = with_arguments(force)
+        slope = None if stiffness is None else with_arguments(stiffness)
+        work = None if energy is None else with_arguments(energy)
         whole = whole_law(push, slope, work, reach)
         constants = constants_of(
             whole,

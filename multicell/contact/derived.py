@@ -20,7 +20,7 @@ _PANELS = 8
 _NODES, _WEIGHTS = (tuple(map(float, part)) for part in np.polynomial.legendre.leggauss(8))
 
 
-def arranged(f: Scalar) -> Scalar:
+def with_arguments(f: Scalar) -> Scalar:
     """Return a function with all arguments that a law of the user's may have."""
     further = further_arguments(f)
     if further == ():
@@ -39,7 +39,7 @@ def arranged(f: Scalar) -> Scalar:
 
 
 def _begin_of(reach: Scalar | None) -> Scalar:
-    """Return the function that tells the overlap from which a law acts."""
+    """Return the function of the overlap from which a law acts."""
     if reach is None:
         return lambda modulus, radius, rest, p: 0.0
     return lambda modulus, radius, rest, p: -reach(modulus, radius, rest, p)

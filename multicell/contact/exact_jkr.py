@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 _LEAST_ENERGY = 1e-60
 """Stands for a surface energy of zero, nN/µm: the curve has no scale without adhesion."""
 _RESOLVED = 1e-8
-"""Smallest u - 1 that a slope is taken at: an overlap rounded to 16 digits tells no more."""
+"""Smallest u - 1 that a slope is taken at: an overlap rounded to 16 digits resolves no more."""
 
 
 def beyond_turning(excess: float) -> float:

@@ -1,4 +1,4 @@
-"""What every pair law of two elastic, sticky spheres offers.
+"""The base class of pair laws between two elastic, sticky spheres.
 
 Conventions (equation numbers of the thesis that the model page cites): the overlap is
 ``h = r_i + r_j - distance`` (3.1) and a positive force pushes the cells apart. Hertz and
@@ -57,7 +57,7 @@ class PairLaw(ABC):
 
     @abstractmethod
     def describe(self, energy: str) -> str:
-        """Return the law in words; ``energy`` tells its surface energy."""
+        """Return the law in words; ``energy`` states its surface energy."""
 
     @abstractmethod
     def equilibrium_overlap(self, modulus: ArrayLike, radius: ArrayLike) -> FloatArray:
@@ -90,7 +90,7 @@ class PairLaw(ABC):
     ) -> tuple[Any, Any]:
         """Return the law's unit of overlap in µm, and the overlap in it from which a pair acts.
 
-        Only a law that ``remembers`` is asked. ``adhesion`` is √(6πσ_ij) of the pairs.
+        Called only for a law that ``remembers``. ``adhesion`` is √(6πσ_ij) of the pairs.
         """
         raise TypeError(f"{type(self).__name__} has no memory of contacts")
 

@@ -108,7 +108,7 @@ def rest_overlap(
         return force - pull * np.maximum(overlap, 0.0), slope - pull
 
     low, high = without, np.maximum(without, 1e-6 * rest)
-    most = (1.0 - 1e-9) * rest  # there the centres meet, and no law goes on
+    most = (1.0 - 1e-9) * rest  # the centres meet there, and no law is defined beyond
     while (more := (net(high)[0] < 0.0) & (high < most)).any():
         high = np.where(more, np.minimum(2.0 * high, most), high)
     x = high

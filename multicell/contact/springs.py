@@ -98,7 +98,7 @@ def _cutoff(**least: Any) -> Any:
 
 
 class Spring(PairLaw):
-    """What the spring laws share: they are zero beyond their cutoff and in equilibrium at rest.
+    """Base of the spring laws: zero beyond their cutoff and in equilibrium at rest.
 
     ``force``, ``stiffness`` and ``energy`` need the keyword ``rest`` (µm).
     """

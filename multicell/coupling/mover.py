@@ -8,7 +8,7 @@ import numpy as np
 
 from multicell.errors import StepFailed
 from multicell.integrators import registry, stability
-from multicell.integrators.shift import SHIFT, Replays, replayed, shifted_positions
+from multicell.integrators.shift import SHIFT, Replays, replay_step, shifted_positions
 from multicell.integrators.stability import Stability
 from multicell.results.summary import counts_contacts
 from multicell.scene import start
@@ -55,7 +55,7 @@ class Mover:
 
     def __init__(self, scene: Scene, threads: int, integrator: Integrator | None) -> None:
         self.system = start.mechanics(scene, threads)
-        self.integrator = integrator or registry.make(scene.integrator)
+        self.integrator = integrator or registry.from_options(scene.integrator)
         self.limit = stability.limit_of(self.integrator)
         self._seed, self._dimensions, self._domain = scene.seed, scene.dimensions, scene.domain
         self._counts = counts_contacts(scene)
@@ -126,7 +126,7 @@ class Mover:
         if not stability.is_due(known, n, product):
             return known
         rate = stability.rate_at(self.system, self.system.motion.begin, position, self._dimensions)
-        return stability.measured(known, rate, product, n)
+        return stability.add_measurement(known, rate, product, n)
 
     def _check_end(self, position: FloatArray, cost: float, known: Stability) -> Stability:
         """Refuse a fixed step that is beyond its limit after a coupling step as it was before."""
@@ -138,15 +138,15 @@ class Mover:
         product = self.limit / step
         was_beyond, suspect = known.rate > product, False
         if not was_beyond and stability.may_glance(known, n):
-            known = stability.glanced(known, n)
+            known = stability.add_glance(known, n)
             suspect = stability.suspect(system, end, position, product)
         if not was_beyond and not suspect:
             return known
         rate = stability.rate_at(system, end, position, self._dimensions)
         if was_beyond and rate > product:
-            words = stability.refused(self.integrator, step, self.limit, rate)
+            words = stability.refusal_words(self.integrator, step, self.limit, rate)
             raise StepFailed(system.motion.begin, *words)
-        return stability.measured(known, rate, product, n)
+        return stability.add_measurement(known, rate, product, n)
 
     def _fixed_step(self) -> float:
         """Return how long the equal steps of the coupling step are, s."""
@@ -163,5 +163,5 @@ class Mover:
         if replays.due:
             begin = cells.position
             shifted = shifted_positions(begin, SHIFT, self._seed, step, cells.id, self._dimensions)
-            effect, spent = replayed(self.integrator, self.system, begin, end, shifted)
+            effect, spent = replay_step(self.integrator, self.system, begin, end, shifted)
         return replays.after(cost, spent, effect)

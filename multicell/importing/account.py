@@ -1,4 +1,4 @@
-"""What became of each thing that another program's model says."""
+"""The account of an import: what became of each element of another program's model."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 @final
 class Fate(StrEnum):
-    """What can become of it."""
+    """Possible outcomes of an element."""
 
     MAPPED = "mapped"
     APPROXIMATED = "approximated"
@@ -23,7 +23,7 @@ class Fate(StrEnum):
 
 MEANING = {
     Fate.MAPPED: "says the same here",
-    Fate.APPROXIMATED: "says something like it here; the note tells how it differs",
+    Fate.APPROXIMATED: "has a similar counterpart here; the note says how it differs",
     Fate.LEFT_OUT: "has no counterpart here, or none that is read",
     Fate.OFF: "has no effect in the model: disabled, zero, or overruled",
 }

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import csv
-import stat
 from pathlib import Path
 
 from multicell.errors import SceneError
+from multicell.files import read_regular
 
-_LARGEST = 100_000_000
+_MAX_BYTES = 100_000_000
 
 
 def read_text(path: Path) -> str:
@@ -21,13 +21,7 @@ def read_text(path: Path) -> str:
     """
     name = str(path)
     try:
-        if not stat.S_ISREG(path.stat().st_mode):
-            raise SceneError("", f"'{name}' is no regular file")
-        with path.open("rb") as file:
-            content = file.read(_LARGEST + 1)
-        if len(content) > _LARGEST:
-            raise SceneError("", f"'{name}' is larger than {_LARGEST // 10**6} MB")
-        text = content.decode("utf-8-sig")
+        text = read_regular(path, _MAX_BYTES).decode("utf-8-sig")
     except FileNotFoundError:
         raise SceneError("", f"there is no file '{name}'") from None
     except UnicodeDecodeError as error:

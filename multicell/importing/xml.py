@@ -15,8 +15,8 @@ from xml.parsers import expat
 from multicell.errors import SceneError
 from multicell.importing.files import read_text
 
-_DEEPEST = 50
-_MOST = 1_000_000
+_MAX_DEPTH = 50
+_MAX_ELEMENTS = 1_000_000
 
 
 @final
@@ -94,7 +94,7 @@ class Element:
 
 
 def _yes(text: str) -> bool:
-    """Return whether a text begins as true, yes or 1 do: more is not looked at."""
+    """Return whether a text begins as true, yes or 1 do; the rest is not read."""
     return text[:1] in ("1", "t", "T", "y", "Y")
 
 
@@ -140,7 +140,7 @@ class _Tree:
     def _begin(self, tag: str, attributes: dict[str, str]) -> None:
         self._count += 1
         line = self._parser.CurrentLineNumber
-        if len(self._open) >= _DEEPEST or self._count > _MOST:
+        if len(self._open) >= _MAX_DEPTH or self._count > _MAX_ELEMENTS:
             raise SceneError(f"{self.file}, line {line}", "is nested too deeply, or too large")
         name = attributes.get("name", attributes.get("ID", attributes.get("index", "")))
         title = f"{tag}[{name}]" if name else tag

@@ -4,8 +4,8 @@ Most coupling steps are mild, and there a measurement of stiffness costs as much
 itself. So most are begun by Adams-Bashforth of order 2 under error control, which needs one
 evaluation a step. Only where that would take more than ``PATIENCE`` evaluations, as its own steps
 show after a few of them, is the largest decay rate measured, and the cheapest method goes over
-the coupling step from its beginning. With many cells, or where evaluations are dear, a look at J v
-(:func:`at_a_glance`) may tell beforehand that the attempt would be in vain; with few a choice would
+the coupling step from its beginning. With many cells, or where evaluations are dear, a product J v
+(:func:`at_a_glance`) may predict that the attempt would fail; with few a choice would
 cost more than a method that is not the best, and Adams-Bashforth's own steps decide, unless λΔt is
 large by the order of magnitude of λ: then it is measured at once.
 
@@ -68,7 +68,7 @@ PATIENCE = 150
 _CHOICE = 5.0e3
 """Evaluations times cells that a choice by the measured decay rate costs."""
 _LOOK_FROM = 200
-"""Cells from which on a look at J v is cheaper than an attempt in vain."""
+"""Number of cells from which a product J v is cheaper than a failed attempt."""
 _SUSPECT = 60.0
 """λΔt, by the order of magnitude of λ, from which on such a look is worth while."""
 _IN_VAIN = 1.5
@@ -100,7 +100,7 @@ _QUIET, _SHAKEN = 1e-3, 0.3
 @final
 @dataclass(frozen=True)
 class Choice:
-    """What was chosen and why.
+    """The chosen method and the reasons for it.
 
     Attributes
     ----------
@@ -150,7 +150,7 @@ class Choice:
 class Auto(ErrorControl):
     """Chooses for each coupling step between explicit methods, RKC2 and an implicit method.
 
-    The steps by each method are counted in ``Work``. If a method cannot go on, the next
+    The steps by each method are counted in ``Work``. If a method cannot continue, the next
     one starts from the beginning of the coupling step. Parameters as for
     :class:`~multicell.integrators.base.ErrorControl`.
     """
@@ -206,10 +206,10 @@ class Auto(ErrorControl):
         if outcome.done:
             return outcome, None
         if expected > 0.0 and not dear:
-            # stability holds Adams-Bashforth down, and its steps tell z, from above
+            # stability limits Adams-Bashforth, so its steps bound z from above
             theta = (self.atol + self.rtol * float(system.motion.radius.mean())) / 0.01
             z = expected / 1.2
-            costs = predicted(n, z, theta, _TENS, expected, able=able)
+            costs = predict_costs(n, z, theta, _TENS, expected, able=able)
             if min(costs.values()) < _CHOICE / n:
                 return outcome, Choice(z / length, z, costs, _finer(_TENS))
         return outcome, choose(system, position, self.rtol, self.atol, expected, able=able)
@@ -270,7 +270,7 @@ def choose(
     called = _STAGE / n if needs_python(system) else 0.0
     fast = _fastest(system, position) / rate / tolerance if rate > 0.0 else 0.0
     able = candidates(system) if able is None else able
-    costs = predicted(n, z, theta, fast, expected, called=called, able=able)
+    costs = predict_costs(n, z, theta, fast, expected, called=called, able=able)
     return Choice(rate, z, costs, _finer(fast))
 
 
@@ -299,11 +299,11 @@ def at_a_glance(
     tolerance = atol + rtol * float(motion.radius.mean() if len(system) else 1.0)
     fast = float(speed) / rate / tolerance if rate > 0.0 else 0.0
     called = _STAGE / n if needs_python(system) else 0.0
-    costs = predicted(n, z, tolerance / 0.01, fast, 4.4 * z, called=called, able=able)
+    costs = predict_costs(n, z, tolerance / 0.01, fast, 4.4 * z, called=called, able=able)
     return Choice(rate, z, costs, _finer(fast))
 
 
-def predicted(
+def predict_costs(
     n: int, z: float, theta: float, fast: float, expected: float = 0.0,
     *, called: float = 0.0, able: Collection[str] | None = None,
 ) -> dict[str, float]:  # fmt: skip
@@ -365,7 +365,7 @@ def _rosenbrock(n: int, z: float, theta: float, fast: float) -> float:
 
 
 def _fastest(system: Mechanics, position: FloatArray) -> float:
-    """Return the speed of the fastest cell, µm/s; zero where it cannot be told."""
+    """Return the speed of the fastest cell, µm/s; zero where it cannot be evaluated."""
     from multicell.mechanics.motion import StateRejected
 
     velocity = np.empty_like(position)

@@ -35,12 +35,12 @@ if TYPE_CHECKING:
     from multicell.mechanics.system import Mechanics
 
 _HALVINGS = 30
-_MOST_ITERATIONS = 200
+_MAX_ITERATIONS = 200
 _RESIDUAL = 100.0
 """Largest residual at the end of Newton's method, in tolerances of its last correction.
 
 Since no eigenvalue of I - ΔtJ of a cluster at rest is below 1, the error is at most the residual.
-The correction alone does not tell: where γλ is large, the linear solver's residual may hide a
+The correction alone is not enough: where γλ is large, the linear solver's residual may hide a
 motion of the cluster as a whole.
 """
 _FINER = 1e-2
@@ -89,7 +89,7 @@ class BackwardEuler(EqualSteps):
     def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
         """Integrate over the coupling step of ``system``; see :class:`Integrator`."""
         from multicell.integrators.limits import beyond
-        from multicell.integrators.stepping import furthest_moved
+        from multicell.integrators.stepping import furthest_move
         from multicell.mechanics.motion import StateRejected
 
         if len(system) == 0:
@@ -111,7 +111,7 @@ class BackwardEuler(EqualSteps):
                 problem = str(error)
             if problem:
                 return Outcome(time, position, problem, hint, implicit.worst)
-            cell, moved = furthest_moved(position, implicit.trial, motion.radius)
+            cell, moved = furthest_move(position, implicit.trial, motion.radius)
             if moved > self.max_displacement:
                 return Outcome(
                     time, position,
@@ -252,7 +252,7 @@ class _Step:
         better = np.empty_like(residual)
         target = self.forcing * self._norm(residual)
         direction, before = np.zeros_like(residual), 1.0
-        for _ in range(_MOST_ITERATIONS):
+        for _ in range(_MAX_ITERATIONS):
             if self._norm(left) <= target:
                 break
             approximate.solve(self.system, left, better)

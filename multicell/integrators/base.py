@@ -12,7 +12,7 @@ dataclass:
 
 Constructor arguments called ``step``, ``rtol``, ``atol``, ``max_steps`` and ``max_displacement``
 are filled from the scene's ``[integrator]`` where the class is named on the command line. ``info``
-may be left out. :func:`multicell.testing.check_integrator` tells whether a method keeps the
+may be left out. :func:`multicell.testing.check_integrator` checks whether a method keeps the
 promises that the rest of the package relies on.
 """
 
@@ -37,7 +37,7 @@ Control = Literal["tolerance", "step"]
 @final
 @dataclass(frozen=True)
 class Outcome:
-    """Where an integration ended.
+    """Result of an integration.
 
     Attributes
     ----------
@@ -156,7 +156,7 @@ class ErrorControl:
 @final
 @dataclass(frozen=True)
 class MethodInfo:
-    """What the rest of the package must know of a method.
+    """Properties of a method that the rest of the package uses.
 
     Attributes
     ----------

@@ -107,7 +107,7 @@ class Light:
             ):
                 self._probed.append(self._advance())
         except (StateRejected, StepImpossible):
-            # the full method meets the same trouble, and has the means to go on
+            # the full method meets the same state and can recover from it
             return True
         return self._probed[-1][0] < _SLOW_START * self.run.length
 
@@ -138,7 +138,7 @@ class Light:
         return len(counts) > _WINDOW and counts[-1] - counts[-1 - _WINDOW] > _BUSY * _WINDOW
 
     def _count(self, direct: int) -> None:
-        """Count the iterations of a step: SUNDIALS tells the evaluations that are no products.
+        """Count the iterations of a step: SUNDIALS reports the evaluations that are no products.
 
         There is one in each Newton iteration. The first step has some more, to find its length;
         it is so short that Newton's method needs one iteration.
@@ -153,14 +153,14 @@ class Light:
 
 @final
 class Krylov:
-    """One life of a CVODE object, and the callbacks it needs."""
+    """A CVODE session between two restarts, and the callbacks it needs."""
 
     def __init__(self, method: Cvode, run: Run, ceiling: float) -> None:
         self.run, self.system = run, run.system
         self.method = method
         self._fresh, self._stale = False, True
         self._reference = np.full(3 * len(run.position), np.inf)
-        # without a preconditioner γ is not told: J is then kept as fresh as for stiff steps
+        # without a preconditioner γ is unknown: J is renewed as often as for stiff steps
         self._gamma, self._rate = np.inf, 1.0
         self._used, self._reached = np.inf, 0.0
         self._far = method.far * float(run.system.motion.radius.mean())
@@ -192,7 +192,7 @@ class Krylov:
         return float(result.t), result.y.reshape(-1, 3).copy(), error
 
     def _order(self, step: float) -> int:
-        """Return the order of a step of BDF, which its γ tells: h/γ = 1 + 1/2 + ... + 1/q."""
+        """Return the order of a step of BDF, by its γ: h/γ = 1 + 1/2 + ... + 1/q."""
         if self.method.formula != "BDF" or not self._used < np.inf:
             return 1
         sums = np.cumsum(1.0 / np.arange(1, self.method.max_order + 1))

@@ -67,7 +67,7 @@ class CvodeSparse(ErrorControl):
 
 @final
 class _Direct:
-    """One life of a CVODE object with one pattern."""
+    """A CVODE session with one pattern."""
 
     def __init__(self, method: CvodeSparse, run: Run, ceiling: float) -> None:
         from sksundae.cvode import CVODE

@@ -1,4 +1,4 @@
-"""How an explicit method runs: its loop on a copy of the positions, its work, its end in words.
+"""Run an explicit method: its loop on a copy of the positions, its work, its outcome in words.
 
 The loops (:mod:`multicell.integrators.loops`) run compiled, each compiled when it is first used.
 All methods refuse a step that moves a cell further than ``max_displacement`` of its radius, or to
@@ -26,7 +26,6 @@ from multicell.integrators import base, stepping
 from multicell.integrators.base import Outcome
 from multicell.integrators.limits import beyond
 from multicell.mechanics import forces
-from multicell.mechanics.neighbours import PairList
 from multicell.mechanics.system import Mechanics
 
 if TYPE_CHECKING:
@@ -65,7 +64,7 @@ def control(method: ErrorControl, system: Mechanics, order: float, lower: int) -
         Order p of the result where it is below that of the estimate, else 0.
     """
     radius = system.motion.radius
-    # θ of the module's text; a sum costs a third of a mean, which tells with two cells
+    # θ of the module's text; a sum costs a third of a mean, which matters with two cells
     mean = len(radius) / float(radius.sum()) if len(radius) else math.inf
     share = min(1.0, method.rtol + method.atol * mean)
     strictness = (1.0, share, math.sqrt(share))[lower]
@@ -127,9 +126,9 @@ def _run(
         source: Any = stepping.Called(system)
         report, _ = loop.py_func(source, None, *common, *settings)
     else:
-        source, pairs = _borrow(system, counts, passes=passes)
+        source, pairs = source_of(system, counts, passes=passes)
         report, pairs = loop(source, pairs, *common, *settings)
-        _give_back(system, source, pairs)
+        system.take_list(source.cells, pairs)
     work = system.work
     work.evaluations += int(counts[stepping.EVALUATIONS])
     work.list_builds += int(counts[stepping.LIST_BUILDS])
@@ -162,7 +161,7 @@ def _failure(
         problem = f"the whole interval would take about {report.moved:.0f} evaluations"
         hint = "Take a method for stiff problems, such as 'cvode' or 'rkc2'"
     elif report.status == stepping.STALLED:
-        problem = f"steps became too short to go on (last {step})"
+        problem = f"steps became too short to continue (last {step})"
     elif report.status == stepping.REJECTED:
         words = getattr(source, "problem", "") or "cells lie on top of each other"
         problem = f"in a {step} {words}"
@@ -178,44 +177,13 @@ def _worst(state: FloatArray) -> int | None:
     return int(lost.argmax()) if lost.any() else None
 
 
-def _borrow(system: Mechanics, counts: Any, *, passes: bool = False) -> tuple[Any, forces.PairData]:
-    """Return what the kernels need, with a list of its own or one that is built at first use."""
-    motion = system.motion
-    chunks = -(-len(system) // system.chunk)
-    if system._pairs is None:
-        ends = np.zeros(chunks, dtype=np.int64)
-        pairs = forces.PairData(*system.spare, ends, ends, ends, None, None, None)
-        # no cell is close to a place that is not a number: the first evaluation builds
-        reference = np.full((len(system), 3), np.nan)
-    else:
-        pairs, reference = system._pair_data, np.array(system._cells.reference)
-    cells = forces.CellData(
-        system.chunk,
-        system._margin,
-        reference,
-        motion.radius,
-        motion.radius_rate,
-        motion.bonds,
-        motion.push,
-    )
-    shared = system.threads > 1 and chunks >= system.shared_chunks
+def source_of(
+    system: Mechanics, counts: Any, *, passes: bool = False
+) -> tuple[stepping.Source, forces.PairData]:
+    """Return what a loop needs, with a neighbour list of its own."""
+    data = system.kernel_data()
     source = stepping.Source(
-        cells, system._offsets.data, system._law, system._list_radius, system._least_margin,
-        system._rows, counts,
-    )  # fmt: skip
-    return stepping.addressed(source, pairs, shared=shared, passes=passes), pairs
-
-
-def _give_back(system: Mechanics, source: Any, pairs: forces.PairData) -> None:
-    """Let the mechanics go on with the list that the loop has built last."""
-    if np.isnan(source.cells.reference[0, 0]):
-        system._pairs = None
-        return
-    system._cells = source.cells
-    system._pair_data = pairs
-    # the list that was linearised may have been overwritten
-    system._linear = None
-    system._pairs = PairList(
-        pairs.first, pairs.second, pairs.start, pairs.inner_end, pairs.outer_end,
-        system.chunk, len(system),
-    )  # fmt: skip
+        data.cells, data.offsets, data.law, data.list_radius, data.least_margin, data.rows, counts
+    )
+    placed = stepping.with_addresses(source, data.pairs, shared=data.shared, passes=passes)
+    return placed, data.pairs

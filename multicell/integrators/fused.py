@@ -17,7 +17,7 @@ import numpy as np
 from numba import prange, types
 from numba.extending import intrinsic, overload
 
-from multicell.compiling import address_of, arithmetic, calling
+from multicell.compiling import address_of, arithmetic, call_at
 from multicell.threads import two_drivers
 
 if TYPE_CHECKING:
@@ -128,13 +128,13 @@ def _compiled_assess(source, a, new, b, now, c, old, position, trial, control, f
 @intrinsic
 def _foresee_at(context: Any, address, a, u, b, v, position, radius, out, found):
     """Call :func:`_foresee`, or what shares its loop, at an address."""
-    return calling(types.int64, address, a, u, b, v, position, radius, out, found)
+    return call_at(types.int64, address, a, u, b, v, position, radius, out, found)
 
 
 @intrinsic
 def _assess_at(context: Any, address, a, new, b, now, c, old, place, trial, rtol, atol, found):
     """Call :func:`_assess`, or what shares its loop, at an address."""
-    return calling(types.int64, address, a, new, b, now, c, old, place, trial, rtol, atol, found)
+    return call_at(types.int64, address, a, new, b, now, c, old, place, trial, rtol, atol, found)
 
 
 @arithmetic

@@ -1,4 +1,4 @@
-"""What double precision can follow: a coupling step beyond it is refused before it is tried.
+"""Refuse coupling steps that double precision cannot resolve, before they are tried.
 
 So is one that begins with positions that are no numbers.
 

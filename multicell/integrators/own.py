@@ -1,4 +1,4 @@
-"""Methods of the user's own: a class, an object, or ``file.py:Name``."""
+"""Resolve methods of the user's own: a class, an object, or ``file.py:Name``."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from multicell.errors import SceneError
 from multicell.integrators.base import Integrator, MethodInfo, info_of
-from multicell.integrators.registry import METHODS, find, made
+from multicell.integrators.registry import METHODS, find, instantiate
 from multicell.plugins import load_object, origin
 from multicell.schema import near_miss
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from multicell.scene.parts import IntegratorOptions
 
 
-def known(method: Any, what: str = "integrator") -> MethodInfo:
+def method_info(method: Any, what: str = "integrator") -> MethodInfo:
     """Return what is known of a method of any kind.
 
     Parameters
@@ -34,7 +34,7 @@ def known(method: Any, what: str = "integrator") -> MethodInfo:
         info = find(method)
         if info is None and ":" not in method:
             raise SceneError(what, f"no method is called {method!r}", near_miss(method, METHODS))
-        return info or known(load_object(method, what), what)
+        return info or method_info(load_object(method, what), what)
     if not callable(getattr(method, "integrate", None)):
         name = getattr(method, "__name__", type(method).__name__)
         problem = f"{name!r} is no integrator: it has no method integrate(system, position)"
@@ -42,8 +42,8 @@ def known(method: Any, what: str = "integrator") -> MethodInfo:
     return info_of(method)
 
 
-def chosen(method: Any, options: IntegratorOptions) -> tuple[IntegratorOptions, Integrator]:
-    """Return the options that a run with an own method records, and the integrator.
+def own_integrator(method: Any, options: IntegratorOptions) -> tuple[IntegratorOptions, Integrator]:
+    """Return the options that a run with a method of the user's own records, and the method.
 
     What is recorded is the file and name that the method came from, its settings under the names
     that they have in a scene, and the others in brackets behind its name.
@@ -61,15 +61,15 @@ def chosen(method: Any, options: IntegratorOptions) -> tuple[IntegratorOptions, 
         If there is no such method, it is no integrator or cannot be made.
     """
     found = load_object(method, "integrator") if isinstance(method, str) else method
-    info = known(found)
-    own = made(info, options) if isinstance(found, type) else found
+    info = method_info(found)
+    own = instantiate(info, options) if isinstance(found, type) else found
     shared = {f.name for f in fields(options)} - {"method"}
     settings = {name: getattr(own, name) for name in shared if hasattr(own, name)}
     if not settings.get("step", 1.0) > 0.0:
         # no step: under error control
         del settings["step"]
     named = replace(options, **settings)
-    if info.name in METHODS and own == made(METHODS[info.name], named):
+    if info.name in METHODS and own == instantiate(METHODS[info.name], named):
         return replace(named, method=info.name), own
     return replace(named, method=origin(type(own)) + _others(own, shared)), own
 

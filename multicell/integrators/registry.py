@@ -54,7 +54,7 @@ def find(name: str) -> MethodInfo | None:
     return None if variant is None else variant(int(number))
 
 
-def make(options: IntegratorOptions) -> Integrator:
+def from_options(options: IntegratorOptions) -> Integrator:
     """Return the integrator that a scene asks for (see :class:`IntegratorOptions`).
 
     Raises
@@ -69,10 +69,10 @@ def make(options: IntegratorOptions) -> Integrator:
             f"is {options.method!r}, a method of the user's own, which is not loaded by itself",
             f"Hand it over as integrator=..., or by --integrator '{place}' if the file is there.",
         )
-    return made(METHODS[options.method], options)
+    return instantiate(METHODS[options.method], options)
 
 
-def made(info: MethodInfo, options: IntegratorOptions) -> Integrator:
+def instantiate(info: MethodInfo, options: IntegratorOptions) -> Integrator:
     """Return the integrator of a method with a scene's options."""
     step = {"step": options.step} if info.control == "step" else {}
     return build(

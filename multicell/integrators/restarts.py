@@ -1,4 +1,4 @@
-"""Stepping through a coupling step with solvers of others, starting again where one goes wrong.
+"""Step through a coupling step with solvers of other packages; restart where one fails.
 
 A solver with its own error control may accept a step that throws a cell away, or give up on
 a state that has no meaning. Its internal step cannot be taken back, so a new solver is
@@ -22,23 +22,23 @@ from typing import Any, Protocol, final
 from multicell.cells import FloatArray
 from multicell.integrators.base import Outcome
 from multicell.integrators.limits import beyond
-from multicell.integrators.stepping import furthest_moved, largest_length
+from multicell.integrators.stepping import furthest_move, largest_length
 from multicell.mechanics.motion import StateRejected
 from multicell.mechanics.system import Mechanics
 
-_MOST_REFUSALS = 30
+_MAX_REFUSALS = 30
 _STEPS_BEFORE_LIFT = 8
 _SHARE = 0.1
 """Share of the tolerance that a norm over many cells gets; few cells get 1/√(3n), with which the
 norm bounds each of them."""
-_MOST_ERROR = 3.0
+_MAX_ERROR = 3.0
 """Estimated error of a cell in a step that is refused, in tolerances."""
 _SMALLER = 0.25
 """By how much the share is made smaller then."""
 
 
 class StepImpossible(Exception):  # noqa: N818 - what happened to a solver, not a fault
-    """A solver cannot go on from where it is; the text is its own reason."""
+    """A solver cannot continue from its state; the text is its own reason."""
 
 
 class Restart(Exception):  # noqa: N818 - a request
@@ -71,7 +71,7 @@ Start = Callable[["Run", float], Solver]
 
 @final
 class Run:
-    """One integration under way: the last accepted state, and how it is getting on.
+    """One integration: the last accepted state and the counts so far.
 
     Attributes
     ----------
@@ -87,7 +87,7 @@ class Run:
         Part of the tolerances that a solver gets whose norm is a mean over all coordinates.
 
     With ``each_cell`` the tolerance, ``atol`` + ``rtol`` times the mean radius, is held by single
-    cells, too, as far as solvers tell the errors of their steps.
+    cells, too, as far as solvers report the errors of their steps.
     """
 
     def __init__(
@@ -109,7 +109,7 @@ class Run:
         self.share, self._most_error = 1.0, math.inf
         if each_cell and len(system):
             self.share = max(_SHARE, 1.0 / math.sqrt(3.0 * len(system)))
-            self._most_error = _MOST_ERROR * (atol + rtol * float(system.motion.radius.mean()))
+            self._most_error = _MAX_ERROR * (atol + rtol * float(system.motion.radius.mean()))
         self.length = system.motion.end - system.motion.begin
         self.elapsed = 0.0
         self.offset = 0.0
@@ -151,7 +151,7 @@ class Run:
                 self.problem, self.cell = str(refusal), refusal.cell
                 self.hint = "Choose a shorter coupling_step or a tighter integrator.atol"
                 refusals += 1
-                if refusals > _MOST_REFUSALS:
+                if refusals > _MAX_REFUSALS:
                     break
                 ceiling = 0.25 * (refusal.step or self.left)
                 continue
@@ -200,7 +200,7 @@ class Run:
             self.share *= _SMALLER
             self.system.work.rejections += 1
             raise Restart
-        cell, moved = furthest_moved(self.position, moved_to, self.system.motion.radius)
+        cell, moved = furthest_move(self.position, moved_to, self.system.motion.radius)
         # a move that is no number is the largest
         if not moved <= self.max_displacement:
             raise _Refused(
@@ -225,7 +225,7 @@ def one_step(solver: Any, left: float) -> Any:
 
 @final
 class Predictor:
-    """CVODE's own estimate of its errors, which scikit-sundae does not hand on.
+    """CVODE's own estimate of its errors, which scikit-sundae does not report.
 
     Newton's method begins at the state that the formula's polynomial predicts, so that the first
     evaluation at a new time is there. The error of a step of order q is the difference between

@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from multicell.cells import FloatArray
     from multicell.mechanics.system import Mechanics
 
-_MOST_STAGES = 200
+_MAX_STAGES = 200
 """Under error control: a step that needs more is taken shorter."""
-_MOST_FIXED_STAGES = 5000
+_MAX_FIXED_STAGES = 5000
 
 
 @final
@@ -61,18 +61,18 @@ class Rkc2(ErrorControl):
 
         if self.step > 0.0:
             return driver.equal_steps(
-                system, position, chebyshev.fixed_chebyshev, self, self.stages, _MOST_FIXED_STAGES
+                system, position, chebyshev.fixed_chebyshev, self, self.stages, _MAX_FIXED_STAGES
             )
         control = driver.control(self, system, 3.0, lower=2)
         # s² times the rounding of a stage must stay below the tolerance
         finest = control.strictness / math.sqrt(10.0 * np.finfo(float).eps)
-        most = int(min(_MOST_STAGES, max(2.0, finest)))
+        most = int(min(_MAX_STAGES, max(2.0, finest)))
         return driver.adaptive(system, position, chebyshev.adaptive_chebyshev, control, most)[0]
 
 
 def _of_stages(stages: int) -> MethodInfo | None:
     """Return what is known of the method with a fixed step and number of stages."""
-    if not 2 <= stages <= _MOST_STAGES:
+    if not 2 <= stages <= _MAX_STAGES:
         return None
     from multicell.integrators.loops.chebyshev import stable_length
 

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from multicell.cells import FloatArray
     from multicell.mechanics.system import Mechanics
 
-_LARGEST_GROWTH = 3.0
+_MAX_GROWTH = 3.0
 
 
 @final
@@ -89,10 +89,8 @@ class Rosenbrock(ErrorControl):
 
     def __post_init__(self) -> None:
         ErrorControl.__post_init__(self)
-        if not 0.0 < self.growth <= _LARGEST_GROWTH:
-            raise ValueError(
-                f"growth is {self.growth}, must be above 0 and at most {_LARGEST_GROWTH}"
-            )
+        if not 0.0 < self.growth <= _MAX_GROWTH:
+            raise ValueError(f"growth is {self.growth}, must be above 0 and at most {_MAX_GROWTH}")
 
     def integrate(self, system: Mechanics, position: FloatArray) -> Outcome:
         """Integrate over the coupling step of ``system``; see :class:`Integrator`."""

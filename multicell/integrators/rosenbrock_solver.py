@@ -1,7 +1,7 @@
 """Steps of the Rosenbrock method, and the linear systems (I - γA) x = b in them.
 
 In the scalar product ⟨u, v⟩ = Σ_i r_i u_i·v_i of the radii, that is of the drag coefficients, J is
-symmetric, and so is A, so that conjugate gradients apply. They tell more than the solution: of
+symmetric, and so is A, so that conjugate gradients apply. They yield more than the solution: of
 every search direction p, ⟨p, A p⟩ / ⟨p, p⟩ is a lower bound on the largest eigenvalue of A.
 """
 
@@ -19,12 +19,12 @@ from multicell.compiling import KERNEL
 from multicell.integrators.base import Outcome
 from multicell.integrators.driver import control
 from multicell.integrators.stepping import (
-    again,
-    fitted,
-    furthest_moved,
+    fit_step,
+    furthest_move,
     largest_length,
     next_step,
-    shorter,
+    step_after_error,
+    step_after_move,
 )
 from multicell.mechanics.jacobian import limited
 from multicell.mechanics.motion import StateRejected
@@ -48,9 +48,9 @@ _SHORTEST = 1e-13
 """Steps below this fraction of the interval are lost in rounding."""
 _MOST_ITERATIONS = 200
 _PROBE = 5
-"""Iterations in which an eigenvalue above the bound is looked for."""
+"""Iterations of the search for an eigenvalue above the bound."""
 _AGE, _LONGER = 10, 1.5
-"""It is looked for after so many steps, or once steps are so much longer than at the last time."""
+"""The search is repeated after so many steps, or once steps are so much longer."""
 _SHARE = 0.1
 """Of its right-hand side that the residual of a linear system may have."""
 _FIRST = 0.5
@@ -271,7 +271,7 @@ class Walk:
             return Outcome(begin, self.position, str(error), _HINT)
         step, previous, held = self._first_step(), 1.0, False
         while self.elapsed < self.length:
-            step = fitted(step, self.length - self.elapsed)
+            step = fit_step(step, self.length - self.elapsed)
             failed = self._ended(step)
             if failed is not None:
                 return failed
@@ -299,7 +299,7 @@ class Walk:
                 self._cell,
             )  # fmt: skip
         if step < _SHORTEST * self.length:
-            problem = f"steps became too short to go on: {self._problem}"
+            problem = f"steps became too short to continue: {self._problem}"
             return Outcome(time, self.position, problem, _HINT, self._cell)
         return None
 
@@ -326,7 +326,8 @@ class Walk:
         size /= self._tolerances
         if not size <= 1.0:
             raise Refused(
-                f"a step of {step:.3g} s is not exact enough", again(1.0, size, _ORDER, 0.2)
+                f"a step of {step:.3g} s is not exact enough",
+                step_after_error(1.0, size, _ORDER, 0.2),
             )
         self.position = trial
         self.velocity, self._end = self._end, self.velocity
@@ -347,12 +348,12 @@ class Walk:
         system.velocity(0.5 * (begin + end), start + (0.5 * step) * first, self._middle)
         second = first + solve(self._middle - first, None, allowed)
         trial = start + step * second
-        cell, moved = furthest_moved(start, trial, system.motion.radius)
+        cell, moved = furthest_move(start, trial, system.motion.radius)
         if not moved <= method.max_displacement:
             raise Refused(
                 f"a step of {step:.3g} s would move the cell by {moved:.3g} of its radius "
                 f"(allowed: {method.max_displacement:g})",
-                shorter(1.0, moved, method.max_displacement), cell,
+                step_after_move(1.0, moved, method.max_displacement), cell,
             )  # fmt: skip
         system.velocity(end, trial, self._end)
         right = self._end - _E * (second - self._middle) - 2.0 * (first - self.velocity) + drift

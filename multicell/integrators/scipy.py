@@ -104,7 +104,7 @@ class Scipy:
 
 @final
 class _Stepped:
-    """One life of a solver of SciPy."""
+    """A session of one of SciPy's solvers between two restarts."""
 
     def __init__(self, method: Scipy, run: Run, ceiling: float) -> None:
         from scipy import integrate

@@ -1,9 +1,9 @@
-"""What a small shift of all positions does to the end of a coupling step: its conditioning.
+"""Conditioning of coupling steps: the effect of a small shift of all positions.
 
 Fresh daughters and contacts that form are unstable: there a coupling step amplifies whatever is
 wrong at its beginning, and now and then a cell falls into another pocket. Elsewhere it forgets a
-shift. No method can tell the place of a cell better than that, and where the effect of a shift is
-large the errors of methods are large too, which their own estimates do not show: those are of
+shift. No method can place a cell better than that, and where the effect of a shift is large
+the errors of methods are large too, which their own estimates do not show: those are of
 single internal steps.
 
 So a run takes some of its coupling steps twice, the second time from shifted positions, whose end
@@ -34,7 +34,7 @@ SHARE: Final = 0.02
 
 @final
 class Replays(NamedTuple):
-    """What replays of coupling steps from shifted positions have found, and what they cost.
+    """Results and cost of the replays of coupling steps from shifted positions.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class Replays(NamedTuple):
     def due(self) -> bool:
         """Whether the next coupling step can be replayed within :data:`SHARE`.
 
-        The last step tells what it will cost, so that dear steps are not passed over.
+        The last step predicts its cost, so that expensive steps are not skipped.
         """
         return 0.0 < self.spent + self.step <= SHARE * self.total
 
@@ -90,14 +90,14 @@ def shifted_positions(
     return np.asarray(position + shift * free * noise)
 
 
-def replayed(
+def replay_step(
     integrator: Integrator,
     system: Mechanics,
     start: FloatArray,
     end: FloatArray,
     shifted: FloatArray,
 ) -> tuple[float | None, float]:
-    """Take the coupling step of ``system`` again from another start.
+    """Repeat the coupling step of ``system`` from another start.
 
     Counts of work stay as they were; the system is left made ready for the coupling step.
 

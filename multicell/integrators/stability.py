@@ -1,11 +1,11 @@
-"""Whether the fixed step of an explicit method stays below its limit of stability.
+"""Check whether the fixed step of an explicit method stays below its limit of stability.
 
 Beyond stable / λ, with the largest decay rate λ of the motion, an explicit method makes the fastest
 motions grow instead of decay. Contacts that open bound that growth: cells then rattle about, and
 nothing else shows it. So λ is measured as a run begins, and again as often as a fiftieth of the
 counted cost allows. What has grown dominates the velocity v: |J v| / |v|, which is never above λ,
-is then near the limit itself, costs an eighth and is looked at that much more often; where it is
-near the limit λ is measured at once. A step that
+is then near the limit itself. It costs an eighth and is evaluated that much more often; where it
+is near the limit λ is measured at once. A step that
 is beyond the limit at both ends of a coupling step is refused; one that is beyond it at one end
 only, as just after a division, is marked.
 """
@@ -35,7 +35,7 @@ _FIRST = 2
 """Coupling steps at the beginning of a run before each of which λ is measured: cells that are
 placed anew hardly press each other in the first."""
 _GLANCE = 5
-"""Evaluations that a look at |J v| / |v| costs."""
+"""Evaluations that |J v| / |v| costs."""
 _NEAR = 0.8
 """|J v| / |v| over the limit from which on λ is measured; rattling cells have 0.88 to 0.96."""
 _SAFE = 0.9
@@ -44,7 +44,7 @@ _SAFE = 0.9
 
 @final
 class Stability(NamedTuple):
-    """What measurements of λ have found, and what they cost.
+    """Results and cost of the measurements of λ in a run.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class Stability(NamedTuple):
     latest, largest : float
         The step over the limit: as last measured, and at most.
     total, spent, looked : float
-        Cost of all coupling steps so far, of the measurements, and of looks at |J v| / |v|, in
+        Cost of all coupling steps so far, of the measurements, and of |J v| / |v|, in
         evaluations of one cell.
     """
 
@@ -103,7 +103,7 @@ def actual_step(method: Any, length: float) -> float:
 
 
 def is_due(known: Stability, cells: int, product: float) -> bool:
-    """Whether λ is to be measured before a coupling step.
+    """Return whether λ is to be measured before a coupling step.
 
     ``product`` is the limit over the step, 1/s: as long as the last λ is above, every step is.
     """
@@ -112,16 +112,16 @@ def is_due(known: Stability, cells: int, product: float) -> bool:
 
 
 def may_glance(known: Stability, cells: int) -> bool:
-    """Whether a look at |J v| / |v| after a coupling step is affordable."""
+    """Return whether |J v| / |v| after a coupling step is affordable."""
     return known.looked + _cost(cells, _GLANCE) <= 0.5 * SHARE * known.total
 
 
-def glanced(known: Stability, cells: int) -> Stability:
-    """Return what is known after such a look, which costs something."""
+def add_glance(known: Stability, cells: int) -> Stability:
+    """Return what is known after an evaluation of |J v| / |v|, with its cost."""
     return known._replace(looked=known.looked + _cost(cells, _GLANCE))
 
 
-def measured(known: Stability, rate: float, product: float, cells: int) -> Stability:
+def add_measurement(known: Stability, rate: float, product: float, cells: int) -> Stability:
     """Return what is known after a measurement of λ; see :func:`is_due`."""
     ratio = rate / product
     return known._replace(
@@ -148,7 +148,7 @@ def rate_at(system: Mechanics, time: float, position: FloatArray, dimensions: in
 
 
 def suspect(system: Mechanics, time: float, position: FloatArray, product: float) -> bool:
-    """Whether the motion at a state looks like rattling; ``product`` as in :func:`is_due`."""
+    """Return whether cells seem to rattle at a state; ``product`` as in :func:`is_due`."""
     return glance(system, time, position) > _NEAR * product
 
 
@@ -169,7 +169,7 @@ def glance(system: Mechanics, time: float, position: FloatArray) -> float:
     return math.sqrt(float((weight * image * image).sum()) / speed) if speed > 0.0 else 0.0
 
 
-def refused(method: Any, step: float, limit: float, rate: float) -> tuple[str, str]:
+def refusal_words(method: Any, step: float, limit: float, rate: float) -> tuple[str, str]:
     """Return the words for a step that is beyond the limit all through a coupling step."""
     name = info_of(method).name
     longest = limit / rate

@@ -15,6 +15,7 @@ returns a :class:`Report`.
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple, final
 
@@ -24,7 +25,15 @@ from numba.core.errors import TypingError
 from numba.extending import intrinsic, overload, register_jitable
 from numpy.typing import NDArray
 
-from multicell.compiling import ADDRESSED, KERNEL, address_of, arithmetic, calling, kind_of
+from multicell.compiling import (
+    ADDRESSED,
+    KERNEL,
+    address_of,
+    arithmetic,
+    call_at,
+    fingerprint_of,
+    kind_of,
+)
 from multicell.integrators import fused
 from multicell.mechanics import forces, margins, neighbours
 from multicell.mechanics.motion import StateRejected
@@ -73,8 +82,19 @@ class Source(NamedTuple):
     assess_at: int = 0
 
 
-Serial = Shared = Source
-"""Names in the disk caches of earlier versions, which numba must be able to read to discard."""
+# numba's cache on disk compares the date of a loop's own file only, but code of these files is
+# compiled into it: after a change of one of them the loops take arguments of another type
+Source.__name__ = Source.__qualname__ = "Source_" + fingerprint_of(
+    sys.modules[__name__], forces, fused, margins, neighbours
+)
+globals()[Source.__name__] = Source
+
+
+def __getattr__(name: str) -> Any:
+    """Return a type of this name: numba must be able to read what earlier files have left."""
+    if name.startswith("Source_") or name in ("Serial", "Shared"):
+        return type(name, (), {"__module__": __name__})
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 class Control(NamedTuple):
@@ -102,28 +122,9 @@ class Report(NamedTuple):
     moved: float
 
 
-def _index(dispatcher: Any) -> Any:
-    """Return the part of numba that holds the stamp of a function's file, if it is there."""
-    index = getattr(getattr(dispatcher, "_cache", None), "_cache_file", None)
-    return index if hasattr(index, "_source_stamp") else None
-
-
 def compiled(function: Callable[..., Any], **options: Any) -> Any:
-    """Compile lazily, with a disk cache that notices changes in the kernels as well.
-
-    Numba compares the date of the function's own file only, but code of the other files
-    is compiled into it.
-    """
-    dispatcher = njit(**{**KERNEL, **options})(function)
-    inside = [
-        _index(other)
-        for other in (
-            forces.forces, neighbours.rebuild, margins.widened, copy, fused.chunks, dispatcher
-        )
-    ]  # fmt: skip
-    if all(inside):
-        inside[-1]._source_stamp = tuple(index._source_stamp for index in inside)
-    return dispatcher
+    """Compile a loop when it is called."""
+    return njit(**{**KERNEL, **options})(function)
 
 
 @final
@@ -168,7 +169,7 @@ def _compiled_evaluate(source, pairs, elapsed, position, out):
 @intrinsic
 def _evaluate_at(context, address, source, pairs, elapsed, position, out):
     """Call :func:`_evaluation` at an address: it would be compiled into a loop at every call."""
-    return calling(types.Tuple((types.intp, pairs)), address, source, pairs, elapsed, position, out)
+    return call_at(types.Tuple((types.intp, pairs)), address, source, pairs, elapsed, position, out)
 
 
 def _evaluation(source, pairs, elapsed, position, out):
@@ -202,7 +203,7 @@ def _evaluation(source, pairs, elapsed, position, out):
 @intrinsic
 def _forces_at(context, address, cells, pairs, offsets, law, position, elapsed, stokes, rows, out):
     """Call ``forces.forces``, or what shares its loops, at an address."""
-    return calling(
+    return call_at(
         types.boolean, address, cells, pairs, offsets, law, position, elapsed, stokes, rows, out
     )
 
@@ -212,10 +213,10 @@ def _rebuild_at(context, address, position, radius, skin, chunk, first, second):
     """Call ``neighbours.rebuild``, or what shares its loops, at an address."""
     index, end = types.int32[::1], types.int64[::1]
     listed = types.Tuple((types.boolean, index, index, end, end, end))
-    return calling(listed, address, position, radius, skin, chunk, first, second)
+    return call_at(listed, address, position, radius, skin, chunk, first, second)
 
 
-def addressed(
+def with_addresses(
     source: Source, pairs: forces.PairData, *, shared: bool, passes: bool = False
 ) -> Source:
     """Return a source with the addresses of its kernels, which are compiled if need be.
@@ -312,7 +313,7 @@ def error_of(step, weights, slopes, out):
 
 
 @arithmetic
-def furthest_moved(before, after, radius):
+def furthest_move(before, after, radius):
     """Return the cell that moved furthest, in its radius, and how far; not a number is ∞."""
     cell, most = 0, -1.0
     for i in range(before.shape[0]):
@@ -358,7 +359,7 @@ def starting_step(source, pairs, control, position, slope, trial, other, length,
     if speed > 0.0:
         step = min(step, 0.01 * size / speed)
     displace(position, 1.0, slope, trial)
-    _, moved = furthest_moved(position, trial, radius)
+    _, moved = furthest_move(position, trial, radius)
     if moved * step > 0.1 * control.max_displacement:
         step = 0.1 * control.max_displacement / moved
     step = max(step, 1e-6 * length)
@@ -375,7 +376,7 @@ def starting_step(source, pairs, control, position, slope, trial, other, length,
 
 
 @arithmetic
-def begun(step):
+def control_state(step):
     """Return the state of error control at the beginning: see ``ELAPSED`` and the others."""
     walk = np.zeros(4)
     walk[STEP], walk[PREVIOUS] = step, 1.0
@@ -383,7 +384,7 @@ def begun(step):
 
 
 @arithmetic
-def ended(walk, counts, control, length):
+def stop_reason(walk, counts, control, length):
     """Return why no step can be tried, or ``DONE``."""
     if counts[STEPS] == control.most_steps:
         return OUT_OF_STEPS
@@ -392,33 +393,33 @@ def ended(walk, counts, control, length):
 
 
 @arithmetic
-def refused(walk, counts, control, status, moved):
+def refuse_step(walk, counts, control, status, moved):
     """Return whether a step moved a cell too far or had no velocity; the next one is shorter."""
     if status == DONE and not moved > control.max_displacement:
         return False
     counts[REJECTIONS] += 1
-    walk[STEP] = shorter(walk[STEP], moved, control.max_displacement)
+    walk[STEP] = step_after_move(walk[STEP], moved, control.max_displacement)
     walk[HELD] += 1.0
     return True
 
 
 @arithmetic
-def accepted(walk, counts, control, length, position, trial, error, least, most, steady):
+def accept_step(walk, counts, control, length, position, trial, error, least, most, steady):
     """Take a step if its estimated error is small enough; choose the next step.
 
     ``least`` and ``most`` bound its length over that of a refused and of an accepted step; a
     ``steady`` one stays as it is where it would hardly change.
     """
     size = weighted_rms(error, position, trial, control.rtol, control.atol)
-    if not judged(walk, counts, control, length, size, least, most, steady):
+    if not control_step(walk, counts, control, length, size, least, most, steady):
         return False
     copy(trial, position)
     return True
 
 
 @arithmetic
-def judged(walk, counts, control, length, size, least, most, steady):
-    """Tell whether a step is taken, as :func:`accepted` does, by the size of its error.
+def control_step(walk, counts, control, length, size, least, most, steady):
+    """Return whether a step is taken, as :func:`accept_step` does, by the size of its error.
 
     ``size`` is its weighted root mean square.
     """
@@ -426,7 +427,7 @@ def judged(walk, counts, control, length, size, least, most, steady):
     size /= control.strictness
     if not size <= 1.0:
         counts[REJECTIONS] += 1
-        walk[STEP] = again(step, size, control.order, least)
+        walk[STEP] = step_after_error(step, size, control.order, least)
         walk[HELD] += 1.0
         return False
     walk[ELAPSED] = length if step == length - walk[ELAPSED] else walk[ELAPSED] + step
@@ -441,7 +442,7 @@ def judged(walk, counts, control, length, size, least, most, steady):
 
 
 @arithmetic
-def again(step, error, order, least):
+def step_after_error(step, error, order, least):
     """Return the step to try after one with too large an error, in units of the allowed one."""
     if not math.isfinite(error):
         return 0.2 * step
@@ -457,7 +458,7 @@ def next_step(step, error, previous, order):
 
 
 @arithmetic
-def shorter(step, moved, allowed):
+def step_after_move(step, moved, allowed):
     """Return the step to try after one that moved a cell too far, or had no velocity."""
     if not moved > allowed:
         return 0.25 * step
@@ -465,7 +466,7 @@ def shorter(step, moved, allowed):
 
 
 @arithmetic
-def fitted(step, left):
+def fit_step(step, left):
     """Return a step that does not leave a tiny rest of the interval."""
     if step >= left * (1.0 - 1e-12):
         return left
@@ -473,9 +474,9 @@ def fitted(step, left):
 
 
 @arithmetic
-def moved_on(position, trial, radius, allowed, counts):
+def take_fixed_step(position, trial, radius, allowed, counts):
     """Take a fixed step unless it moves a cell too far; return that cell and how far it moves."""
-    cell, moved = furthest_moved(position, trial, radius)
+    cell, moved = furthest_move(position, trial, radius)
     if moved <= allowed:
         copy(trial, position)
         counts[STEPS] += 1

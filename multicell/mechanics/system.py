@@ -8,7 +8,7 @@ values at the two ends, so that volumes are exact at both ends.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,6 +57,20 @@ class Linearisation:
         """Return arrays of the size that a list needs, not filled yet."""
         size = len(pairs.first)
         return cls(pairs, np.empty((size, 3)), np.empty(size), np.empty(size))
+
+
+@final
+class KernelData(NamedTuple):
+    """What the compiled kernels take of a system; ``shared`` says whether threads share them."""
+
+    cells: forces.CellData
+    pairs: forces.PairData
+    offsets: forces.OffsetData | None
+    law: Any
+    list_radius: FloatArray
+    least_margin: float
+    rows: FloatArray
+    shared: bool
 
 
 @final
@@ -458,6 +472,41 @@ class Mechanics:
         """Whether the law keeps values for each pair, which are made with each list."""
         between_types = self.surface_energies is not None and self.motion.kind is not None
         return between_types or self.law.remembers
+
+    def kernel_data(self) -> KernelData:
+        """Return what the kernels take, for a loop that rebuilds the neighbour list itself.
+
+        The list is a copy; :meth:`take_list` takes the one that the loop has built last.
+        """
+        motion, chunks = self.motion, -(-len(self) // self.chunk)
+        if self._pairs is None:
+            ends = np.zeros(chunks, dtype=np.int64)
+            pairs = forces.PairData(*self.spare, ends, ends, ends, None, None, None)
+            # no cell is close to a place that is not a number: the first evaluation builds
+            reference = np.full((len(self), 3), np.nan)
+        else:
+            pairs, reference = self._pair_data, np.array(self._cells.reference)
+        cells = forces.CellData(
+            self.chunk, self._margin, reference, motion.radius, motion.radius_rate, motion.bonds,
+            motion.push,
+        )  # fmt: skip
+        return KernelData(
+            cells, pairs, self._offsets.data, self._law, self._list_radius, self._least_margin,
+            self._rows, self.threads > 1 and chunks >= self.shared_chunks,
+        )  # fmt: skip
+
+    def take_list(self, cells: forces.CellData, pairs: forces.PairData) -> None:
+        """Take over the neighbour list of a loop that was given :meth:`kernel_data`."""
+        if np.isnan(cells.reference[0, 0]):
+            self._pairs = None
+            return
+        self._cells, self._pair_data = cells, pairs
+        # the list that was linearised may have been overwritten
+        self._linear = None
+        self._pairs = neighbours.PairList(
+            pairs.first, pairs.second, pairs.start, pairs.inner_end, pairs.outer_end,
+            self.chunk, len(self),
+        )  # fmt: skip
 
     def _listed_offsets(self, time: float) -> FloatArray:
         """Return the offset of each place of the list, µm, or nothing where there is none."""

@@ -1,1 +1,1 @@
-"""What a run leaves: frames, history, lineage, observables, tables."""
+"""Results of runs: frames, history, lineage, observables, tables."""

@@ -1,4 +1,4 @@
-"""Fields as what a stencil does not tell of them: exact to the bit, and a third of the size.
+"""Code fields as differences from the prediction of a stencil: exact, a third of the size.
 
 Outside the cells nothing is taken up, so a steady field is harmonic there: a node follows from the
 two layers of nodes before it by the Laplacian of seven points, up to what the solver has left over
@@ -98,7 +98,7 @@ def _beyond(nodes: FloatArray, face: float) -> FloatArray:
 def _faces(values: FloatArray) -> FloatArray:
     """Return the value that fits each face best, NaN where none fits better than no slope.
 
-    From the nodes at the middle of a face: by the stencil they tell what should stand beyond it.
+    From the nodes at the middle of a face: by the stencil they predict the value beyond it.
     """
     faces = np.full(6, np.nan)
     if not np.isfinite(values).all():

@@ -1,6 +1,6 @@
-"""Small files that are read again: tables in JSON and lines of them, each with its checksum.
+"""Tables in JSON and files of JSON lines, each with its checksum.
 
-A checksum tells an edit, a cut and a flipped bit from what was written; files are regular ones of a
+A checksum detects an edit, a cut and a flipped bit; files are regular ones of a
 bounded size and depth, or an error in words.
 """
 
@@ -19,8 +19,8 @@ from multicell.results.folder import file_errors, to_json, write_bytes, write_te
 from multicell.results.records import parse_table
 
 _CHECKSUM: Final = "checksum"
-_LARGEST: Final = 1 << 26
-_LARGEST_LINES: Final = 1 << 30
+_MAX_BYTES: Final = 1 << 26
+_MAX_LINES_BYTES: Final = 1 << 30
 
 
 def _checksum(table: Mapping[str, Any]) -> str:
@@ -50,7 +50,7 @@ def read_table(path: Path) -> dict[str, Any] | None:
     """
     with file_errors("read", path):
         try:
-            text = read_regular(path, _LARGEST)
+            text = read_regular(path, _MAX_BYTES)
         except FileNotFoundError:
             if path.is_symlink():
                 raise
@@ -101,7 +101,7 @@ class Lines:
         self.entries: list[Any] = []
         with file_errors("read", path):
             try:
-                data = read_regular(path, _LARGEST_LINES)
+                data = read_regular(path, _MAX_LINES_BYTES)
             except FileNotFoundError:
                 if path.is_symlink():
                     raise
@@ -132,7 +132,7 @@ class Lines:
             If they cannot be written.
         """
         entries = list(entries)
-        data, chain = _joined(entries, self._chain)
+        data, chain = _join(entries, self._chain)
         flags = os.O_WRONLY | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
         with file_errors("write", self._path):
             descriptor = os.open(self._path, flags, 0o666)
@@ -154,12 +154,12 @@ class Lines:
             If they cannot be written.
         """
         kept = list(entries)
-        data, chain = _joined(kept, 0)
+        data, chain = _join(kept, 0)
         write_bytes(self._path, data)
         self.entries, self._end, self._chain = kept, len(data), chain
 
 
-def _joined(entries: Iterable[Any], chain: int) -> tuple[bytes, int]:
+def _join(entries: Iterable[Any], chain: int) -> tuple[bytes, int]:
     """Return lines of entries, and the checksum of the last of them."""
     lines = []
     for entry in entries:

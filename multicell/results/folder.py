@@ -35,7 +35,7 @@ FILES: Final = (
 """Everything that a run leaves in its output folder, and all that overwriting removes there."""
 
 PASSING: Final = ("frames.journal", "scene.toml.next")
-"""What is there only while a run goes on, or after it was killed or met a full disk."""
+"""Files that are there only during a run, or after it was killed or met a full disk."""
 
 LOCK: Final = ".multicell.lock"
 """A file that is locked while a run writes into its folder; it is not there at other times."""
@@ -70,13 +70,13 @@ def file_errors(action: str, path: Path) -> Iterator[None]:
 
 
 @contextmanager
-def locked(folder: Path) -> Iterator[None]:
+def lock_folder(folder: Path) -> Iterator[None]:
     """Keep other runs out of a folder; the lock of a process that is killed is gone with it.
 
     Raises
     ------
     OutputError
-        If a run is going on in the folder, or it cannot be written to.
+        If another run uses the folder, or it cannot be written to.
     """
     path = folder / LOCK
     lock = FileLock(path, timeout=0, thread_local=False)
@@ -87,7 +87,7 @@ def locked(folder: Path) -> Iterator[None]:
             lock.acquire()
         except Timeout:
             raise OutputError(
-                f"a run is going on in '{folder}': wait for its end or choose another folder",
+                f"another run uses '{folder}': wait for its end or choose another folder",
                 in_use=True,
             ) from None
     try:
@@ -100,7 +100,7 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def in_use(folder: Path) -> bool:
-    """Return whether a run is going on in a folder, without a trace in it."""
+    """Return whether a run uses a folder; the folder stays as it is."""
     path = folder / LOCK
     if not path.is_file() or path.is_symlink():
         return False
@@ -165,35 +165,6 @@ def remove(folder: Path, names: Iterable[str]) -> None:
                 path.unlink(missing_ok=True)
 
 
-def prepare_folder(folder: str | Path, *, overwrite: bool = False) -> Path:
-    """Make an empty output folder, or clear an old one of multicell's own files.
-
-    Parameters
-    ----------
-    folder
-        Path of the folder; parents are made.
-    overwrite
-        Remove the files of an earlier run (:data:`FILES`, nothing else) first. Links among them
-        are removed themselves; what they lead to stays. A folder that is a link itself is
-        refused: what is removed must have been named.
-
-    Returns
-    -------
-    pathlib.Path
-        The folder.
-
-    Raises
-    ------
-    OutputError
-        If the folder is a file, holds something and may not be overwritten, cannot be made or
-        changed, or if a run is going on in it.
-    """
-    folder = make_folder(folder, overwrite=overwrite)
-    with locked(folder):
-        remove(folder, (*PASSING, *FILES))
-    return folder
-
-
 def new_file(path: Path) -> int:
     """Create a file, in the place of a file or link of this name, and return its descriptor.
 
@@ -204,7 +175,7 @@ def new_file(path: Path) -> int:
 
 
 @contextmanager
-def replacing(path: Path, mode: str = "wb", **options: Any) -> Iterator[IO[Any]]:
+def replace_file(path: Path, mode: str = "wb", **options: Any) -> Iterator[IO[Any]]:
     """Write a file beside its place and move it there when it is complete and on disk.
 
     Whatever happens, under ``path`` there is the old file or the new one, and nothing beside it.
@@ -266,7 +237,7 @@ def write_bytes(path: Path, data: bytes) -> None:
     OutputError
         If it cannot be written.
     """
-    with replacing(path) as file:
+    with replace_file(path) as file:
         file.write(data)
 
 

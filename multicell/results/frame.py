@@ -1,4 +1,4 @@
-"""What is known at one moment of a run: the cells, and the fields around them."""
+"""The state of a run at one time: the cells and the fields around them."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ class Field:
 @final
 @dataclass(frozen=True)
 class Progress:
-    """What a run must know besides cells and fields to go on exactly as it would have.
+    """State of a run besides cells and fields, which it needs to be resumed exactly.
 
     Attributes
     ----------

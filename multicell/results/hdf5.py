@@ -1,7 +1,7 @@
-"""The file ``frames.h5``: written once, as a whole, and checked before anything of it is believed.
+"""The file ``frames.h5``: written once, as a whole, and checked before it is read.
 
 HDF5 never meets a disk that can refuse it: it writes through a
-:class:`~multicell.results.sink.Sink` that notes a refusal and goes on as if nothing had happened,
+:class:`~multicell.results.sink.Sink` that notes a refusal and reports success to HDF5,
 and the file is thrown away afterwards. All of the file's own structure and all data carry checksums
 of HDF5, and each frame one of ours over all that it holds. Nothing that leads out of the file
 (links, external storage, virtual data sets) is followed.
@@ -20,10 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.errors import OutputError
-from multicell.results.condensing import Condenser, Expander
-from multicell.results.folder import package_version, replacing
+from multicell.results import format4, stored
+from multicell.results.folder import package_version, replace_file
 from multicell.results.journal import digest
-from multicell.results.layout import FORMAT, Kind, layout, of_rows
+from multicell.results.layout import FORMAT, READABLE, Kind, layout, of_rows
 from multicell.results.lineage import COLUMNS
 from multicell.results.quantities import known_unit
 from multicell.results.records import Arrays
@@ -73,7 +73,7 @@ def write(path: Path, whole: Whole) -> None:
     OutputError
         If it cannot be written, for example because the disk is full.
     """
-    with replacing(path, "w+b") as file:
+    with replace_file(path, "w+b") as file:
         sink = Sink(file)
         try:
             with h5py.File(sink, "w", libver=_LIBVER) as target:
@@ -136,10 +136,10 @@ class _Log:
     """Rows on their way into a file: HDF5 is quick with few large writes, slow with many."""
 
     def __init__(
-        self, target: Any, sets: Mapping[str, Kind], nutrients: Iterable[str], sink: Sink
+        self, target: Any, sets: Mapping[str, Kind], nutrients: Sequence[str], sink: Sink
     ) -> None:
         self._target = target
-        self._condenser = Condenser(nutrients)
+        self._nutrients = nutrients
         self._sets = sets
         self._sink = sink
         self._pieces: dict[str, list[NDArray[Any]]] = {path: [] for path in sets}
@@ -153,7 +153,7 @@ class _Log:
 
     def add(self, arrays: Arrays, check: int, log: Arrays) -> None:
         """Add a frame."""
-        rows = self._condenser.condensed(arrays)
+        rows = stored.frame_rows(arrays, self._nutrients)
         rows |= {f"lineage/{path}": a for path, a in log.items()}
         rows["frames/digest"] = np.array(check)
         for path, kind in self._sets.items():
@@ -193,10 +193,10 @@ def _finish(
         _append(group[name], [np.asarray(column, "<f8")])
     group.attrs["digest"] = np.uint32(digest(dict(sorted(history.items()))))
     target.attrs["frames"] = np.int64(count)
-    target.attrs["digest"] = np.uint32(digest(_shared(target, sets)))
+    target.attrs["digest"] = np.uint32(digest(_shared_arrays(target, sets)))
 
 
-def _shared(file: Any, sets: Mapping[str, Kind]) -> Arrays:
+def _shared_arrays(file: Any, sets: Mapping[str, Kind]) -> Arrays:
     """Read what belongs to no single frame: scene, offsets, times and the lineage."""
     paths = [
         path
@@ -207,7 +207,7 @@ def _shared(file: Any, sets: Mapping[str, Kind]) -> Arrays:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[Any]:
+def _open_file(path: Path) -> Iterator[Any]:
     """Open a file for reading and turn all that HDF5 has to say into words.
 
     Not in HDF5's mode for files that are being written: in that a damaged one is read again and
@@ -223,7 +223,7 @@ def _opened(path: Path) -> Iterator[Any]:
 
 
 def check_whole(path: Path) -> None:
-    """Refuse a file that is missing, cut short, or not one of ours; its data are not looked at.
+    """Refuse a file that is missing, cut short, or not one of ours; its data are not read.
 
     Raises
     ------
@@ -232,9 +232,9 @@ def check_whole(path: Path) -> None:
     """
     if not path.is_file():
         raise OutputError(f"'{path}' is missing")
-    with _opened(path) as file:
+    with _open_file(path) as file:
         written = file.attrs.get("format", 0)
-        if np.shape(written) != () or written != FORMAT:
+        if np.shape(written) != () or written not in READABLE:
             raise OutputError(f"'{path}' is no result file that this multicell reads")
 
 
@@ -246,7 +246,7 @@ def check_contained(path: Path) -> None:
     OutputError
         If it does, or cannot be read.
     """
-    with _opened(path) as file:
+    with _open_file(path) as file:
         claimed, left = 0, [file]
         while left:
             group = left.pop()
@@ -292,6 +292,8 @@ class File:
     Attributes
     ----------
     scene : str
+    version : int
+        Of the layout, one of :data:`~multicell.results.layout.READABLE`.
     nutrients : tuple of str
     identity, absorbed : str
     times : (k,) float64, s
@@ -316,23 +318,24 @@ class File:
         self.path = path
         self._claimed = 0
         self._at_once: dict[str, int] = {}
-        with _opened(path) as file:
+        with _open_file(path) as file:
             self._read_format(file)
-            for group in ("fields", "history", "cells", "kept", "frames", "lineage"):
+            for group in ("fields", "history", "cells", "frames", "lineage"):
                 self._group(file, group)
+            if self.version == 4:
+                self._group(file, "kept")
             self.nutrients = tuple(sorted(file["fields"]))
             self.columns = tuple(file["history"])
-            self._sets = layout(self.nutrients)
+            self._sets = layout(self.nutrients, self.version)
             self._check_sets(file)
-            shared = _shared(file, self._sets)
+            shared = _shared_arrays(file, self._sets)
             if digest(shared) != int(file.attrs["digest"]):
                 raise self._damaged("its scene, index or lineage is not what was written")
             self.identity, self.absorbed = (
                 self._name(file, key) for key in ("identity", "absorbed")
             )
-        ends = {path: a for path, a in shared.items() if path.endswith("/offset")}
+        self._offsets = {path: a for path, a in shared.items() if path.endswith("/offset")}
         self.times, self.steps = shared["frames/time"], shared["frames/step"]
-        self._expander = Expander(self.nutrients, ends, self.times, self.steps)
         self.digests = shared["frames/digest"]
         self.scene = shared["scene"].tobytes().decode("utf-8", "replace")
         self.ends = {log: shared[f"lineage/{log}/offset"] for log in COLUMNS}
@@ -349,10 +352,11 @@ class File:
         written = file.attrs.get("format", 0)
         if np.shape(written) != () or not np.issubdtype(np.asarray(written).dtype, np.integer):
             raise self._damaged("its format is no number")
-        if int(written) != FORMAT:
+        self.version = int(written)
+        if self.version not in READABLE:
             raise OutputError(
-                f"'{self.path}' has result format {int(written)}; this multicell reads format "
-                f"{FORMAT}"
+                f"'{self.path}' has result format {self.version}; this multicell reads formats "
+                f"{' and '.join(map(str, READABLE))}"
             )
         frames = file.attrs["frames"]
         if np.shape(frames) != () or int(frames) < 0:
@@ -384,7 +388,7 @@ class File:
         """Check place, type, shape and storage of every data set before anything is read."""
         self._check_set(file, "scene", of_rows("|u1"), None)
         lengths = {"frames": self.count, "ends": self.count + 1}
-        # those whose length is known come first, then those whose length they tell
+        # those of known length come first: they hold the lengths of the others
         for path, kind in sorted(
             self._sets.items(), key=lambda entry: entry[1].pool not in lengths
         ):
@@ -447,8 +451,9 @@ class File:
         OutputError
             If they are not what was written.
         """
+        read_frame = format4.read_frame if self.version == 4 else stored.read_frame
         with self._again() as file:
-            arrays = self._expander.expanded(file, place)
+            arrays = read_frame(file, place, self.nutrients, self._offsets)
         if digest(arrays) != int(self.digests[place]):
             raise OutputError(f"it is not what was written to '{self.path}'")
         return arrays
@@ -461,7 +466,7 @@ class File:
     @contextmanager
     def _again(self) -> Iterator[Any]:
         """Open the file once more, and make sure that it still is the same one."""
-        with _opened(self.path) as file:
+        with _open_file(self.path) as file:
             if self._name(file, "identity") != self.identity:
                 raise OutputError(f"'{self.path}' has been replaced since it was opened")
             yield file

@@ -1,7 +1,7 @@
-"""The journal of a run that goes on: records that are appended to one file, one after another.
+"""The journal of a running simulation: records appended to one file.
 
 HDF5 leaves an unreadable file behind when the disk is full or the process is killed in the middle
-of a write. So while a run goes on its results go here, by plain writes to the end of the file, and
+of a write. So during a run its results go here, by plain writes to the end of the file, and
 only what is complete counts. The file is a sequence of records
 
     tag (4 bytes), length of header, length of body, checksums of header, of body, and of these 24
@@ -39,13 +39,13 @@ _TAG: Final = b"mcj3"
 PREFIX: Final = struct.Struct("<4sIQIII")
 """Tag, lengths and checksums of a record: 28 bytes."""
 
-_LARGEST_HEADER: Final = 1 << 24
+_MAX_HEADER: Final = 1 << 24
 _LONG: Final = 1 << 18  # bytes of an array that is not copied together with others
 _SYNC_EVERY: Final = 1.0  # s
 _TYPES: Final = ("<f8", "<i8", "<i2", "|i1", "|u1")
 
 
-def described(arrays: Arrays) -> list[list[Any]]:
+def array_headers(arrays: Arrays) -> list[list[Any]]:
     """Return name, type and shape of each array."""
     return [[name, a.dtype.str, list(a.shape)] for name, a in arrays.items()]
 
@@ -57,7 +57,7 @@ def flat(array: NDArray[Any]) -> NDArray[np.uint8]:
 
 def digest(arrays: Arrays) -> int:
     """Return a checksum of names, types, shapes and values of arrays."""
-    value = zlib.crc32(json.dumps(described(arrays)).encode())
+    value = zlib.crc32(json.dumps(array_headers(arrays)).encode())
     for array in arrays.values():
         value = zlib.crc32(flat(array).data, value)
     return value
@@ -114,7 +114,7 @@ class Journal:
 
     @classmethod
     def reopen(cls, reader: Reader) -> Journal:
-        """Go on with a journal behind its complete records."""
+        """Continue a journal behind its complete records."""
         path, end = reader.path, reader.end
         with file_errors("write", path):
             flags = os.O_RDWR | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
@@ -144,7 +144,7 @@ class Journal:
                 os.ftruncate(self._descriptor, self._end)
             self._torn = True
             try:
-                place = self._write(_gathered(parts))
+                place = self._write(_gather(parts))
                 if sync or clock.monotonic() - self._synced > _SYNC_EVERY:
                     self._sync()
             except OSError as error:
@@ -188,7 +188,7 @@ class Journal:
                 os.close(descriptor)
 
 
-def _gathered(parts: Iterable[Any]) -> Iterator[Any]:
+def _gather(parts: Iterable[Any]) -> Iterator[Any]:
     """Yield what is to be written in few pieces, without a copy of the long ones."""
     short: list[Any] = []
     for part in parts:
@@ -203,7 +203,7 @@ def _gathered(parts: Iterable[Any]) -> Iterator[Any]:
 
 def _parts(header: Mapping[str, Any], arrays: Arrays, chain: int) -> tuple[int, list[Any]]:
     """Return the checksum of a record's head, and the pieces of the record."""
-    text = json.dumps({**header, "arrays": described(arrays)} if arrays else header).encode()
+    text = json.dumps({**header, "arrays": array_headers(arrays)} if arrays else header).encode()
     pieces = [flat(array) for array in arrays.values()]
     length = sum(len(piece) for piece in pieces)
     head = PREFIX.pack(_TAG, len(text), length, zlib.crc32(text), digest(arrays), 0)[:-4]
@@ -249,7 +249,7 @@ class Reader:
         if len(head) < PREFIX.size:
             return False
         tag, letters, length, of_text, of_body, of_head = PREFIX.unpack(head)
-        if tag != _TAG or zlib.crc32(head[:-4], self.chain) != of_head or letters > _LARGEST_HEADER:
+        if tag != _TAG or zlib.crc32(head[:-4], self.chain) != of_head or letters > _MAX_HEADER:
             # after a loss of power the end may be there without what was written to it
             if any(head) or any(file.read(1 << 16)):
                 self.damage = f"the record at byte {self.end} is damaged"

@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 
 from multicell.cells import Cells
-from multicell.results.keeping import POOLS
 from multicell.results.lineage import COLUMNS
 from multicell.results.records import FIELD, UNIT
 
-FORMAT: Final = 4
+FORMAT: Final = 5
 """Number of the layout that :mod:`multicell.results.writer` describes."""
+READABLE: Final = (4, FORMAT)
+"""Layouts that can be read; :mod:`multicell.results.format4` reads the older one."""
+
+POOLS: Final[Mapping[str, tuple[str, ...]]] = {
+    "birth": ("parent", "kind", "young", "poisson", "cycle_time"),
+    "age": ("age",),
+    "phase": ("progress", "phase_length"),
+    "surface": ("receptor", "ligand"),
+}
+"""Columns of cells that share a list of entries in format 4."""
 
 _LONG: Final = 8192  # rows in a chunk of what grows with cells and nodes: 64 kB for a number each
 _MIDDLE: Final = 4096  # ... of logs and texts
@@ -22,7 +31,7 @@ _SHORT: Final = 256  # ... of what has one row for each frame
 
 @final
 class Kind(NamedTuple):
-    """What a data set holds: one row for each frame, or ``pool`` rows in all.
+    """The kind of a data set: one row for each frame, or ``pool`` rows in all.
 
     The pools ``frames`` and ``ends`` have one row for each frame and one more; any other is the
     path of the data set of offsets whose last entry is its length.
@@ -35,8 +44,8 @@ class Kind(NamedTuple):
     chunk: int = _SHORT
 
 
-def layout(nutrients: Iterable[str]) -> dict[str, Kind]:
-    """Return all data sets but those of the history, by path."""
+def layout(nutrients: Iterable[str], version: int = FORMAT) -> dict[str, Kind]:
+    """Return all data sets but those of the history, by path; checksums go by their order."""
     sets = {
         "frames/offset": Kind("<i8", None, "ends"),
         "frames/time": Kind("<f8", None, "frames", "s"),
@@ -46,34 +55,42 @@ def layout(nutrients: Iterable[str]) -> dict[str, Kind]:
         "contacts/pair": Kind("<i8", 2, "contacts/offset", chunk=_MIDDLE),
         "progress/offset": Kind("<i8", None, "ends"),
         "progress/text": Kind("|u1", None, "progress/offset", chunk=_MIDDLE),
-        **_cells(),
+        **(_pooled_cells() if version == 4 else _cells()),
         **_lineage(),
     }
     for name in nutrients:
-        sets |= _nutrient(name)
+        sets |= _field(name)
+        sets |= _entries(name) if version == 4 else _concentration(name)
     return sets
 
 
 def of_rows(dtype: str, unit: str = "") -> Kind:
-    """Return what a data set is whose length nothing else tells: the scene, the history."""
+    """Return the kind of a data set of its own length: the scene, the history."""
     return Kind(dtype, None, "", unit, _MIDDLE)
 
 
 def _cells() -> dict[str, Kind]:
-    """Return the columns of cells: of all frames one after another, and what cells keep."""
-    columns = {
-        name: Kind(np.dtype(spec["dtype"]).str, spec["width"], "frames/offset", spec["unit"], _LONG)
+    """Return the columns of cells, of all frames one after another."""
+    return {
+        f"cells/{name}": Kind(
+            np.dtype(spec["dtype"]).str, spec["width"], "frames/offset", spec["unit"], _LONG
+        )
         for name, spec in Cells.schema().items()
     }
+
+
+def _pooled_cells() -> dict[str, Kind]:
+    """Return the columns of cells in format 4."""
+    columns = _cells()
     sets: dict[str, Kind] = {}
     for pool, names in POOLS.items():
         offset = f"kept/{pool}/offset"
         sets[offset] = Kind("<i8", None, "ends")
         sets[f"kept/{pool}/id"] = Kind("<i8", None, offset, chunk=_MIDDLE)
         for name in names:
-            kept = columns.pop(name)
-            sets[f"kept/{pool}/{name}"] = kept._replace(pool=offset, chunk=_MIDDLE)
-    return {f"cells/{name}": kind for name, kind in columns.items()} | sets
+            entry = columns.pop(f"cells/{name}")
+            sets[f"kept/{pool}/{name}"] = entry._replace(pool=offset, chunk=_MIDDLE)
+    return columns | sets
 
 
 def _lineage() -> dict[str, Kind]:
@@ -89,9 +106,9 @@ def _lineage() -> dict[str, Kind]:
     return sets
 
 
-def _nutrient(name: str) -> dict[str, Kind]:
-    """Return the data sets of a field, and of what cells find of it that does not follow."""
-    group, found = f"fields/{name}", f"concentrations/{name}"
+def _field(name: str) -> dict[str, Kind]:
+    """Return the data sets of a field."""
+    group = f"fields/{name}"
     return {
         f"{group}/offset": Kind("<i8", None, "ends"),
         f"{group}/coded": Kind("<u8", None, f"{group}/offset", chunk=_LONG),
@@ -101,7 +118,19 @@ def _nutrient(name: str) -> dict[str, Kind]:
             f"{group}/{key}": Kind(entry.dtype, entry.width or None, "frames", entry.unit)
             for key, entry in FIELD.items()
         },
-        f"{found}/offset": Kind("<i8", None, "ends"),
-        f"{found}/row": Kind("<i8", None, f"{found}/offset", chunk=_MIDDLE),
-        f"{found}/value": Kind("<f8", None, f"{found}/offset", UNIT, _MIDDLE),
+    }
+
+
+def _concentration(name: str) -> dict[str, Kind]:
+    """Return the data set of the concentrations at the cells."""
+    return {f"cells/concentration_{name}": Kind("<f8", None, "frames/offset", UNIT, _LONG)}
+
+
+def _entries(name: str) -> dict[str, Kind]:
+    """Return the concentrations at the cells in format 4, where not the interpolated field."""
+    group = f"concentrations/{name}"
+    return {
+        f"{group}/offset": Kind("<i8", None, "ends"),
+        f"{group}/row": Kind("<i8", None, f"{group}/offset", chunk=_MIDDLE),
+        f"{group}/value": Kind("<f8", None, f"{group}/offset", UNIT, _MIDDLE),
     }

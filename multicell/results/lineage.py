@@ -1,4 +1,4 @@
-"""Who descends from whom: births, deaths and ends of all cells that ever were."""
+"""Lineage: births, deaths and ends of all cells of a run."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ class Lineage:
         }
 
     def _note(self, log: str, columns: tuple[NDArray[Any] | float, ...]) -> None:
-        """Add rows to a log; the first column tells how many."""
+        """Add rows to a log; the first column has one entry for each."""
         begin = self._lengths[log]
         end = begin + len(np.atleast_1d(columns[0]))
         for (name, held), values in zip(self._logs[log].items(), columns, strict=True):

@@ -1,4 +1,4 @@
-"""Reading result folders, also those of runs that go on, were killed, or met a full disk."""
+"""Read result folders, also of runs that are running, were killed, or met a full disk."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from multicell.results.frame import Frame
 from multicell.results.lineage import COLUMNS, Lineage
 from multicell.results.records import Arrays, frame_of, lineage_of
 
-_ATTEMPTS: Final = 5  # how often a folder is looked at that changes while it is
+_ATTEMPTS: Final = 5  # to open a folder that changes meanwhile
 
 
 class _Place(NamedTuple):
@@ -38,7 +38,7 @@ class _Rows(NamedTuple):
 
 @final
 class Contents:
-    """What a result folder holds: ``frames.h5``, and the journal of what came after.
+    """The contents of a result folder: ``frames.h5``, and the journal of what came after.
 
     Attributes
     ----------
@@ -222,13 +222,13 @@ class Contents:
             ) from error
 
     def _before(self, place: int) -> str:
-        """Tell which frame before one can be read."""
+        """Return in words which earlier frame can be read."""
         for k in range(place - 1, -1, -1):
             try:
                 frame_of(self.places[k].arrays(), self.nutrients)
             except OutputError:
                 continue
-            return f"Frame {k} can be read: go on from it with 'multicell resume --frame {k}'"
+            return f"Frame {k} can be read: continue from it with 'multicell resume --frame {k}'"
         return "No frame before it can be read"
 
     def lineage(self, place: int) -> Lineage:
@@ -272,7 +272,7 @@ class Contents:
         if self.damage is not None:
             count = len(self.places)
             rest = (
-                f"The frames 0 to {count - 1} can be read: go on from the last of them with "
+                f"The frames 0 to {count - 1} can be read: continue from the last of them with "
                 f"'multicell resume --frame {count - 1} --output' and another folder"
                 if count
                 else "No frame can be read"

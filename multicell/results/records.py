@@ -25,7 +25,7 @@ UNIT: Final = "mM"
 
 @final
 class FieldArray(NamedTuple):
-    """What is stored of a field beside its values.
+    """An array that is stored of a field beside its values.
 
     Type, entries (0: one number), unit, and what stands where there is no field.
     """
@@ -49,7 +49,7 @@ _OF_PARTS: Final = ("driven", "springs", "first_states", "replays", "stability")
 _OF_OTHERS: Final = ("local_error",)
 """Entries that earlier versions noted: they are left out."""
 
-_DEEPEST: Final = 32
+_MAX_DEPTH: Final = 32
 
 
 def arrays_of(frame: Frame, nutrients: Iterable[str]) -> Arrays:
@@ -69,7 +69,7 @@ def arrays_of(frame: Frame, nutrients: Iterable[str]) -> Arrays:
     for name, values in frame.concentrations.items():
         if len(values) != len(frame.cells):
             raise ValueError(f"{len(values)} values of {name} for {len(frame.cells)} cells")
-    text = b"" if frame.progress is None else json.dumps(_noted(frame.progress)).encode()
+    text = b"" if frame.progress is None else json.dumps(_progress_entries(frame.progress)).encode()
     arrays = {"time": np.array(frame.time, "<f8"), "step": np.array(frame.step, "<i8")}
     arrays |= {f"cells/{name}": column for name, column in frame.cells.columns()}
     for name in names:
@@ -83,7 +83,7 @@ def arrays_of(frame: Frame, nutrients: Iterable[str]) -> Arrays:
     return arrays
 
 
-def _noted(progress: Progress) -> dict[str, Any]:
+def _progress_entries(progress: Progress) -> dict[str, Any]:
     """Return the entries of a progress but those of parts that the scene does not have."""
     entries = asdict(progress)
     return {name: x for name, x in entries.items() if x or name not in _OF_PARTS}
@@ -155,8 +155,8 @@ def _check(frame: Frame) -> None:
             raise OutputError(f"it has {len(values)} concentrations of {name}")
 
 
-def can_go_on(frame: Frame) -> str:
-    """Return what keeps a run from going on from a frame, or nothing."""
+def resume_obstacle(frame: Frame) -> str:
+    """Return why a run cannot be resumed from a frame, or an empty text."""
     cells = frame.cells
     for name in ("position", "radius", "young", "poisson"):
         if not np.isfinite(getattr(cells, name)).all():
@@ -168,7 +168,7 @@ def can_go_on(frame: Frame) -> str:
 
 
 def progress_of(text: bytes, nutrients: Iterable[str]) -> Progress | None:
-    """Return what a run needs to go on, or None if nothing was noted.
+    """Return what a run needs to be resumed, or None if nothing was noted.
 
     Raises
     ------
@@ -258,7 +258,7 @@ def parse_table(text: bytes | str) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise OutputError("it does not hold a table")
     level: list[Any] = [value]
-    for _ in range(_DEEPEST):
+    for _ in range(_MAX_DEPTH):
         below = [x for v in level for x in (v.values() if isinstance(v, dict) else v)]
         if any(type(x) is int and abs(x) >= 1 << 64 for x in below):
             raise OutputError("it holds a number that no run can have written")

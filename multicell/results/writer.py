@@ -1,6 +1,6 @@
-"""Result files: a journal while a run goes on, ``frames.h5`` when it has ended.
+"""Result files: a journal during a run, ``frames.h5`` when it has ended.
 
-While a run goes on each frame is appended to ``frames.journal`` (:mod:`multicell.results.journal`),
+During a run each frame is appended to ``frames.journal`` (:mod:`multicell.results.journal`),
 with what the history and the lineage have gained. A run that is killed at any moment, or meets a
 full disk, leaves all frames that it had finished, and the history up to about a second before. A
 frame is on the disk itself when :meth:`Store.append` returns, so that it survives a loss of power;
@@ -11,21 +11,15 @@ leaves ``frames.h5`` as it is and begins a journal that says from which frame on
 
 Layout of ``frames.h5`` for k frames and m history rows::
 
-    /cells/<column>                  id, position, radius, state, pressure, phase: all frames one
-                                     after another, with a ``unit``
+    /cells/<column>                  all columns of cells, all frames one after another, with a
+                                     ``unit``; concentration_<nutrient> in mM
     /frames/offset (k + 1)           frame j owns the rows offset[j] ... offset[j + 1] - 1
     /frames/time, /frames/step (k)
     /frames/digest (k)               CRC-32 of all that a frame holds
-    /kept/<pool>/id, <column>        the other columns of cells, where they are not what is expected
-                                     from a cell's last entry (:mod:`multicell.results.keeping`)
-    /kept/<pool>/offset (k + 1)      frame j owns the entries offset[j] ... offset[j + 1] - 1
-    /fields/<nutrient>/coded         grids one after another in C order, as differences from what a
-                                     stencil tells (:mod:`multicell.results.coding`)
+    /fields/<nutrient>/coded         grids one after another in C order, as differences from the
+                                     prediction of a stencil (:mod:`multicell.results.coding`)
     /fields/<nutrient>/faces (k, 6)  what holds at the faces, for the same stencil
     /fields/<nutrient>/offset (k + 1), shape (k, 3), origin (k, 3), spacing, height, radial (k)
-    /concentrations/<nutrient>/row, value, offset (k + 1)
-                                     at the cells, row by row of a frame, where they are not the
-                                     field's (:mod:`multicell.results.following`), mM
     /contacts/pair (., 2)            identities of pairs in contact, where the law remembers them
     /contacts/offset (k + 1)
     /progress/text, /progress/offset (k + 1)   JSON: what else a run needs to be resumed
@@ -34,8 +28,9 @@ Layout of ``frames.h5`` for k frames and m history rows::
     /history/<column> (m)
     /scene                           bytes of ``scene.toml``
 
-All is compressed by filters that every HDF5 has (shuffle, gzip). What is left out follows bit by
-bit: a frame is put together again and held against its checksum whenever it is read.
+All is compressed by filters that every HDF5 has (shuffle, gzip). A frame is compared with its
+checksum whenever it is read. Files of format 4, which left out what follows from the rest, are read
+by :mod:`multicell.results.format4` and become format 5 when their run is resumed.
 
 It is an ordinary file without links to others: h5py, pandas and xarray open it, and a copy of it is
 complete. The attributes ``identity`` and ``absorbed`` tell it and its journals apart, ``digest``
@@ -59,7 +54,7 @@ from multicell.results.folder import (
     FILES,
     PASSING,
     file_errors,
-    locked,
+    lock_folder,
     make_folder,
     put_in_place,
     remove,
@@ -88,7 +83,7 @@ _HISTORY_EVERY: Final = 1.0  # s of the wall clock
 class Store:
     """The writer of a result folder; it is the only owner of the open journal.
 
-    Use :meth:`create` or :meth:`go_on`; as a context manager it settles and closes itself. All
+    Use :meth:`create` or :meth:`resume`; as a context manager it settles and closes itself. All
     methods raise :class:`~multicell.errors.OutputError` when the system refuses to write (disk
     full); what was written before stays. A call that does not come to its end (Ctrl-C) leaves no
     trace.
@@ -124,11 +119,12 @@ class Store:
         Raises
         ------
         OutputError
-            If the folder cannot be used (:func:`multicell.results.folder.prepare_folder`).
+            If the folder cannot be used (:func:`multicell.results.folder.make_folder`), or a run
+            uses it.
         """
         folder = make_folder(folder, overwrite=overwrite)
         with ExitStack() as stack:
-            stack.enter_context(locked(folder))
+            stack.enter_context(lock_folder(folder))
             make_folder(folder, overwrite=overwrite)  # another run may have come first
             # a table of cells may be one of the files that are removed
             scene = with_copy(scene, folder)
@@ -143,8 +139,8 @@ class Store:
             return cls(folder, journal, names, stack.pop_all())
 
     @classmethod
-    def go_on(cls, contents: Contents, place: int, rows: int, scene: Scene) -> Self:
-        """Go on in a folder after one of its frames; its lock is the caller's affair.
+    def resume(cls, contents: Contents, place: int, rows: int, scene: Scene) -> Self:
+        """Continue in a folder after one of its frames; the caller holds its lock.
 
         What came after the frame, and files that describe the end of the earlier run, do not
         count any more once this returns; until then nothing is lost.
@@ -158,7 +154,7 @@ class Store:
         rows
             How many rows of the history came up to it.
         scene
-            The scene to go on with.
+            The scene to continue with.
         """
         folder, names = contents.folder, contents.nutrients
         lineage = contents.lineage(place)
@@ -302,7 +298,7 @@ class Store:
 def _opening(
     scene: str, nutrients: tuple[str, ...], base: str, frames: int, rows: int
 ) -> dict[str, Any]:
-    """Return the first record of a journal: what it goes on from."""
+    """Return the first record of a journal: what it continues from."""
     return {
         "kind": "open",
         "identity": uuid.uuid4().hex,

@@ -1,1 +1,1 @@
-"""What there is: the typed description of a scene."""
+"""The typed description of a scene."""

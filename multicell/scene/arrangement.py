@@ -1,4 +1,4 @@
-"""Where a scene puts its cells at random: regions of space, and how many cells have room in them.
+"""Regions in which a scene places cells at random, and how many cells have room there.
 
 Cells are put one after another at places that are drawn uniformly over a region, and drawn anew
 where a cell would come too near to one that is there already (random sequential addition). That
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 SATURATION: Final = {1: 0.74760, 2: 0.54707, 3: 0.38413}
 """Part of space that equal spheres (discs, rods) cover when no further one finds room."""
-MOST_COVERED: Final = 0.8
+MAX_COVERAGE: Final = 0.8
 """Part of the saturation coverage up to which cells are put: close to it no place is found."""
 _UNIT: Final = {1: 2.0, 2: math.pi, 3: 4.0 * math.pi / 3.0}
 """Length, area and volume of the unit ball in one, two and three dimensions."""
@@ -49,7 +49,7 @@ OF_REGIONS: Final = ("radius", "inner_radius", "length", "centre", "axis", "x", 
 
 @final
 class Region(NamedTuple):
-    """Where centres of cells are drawn.
+    """A region in which centres of cells are drawn.
 
     Attributes
     ----------
@@ -194,7 +194,7 @@ def refuse_too_dense(scene: Scene, diameter: float) -> None:
     found = region(scene)
     if found is None or scene.initial.count == 1:
         return
-    most = MOST_COVERED * SATURATION[len(found.axes)]
+    most = MAX_COVERAGE * SATURATION[len(found.axes)]
     covered = coverage(scene, diameter)
     if covered > most:
         room = math.floor(scene.initial.count * most / covered)

@@ -1,4 +1,4 @@
-"""Whether the parts of a scene fit together."""
+"""Check whether the parts of a scene fit together."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How long coupling steps may be: one length for all, or bounds between which a run chooses.
+"""Lengths of coupling steps: one for all, or bounds between which a run chooses.
 
 With ``coupling_step = "auto"`` steps are an hour halved some times, and end at multiples of their
 own length. So their times are exact numbers, and frames land on full hours.
@@ -82,7 +82,7 @@ def check_coupling(scene: Scene) -> None:
         return
     if scene.growth is None:
         hint = 'Give a time, for example coupling_step = "10 min".'
-        problem = "is 'auto', but the scene has no growth: nothing tells how long steps may be"
+        problem = "is 'auto', but the scene has no growth, which limits the steps"
         raise SceneError("coupling_step", problem, hint)
     frozen = {
         "contact": scene.contact.remembers,

@@ -2,7 +2,7 @@
 
 It is made from the same declarations that read a scene (:mod:`multicell.schema`), so that it has
 all keys with units, defaults, bounds and choices. What it cannot say, such as the bounds of a
-quantity that is written with a unit, or what concerns several keys, only reading the scene tells.
+quantity that is written with a unit, or what concerns several keys, is checked on reading.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def _table(part: type, parts: dict[str, Schema], also: Schema | None = None) -> 
         "description": (inspect.getdoc(part) or "").partition("\n")[0],
         "properties": {
             **(also or {}),
-            **{name: _described(spec, parts) for name, spec in known.items()},
+            **{name: _describe(spec, parts) for name, spec in known.items()},
         },
         "additionalProperties": False,
     }
@@ -67,7 +67,7 @@ def _reference(part: type, parts: dict[str, Schema]) -> Schema:
     return {"$ref": f"#/$defs/{part.__name__}"}
 
 
-def _described(field: Field[Any], parts: dict[str, Schema]) -> Schema:
+def _describe(field: Field[Any], parts: dict[str, Schema]) -> Schema:
     """Return the schema of a key with what a reader must know of it."""
     spec: Parameter = field.metadata["parameter"]
     unit = "" if spec.units in spec.allowed else f"in {spec.units}"
@@ -178,7 +178,7 @@ _KINDS: Final[Mapping[str, Callable[[Parameter, dict[str, Schema]], Schema]]] = 
         "type": "array", "items": {"type": "integer", "minimum": 0}, "minItems": 1,
         "uniqueItems": True,
     },
-    "joined": lambda spec, _: {
+    "id_pairs": lambda spec, _: {
         "type": "array", "minItems": 1, "uniqueItems": True,
         "items": {
             "type": "array", "items": {"type": "integer", "minimum": 0}, "minItems": 2,

@@ -38,10 +38,10 @@ def in_concentrations(name: str, entries: Mapping[str, Any], path: str) -> Mappi
     for key, value in entries.items():
         spec = specified.get(key)
         if spec is not None and spec.unit == "mM" and spec.kind == "quantity":
-            made[key] = _converted(name, value, temperature, f"{path}.{key}")
+            made[key] = _convert(name, value, temperature, f"{path}.{key}")
         elif key == "media" and isinstance(value, list | tuple):
             made[key] = [
-                [point[0], _converted(name, point[1], temperature, f"{path}.{key}")]
+                [point[0], _convert(name, point[1], temperature, f"{path}.{key}")]
                 if isinstance(point, list | tuple) and len(point) == 2
                 else point
                 for point in value
@@ -49,7 +49,7 @@ def in_concentrations(name: str, entries: Mapping[str, Any], path: str) -> Mappi
         elif key == "sides" and isinstance(value, Mapping):
             made[key] = {
                 face: {
-                    inner: _converted(name, x, temperature, f"{path}.sides.{face}.{inner}")
+                    inner: _convert(name, x, temperature, f"{path}.sides.{face}.{inner}")
                     if inner == "value"
                     else x
                     for inner, x in side.items()
@@ -61,7 +61,7 @@ def in_concentrations(name: str, entries: Mapping[str, Any], path: str) -> Mappi
     return made
 
 
-def _converted(name: str, value: Any, temperature: Callable[[], float], path: str) -> Any:
+def _convert(name: str, value: Any, temperature: Callable[[], float], path: str) -> Any:
     """Return a value, if it is a pressure as a concentration in mM."""
     if not isinstance(value, str):
         return value

@@ -1,4 +1,4 @@
-"""When cells attract each other so far that tissue collapses, and how densely it is packed.
+"""Predict collapse of tissue by attraction, and how densely it is packed.
 
 Contacts act as far as cells overlap, or as far as an attractive law reaches. In the closest packing
 nearest neighbours are at d and the second ones at √2 d (in a plane √3 d): once the rest distance of

@@ -1,4 +1,4 @@
-"""What two cells of a scene do to each other, before anything is run."""
+"""Pairs of cells of a scene: their laws and drag, before anything is run."""
 
 from __future__ import annotations
 

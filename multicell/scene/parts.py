@@ -12,7 +12,7 @@ from multicell.growth_laws.law import GrowthLaw
 from multicell.growth_laws.registry import LAWS
 from multicell.integrators.base import MethodInfo
 from multicell.integrators.registry import METHODS
-from multicell.plugins import OWN_OBJECT, recorded_object
+from multicell.plugins import OWN_OBJECT, is_recorded_object
 from multicell.schema import (
     Tables,
     build,
@@ -144,7 +144,7 @@ class Growth:
 
     Without ``phases`` a cell divides at the division volume. With them it passes G1, S, G2 and M
     and divides at the end of M; the volume doubles in the phases in which it grows, and there
-    the cycle goes on only as fast as growth does.
+    the cycle advances only as fast as growth does.
     """
 
     cycle_time: float = quantity(
@@ -274,7 +274,7 @@ class IntegratorOptions:
         METHODS,
         default="auto",
         doc="name of the method; of a method of the user's own where it came from",
-        other=recorded_object,
+        other=is_recorded_object,
         further=OWN_OBJECT,
     )
     rtol: float = number(default=1e-6, at_least=1e-14, at_most=0.1, doc="relative tolerance")

@@ -1,4 +1,4 @@
-"""Whether the numbers of a scene have sizes that anything can be computed with.
+"""Check whether the numbers of a scene have sizes that can be computed with.
 
 Each number has a range of its own (:data:`multicell.units.RANGES`); what must fit together is
 checked here too. Bounds are orders of magnitude beyond any use: they keep out what would hang,
@@ -29,14 +29,14 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 
-MOST_STEPS: Final = 1e9
+MAX_STEPS: Final = 1e9
 """Most coupling steps of a run: at a microsecond each a quarter of an hour, at a millisecond weeks;
 the index of a step is a key of the random numbers, and the time a product with it."""
 
-MOST_FIXED_STEPS: Final = 1e7
+MAX_FIXED_STEPS: Final = 1e7
 """Most steps of a fixed length in one coupling step, between which nothing can interrupt a run."""
 
-MOST_CONTRAST: Final = 1e5
+MAX_CONTRAST: Final = 1e5
 """Largest ratio of diffusion outside tissue and inside; known ones are below ten. Balances are
 differences of flows, which lose one digit for every factor of ten."""
 
@@ -87,16 +87,16 @@ def _check_steps(scene: Scene) -> None:
     """Raise ``SceneError`` for steps so short or so long that no run could use them."""
     check_coupling(scene)
     step, shortest = longest_step(scene), shortest_step(scene)
-    if scene.duration / shortest > MOST_STEPS:
-        problem = f"is {shortest:g} s, must be at least {scene.duration / MOST_STEPS:g} s"
-        hint = f"The run would take more than {MOST_STEPS:g} coupling steps."
+    if scene.duration / shortest > MAX_STEPS:
+        problem = f"is {shortest:g} s, must be at least {scene.duration / MAX_STEPS:g} s"
+        hint = f"The run would take more than {MAX_STEPS:g} coupling steps."
         raise SceneError("coupling_step", problem, hint)
     fixed = scene.integrator
     info = METHODS.get(fixed.method)
     steps = min(step, scene.duration) / fixed.step
-    if info is not None and info.control == "step" and steps > MOST_FIXED_STEPS:
-        problem = f"is {fixed.step:g} s, must be at least {step / MOST_FIXED_STEPS:g} s"
-        hint = f"A coupling step would take more than {MOST_FIXED_STEPS:g} steps."
+    if info is not None and info.control == "step" and steps > MAX_FIXED_STEPS:
+        problem = f"is {fixed.step:g} s, must be at least {step / MAX_FIXED_STEPS:g} s"
+        hint = f"A coupling step would take more than {MAX_FIXED_STEPS:g} steps."
         raise SceneError("integrator.step", problem, hint)
     if scene.growth is None:
         return
@@ -168,10 +168,10 @@ def _check_diffusion(scene: Scene) -> None:
         others |= {f"regions.{key}.diffusion": x.diffusion for key, x in field.regions.items()}
         for key, other in others.items():
             ratio = other / field.diffusion
-            if not 1.0 / MOST_CONTRAST <= ratio <= MOST_CONTRAST:
+            if not 1.0 / MAX_CONTRAST <= ratio <= MAX_CONTRAST:
                 problem = (
                     f"is {other:g} um^2/s, {ratio:.3g} times that of tissue; must be "
-                    f"within a factor of {MOST_CONTRAST:g}"
+                    f"within a factor of {MAX_CONTRAST:g}"
                 )
                 hint = "Give such a layer a side of type 'mixed', or of type 'derivative'."
                 raise SceneError(f"nutrients.{name}.{key}", problem, hint)
@@ -192,7 +192,7 @@ def check_memory(scene: Scene) -> None:
 
 
 def physical_memory() -> int | None:
-    """Return the memory of this machine in bytes, or None where it does not tell."""
+    """Return the memory of this machine in bytes, or None where it is unknown."""
     try:
         return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (AttributeError, OSError, ValueError):

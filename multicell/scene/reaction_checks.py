@@ -1,4 +1,4 @@
-"""Whether the reactions of a scene fit its fields, and whether they let one grow without bound."""
+"""Check whether reactions fit the fields of a scene, and whether they keep them bounded."""
 
 from __future__ import annotations
 

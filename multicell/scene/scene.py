@@ -1,4 +1,4 @@
-"""What there is: the typed description of a scene, read from TOML or a dict.
+"""The typed description of a scene, read from TOML or a dict.
 
 Every part is a frozen dataclass whose attributes are the keys of the TOML file. Quantities are
 numbers in base units (µm, s, nN, amol; kPa, mM) or strings with units; inside they are floats.
@@ -55,7 +55,7 @@ from multicell.scene.parts import (
 )
 from multicell.scene.ranges import check_sizes
 from multicell.scene.reactions import Reaction
-from multicell.scene.springs import Springs, check_springs, placed_pairs
+from multicell.scene.springs import Springs, check_springs, place_pairs
 from multicell.schema import (
     Tables,
     build,
@@ -78,7 +78,7 @@ from multicell.units import BASE_UNITS, shown
 if TYPE_CHECKING:
     from multicell.results.observable import Observable
 
-_LARGEST_FILE = 10_000_000
+_MAX_FILE_BYTES = 10_000_000
 """Bytes of a scene file; those with thousands of media changes have less than one million."""
 
 
@@ -320,10 +320,10 @@ def load_scene(source: str | Path) -> Scene:
 
 def beside(entries: dict[str, Any], source: str | Path) -> dict[str, Any]:
     """Return the entries of a scene file with paths that count from its folder made whole."""
-    from multicell.scene.start_table import placed
+    from multicell.scene.start_table import place_table
 
     folder = Path(os.path.expanduser(source)).parent
-    return placed_pairs(placed(entries, folder), folder)
+    return place_pairs(place_table(entries, folder), folder)
 
 
 def _read(source: str | Path) -> str:
@@ -353,13 +353,13 @@ def _read(source: str | Path) -> str:
 def _file_text(path: Path, source: str | Path) -> str:
     """Return the text of a regular file of a scene's size; a pipe or device may never end."""
     try:
-        content = read_regular(path, _LARGEST_FILE)
+        content = read_regular(path, _MAX_FILE_BYTES)
     except OSError as error:
         if error.errno == errno.EINVAL:
             problem = f"the scene {str(source)!r} is a device, pipe or socket, not a file"
             raise SceneError("", problem, "Write the scene to a file first.") from None
         if error.errno == errno.EFBIG:
-            problem = f"the scene file {str(source)!r} is larger than {_LARGEST_FILE // 10**6} MB"
+            problem = f"the scene file {str(source)!r} is larger than {_MAX_FILE_BYTES // 10**6} MB"
             raise SceneError("", problem, "No scene needs so much text.") from None
         raise
     return content.decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")

@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 
 from multicell.errors import SceneError
 from multicell.files import read_regular
-from multicell.schema import flag, joined, parameters, quantity, specs, text
+from multicell.schema import flag, id_pairs, parameters, quantity, specs, text
 
 if TYPE_CHECKING:
     from multicell.cells import Cells
     from multicell.scene.scene import Scene
 
 _COLUMNS: Final = ("first_id", "second_id")
-_MOST: Final = 10_000_000
+_MAX_BYTES: Final = 10_000_000
 """Bytes of a file of pairs."""
 
 
@@ -42,7 +42,9 @@ class Springs:
     rest: float | None = quantity(
         "um", default=None, at_least=0, doc="length at rest; absent: that at the start"
     )
-    pairs: tuple[tuple[int, int], ...] | None = joined(doc="identities of the cells of each spring")
+    pairs: tuple[tuple[int, int], ...] | None = id_pairs(
+        doc="identities of the cells of each spring"
+    )
     file: str | None = text(
         default=None,
         doc="CSV table with the columns first_id and second_id, in place of pairs; relative paths "
@@ -78,7 +80,7 @@ class Springs:
             raise SceneError("breaking_length", problem)
 
 
-def placed_pairs(entries: dict[str, Any], folder: Path) -> dict[str, Any]:
+def place_pairs(entries: dict[str, Any], folder: Path) -> dict[str, Any]:
     """Return the entries of a scene file with names of files that count from its folder."""
     tables = entries.get("springs")
     if not isinstance(tables, dict):
@@ -101,7 +103,7 @@ def read_pairs(file: Path, path: str) -> list[list[int]]:
         With the line, for a file that cannot be read or is no such table.
     """
     try:
-        text = read_regular(file, _MOST).decode("utf-8-sig")
+        text = read_regular(file, _MAX_BYTES).decode("utf-8-sig")
         return _rows(csv.DictReader(io.StringIO(text, newline="")), str(file), path)
     except (OSError, ValueError, csv.Error) as error:  # text that is not UTF-8, names with \0
         reason = getattr(error, "strerror", None) or error

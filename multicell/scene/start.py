@@ -1,4 +1,4 @@
-"""What a scene sets in motion: the mechanics of its parts, and cells that do not coincide."""
+"""Build the mechanics of a scene, and move cells apart that coincide."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def mechanics(scene: Scene, threads: int) -> Mechanics:
     )
 
 
-def separated(scene: Scene, cells: Cells) -> Cells:
+def separate(scene: Scene, cells: Cells) -> Cells:
     """Move cells apart whose centres coincide: between them no force has a direction.
 
     Each but one of them moves by a millionth of its radius along a random direction; the

@@ -1,4 +1,4 @@
-"""Whether a table of cells fits to the scene that starts with it."""
+"""Check whether a table of cells fits the scene that starts with it."""
 
 from __future__ import annotations
 

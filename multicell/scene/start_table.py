@@ -28,27 +28,27 @@ from multicell.units import RANGES
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
-_LARGEST: Final = 16_000_000_000
+_MAX_BYTES: Final = 16_000_000_000
 """Bytes of a table: more than those of the largest number of cells."""
-MOST_IDS: Final = 10**8
+MAX_IDS: Final = 10**8
 """Identities of cells at the start are below."""
 
 COPIES: Final = ("cells.csv", "cells.parquet")
 """Names of the copy of a table in the folder of a run."""
 
-READ: Final[Mapping[str, str]] = {
+START_COLUMNS: Final[Mapping[str, str]] = {
     "id": "", "parent": "", "position_x": "um", "position_y": "um", "position_z": "um",
     "radius": "um", "young": "kPa", "poisson": "", "state": "", "age": "s", "cycle_time": "s",
     "pressure": "kPa", "kind": "", "phase": "", "progress": "s", "phase_length": "s",
 }  # fmt: skip
 """Columns that a start takes, with their base units, in the order in which they are written."""
-ALSO: Final = {"x": "position_x", "y": "position_y", "z": "position_z", "type": "kind"}
+ALIASES: Final = {"x": "position_x", "y": "position_y", "z": "position_z", "type": "kind"}
 """Other names of columns."""
-LEFT: Final[Mapping[str, str]] = {"receptor": "", "ligand": "", "frame": "", "time": "s"}
-"""Columns of an exported frame that say nothing of a start; with those of :data:`FOUND`."""
+IGNORED_COLUMNS: Final[Mapping[str, str]] = {"receptor": "", "ligand": "", "frame": "", "time": "s"}
+"""Columns of an exported frame that are ignored, as are concentrations."""
 _COINCIDING: Final = 0.01
 """Distance of two centres over the sum of the radii below which they are at one place."""
-FOUND: Final = "concentration_"
+CONCENTRATION_PREFIX: Final = "concentration_"
 """Beginning of the names of columns with what cells found of a field."""
 
 _NAMES: Final[Mapping[str, Mapping[str, int]]] = {
@@ -62,13 +62,13 @@ _NOT_NEGATIVE: Final = ("age", "progress", "phase_length")
 @final
 @dataclass(frozen=True, eq=False)
 class Given:
-    """What a table says of the cells at the start.
+    """The cells at the start as a table states them.
 
     Attributes
     ----------
     columns : name -> (n,)
-        Of :data:`READ`, in base units; ``state`` and ``phase`` as numbers of :class:`State` and
-        :class:`Phase`, ``kind`` as places in ``kinds``.
+        Of :data:`START_COLUMNS`, in base units; ``state`` and ``phase`` as numbers of
+        :class:`State` and :class:`Phase`, ``kind`` as places in ``kinds``.
     kinds
         The types that are named.
     source
@@ -102,7 +102,7 @@ class Given:
 
     def content(self) -> bytes:
         """Return the table as CSV that is read back bit by bit."""
-        columns = {titled(name, READ[name]): self._texts(name) for name in self.columns}
+        columns = {titled(name, START_COLUMNS[name]): self._texts(name) for name in self.columns}
         lines = [",".join(columns), *map(",".join, zip(*columns.values(), strict=True))]
         return ("\n".join(lines) + "\n").encode()
 
@@ -207,7 +207,7 @@ class StartTable:
     def _read(self) -> Given:
         content = self._bytes()
         object.__setattr__(self, "sha256", hashlib.sha256(content).hexdigest())
-        return normalised(from_bytes(content, Path(self.file).name))
+        return normalise(from_bytes(content, Path(self.file).name))
 
     def _bytes(self) -> bytes:
         """Return the content of the file if it is the one that is meant."""
@@ -215,7 +215,7 @@ class StartTable:
             problem = "is empty: the cells were given in memory, to another run or process"
             raise SceneError("file", problem, "Write them to a file and name it.")
         try:
-            content = read_bytes(Path(self.file), _LARGEST)
+            content = read_bytes(Path(self.file), _MAX_BYTES)
         except DataError as error:
             hint = "Relative paths count from the folder of the scene file."
             raise SceneError("file", f"'{self.file}' {error.problem}", hint) from None
@@ -225,7 +225,7 @@ class StartTable:
         return content
 
 
-def placed(entries: dict[str, Any], folder: Path) -> dict[str, Any]:
+def place_table(entries: dict[str, Any], folder: Path) -> dict[str, Any]:
     """Return the entries of a scene with the file of its table, if it has one, in a folder."""
     initial = entries.get("initial")
     cells = initial.get("cells") if isinstance(initial, dict) else None
@@ -253,7 +253,7 @@ def in_memory(source: Any) -> StartTable:
     DataError
         With row and column, for what cannot be a start.
     """
-    given = normalised(from_object(source, "cells"))
+    given = normalise(from_object(source, "cells"))
     digest = hashlib.sha256(given.content()).hexdigest()
     given = _KNOWN.setdefault(digest, given)
     return StartTable(file="", sha256=digest, rows=len(given))
@@ -287,7 +287,7 @@ def with_cells(scene: Scene, source: Any) -> Scene:
 def _columns_of(cells: Cells, types: tuple[str, ...]) -> dict[str, NDArray[Any]]:
     """Return what a start takes of cells, by title; types by name where there are some."""
     found = dict(zip(("position_x", "position_y", "position_z"), cells.position.T, strict=True))
-    for name in READ:
+    for name in START_COLUMNS:
         column = found[name] if name in found else getattr(cells, name)
         if name in _NAMES:
             words = np.array(sorted(_NAMES[name], key=_NAMES[name].__getitem__), dtype=object)
@@ -295,11 +295,11 @@ def _columns_of(cells: Cells, types: tuple[str, ...]) -> dict[str, NDArray[Any]]
         if name == "kind":
             column = np.array(types or [""], dtype=object)[column]
         found[name] = column
-    return {titled(name, READ[name]): found[name] for name in READ}
+    return {titled(name, START_COLUMNS[name]): found[name] for name in START_COLUMNS}
 
 
-def normalised(source: Columns) -> Given:
-    """Return what a table says, in base units and under the names of :data:`READ`.
+def normalise(source: Columns) -> Given:
+    """Return what a table says, in base units and under the names of :data:`START_COLUMNS`.
 
     Raises
     ------
@@ -309,21 +309,25 @@ def normalised(source: Columns) -> Given:
     """
     titles: dict[str, str] = {}
     factors: dict[str, float] = {}
-    known = {**READ, **{alias: READ[name] for alias, name in ALSO.items()}, **LEFT}
+    known = {
+        **START_COLUMNS,
+        **{alias: START_COLUMNS[name] for alias, name in ALIASES.items()},
+        **IGNORED_COLUMNS,
+    }
     for title in source.columns:
-        if title.startswith(FOUND):
+        if title.startswith(CONCENTRATION_PREFIX):
             continue
         read = read_title(title, known, source.name)
         if read is None:
-            raise unknown_title(title, READ, source.name)
-        name = ALSO.get(read.name, read.name)
+            raise unknown_title(title, START_COLUMNS, source.name)
+        name = ALIASES.get(read.name, read.name)
         if name in titles:
             raise DataError(f"{source.name}, '{title}'", f"says the same as '{titles[name]}'")
         titles[name], factors[name] = title, read.factor
     made: dict[str, NDArray[Any]] = {}
     given = Given(made, (), source, titles)
     _one_frame(given)
-    for name in (name for name in READ if name in titles):
+    for name in (name for name in START_COLUMNS if name in titles):
         raw = source.columns[titles[name]]
         if name != "kind":
             made[name] = _read_column(given, name, raw, factors[name])
@@ -382,7 +386,7 @@ def _kinds(column: NDArray[Any]) -> tuple[tuple[str, ...], NDArray[np.int64]]:
 def _read_column(given: Given, name: str, raw: NDArray[Any], factor: float) -> NDArray[Any]:
     """Return a column in base units, or as numbers of its names."""
     if name in _NAMES:
-        return _named(given, name, raw)
+        return _read_names(given, name, raw)
     title = given.titles[name]
     if raw.dtype == object:
         raw = parsed(raw.tolist())  # of numbers as text, as in a CSV file
@@ -392,7 +396,7 @@ def _read_column(given: Given, name: str, raw: NDArray[Any], factor: float) -> N
     if name == "id":
         return _ids(given, raw)
     if name == "parent":
-        wrong = ~((raw >= -1) & (raw < MOST_IDS) & (raw == np.floor(raw)))
+        wrong = ~((raw >= -1) & (raw < MAX_IDS) & (raw == np.floor(raw)))
         given.refuse(wrong, name, "is {}, must be the identity of a cell, or -1")
         return raw.astype(np.int64)
     values = raw.astype(np.float64) * factor if factor != 1.0 else raw.astype(np.float64)
@@ -402,7 +406,7 @@ def _read_column(given: Given, name: str, raw: NDArray[Any], factor: float) -> N
         if name.startswith("position"):
             hint = "Every cell has a place."
         given.refuse(missing, name, "is empty or NaN, must be a number", hint)
-    unit = READ[name]
+    unit = START_COLUMNS[name]
     largest = RANGES[unit][1]
     beyond = np.abs(values) > largest
     if name == "cycle_time":  # of cells that do not grow
@@ -425,8 +429,8 @@ def _number(value: str) -> bool:
 
 def _ids(given: Given, raw: NDArray[Any]) -> NDArray[np.int64]:
     """Return identities: whole numbers, none twice."""
-    wrong = ~((raw >= 0) & (raw < MOST_IDS) & (raw == np.floor(raw)))
-    problem = f"is {{}}, must be a whole number from 0 to {MOST_IDS - 1:,}"
+    wrong = ~((raw >= 0) & (raw < MAX_IDS) & (raw == np.floor(raw)))
+    problem = f"is {{}}, must be a whole number from 0 to {MAX_IDS - 1:,}"
     given.refuse(wrong, "id", problem, "Leave the column out to number cells by their rows.")
     ids = raw.astype(np.int64)
     order = np.argsort(ids, kind="stable")
@@ -436,7 +440,7 @@ def _ids(given: Given, raw: NDArray[Any]) -> NDArray[np.int64]:
     return ids
 
 
-def _named(given: Given, name: str, raw: NDArray[Any]) -> NDArray[np.int8]:
+def _read_names(given: Given, name: str, raw: NDArray[Any]) -> NDArray[np.int8]:
     """Return a column of names as numbers."""
     known = _NAMES[name]
     words, codes = np.unique(raw.astype(str), return_inverse=True)

@@ -19,8 +19,8 @@ from multicell.schema.declarations import (
     course,
     file_path,
     flag,
+    id_pairs,
     interval,
-    joined,
     names,
     number,
     parameters,
@@ -51,7 +51,7 @@ from multicell.schema.part import (
 
 __all__ = [
     "Bounds", "Parameter", "Tables", "build", "choice", "chosen", "count", "course", "file_path",
-    "flag", "interval", "joined", "leaves", "names", "near_miss", "number", "parameters", "plain",
+    "flag", "id_pairs", "interval", "leaves", "names", "near_miss", "number", "parameters", "plain",
     "quantities", "quantity", "quantity_or_name", "rate_constant", "responses", "schedule",
     "specs", "table", "tables", "text", "variant", "vector", "whole", "whole_numbers",
 ]  # fmt: skip

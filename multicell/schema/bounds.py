@@ -22,7 +22,7 @@ class Bounds:
     below: float | None = None
 
     def contain(self, value: float) -> bool:
-        """Tell whether ``value`` lies inside."""
+        """Return whether ``value`` lies inside."""
         return not (
             (self.above is not None and not value > self.above)
             or (self.at_least is not None and not value >= self.at_least)

@@ -15,11 +15,11 @@ from multicell.schema.part import (
     build,
     chosen,
     convert_fields,
-    declared,
+    declare,
     mapping,
-    named,
     near_miss,
     plain,
+    read_named,
 )
 from multicell.units import finite, shown
 
@@ -43,7 +43,7 @@ def quantity(
     value lies outside the bounds.
     """
     bounds = Bounds(above, at_least, at_most, below)
-    return declared(
+    return declare(
         "quantity", reader(unit, bounds, hint=hint), default,
         unit=unit, allowed=bounds.words(unit), doc=doc, bounds=bounds,
     )  # fmt: skip
@@ -72,7 +72,7 @@ def quantity_or_name(
             raise SceneError(path, error.problem, hint) from None
 
     allowed = " or ".join([bounds.words(unit), *map(repr, known)])
-    return declared(
+    return declare(
         "quantity_or_name", convert, default, unit=unit, allowed=allowed, doc=doc, bounds=bounds,
         options=known,
     )  # fmt: skip
@@ -88,7 +88,7 @@ def rate_constant(*, doc: str = "") -> Any:
         wanted = "a number or a string with a unit"
         return value if isinstance(value, str) else finite(value, path, wanted)
 
-    return declared("rate_constant", convert, MISSING, doc=doc)
+    return declare("rate_constant", convert, MISSING, doc=doc)
 
 
 def number(
@@ -104,7 +104,7 @@ def number(
     """Declare a number without dimension; strings are refused."""
     bounds = Bounds(above, at_least, at_most, below)
     read = reader("", bounds, "a number without unit and quotes", hint)
-    return declared("number", read, default, allowed=bounds.words(), doc=doc, bounds=bounds)
+    return declare("number", read, default, allowed=bounds.words(), doc=doc, bounds=bounds)
 
 
 def count(
@@ -124,7 +124,7 @@ def count(
         bounds.require(int(value), value, path, "", hint)
         return int(value)
 
-    return declared("count", convert, default, allowed=bounds.words(), doc=doc, bounds=bounds)
+    return declare("count", convert, default, allowed=bounds.words(), doc=doc, bounds=bounds)
 
 
 def choice(
@@ -137,7 +137,7 @@ def choice(
 ) -> Any:
     """Declare one name out of several.
 
-    ``other`` tells which other texts are accepted, the pattern ``further`` describes them.
+    ``other`` returns whether another text is accepted; the pattern ``further`` describes them.
     """
     known = tuple(options)
 
@@ -146,7 +146,7 @@ def choice(
             return value
         return chosen(value, known, path)
 
-    return declared(
+    return declare(
         "choice",
         convert,
         default,
@@ -165,7 +165,7 @@ def text(*, default: Any = MISSING, doc: str = "") -> Any:
             raise SceneError(path, f"is {shown(value)}, must be one line of text")
         return value
 
-    return declared("text", convert, default, doc=doc)
+    return declare("text", convert, default, doc=doc)
 
 
 def file_path(*, doc: str = "") -> Any:
@@ -177,7 +177,7 @@ def file_path(*, doc: str = "") -> Any:
             raise SceneError(path, f"is {shown(value)}, must be the path of a file")
         return os.path.abspath(os.path.expanduser(given)) if given else ""
 
-    return declared("file_path", convert, MISSING, doc=doc)
+    return declare("file_path", convert, MISSING, doc=doc)
 
 
 def flag(*, default: Any = MISSING, doc: str = "") -> Any:
@@ -188,7 +188,7 @@ def flag(*, default: Any = MISSING, doc: str = "") -> Any:
             raise SceneError(path, f"is {shown(value)}, must be true or false")
         return value
 
-    return declared("flag", convert, default, allowed="true or false", doc=doc)
+    return declare("flag", convert, default, allowed="true or false", doc=doc)
 
 
 def names(options: Iterable[str], *, doc: str = "") -> Any:
@@ -200,7 +200,7 @@ def names(options: Iterable[str], *, doc: str = "") -> Any:
             raise SceneError(path, f"is {shown(value)}, must be a list of names")
         return tuple(chosen(name, known, path) for name in value)
 
-    return declared(
+    return declare(
         "names", convert, (), plain=list, allowed=", ".join(known), doc=doc, options=known
     )
 
@@ -222,7 +222,7 @@ def interval(
             raise SceneError(path, problem)
         return low, high
 
-    return declared(
+    return declare(
         "interval", convert, None, plain=list, unit=unit, bounds=bounds, doc=doc,
         allowed=f"two quantities: {bounds.words(unit)}",
     )  # fmt: skip
@@ -250,7 +250,7 @@ def vector(
         x, y, z = (*(read(part, path) for part in value), 0.0)[:3]
         return x, y, z
 
-    return declared(
+    return declare(
         "vector", convert, default, plain=list, unit=unit, bounds=bounds, doc=doc,
         allowed=f"three {kind}, along x, y and z",
     )  # fmt: skip
@@ -268,12 +268,12 @@ def whole_numbers(*, doc: str = "") -> Any:
             raise SceneError(path, "names a number twice")
         return found
 
-    return declared(
+    return declare(
         "whole_numbers", convert, None, plain=list, doc=doc, allowed="whole numbers, none twice"
     )
 
 
-def joined(*, doc: str = "") -> Any:
+def id_pairs(*, doc: str = "") -> Any:
     """Declare an optional list of pairs of different whole numbers; stored with the smaller first.
 
     No pair stands there twice, in either order.
@@ -294,7 +294,7 @@ def joined(*, doc: str = "") -> Any:
             raise SceneError(path, "holds a pair twice")
         return tuple(pairs)
 
-    return declared("joined", convert, None, plain=lists, doc=doc, allowed="pairs of numbers")
+    return declare("id_pairs", convert, None, plain=lists, doc=doc, allowed="pairs of numbers")
 
 
 def whole(value: object, path: str) -> int:
@@ -323,7 +323,7 @@ def course(*, default: float, at_least: float | None = None, doc: str = "") -> A
     def to_plain(value: Curve) -> Any:
         return value[0][1] if len(value) == 1 else lists(value)
 
-    return declared("course", convert, ((0.0, default),), plain=to_plain, doc=doc, bounds=bounds)
+    return declare("course", convert, ((0.0, default),), plain=to_plain, doc=doc, bounds=bounds)
 
 
 def schedule(
@@ -335,7 +335,7 @@ def schedule(
     """
     bounds = Bounds(at_least=at_least, at_most=at_most)
     read = reader(unit, bounds)
-    return declared(
+    return declare(
         "schedule", lambda value, path: in_time(value, path, unit, read), None,
         plain=lists, unit=unit, doc=doc, bounds=bounds,
     )  # fmt: skip
@@ -356,8 +356,8 @@ def responses(unit: str, *, at_least: float | None = None, doc: str = "") -> Any
             raise SceneError(path, "must have concentrations that rise")
         return result
 
-    return declared(
-        "responses", lambda value, path: named(value, path, one) or None, None,
+    return declare(
+        "responses", lambda value, path: read_named(value, path, one) or None, None,
         plain=lambda value: {name: lists(points) for name, points in value.items()},
         unit=unit, doc=doc, bounds=bounds,
     )  # fmt: skip
@@ -369,9 +369,9 @@ def quantities(
     """Declare an optional table of names to quantities, or to numbers where ``unit`` is empty."""
     bounds = Bounds(at_least=at_least, at_most=at_most)
     read = reader(unit, bounds)
-    return declared(
+    return declare(
         # an empty table says no more than an absent one, which is how it would be written
-        "quantities", lambda value, path: named(value, path, read) or None, None,
+        "quantities", lambda value, path: read_named(value, path, read) or None, None,
         plain=dict, unit=unit, doc=doc, bounds=bounds,
     )  # fmt: skip
 
@@ -394,7 +394,7 @@ def table(
             value = {shorthand: value}
         return value if isinstance(value, part) else build(part, value, path)
 
-    return declared(
+    return declare(
         "table", convert, default, default_factory,
         plain=plain, doc=doc, shorthand=shorthand, table=part,
     )  # fmt: skip
@@ -433,7 +433,7 @@ def variant(
     def to_plain(value: Any) -> dict[str, Any]:
         return {key: name_of(value), **plain(value)}
 
-    return declared(
+    return declare(
         "variant", convert, MISSING, default_factory, plain=to_plain, doc=doc,
         allowed=f"{key}: {' or '.join(options)}", options=tuple(options), parts=options, key=key,
         usual=usual, further=further,
@@ -463,7 +463,7 @@ def tables(
             if not known and not (name.isidentifier() and name.isascii()):
                 problem = f"is named {shown(name)}, must have a name of letters, digits and '_'"
                 raise SceneError(path, problem)
-        return named(entries, path, one)
+        return read_named(entries, path, one)
 
     def one(entry: object, path: str) -> Any:
         if isinstance(entry, part):
@@ -472,7 +472,7 @@ def tables(
             entry = prepare(path.rpartition(".")[2], mapping(entry, path), path)
         return build(part, entry, path)
 
-    return declared(
+    return declare(
         "tables", convert, MISSING, default_factory,
         plain=lambda value: {name: plain(entry) for name, entry in value.items()},
         doc=doc, table=part, options=known,
@@ -484,7 +484,7 @@ def tables(
     kw_only_default=True,
     field_specifiers=(
         quantity, quantity_or_name, rate_constant, number, count, choice, text, file_path, flag,
-        names, interval, vector, whole_numbers, joined, course, schedule, responses, quantities,
+        names, interval, vector, whole_numbers, id_pairs, course, schedule, responses, quantities,
         table, variant, tables,
     ),
 )  # fmt: skip

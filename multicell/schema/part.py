@@ -1,4 +1,4 @@
-"""What declares the fields of a part, and what builds, walks and writes parts by it."""
+"""Declare the fields of parts; build, walk and write parts by these declarations."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ V = TypeVar("V")
 @final
 @dataclass(frozen=True)
 class Parameter:
-    """What a field of a part accepts; found with :func:`specs`.
+    """The declaration of a field of a part; found with :func:`specs`.
 
     Attributes
     ----------
@@ -219,7 +219,7 @@ def convert_fields(self: Any) -> None:
         check()
 
 
-def declared(
+def declare(
     kind: str,
     convert: Callable[[Any, str], Any],
     default: Any,
@@ -233,7 +233,7 @@ def declared(
     return field(default=default, metadata=metadata)
 
 
-def named(value: object, path: str, one: Callable[[Any, str], V]) -> Tables[V]:
+def read_named(value: object, path: str, one: Callable[[Any, str], V]) -> Tables[V]:
     """Return a table of names whose entries are each read by ``one``."""
     entries = mapping(value, path).items()
     return Tables({name: one(entry, f"{path}.{name}") for name, entry in entries})

@@ -341,10 +341,10 @@ def write_csv(table: xarray.Dataset, path: Path) -> None:
     MissingPackage, OutputError
     """
     needs("pandas")
-    from multicell.results.folder import replacing
+    from multicell.results.folder import replace_file
     from multicell.tables.titles import titled
 
     frame = table.to_dataframe().reset_index()
     names = {n: titled(n, table[n].attrs.get("units", "")) for n in frame if n in table.variables}
-    with replacing(path, "w", newline="", encoding="utf-8") as file:
+    with replace_file(path, "w", newline="", encoding="utf-8") as file:
         frame.rename(columns=names).to_csv(file, index=False)

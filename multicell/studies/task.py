@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.errors import MulticellError, OutputError
 from multicell.plugins import own_fault
-from multicell.results.folder import FILES, PASSING, locked, remove
+from multicell.results.folder import FILES, PASSING, lock_folder, remove
 from multicell.results.observable import OWN
 from multicell.studies.status import NOTE, Kind, RunStatus, run_folder, status, write_note
 
@@ -213,7 +213,7 @@ def _empty(work: Task, place: Path) -> None:
     """Remove what a run has left that was killed before its first frame, or damaged."""
     if not place.is_dir():
         return
-    with locked(place):
+    with lock_folder(place):
         now = status(work.name, Path(work.folder), work.integrator, ours=True)
         if now.kind == "damage" or not (now.frames or now.state == "done"):
             remove(place, (*PASSING, *FILES, NOTE))

@@ -26,7 +26,7 @@ import numpy as np
 
 from multicell.biology.initial import packed_ball
 from multicell.contact.springs import Cubic
-from multicell.integrators.registry import make
+from multicell.integrators.registry import from_options
 from multicell.mechanics.motion import Motion
 from multicell.mechanics.system import Mechanics
 from multicell.scene.parts import IntegratorOptions
@@ -104,7 +104,7 @@ def solve(position: np.ndarray, method: str, tolerance: float) -> tuple[np.ndarr
     options = IntegratorOptions(
         method=name, rtol=tolerance, atol=tolerance, max_displacement=1.0, max_steps=10**6
     )
-    integrator = make(options)
+    integrator = from_options(options)
     if method == KEPT:
         integrator = replace(integrator, refresh="asked", light=False)
     outcome = integrator.integrate(system, position)

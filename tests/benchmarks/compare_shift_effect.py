@@ -17,9 +17,9 @@ from scipy.stats import spearmanr
 import multicell as mc
 from multicell.comparison.record import record
 from multicell.integrators.auto import Auto
-from multicell.integrators.registry import make
+from multicell.integrators.registry import from_options
 from multicell.integrators.rkc import Rkc2
-from multicell.integrators.shift import SHIFT, replayed, shifted_positions
+from multicell.integrators.shift import SHIFT, replay_step, shifted_positions
 from multicell.scene.parts import IntegratorOptions
 
 METHODS = ("auto", "rkc2", "euler-adaptive", "cvode", "rosenbrock")
@@ -46,7 +46,7 @@ def measured(problem, method):
         assert exact.done
         assert found.done
         shifted = shifted_positions(start, SHIFT, seed, k, np.arange(len(start)), 3)
-        effects.append(replayed(method, system, start, found.position, shifted)[0])
+        effects.append(replay_step(method, system, start, found.position, shifted)[0])
         errors.append(np.linalg.norm(found.position - exact.position, axis=1).max())
     return np.array(effects), np.array(errors)
 
@@ -59,7 +59,7 @@ def main():
         problem, _ = record(scene_of(viscosity), Auto(atol=0.01), samples=count)
         worst = max(count // 4, 1)
         for name in METHODS:
-            method = make(IntegratorOptions(method=name, atol=ATOL))
+            method = from_options(IntegratorOptions(method=name, atol=ATOL))
             effects, errors = measured(problem, method)
             correlation = spearmanr(effects, errors).statistic
             top = set(np.argsort(effects)[-worst:]) & set(np.argsort(errors)[-worst:])

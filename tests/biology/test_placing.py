@@ -15,7 +15,7 @@ from multicell.biology.initial import initial_cells
 from multicell.errors import SceneError
 from multicell.random import Purpose
 from multicell.report.explain.scene import explain
-from multicell.scene.arrangement import MOST_COVERED, SATURATION, coverage, region
+from multicell.scene.arrangement import MAX_COVERAGE, SATURATION, coverage, region
 
 BORN = 5.0 / 2.0 ** (1.0 / 3.0)
 REGIONS = {
@@ -158,7 +158,7 @@ def test_pairs_of_cells_have_the_distances_that_theory_tells():
 @pytest.mark.parametrize("name", REGIONS)
 def test_regions_up_to_what_is_foretold_are_filled_and_others_refused(name):
     sizes = {**REGIONS[name], "stage": "birth"}
-    most = MOST_COVERED * SATURATION[len(region(scene(**sizes)).axes)]
+    most = MAX_COVERAGE * SATURATION[len(region(scene(**sizes)).axes)]
     fits = int(700 * most / coverage(scene(700, **sizes), 2.0 * BORN))
     cells = places(int(0.999 * fits), **sizes)
     assert np.isfinite(cells).all()
@@ -192,7 +192,7 @@ def test_the_coverage_of_saturation_is_not_reached():
     assert quad(lambda t: np.exp(-2.0 * inner(t)), 0, 60, limit=200)[0] == pytest.approx(
         SATURATION[1], abs=1e-2
     )
-    assert 0.5 < MOST_COVERED < 0.95
+    assert 0.5 < MAX_COVERAGE < 0.95
 
 
 @pytest.mark.parametrize(

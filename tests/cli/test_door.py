@@ -174,7 +174,7 @@ def test_compare_and_stability_print_in_ascii(tmp_path):
 
 def test_every_character_is_spelt_in_ascii():
     for number in (*range(0x80, 0x3000), *range(0xD800, 0xD900), 0x1F9EB):
-        assert door.spelt(chr(number)).isascii()
+        assert door.spell(chr(number)).isascii()
         assert chr(number).encode("ascii", "multicell.spelt").isascii()
 
 

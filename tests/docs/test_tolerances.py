@@ -10,7 +10,7 @@ import pytest
 from multicell import load_scene
 from multicell.comparison.reference import reference
 from multicell.integrators.base import MethodInfo
-from multicell.integrators.registry import METHODS, make
+from multicell.integrators.registry import METHODS, from_options
 from multicell.scene.scene import Scene
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -20,10 +20,10 @@ CONTROLLED = {name: info.atol for name, info in METHODS.items() if info.control 
 @pytest.mark.parametrize("name", CONTROLLED)
 def test_a_scene_that_names_no_tolerance_gets_that_of_its_method(name):
     scene = Scene.from_dict({"duration": "1 h", "integrator": {"method": name}})
-    assert scene.integrator.tolerance == make(scene.integrator).atol == CONTROLLED[name]
+    assert scene.integrator.tolerance == from_options(scene.integrator).atol == CONTROLLED[name]
     assert "atol" not in scene.to_dict()["integrator"]
     given = scene.with_changes({"integrator.atol": "0.02 um"})
-    assert given.integrator.tolerance == make(given.integrator).atol == 0.02
+    assert given.integrator.tolerance == from_options(given.integrator).atol == 0.02
     # the method alone is changed: what is given stays, what is not follows the method
     assert given.with_changes({"integrator": "auto"}).integrator.tolerance == 0.02
     assert scene.with_changes({"integrator": "auto"}).integrator.tolerance == METHODS["auto"].atol

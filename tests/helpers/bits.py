@@ -51,7 +51,7 @@ class Watch:
 
     def __init__(self):
         self.shared = 0
-        shared, addressed = Mechanics._shared, loops.addressed
+        shared, addressed = Mechanics._shared, loops.with_addresses
 
         def watched(system, pairs):
             answer = shared(system, pairs)
@@ -62,7 +62,7 @@ class Watch:
             self.shared += shared
             return addressed(source, pairs, shared=shared, **rest)
 
-        Mechanics._shared, loops.addressed = watched, lent
+        Mechanics._shared, loops.with_addresses = watched, lent
 
 
 def simulation(name, changes, threads, **state):

@@ -216,7 +216,7 @@ def _edit(folder, rng):
             values[rng.randrange(len(values))] = rng.choice([-1, 0, 7, 1 << 40, -(1 << 62)])
             file[name][...] = values
         elif way == "state":
-            codes = ["cells/state", "cells/phase", "kept/birth/kind", "lineage/ends/cause"]
+            codes = ["cells/state", "cells/phase", "cells/kind", "lineage/ends/cause"]
             name = rng.choice(codes)
             if len(file[name]):
                 file[name][rng.randrange(len(file[name]))] = rng.choice([-5, 9, 77, 127])

@@ -263,7 +263,7 @@ class Drawer:
     def _whole_numbers(self, spec, field, path):
         return self.one_of([[0], [0, 1], [3, 1, 2]])
 
-    def _joined(self, spec, field, path):
+    def _id_pairs(self, spec, field, path):
         return self.one_of([[[0, 1]], [[2, 1], [0, 1]], [[0, 3], [3, 4], [4, 0]]])
 
     def _course(self, spec, field, path):

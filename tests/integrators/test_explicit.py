@@ -1,5 +1,8 @@
 """Explicit methods against SciPy, the spectrum of the Jacobian, and each other's code paths."""
 
+import pickle
+from types import ModuleType
+
 import numpy as np
 import pytest
 from numpy.polynomial import Polynomial
@@ -7,16 +10,17 @@ from oracles import four_cells
 from strategies import cluster, mechanics
 
 from multicell import JKR, Hertz
+from multicell.compiling import fingerprint_of
 from multicell.contact.exact_jkr import ExactJKR
 from multicell.integrators import driver as explicit
+from multicell.integrators import fused
 from multicell.integrators import stepping as loops
 from multicell.integrators.adams_bashforth import AdamsBashforth2, AdaptiveAdams
 from multicell.integrators.loops.chebyshev import coefficients, spectral_radius, stable_length
-from multicell.integrators.loops.runge_kutta import fixed_runge_kutta
 from multicell.integrators.rkc import Rkc2
 from multicell.integrators.runge_kutta import AdaptiveEuler, Dopri5, Euler, Heun, RungeKutta4
 from multicell.mechanics import forces as kernels
-from multicell.mechanics import neighbours
+from multicell.mechanics import margins, neighbours
 from multicell.mechanics.motion import Motion
 from multicell.mechanics.system import Mechanics
 from multicell.threads import launch
@@ -396,10 +400,21 @@ def test_rebuild_inside_numba_gives_the_list_of_build(scale, chunk):
         np.testing.assert_array_equal(inner_end, expected.inner_end)
 
 
-def test_the_cache_of_the_loops_notices_other_files():
-    stamp = fixed_runge_kutta._cache._cache_file._source_stamp
-    for function in (kernels.forces, neighbours.rebuild, loops.combine):
-        assert function._cache._cache_file._source_stamp in stamp
+def test_the_type_of_what_loops_take_changes_with_the_files_that_are_compiled_into_them(tmp_path):
+    def loaded(text):
+        (tmp_path / "part.py").write_text(text)
+        part = ModuleType("part")
+        part.__file__ = str(tmp_path / "part.py")
+        return part
+
+    one, other = fingerprint_of(loaded("x = 1")), fingerprint_of(loaded("x = 2"))
+    assert one != other
+    assert fingerprint_of(loaded("x = 1")) == one
+    files = loops, kernels, fused, margins, neighbours
+    assert loops.Source.__name__ == f"Source_{fingerprint_of(*files)}"
+    # numba names types in its files: those of other versions are read, and are others
+    assert pickle.loads(pickle.dumps(loops.Source)) is loops.Source
+    assert getattr(loops, f"Source_{one}") is not loops.Source
 
 
 @pytest.mark.parametrize("options", [{"stages": 5}, {"stages": 1, "step": 1.0}, {"stages": -2}])
@@ -410,10 +425,10 @@ def test_rkc2_refuses_stages_that_there_are_not(options):
 
 def test_control_of_steps_survives_what_is_no_number():
     for error in (np.nan, np.inf):
-        assert loops.again(1.0, error, 3.0, 0.2) == pytest.approx(0.2)
-    assert loops.shorter(1.0, 0.0, 0.5) < 1.0
-    assert loops.shorter(1.0, np.inf, 0.5) < 1.0
-    assert loops.again(1.0, 1.0, 3.0, 0.2) < 1.0
+        assert loops.step_after_error(1.0, error, 3.0, 0.2) == pytest.approx(0.2)
+    assert loops.step_after_move(1.0, 0.0, 0.5) < 1.0
+    assert loops.step_after_move(1.0, np.inf, 0.5) < 1.0
+    assert loops.step_after_error(1.0, 1.0, 3.0, 0.2) < 1.0
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from multicell.integrators.auto import Auto, choose, decay_rate
 from multicell.integrators.backward_euler import BackwardEuler
 from multicell.integrators.cvode import Cvode
 from multicell.integrators.cvode_sparse import CvodeSparse
-from multicell.integrators.registry import make
+from multicell.integrators.registry import from_options
 from multicell.integrators.restarts import Run, StepImpossible
 from multicell.integrators.rosenbrock import Rosenbrock
 from multicell.integrators.scipy import Scipy
@@ -362,7 +362,7 @@ def test_coincident_and_far_cells(name):
     position, radius, young = cluster(30, 1)
     position[1] = position[0]
     position[2] = [1e7, 1e7, -1e7]
-    outcome = make(IntegratorOptions(method=name)).integrate(
+    outcome = from_options(IntegratorOptions(method=name)).integrate(
         mechanics(radius, young, duration=20.0), position
     )
     assert outcome.done

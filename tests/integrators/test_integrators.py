@@ -7,7 +7,7 @@ from strategies import cluster, mechanics
 from multicell import JKR, Hertz
 from multicell.integrators.cvode import Cvode
 from multicell.integrators.runge_kutta import Euler
-from multicell.integrators.stepping import furthest_moved
+from multicell.integrators.stepping import furthest_move
 
 TIGHT = Cvode(rtol=1e-10, atol=1e-12)
 
@@ -61,5 +61,5 @@ def test_work_is_counted():
 def test_furthest_counts_what_is_no_number_as_infinite():
     before = np.zeros((3, 3))
     after = np.array([[1.0, 0, 0], [np.nan, 0, 0], [2.0, 0, 0]])
-    assert furthest_moved(before, after, np.ones(3)) == (1, np.inf)
-    assert furthest_moved(before, after[[0, 2, 2]], np.full(3, 2.0)) == (1, 1.0)
+    assert furthest_move(before, after, np.ones(3)) == (1, np.inf)
+    assert furthest_move(before, after[[0, 2, 2]], np.full(3, 2.0)) == (1, 1.0)

@@ -10,7 +10,7 @@ import multicell as mc
 from multicell.contact.registry import LAWS
 from multicell.errors import SceneError
 from multicell.integrators import limits
-from multicell.integrators.registry import METHODS, make
+from multicell.integrators.registry import METHODS, from_options
 from multicell.integrators.restarts import Run
 from multicell.mechanics import blocks
 from multicell.mechanics import preconditioners as sparse
@@ -27,7 +27,7 @@ NO_FRICTION = {name for name, info in METHODS.items() if not info.friction}
 
 
 def method(name, **options):
-    return make(IntegratorOptions(method=name, **options))
+    return from_options(IntegratorOptions(method=name, **options))
 
 
 # every method with one law and every law with some methods: a compiled loop is made for each law

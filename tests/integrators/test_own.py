@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import multicell as mc
-from multicell.integrators.registry import METHODS, make
+from multicell.integrators.registry import METHODS, from_options
 from multicell.integrators.runge_kutta import Heun
 from multicell.plugins import load_object
 
@@ -209,7 +209,7 @@ def test_the_example_runs_as_it_stands(tmp_path):
 def test_every_method_of_ours_can_be_handed_over_as_an_object(name):
     """What a class calls a setting that is not used, such as no step, is none of the scene's."""
     asked = scene(**{"initial.count": 3, "duration": "5 min", "integrator.method": name})
-    method = make(asked.integrator)
+    method = from_options(asked.integrator)
     other = scene(**{"initial.count": 3, "duration": "5 min"})
     recorded = mc.run(other, integrator=method).scene.integrator
     # the object has the tolerance that the scene left to its method

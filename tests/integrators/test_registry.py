@@ -10,7 +10,7 @@ import pytest
 
 import multicell
 from multicell.integrators.base import MethodInfo, build, info_of
-from multicell.integrators.registry import METHODS, find, make
+from multicell.integrators.registry import METHODS, find, from_options
 from multicell.scene.parts import IntegratorOptions
 
 PACKAGE = Path(multicell.__file__).parent
@@ -39,7 +39,7 @@ def test_looks_are_told_apart():
 @pytest.mark.parametrize("name", METHODS)
 def test_options_of_the_scene_reach_the_method(name):
     options = {"step": 7.0, "rtol": 1e-5, "atol": 0.02, "max_steps": 77, "max_displacement": 0.3}
-    made = make(IntegratorOptions(method=name, **options))
+    made = from_options(IntegratorOptions(method=name, **options))
     assert info_of(made).name == name
     assert made.max_displacement == 0.3
     if METHODS[name].control == "step":
@@ -111,7 +111,7 @@ assert "a method that was added" in str(explain(scene))
 assert "added" in capable_methods(scene)
 assert find_method("added", scene, 5.0).control == "step"
 assert preferred_style("added", {}).colour == "#123456"
-assert type(registry.make(scene.integrator)) is Added
+assert type(registry.from_options(scene.integrator)) is Added
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-2000:]

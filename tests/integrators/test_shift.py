@@ -12,7 +12,7 @@ from multicell.comparison.conditioning import shift_starts
 from multicell.comparison.record import record
 from multicell.integrators import shift
 from multicell.integrators.auto import Auto
-from multicell.integrators.shift import SHARE, SHIFT, Replays, replayed, shifted_positions
+from multicell.integrators.shift import SHARE, SHIFT, Replays, replay_step, shifted_positions
 from multicell.mechanics.motion import Work
 from multicell.results.records import progress_of
 from multicell.simulation import Simulation
@@ -80,7 +80,7 @@ def test_the_effect_is_that_of_two_integrations():
     motion, method = system.motion, Auto(1e-9, 1e-6)
     end = method.integrate(system, start).position
     moved = shifted_positions(start, SHIFT, 7, 3, simulation.cells.id, 3)
-    effect, cost = replayed(method, system, start, end, moved)
+    effect, cost = replay_step(method, system, start, end, moved)
     system.begin(motion)
     other = method.integrate(system, moved).position
     assert effect == np.linalg.norm(other - end, axis=1).max()
@@ -95,7 +95,7 @@ def test_free_cells_keep_their_shift():
     simulation.cells.position = start
     system = simulation.prepared()
     moved = shifted_positions(start, SHIFT, 1, 0, simulation.cells.id, 3)
-    effect, _ = replayed(Auto(), system, start, start, moved)
+    effect, _ = replay_step(Auto(), system, start, start, moved)
     assert effect == np.linalg.norm(moved - start, axis=1).max()
 
 

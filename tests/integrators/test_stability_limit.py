@@ -16,7 +16,7 @@ from multicell.errors import StepFailed
 from multicell.integrators import stability
 from multicell.integrators.adams_bashforth import AdamsBashforth2
 from multicell.integrators.base import MethodInfo
-from multicell.integrators.registry import METHODS, make
+from multicell.integrators.registry import METHODS, from_options
 from multicell.integrators.rkc import Rkc2
 from multicell.integrators.runge_kutta import Euler, RungeKutta4
 from multicell.integrators.shift import SHARE
@@ -94,7 +94,7 @@ def test_a_look_at_the_velocity_is_never_above_the_rate_and_sees_rattling():
 
 
 def test_every_explicit_method_with_a_fixed_step_has_its_limit():
-    found = {name: limit_of(make(IntegratorOptions(method=name))) for name in METHODS}
+    found = {name: limit_of(from_options(IntegratorOptions(method=name))) for name in METHODS}
     assert {name: x for name, x in found.items() if not np.isnan(x)} == EXPLICIT
 
 
@@ -155,7 +155,7 @@ def test_rattling_cells_are_found_between_two_measurements(monkeypatch):
     simulation = Simulation(scene, threads=1)
     for _ in range(3):
         simulation.step()
-    simulation.mover.integrator = make(IntegratorOptions(method="heun", step=4.9))
+    simulation.mover.integrator = from_options(IntegratorOptions(method="heun", step=4.9))
     simulation.stability = simulation.stability._replace(rate=0.0)
     monkeypatch.setattr(stability, "_PASSES", 1e9)
     monkeypatch.setattr(stability, "_GLANCE", 0)

@@ -18,7 +18,7 @@ from multicell.contact.exact_jkr import ExactJKR
 from multicell.contact.law import effective_modulus
 from multicell.contact.springs import Cubic, GeneralisedLinear, Linear
 from multicell.integrators.cvode import Cvode
-from multicell.integrators.registry import METHODS, make
+from multicell.integrators.registry import METHODS, from_options
 from multicell.integrators.runge_kutta import Dopri5
 from multicell.mechanics.jacobian import sparse_jacobian
 from multicell.mechanics.motion import Motion
@@ -307,7 +307,7 @@ def test_all_methods_agree(method):
         }
     )
     position, system, _, _ = sisters(JKR(), 4.0, 600.0, skin=0.01)
-    end = make(options.integrator).integrate(system, position)
+    end = from_options(options.integrator).integrate(system, position)
     assert end.done
     position, tight, _, _ = sisters(JKR(), 4.0, 600.0)
     expected = Dopri5(rtol=1e-12, atol=1e-9).integrate(tight, position).position
@@ -323,7 +323,7 @@ def test_exact_law_with_types_and_friction_in_all_kinds_of_loop(method):
     ends = []
     for law, extra in ((ExactJKR(), {}), (JKR(), {"friction": (0.1, 0.1), "types": True})):
         position, system = population(60, 3, law, **extra)
-        outcome = make(options.integrator).integrate(system, position)
+        outcome = from_options(options.integrator).integrate(system, position)
         assert outcome.done
         position, tight = population(60, 3, law, **extra)
         expected = Cvode(rtol=1e-9, atol=1e-8).integrate(tight, position).position

@@ -71,7 +71,7 @@ def test_every_method_moves_driven_cells_exactly_and_the_others_rightly(method):
     info, held = METHODS[method], system.motion.held
     step = {"euler": 0.01, "backward-euler": 0.02}.get(method, 0.25)
     atol = 1e-3 if info.order == 1 else 1e-5
-    made = integrators.make(
+    made = integrators.from_options(
         IntegratorOptions(method=method, rtol=1e-9, atol=atol, step=step, max_steps=200000)
     )
     out = made.integrate(system, position)
@@ -90,7 +90,7 @@ def test_methods_keep_their_order_while_cells_are_driven(method):
     exact = end_of(system, position)
     errors = []
     for step in (4.0, 2.0):
-        made = integrators.make(IntegratorOptions(method=method, step=step))
+        made = integrators.from_options(IntegratorOptions(method=method, step=step))
         system.begin(system.motion)
         end = system.at_end(made.integrate(system, position).position)
         errors.append(np.abs(end - exact).max())
@@ -253,7 +253,7 @@ def test_threads_give_the_same_bits(friction):
     found = []
     for threads in (1, 2):
         system, position = driven(1500, threads=threads, chunk=64, friction=friction)
-        made = integrators.make(IntegratorOptions(method="heun", step=2.0))
+        made = integrators.from_options(IntegratorOptions(method="heun", step=2.0))
         system.motion.end = 4.0
         system.begin(system.motion)
         found.append(made.integrate(system, position).position)

@@ -49,9 +49,8 @@ def test_two_cells_relax_exponentially_to_the_length_at_rest():
     start = np.array([[0.0, 0.0, 0.0], [14.0, 0.0, 0.0]])
     system = joined(start, [[0, 1]], 2.0, 20.0, radius=radius, duration=120.0)
     rate = 2.0 * (1.0 / (DRAG * radius)).sum()
-    out = integrators.make(IntegratorOptions(method="cvode", rtol=1e-9, atol=1e-8)).integrate(
-        system, start
-    )  # fmt: skip
+    options = IntegratorOptions(method="cvode", rtol=1e-9, atol=1e-8)
+    out = integrators.from_options(options).integrate(system, start)
     assert out.done
     distance = np.linalg.norm(out.position[1] - out.position[0])
     assert distance == pytest.approx(20.0 - 6.0 * np.exp(-120.0 * rate), abs=1e-5)
@@ -167,7 +166,7 @@ def test_all_methods_come_to_the_same_end(method):
     info = METHODS[method]
     step = {"euler": 0.01, "backward-euler": 0.05}.get(method, 0.25)
     atol = 1e-3 if info.order == 1 else 1e-5
-    made = integrators.make(
+    made = integrators.from_options(
         IntegratorOptions(method=method, rtol=1e-9, atol=atol, step=step, max_steps=200000)
     )
     out = made.integrate(system, position)
@@ -177,7 +176,7 @@ def test_all_methods_come_to_the_same_end(method):
 
 def test_energy_falls():
     system, position = tissue(30, law=Hertz())
-    made = integrators.make(IntegratorOptions(method="rkc2", atol=1e-4))
+    made = integrators.from_options(IntegratorOptions(method="rkc2", atol=1e-4))
     energy = [system.energy(0.0, position)]
     for _ in range(8):
         system.begin(system.motion)

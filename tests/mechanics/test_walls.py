@@ -190,7 +190,7 @@ def test_a_cell_under_a_constant_force_rests_at_the_closed_form(method):
     position = np.array([[HALF - 4.5, 1.0, 4.5 - HALF]])
     atol = 1e-3 if method in ("euler-adaptive", "multirate-euler") else 1e-6
     options = IntegratorOptions(method=method, rtol=1e-9, atol=atol, step=1.0)
-    method = integrators.make(options)
+    method = integrators.from_options(options)
     for k in range(4):
         system.begin(
             Motion(np.array([4.0]), np.zeros(1), np.ones(1), np.full(1, 0.5), 500.0 * k,
@@ -227,7 +227,7 @@ def test_all_methods_agree_with_scipy_on_a_right_hand_side_of_our_own(method, se
     atol = 1e-3 if method in ("euler-adaptive", "multirate-euler") else 1e-6
     step = 0.25 if method == "backward-euler" else 0.05
     options = IntegratorOptions(method=method, rtol=1e-9, atol=atol, step=step)
-    outcome = integrators.make(options).integrate(system, position)
+    outcome = integrators.from_options(options).integrate(system, position)
     assert outcome.done, outcome.problem
     np.testing.assert_allclose(outcome.position, settled, atol=bounds.get(method, 2e-4))
 

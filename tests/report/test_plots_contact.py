@@ -18,6 +18,7 @@ from multicell.report.plots.run import Plots
 from multicell.results import folder
 from multicell.results.frame import Frame
 from multicell.results.observables import diameter, heterotypic_fraction
+from multicell.results.writer import Store
 from multicell.scene.pairs import pair_of, pairs
 from multicell.scene.scene import Scene
 
@@ -317,8 +318,9 @@ def test_overwriting_removes_the_pictures_of_an_earlier_run(tmp_path):
     assert {"contacts.png", "pull.png"} <= set(folder.FILES)
     for name in ("contacts.png", "pull.png", "mine.png"):
         (tmp_path / name).write_bytes(b"x")
-    folder.prepare_folder(tmp_path, overwrite=True)
-    assert [entry.name for entry in tmp_path.iterdir()] == ["mine.png"]
+    Store.create(tmp_path, BARE, overwrite=True).close()
+    left = {entry.name for entry in tmp_path.iterdir()}
+    assert left == {"mine.png", "scene.toml", "frames.journal"}
 
 
 def test_growth_picture_of_cells_that_only_move_has_no_panel_without_news(doublet):

@@ -128,8 +128,8 @@ def test_a_folder_in_which_a_run_goes_on_is_refused(tmp_path):
         run = ["run", "settle", "-o", str(folder), *ARGUMENTS]
         for arguments, words in (
             (run, "not empty"),
-            ([*run, "--overwrite"], "a run is going on in"),
-            (["resume", str(folder), "--no-report", "--quiet"], "a run is going on in"),
+            ([*run, "--overwrite"], "another run uses"),
+            (["resume", str(folder), "--no-report", "--quiet"], "another run uses"),
         ):
             done = CliRunner().invoke(main, arguments)
             assert done.exit_code == 2, done.output

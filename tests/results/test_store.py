@@ -20,7 +20,7 @@ from multicell.cells import Cells
 from multicell.errors import OutputError
 from multicell.report.result import Result, history_arrays, load_result
 from multicell.results.documents import write_summary
-from multicell.results.folder import FILES, prepare_folder, to_json
+from multicell.results.folder import FILES, to_json
 from multicell.results.frame import Field, Frame
 from multicell.results.lineage import COLUMNS
 from multicell.results.reader import Contents, Frames
@@ -119,11 +119,9 @@ def test_folder_holds_the_scene_and_the_file_its_units(tmp_path):
     written(tmp_path / "out", [spheroid(30)])
     assert load_scene(tmp_path / "out" / "scene.toml") == SCENE
     with h5py.File(tmp_path / "out" / "frames.h5") as file:
-        assert file.attrs["format"] == 4
+        assert file.attrs["format"] == 5
         assert file.attrs["multicell"] == multicell.__version__
         units = {name: column.attrs["unit"] for name, column in file["cells"].items()}
-        for pool in file["kept"].values():
-            units |= {name: column.attrs["unit"] for name, column in pool.items()}
         for name, spec in Cells.schema().items():
             assert units[name] == spec["unit"]
         assert file["history/diameter"].attrs["unit"] == "um"
@@ -227,8 +225,9 @@ def test_folder_that_holds_something_is_refused_unless_overwritten(tmp_path):
 
 def test_empty_folder_and_deep_new_folder_are_taken(tmp_path):
     (tmp_path / "empty").mkdir()
-    assert prepare_folder(tmp_path / "empty") == tmp_path / "empty"
-    assert prepare_folder(tmp_path / "a" / "b").is_dir()
+    for folder in (tmp_path / "empty", tmp_path / "a" / "b"):
+        Store.create(folder, SCENE).close()
+        assert (folder / "scene.toml").is_file()
 
 
 def test_folder_that_cannot_be_used_is_refused_with_words(tmp_path):
@@ -247,7 +246,7 @@ def test_folder_that_cannot_be_used_is_refused_with_words(tmp_path):
 def test_foreign_folder_in_the_place_of_a_file_is_not_removed(tmp_path):
     (tmp_path / "frames.h5").mkdir()
     with pytest.raises(OutputError, match="cannot remove"):
-        prepare_folder(tmp_path, overwrite=True)
+        Store.create(tmp_path, SCENE, overwrite=True)
     assert (tmp_path / "frames.h5").is_dir()
 
 

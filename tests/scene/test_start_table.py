@@ -23,7 +23,7 @@ from multicell.cli.main import main
 from multicell.errors import DataError, SceneError
 from multicell.report.explain.scene import explain
 from multicell.results.frame import Frame
-from multicell.scene.start_table import normalised, with_cells
+from multicell.scene.start_table import normalise, with_cells
 from multicell.studies.runs import digest
 from multicell.tables.columns import from_bytes, from_object
 
@@ -510,7 +510,7 @@ def given_as(source, column):
 @pytest.mark.parametrize("source", ["frame", "columns", "parquet", "csv"])
 @pytest.mark.parametrize("kind", NUMBERS)
 def test_numbers_are_read_from_columns_of_any_type(kind, source):
-    found = normalised(given_as(source, NUMBERS[kind]))
+    found = normalise(given_as(source, NUMBERS[kind]))
     assert found.columns["position_x"].dtype == np.float64
     assert found.columns["position_x"].tolist() == [10.0, 15.0, 20.0]
 
@@ -522,7 +522,7 @@ def test_what_is_no_number_is_refused_by_row_and_column(kind, source):
     if source == "parquet" and kind == "complex":
         pytest.skip("Parquet has no complex numbers")
     with pytest.raises(DataError, match=said) as refused:
-        normalised(given_as(source, column))
+        normalise(given_as(source, column))
     if "single values" not in str(refused.value):
         assert refused.value.place == f"cells, row {row}, 'position_x_um'"
 

@@ -228,6 +228,6 @@ def test_methods_are_compared_on_the_steps_that_a_run_chose():
     from multicell.integrators import registry
 
     scene = SWITCHED.with_changes({"duration": "4 h"})
-    problem, _ = record(scene, registry.make(scene.integrator), threads=1)
+    problem, _ = record(scene, registry.from_options(scene.integrator), threads=1)
     assert problem.times[-1] == scene.duration
     assert len(set(np.diff(problem.times))) > 2

@@ -15,7 +15,7 @@ from studied import run_of, runs_of, short_runs, statuses
 import multicell as mc
 from multicell.errors import ClusterError, SceneError
 from multicell.results.documents import write_table
-from multicell.results.folder import locked
+from multicell.results.folder import lock_folder
 from multicell.studies import engine
 from multicell.studies.engine import carry_out
 from multicell.studies.status import NOTE
@@ -259,7 +259,7 @@ def test_what_another_process_does_is_left_to_it_and_waited_for(tmp_path, monkey
     told, ready, over = [], threading.Event(), threading.Event()
 
     def other():
-        with locked(place):
+        with lock_folder(place):
             ready.set()
             over.wait(60)
 

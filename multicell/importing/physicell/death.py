@@ -27,7 +27,7 @@ _USUAL = {
 @final
 @dataclass(frozen=True)
 class Dying:
-    """How a type dies in one way: 1/min, min; the last phase's length is None where unknown."""
+    """One way in which a type dies: 1/min, min; the last phase's length is None where unknown."""
 
     element: Element | None
     rate: float
@@ -202,7 +202,7 @@ def _account_for_course(model: Model, kind: Kind, one: Element, code: str) -> No
     for tag, key in keys.items():
         for leaf in one.all(f"parameters/{tag}"):
             if code == APOPTOSIS:
-                why = "one time tells how apoptotic cells shrink"
+                why = "one time constant describes how apoptotic cells shrink"
                 account.take(leaf, Fate.LEFT_OUT, note=why)
             else:
                 account.take(leaf, Fate.APPROXIMATED, key, note)

@@ -101,7 +101,7 @@ class Kind:
 @final
 @dataclass
 class Model:
-    """What is known of a model so far.
+    """A model of PhysiCell while it is read.
 
     Attributes
     ----------

@@ -19,7 +19,7 @@ _STEEP = 1e-9
 @final
 @dataclass(frozen=True)
 class Migration:
-    """How a type moves: µm/min, min, and the share of its speed along each gradient, with sign."""
+    """Motion of a type: µm/min, min, and the signed share of its speed along each gradient."""
 
     speed: float
     persistence: float

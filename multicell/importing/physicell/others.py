@@ -1,4 +1,4 @@
-"""What a scene does not have, or only C++ code of a model makes use of."""
+"""Elements without a counterpart in a scene, or used by C++ code of a model only."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What cells take up and give off.
+"""Uptake and secretion of cells.
 
 A cell of volume V changes the amount of a substance around it by V [S (T - c) - U c] + E: S, T and
 U are rate and target of secretion and the rate of uptake, E the net export. Here uptake saturates
@@ -19,14 +19,14 @@ if TYPE_CHECKING:
 
 _FAR = 1e3
 """Half saturation over the largest concentration."""
-_MOST = 1e5
+_MAX_HALF = 1e5
 """Largest half saturation of a scene, mM."""
 
 
 @final
 @dataclass(frozen=True)
 class Exchange:
-    """What a type does with a substance: per minute, in the substance's own unit."""
+    """Exchange of a substance by a type: per minute, in the substance's own unit."""
 
     secretion: float
     target: float
@@ -87,7 +87,7 @@ def _set_field(model: Model, name: str, known: dict[Kind, Exchange]) -> None:
     top = max([model.top[name], *(x.target for x in known.values() if x.secretion > 0.0)])
     fastest = max(x.taken_up for x in known.values())
     if fastest > 0.0:
-        half = min(max(_FAR * top * unit, _FAR * 1e-6), _MOST)
+        half = min(max(_FAR * top * unit, _FAR * 1e-6), _MAX_HALF)
         del made["uptake"]
         made["half_saturation"] = half
         made["uptake_per_volume"] = fastest / MINUTE * half

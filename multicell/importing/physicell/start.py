@@ -18,7 +18,7 @@ from multicell.importing.physicell.model import Kind, Model
 if TYPE_CHECKING:
     from pathlib import Path
 
-_MOST = 10**7
+_MAX_LINES = 10**7
 _NEAR, _AWAY = 0.021, 0.1
 """How near two cells are taken to coincide, and by how much one of them is moved, in radii."""
 _READ = ("x", "y", "z", "type", "cell_type", "volume")
@@ -79,7 +79,7 @@ def _without_table(model: Model) -> Start:
     )
     number = model.root.find("user_parameters/number_of_cells")
     count = 0 if number is None else int(number.number())
-    if number is not None and 0 < count * len(model.kinds) <= _MOST:
+    if number is not None and 0 < count * len(model.kinds) <= _MAX_LINES:
         note = (
             "so many of each type, at random in the box: PhysiCell's template does so, another "
             "model's C++ code may not"
@@ -88,7 +88,7 @@ def _without_table(model: Model) -> Start:
         kinds = [kind for kind in model.kinds for _ in range(count)]
         random = np.random.default_rng(model.scene.get("seed", 0))
         position = low + (high - low) * random.random((len(kinds), 3))
-        return _separated(model, None, Start(position, kinds, np.full(len(kinds), np.nan)))
+        return _move_apart(model, None, Start(position, kinds, np.full(len(kinds), np.nan)))
     note = f"one cell of '{model.kinds[0].name}' in the middle: C++ code of the model places them"
     model.account.add("initial_conditions", "no table", Fate.LEFT_OUT, "initial.cells", note)
     return Start(0.5 * (low + high)[None], [model.kinds[0]], np.full(1, np.nan))
@@ -96,8 +96,8 @@ def _without_table(model: Model) -> Start:
 
 def _from_table(model: Model, path: Path) -> Start:
     rows = read_rows(path)
-    if len(rows) > _MOST:
-        raise SceneError(path.name, f"has more than {_MOST:,} lines")
+    if len(rows) > _MAX_LINES:
+        raise SceneError(path.name, f"has more than {_MAX_LINES:,} lines")
     if not rows:
         raise SceneError(path.name, "has no cells")
     labels = None if _number(rows[0][1][0]) is not None else [w.lower() for w in rows.pop(0)[1]]
@@ -117,10 +117,10 @@ def _from_table(model: Model, path: Path) -> Start:
         note = f"{len(found) - len(cells)} cells of types that there are not, as in PhysiCell"
         model.account.add(path.name, "", Fate.LEFT_OUT, "", note)
     start = Start(position[keep], kinds, np.array([cell[2] for cell in cells])[keep])
-    return _separated(model, path, start)
+    return _move_apart(model, path, start)
 
 
-def _separated(model: Model, path: Path | None, start: Start) -> Start:
+def _move_apart(model: Model, path: Path | None, start: Start) -> Start:
     radius = float(np.cbrt(start.volumes().max() / SPHERE))
     return replace(start, position=_apart(model, path, start.position, radius))
 

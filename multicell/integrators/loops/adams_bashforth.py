@@ -28,16 +28,16 @@ from multicell.integrators.stepping import (
     STEP,
     TOO_LONG,
     Report,
-    begun,
     combine,
     compiled,
+    control_state,
+    control_step,
     copy,
     displace,
-    ended,
     evaluate,
-    judged,
-    moved_on,
-    refused,
+    refuse_step,
+    stop_reason,
+    take_fixed_step,
 )
 
 _TRIED = 6  # steps, refused ones too, after which the rest of the way is estimated
@@ -63,7 +63,7 @@ def fixed_adams(source, pairs, position, length, radius, counts, steps, allowed)
         if status != DONE:
             return Report(status, elapsed, step, -1, math.inf), pairs
         combine(position, step, weights, slopes, 2, trial)
-        cell, moved = moved_on(position, trial, radius, allowed, counts)
+        cell, moved = take_fixed_step(position, trial, radius, allowed, counts)
         if not moved <= allowed:
             return Report(MOVED, elapsed, step, cell, moved), pairs
     return Report(DONE, length, step, -1, 0.0), pairs
@@ -87,7 +87,7 @@ def adaptive_adams(source, pairs, position, length, radius, counts, control, pat
         return Report(status, 0.0, 0.0, -1, math.inf), pairs
     # not further than the neighbour list reaches: a refused trial would cost two lists
     cell, moved = foresee(source, 1.0, slopes[now], 0.0, slopes[now], here, radius, trial, found)
-    walk = begun(0.5 * length)
+    walk = control_state(0.5 * length)
     if moved * walk[STEP] > 0.14 * control.max_displacement:
         walk[STEP] = 0.14 * control.max_displacement / moved
     while walk[ELAPSED] < length:
@@ -96,7 +96,7 @@ def adaptive_adams(source, pairs, position, length, radius, counts, control, pat
         # equal steps to the end, so that no tiny one is left over
         if step > _SHORTEST * length:
             step = walk[STEP] = left / np.ceil(left / step * (1.0 - 1e-12))
-        status = ended(walk, counts, control, length)
+        status = stop_reason(walk, counts, control, length)
         if status == DONE and patience and tried >= _TRIED:
             expected = counts[EVALUATIONS] - first + left / step
             if expected > patience:
@@ -120,7 +120,7 @@ def adaptive_adams(source, pairs, position, length, radius, counts, control, pat
         )
         if status == DONE and moved <= control.max_displacement:
             status, pairs = evaluate(source, pairs, elapsed + step, trial, slopes[new])
-        if refused(walk, counts, control, status, moved):
+        if refuse_step(walk, counts, control, status, moved):
             continue
         if last > 0.0:
             share = step * (3.0 + 2.0 * r) / (3.0 + 3.0 * r)
@@ -134,7 +134,7 @@ def adaptive_adams(source, pairs, position, length, radius, counts, control, pat
             here, trial, control, found,
         )  # fmt: skip
         # the formula is at its best with equal steps
-        if judged(walk, counts, control, length, size, least, 2.0, True):
+        if control_step(walk, counts, control, length, size, least, 2.0, True):
             here, trial = trial, here
             old, now, new = now, new, old
             last = step

@@ -25,18 +25,18 @@ from multicell.integrators.stepping import (
     MOVED,
     STEP,
     Report,
-    accepted,
-    begun,
+    accept_step,
     compiled,
+    control_state,
     copy,
     displace,
-    ended,
     evaluate,
-    fitted,
-    furthest_moved,
-    moved_on,
-    refused,
+    fit_step,
+    furthest_move,
+    refuse_step,
     starting_step,
+    stop_reason,
+    take_fixed_step,
 )
 
 DAMPING = 2.0 / 13.0
@@ -241,7 +241,7 @@ def stages_for(step, rate, most):
     """Return the number of stages that a step needs."""
     stages = 2
     while stages < most and stable_length(stages) < step * rate:
-        # the law tells where to look, its exact value decides
+        # the law says where to search, its exact value decides
         guess = int(min(math.sqrt(1.5 * step * rate + 1.0), most + 1.0)) - 1
         stages = max(stages + 1, guess)
     return stages
@@ -271,7 +271,7 @@ def fixed_chebyshev(
             status, pairs = _chebyshev(source, pairs, table, position, slope, elapsed, step, work)
         if status != DONE:
             return Report(status, elapsed, step, -1, math.inf), pairs
-        cell, moved = moved_on(position, work[0], radius, allowed, counts)
+        cell, moved = take_fixed_step(position, work[0], radius, allowed, counts)
         if not moved <= allowed:
             return Report(MOVED, elapsed, step, cell, moved), pairs
     return Report(DONE, length, step, -1, 0.0), pairs
@@ -292,7 +292,7 @@ def adaptive_chebyshev(source, pairs, position, length, radius, counts, control,
     step, pairs = starting_step(
         source, pairs, control, position, slope, work[0], work[1], length, radius
     )
-    walk = begun(step)
+    walk = control_state(step)
     _scramble(vector)
     copy(slope, error)
     rate, products, age = 0.0, _COLD, 0
@@ -306,8 +306,8 @@ def adaptive_chebyshev(source, pairs, position, length, radius, counts, control,
             products, age = 0, 0
         if rate > 0.0:
             walk[STEP] = min(walk[STEP], stable_length(most_stages) / (_SAFETY * rate))
-        step = walk[STEP] = fitted(walk[STEP], length - elapsed)
-        status = ended(walk, counts, control, length)
+        step = walk[STEP] = fit_step(walk[STEP], length - elapsed)
+        status = stop_reason(walk, counts, control, length)
         if status != DONE:
             return Report(status, elapsed, step, cell, moved), pairs
         stages = stages_for(step, _SAFETY * rate, most_stages)
@@ -315,13 +315,15 @@ def adaptive_chebyshev(source, pairs, position, length, radius, counts, control,
             table = coefficients(stages)
         status, pairs = _chebyshev(source, pairs, table, position, slope, elapsed, step, work)
         trial = work[0]
-        cell, moved = furthest_moved(position, trial, radius)
+        cell, moved = furthest_move(position, trial, radius)
         if status == DONE and moved <= control.max_displacement:
             status, pairs = evaluate(source, pairs, elapsed + step, trial, work[1])
-        good = not refused(walk, counts, control, status, moved)
+        good = not refuse_step(walk, counts, control, status, moved)
         if good:
             _estimate(step, position, trial, slope, work[1], error)
-            good = accepted(walk, counts, control, length, position, trial, error, 0.2, 5.0, False)
+            good = accept_step(
+                walk, counts, control, length, position, trial, error, 0.2, 5.0, False
+            )
         else:
             displace(trial, -1.0, position, error)
         if good:

@@ -30,17 +30,17 @@ from multicell.integrators.stepping import (
     STEP,
     Report,
     Source,
-    accepted,
-    begun,
+    accept_step,
     compiled,
+    control_state,
     copy,
     displace,
-    ended,
     evaluate,
-    fitted,
-    furthest_moved,
-    refused,
+    fit_step,
+    furthest_move,
+    refuse_step,
     starting_step,
+    stop_reason,
 )
 from multicell.mechanics import forces
 
@@ -360,12 +360,12 @@ def adaptive_multirate(source, pairs, position, length, radius, counts, control)
     step, pairs = starting_step(
         source, pairs, control, position, slope, trial, error, length, radius
     )
-    walk = begun(step)
+    walk = control_state(step)
     part = _part(source, pairs, is_fast)
     while walk[ELAPSED] < length:
         elapsed = walk[ELAPSED]
-        step = walk[STEP] = fitted(walk[STEP], length - elapsed)
-        status = ended(walk, counts, control, length)
+        step = walk[STEP] = fit_step(walk[STEP], length - elapsed)
+        status = stop_reason(walk, counts, control, length)
         if status != DONE:
             return Report(status, elapsed, step, cell, moved), pairs
         if ratio == 1:
@@ -382,18 +382,18 @@ def adaptive_multirate(source, pairs, position, length, radius, counts, control)
             built = counts[LIST_BUILDS]
         if status == DONE:
             status, pairs = evaluate(source, pairs, elapsed + step, trial, new)
-        cell, moved = furthest_moved(position, trial, radius)
-        if refused(walk, counts, control, status, moved):
+        cell, moved = furthest_move(position, trial, radius)
+        if refuse_step(walk, counts, control, status, moved):
             continue
         _estimate(is_fast, step, ratio, slope, new, error)
-        if accepted(walk, counts, control, length, position, trial, error, 0.2, 5.0, False):
+        if accept_step(walk, counts, control, length, position, trial, error, 0.2, 5.0, False):
             copy(new, slope)
             age += 1
             if age % _AGE:
                 continue
             longest = math.inf
         else:
-            # errors of unstable steps tell little of another grouping: a step that was refused
+            # errors of unstable steps say little about another grouping: a step that was refused
             # with the old one might otherwise be tried again for ever
             longest = walk[STEP]
         ratio, factor = _grouped(error, is_fast, ratio, most)

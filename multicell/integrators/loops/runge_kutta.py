@@ -13,19 +13,19 @@ from multicell.integrators.stepping import (
     MOVED,
     STEP,
     Report,
-    accepted,
-    begun,
+    accept_step,
     combine,
     compiled,
+    control_state,
     copy,
-    ended,
     error_of,
     evaluate,
-    fitted,
-    furthest_moved,
-    moved_on,
-    refused,
+    fit_step,
+    furthest_move,
+    refuse_step,
     starting_step,
+    stop_reason,
+    take_fixed_step,
 )
 
 
@@ -54,7 +54,7 @@ def fixed_runge_kutta(source, pairs, position, length, radius, counts, steps, al
         if status != DONE:
             return Report(status, elapsed, step, -1, math.inf), pairs
         combine(position, step, tableau.b, slopes, tableau.c.size, trial)
-        cell, moved = moved_on(position, trial, radius, allowed, counts)
+        cell, moved = take_fixed_step(position, trial, radius, allowed, counts)
         if not moved <= allowed:
             return Report(MOVED, elapsed, step, cell, moved), pairs
     return Report(DONE, length, step, -1, 0.0), pairs
@@ -73,19 +73,19 @@ def adaptive_runge_kutta(source, pairs, position, length, radius, counts, contro
     step, pairs = starting_step(
         source, pairs, control, position, slopes[0], trial, error, length, radius
     )
-    walk = begun(step)
+    walk = control_state(step)
     while walk[ELAPSED] < length:
         elapsed = walk[ELAPSED]
-        step = walk[STEP] = fitted(walk[STEP], length - elapsed)
-        status = ended(walk, counts, control, length)
+        step = walk[STEP] = fit_step(walk[STEP], length - elapsed)
+        status = stop_reason(walk, counts, control, length)
         if status != DONE:
             return Report(status, elapsed, step, cell, moved), pairs
         status, pairs = _stages(source, pairs, tableau, slopes, position, elapsed, step, trial)
         # the result, where the last stage was
-        cell, moved = furthest_moved(position, trial, radius)
-        if refused(walk, counts, control, status, moved):
+        cell, moved = furthest_move(position, trial, radius)
+        if refuse_step(walk, counts, control, status, moved):
             continue
         error_of(step, tableau.error, slopes, error)
-        if accepted(walk, counts, control, length, position, trial, error, 0.2, 5.0, False):
+        if accept_step(walk, counts, control, length, position, trial, error, 0.2, 5.0, False):
             copy(slopes[last], slopes[0])
     return Report(DONE, length, walk[STEP], -1, 0.0), pairs

@@ -36,7 +36,7 @@ _FIELD_PACKAGES: Final = 40e6  # and more where there are fields
 _CELL: Final = 850.0  # bytes of a cell: state, lists, vectors, lineage, and gaps between them
 _NODE: Final = 100.0  # bytes of a node of a field on cubes
 
-_CELL_FRAME: Final = 45.0  # bytes of a cell in a frame on the disk
+_CELL_FRAME: Final = 62.0  # bytes of a cell in a frame on the disk
 _NODE_FRAME: Final = 2.5
 _STEP_ROW: Final = 100.0  # of a row of the history
 _FILE: Final = 70e3  # of the structure of the file, and what is the same for all frames
@@ -194,12 +194,12 @@ def grid_sizes(scene: Scene, name: str) -> tuple[float, float]:
 def placed(scene: Scene) -> Cells | None:
     """Return the cells of a scene's start; None where they cannot be placed, or not at once."""
     from multicell.biology.initial import initial_cells
-    from multicell.scene.start import separated
+    from multicell.scene.start import separate
 
     if scene.initial.count > _PLACED:
         return None
     try:
-        return separated(scene, initial_cells(scene))
+        return separate(scene, initial_cells(scene))
     except SceneError:  # which the run will report
         return None
 

@@ -12,7 +12,7 @@ from multicell.nutrient.choosing.choice import CHANGED
 from multicell.nutrient.fields import Feeding
 from multicell.scene import domain as box
 from multicell.scene.arrangement import region
-from multicell.scene.start import separated
+from multicell.scene.start import separate
 from multicell.scene.start_checks import positions
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ def _nodes(scene: Scene) -> float:
 @lru_cache(maxsize=1)
 def _started(scene: Scene) -> Grids:
     """Return the choices at the start of a scene: its fields are solved for as in a run."""
-    feeding, cells = Feeding(scene), separated(scene, initial_cells(scene))
+    feeding, cells = Feeding(scene), separate(scene, initial_cells(scene))
     box.check_start(scene, cells)
     feeding.begin(cells, 0.0)
     return feeding.grids
