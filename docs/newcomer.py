@@ -66,7 +66,7 @@ def steps(venv: Path) -> list[Step]:
             [[*run, "-o", "poor", "--set", "nutrients.oxygen.boundary=0.035 mM"]],
         ),
         Step(
-            "a scene of one's own (`init`, edit, run)",
+            "a scene of your own (`init`, edit, run)",
             [
                 [multicell, "init", "spheroid", "-o", "mine.toml"],
                 ["edit", "mine.toml"],
@@ -134,8 +134,8 @@ def table(times: dict[str, Times]) -> str:
         f"| {name} | {in_words(wall)} | {in_words(cpu)} |" for name, (wall, cpu) in times.items()
     ]
     wall, cpu = (in_words(sum(column)) for column in zip(*times.values(), strict=True))
-    rows.append(f"| **in all** | **{wall}** | **{cpu}** |")
-    return "\n".join(["| step | wall time | time of processors |", "|---|---|---|", *rows])
+    rows.append(f"| **total** | **{wall}** | **{cpu}** |")
+    return "\n".join(["| step | wall time | CPU time |", "|---|---|---|", *rows])
 
 
 def written(text: str, page: Path) -> None:

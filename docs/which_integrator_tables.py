@@ -136,7 +136,7 @@ def own(times: dict[str, float]) -> float:
 
 
 def summary(entries: list[Entry]) -> str:
-    """Return what the lines say together, and how the times were taken."""
+    """Summarise all lines of both tables, and state how times were measured."""
     goals = [
         (entry, (error, norm)) for entry in entries for norm in entry.norms for error in ERRORS
     ]
@@ -146,18 +146,21 @@ def summary(entries: list[Entry]) -> str:
         name: sorted(times[name] / own(times) for times in found if name in times)
         for name in ("auto", "cvode", "rosenbrock")
     }
-    told = "; ".join(
-        f"`{name}` reaches it in {len(of)}, in {of[0]:.2g} to {of[-1]:.2g} times the time of the "
-        f"fastest (median {median(of):.2g}, {sum(ratio <= 1.3 for ratio in of)} within 1.3)"
+    rows = [
+        f"| `{name}` | {len(of)} | {of[0]:.2g} to {of[-1]:.2g} | {median(of):.2g} | "
+        f"{sum(ratio <= 1.3 for ratio in of)} |"
         for name, of in ratios.items()
-    )
+    ]
     clocks = " and ".join(sorted({CLOCKS[entry.result.clock] for entry in entries}))
     took = sum(entry.took for entry in entries) / 60.0
-    return (
-        f"Of the {len(goals)} lines of both tables an explicit method is the fastest in "
-        f"{first.count('explicit')}, an implicit one in {first.count('implicit')}; {told}. Judged "
-        f"by {clocks}; all took {took:.0f} min."
+    head = (
+        f"An explicit method is the fastest in {first.count('explicit')} of the {len(goals)} lines "
+        f"of both tables, an implicit one in {first.count('implicit')}. The measure is {clocks}; "
+        f"all measurements took {took:.0f} min. Times in this table are relative to the fastest "
+        "method."
     )
+    titles = "| method | lines reached | time, range | time, median | lines within 1.3 |"
+    return "\n".join([head, "", titles, "|---|---|---|---|---|", *rows])
 
 
 def write_page(entries: list[Entry], page: Path | None) -> None:

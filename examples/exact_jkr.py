@@ -1,15 +1,15 @@
-"""What the approximate JKR law costs, and what its smoothing costs: a chart
-=========================================================================
+"""Errors of approximate JKR and of its smoothing: a chart
+=======================================================
 
 Problem
     Two cells of radius 10 um, E = 1 kPa, Poisson ratio 0.5, surface energy 0.1 nN/um.
     Left: force over overlap for the approximate law (eq. 3.6) and for the exact one with
-    both its branches; same pull-off force, a third of the equilibrium overlap, and
-    hysteresis. Right: how the smoothing of the approximate law (linear onset below a length)
-    changes it, over that length, and how stiff the smoothed law is at most.
+    both its branches. The exact law has the same pull-off force, a third of the equilibrium
+    overlap, and hysteresis. Right: the change of the approximate law by smoothing (linear
+    onset below a length) over that length, and the largest stiffness of the smoothed law.
 Scaling
-    Everything right is drawn over h0, the equilibrium overlap of the approximate law, and
-    is then the same for all cells.
+    The right panel is relative to h0, the equilibrium overlap of the approximate law, and
+    therefore valid for all cells.
 Cost
     About two seconds, nearly all of it to load matplotlib.
 Command

@@ -1,10 +1,11 @@
-"""Two sticky spheres pushed together, at rest and pulled apart, drawn to scale with their forces
-==============================================================================================
+"""Two adhesive spheres pushed together, at rest and pulled apart, to scale with their forces
+==========================================================================================
 
 Problem
     Two cells of radius 10 um (or unlike ones) under the approximate JKR law with E = 1 kPa,
     Poisson ratio 0.5 and surface energy 0.1 nN/um. At rest the elastic force and the
-    adhesion of each cell cancel; closer the elastic force wins, further apart adhesion.
+    adhesion of each cell cancel. At shorter distance the elastic force is larger, at longer
+    distance adhesion.
 Scaling
     None: three evaluations of a closed form. Lengths are to scale, in um; arrows are to one
     scale of force in all panels.

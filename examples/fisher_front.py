@@ -1,5 +1,5 @@
-"""A front of growing tissue without cells: an equation of py-pde's by its solvers and by ours
-===========================================================================================
+"""The front of a Fisher-Kolmogorov equation, by solvers of py-pde and of multicell
+================================================================================
 
 Problem
     Fisher-Kolmogorov: du/dt = D u'' + u (1 - u) in 1/growth rate and D = 1. The front

@@ -1,10 +1,10 @@
-"""A growth curve gives back what made it: cycle time and cell size, and how far it tells them
-===========================================================================================
+"""Fit of a growth curve: cycle time and cell size, with their uncertainties
+=========================================================================
 
 Problem
     A culture grows from 8 cells for 60 h; cells were counted and its diameter measured five
-    times (growth.csv). It was made by a run with a cycle of 17 h and cells that divide at a
-    radius of 6.5 um, with errors of 5 % and 1 um. The fit knows none of this: it tries
+    times (growth.csv). The data come from a run with a cycle of 17 h and a division radius
+    of 6.5 um, with errors of 5 % and 1 um. The fit does not use these values: it searches
     cycles of 10 to 30 h and radii of 4 to 10 um.
 Scaling
     Runs of a fit are independent: twice the cores take half the time. Polynomials through the

@@ -1,10 +1,10 @@
-"""Force between two sticky elastic cells against their distance, for four parameter sets
-======================================================================================
+"""Force between two adhesive elastic cells against their distance, for four parameter sets
+========================================================================================
 
 Problem
     Two cells of radius 10 um; approximate JKR law with E = 1 kPa, Poisson ratio 0.5 and
     surface energy 0.1 nN/um (black), and with one parameter changed: Poisson ratio 0.75
-    (blue; no isotropic solid has it, it is drawn to compare with the published figure),
+    (blue; no isotropic solid has it, it serves comparison with the published figure),
     E = 2 kPa (red), surface energy 0.2 nN/um (green).
 Scaling
     None: 4 x 8001 evaluations of a closed form.

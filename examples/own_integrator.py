@@ -1,8 +1,8 @@
-"""A method of one's own: the explicit midpoint rule, checked, run and compared
-============================================================================
+"""Your own integrator: the explicit midpoint rule, checked, run and compared
+==========================================================================
 
 Problem
-    50 cells come to rest by the midpoint rule and by CVODE.
+    50 cells relax to equilibrium, by the midpoint rule and by CVODE.
 Scaling
     Stable for steps below 2 / lambda_max: 107 s for a pair (`multicell explain settle`),
     several times less in tissue. The step here is 5 s.

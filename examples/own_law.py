@@ -1,13 +1,13 @@
-"""Pair laws of one's own: a spring that stiffens with the overlap, and JKR written once more
-==========================================================================================
+"""Your own contact laws: a spring that stiffens with the overlap, and a second JKR
+================================================================================
 
 Problem
-    Two laws as Python functions, checked, then run: 50 cells that come to rest by each.
+    Two laws as Python functions, checked, then run: 50 cells relax to equilibrium by each.
 Scaling
     The stiffness of the spring is 2 k h / r_ij: with k = 2 nN/um that of Hertz's law for
     1 kPa at an overlap of 0.2 um.
 Cost
-    Half a minute, nearly all of it to compile the two laws; a few seconds from then on. It is not
+    Half a minute, nearly all of it to compile the two laws; a few seconds afterwards. It is not
     run in the documentation, which is to be built quickly.
 Command
     .. code-block:: sh

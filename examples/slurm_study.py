@@ -1,5 +1,5 @@
-"""A study on a cluster with Slurm: jobs that are workers of Dask, and a study that uses them
-==========================================================================================
+"""A study on a Slurm cluster: jobs as Dask workers
+================================================
 
 Problem
     A study of more runs than one machine has cores for; here EMT6 spheroids in twelve media,
@@ -7,18 +7,18 @@ Problem
 Scaling
     One process for each core of a job, with one thread; a run takes one of them.
 Cost
-    As "multicell study" tells beforehand, over as many cores as Slurm has given. It is not run in
-    the documentation, whose builder has no cluster.
+    As "multicell study new" predicts, divided by the number of cores that Slurm provides. It is
+    not run in the documentation, whose builder has no cluster.
 Command
     .. code-block:: sh
 
         python examples/slurm_study.py study --queue compute --jobs 10 --cores 16
         python examples/slurm_study.py study --queue compute --cores 16 --show   # the job script
 
-It runs where jobs are submitted, in the environment that the jobs are to have, and needs
+Run it where jobs are submitted, in the environment of the jobs. It needs
 ``pip install "multicell[cluster]"``. The folder of the study must be on a file system that all
 nodes share. Nothing is lost when the time of a job is over, or when this process is killed: start
-it again, and the study goes on.
+it again to continue the study.
 """
 
 import argparse

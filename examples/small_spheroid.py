@@ -1,11 +1,11 @@
-"""A small spheroid in a medium so poor in oxygen that a few hundred cells feel it
-===============================================================================
+"""A small spheroid that is limited by oxygen at a few hundred cells
+=================================================================
 
 Problem
-    80 hungry cells (60 amol/s each) at all stages of the cycle, oxygen at 0.02 mM in the
-    medium around them, three days. Uptake makes a gradient of oxygen: cells inside come to
-    rest and the innermost ones die, while the rim grows on. Thresholds are lower than the
-    defaults, to suit the poor medium.
+    80 cells with high uptake (60 amol/s each) at all stages of the cycle, in medium with
+    0.02 mM of oxygen, for three days. Uptake causes a gradient of oxygen: inner cells become
+    quiescent and the innermost ones die, while the rim continues to grow. Thresholds are
+    lower than the defaults, to match the poor medium.
 Scaling
     432 coupling steps of 10 min, up to about 530 cells; each step integrates the motion and
     solves for the oxygen field once.

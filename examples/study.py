@@ -1,16 +1,16 @@
-"""A study: how adhesion and stiffness decide how tightly a small cluster of cells packs
-=====================================================================================
+"""A study: the effect of adhesion and stiffness on the packing of a small cluster
+===============================================================================
 
 Problem
     Growing clusters of two stiffnesses and three surface energies, two seeds each: twelve
-    runs of 30 h, from one cell. Between two points only the parameters differ: they share
-    their random numbers. All that the runs have found is one table with units.
+    runs of 30 h, from one cell. Points share their random numbers, so only the
+    parameters differ between them. The result is one table with units.
 Scaling
-    Proportional to the number of runs, divided by the number of cores; the longest are
-    started first.
+    Proportional to the number of runs, divided by the number of cores. The longest
+    runs start first.
 Cost
     About 10 s on two cores, the pictures included; longer when numba compiles the first time. A
-    second start computes no run again.
+    second start repeats no run.
 Command
     .. code-block:: sh
 

@@ -1,14 +1,14 @@
-"""Equilibrium distance of two like cells against their radius and their kind: a table
-===================================================================================
+"""Equilibrium distance of two equal cells against their radius and kind: a table
+==============================================================================
 
 Problem
-    Two like cells stick and come to rest where the JKR force is zero. Kinds of cells: the
+    Two equal cells adhere and are in equilibrium where the JKR force is zero. Kinds of cells: the
     thesis's set (E = 1 kPa, Poisson ratio 0.5), the set of Drasdo and Hoehme for spheroids
     (E = 0.45 kPa, 0.4) and sarcoma S180 by Chu et al. 2005 (E = 3.5 kPa, 0.5 assumed). All
     with the thesis's surface energy of 0.1 nN/um, which was not measured for each kind.
 Scaling
-    The relative overlap h / 2r falls like r^(-2/3): small cells stick deeper. Exact JKR
-    rests at a third of the overlap of the approximate law.
+    The relative overlap h / 2r falls like r^(-2/3): small cells overlap more. The
+    equilibrium overlap of exact JKR is a third of that of the approximate law.
 Cost
     Less than a second.
 Command

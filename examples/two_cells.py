@@ -1,5 +1,5 @@
-"""Two cells that overlap too much relax to their equilibrium distance: three integrations
-=======================================================================================
+"""Two overlapping cells relax to their equilibrium distance: three integrations
+=============================================================================
 
 Problem
     Two cells of radius 10 um, released at a distance of 12 um, in a medium of 5 kPa s. Only
