@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Final, final
 
 if TYPE_CHECKING:
-    from multicell.nutrient.finite import Stirred
+    from multicell.nutrient.medium import WellMixed
 
 _MEDIUM: Final = ("held", "level", "fresh", "discarded", "spoiled", "changes")
 
@@ -88,7 +88,7 @@ class Ledger:
         other.__dict__.update(self.__dict__)
         return other
 
-    def note(self, medium: Stirred) -> None:
+    def note(self, medium: WellMixed) -> None:
         """Take over the account of a finite medium."""
         self.held, self.level = medium.amount, medium.concentration
         self.fresh, self.discarded = medium.fresh, medium.discarded
