@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
@@ -15,45 +14,13 @@ from multicell.nutrient.tissue import drawn_in, drawn_to_ball
 from multicell.nutrient.uptake import uptake
 
 if TYPE_CHECKING:
+    from multicell.nutrient.balance import FieldReport
     from multicell.nutrient.equations.schedule import Schedule
     from multicell.nutrient.group import FieldGroup
     from multicell.nutrient.medium import WellMixed
     from multicell.nutrient.parameters import FieldParameters
     from multicell.nutrient.transient import TransientReport
     from multicell.results.frame import Field
-
-
-FADED = 1e-6
-"""Part of the medium's highest concentration below which a field that fades is not followed any
-more with an error relative to itself: steps would stay as short as ever down to nothing."""
-
-
-@final
-@dataclass(frozen=True)
-class FieldReport:
-    """What a steady solve took and how well it balances; rates in amol/s.
-
-    ``inflow + produced - uptake - decayed`` is zero up to ``residual``. ``inflow`` includes what a
-    perfusion brings and is net; ``outflow`` is what leaves through the faces, ``washed`` what a
-    perfusion takes. A field that takes part in reactions gains ``made`` besides and loses ``used``;
-    for others these are None.
-    """
-
-    newton: int
-    cg: int
-    residual: float
-    inflow: float
-    uptake: float
-    produced: float
-    decayed: float
-    outflow: float = 0.0
-    washed: float = 0.0
-    made: float | None = None
-    used: float | None = None
-
-    def kept(self) -> dict[str, float]:
-        """Return what another report can be made from."""
-        return {name: value for name, value in asdict(self).items() if value is not None}
 
 
 @final

@@ -16,9 +16,9 @@ import numpy as np
 
 from multicell.cells import Cells, FloatArray, Phase, State
 from multicell.errors import SceneError
-from multicell.nutrient.balance import Ledger
+from multicell.nutrient.balance import FieldReport, Ledger
 from multicell.nutrient.choosing.grids import Grids
-from multicell.nutrient.field import FieldReport, NutrientField
+from multicell.nutrient.field import NutrientField
 from multicell.nutrient.grid import BoxLayout
 from multicell.nutrient.parameters import FieldParameters
 from multicell.scene.checks import solving_order
@@ -71,7 +71,7 @@ class Feeding:
         self.order = solving_order(scene.nutrients, known)
         parameters = {name: FieldParameters.of(scene, name) for name in self.order}
         if reactions:
-            from multicell.nutrient.reactions.groups import joined
+            from multicell.nutrient.reacting import joined
 
             parameters |= joined(scene, parameters, reactions)
         self.fields = {
@@ -79,7 +79,7 @@ class Feeding:
         }
         self.groups: list[FieldGroup] = []
         if known:
-            from multicell.nutrient.reactions.groups import together
+            from multicell.nutrient.reacting import together
 
             self.groups = together(self.fields, self.order, known)
         else:

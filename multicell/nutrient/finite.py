@@ -32,13 +32,14 @@ from pde.solvers.base import SolverBase
 
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed
+from multicell.nutrient.course import Course, Demand
 from multicell.nutrient.equations.equation import amounts_of
-from multicell.nutrient.group import Course, Demand, FieldGroup
 from multicell.nutrient.medium import WellMixed, beyond
 from multicell.nutrient.transient import COLUMNS, TransientReport
 
 if TYPE_CHECKING:
     from multicell.nutrient.equations.equation import FieldEquation
+    from multicell.nutrient.group import FieldGroup
     from multicell.nutrient.steady import SolveReport
 
 _FADED: Final = 1e-3

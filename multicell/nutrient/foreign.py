@@ -64,7 +64,7 @@ def advance(
             problem = f"the solver '{name}' of py-pde gave up: {failure}"
             hint = "A shorter coupling_step or a coarser spacing may help, or the run's own solver."
             raise NutrientFailed(problem, hint) from failure
-        data = np.array(whole.data)
+        data = np.array(whole.data, dtype=float)
         _refuse_lost(name, data[:m], tolerance * scale)
         state.data[...] = data[:m].reshape(state.data.shape)
         amounts += accounted.account(data)

@@ -79,7 +79,7 @@ class MarchFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
             For an equation that takes no steps of backward Euler.
         """
         refuse_unsuitable(self.pde, state)
-        pde: Stepped = self.pde
+        pde: Any = self.pde
         if not hasattr(pde, "implicit_step"):
             hint = "Take 'multicell-implicit' or one of py-pde's solvers."
             raise SceneError("equation", "takes no steps of backward Euler", hint)

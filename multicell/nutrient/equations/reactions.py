@@ -55,8 +55,10 @@ class Reactions:
         self.terms = terms
         self.shape = terms[0].shape
         names = [term.name for term in terms]
-        own = isinstance(reactions, Mapping)
-        self.kinetics: Kinetics = kinetics_of(names, reactions) if own else reactions
+        if isinstance(reactions, Mapping):
+            self.kinetics: Kinetics = kinetics_of(names, reactions)
+        else:
+            self.kinetics = reactions
         if isinstance(self.kinetics, FixedForms) and self.kinetics.needs_tissue and tissue is None:
             hint = "Give the part of each node that is tissue, 0 to 1."
             raise SceneError("tissue", "is missing: a reaction depends on it", hint)

@@ -219,7 +219,7 @@ class Term:
             count = self.shape[0]
             return Shells(layout.spacing * count, count, p.diffusion, conditions, varied=varied)
         height = layout.box.height
-        grid = layout.box if self._plain else self._grid()
+        grid: Any = layout.box if self._plain else self._grid()
         found = Diffusion(grid, p.diffusion, conditions, height=height, varied=varied)
         found.threads = self._threads
         return found
