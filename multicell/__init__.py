@@ -46,10 +46,10 @@ if TYPE_CHECKING:
     from multicell.mechanics.motion import StateRejected
     from multicell.nutrient.equations.equation import FieldEquation
     from multicell.nutrient.equations.implicit_solver import ImplicitFieldSolver
-    from multicell.nutrient.equations.problem import FieldProblem, field_problem
     from multicell.nutrient.equations.schedule import Schedule
     from multicell.nutrient.equations.steady_solver import SteadyFieldSolver
     from multicell.nutrient.equations.term import Substance
+    from multicell.nutrient.problem import FieldProblem, field_problem
     from multicell.nutrient.reactions.own import OwnReaction, reaction
     from multicell.ode import OdeProblem, ode_problem
     from multicell.report.exports.files import export
@@ -129,8 +129,8 @@ _LAZY = {
     "Cells": "multicell.cells",
     "Hertz": "multicell.contact.hertz",
     "FieldEquation": "multicell.nutrient.equations.equation",
-    "FieldProblem": "multicell.nutrient.equations.problem",
-    "field_problem": "multicell.nutrient.equations.problem",
+    "FieldProblem": "multicell.nutrient.problem",
+    "field_problem": "multicell.nutrient.problem",
     "ImplicitFieldSolver": "multicell.nutrient.equations.implicit_solver",
     "OwnReaction": "multicell.nutrient.reactions.own",
     "Reaction": "multicell.scene.reactions",

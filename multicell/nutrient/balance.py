@@ -6,9 +6,42 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Final, final
 
 if TYPE_CHECKING:
-    from multicell.nutrient.finite import Stirred
+    from multicell.nutrient.medium import WellMixed
 
 _MEDIUM: Final = ("held", "level", "fresh", "discarded", "spoiled", "changes")
+
+
+FADED = 1e-6
+"""Part of the medium's highest concentration below which a field that fades is not followed any
+more with an error relative to itself: steps would stay as short as ever down to nothing."""
+
+
+@final
+@dataclass(frozen=True)
+class FieldReport:
+    """What a steady solve took and how well it balances; rates in amol/s.
+
+    ``inflow + produced - uptake - decayed`` is zero up to ``residual``. ``inflow`` includes what a
+    perfusion brings and is net; ``outflow`` is what leaves through the faces, ``washed`` what a
+    perfusion takes. A field that takes part in reactions gains ``made`` besides and loses ``used``;
+    for others these are None.
+    """
+
+    newton: int
+    cg: int
+    residual: float
+    inflow: float
+    uptake: float
+    produced: float
+    decayed: float
+    outflow: float = 0.0
+    washed: float = 0.0
+    made: float | None = None
+    used: float | None = None
+
+    def kept(self) -> dict[str, float]:
+        """Return what another report can be made from."""
+        return {name: value for name, value in asdict(self).items() if value is not None}
 
 
 @final
@@ -88,7 +121,7 @@ class Ledger:
         other.__dict__.update(self.__dict__)
         return other
 
-    def note(self, medium: Stirred) -> None:
+    def note(self, medium: WellMixed) -> None:
         """Take over the account of a finite medium."""
         self.held, self.level = medium.amount, medium.concentration
         self.fresh, self.discarded = medium.fresh, medium.discarded

@@ -70,7 +70,7 @@ def discretisation_error(
     for factor in (1.0, 2.0):
         spacing = factor * field.layout.spacing
         trial = NutrientField(field.name, replace(parameters, nutrient=nutrient, spacing=spacing))
-        trial.stirred = field.stirred
+        trial.well_mixed = field.well_mixed
         trial.restore(field.field())
         trial.solve(cells.position, capacity, production=production, radius=cells.radius, time=time)
         found.append((trial.layout.spacing, trial.sample(cells.position)))

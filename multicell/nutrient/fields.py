@@ -16,15 +16,15 @@ import numpy as np
 
 from multicell.cells import Cells, FloatArray, Phase, State
 from multicell.errors import SceneError
-from multicell.nutrient.balance import Ledger
+from multicell.nutrient.balance import FieldReport, Ledger
 from multicell.nutrient.choosing.grids import Grids
-from multicell.nutrient.field import FieldReport, NutrientField
+from multicell.nutrient.field import NutrientField
 from multicell.nutrient.grid import BoxLayout
 from multicell.nutrient.parameters import FieldParameters
 from multicell.scene.checks import solving_order
 
 if TYPE_CHECKING:
-    from multicell.nutrient.reactions.reacting import Reacting
+    from multicell.nutrient.group import FieldGroup
     from multicell.nutrient.transient import TransientReport
     from multicell.results.frame import Field, Frame
     from multicell.scene.nutrient import Nutrient
@@ -47,6 +47,8 @@ class Feeding:
     Attributes
     ----------
     fields : name -> NutrientField
+    groups : list of FieldGroup
+        The same in the groups that are solved for together, in the order of solving.
     ledger : name -> Ledger
     concentrations : name -> (n,) float64, mM
         At the cells of the last call.
@@ -69,17 +71,19 @@ class Feeding:
         self.order = solving_order(scene.nutrients, known)
         parameters = {name: FieldParameters.of(scene, name) for name in self.order}
         if reactions:
-            from multicell.nutrient.reactions.groups import joined
+            from multicell.nutrient.reacting import joined
 
             parameters |= joined(scene, parameters, reactions)
         self.fields = {
             name: NutrientField(name, parameters[name], threads) for name in scene.nutrients
         }
-        self._groups: dict[str, Reacting] = {}
+        self.groups: list[FieldGroup] = []
         if known:
-            from multicell.nutrient.reactions.groups import together
+            from multicell.nutrient.reacting import together
 
-            self._groups = together(self.fields, known)
+            self.groups = together(self.fields, self.order, known)
+        else:
+            self.groups = [self.fields[name].group for name in self.order]
         self.grids = Grids(scene)
         self.ledger = {name: Ledger() for name in scene.nutrients}
         self.concentrations: dict[str, FloatArray] = {}
@@ -97,45 +101,30 @@ class Feeding:
         ------
         NutrientFailed
         """
-        for name in self.order:
-            group = self._groups.get(name)
+        for group in self.groups:
             if again:
                 # the account begins anew, and a finite medium with it
-                self.ledger[name], self.fields[name].stirred = Ledger(), None
-            if group is None:
-                self._begin_one(name, cells, time, choose=not again)
-            elif name == group.names[0]:
-                self._begin_group(group, cells, time)
+                for name in group.names:
+                    self.ledger[name], self.fields[name].well_mixed = Ledger(), None
+            self._begin(group, cells, time, choose=not again)
 
-    def _begin_one(self, name: str, cells: Cells, time: float, *, choose: bool) -> None:
-        """Solve for a field at the start of a run; ``choose`` its grid where the run does so."""
-        capacity, production = self.demand_now(name, cells)
-        field = self.fields[name]
-        if choose and name in self.grids.choosers:
-            self.grids.begin(field, cells, capacity, production, time)
-        if self._rests_first(name):
-            self.reports[name] = field.solve(
-                cells.position, capacity, production=production, radius=cells.radius, time=time
-            )
-        else:
-            field.fill(cells.position, radius=cells.radius, time=time)
-        self.ledger[name].add(0.0, 0.0, content=field.stored())
-        if self._nutrients[name].finite_medium is not None:
-            field.pour()
-        self._note_medium(name)
-        self._sample(name, cells, capacity)
-
-    def _begin_group(self, group: Reacting, cells: Cells, time: float) -> None:
-        """Solve for fields that react with each other at the start of a run."""
+    def _begin(self, group: FieldGroup, cells: Cells, time: float, *, choose: bool) -> None:
+        """Solve for fields at the start of a run; ``choose`` their grid where the run does so."""
         demand = {name: self.demand_now(name, cells) for name in group.names}
+        for name in group.names:
+            if choose and name in self.grids.choosers:
+                self.grids.begin(self.fields[name], cells, *demand[name], time)
         if self._rests_first(group.names[0]):
             self.reports |= group.solve(cells.position, demand, radius=cells.radius, time=time)
         else:
-            for name in group.names:
-                self.fields[name].fill(cells.position, radius=cells.radius, time=time)
+            group.fill(cells.position, radius=cells.radius, time=time)
+        none = None if group.kinetics is None else 0.0
         for name in group.names:
-            content = self.fields[name].stored()
-            self.ledger[name].add(0.0, 0.0, content=content, made=0.0, used=0.0)
+            field = self.fields[name]
+            self.ledger[name].add(0.0, 0.0, content=field.stored(), made=none, used=none)
+            if self._nutrients[name].finite_medium is not None:
+                field.attach_medium()
+            self._note_medium(name)
             self._sample(name, cells, demand[name][0])
 
     def _rests_first(self, name: str) -> bool:
@@ -144,13 +133,14 @@ class Feeding:
         return steady or self._nutrients[name].initial == "steady"
 
     def reacts(self, name: str) -> bool:
-        """Return whether a field is solved for together with others."""
-        return name in self._groups
+        """Return whether a field takes part in reactions."""
+        return any(name in group.names for group in self.groups if group.kinetics is not None)
 
     def _rests(self, name: str) -> bool:
         """Return whether a field is solved as steady, and not marched with a finite medium."""
         # a steady field in a finite medium goes on with what that holds
-        finite = self._nutrients[name].finite_medium is not None
+        group = next(group for group in self.groups if name in group.names)
+        finite = any(self._nutrients[other].finite_medium is not None for other in group.names)
         return self.fields[name].parameters.regime == "steady" and not finite
 
     def advance(
@@ -169,59 +159,36 @@ class Feeding:
         if before is not None:
             marched = [name for name in self.order if not self._rests(name)]
             demand = {name: float(self._capacity(name, before).sum()) for name in marched}
-        for name in self.order:
-            group = self._groups.get(name)
-            if group is None:
-                self._advance_one(name, cells, begin, end, demand.get(name))
-            elif name == group.names[0]:
-                self._advance_group(group, cells, begin, end, demand)
+        for group in self.groups:
+            self._advance(group, cells, begin, end, demand)
 
-    def _advance_one(
-        self, name: str, cells: Cells, begin: float, end: float, began: float | None
+    def _advance(
+        self, group: FieldGroup, cells: Cells, begin: float, end: float, began: Mapping[str, float]
     ) -> None:
-        """Bring a field to ``end``; ``began`` is the largest uptake of the cells of ``begin``."""
-        capacity, production = self.demand_now(name, cells)
-        field = self.fields[name]
-        with_cells = {"production": production, "radius": cells.radius}
-        rested, layout = self._rests(name), field.layout
-        if name in self.grids.choosers:
-            self.grids.look(field, cells, capacity, production, begin, end)
-        if rested and self._rests(name):
-            self._enter_rates(name, end - begin)
-            self.reports[name] = field.solve(cells.position, capacity, time=end, **with_cells)
-            self.ledger[name].add(0.0, 0.0, content=field.stored())
-        else:
-            content = field.stored()
-            march = field.advance(cells.position, capacity, begin=begin, end=end, **with_cells)
-            self._enter_march(name, march, content, end - begin)
-            if began is not None:
-                self._rate(name, began, float(capacity.sum()), march.uptake)
-            self._note_medium(name)
-        self.grids.note(field, layout, end)
-        self._sample(name, cells, capacity)
-
-    def _advance_group(
-        self, group: Reacting, cells: Cells, begin: float, end: float, began: Mapping[str, float]
-    ) -> None:
-        """Bring fields that react with each other to ``end``."""
+        """Bring fields to ``end``; ``began`` are the largest uptakes of the cells of ``begin``."""
         demand = {name: self.demand_now(name, cells) for name in group.names}
+        rested = self._rests(group.names[0])
         layouts = {name: self.fields[name].layout for name in group.names}
-        if self._rests(group.names[0]):
+        for name in group.names:
+            if name in self.grids.choosers:
+                self.grids.look(self.fields[name], cells, *demand[name], begin, end)
+        if rested and self._rests(group.names[0]):
             for name in group.names:
                 self._enter_rates(name, end - begin)
             self.reports |= group.solve(cells.position, demand, radius=cells.radius, time=end)
             for name in group.names:
                 self.ledger[name].add(0.0, 0.0, content=self.fields[name].stored())
         else:
-            before = {name: self.fields[name].stored() for name in group.names}
+            content = {name: self.fields[name].stored() for name in group.names}
             marches = group.advance(
                 cells.position, demand, radius=cells.radius, begin=begin, end=end
             )
             for name, march in marches.items():
-                reacted = (march.made, march.used)
-                self._enter_march(name, march, before[name], end - begin, reacted)
+                reacted = (None, None) if group.kinetics is None else (march.made, march.used)
+                self._enter_march(name, march, content[name], end - begin, reacted)
                 if name in began:
                     self._rate(name, began[name], float(demand[name][0].sum()), march.uptake)
+                self._note_medium(name)
         for name in group.names:
             self.grids.note(self.fields[name], layouts[name], end)
             self._sample(name, cells, demand[name][0])
@@ -291,15 +258,15 @@ class Feeding:
         for name, field in self.fields.items():
             self.grids.apply(field)
             self.ledger[name] = ledger = Ledger(**frame.progress.ledger[name])
-            if (ledger.made is None) == (name in self._groups):
+            if (ledger.made is None) == self.reacts(name):
                 problem = f"of the run that this frame is from are not the same for {name}"
                 raise SceneError("reactions", problem, "Give those that it was started with.")
             field.restore(frame.fields[name], frame.time)
             if ledger.held is not None:
-                field.pour()
-                assert field.stirred is not None
-                field.stirred = replace(
-                    field.stirred, amount=ledger.held, fresh=ledger.fresh,
+                field.attach_medium()
+                assert field.well_mixed is not None
+                field.well_mixed = replace(
+                    field.well_mixed, amount=ledger.held, fresh=ledger.fresh,
                     discarded=ledger.discarded, decayed=ledger.spoiled, changes=int(ledger.changes),
                 )  # fmt: skip
                 field.restore(frame.fields[name], frame.time)
@@ -395,14 +362,14 @@ class Feeding:
 
     def _note_medium(self, name: str) -> None:
         """Note what a finite medium holds."""
-        medium = self.fields[name].stirred
+        medium = self.fields[name].well_mixed
         if medium is not None:
             self.ledger[name].note(medium)
 
     @property
     def media(self) -> dict[str, float]:
         """Concentrations of the finite media now, name -> mM."""
-        found = {name: field.stirred for name, field in self.fields.items()}
+        found = {name: field.well_mixed for name, field in self.fields.items()}
         return {name: x.concentration for name, x in found.items() if x is not None}
 
     def _sample(self, name: str, cells: Cells, capacity: FloatArray) -> None:

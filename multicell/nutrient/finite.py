@@ -7,10 +7,10 @@ brings, J, and decays as the field does:
     V dC/dt = -J - k_d V C,
 
 with C the boundary value of the field. Where the field is transient, its nodes and C are one state,
-which :func:`multicell.nutrient.transient.march` brings forward; where it is steady, the state is
-the amount in both, and the field at each moment the steady one of the C with which field and
-stirred part together hold that. In each implicit step C is the root of a function that rises with
-C, since more flows in where there is more outside.
+which :class:`WithMedia` brings forward; where it is steady, the state is the amount in both, and
+the field at each moment the steady one of the C with which field and stirred part together hold
+that (:class:`AtRestWithMedia`). In each implicit step C is the root of a function that rises with
+C, since more flows in where there is more outside. Fields that react may each have a medium.
 
 When the grid follows the tissue, it takes medium in or gives it back: V changes too, and C does not
 where the field has the same concentration there.
@@ -20,20 +20,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
+from pde.fields.collection import FieldCollection
+from pde.fields.scalar import ScalarField
+from pde.grids.cartesian import UnitGrid
+from pde.pdes.base import PDEBase
+from pde.solvers.base import SolverBase
 
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed
-from multicell.nutrient.transient import Amounts, March, TransientReport, march
+from multicell.nutrient.course import Course, Demand
+from multicell.nutrient.equations.equation import amounts_of
+from multicell.nutrient.medium import WellMixed, beyond
+from multicell.nutrient.transient import COLUMNS, TransientReport
 
 if TYPE_CHECKING:
-    from multicell.nutrient.field import NutrientField
-    from multicell.nutrient.grid import Layout
+    from multicell.nutrient.equations.equation import FieldEquation
+    from multicell.nutrient.group import FieldGroup
     from multicell.nutrient.steady import SolveReport
-    from multicell.scene.nutrient import Nutrient
 
 _FADED: Final = 1e-3
 """Part of the highest concentration below which a medium that is used up is not followed with an
@@ -50,320 +57,441 @@ evaluations: what the field's solver leaves over may be as much."""
 _PATIENCE: Final = 15
 
 
-@final
-@dataclass(frozen=True)
-class Stirred:
-    """The stirred part of a medium, with its account from the start on.
-
-    Attributes
-    ----------
-    amount : float, amol
-    volume : float, µm³
-    fresh, discarded : float, amol
-        What fresh medium brought, at the start and at changes, and what went with the old.
-    decayed : float, amol
-    changes : int
-        How many entries of the schedule have been done.
-    """
-
-    amount: float
-    volume: float
-    fresh: float
-    discarded: float = 0.0
-    decayed: float = 0.0
-    changes: int = 0
-
-    @property
-    def concentration(self) -> float:
-        """Concentration, mM."""
-        return self.amount / self.volume
-
-    def changed(self, concentration: float, part: float) -> Stirred:
-        """Return it with a part replaced by fresh medium of a concentration in mM."""
-        gone, brought = part * self.amount, part * self.volume * concentration
-        return replace(
-            self, amount=self.amount - gone + brought, fresh=self.fresh + brought,
-            discarded=self.discarded + gone, changes=self.changes + 1,
-        )  # fmt: skip
-
-
-def whole(layout: Layout, values: FloatArray) -> float:
-    """Return the volume of all nodes of a layout, µm³."""
-    return float(np.sum(np.broadcast_to(layout.volumes, values.shape)))
-
-
-def poured(name: str, nutrient: Nutrient, covered: float) -> Stirred:
-    """Return the medium at the start, round a grid that covers ``covered`` µm³.
-
-    Raises
-    ------
-    NutrientFailed
-        If the grid covers all of it.
-    """
-    volume, level = _left(name, nutrient, covered), nutrient.medium(0.0)
-    done = sum(time <= 0.0 for time, _ in nutrient.media or ())
-    return Stirred(level * volume, volume, level * volume, changes=done)
-
-
-def _left(name: str, nutrient: Nutrient, covered: float) -> float:
-    """Return the volume of the medium beyond the grid, µm³."""
-    assert nutrient.finite_medium is not None
-    volume = nutrient.finite_medium.volume
-    if not volume > covered:
-        raise NutrientFailed(
-            f"the finite medium of {name} is {volume:.4g} um^3 in all, but its grid covers "
-            f"{covered:.4g} um^3: nothing is left that could be stirred",
-            "Give finite_medium a larger volume, or the field a smaller margin",
-        )
-    return volume - covered
-
-
 def advance(
-    field: NutrientField,
+    group: FieldGroup,
     position: FloatArray,
-    capacity: FloatArray,
-    production: FloatArray | None,
-    radius: FloatArray,
+    demand: Demand,
+    radius: FloatArray | None,
     begin: float,
     end: float,
-) -> TransientReport:
-    """Bring a field with its finite medium from ``begin`` to ``end`` (s).
+) -> dict[str, TransientReport]:
+    """Bring fields with their finite media from ``begin`` to ``end`` (s).
 
-    Parameters as for :meth:`NutrientField.advance`; changes of the medium up to and at ``end`` that
+    Parameters as for :meth:`FieldGroup.advance`; changes of the media up to and at ``end`` that
     have not been done are done at their times. A steady field counts as ``relaid`` what its content
     has changed by.
 
     Raises
     ------
     NutrientFailed
-        If a solve fails, or the medium cannot be what cells and grid ask of it; the field then
-        still is the last one.
+        If a solve fails, or a medium cannot be what cells and grid ask of it; the fields then
+        still are the last ones.
     """
-    exchange = _Exchange(field, position, capacity, production, radius, begin, end)
-    nutrient, before, now = exchange.nutrient, field.stored(), begin
-    for time, level in (nutrient.media or ())[exchange.stirred.changes :]:
-        if time > end:
-            break
-        exchange.march(now, max(time, now))
-        assert nutrient.finite_medium is not None
-        exchange.settle()
-        exchange.stirred = exchange.stirred.changed(level, nutrient.finite_medium.replaced)
-        exchange.resume()
-        now = max(time, now)
-    exchange.march(now, end)
-    exchange.settle()
-    return exchange.finish(before)
+    exchange = _Exchange(group, position, demand, radius, begin)
+    for time, name, level in exchange.changes(end):
+        exchange.march(max(time, exchange.now))
+        exchange.change(name, level)
+    exchange.march(end)
+    return exchange.finish(begin)
 
 
 @final
 class _Exchange:
-    """A field and its medium on the way through one coupling step."""
+    """Fields and their media on the way through one coupling step."""
 
     def __init__(
-        self,
-        field: NutrientField,
-        position: FloatArray,
-        capacity: FloatArray,
-        production: FloatArray | None,
-        radius: FloatArray,
+        self, group: FieldGroup, position: FloatArray, demand: Demand, radius: FloatArray | None,
         begin: float,
-        end: float,
-    ) -> None:
-        assert field.stirred is not None
-        self.field, self.nutrient = field, field.parameters.nutrient
-        self.steady = field.parameters.regime == "steady"
-        layout, self.kept, position = field.lay(position, radius)
-        self.layout, old = layout, field.stirred
-        values = field._values
-        if not self.kept:
-            carry = layout.guess if self.steady else layout.carried
-            values = carry(values, field.layout, old.concentration)
-        self.values = values
-        self.whole = whole(layout, values)
-        self.relaid = self.content - field.stored()
-        self.stirred = replace(
-            old,
-            volume=_left(field.name, self.nutrient, self.whole),
-            amount=old.amount - (0.0 if self.steady else self.relaid),
-        )
-        self.operator, self.conditions = field._operator_on(
-            layout, self.kept, position, radius, begin
-        )
-        self.sink = layout.scatter(position, capacity)
-        self.source = field._supply(layout, position, production, 0.0)
-        self.produced = 0.0 if production is None else float(np.sum(production)) * (end - begin)
-        self.done = March(Amounts())
-        self.decayed = self.washed = self.brought = 0.0
-        self.guess = self.stirred.concentration
-        self.slope = 0.0  # of what the field takes over the medium's concentration, µm³/s
-        self.total = field.stored() + old.amount  # of a steady field with its medium
-        self._refuse_overdrawn()
+    ) -> None:  # fmt: skip
+        self.group, self.now = group, begin
+        self.steady = group.first.parameters.regime == "steady"
+        self.before = [field.stored() for field in group.fields.values()]
+        self.course = course = Course(group, position, demand, radius, begin, carry=not self.steady)
+        self.relaid = course.masses() - np.array(self.before)
+        self.media: dict[str, WellMixed] = {}
+        for field, gained in zip(group.fields.values(), self.relaid.tolist(), strict=True):
+            if field.well_mixed is not None:
+                volume = beyond(field.name, field.parameters.nutrient, course.layout.whole)
+                lost = 0.0 if self.steady else gained
+                amount = field.well_mixed.amount - lost
+                _refuse_overdrawn(field.name, amount)
+                self.media[field.name] = replace(field.well_mixed, volume=volume, amount=amount)
+        # of a steady field with its medium
+        self.totals = {
+            field.name: old + field.well_mixed.amount
+            for field, old in zip(group.fields.values(), self.before, strict=True)
+            if field.well_mixed is not None
+        }
+        self.guess = {name: medium.concentration for name, medium in self.media.items()}
+        self.info = {"steps": 0, "rejections": 0, "first_order": 0, "error": 0.0}
+        self.amounts = np.zeros((len(group.names), len(COLUMNS)))
 
-    @property
-    def content(self) -> float:
-        """What the field holds, amol."""
-        return float(np.sum(self.layout.volumes * self.values))
+    def changes(self, end: float) -> list[tuple[float, str, float]]:
+        """Return time, field and concentration of what fresh medium comes up to ``end``."""
+        found = []
+        for name, medium in self.media.items():
+            media = self.group.fields[name].parameters.nutrient.media or ()
+            found += [(t, name, level) for t, level in media[medium.changes :] if t <= end]
+        return sorted(found)
 
-    def _refuse_overdrawn(self) -> None:
-        if not self.stirred.amount >= 0.0:
-            raise NutrientFailed(
-                f"the grid of {self.field.name} came to enclose more than its finite medium holds",
-                "Give finite_medium a larger volume, or let the field live on a domain",
-            )
-
-    def march(self, begin: float, end: float) -> None:
-        """Bring both to ``end`` (s); the medium's account goes along."""
-        if not end > begin:
-            return
-        p, volume, before = self.nutrient, self.stirred.volume, self.done.amounts
-        level = max(self.stirred.concentration, _FADED * p.highest)
+    def change(self, name: str, level: float) -> None:
+        """Replace medium by fresh one of a concentration in mM."""
+        finite = self.group.fields[name].parameters.nutrient.finite_medium
+        assert finite is not None
+        self.media[name] = self.media[name].changed(level, finite.replaced)
         if self.steady:
-            # the second number is what the field holds: as a difference it would be rounding
-            state = march(
-                self._step_steady, np.array([0.0, 1.0]), np.array([self.total, self.content]),
-                begin, end,
-                tolerance=p.time_tolerance, scale=level * volume, done=self.done, opening=1.0,
-            )  # fmt: skip
-            self.total = float(state[0])
-        else:
-            volumes = np.append(np.broadcast_to(self.layout.volumes, self.values.shape), 0.0)
-            state = march(
-                self._step, volumes, np.append(self.values, self.stirred.concentration), begin, end,
-                tolerance=p.time_tolerance, scale=level, done=self.done,
-            )  # fmt: skip
-            self.values = state[:-1].reshape(self.values.shape)
-        found = self.done.amounts.plus(before, -1.0)
-        decayed = p.decay * volume * found.level
-        self.decayed += p.decay * found.mass
-        self.washed += p.perfusion * found.mass
-        self.brought += p.perfusion * self.whole * found.level
-        amount = self.stirred.amount if self.steady else volume * float(state[-1])
-        self.stirred = replace(self.stirred, amount=amount, decayed=self.stirred.decayed + decayed)
+            self.totals[name] = self._content(name) + self.media[name].amount
+            self.guess[name] = self.media[name].concentration
 
-    def settle(self) -> None:
-        """Bring a steady field to rest with its medium: both hold what is there in all."""
-        if not self.steady:
+    def _content(self, name: str) -> float:
+        return float(self.course.masses()[self.group.names.index(name)])
+
+    def march(self, end: float) -> None:
+        """Bring all to ``end`` (s) by a solver of py-pde's registry; the account goes along."""
+        if end > self.now:
+            state, equation = self._problem()
+            nutrients = [f.parameters.nutrient for f in self.group.fields.values()]
+            solver = SolverBase.from_name(
+                "multicell-march", equation, tolerance=min(n.time_tolerance for n in nutrients)
+            )
+            first = end - self.now if self.steady else None
+            solver.make_stepper(state, first)(state, self.now, end)
+            self.group.info = solver.info
+            self._enter(solver.info)
+            self._take(state, equation)
+            self.now = end
+        if self.steady:
+            self._settle()
+
+    def _problem(self) -> tuple[Any, WithMedia | AtRestWithMedia]:
+        """Return state and equation of the fields with their media."""
+        course, volumes = self.course, {name: x.volume for name, x in self.media.items()}
+        highest = {f.name: f.parameters.nutrient.highest for f in self.group.fields.values()}
+        if self.steady:
+            slow = AtRestWithMedia(course.equation, course.state, volumes, highest, self.guess)
+            grid = UnitGrid([1])
+            totals = [ScalarField(grid, [total]) for total in self.totals.values()]
+            return FieldCollection(totals, labels=list(self.media)), slow
+        equation, fields = WithMedia(course.equation, volumes, highest), course.state
+        each = [fields] if isinstance(fields, ScalarField) else list(fields)
+        media = [
+            ScalarField(fields.grid, x.concentration, label=f"medium of {name}")
+            for name, x in self.media.items()
+        ]
+        return FieldCollection([*each, *media]), equation
+
+    def _enter(self, info: dict[str, Any]) -> None:
+        """Enter what a solver has done, and what decayed in the media."""
+        for key in ("steps", "rejections", "first_order"):
+            self.info[key] += info[key]
+        self.info["error"] = max(self.info["error"], info["error"])
+        self.amounts = self.amounts + info["amounts"]
+        for name, medium in self.media.items():
+            row = info["amounts"][self.group.names.index(name)]
+            decay = self.group.fields[name].parameters.nutrient.decay
+            decayed = decay * medium.volume * float(row[COLUMNS.index("level")])
+            self.media[name] = replace(medium, decayed=medium.decayed + decayed)
+
+    def _take(self, state: Any, equation: WithMedia | AtRestWithMedia) -> None:
+        """Take over what a solver has found."""
+        if isinstance(equation, AtRestWithMedia):
+            totals = np.ravel(state.data).tolist()
+            self.totals = dict(zip(self.media, totals, strict=True))
+            self.guess = dict(zip(self.media, equation.levels.tolist(), strict=True))
             return
+        m, data = len(self.group.names), np.array(state.data)
+        self.course.state.data[...] = data[:m].reshape(self.course.state.data.shape)
+        for (name, medium), values in zip(self.media.items(), data[m:], strict=True):
+            self.media[name] = replace(medium, amount=medium.volume * float(values.flat[0]))
 
-        def excess(trial: float) -> float:
-            self._solve(trial)
-            return self.content + self.stirred.volume * trial - self.total
+    def _settle(self) -> None:
+        """Bring steady fields to rest with their media: both hold what is there in all."""
+        _, slow = self._problem()
+        assert isinstance(slow, AtRestWithMedia)
+        slow.settle(np.array(list(self.totals.values())), self.now)
+        self.guess = dict(zip(self.media, slow.levels.tolist(), strict=True))
+        for name, medium in self.media.items():
+            # what the balance says, but for rounding beside an empty medium
+            amount = self.totals[name] - self._content(name)
+            self.media[name] = replace(medium, amount=amount if amount > 0.0 else 0.0)
 
-        self.guess, _ = self._root(excess, self.guess, self.stirred.volume + self.whole)
-        # what the balance says, but for rounding beside an empty medium
-        amount = self.total - self.content
-        self.stirred = replace(self.stirred, amount=amount if amount > 0.0 else 0.0)
+    def finish(self, begin: float) -> dict[str, TransientReport]:
+        """Give the fields what has been found, and return the account of the step."""
+        for name, medium in self.media.items():
+            self.group.fields[name].well_mixed = medium
+        self.course.finish(self.now)
+        gained = self.course.masses() - np.array(self.before) if self.steady else self.relaid
+        return {
+            name: self.course.account(name, self.info, row, self.now - begin, float(more))
+            for name, row, more in zip(self.group.names, self.amounts, gained, strict=True)
+        }
 
-    def resume(self) -> None:
-        """Take up again after a change of the medium."""
-        self.total = self.content + self.stirred.amount
-        self.guess = self.stirred.concentration
 
-    def finish(self, before: float) -> TransientReport:
-        """Give the field what has been found, and return the account of the step."""
-        field, done = self.field, self.done
-        medium = field.parameters.sides(0.0, self.stirred.concentration)
-        conditions = self.layout.conditions(medium)
-        self.operator.set_boundary(conditions)
-        field._take(self.layout, self.operator, conditions, self.values, self.kept)
-        field.stirred = self.stirred
-        return TransientReport(
-            done.amounts.inflow + self.brought - self.washed,
-            done.amounts.uptake,
-            self.produced,
-            self.decayed,
-            self.content - before if self.steady else self.relaid,
-            done.steps,
-            done.rejections,
-            done.first_order,
-            done.error,
-            self.washed,
+def _refuse_overdrawn(name: str, amount: float) -> None:
+    if not amount >= 0.0:
+        raise NutrientFailed(
+            f"the grid of {name} came to enclose more than its finite medium holds",
+            "Give finite_medium a larger volume, or let the field live on a domain",
         )
 
-    def _solve(self, level: float, dt: float | None = None, c: Any = None) -> SolveReport:
-        """Solve for the field at a concentration of the medium; a step of ``dt`` s from ``c``."""
-        p = self.nutrient
-        wanted = self.layout.conditions(self.field.parameters.sides(0.0, level))
-        if wanted != self.conditions:
-            self.operator.set_boundary(wanted)
-            self.conditions = wanted
-        supply = self.layout.filled(p.perfusion * level) if self.source is None else (
-            self.source + p.perfusion * level
-        )  # fmt: skip
-        linear = p.decay + p.perfusion
-        if dt is not None:
-            supply, linear = supply + c / dt, linear + 1.0 / dt
-        self.values, report = self.operator.solve(
-            self.sink, p.half_saturation, self.values, linear=linear, supply=supply
-        )
-        return report
 
-    def _step(
-        self, state: FloatArray, dt: float, time: float
-    ) -> tuple[FloatArray, SolveReport, float]:
-        """Take a step of backward Euler with a transient field; the state ends with C."""
-        p, volume = self.nutrient, self.stirred.volume
-        c, level = state[:-1].reshape(self.values.shape), float(state[-1])
-        share, report = 1.0 + p.decay * dt, None
-        taken = 0.0
+@final
+class WithMedia(PDEBase):  # type: ignore[no-untyped-call]
+    """Transient fields and the finite media round them as one equation.
 
-        def excess(trial: float) -> float:
-            nonlocal report, taken
-            report = self._solve(trial, dt, c)
-            washed = p.perfusion * self.content
-            taken = dt * (report.inflow + p.perfusion * trial * self.whole - washed)
-            return volume * (share * trial - level) + taken
+    The state is that of ``equation`` with one more field for each medium, which is uniform.
 
-        self.values = c
-        fixed = volume * share
-        trial, slope = self._root(excess, level, fixed + dt * self.slope)
-        self.slope = max((slope - fixed) / dt, 0.0)
-        assert report is not None
-        after = (volume * level - taken) / (volume * share)
-        # the balance's own value, unless rounding puts it below zero
-        new = np.append(self.values, after if after >= 0.0 else trial)
-        return new, report, trial
+    Parameters
+    ----------
+    equation
+        Of the fields alone.
+    volumes
+        Of the well-mixed media by name of the field, µm³.
+    highest
+        Largest concentration of all fields, mM.
+    """
 
-    def _step_steady(
-        self, state: FloatArray, dt: float, time: float
-    ) -> tuple[FloatArray, SolveReport, float]:
-        """Take a step of backward Euler with a steady field; the state is what both hold."""
-        p, volume, before = self.nutrient, self.stirred.volume, float(state[0])
-        report, after = None, before
+    def __init__(
+        self, equation: FieldEquation, volumes: dict[str, float], highest: dict[str, float]
+    ) -> None:
+        super().__init__()
+        self.equation, self.names = equation, equation.names
+        self._media = [self.names.index(name) for name in volumes]
+        self._volumes = np.array(list(volumes.values()))
+        self._terms = [equation.terms[name] for name in volumes]
+        self._highest = np.array([highest[name] for name in self.names])
+        self._decay = np.array([term.substance.decay for term in self._terms])
+        self._root = _Root(list(volumes))
 
-        def excess(trial: float) -> float:
-            nonlocal report, after
-            report = self._solve(trial)
-            there = self.content + volume * trial
-            produced = report.supplied - p.perfusion * trial * self.whole
-            gained = produced - report.uptake - p.decay * there
-            after = before + dt * gained
-            return there - after
+    def _parts(self, data: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the fields' values and the media's concentrations."""
+        m = len(self.names)
+        return data[:m], data[m:].reshape(len(data) - m, -1)[:, 0].copy()
 
-        fixed = (volume + self.whole) * (1.0 + p.decay * dt)
-        trial, slope = self._root(excess, self.guess, fixed + dt * self.slope)
-        self.slope, self.guess = max((slope - fixed) / dt, 0.0), trial
-        assert report is not None
-        if not after >= 0.0:
-            after = self.content + volume * trial
-        return np.array([after, self.content]), report, trial
+    def _at(self, levels: FloatArray) -> None:
+        for term, level in zip(self._terms, levels.tolist(), strict=True):
+            term.follow(level)
 
-    def _root(
-        self, excess: Callable[[float], float], guess: float, slope: float
-    ) -> tuple[float, float]:
-        """Return the concentration, not below zero, at which ``excess`` (amol) is zero.
+    def implicit_step(self, data: FloatArray, dt: float, t: float) -> tuple[FloatArray, FloatArray]:
+        """Take a step of backward Euler of ``dt`` s that ends at ``t``.
 
-        Secants from a first ``slope`` (µm³), kept between what is known to be too little and too
-        much. Returns the last slope too. The last evaluation is that of the result.
+        Raises
+        ------
+        NutrientFailed
+            If no concentrations of the media agree with what flows between them and the fields.
         """
-        low, high, x = 0.0, math.inf, guess
+        eq, volume = self.equation, self._volumes
+        before, levels = self._parts(data)
+        share = 1.0 + self._decay * dt
+        found, taken, rows = before, levels, np.empty(0)
+
+        def excess(trial: FloatArray) -> tuple[FloatArray, FloatArray]:
+            nonlocal found, taken, rows
+            self._at(trial)
+            found, reports = eq.solution(found, t, dt, before)
+            rows = dt * amounts_of(eq, found, t, reports)
+            taken = self._taken(rows)
+            return volume * (share * trial - levels) + taken, self._contents(found)
+
+        new = self._root.find(excess, levels, volume * share, volume, dt)
+        after = (volume * levels - taken) / (volume * share)
+        # the balance's own value, unless rounding puts it below zero
+        after = np.where(after >= 0.0, after, new)
+        uniform = np.broadcast_to(
+            after.reshape(-1, *[1] * (data.ndim - 1)), data[len(before) :].shape
+        )
+        return np.concatenate([found.reshape(before.shape), uniform]), rows
+
+    def _taken(self, rows: FloatArray) -> FloatArray:
+        """Return what the fields have taken out of the media, (k,) amol."""
+        inflow, mass, level = (rows[self._media, COLUMNS.index(x)] for x in _EXCHANGED)
+        perfusion = np.array([term.substance.perfusion for term in self._terms])
+        return np.asarray(inflow + perfusion * (level * self.equation.layout.whole - mass))
+
+    def _contents(self, nodes: FloatArray) -> FloatArray:
+        """Return what the fields that have a medium hold, (k,) amol."""
+        nodes = nodes.reshape(-1, *self.equation.layout.shape)
+        volumes = self.equation.layout.volumes
+        return np.array([float(np.sum(volumes * nodes[i])) for i in self._media])
+
+    def scales(self, data: FloatArray, begin: float, end: float) -> FloatArray:
+        """Return the concentration of each field and medium that errors are small beside, mM."""
+        before, levels = self._parts(data)
+        self._at(levels)
+        found = self.equation.scales(before, begin, end)
+        found = np.maximum(found, _FADED * self._highest)
+        return np.concatenate([found, found[self._media]])
+
+    def growing(self, data: FloatArray) -> str:
+        """Return in words which substance grows without bound; empty if none does."""
+        return self.equation.growing(data[: len(self.names)])
+
+    def switches(self, begin: float, end: float) -> list[float]:
+        """Return the times strictly between two at which a medium that is not finite jumps, s."""
+        return self.equation.switches(begin, end)
+
+    def evolution_rate(self, state: Any, t: float = 0.0) -> Any:
+        """Return ∂c/∂t of fields and media, mM/s."""
+        result = state.copy()
+        result.data[...], _ = self.rates(np.array(state.data), t)
+        return result
+
+    def rates(self, data: FloatArray, t: float) -> tuple[FloatArray, FloatArray]:
+        """Return ∂c/∂t (mM/s) and the derivative of all sinks (1/s)."""
+        eq = self.equation
+        nodes, levels = self._parts(data)
+        self._at(levels)
+        out, slope = (np.zeros_like(data) for _ in range(2))
+        m = len(nodes)
+        out[:m], slope[:m] = eq.rates(nodes, t)
+        values = nodes.reshape(-1, *eq.layout.shape)
+        for k, (i, term) in enumerate(zip(self._media, self._terms, strict=True)):
+            level, perfusion = float(levels[k]), term.substance.perfusion
+            mass = float(np.sum(eq.layout.volumes * values[i]))
+            taken = term.at(level).inflow(values[i]) + perfusion * (level * eq.layout.whole - mass)
+            out[m + k] = -taken / self._volumes[k] - self._decay[k] * level
+            slope[m + k] = self._decay[k]
+        return out, slope
+
+
+_EXCHANGED = ("inflow", "mass", "level")
+
+
+@final
+class AtRestWithMedia(PDEBase):  # type: ignore[no-untyped-call]
+    """Fields that rest at each moment, and the finite media round them.
+
+    The state is what each field that has a medium and that medium hold together, amol, on one node.
+
+    Parameters
+    ----------
+    equation, volumes, highest
+        See :class:`WithMedia`.
+    state
+        Of the fields; it is brought to rest along with the media.
+    levels
+        First guess of the media's concentrations, mM.
+    """
+
+    def __init__(
+        self, equation: FieldEquation, state: Any, volumes: dict[str, float],
+        highest: dict[str, float], levels: dict[str, float],
+    ) -> None:  # fmt: skip
+        super().__init__()
+        self.equation, self.state, self.names = equation, state, equation.names
+        self._with = WithMedia(equation, volumes, highest)
+        self._volumes = np.array(list(volumes.values()))
+        self._highest = np.array([highest[name] for name in volumes])
+        self._rows = [self.names.index(name) for name in volumes]
+        self.levels = np.array(list(levels.values()))
+
+    def _solve(self, levels: FloatArray, t: float) -> dict[str, SolveReport]:
+        self._with._at(levels)
+        data = np.array(self.state.data)
+        self.state.data[...], reports = self.equation.steady_state(data, t)
+        return reports
+
+    def _contents(self) -> FloatArray:
+        return self._with._contents(np.array(self.state.data))
+
+    def implicit_step(self, data: FloatArray, dt: float, t: float) -> tuple[FloatArray, FloatArray]:
+        """Take a step of backward Euler of ``dt`` s that ends at ``t``; see :class:`WithMedia`."""
+        before, volume, layout = np.ravel(data), self._volumes, self.equation.layout
+        terms = [self.equation.terms[self.names[i]] for i in self._rows]
+        decay, perfusion = (
+            np.array([getattr(term.substance, x) for term in terms]) for x in ("decay", "perfusion")
+        )
+        after, rows = before, np.empty(0)
+
+        def excess(trial: FloatArray) -> tuple[FloatArray, FloatArray]:
+            nonlocal after, rows
+            reports = self._solve(trial, t)
+            content = self._contents()
+            there = content + volume * trial
+            rows = amounts_of(self.equation, np.array(self.state.data), t, reports)
+            gained = rows[self._rows, COLUMNS.index("supplied")]
+            gained = gained - perfusion * trial * layout.whole
+            for name, sign in (("uptake", -1.0), ("made", 1.0), ("used", -1.0)):
+                gained = gained + sign * rows[self._rows, COLUMNS.index(name)]
+            after = before + dt * (gained - decay * there)
+            return there - after, content
+
+        fixed = (volume + layout.whole) * (1.0 + decay * dt)
+        self.levels = self._with._root.find(excess, self.levels, fixed, volume, dt)
+        after = np.where(after >= 0.0, after, self._contents() + volume * self.levels)
+        return after.reshape(data.shape), dt * rows
+
+    def settle(self, totals: FloatArray, t: float) -> None:
+        """Find the concentrations with which fields at rest and media hold so much, amol."""
+        volume = self._volumes
+
+        def excess(trial: FloatArray) -> tuple[FloatArray, FloatArray]:
+            self._solve(trial, t)
+            content = self._contents()
+            return content + volume * trial - totals, content
+
+        slope = volume + self.equation.layout.whole
+        self.levels = self._with._root.find(excess, self.levels, slope, volume, 0.0)
+
+    def scales(self, data: FloatArray, begin: float, end: float) -> FloatArray:
+        """Return what errors of each total are small beside, amol."""
+        level = np.maximum(self.levels, _FADED * self._highest)
+        return np.asarray(level * self._volumes)
+
+    def growing(self, data: FloatArray) -> str:
+        """Return in words which substance grows without bound; empty if none does."""
+        return self.equation.growing(np.array(self.state.data))
+
+    def switches(self, begin: float, end: float) -> list[float]:
+        """Return the times strictly between two at which a medium that is not finite jumps, s."""
+        return self.equation.switches(begin, end)
+
+    def evolution_rate(self, state: Any, t: float = 0.0) -> Any:
+        """Refuse: what rests has no rate."""
+        raise NotImplementedError("fields at rest with finite media know steps only")
+
+
+Excess = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
+"""Concentrations of the media (k,) mM -> what is there too much, and what fields hold, amol."""
+
+
+@final
+class _Root:
+    """Finds the concentrations of media, not below zero, at which nothing is there too much."""
+
+    def __init__(self, names: list[str]) -> None:
+        self.names = names
+        self.slope = np.zeros(len(names))  # of what fields take over the concentration, µm³/s
+
+    def find(
+        self, excess: Excess, guess: FloatArray, fixed: FloatArray, volume: FloatArray, dt: float
+    ) -> FloatArray:
+        """Return the concentrations; the last evaluation is that of the result.
+
+        Parameters
+        ----------
+        excess
+            It rises with each concentration.
+        guess : (k,) mM
+        fixed : (k,) µm³
+            The part of its derivative that is known.
+        volume : (k,) µm³
+            Of the media.
+        dt : float, s
+            What the slope of the exchange is multiplied with.
+        """
+        first = fixed + dt * self.slope
+        if len(guess) == 1:
+            found, slope = self._one(excess, guess, first, volume)
+        else:
+            found, slope = self._several(excess, guess, first, volume)
+        if dt > 0.0:
+            self.slope = np.maximum((slope - fixed) / dt, 0.0)
+        return found
+
+    def _one(
+        self, excess: Excess, guess: FloatArray, first: FloatArray, volume: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Go by secants, kept between what is known to be too little and too much."""
+        low, high, x, slope = 0.0, math.inf, float(guess[0]), float(first[0])
         last: tuple[float, float] | None = None
         for count in range(_MOST):
-            y, exact = excess(x), _EXACT[count > _PATIENCE]
-            outside = self.stirred.volume * x
+            values, content = excess(np.array([x]))
+            y, exact = float(values[0]), _EXACT[count > _PATIENCE]
+            outside = float(volume[0]) * x
             # what the balance says is then not below zero either
-            if abs(y) <= exact * (outside + self.content) and y <= outside:
-                return x, slope
+            if abs(y) <= exact * (outside + float(content[0])) and y <= outside:
+                return np.array([x]), np.array([slope])
             low, high = (low, x) if y > 0.0 else (x, high)
             if last is not None and (y - last[1]) * (x - last[0]) > 0.0:
                 slope = (y - last[1]) / (x - last[0])
@@ -373,8 +501,33 @@ class _Exchange:
                 x = 0.5 * (low + high) if low > 0.0 and high < math.inf else 0.1 * high
             if not math.isfinite(x) or (x == 0.0 and high == 0.0):
                 break
-        raise NutrientFailed(
-            f"the concentration of the finite medium of {self.field.name} was not found: no value "
-            "agrees with what flows between it and the field",
+        raise self._failure()
+
+    def _several(
+        self, excess: Excess, guess: FloatArray, first: FloatArray, volume: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Go by Broyden's method (1965) from a diagonal; no step takes more than nine tenths."""
+        x, jacobian = guess.copy(), np.diag(first)
+        y, content = excess(x)
+        for count in range(_MOST):
+            exact, outside = _EXACT[count > _PATIENCE], volume * x
+            if (np.abs(y) <= exact * (outside + content)).all() and (y <= outside).all():
+                return x, np.diag(jacobian)
+            change = np.linalg.solve(jacobian, -y)
+            change = np.maximum(change, -0.9 * x)
+            length = float(np.sum(change * change))
+            if not (math.isfinite(length) and length > 0.0):
+                break
+            x = x + change
+            before = y
+            y, content = excess(x)
+            missing = y - before - np.sum(jacobian * change, axis=1)
+            jacobian = jacobian + np.outer(missing, change) / length
+        raise self._failure()
+
+    def _failure(self) -> NutrientFailed:
+        return NutrientFailed(
+            f"the concentration of the finite medium of {' and '.join(self.names)} was not found: "
+            "no value agrees with what flows between it and the field",
             "A field that cells fill faster than it settles needs regime = 'transient'",
         )

@@ -36,8 +36,8 @@ def fitness(
         shells = isinstance(field.layout, ShellLayout)
         kind = "shells" if shells else "squares" if parameters.dimensions == 2 else "cubes"
         fields[name] = {"geometry": kind, "spacing": field.layout.spacing}
-        if field.stirred is not None:
-            fields[name]["medium"] = field.stirred.concentration
+        if field.well_mixed is not None:
+            fields[name]["medium"] = field.well_mixed.concentration
         if parameters.nutrient.layer is not None and isinstance(field.layout, ShellLayout):
             _rate_layer(name, field.layout, parameters.nutrient.layer, cells, fields, notes)
         notes += feeding.grids.remarks(field)

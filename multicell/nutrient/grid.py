@@ -7,7 +7,7 @@ values of the layout before it, and makes the operator that solves on it.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Protocol, final
 
 import numpy as np
@@ -64,12 +64,24 @@ class Layout(Protocol):
     """Nodes in space."""
 
     @property
+    def kind(self) -> str:
+        """``"box"`` or ``"radial"``."""
+
+    @property
     def spacing(self) -> float:
         """Distance of neighbouring nodes, µm."""
 
     @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of an array of the nodes."""
+
+    @property
     def volumes(self) -> FloatArray | float:
         """Volumes of the nodes, µm³; one number where they are equal."""
+
+    @property
+    def whole(self) -> float:
+        """Volume of all nodes, µm³."""
 
     def nearest(self, position: FloatArray) -> FloatArray:
         """Return the points of the grid nearest to positions (n, 3) in µm; those inside stay."""
@@ -126,6 +138,7 @@ class BoxLayout:
     """A box of cubes, or a plane of squares, round the cells."""
 
     box: Box
+    kind = "box"
 
     @classmethod
     def round(
@@ -149,15 +162,31 @@ class BoxLayout:
         reach = np.full(3, radius + margin)
         return cls(lay(-reach, reach, spacing, height))
 
+    def moved_from(self, other: Layout) -> bool:
+        """Return whether it is another one that lies elsewhere."""
+        return isinstance(other, BoxLayout) and self.box == replace(
+            other.box, origin=self.box.origin
+        )
+
     @property
     def spacing(self) -> float:
         """Distance of neighbouring nodes, µm."""
         return self.box.spacing
 
     @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of an array of the nodes."""
+        return self.box.shape
+
+    @property
     def volumes(self) -> float:
         """Volume of each node, µm³."""
         return self.box.volume
+
+    @property
+    def whole(self) -> float:
+        """Volume of all nodes, µm³."""
+        return float(np.sum(np.broadcast_to(self.volumes, self.shape)))
 
     def _points(self, position: FloatArray) -> FloatArray:
         return position if self.box.height is None else position * np.array([1.0, 1.0, 0.0])
@@ -330,6 +359,7 @@ class ShellLayout:
     centre: FloatArray
     spacing: float
     count: int
+    kind = "radial"
 
     @classmethod
     def round(
@@ -387,9 +417,19 @@ class ShellLayout:
         return self.spacing * self.count
 
     @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of an array of the shells."""
+        return (self.count,)
+
+    @property
     def volumes(self) -> FloatArray:
         """Volumes of the shells, µm³."""
         return SPHERE * np.diff(np.linspace(0.0, self.radius, self.count + 1) ** 3)
+
+    @property
+    def whole(self) -> float:
+        """Volume of the ball, µm³."""
+        return float(np.sum(self.volumes))
 
     def nearest(self, position: FloatArray) -> FloatArray:
         """Return the points of the ball nearest to positions (n, 3) in µm; those inside stay."""

@@ -5,11 +5,13 @@ from __future__ import annotations
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, Any, final
 
 from multicell.scene.scales import _faces, _side, height, regime, spacing
 
 if TYPE_CHECKING:
+    from multicell.nutrient.equations.schedule import Schedule
+    from multicell.nutrient.grid import Layout
     from multicell.scene.nutrient import Nutrient, Side
     from multicell.scene.parts import Domain
     from multicell.scene.scene import Scene
@@ -69,6 +71,13 @@ class FieldParameters:
         shaped = nutrient.sides or nutrient.sources or nutrient.regions
         return self.domain is None and not shaped and nutrient.finite_medium is None
 
+    @cached_property
+    def schedule(self) -> Schedule:
+        """The medium over time, as the scene has it."""
+        from multicell.nutrient.equations.schedule import Schedule
+
+        return Schedule.of(self.nutrient)
+
     def sides(self, time: float, medium: float | None = None) -> dict[str, Side]:
         """Return the condition on every face at a time, with the medium's value filled in.
 
@@ -79,6 +88,19 @@ class FieldParameters:
             face: side if side.type == "derivative" or side.value is not None else _at(side, medium)
             for face, side in self._faces.items()
         }
+
+    def conditions(self, layout: Layout, level: float) -> dict[str, Any]:
+        """Return the conditions on a layout's sides in py-pde's terms, the medium at ``level``."""
+        key = layout.kind, level
+        if key not in self._conditions:
+            self._conditions.clear()
+            self._conditions[key] = layout.conditions(self.sides(0.0, level))
+        return self._conditions[key]
+
+    @cached_property
+    def _conditions(self) -> dict[tuple[str, float], dict[str, Any]]:
+        """The last conditions that were asked for."""
+        return {}
 
     @cached_property
     def _faces(self) -> dict[str, Side]:

@@ -95,6 +95,8 @@ class SolveReport:
         The nodes' supply.
     outflow : float, amol/s
         What leaves through the faces; ``inflow`` is net.
+    made, used : float, amol/s
+        By reactions, what they make of it and take from it at each place.
     """
 
     newton: int
@@ -105,6 +107,8 @@ class SolveReport:
     spent: float = 0.0
     supplied: float = 0.0
     outflow: float = 0.0
+    made: float = 0.0
+    used: float = 0.0
 
 
 def solve_steady(

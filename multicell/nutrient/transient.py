@@ -23,6 +23,9 @@ Solve = Callable[[FloatArray, float, float], tuple[FloatArray, SolveReport, floa
 """(c at the beginning, step in s, time at its end) -> c at the end, the report of the solve, and
 the concentration of the medium then, mM."""
 
+COLUMNS = ("inflow", "uptake", "supplied", "mass", "level", "made", "used")
+"""What happened to a field in some time: amol, but ``mass`` in amol s and ``level`` in mM s."""
+
 _MOST_STEPS = 20_000
 _SHORTEST = 1e-9  # of the interval
 _REFUSED = 0.25  # of a step that was not solved, the next one tried

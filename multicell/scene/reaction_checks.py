@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from multicell.scene.reactions import Reaction
     from multicell.scene.scene import Scene
 
-_SHARED = ("margin", "roundness_limit", "layer", "height", "initial")
+_SHARED = ("margin", "roundness_limit", "layer", "height", "initial", "solver")
 """Keys of fields that are the same for all that react with each other, as grid and geometry are."""
 
 
@@ -72,9 +72,6 @@ def _check_grid(scene: Scene, group: list[str]) -> None:
     first = group[0]
     for name in group:
         nutrient = scene.nutrients[name]
-        if nutrient.finite_medium is not None:
-            problem = "is not known of a field that takes part in reactions"
-            raise SceneError(f"nutrients.{name}.finite_medium", problem)
         if nutrient.tolerance is not None:
             problem = "is not known of a field that takes part in reactions"
             hint = "Fields that react with each other share one grid: give its spacing."

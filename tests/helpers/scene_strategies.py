@@ -409,6 +409,7 @@ def _fit_reactions(scene, fields):
     for field in reacting:
         for key in (
             "uptake_on", "secretion_from", "finite_medium", "regime", "initial", "tolerance",
+            "solver",
         ):  # fmt: skip
             field.pop(key, None)
         for key in ("margin", "roundness_limit", "height", "spacing", "geometry", "layer"):
@@ -725,6 +726,9 @@ def _fit_field(scene, field, earlier, fields, flat):
     _fit_sides(field, flat)
     _fit_sources(scene, field, flat)
     _fit_regions(scene, field, flat)
+    if "solver" in field:
+        # explicit ones take longer than a scene at random may
+        field["solver"], field["regime"] = "multicell-march", "transient"
     if "finite_medium" in field:
         _fit_medium(field)
     if "diffusion_medium" in field:

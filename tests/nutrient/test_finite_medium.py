@@ -74,17 +74,17 @@ def test_a_sphere_in_a_stirred_solution_of_limited_volume(ratio):
     parameters = FieldParameters(nutrient, 1.0, 10.0, "transient", dimensions=3)
     place, nothing = np.zeros((1, 3)), np.zeros(1)
     probe = NutrientField("a", parameters)
-    probe.fill(place, radius=np.ones(1), time=0.0)
+    probe.group.fill(place, radius=np.ones(1), time=0.0)
     a = probe.layout.radius
     sphere = 4.0 / 3.0 * np.pi * a**3
     finite = {"volume": (1.0 + ratio) * sphere}
     whole = Nutrient(**{**vars(nutrient), "finite_medium": finite})
     field = NutrientField("a", FieldParameters(whole, 1.0, 10.0, "transient", dimensions=3))
-    field.fill(place, radius=np.ones(1), time=0.0)
-    field.pour()
-    assert field.stirred.volume == pytest.approx(ratio * sphere)
+    field.group.fill(place, radius=np.ones(1), time=0.0)
+    field.attach_medium()
+    assert field.well_mixed.volume == pytest.approx(ratio * sphere)
     field.advance(place, nothing, radius=np.ones(1), begin=0.0, end=1.0)
-    assert field.stirred.concentration == 2.0
+    assert field.well_mixed.concentration == 2.0
     roots = [
         brentq(lambda q: (3 + ratio * q * q) * np.sin(q) - 3 * q * np.cos(q), low, low + np.pi)
         for low in np.pi * np.arange(1, 400)
@@ -97,7 +97,9 @@ def test_a_sphere_in_a_stirred_solution_of_limited_volume(ratio):
         terms = 6 * ratio * (ratio + 1) * np.exp(-diffusion * q**2 * time / a**2)
         exact = 1.0 - np.sum(terms / (9 + 9 * ratio + q**2 * ratio**2))
         assert field.stored() / final == pytest.approx(exact, abs=2e-3)
-        assert field.stored() + field.stirred.amount == pytest.approx(2 * ratio * sphere, rel=1e-8)
+        assert field.stored() + field.well_mixed.amount == pytest.approx(
+            2 * ratio * sphere, rel=1e-8
+        )
 
 
 @pytest.mark.parametrize("regime", ["steady", "transient"])

@@ -64,7 +64,7 @@ def test_a_point_that_begins_to_give():
     """c = S/(4πDr) erfc(r/√(4Dt)) before it reaches the walls."""
     oxygen = field(100.0, 10.0, "transient", sources={"pump": POINT})
     nobody = {**NOBODY, "radius": np.empty(0)}
-    oxygen.fill(nobody["position"], radius=nobody["radius"], time=0.0)
+    oxygen.group.fill(nobody["position"], radius=nobody["radius"], time=0.0)
     lost = 0.0
     for begin, end in ((0.0, 2.0), (2.0, 4.0)):
         march = oxygen.advance(**nobody, begin=begin, end=end)

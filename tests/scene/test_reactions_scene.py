@@ -97,7 +97,6 @@ def test_what_is_no_reaction_is_refused_at_its_place(change, path, words):
             {"a": {"regime": "steady", "decay": "1 1/h", "sides": WALLS}, "b": {"sides": WALLS}},
             "a.regime", "fixes the level of b",
         ),
-        ({"a": {"finite_medium": {"volume": "1 uL"}}}, "a.finite_medium", "not known"),
         (
             {"a": {"uptake": 1}, "b": {"secretion_from": {"a": 1}}},
             "b.secretion_from.a", "reacts with",

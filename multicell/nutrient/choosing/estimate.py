@@ -104,7 +104,7 @@ def trial(field: NutrientField, parameters: FieldParameters, load: Load) -> Tria
 
 def _copied(field: NutrientField, parameters: FieldParameters, load: Load) -> NutrientField:
     other = NutrientField(field.name, parameters)
-    other.stirred = field.stirred
+    other.well_mixed = field.well_mixed
     if field.laid:
         other.restore(field.field(), load.begin)
     return other
@@ -134,10 +134,10 @@ def _solved(field: NutrientField, load: Load) -> int:
 
 def _leapt(field: NutrientField, load: Load) -> int:
     """Take one implicit step over the whole time of a load."""
-    report = field.leap(
-        load.position, load.capacity, production=load.production, radius=load.radius,
-        begin=load.begin, end=load.end,
-    )  # fmt: skip
+    demand = {field.name: (load.capacity, load.production)}
+    report = field.group.leap(
+        load.position, demand, radius=load.radius, begin=load.begin, end=load.end
+    )[field.name]
     return max(report.cg, report.newton)
 
 
@@ -166,17 +166,17 @@ def remembered(field: NutrientField, load: Load, since: float) -> tuple[Nutrient
     """
     other, dt = _copied(field, field.parameters, load), load.end - load.begin
     if not other.laid:
-        other.fill(load.position, radius=load.radius, time=load.begin)
-    layout, before = other.layout, other._values
+        other.group.fill(load.position, radius=load.radius, time=load.begin)
+    layout, before = other.layout, other.values
     _leapt(other, load)
     if other.layout is not layout:
         before = other.layout.carried(before, layout, other.level(load.end))
-    after = other._values
+    after = other.values
     rate = (after - before) / dt
     rises = rate > 0.0
     longest = float((after[rises] / rate[rises]).min(initial=np.inf))
     length = max(dt, min(load.end - since, longest))
-    other._values = np.maximum(after - length * rate, 0.0)  # rounding alone is below zero
+    other.values = np.maximum(after - length * rate, 0.0)  # rounding alone is below zero
     return other, replace(load, begin=load.end - length)
 
 
@@ -260,13 +260,13 @@ def lag(
     found = []
     for regime in ("transient", "steady"):
         other = _copied(field, replace(parameters, nutrient=still, regime=regime), load)
-        other.stirred = None
+        other.well_mixed = None
         if regime == "steady":
             _solved(other, load)
         else:
             if not other.laid:
-                other.fill(load.position, radius=load.radius, time=load.begin)
-                other._values = other.layout.filled(start)
+                other.group.fill(load.position, radius=load.radius, time=load.begin)
+                other.values = other.layout.filled(start)
             other.advance(
                 load.position, load.capacity, production=load.production, radius=load.radius,
                 begin=load.begin, end=load.end,

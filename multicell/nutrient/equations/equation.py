@@ -11,6 +11,7 @@ solver's error can bring c, uptake and reactions go on along their tangent.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Protocol, final
 
 import numpy as np
@@ -20,11 +21,13 @@ from pde.pdes.base import PDEBase
 
 from multicell.cells import FloatArray
 from multicell.errors import SceneError
-from multicell.nutrient.equations.grid import layout_on
+from multicell.nutrient.equations.grid import grid_on, layout_on
 from multicell.nutrient.equations.implicit_solver import ImplicitFieldSolver
+from multicell.nutrient.equations.march_solver import MarchFieldSolver
 from multicell.nutrient.equations.steady_solver import SteadyFieldSolver
 from multicell.nutrient.equations.term import Substance, Term
 from multicell.nutrient.grid import Layout
+from multicell.nutrient.operators import fastest
 from multicell.nutrient.uptake import uptake_and_slope
 
 if TYPE_CHECKING:
@@ -33,10 +36,17 @@ if TYPE_CHECKING:
     from pde.backends.base import BackendBase
     from pde.grids.base import GridBase
 
+    from multicell.nutrient.reactions.kinetics import Kinetics
+    from multicell.nutrient.steady import SolveReport
+
     State = ScalarField | FieldCollection
 
-SOLVERS = (ImplicitFieldSolver, SteadyFieldSolver)
+SOLVERS = (ImplicitFieldSolver, MarchFieldSolver, SteadyFieldSolver)
 """Solvers of ours, which py-pde knows by their names once this module is loaded."""
+
+
+_TRACE = 1e-6
+"""Part of the largest concentration of all fields below which the error of one is not followed."""
 
 
 class Coupling(Protocol):
@@ -74,7 +84,7 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
     Parameters
     ----------
     grid
-        Not periodic; cubes or squares, or a ball of shells.
+        Not periodic; cubes or squares, or a ball of shells. None: that of the layout.
     substances : name -> Substance
     position : (n, 3), µm
         Of the cells; in the frame of the grid, on shells relative to ``layout``'s centre.
@@ -84,9 +94,11 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         How demands depend on other substances; absent: not at all.
     reactions : name -> Reaction
         Between the substances: as a scene has them, as tables of the same keys, or functions of
-        the user's own (:func:`multicell.reaction`).
+        the user's own (:func:`multicell.reaction`); or the kinetics of all of them.
     tissue : shape of the grid, optional
         Part of each place that is tissue, 0 to 1, for reactions that ask for it.
+    threads
+        How many may share the loops over many nodes; it changes no result.
 
     Raises
     ------
@@ -96,33 +108,45 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
 
     def __init__(
         self,
-        grid: GridBase,
+        grid: GridBase | None,
         substances: Mapping[str, Substance],
         position: FloatArray | None = None,
         *,
         layout: Layout | None = None,
         coupling: Coupling | None = None,
-        reactions: Mapping[str, Any] | None = None,
+        reactions: Mapping[str, Any] | Kinetics | None = None,
         tissue: FloatArray | None = None,
+        threads: int = 1,
     ) -> None:
         super().__init__()
         if not substances:
             raise SceneError("substances", "are none, but an equation has one or more")
-        self.grid, self.layout, self.coupling = grid, layout or layout_on(grid), coupling
+        if layout is None:
+            if grid is None:
+                raise SceneError("grid", "is missing, and so is a layout")
+            layout = layout_on(grid)
+        self.layout, self.coupling = layout, coupling
+        if grid is not None:
+            self.grid = grid
         self.position = np.zeros((0, 3)) if position is None else np.asarray(position, dtype=float)
         if self.position.ndim != 2 or self.position.shape[1] != 3:
             raise SceneError("position", f"has the shape {self.position.shape}, expected (n, 3)")
         self.terms = {
-            name: Term(name, substance, self.layout, grid, self.position)
+            name: Term(name, substance, layout, lambda: self.grid, self.position, threads)
             for name, substance in substances.items()
         }
         self.reactions = None
-        if reactions:
+        if reactions is not None and reactions != {}:
             from multicell.nutrient.equations.reactions import Reactions
 
             self.reactions = Reactions(list(self.terms.values()), reactions, tissue)
         terms = self.terms.values()
         self.explicit_time_dependence = not all(term.schedule.constant for term in terms)
+
+    @cached_property
+    def grid(self) -> GridBase:
+        """py-pde's grid."""
+        return grid_on(self.layout)
 
     @property
     def names(self) -> list[str]:
@@ -164,7 +188,7 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
             If the state has other fields or another grid.
         """
         self.check(state)
-        data = self._nodes(state.data)
+        data = self.nodes(state.data)
         demands = self.demands(data, t)
         rates = np.array([
             term.reference_rate(data[name], t, *demands[name]) for name, term in self.terms.items()
@@ -200,9 +224,9 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
 
         ``data`` are a state's, in mM; the results have its shape.
         """
-        nodes = self._nodes(data)
+        nodes = self.nodes(data)
         if self.coupling is None:
-            found = [term.rate(nodes[name], t, term.sink) for name, term in self.terms.items()]
+            found = [term.rate(nodes[name], t) for name, term in self.terms.items()]
         else:
             demands = self.demands(nodes, t)
             found = [term.rate(nodes[name], t, *demands[name]) for name, term in self.terms.items()]
@@ -221,11 +245,11 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         """
         _, slope = self.rates(data, t)
         if self.reactions is not None:
-            return self.reactions.shifted_inverse(self._nodes(data), self._nodes(slope))
-        slopes = self._nodes(slope)
+            return self.reactions.shifted_inverse(self.nodes(data), self.nodes(slope))
+        slopes = self.nodes(slope)
 
         def inverse(r: FloatArray, shift: float) -> FloatArray:
-            parts = self._nodes(r)
+            parts = self.nodes(r)
             found = [
                 term.inverse(parts[name], slopes[name] + shift) for name, term in self.terms.items()
             ]
@@ -246,20 +270,91 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         SceneError
             For uptake that depends on other substances where substances react.
         """
-        nodes = dict(self._nodes(data))
+        found, reports = self.solution(data, t)
+        return found.reshape(data.shape), reports
+
+    def implicit_step(self, data: FloatArray, dt: float, t: float) -> tuple[FloatArray, FloatArray]:
+        """Take a step of backward Euler of ``dt`` s that ends at ``t``; nothing is below zero.
+
+        Returns
+        -------
+        data
+            At the end.
+        (m, 7)
+            What happened to each substance: the columns of
+            :data:`multicell.nutrient.transient.COLUMNS`.
+
+        Raises
+        ------
+        NutrientFailed, StepRefused
+            If a solve does not converge.
+        SceneError
+            As for :meth:`steady_state`.
+        """
+        found, reports = self.solution(data, t, dt, data)
+        return found.reshape(data.shape), dt * amounts_of(self, found, t, reports)
+
+    def solution(
+        self, start: FloatArray, t: float, dt: float = np.inf, before: FloatArray | None = None
+    ) -> tuple[FloatArray, dict[str, SolveReport]]:
+        """Return the nodes of all substances at rest, or a step of ``dt`` s after ``before``.
+
+        ``start`` is the first guess, and ``t`` the time in s at the end.
+        """
+        nodes = dict(self.nodes(start))
+        earlier = None if before is None else self.nodes(before)
         if self.reactions is not None:
             if self.coupling is not None:
                 problem = "have reactions and uptake that depends on other fields"
                 hint = "Let 'multicell-implicit' run long enough."
                 raise SceneError("substances", f"{problem}: no steady solver knows both", hint)
-            found, reports = self.reactions.steady(nodes, t)
-            return found.reshape(data.shape), reports
-        order = self.names if self.coupling is None else self.coupling.order
-        info: dict[str, Any] = {}
-        for name in order:
-            demand = self.demands(nodes, t)[name]
-            nodes[name], info[name] = self.terms[name].steady(nodes[name], t, *demand)
-        return np.array([nodes[name] for name in self.names]).reshape(data.shape), info
+            found, reports = self.reactions.solution(nodes, t, dt, earlier)
+            return found.reshape(-1, *self.layout.shape), reports
+        reports = {}
+        for name in self.names if self.coupling is None else self.coupling.order:
+            term = self.terms[name]
+            nodes[name], reports[name] = term.solve(
+                nodes[name], term.schedule.at(t), dt=dt,
+                before=None if earlier is None else earlier[name],
+                demand=None if self.coupling is None else self.demands(nodes, t)[name],
+            )  # fmt: skip
+        return np.array([nodes[name] for name in self.names]), reports
+
+    def limit(self) -> float:
+        """Return the longest step in s at which explicit Euler is stable, by a bound on the rates.
+
+        Reactions are not part of it.
+        """
+        rates = [
+            fastest(term.operator) + term.linear
+            + float(term.sink.max(initial=0.0)) / term.substance.half_saturation
+            for term in self.terms.values()
+        ]  # fmt: skip
+        return 1.0 / max(rates)
+
+    def scales(self, data: FloatArray, begin: float, end: float) -> FloatArray:
+        """Return the concentration of each substance that errors are small beside, (m,) mM."""
+        terms = self.terms.values()
+        found = np.array([term.schedule.at(begin) for term in terms])
+        if self.reactions is None:
+            return found
+        found = np.maximum(found, self.reactions.ahead(self.nodes(data), begin, end))
+        return np.asarray(np.maximum(found, _TRACE * found.max()))
+
+    def place(
+        self, layout: Layout, position: FloatArray,
+        demands: Mapping[str, tuple[FloatArray, FloatArray | None]],
+    ) -> None:  # fmt: skip
+        """Take cells elsewhere, with largest uptake and secretion of each, (n,) amol/s, by name.
+
+        ``layout`` may lie elsewhere too.
+        """
+        self.position = position
+        if layout is not self.layout:
+            self.__dict__.pop("grid", None)
+            self.layout = layout
+        for name, term in self.terms.items():
+            term.place(layout, position, *demands[name])
 
     def balance(self, state: State, t: float = 0.0) -> dict[str, dict[str, float]]:
         """Return what happens to each substance in all, amol/s.
@@ -269,7 +364,7 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         where there are any, and ``stored``, which is the sum of them.
         """
         self.check(state)
-        data = self._nodes(state.data)
+        data = self.nodes(state.data)
         demands, found = self.demands(data, t), {}
         made = None
         if self.reactions is not None:
@@ -286,7 +381,7 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
                 "stored": term.reference_rate(c, t, sink, secreted),
             }
             sums = {key: float(np.sum(volumes * part)) for key, part in parts.items()}
-            sums["inflow"] = term.operator_at(level).inflow(c)
+            sums["inflow"] = term.at(level).inflow(c)
             if made is not None:
                 sums["made"] = float(np.sum(volumes * made[name]))
                 sums["stored"] += sums["made"]
@@ -295,7 +390,7 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
 
     def growing(self, data: FloatArray) -> str:
         """Return in words which substance grows without bound and how fast; empty if none does."""
-        return "" if self.reactions is None else self.reactions.growing(self._nodes(data))
+        return "" if self.reactions is None else self.reactions.growing(self.nodes(data))
 
     def switches(self, begin: float, end: float) -> list[float]:
         """Return the times strictly between two at which a medium jumps or bends, s."""
@@ -337,8 +432,23 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
             taken[name] = capacity * self.layout.gather(self.position, share)
         return demands
 
-    def _nodes(self, data: Any) -> dict[str, FloatArray]:
+    def nodes(self, data: Any) -> dict[str, FloatArray]:
         """Return the values of each substance as solvers have them."""
-        shape = self.layout.filled(0.0).shape
+        shape = self.layout.shape
         parts = np.ascontiguousarray(data, dtype=float).reshape(len(self.terms), *shape)
         return dict(zip(self.terms, parts, strict=True))
+
+
+def amounts_of(
+    equation: FieldEquation, data: FloatArray, t: float, reports: Mapping[str, SolveReport]
+) -> FloatArray:
+    """Return what happens to each substance at a time in s, (m, 7), for each second.
+
+    The columns are those of :data:`multicell.nutrient.transient.COLUMNS`.
+    """
+    rows, volumes = [], equation.layout.volumes
+    for c, (name, term) in zip(equation.nodes(data).values(), equation.terms.items(), strict=True):
+        x, mass = reports[name], float(np.sum(volumes * c))
+        level = term.schedule.at(t)
+        rows.append((x.inflow, x.uptake, x.supplied, mass, level, x.made, x.used))
+    return np.array(rows)

@@ -12,9 +12,13 @@ from pde.grids.spherical import SphericalSymGrid
 from multicell.errors import SceneError
 from multicell.nutrient.cartesian import Box
 from multicell.nutrient.grid import BoxLayout, Layout, ShellLayout
+from multicell.results.pde_fields import ball_grid, box_grid
 
 if TYPE_CHECKING:
     from pde.grids.base import GridBase
+
+_KINDS = ({"value"}, {"derivative"}, {"type", "value", "const"})
+"""Keys of the conditions that the solvers' kernels know."""
 
 
 def layout_on(grid: GridBase, *, height: float | None = None) -> Layout:
@@ -54,6 +58,32 @@ def layout_on(grid: GridBase, *, height: float | None = None) -> Layout:
     return BoxLayout(Box((low[0], low[1], low[2]), (nx, ny, nz), h))
 
 
+def grid_on(layout: Layout) -> GridBase:
+    """Return py-pde's grid with the nodes of a layout, in the coordinates of the cells."""
+    if isinstance(layout, ShellLayout):
+        return ball_grid(layout.spacing, layout.count)
+    assert isinstance(layout, BoxLayout)
+    box = layout.box
+    return box_grid(box.origin, box.shape, box.spacing, flat=box.height is not None)
+
+
+def numbers_only(conditions: Mapping[str, Any]) -> bool:
+    """Return whether conditions are values, slopes or mixed ones made of numbers alone."""
+    if conditions.keys() & {"value", "derivative", "type"}:
+        conditions = {"r+": conditions}
+    for condition in conditions.values():
+        if not isinstance(condition, Mapping) or set(condition) not in _KINDS:
+            return False
+        given = [x for key, x in condition.items() if key != "type"]
+        if condition.get("type", "mixed") != "mixed" or not all(_is_number(x) for x in given):
+            return False
+    return True
+
+
+def _is_number(given: Any) -> bool:
+    return isinstance(given, int | float) and bool(np.isfinite(given))
+
+
 def conditions_on(layout: Layout, given: Any) -> dict[str, Any]:
     """Return a condition for every side of a box, or the one on the surface of a ball.
 
@@ -75,8 +105,7 @@ def conditions_on(layout: Layout, given: Any) -> dict[str, Any]:
         given = {"*": given}
     if isinstance(layout, ShellLayout):
         condition = _side(given, "r+")
-        known = ({"value"}, {"derivative"}, {"type", "value", "const"})
-        if not isinstance(condition, Mapping) or set(condition) not in known:
+        if not isinstance(condition, Mapping) or set(condition) not in _KINDS:
             hint = "Take a value, a derivative, or a mixed condition, of numbers."
             raise SceneError("conditions", f"have {condition!r} on the surface of a ball", hint)
         return {key: x if key == "type" else _number(x) for key, x in condition.items()}

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Mapping
 from typing import Any, final
 
 import numpy as np
 
 from multicell.cells import FloatArray
-from multicell.errors import SceneError
+from multicell.errors import NutrientFailed, SceneError
 from multicell.nutrient.equations.term import Term
 from multicell.nutrient.reactions.coupled import Coupled, settle
 from multicell.nutrient.reactions.inverse import inverse_of_blocks
-from multicell.nutrient.reactions.kinetics import FixedForms, growth_rate, kinetics_of
+from multicell.nutrient.reactions.kinetics import (
+    FixedForms,
+    Kinetics,
+    growth_rate,
+    kinetics_of,
+)
 from multicell.nutrient.steady import SolveReport
+from multicell.nutrient.transient import StepRefused
 from multicell.scene.nutrient import MOST
 
 Nodes = Mapping[str, FloatArray]
@@ -40,11 +47,18 @@ class Reactions:
     """
 
     def __init__(
-        self, terms: list[Term], reactions: Mapping[str, Any], tissue: FloatArray | None
+        self,
+        terms: list[Term],
+        reactions: Mapping[str, Any] | Kinetics,
+        tissue: FloatArray | None,
     ) -> None:
         self.terms = terms
         self.shape = terms[0].shape
-        self.kinetics = kinetics_of([term.name for term in terms], reactions)
+        names = [term.name for term in terms]
+        if isinstance(reactions, Mapping):
+            self.kinetics: Kinetics = kinetics_of(names, reactions)
+        else:
+            self.kinetics = reactions
         if isinstance(self.kinetics, FixedForms) and self.kinetics.needs_tissue and tissue is None:
             hint = "Give the part of each node that is tissue, 0 to 1."
             raise SceneError("tissue", "is missing: a reaction depends on it", hint)
@@ -84,51 +98,78 @@ class Reactions:
 
         return inverse
 
-    def steady(self, nodes: Nodes, t: float) -> tuple[FloatArray, dict[str, SolveReport]]:
-        """Return the state of rest with what holds at a time in s, and what it took.
+    def solution(
+        self, start: Nodes, t: float, dt: float, before: Nodes | None
+    ) -> tuple[FloatArray, dict[str, SolveReport]]:
+        """Return the state of rest with what holds at ``t``, or that ``dt`` s after ``before``.
 
         Raises
         ------
         NutrientFailed
+            If there is no state of rest, or a substance becomes denser than water.
+        StepRefused
+            If a step is too long.
         """
-        levels = [term.schedule.at(t) for term in self.terms]
-        supplies = [
-            term.secreted + term.supplied + term.substance.perfusion * level
-            for term, level in zip(self.terms, levels, strict=True)
-        ]
-        coupled = Coupled(
-            [term.operator_at(level) for term, level in zip(self.terms, levels, strict=True)],
-            np.array([term.sink.ravel() for term in self.terms]),
-            np.array([supply.ravel() for supply in supplies]),
-            np.array([term.substance.half_saturation for term in self.terms]),
-            np.array([term.linear for term in self.terms]),
-            self.kinetics,
-            self.tissue,
-        )
-        c = settle(coupled, np.maximum(self._flat(nodes), 0.0))
+        coupled, first = self._coupled(t), self._flat(start)
+        if before is None:
+            c = settle(coupled, np.maximum(first, 0.0))
+        else:
+            c = coupled.step(self._flat(before), first, dt)
+            if float(c.max()) > MOST:
+                names = ", ".join(term.name for term in self.terms)
+                problem = f"one of {names} became denser than water"
+                raise NutrientFailed(problem, "Look at what is secreted and made of it")
         reports = {}
         for i, (term, a) in enumerate(zip(self.terms, coupled.account(c), strict=True)):
             spent = term.linear * a.mass
             left = abs(a.inflow + a.supplied + a.made - a.used - a.uptake - spent)
             newton, linear = (coupled.newton, coupled.linear_steps) if i == 0 else (0, 0)
             reports[term.name] = SolveReport(
-                newton, linear, left, a.inflow, a.uptake, spent, a.supplied, a.outflow
-            )
+                newton, linear, left, a.inflow, a.uptake, spent, a.supplied, a.outflow, a.made,
+                a.used,
+            )  # fmt: skip
         return c, reports
 
-    def growing(self, nodes: Nodes) -> str:
-        """Return which substance has grown beyond all that dissolves and how fast, in words."""
+    def ahead(self, nodes: Nodes, begin: float, end: float) -> FloatArray:
+        """Return about the most that is there of each substance at the end of a time, (m,) mM.
+
+        By one step through it all. Errors relative to what is there would ask for steps as short
+        as the time that has passed since there was nothing.
+        """
         c = self._flat(nodes)
-        row, node = np.unravel_index(int(np.argmax(np.where(np.isfinite(c), c, -1.0))), c.shape)
-        value = float(c[row, node])
-        if not value > MOST:
-            return ""
-        tissue = None if self.tissue is None else self.tissue[node : node + 1]
-        _, derivative = self.kinetics.evaluate(np.ascontiguousarray(c[:, node : node + 1]), tissue)
+        with contextlib.suppress(StepRefused):
+            c = self._coupled(begin).step(c, c, end - begin)
+        return np.asarray(c.max(axis=1))
+
+    def _coupled(self, t: float) -> Coupled:
+        """Return the equations with what holds at a time in s."""
+        levels = [term.schedule.at(t) for term in self.terms]
+        pairs = list(zip(self.terms, levels, strict=True))
+        return Coupled(
+            [term.at(level) for term, level in pairs],
+            np.array([term.sink.ravel() for term in self.terms]),
+            np.array([term.supply(level).ravel() for term, level in pairs]),
+            np.array([term.substance.half_saturation for term in self.terms]),
+            np.array([term.linear for term in self.terms]),
+            self.kinetics,
+            self.tissue,
+        )
+
+    def growing(self, nodes: Nodes) -> str:
+        """Return which substance grows without bound and how fast, in words; empty if none does."""
+        c = self._flat(nodes)
         losses = np.array([term.linear for term in self.terms])
-        if not np.isfinite(derivative).all():
-            return f"{self.terms[row].name} grows without bound, and is {value:.3g} mM"
-        growth, field = growth_rate(derivative[:, :, 0], losses)
+        worst = (0.0, 0, 0)
+        for node in {int(np.argmax(np.where(np.isfinite(row), row, -1.0))) for row in c}:
+            tissue = None if self.tissue is None else self.tissue[node : node + 1]
+            point = np.ascontiguousarray(c[:, node : node + 1])
+            _, derivative = self.kinetics.evaluate(point, tissue)
+            if not np.isfinite(derivative).all():
+                row = int(np.argmax(point))
+                return f"{self.terms[row].name} grows without bound, and is {point.max():.3g} mM"
+            growth, field = growth_rate(derivative[:, :, 0], losses)
+            worst = max(worst, (growth, field, node))
+        growth, field, node = worst
         if not growth > 0.0:
             return ""
         return (

@@ -5,25 +5,20 @@ The same few numbers are evaluated by Python and inside compiled evolution rates
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeVar, cast, final
+from typing import TYPE_CHECKING, final
 
 import numpy as np
-from numba import njit
+from numba.extending import register_jitable
 
 from multicell.cells import FloatArray
-from multicell.compiling import KERNEL
 from multicell.errors import SceneError
 
 if TYPE_CHECKING:
     from multicell.scene.nutrient import Nutrient
 
-_F = TypeVar("_F", bound=Callable[..., Any])
-_jit = cast(Callable[[_F], _F], njit(**KERNEL))
 
-
-@_jit
+@register_jitable
 def level(times: FloatArray, start: FloatArray, slope: FloatArray, t: float) -> float:
     """Return the concentration at a time: that of the last piece that has begun, mM."""
     piece = max(int(np.searchsorted(times, t, side="right")) - 1, 0)
@@ -87,6 +82,8 @@ class Schedule:
 
     def at(self, t: float) -> float:
         """Return the concentration at a time in s, mM."""
+        if len(self.times) == 1 and self.slope[0] == 0.0:
+            return float(self.start[0])  # asked for often in each step, of most fields
         return float(level(self.times, self.start, self.slope, float(t)))
 
     def switches(self, begin: float, end: float) -> list[float]:

@@ -50,11 +50,24 @@ class Invertible(Protocol):
 
 
 @runtime_checkable
-class Steady(Protocol):
-    """An equation that has a solver for its steady state."""
+class Stepped(Protocol):
+    """An equation that takes steps of backward Euler, whatever their length."""
 
-    def steady_state(self, data: FloatArray, t: float) -> tuple[FloatArray, dict[str, Any]]:
-        """Return the data of the steady state at a time, and what it took."""
+    @property
+    def names(self) -> list[str]:
+        """Names of the substances in its account."""
+
+    def implicit_step(self, data: FloatArray, dt: float, t: float) -> tuple[FloatArray, FloatArray]:
+        """Return the data at the end of a step, and what happened in it, (m, 7)."""
+
+    def scales(self, data: FloatArray, begin: float, end: float) -> FloatArray:
+        """Return the concentration of each field that errors are small beside, (m,)."""
+
+    def growing(self, data: FloatArray) -> str:
+        """Return in words which field grows without bound; empty if none does."""
+
+    def switches(self, begin: float, end: float) -> list[float]:
+        """Return the times strictly between two at which the rates jump."""
 
 
 def refuse_unsuitable(pde: PDEBase, state: Any) -> None:
@@ -69,8 +82,9 @@ def refuse_unsuitable(pde: PDEBase, state: Any) -> None:
         raise SceneError("equation", "has noise, which our solvers do not know", hint)
     if getattr(pde, "complex_valued", False) or np.iscomplexobj(state.data):
         raise SceneError("state", "is complex, must be real")
-    if isinstance(pde, Invertible):
-        pde.check(state)
+    check = getattr(pde, "check", None)
+    if check is not None:
+        check(state)
 
 
 def rate_of(solver: SolverBase, state: Any) -> Rate:

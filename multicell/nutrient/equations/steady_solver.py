@@ -13,7 +13,6 @@ from multicell.nutrient.equations.solving import (
     Diffusivity,
     Inverse,
     Rate,
-    Steady,
     inverse_of,
     rate_of,
     refuse_unsuitable,
@@ -87,7 +86,7 @@ class SteadyFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
         """
         refuse_unsuitable(self.pde, state)
         self.info.update(dt=None, steps=0, stochastic=False)
-        solve = self._own() if isinstance(self.pde, Steady) else self._continued(state)
+        solve = self._own() if hasattr(self.pde, "steady_state") else self._continued(state)
 
         def stepper(state: Any, t_start: float, t_end: float) -> float:
             state.data[...] = solve(np.array(state.data), float(t_end))

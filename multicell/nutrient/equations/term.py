@@ -1,23 +1,27 @@
-"""One substance of a field equation: what it is, and its balance on the nodes of a grid."""
+"""One substance on the nodes of a grid: what adds to it and takes it, for all solvers."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, final
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
 from multicell.cells import FloatArray
 from multicell.errors import SceneError
 from multicell.nutrient.diffusion import Diffusion
-from multicell.nutrient.equations.grid import conditions_on
+from multicell.nutrient.equations.grid import conditions_on, numbers_only
 from multicell.nutrient.equations.schedule import Schedule
 from multicell.nutrient.grid import BoxLayout, Layout
-from multicell.nutrient.operators import brought, imbalance
+from multicell.nutrient.operators import AnyOperator, brought, imbalance
 from multicell.nutrient.spherical import Shells
 from multicell.nutrient.steady import SolveReport
 from multicell.nutrient.uptake import uptake_and_slope
+
+if TYPE_CHECKING:
+    from pde.grids.base import GridBase
 
 Conditions = Mapping[str, Any]
 
@@ -93,43 +97,72 @@ class Substance:
 class Term:
     """A substance on a grid.
 
+    Parameters
+    ----------
+    name, substance, layout
+        See :class:`multicell.FieldEquation`.
+    grid
+        Returns py-pde's grid; it is called where py-pde's own Laplacian or conditions are wanted.
+    position : (n, 3), µm
+        Of the cells.
+    threads
+        How many may share the loops over many nodes; it changes no result.
+
     Attributes
     ----------
     sink : mM/s
         Largest uptake per volume at each node; nodes as solvers have them, with three axes in a
         box and one on shells.
-    base : mM/s
-        What nodes gain by secretion, supply, over the sides and by perfusion, at a medium of 0 mM
-        where that changes.
-    per_level : 1/s or None
-        What they gain besides for each mM in a medium that changes.
+    secreted, supplied : mM/s
+        What cells add, and what stands still.
+    operator
+        Diffusion, with the sides of the concentration that was asked for last.
     """
 
     def __init__(
-        self, name: str, substance: Substance, layout: Layout, grid: Any, position: FloatArray
+        self,
+        name: str,
+        substance: Substance,
+        layout: Layout,
+        grid: Callable[[], GridBase],
+        position: FloatArray,
+        threads: int = 1,
     ) -> None:
-        self.name, self.substance, self.layout, self.grid = name, substance, layout, grid
+        self.name, self.substance, self.layout = name, substance, layout
+        self._grid, self._threads = grid, threads
         self.schedule = substance.schedule
         self.linear = substance.decay + substance.perfusion
-        self.shape = layout.filled(0.0).shape
-        constant = self.schedule.constant
-        self._reference = self.schedule.at(0.0) if constant else 0.0
-        self.operator = self.operator_at(self._reference)
-        self.faces = brought(self.operator)
-        self.per_level: FloatArray | None = None
-        if not constant:
-            per_level = brought(self.operator_at(1.0)) - self.faces + substance.perfusion
-            self.per_level = np.ascontiguousarray(per_level)
+        self.shape = layout.shape
+        self._reference = self.schedule.at(0.0) if self.schedule.constant else 0.0
+        self._plain = numbers_only(self.conditions_at(self._reference))
+        self._level = self._reference
+        self._laplace: tuple[float, Callable[[FloatArray], FloatArray]] | None = None
+        self.operator = self._operator(self._reference)
         self.supplied = self._supplied()
-        self.brought = self.supplied + substance.perfusion * self._reference
+        self.place(layout, position, substance.capacity, substance.production)
+        if not self._plain:
+            self._refuse_other_conditions()
+
+    def place(
+        self, layout: Layout, position: FloatArray, capacity: FloatArray | None,
+        production: FloatArray | None,
+    ) -> None:  # fmt: skip
+        """Take cells elsewhere, with other largest uptake and secretion (n,) in amol/s."""
+        if layout is not self.layout:
+            self.layout, self._laplace = layout, None
         none = np.zeros(len(position))
-        self.sink = self.spread(
-            position, none if substance.capacity is None else substance.capacity
-        )
-        given = substance.production
-        self.secreted = self.spread(position, none if given is None else given)
-        self.base = np.ascontiguousarray(self.faces + self.secreted + self.brought)
-        self._refuse_other_conditions()
+        self.sink = self.spread(position, none if capacity is None else capacity)
+        self.secreted = self.layout.filled(0.0)
+        if production is not None:
+            self.secreted = self.spread(position, production)
+        self._base: FloatArray | None = None
+
+    def follow(self, level: float) -> None:
+        """Take another concentration of a medium that does not change by itself, mM."""
+        self.schedule = Schedule.steady(level)
+        self._base = None
+        self._reference = level
+        self.__dict__.pop("faces", None)
 
     def conditions_at(self, level: float) -> Conditions:
         """Return the conditions at a concentration of the medium in mM, for every side."""
@@ -140,9 +173,9 @@ class Term:
         """Return what nodes gain from what stands still, mM/s."""
         supply = self.substance.supply
         if supply is None:
-            return np.zeros(self.shape)
+            return self.layout.filled(0.0)
         if np.size(supply) != np.prod(self.shape):
-            problem = f"has the shape {np.shape(supply)}, the grid has {self.grid.shape}"
+            problem = f"has the shape {np.shape(supply)}, the grid has {self.shape}"
             raise SceneError(f"substances.{self.name}.supply", problem)
         return np.asarray(supply, dtype=float).reshape(self.shape)
 
@@ -150,8 +183,8 @@ class Term:
         """Refuse conditions that the solvers' kernels would take for others."""
         rng = np.random.default_rng(0)
         c = 1.0 + rng.random(self.shape)
-        ours, _ = self.rate(c, 0.0, self.sink)
-        theirs = self.reference_rate(c, 0.0, self.sink, self.secreted)
+        ours, _ = self.rate(c, 0.0)
+        theirs = self.reference_rate(c, 0.0)
         if not np.abs(ours - theirs).max() <= _ROUNDING * np.abs(theirs).max():
             raise SceneError(
                 f"substances.{self.name}.conditions",
@@ -169,64 +202,140 @@ class Term:
         except ValueError as trouble:
             raise SceneError("position", str(trouble), "Lay the grid round all cells.") from None
 
-    def operator_at(self, level: float) -> Diffusion | Shells:
-        """Return diffusion with the conditions at a concentration of the medium in mM."""
+    def at(self, level: float) -> AnyOperator:
+        """Return the operator with the sides at a concentration of the medium in mM."""
+        if level != self._level:
+            if callable(self.substance.conditions):
+                self.operator.set_boundary(self.conditions_at(level))
+            self._level = level
+        return self.operator
+
+    def _operator(self, level: float) -> AnyOperator:
+        """Return a new operator with the sides at a concentration of the medium in mM."""
         p, layout = self.substance, self.layout
         conditions = self.conditions_at(level)
         varied = None if p.varied is None else np.asarray(p.varied).reshape(self.shape)
-        if isinstance(layout, BoxLayout):
-            return Diffusion(
-                self.grid, p.diffusion, conditions, height=layout.box.height, varied=varied
-            )
-        count = self.shape[0]
-        return Shells(layout.spacing * count, count, p.diffusion, conditions, varied=varied)
+        if not isinstance(layout, BoxLayout):
+            count = self.shape[0]
+            return Shells(layout.spacing * count, count, p.diffusion, conditions, varied=varied)
+        height = layout.box.height
+        grid: Any = layout.box if self._plain else self._grid()
+        found = Diffusion(grid, p.diffusion, conditions, height=height, varied=varied)
+        found.threads = self._threads
+        return found
+
+    @cached_property
+    def faces(self) -> FloatArray:
+        """What nodes gain over the sides, mM/s, at a medium of 0 mM where that changes."""
+        return brought(self._operator(self._reference))
+
+    @cached_property
+    def per_level(self) -> FloatArray | None:
+        """What nodes gain for each mM in a medium that changes, 1/s; None where it does not."""
+        if self.schedule.constant:
+            return None
+        found = brought(self._operator(1.0)) - self.faces + self.substance.perfusion
+        return np.ascontiguousarray(found)
+
+    @property
+    def base(self) -> FloatArray:
+        """What nodes gain in all, mM/s, at a medium of 0 mM where that changes."""
+        if self._base is None:
+            self._base = np.ascontiguousarray(self.faces + self.supply(self._reference))
+        return self._base
+
+    def supply(self, level: float, secreted: FloatArray | None = None) -> FloatArray:
+        """Return what nodes gain but over the sides, mM/s.
+
+        ``secreted`` stands in place of what cells secrete.
+        """
+        secreted = self.secreted if secreted is None else secreted
+        return self.supplied + self.substance.perfusion * level + secreted
 
     def source(self, t: float, secreted: FloatArray | None = None) -> FloatArray:
         """Return what nodes gain at a time in s, mM/s; ``secreted`` in place of what cells do."""
-        base = self.base if secreted is None else self.faces + secreted + self.brought
+        base = self.base
+        if secreted is not None:
+            base = self.faces + self.supply(self._reference, secreted)
         return base if self.per_level is None else base + self.schedule.at(t) * self.per_level
 
     def rate(
-        self, c: FloatArray, t: float, sink: FloatArray, secreted: FloatArray | None = None
+        self,
+        c: FloatArray,
+        t: float,
+        sink: FloatArray | None = None,
+        secreted: FloatArray | None = None,
     ) -> tuple[FloatArray, FloatArray]:
         """Return dc/dt (mM/s) and what uptake and decay add to it for each mM less (1/s).
 
-        By the kernels of the solvers.
+        By the kernels of the solvers; ``sink`` and ``secreted`` in place of what cells do.
         """
         c = np.ascontiguousarray(c, dtype=float).reshape(self.shape)
         half, source = self.substance.half_saturation, self.source(t, secreted)
+        sink = self.sink if sink is None else sink
         return imbalance(self.operator, c, sink, source, half, self.linear)
 
     def reference_rate(
-        self, c: FloatArray, t: float, sink: FloatArray, secreted: FloatArray
+        self,
+        c: FloatArray,
+        t: float,
+        sink: FloatArray | None = None,
+        secreted: FloatArray | None = None,
     ) -> FloatArray:
         """Return dc/dt (mM/s) by py-pde's own Laplacian where it has one that fits."""
         c = np.ascontiguousarray(c, dtype=float).reshape(self.shape)
-        op = self.operator
-        spreads = op.divergence(c) if isinstance(op, Diffusion) else op.gain(c) / op.volumes
+        level, sink = self.schedule.at(t), self.sink if sink is None else sink
         taken, _ = uptake_and_slope(sink, c, self.substance.half_saturation)
-        gained = spreads + secreted + self.brought
-        if self.per_level is not None:
-            gained = gained + self.schedule.at(t) * self.per_level
+        gained = self._spread(c, level) + self.supply(level, secreted)
         return np.asarray(gained - taken - self.linear * c)
 
-    def steady(
-        self, c: FloatArray, t: float, sink: FloatArray, secreted: FloatArray
+    def _spread(self, c: FloatArray, level: float) -> FloatArray:
+        """Return what diffusion brings to nodes with the sides at a concentration, mM/s."""
+        op, grid = self.at(level), self._grid()
+        if isinstance(op, Shells):
+            return np.asarray(op.gain(c) / op.volumes)
+        if not self._plain or op.weights is not None:
+            return op.divergence(c)
+        if self._laplace is None or self._laplace[0] != level:
+            sides = dict(self.conditions_at(level))
+            self._laplace = level, grid.make_operator("laplace", bc=sides, backend="scipy")
+        spread = self.substance.diffusion * self._laplace[1](c.reshape(grid.shape))
+        return np.asarray(spread).reshape(self.shape)
+
+    def solve(
+        self,
+        start: FloatArray,
+        level: float,
+        *,
+        dt: float = np.inf,
+        before: FloatArray | None = None,
+        demand: tuple[FloatArray, FloatArray] | None = None,
     ) -> tuple[FloatArray, SolveReport]:
-        """Solve for the steady state at a time in s.
+        """Solve for the state a step of backward Euler later, or at rest after an infinite one.
+
+        Parameters
+        ----------
+        start : mM
+            First guess.
+        level : float, mM
+            Concentration of the medium at the end.
+        dt : float, s
+        before : mM
+            Where the step begins.
+        demand : mM/s
+            Largest uptake and secretion of the nodes, in place of those of the term's cells.
 
         Raises
         ------
         NutrientFailed
         """
-        level = self.schedule.at(t)
-        operator = self.operator if level == self._reference else self.operator_at(level)
-        return operator.solve(
-            sink,
-            self.substance.half_saturation,
-            np.ascontiguousarray(c, dtype=float).reshape(self.shape),
-            linear=self.linear,
-            supply=secreted + self.supplied + self.substance.perfusion * level,
+        sink, secreted = (self.sink, None) if demand is None else demand
+        supply, linear = self.supply(level, secreted), self.linear
+        if before is not None:
+            linear += 1.0 / dt
+            supply = before / dt + supply
+        return self.at(level).solve(
+            sink, self.substance.half_saturation, start, linear=linear, supply=supply
         )
 
     def inverse(self, r: FloatArray, shift: FloatArray) -> FloatArray:

@@ -13,6 +13,7 @@ from multicell.report.explain.reach import reach_notes, reach_numbers
 from multicell.scene import checks, scales
 from multicell.scene import domain as box
 from multicell.scene.coupling import fixed_step, usual_step
+from multicell.scene.nutrient import STEPPING
 from multicell.scene.reactions import group_of
 from multicell.scene.sizes import typical_radius
 
@@ -83,6 +84,8 @@ def _what(scene: Scene, name: str) -> str:
         from multicell.report.explain.tolerance import chosen_words
 
         parts = chosen_words(scene, name)
+    if nutrient.solver is not None:
+        parts.append(_solver_words(scene, name, nutrient))
     parts.append(_medium(nutrient))
     together = [other for other in group_of(name, scene.reactions) if other != name]
     if together:
@@ -98,6 +101,19 @@ def _what(scene: Scene, name: str) -> str:
     for other, share in (nutrient.secretion_from or {}).items():
         parts.append(f"{share:g} secreted for each {other} taken up")
     return "; ".join(parts)
+
+
+def _solver_words(scene: Scene, name: str, nutrient: Nutrient) -> str:
+    """Return which solver the scene asks for, and the limit of its steps."""
+    share = STEPPING.get(nutrient.solver or "")
+    if share is None:
+        return f"solved by {nutrient.solver}"
+    limit = share * nutrient.limit(scales.spacing(scene, name), scene.dimensions)
+    steps = math.ceil(usual_step(scene) / limit)
+    return (
+        f"solved by py-pde's {nutrient.solver} with steps of at most {limit:.2g} s, "
+        f"{steps:,} in a coupling step"
+    )
 
 
 def _regime_reason(scene: Scene, name: str) -> str:

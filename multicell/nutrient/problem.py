@@ -8,14 +8,12 @@ from typing import TYPE_CHECKING, Any, final
 
 from multicell.cells import Cells, FloatArray
 from multicell.errors import SceneError
+from multicell.nutrient.course import substance
 from multicell.nutrient.equations.equation import FieldEquation
 from multicell.nutrient.equations.schedule import Schedule
-from multicell.nutrient.equations.term import Substance
 from multicell.nutrient.fields import Feeding
-from multicell.nutrient.grid import Layout, restored, tissue_share
+from multicell.nutrient.grid import restored, tissue_share
 from multicell.nutrient.parameters import FieldParameters
-from multicell.nutrient.regions import coefficients
-from multicell.nutrient.sources import injected
 from multicell.scene.checks import solving_order
 
 if TYPE_CHECKING:
@@ -23,7 +21,6 @@ if TYPE_CHECKING:
     from pde.fields.scalar import ScalarField
 
     from multicell.results.frame import Frame
-    from multicell.scene.nutrient import Nutrient
     from multicell.scene.scene import Scene
 
 
@@ -88,7 +85,12 @@ def field_problem(
     layout, cells = restored(frame.fields[names[0]])[0], frame.cells
     position = layout.nearest(cells.position)  # strays exchange with the surface of the grid
     demands = _Demands(scene, frame, names)
-    substances = {name: _substance(scene, frame, name, layout, demands) for name in names}
+    substances = {}
+    for name in names:
+        parameters = FieldParameters.of(scene, name)
+        medium = _medium(parameters, frame, name)
+        demand = demands.of_frame(name)
+        substances[name] = substance(parameters, layout, position, cells.radius, demand, medium)
     equation = FieldEquation(
         together.grid, substances, position, layout=layout,
         coupling=demands if demands.coupled else None, reactions=known,
@@ -128,29 +130,10 @@ def _reactions(reactions: Mapping[str, Any], names: list[str]) -> dict[str, Any]
     return found
 
 
-def _substance(
-    scene: Scene, frame: Frame, name: str, layout: Layout, demands: _Demands
-) -> Substance:
-    """Return what a field of a scene is made of."""
-    parameters = FieldParameters.of(scene, name)
-    nutrient, cells = parameters.nutrient, demands.cells
-
-    def conditions(level: float) -> dict[str, Any]:
-        return layout.conditions(parameters.sides(0.0, level))
-
-    supply = injected(layout, nutrient.sources) if nutrient.sources else None
-    varied = coefficients(layout, layout.nearest(cells.position), cells.radius, nutrient)
-    capacity, production = demands.of_frame(name)
-    return Substance(
-        nutrient.diffusion, conditions, nutrient.half_saturation, nutrient.decay,
-        nutrient.perfusion, _medium(nutrient, frame, name), capacity, production, varied, supply,
-    )  # fmt: skip
-
-
-def _medium(nutrient: Nutrient, frame: Frame, name: str) -> Schedule:
+def _medium(parameters: FieldParameters, frame: Frame, name: str) -> Schedule:
     """Return the medium over time; a finite one is what the frame says, and stays so."""
-    if nutrient.finite_medium is None:
-        return Schedule.of(nutrient)
+    if parameters.nutrient.finite_medium is None:
+        return parameters.schedule
     account = None if frame.progress is None else frame.progress.ledger.get(name)
     if account is None or "level" not in account:
         raise SceneError("frame", f"does not say what the finite medium of {name} holds")

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from multicell.nutrient.group import FieldGroup
 from multicell.nutrient.reactions.kinetics import kinetics_of
-from multicell.nutrient.reactions.reacting import Reacting
 from multicell.scene.reaction_checks import check_own
 from multicell.scene.reactions import groups
 
@@ -31,12 +31,17 @@ def joined(
 
 
 def together(
-    fields: Mapping[str, NutrientField], reactions: Mapping[str, Any]
-) -> dict[str, Reacting]:
-    """Return for each field that takes part in reactions those that are solved for together."""
-    found: dict[str, Reacting] = {}
-    for names in groups(fields, reactions):
-        own = {n: r for n, r in reactions.items() if r.fields[0] in names}
-        group = Reacting({name: fields[name] for name in names}, kinetics_of(names, own))
-        found |= dict.fromkeys(names, group)
+    fields: Mapping[str, NutrientField], order: list[str], reactions: Mapping[str, Any]
+) -> list[FieldGroup]:
+    """Return the fields in the groups that are solved for together, in an order of the fields."""
+    joined = groups(fields, reactions)
+    found = []
+    for name in order:
+        names = next((group for group in joined if name in group), None)
+        if names is None:
+            found.append(fields[name].group)
+        elif name == names[0]:
+            own = {n: r for n, r in reactions.items() if r.fields[0] in names}
+            members = {member: fields[member] for member in names}
+            found.append(FieldGroup(members, kinetics_of(names, own)))
     return found

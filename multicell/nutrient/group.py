@@ -1,0 +1,194 @@
+"""Fields that share a grid, brought forward together: one that stands alone, or those that react.
+
+The fields are the state of one equation of py-pde's
+(:class:`multicell.nutrient.equations.equation.FieldEquation`), made anew when the grid changes its
+shape, and a solver out of py-pde's registry brings it forward. The account of a step is made of
+the same values as the step, so that what one field loses to a reaction the others gain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, final
+
+import numpy as np
+
+from multicell.cells import FloatArray
+from multicell.nutrient import finite, foreign
+from multicell.nutrient.balance import FADED, FieldReport
+from multicell.nutrient.course import Course, Demand, substance
+from multicell.nutrient.equations.equation import FieldEquation
+from multicell.nutrient.grid import BoxLayout, Layout, tissue_share
+
+if TYPE_CHECKING:
+    from multicell.nutrient.field import NutrientField
+    from multicell.nutrient.parameters import FieldParameters
+    from multicell.nutrient.reactions.kinetics import Kinetics
+    from multicell.nutrient.steady import SolveReport
+    from multicell.nutrient.transient import TransientReport
+    from multicell.scene.nutrient import Nutrient
+
+
+@final
+class FieldGroup:
+    """Fields on one grid, and the reactions between them.
+
+    Parameters
+    ----------
+    fields
+        By name, all with the same grid.
+    kinetics
+        Reactions between them, in the same order; None where there are none.
+
+    Attributes
+    ----------
+    info
+        What py-pde's solver said of its last solve; see ``pde.SolverBase``.
+    """
+
+    def __init__(
+        self, fields: Mapping[str, NutrientField], kinetics: Kinetics | None = None
+    ) -> None:
+        self.fields, self.kinetics = dict(fields), kinetics
+        self.names = list(fields)
+        self.first = next(iter(self.fields.values()))
+        self._equation: FieldEquation | None = None
+        self._made_for: tuple[FieldParameters, ...] = ()
+        self._may_stay = False
+        self.info: dict[str, Any] = {}
+
+    def solve(
+        self, position: FloatArray, demand: Demand, *, radius: FloatArray | None, time: float
+    ) -> dict[str, FieldReport]:
+        """Bring the fields to rest with the cells' uptake and secretion.
+
+        Raises
+        ------
+        NutrientFailed
+            If there is no state of rest, or it is not found; the fields then are the last ones.
+        ValueError
+            If shapes do not match or a capacity is negative or not finite.
+        """
+        course = Course(self, position, demand, radius, time, carry=False)
+        self.info = course.run("multicell-steady", time, time).info
+        course.finish(time)
+        reports = self.info["reports"]
+        return {name: course.report(name, reports[name], time) for name in self.names}
+
+    def advance(
+        self,
+        position: FloatArray,
+        demand: Demand,
+        *,
+        radius: FloatArray | None,
+        begin: float,
+        end: float,
+    ) -> dict[str, TransientReport]:
+        """Bring transient fields from ``begin`` to ``end`` (s).
+
+        The grid is laid round the cells first. What it encloses then and did not before is the
+        medium of the moment, counted as ``relaid``.
+
+        Raises
+        ------
+        NutrientFailed
+            If a field grows without bound, which is named with its growth rate, or the march
+            cannot go on; the fields then are the last ones.
+        ValueError
+            As for :meth:`solve`.
+        """
+        if any(field.well_mixed is not None for field in self.fields.values()):
+            return finite.advance(self, position, demand, radius, begin, end)
+        before = [field.stored() for field in self.fields.values()]
+        course = Course(self, position, demand, radius, begin, carry=True)
+        relaid = course.masses() - np.array(before)
+        nutrients = [field.parameters.nutrient for field in self.fields.values()]
+        if nutrients[0].solver in (None, "multicell-march"):
+            self.info = course.run(
+                "multicell-march", begin, end,
+                tolerance=min(n.time_tolerance for n in nutrients),
+                scales=np.array([FADED * n.highest for n in nutrients]),
+            ).info  # fmt: skip
+        else:
+            self.info = foreign.advance(course.equation, course.state, nutrients, begin, end)
+        course.finish(end)
+        return {
+            name: course.account(name, self.info, row, end - begin, float(relaid[i]))
+            for i, (name, row) in enumerate(zip(self.names, self.info["amounts"], strict=True))
+        }
+
+    def leap(
+        self,
+        position: FloatArray,
+        demand: Demand,
+        *,
+        radius: FloatArray | None,
+        begin: float,
+        end: float,
+    ) -> dict[str, SolveReport]:
+        """Take one step of backward Euler from ``begin`` to ``end`` (s), whatever its error.
+
+        Finite media stay as they are.
+
+        Raises
+        ------
+        NutrientFailed, ValueError
+            As for :meth:`solve`; the fields then still are the last ones.
+        """
+        course = Course(self, position, demand, radius, end, carry=True)
+        data = np.array(course.state.data, dtype=float)
+        found, reports = course.equation.solution(data, end, end - begin, data)
+        course.state.data[...] = found.reshape(data.shape)
+        course.finish(end)
+        return reports
+
+    def fill(self, position: FloatArray, *, radius: FloatArray | None, time: float) -> None:
+        """Begin with the media's concentrations everywhere."""
+        nothing = np.zeros(len(position)), None
+        course = Course(
+            self, position, dict.fromkeys(self.names, nothing), radius, time, carry=False
+        )
+        levels = [field.level(time) for field in self.fields.values()]
+        course.state.data[...] = course.equation.state(
+            dict(zip(self.names, levels, strict=True))
+        ).data
+        course.finish(time)
+
+    def equation(
+        self, layout: Layout, kept: bool, position: FloatArray, radius: FloatArray, demand: Demand,
+    ) -> FieldEquation:  # fmt: skip
+        """Return the equation on a layout with cells there; the last one if it still holds.
+
+        A box that has only moved with the tissue leaves all but its place as it was.
+        """
+        fields = self.fields.values()
+        tissue = self.kinetics is not None and self.kinetics.needs_tissue
+        last, made_for = self._equation, tuple(f.parameters for f in fields)
+        holds = last is not None and self._may_stay and self._made_for == made_for
+        if last is not None and holds and not tissue and (kept or _moved(last.layout, layout)):
+            for f in fields:
+                if f.well_mixed is not None:
+                    last.terms[f.name].follow(f.well_mixed.concentration)
+            last.place(layout, position, demand)
+            return last
+        substances = {
+            f.name: substance(f.parameters, layout, position, radius, demand[f.name], f.schedule)
+            for f in fields
+        }
+        self._made_for = made_for
+        self._may_stay = not any(_stands_still(f.parameters.nutrient) for f in fields)
+        self._equation = FieldEquation(
+            None, substances, position, layout=layout, reactions=self.kinetics,
+            tissue=tissue_share(layout, position, radius) if tissue else None,
+            threads=self.first.threads,
+        )  # fmt: skip
+        return self._equation
+
+
+def _moved(old: Layout, new: Layout) -> bool:
+    return isinstance(new, BoxLayout) and new.moved_from(old)
+
+
+def _stands_still(nutrient: Nutrient) -> bool:
+    """Return whether what a field is made of depends on where its grid and cells are."""
+    return bool(nutrient.sources or nutrient.regions or nutrient.diffusion_medium is not None)
