@@ -116,6 +116,7 @@ def two_cells(scene: Scene) -> tuple[Mechanics, FloatArray]:
     """Return the mechanics of two cells that touch, in a coupling step, and their positions."""
     from multicell.biology.initial import initial_cells
     from multicell.biology.motion import motion_of
+    from multicell.biology.plan import biology_plan
     from multicell.scene import start
     from multicell.scene.checks import followed
     from multicell.scene.coupling import longest_step
@@ -125,7 +126,7 @@ def two_cells(scene: Scene) -> tuple[Mechanics, FloatArray]:
     cells.position[:, 0] += 1.9 * cells.radius * np.array([-0.5, 0.5])
     system = start.mechanics(scene, 1)
     motion = motion_of(
-        scene, cells, cells.radius, 0.0, longest_step(scene), concentrations={},
+        biology_plan(scene), cells, cells.radius, 0.0, longest_step(scene), concentrations={},
         gradients=dict.fromkeys(followed(scene), np.zeros((2, 3))),
         contacts=np.empty((0, 2), dtype=np.int64),
     )  # fmt: skip

@@ -18,11 +18,11 @@ from multicell.cells import FloatArray
 from multicell.nutrient.cartesian import Box, round_enough
 from multicell.nutrient.choosing.estimate import on_grid
 from multicell.nutrient.equations.equation import FieldEquation
-from multicell.nutrient.equations.problem import field_problem
 from multicell.nutrient.equations.schedule import Schedule
 from multicell.nutrient.field import NutrientField
 from multicell.nutrient.grid import BoxLayout, Layout, ShellLayout
 from multicell.nutrient.parameters import FieldParameters
+from multicell.nutrient.problem import field_problem
 from multicell.nutrient.steady import SolveReport
 from multicell.nutrient.transient import Amounts, March, march
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from multicell.biology.durations import malthusian_rate
 from multicell.biology.growth import growth_factor
+from multicell.biology.plan import biology_plan
 from multicell.biology.states import beyond
 from multicell.cells import SPHERE, FloatArray
 from multicell.scene.checks import solving_order
@@ -95,6 +96,7 @@ class _Tissue:
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
+        self._plan = biology_plan(scene)
         self._dimensions = scene.dimensions
         self._living = float(scene.initial.count)
         self._dead: list[tuple[float, float]] = []
@@ -161,8 +163,8 @@ class _Tissue:
         levels = {name: np.full(SHELLS, n.medium(begin)) for name, n in scene.nutrients.items()}
         for name, field in self._fields.items():
             levels[name] = field.solve(shells, begin, end, self._cell_volume, levels)
-        growth = growth_factor(scene, levels, np.zeros(SHELLS))
-        starved = beyond(scene, levels, SHELLS)
+        growth = growth_factor(self._plan, levels, np.zeros(SHELLS))
+        starved = beyond(self._plan, levels, SHELLS)
         for name, field in self._fields.items():
             growth *= _active(field.nutrient, levels[name])
         if scene.energy is not None and scene.energy.quiescence is not None:
