@@ -68,6 +68,13 @@ def advance(
     )  # fmt: skip
     left = np.where((cells.state == State.PROLIFERATING) & (cells.phase != Phase.G0), dt, 0.0)
     grows = plan.grows
+    first = plan.order[0]
+    if not grows[first]:
+        # newborn cells may have spent more of the step than their first phase lasts
+        newborn_ones = (left > 0.0) & (now.phase == first)
+        surplus = np.where(newborn_ones, np.maximum(now.progress - now.phase_length, 0.0), 0.0)
+        left += surplus
+        now.progress[:] -= surplus
     # a clock that stands still never comes to the end of its phase
     active = np.flatnonzero(left > 0.0)
     while active.size:
@@ -198,7 +205,8 @@ def parting(plan: BiologyPlan, cells: Cells, dt: float) -> tuple[IntArray, Float
     overlap = r[first] + r[second] - (r[first] + r[second]) * (1.0 / HALF - 1.0)
     whole = np.maximum(overlap - _at_rest(plan, cells, first, second), 0.0)
     length = cells.phase_length[first]
-    share = 1.0 - cells.progress[first] / length
+    # in a step longer than M sisters are born with more progress than M is long
+    share = np.maximum(1.0 - cells.progress[first] / length, 0.0)
     living = cells.state[first] == State.PROLIFERATING
     after = np.maximum(share - np.where(living, dt / length, 0.0), 0.0)
     rate = whole * (after - share) / dt if dt > 0.0 else np.zeros_like(whole)

@@ -397,6 +397,8 @@ class _Linear:
             curvature = stencil.apply_operator(
                 p.reshape(shape), rate, op.stiffness, op.ghost, op.weights, q.reshape(shape)
             )
+            if not curvature > 0.0:  # single precision has no smaller numbers
+                break
             left = stencil.advance(rho / curvature, x, p, r, q, scale, u.ravel())
             self.cg += 1
             if not left > goal**2:

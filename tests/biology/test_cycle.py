@@ -73,6 +73,30 @@ def test_a_fixed_cycle_doubles_volume_and_number_whatever_the_step(dt):
     np.testing.assert_allclose(cells.volume, birth * (1 + 13 / 14), rtol=1e-9)
 
 
+@pytest.mark.parametrize("dt", [60.0, 600.0, 4 * HOUR])
+def test_a_first_phase_shorter_than_a_step_loses_no_time(dt):
+    """A smooth division begins with M, of 3 min here: the rest of the step belongs to G1."""
+    phases = {"G1": {"duration": "8 h"}, "S": {"duration": "4 h"}, "G2": {"duration": "2 h"},
+              "M": {"duration": "3 min", "grows": False}}  # fmt: skip
+    described = scene(**{"growth.phases": phases, **SMOOTH})
+    cells, _ = lived(described, cells_of(described, 3), 20, dt)
+    assert len(cells) == 6
+    # M and one cycle of 14 h 3 min, and then M and 5 h 54 min of G1
+    assert (cells.phase == Phase.G1).all()
+    np.testing.assert_allclose(cells.progress, 5.9 * HOUR, rtol=1e-9)
+    birth = birth_volume(described)
+    np.testing.assert_allclose(cells.volume, birth * (1 + 5.9 / 14), rtol=1e-9)
+    assert parting(biology_plan(described), cells, dt)[0].size == 0
+
+
+def test_sisters_with_more_progress_than_m_is_long_have_parted():
+    described = scene(**{"growth.phases": FIXED, **SMOOTH})
+    cells = cells_of(described, 2)
+    cells.parent[:] = 7
+    cells.phase[:], cells.phase_length[:], cells.progress[:] = Phase.M, 180.0, 1000.0
+    assert parting(biology_plan(described), cells, 60.0)[1] == pytest.approx(np.zeros((1, 2)))
+
+
 def test_free_growth_is_exponential_with_rate_ln2_over_the_cycle():
     """An asynchronous population doubles in each cycle, for fixed durations exactly in the mean."""
     described = scene()

@@ -1,5 +1,7 @@
 """The steady solver against exact solutions, py-pde's operator and SciPy's sparse solver."""
 
+from contextlib import suppress
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -223,6 +225,19 @@ def test_converges_without_negative_values_from_any_guess(factor, half, guess):
     assert report.inflow == pytest.approx(report.uptake, rel=1e-9)
     imbalance = operator.divergence(c) - sink * c / (half + c)
     assert np.abs(imbalance).sum() * operator.spacing**3 <= 2e-9 * report.uptake
+
+
+@pytest.mark.parametrize("nodes", [2, 4, 8])
+@pytest.mark.parametrize("medium", [1e-12, 1e-3])
+@pytest.mark.parametrize("uptake", [1e6, 1e14, 1e18, 1e22])
+def test_fields_too_small_for_single_precision_are_solved_or_refused_by_name(nodes, medium, uptake):
+    """Diffusion of 1e-6 µm²/s against uptake (mM/s) that leaves next to nothing."""
+    operator = Diffusion(cube(nodes), 1e-6, medium)
+    sink = np.full(operator.shape, uptake)
+    with suppress(NutrientFailed):
+        c, _ = solve_steady(operator, sink, 0.004, np.full(operator.shape, medium))
+        assert c.min() >= 0.0
+        assert c.max() <= medium
 
 
 def test_inflow_is_the_sum_of_the_face_fluxes():

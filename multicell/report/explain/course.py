@@ -151,7 +151,7 @@ class _Tissue:
         growth, starved = self._supplied(shells, begin, end)
         growth *= self._pressed(shells, growth)
         self._grow(float((share * growth).sum()), dt)
-        self._die(float(share[starved].sum()), begin, dt)
+        self._die(min(float(share[starved].sum()), 1.0), begin, dt)  # rounding may exceed 1
         self._clear(end)
 
     def _supplied(
