@@ -1,4 +1,4 @@
-"""The page of a study: maps, courses, sections, and a table of all runs."""
+"""The page of a study: maps, curves over time, and a table of all runs."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def write_report(
         place.mkdir(parents=True, exist_ok=True)
     told = key_observables(table) if shown is None else list(shown)
     title = f"{scene.title or 'Untitled scene'}: study"
-    drawings = _drawings(table, title, runs, states, place, told)
+    drawings = _drawings(table, title, told)
     pictures = {place / f"{name}.png": (draw, caption) for name, draw, caption in drawings}
     return write_page(
         place / "report.html",
@@ -124,12 +124,9 @@ def key_observables(table: xr.Dataset) -> list[str]:
 Drawing = tuple[str, "Callable[[], Figure]", str]
 
 
-def _drawings(
-    table: xr.Dataset, title: str, runs: Sequence[Run], states: Sequence[RunStatus],
-    folder: Path, told: Sequence[str],
-) -> Iterator[Drawing]:  # fmt: skip
+def _drawings(table: xr.Dataset, title: str, told: Sequence[str]) -> Iterator[Drawing]:
     """Yield name, drawing function and caption of each picture."""
-    plots = StudyPlots(table, title, runs, states, folder)
+    plots = StudyPlots(table, title)
     names = axes_of(table)
     mapped = not is_sampled(table) and len(names) > 1
     several = table.sizes[SEED] > 1
@@ -146,12 +143,6 @@ def _drawings(
     for name in courses[:_COURSES]:
         caption = f"One panel for each axis, {bands}."
         yield f"curves-{name}", lambda name=name: plots.curves(name), caption  # type: ignore[misc]
-    if any(state.state != "waiting" for state in states):
-        yield (
-            "sections",
-            plots.sections,
-            "Cells that a plane through their centre cuts in each run.",
-        )
 
 
 def _subtitle(table: xr.Dataset) -> str:

@@ -172,9 +172,7 @@ class Study:
         """Pictures of the study, such as ``plot.heatmap("viable_rim")``."""
         from multicell.studies.plots import StudyPlots
 
-        states = self.status()
-        title = self.plan.scene.title or "Study"
-        return StudyPlots(self._table(states), title, self.runs, states, self.folder)
+        return StudyPlots(self.to_xarray(), self.plan.scene.title or "Study")
 
 
 def study(
