@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Final, final
 
 import numpy as np
@@ -47,15 +47,12 @@ class Process:
         Scikit-learn's ``GaussianProcessRegressor`` of the scaled values.
     centre, width : (m,)
         Origin and scale of the values.
-    exact
-        Whether the processes count as without error.
     """
 
     columns: NDArray[np.int64]
     fitted: Any
     centre: Array
     width: Array
-    exact: bool = False
 
     def predict(self, shares: Array) -> tuple[Array, Array]:
         """Return means and variances of the smooth part for parameters (k, d): (k, m) each."""
@@ -65,7 +62,6 @@ class Process:
         near = smooth(shares - 0.5, self.fitted.X_train_)
         held = solve_triangular(self.fitted.L_, near.T, lower=True, check_finite=False)
         variance = np.maximum(smooth.diag(shares - 0.5) - (held**2).sum(axis=0), 0.0)
-        variance = np.zeros_like(variance) if self.exact else variance
         means = self.centre + self.width * (near @ self.fitted.alpha_)
         return means, variance[:, None] * self.width**2
 
@@ -106,11 +102,6 @@ class Emulator:
     def means(self, shares: Array) -> Array:
         """Return (mean - datum) / σ for parameters (k, d): (k, n)."""
         return self.predict(shares)[0]
-
-    def without_error(self) -> Emulator:
-        """Return an emulator of the same means that is taken to be exact."""
-        exact = tuple(replace(process, exact=True) for process in self.processes)
-        return replace(self, processes=exact)
 
     def loss(self, shares: Array) -> Array:
         """Return -2 ln L for parameters (k, d), as if all data scattered independently: (k,)."""

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.calibration.data import ASSUMED, MAX_BYTES, read_data
-from multicell.calibration.fit_folder import Elapsed
 from multicell.calibration.fitted import Fit
 from multicell.calibration.fresh import CHECKS, DEFAULT_REPEATS, MAX_REPEATS
 from multicell.calibration.likelihood import MIN_REPEATS
@@ -31,13 +30,11 @@ if TYPE_CHECKING:
     from multicell.calibration.simulator import Simulator
     from multicell.scene.scene import Scene
 
-METHODS: Final = ("best", "posterior", "both")
+METHODS: Final = ("best", "posterior")
 _LEAST: Final = 10
 """Sets of parameters that a search must be able to try."""
-_SHARE: Final = 1.0 / 3.0
-"""Part of a budget that the search takes where both are wanted."""
 _SEARCHED: Final = 0.8
-"""Part of a budget of time that the search takes alone; the rest is for fresh runs."""
+"""Part of a budget of time that the search takes; the rest is for fresh runs."""
 
 Progress = Callable[[str, int, int], None]
 """Called with the stage, how much of it is done and how much is wanted."""
@@ -79,7 +76,7 @@ def fit(
         and a larger budget adds to what is there.
     method
         ``"best"``: a best point in few runs, with intervals by an emulator fitted to them;
-        ``"posterior"``: the posterior, sampled with runs; ``"both"``.
+        ``"posterior"``: the posterior, sampled with runs.
     seeds
         Runs with different random numbers of each set of parameters in the search. Those of the
         posterior take one run each, with random numbers of its own.
@@ -237,9 +234,9 @@ def _spend(
     problem: Problem, method: str, budget: int | str | None, population: int, fresh: int
 ) -> tuple[int, int, float]:
     """Return sets of parameters of the search, draws of the posterior, and s."""
-    usual = 20 + 15 * len(problem.ranges)
-    points = usual if method != "posterior" else 0
-    draws = 50 * population if method != "best" else 0
+    searched = method == "best"
+    points = 20 + 15 * len(problem.ranges) if searched else 0
+    draws = 0 if searched else 50 * population
     if budget is None:
         return points, draws, math.inf
     if isinstance(budget, str):
@@ -249,24 +246,21 @@ def _spend(
         return 10 * points, 100 * draws, seconds
     whole("budget", budget, 1, MAX_RUNS, "It is the number of runs in all.")
     conditions, each = len(problem.measured.conditions), len(problem.tasks())
-    asked, budget = budget, max(0, budget - fresh * conditions)
-    if method == "both":
-        points = min(usual, int(budget * _SHARE) // each)
-    elif method == "best":
-        points = budget // each
-    draws = (budget - points * each) // conditions if method != "best" else 0
-    least = 2 * population
-    if method != "posterior" and points < _LEAST:
-        of = "a third of " if method == "both" else ""
+    left = max(0, budget - fresh * conditions)
+    if not searched:
+        draws, least = left // conditions, 2 * population
+        if draws < least:
+            words = f"leaves {draws} draws for the posterior, which takes at least {least}"
+            raise SceneError("budget", words, "A smaller population takes fewer.")
+        return 0, draws, math.inf
+    points = left // each
+    if points < _LEAST:
         words = (
-            f"is {asked} runs: {of}what {fresh * conditions} fresh runs leave tries {points} sets "
+            f"is {budget} runs: what {fresh * conditions} fresh runs leave tries {points} sets "
             f"of parameters, {each} runs each"
         )
         raise SceneError("budget", words, f"It takes at least {_LEAST} sets.")
-    if method != "best" and draws < least:
-        words = f"leaves {draws} draws for the posterior, which takes at least {least}"
-        raise SceneError("budget", words, "A smaller population takes fewer.")
-    return points, draws, math.inf
+    return points, 0, math.inf
 
 
 def carry_out(
@@ -281,17 +275,10 @@ def carry_out(
     """Carry out a fit that was checked; parameters as of :func:`fit`."""
     needs("optuna", "pyabc", "distributed", "pandas", "sklearn", "sqlalchemy")
     with _place(plan, output, overwrite) as folder:
-        begin, elapsed = clock.monotonic(), Elapsed(folder)
-
-        def note(what: str, done: int, wanted: int) -> None:
-            elapsed.note()
-            if progress is not None:
-                progress(what, done, wanted)
-
-        try:
-            evaluations, draws, again = _make_runs(plan, folder, cores, scheduler, begin, note)
-        finally:
-            elapsed.note(now=True)
+        begin = clock.monotonic()
+        evaluations, draws, again = _make_runs(
+            plan, folder, cores, scheduler, begin, progress or _ignore
+        )
         facts = {
             "method": plan.method,
             "sd": plan.sd,
@@ -301,7 +288,7 @@ def carry_out(
             "generations": 0 if draws is None else draws.generations,
             "temperature": None if draws is None else draws.temperature,
             "fresh_runs": plan.repeats if again.checks is None else plan.repeats + CHECKS,
-            "seconds": elapsed.seconds,
+            "seconds": clock.monotonic() - begin,
         }
         found = Fit(plan.problem, plan.scene, evaluations, draws, folder, facts, again)
         if folder is not None:
@@ -310,6 +297,10 @@ def carry_out(
             write_result(found, folder)
             found.report()
         return found
+
+
+def _ignore(what: str, done: int, wanted: int) -> None:
+    """Take no note of progress."""
 
 
 def _make_runs(
@@ -325,9 +316,9 @@ def _make_runs(
     evaluations: list[Evaluation] = []
     draws: Draws | None = None
     with open_pool(cores, scheduler) as pool:
-        if plan.method != "posterior":
+        if plan.method == "best":
             evaluations = _search(plan, search, pool, begin, progress)
-        if plan.method != "best":
+        else:
             draws = _sample(plan, folder, pool, begin, progress)
 
         def tell(done: int, wanted: int) -> None:
@@ -354,12 +345,10 @@ def _place(plan: FitPlan, output: str | Path | None, overwrite: bool) -> Iterato
 def _search(
     plan: FitPlan, search: Search, pool: Pool, begin: float, progress: Progress
 ) -> list[Evaluation]:
-    share = _SHARE if plan.method == "both" else _SEARCHED
-
     def tell(done: int, wanted: int) -> None:
         progress("runs of the search", done, wanted)
 
-    return search.run(pool, plan.points, deadline=begin + share * plan.seconds, progress=tell)
+    return search.run(pool, plan.points, deadline=begin + _SEARCHED * plan.seconds, progress=tell)
 
 
 def _sample(

@@ -6,13 +6,11 @@ import csv
 import hashlib
 import io
 import json
-import math
 import sqlite3
-import time as clock
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Any, Final
 
 from multicell.calibration.problem import Problem
 from multicell.errors import OutputError
@@ -40,13 +38,10 @@ FIT: Final = "fit.json"
 SEARCH: Final = "search.log"
 """Optuna's storage."""
 _JOURNAL: Final = "posterior.journal"
-_ELAPSED: Final = "elapsed.json"
-_NOTED: Final = 5.0
-"""Time in s between two notes of how long a fit has taken, which is what a kill can lose of it."""
 FILES: Final = (
     FIT, "scene.toml", "data.csv", SEARCH, f"{SEARCH}.lock", "posterior.db", _JOURNAL,
     "result.json", "best.toml", "posterior.csv", "residuals.csv", "report.html", "data.png",
-    "parameters.png", _ELAPSED, *COPIES,
+    "parameters.png", *COPIES,
 )  # fmt: skip
 _PACKAGES: Final = ("optuna", "pyabc", "distributed", "pandas", "scikit-learn")
 
@@ -136,47 +131,6 @@ def work_done(folder: str | Path, problem: Mapping[str, Any]) -> tuple[int, int,
         draws = max(draws, sum(int(samples) for _, samples, _ in rows))
         finished = any(t >= 0 and temperature <= 1.0 for t, _, temperature in rows)
     return runs, draws, finished
-
-
-@final
-class Elapsed:
-    """Wall time that a fit has taken in all, also before it was stopped.
-
-    Parameters
-    ----------
-    folder
-        Of the fit; None counts from now on.
-
-    Raises
-    ------
-    OutputError
-        If the folder's note of it is damaged.
-    """
-
-    def __init__(self, folder: Path | None) -> None:
-        self._path = None if folder is None else folder / _ELAPSED
-        self._before = 0.0 if self._path is None else _seconds(self._path)
-        self._begin = self._noted = clock.monotonic()
-
-    @property
-    def seconds(self) -> float:
-        """Wall time in s."""
-        return self._before + clock.monotonic() - self._begin
-
-    def note(self, *, now: bool = False) -> None:
-        """Write it to the folder, if that was not done a moment ago or is wanted now."""
-        if self._path is None or not (now or clock.monotonic() - self._noted > _NOTED):
-            return
-        write_table(self._path, {"seconds": self.seconds})
-        self._noted = clock.monotonic()
-
-
-def _seconds(path: Path) -> float:
-    """Return the time in s that a file notes, 0 without one."""
-    found = (read_table(path) or {"seconds": 0.0}).get("seconds")
-    if not isinstance(found, int | float) or not 0.0 <= found < math.inf:
-        raise OutputError(f"'{path}' is damaged: remove it, and the time is counted from now on")
-    return float(found)
 
 
 def digest(problem: Mapping[str, Any]) -> str:

@@ -52,7 +52,7 @@ def write_report(fit: Fit, folder: str | Path | None = None) -> Path:
         undetermined=[str(entry) for entry in fit.undetermined],
         asked=fit.sample is not None,
         notes=fit.notes,
-        emulated=fit.kind == "emulated" and fit.fresh is not None,
+        emulated=fit.kind == "emulated",
         rows=_rows(fit),
     )
 
@@ -61,7 +61,6 @@ def _subtitle(fit: Fit) -> str:
     ways = {
         "best": "best point by Optuna and Gaussian processes",
         "posterior": "posterior by sequential Monte Carlo (pyABC)",
-        "both": "best point, and posterior by sequential Monte Carlo (pyABC)",
     }
     return f"{ways[fit.facts['method']]} · data: {fit.problem.measured.source}"
 

@@ -101,8 +101,7 @@ class Fit:
     facts
         How the fit was made: method, numbers of runs, seconds.
     fresh
-        What runs with fresh seeds have shown at the best point and at draws from the intervals;
-        None leaves both to the seeds of the search.
+        What runs with fresh seeds have shown at the best point and at draws from the intervals.
     """
 
     problem: Problem
@@ -111,38 +110,27 @@ class Fit:
     draws: Draws | None
     folder: Path | None
     facts: Mapping[str, Any]
-    fresh: Fresh | None = None
+    fresh: Fresh
 
     @cached_property
     def best(self) -> Best:
         """The best parameters, and what runs with other seeds than the search's show there."""
         problem = self.problem
-        if self.fresh is not None:
-            runs = self.fresh.runs
-            whole = np.isfinite(runs).any(axis=1)
-            again = runs[whole] if whole.any() else runs
-            there = misfit(problem.observed, problem.sigma, again, None, problem.tissues)
-            shares, means, residuals = self.fresh.shares, there.means, there.residuals
-        elif self.evaluations:
-            found = min(self.evaluations, key=lambda e: e.misfit.loss)
-            shares, means, residuals = found.shares, found.misfit.means, found.misfit.residuals
-        else:
-            assert self.draws is not None
-            row = int(np.argmin((self.draws.residuals**2).sum(axis=1)))
-            shares, residuals = self.draws.shares[row], self.draws.residuals[row]
-            means = problem.observed + residuals * problem.sigma
-        values = problem.values([float(x) for x in shares])
+        runs = self.fresh.runs
+        whole = np.isfinite(runs).any(axis=1)
+        again = runs[whole] if whole.any() else runs
+        there = misfit(problem.observed, problem.sigma, again, None, problem.tissues)
+        values = problem.values([float(x) for x in self.fresh.shares])
         units = {free.key: free.unit for free in problem.ranges}
         settings = {free.key: free.setting(values[free.key]) for free in problem.ranges}
-        chi_squared = float((residuals**2).sum())
         return Best(
             values=values,
             units=units,
             words={key: in_words(value, units[key]) for key, value in values.items()},
-            readings=unscale(problem.measured.data, means),
-            residuals=residuals,
-            chi_squared=chi_squared,
-            per_datum=chi_squared / len(residuals),
+            readings=unscale(problem.measured.data, there.means),
+            residuals=there.residuals,
+            chi_squared=there.chi_squared,
+            per_datum=there.per_datum,
             settings=settings,
             _fitted=self.scene,
         )
@@ -169,8 +157,8 @@ class Fit:
 
     @cached_property
     def _likelihood(self) -> Likelihood | Emulator | None:
-        """What the intervals of a search come from; without fresh runs its emulator alone."""
-        if self.fresh is not None and self.fresh.likelihood is not None:
+        """What the intervals of a search come from; where fresh runs failed its emulator alone."""
+        if self.fresh.likelihood is not None:
             return self.fresh.likelihood
         return emulator_of(self.problem, self.evaluations)
 
@@ -216,22 +204,8 @@ class Fit:
 
     @cached_property
     def undetermined(self) -> list[Undetermined]:
-        """What the data do not determine, and why; empty if they determine all."""
-        if self.sample is None:
-            return []
-        found = undetermined(self.problem.ranges, *self.sample)
-        if self.draws is not None or self.fresh is None or self.fresh.likelihood is None:
-            return found
-        if all(entry.kind != "open" for entry in found):
-            return found
-        parts = {}
-        for cause in ("error", "scatter"):
-            shares = self.fresh.of_no(self.problem, cause).draws()
-            even = np.full(len(shares), 1.0 / len(shares))
-            parts[cause] = {
-                name: one.part for name, one in intervals(self.problem.ranges, shares, even).items()
-            }
-        return [entry.because(parts) if entry.kind == "open" else entry for entry in found]
+        """What the data do not determine; empty if they determine all."""
+        return [] if self.sample is None else undetermined(self.problem.ranges, *self.sample)
 
     def predicted(self, levels: Sequence[float] = (0.025, 0.5, 0.975)) -> Array:
         """Return quantiles of what a tissue shows in place of each datum: (levels, n), base units.
@@ -256,12 +230,11 @@ class Fit:
     @property
     def _scatter(self) -> Array:
         """Standard deviation of one run, in σ of the data, (n,)."""
-        if self.fresh is not None and self.fresh.scatter is not None:
+        if self.fresh.scatter is not None:
             return np.asarray(np.sqrt(self.fresh.scatter.variance))
-        if not self.evaluations:
-            return np.full(len(self.problem.observed), np.nan)
         emulated = emulator_of(self.problem, self.evaluations)
-        assert emulated is not None
+        if emulated is None:
+            return np.full(len(self.problem.observed), np.nan)
         # that of tissues, without that of the mean of some runs
         more = 1.0 / self.problem.tissues + 1.0 / len(self.problem.seeds)
         return np.asarray(np.sqrt(emulated.scatter / more))
@@ -270,7 +243,7 @@ class Fit:
     def _emulator_errors(self) -> tuple[Array, Array]:
         """Errors of the emulator over the posterior, its own and by checks, in σ: (n,) each."""
         none = np.full(len(self.problem.observed), np.nan)
-        if self.fresh is None or self.fresh.likelihood is None or self.sample is None:
+        if self.fresh.likelihood is None or self.sample is None:
             return none, none
         assert self.fresh.checks is not None
         own = np.sqrt(self.fresh.likelihood.predict(self.sample[0])[1].mean(axis=0))
@@ -291,8 +264,7 @@ class Fit:
         """
         data, best = self.problem.measured, self.best
         rows = []
-        scatter = self._scatter if self.fresh is not None else np.full(len(data.data), np.nan)
-        own, checked = self._emulator_errors
+        scatter, (own, checked) = self._scatter, self._emulator_errors
         for k, datum in enumerate(data.data):
             rows.append(
                 {
@@ -348,7 +320,7 @@ class Fit:
             )
         if self.kind == "none":
             notes.append("Too few points were tried to tell intervals.")
-        if self.fresh is not None and self.fresh.reasons:
+        if self.fresh.reasons:
             count = len(self.fresh.reasons)
             notes.append(f"{count} fresh runs failed, for example: {self.fresh.reasons[0]}.")
         failed = [e for e in self.evaluations if e.reasons]
@@ -366,11 +338,10 @@ class Fit:
             "Intervals are those of Gaussian processes through the runs of the search: method "
             "'posterior' samples them with runs."
         ]
-        if self.fresh is None or self.fresh.likelihood is None or self.fresh.checks is None:
-            more = "" if self.fresh is None else ", since fresh runs at the best point failed"
+        if self.fresh.likelihood is None or self.fresh.checks is None:
             notes.append(
-                f"The scatter of runs is known from the seeds of the search alone{more}: intervals "
-                "are too narrow where runs scatter."
+                "The scatter of runs is known from the seeds of the search alone, since fresh runs "
+                "at the best point failed: intervals are too narrow where runs scatter."
             )
             return notes
         off = np.flatnonzero(self.fresh.checks.off)
@@ -429,7 +400,7 @@ class Fit:
             "chi_squared_per_datum": best.per_datum,
             "data": len(best.residuals),
             "undetermined": [
-                {"names": list(u.names), "kind": u.kind, "cause": u.cause, "words": u.words}
+                {"names": list(u.names), "kind": u.kind, "words": u.words}
                 for u in self.undetermined
             ],
             "residuals": self.rows(),

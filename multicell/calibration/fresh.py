@@ -85,22 +85,6 @@ class Fresh:
     likelihood: Likelihood | None
     checks: Checks | None
 
-    def of_no(self, problem: Problem, part: str) -> Likelihood:
-        """Return the likelihood as if there were no ``"error"`` of the emulator or ``"scatter"``.
-
-        Without its error an emulator is taken to be exact; without scatter runs are.
-        """
-        assert self.likelihood is not None
-        assert self.scatter is not None
-        scatter, processes = self.scatter, self.likelihood.emulator
-        if part == "scatter":
-            none = np.zeros_like(scatter.away)
-            scatter = Scatter(scatter.mean, np.zeros_like(scatter.variance), none)
-            return likelihood(
-                processes, problem.tissues, self.shares, scatter, self.likelihood.error
-            )
-        return likelihood(processes.without_error(), problem.tissues, self.shares, scatter)
-
 
 def fresh(
     problem: Problem,

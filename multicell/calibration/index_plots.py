@@ -1,4 +1,4 @@
-"""Indices of sensitivity with their intervals, and over time."""
+"""Pictures of indices of sensitivity with their intervals."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ from matplotlib.patches import Patch
 
 from multicell.calibration.indices import CLEAR, CLEAR_SINGLE
 from multicell.report.plots.colour_vision import PALE
-from multicell.report.plots.style import BLUE, QUIET, RED, SIZE, styled, type_colours
-from multicell.report.wording import time_unit
+from multicell.report.plots.style import BLUE, QUIET, RED, SIZE, styled
 from multicell.studies.pictures.layout import with_heading
 from multicell.studies.pictures.values import key_words, sentence, words
 
@@ -58,59 +57,17 @@ def indices(result: Sensitivity, observable: str) -> Figure:
     return figure
 
 
-@styled
-def course(result: Sensitivity, observable: str) -> Figure:
-    """Draw mu* of Morris, or ST and S1 of Sobol', over time with bands of 95 % intervals.
-
-    Raises
-    ------
-    ValueError
-        If the observable has no course.
-    """
-    rows = [row for row in result.courses if row["observable"] == observable]
-    if not rows:
-        raise ValueError(f"no index of {observable!r} over time is known")
-    shown = [row["parameter"] for row in result.ordered(observable)][:_MAX_LINES]
-    colours = type_colours(shown)
-    own_words = {row["parameter"]: _shown(row) for row in rows}
-    parts = [("mu_star", f"mean size of the effect μ*{_unit(rows)}")]
-    if result.method == "sobol":
-        parts = [("st", "ST: with interactions"), ("s1", "S1: alone")]
-    figure = with_heading(_title(result), _subtitle(result, observable, over="over time"), SIZE)
-    grid = figure.subplots(1, len(parts), squeeze=False, sharey=True)
-    unit = time_unit(max(row["time"] for row in rows))
-    for axes, (name, label) in zip(grid[0], parts, strict=True):
-        for parameter in shown:
-            own = [row for row in rows if row["parameter"] == parameter]
-            time = np.array([row["time"] for row in own]) / unit.seconds
-            value = np.array([row[name] for row in own])
-            half = np.array([row[f"{name}_conf"] for row in own])
-            axes.plot(time, value, "-" if len(time) > 1 else "o", color=colours[parameter], lw=2,
-                      label=own_words[parameter])  # fmt: skip
-            axes.fill_between(time, value - half, value + half, color=colours[parameter],
-                              alpha=0.15, lw=0)  # fmt: skip
-        axes.set_xlabel(f"time ({unit.name})")
-        axes.set_title(label, fontsize=11)
-        axes.axhline(0.0, color=QUIET, lw=0.8)
-    if result.method == "sobol":
-        low, top = grid[0, 0].get_ylim()
-        grid[0, 0].set_ylim(max(low, -0.25), min(top, _HIGHEST))
-    grid[0, -1].legend(loc="best", fontsize=10)
-    return figure
-
-
 def _title(result: Sensitivity) -> str:
     return f"{result.scene.title or 'Untitled scene'}: sensitivity"
 
 
-def _subtitle(result: Sensitivity, observable: str, over: str = "at the end of each run") -> str:
+def _subtitle(result: Sensitivity, observable: str) -> str:
     method = "Morris" if result.method == "morris" else "Sobol'"
     what = "trajectories" if result.method == "morris" else "base points"
     seeds = f"{len(result.seeds)} seeds" if len(result.seeds) > 1 else "one seed: noise unknown"
-    drawn = "bands" if over == "over time" else "bars"
     return (
-        f"{sentence(words(observable))} {over} · {method}, {result.size:,} {what}, {seeds} · "
-        f"{drawn}: 95 % intervals"
+        f"{sentence(words(observable))} at the end of each run · {method}, {result.size:,} {what}, "
+        f"{seeds} · bars: 95 % intervals"
     )
 
 

@@ -150,7 +150,6 @@ def sample(method: str, names: Sequence[str], size: int) -> FloatArray:
 
 def analyse(
     method: str, names: Sequence[str], shares: FloatArray, values: FloatArray,
-    resamples: int = RESAMPLES,
 ) -> Analysis:  # fmt: skip
     """Return the indices of one observable.
 
@@ -165,8 +164,6 @@ def analyse(
     values : (n, seeds)
         The observable; NaN where a run has none. A trajectory or base point is left out with the
         seeds that lack a value at one of its points.
-    resamples
-        Of the bootstrap of Sobol'.
     """
     wide = block(method, len(names))
     blocks = values.reshape(-1, wide, values.shape[1])
@@ -181,7 +178,7 @@ def analyse(
         return Analysis((_zero(method),) * len(names), used, True)
     found = _morris if method == "morris" else _sobol
     noise = _noise(method, shares[place], blocks[kept], whole[kept])
-    return Analysis(found(names, shares[place], mean, noise, resamples), used, False)
+    return Analysis(found(names, shares[place], mean, noise), used, False)
 
 
 def _problem(names: Sequence[str]) -> dict[str, Any]:
@@ -196,7 +193,7 @@ def _zero(method: str) -> Index:
 
 
 def _morris(
-    names: Sequence[str], shares: FloatArray, mean: FloatArray, noise: FloatArray, _: int
+    names: Sequence[str], shares: FloatArray, mean: FloatArray, noise: FloatArray
 ) -> tuple[Index, ...]:
     """Return SALib's indices of means, (trajectories, parameters + 1)."""
     from SALib.analyze import morris
@@ -223,7 +220,7 @@ def _morris(
 
 
 def _sobol(
-    names: Sequence[str], _: FloatArray, mean: FloatArray, noise: FloatArray, resamples: int
+    names: Sequence[str], _: FloatArray, mean: FloatArray, noise: FloatArray
 ) -> tuple[Index, ...]:
     """Return SALib's indices of means, (base points, parameters + 2)."""
     from SALib.analyze import sobol
@@ -232,7 +229,7 @@ def _sobol(
         # a resample of few points may be constant; its variance is left out by SALib
         warnings.filterwarnings("ignore", message="Constant values encountered")
         found = sobol.analyze(
-            _problem(names), mean.ravel(), calc_second_order=False, num_resamples=resamples,
+            _problem(names), mean.ravel(), calc_second_order=False, num_resamples=RESAMPLES,
             conf_level=_CONFIDENCE, seed=_SAMPLE,
         )  # fmt: skip
     variance = float(np.concatenate([mean[:, 0], mean[:, -1]]).var())

@@ -67,7 +67,6 @@ def posterior(
     population: int = 200,
     most: float = math.inf,
     deadline: float = math.inf,
-    together: int = 1,
     progress: Callable[[int, int, int, int], None] | None = None,
 ) -> Draws:
     """Sample the posterior of a problem, or continue with it.
@@ -88,8 +87,6 @@ def posterior(
         Number of draws after which no generation is begun or finished.
     deadline
         The same by time (as of ``time.monotonic``).
-    together
-        Draws that are one piece of work, for simulators that take no time.
     progress
         Called with generation, accepted, wanted and drawn.
 
@@ -105,7 +102,7 @@ def posterior(
         from multicell.calibration.reproducible_sampler import Model, ReproducibleSampler
 
         sampler = ReproducibleSampler(
-            pool, seed, most=most, deadline=deadline, together=together, progress=progress,
+            pool, seed, most=most, deadline=deadline, progress=progress,
             journal=None if folder is None else folder / "posterior.journal",
         )  # fmt: skip
         history = _sample(problem, Model(problem), sampler, population, folder)

@@ -13,7 +13,7 @@ import math
 import random
 import sys
 import time as clock
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from functools import lru_cache
 from pathlib import Path
@@ -45,8 +45,6 @@ class ReproducibleSampler(Sampler):  # type: ignore[misc]
         The same by time (as of ``time.monotonic``).
     journal
         File that keeps what the draws of the current generation came to; or None.
-    together
-        How many draws are one call.
     progress
         Called with generation, accepted, wanted and drawn.
     """
@@ -59,7 +57,6 @@ class ReproducibleSampler(Sampler):  # type: ignore[misc]
         most: float = math.inf,
         deadline: float = math.inf,
         journal: Path | None = None,
-        together: int = 1,
         progress: Callable[[int, int, int, int], None] | None = None,
     ) -> None:
         super().__init__()
@@ -69,7 +66,6 @@ class ReproducibleSampler(Sampler):  # type: ignore[misc]
         self._deadline = deadline
         self._journal = journal
         self._lines: Lines | None = None
-        self._together = together
         self._progress = progress
         self.drawn = 0
 
@@ -94,16 +90,15 @@ class ReproducibleSampler(Sampler):  # type: ignore[misc]
         ordered, most = _Ordered(), int(min(max_eval, self._most - self.drawn, sys.maxsize))
 
         def calls() -> Iterator[Call]:
-            for first in range(0, most, self._together):
+            for number in range(most):
                 if ordered.in_any_order >= n or clock.monotonic() > self._deadline:
                     return
-                numbers = range(first, min(first + self._together, most))
-                yield numbers, _draw, (work, self._seed, generation, numbers)
+                yield number, _draw, (work, self._seed, generation, number)
 
         with closing(self._pool.results(calls())) as results:
-            for numbers, particles in results:
-                self._write(generation, particles)
-                ordered.add(numbers, particles)
+            for number, particle in results:
+                self._write(generation, particle)
+                ordered.add(number, particle)
                 if self._progress is not None:
                     drawn = self.drawn + ordered.count
                     self._progress(generation, min(ordered.in_any_order, n), n, drawn)
@@ -137,17 +132,12 @@ class ReproducibleSampler(Sampler):  # type: ignore[misc]
             self._lines.replace(kept)
         return {e["key"]: e["z"] for e in kept if e["generation"] == generation}
 
-    def _write(self, generation: int, particles: list[Any]) -> None:
-        """Keep what some draws came to."""
+    def _write(self, generation: int, particle: Any) -> None:
+        """Keep the residuals of a draw."""
         if self._lines is not None:
-            self._lines.append(
-                {
-                    "generation": generation,
-                    "key": particle.sum_stat["key"],
-                    "z": list(map(float, particle.sum_stat["z"])),
-                }
-                for particle in particles
-            )
+            found = particle.sum_stat
+            entry = {"generation": generation, "key": found["key"]}
+            self._lines.append([{**entry, "z": list(map(float, found["z"]))}])
 
 
 @final
@@ -163,22 +153,15 @@ class _Ordered:
         self.accepted = self.in_any_order = self.count = 0
         self._early: dict[int, Any] = {}
 
-    def add(self, numbers: Iterable[int], particles: Iterable[Any]) -> None:
-        """Add some draws."""
-        for number, particle in zip(numbers, particles, strict=True):
-            self._early[number] = particle
-            self.in_any_order += particle.accepted
-            self.count += 1
+    def add(self, number: int, particle: Any) -> None:
+        """Add a draw."""
+        self._early[number] = particle
+        self.in_any_order += particle.accepted
+        self.count += 1
         while len(self.particles) in self._early:
             particle = self._early.pop(len(self.particles))
             self.particles.append(particle)
             self.accepted += particle.accepted
-
-
-def _draw(work: bytes, seed: int, generation: int, numbers: range) -> list[Any]:
-    """Draw some particles; done by a worker."""
-    simulate_one, known = _load(work)
-    return [_one(simulate_one, known, seed, generation, number) for number in numbers]
 
 
 @lru_cache(maxsize=1)
@@ -189,14 +172,9 @@ def _load(work: bytes) -> Any:
     return cloudpickle.loads(work)
 
 
-def _one(
-    simulate_one: Callable[[], Any],
-    known: Mapping[str, list[float]],
-    seed: int,
-    generation: int,
-    number: int,
-) -> Any:
-    """Draw one particle with the random numbers of its number."""
+def _draw(work: bytes, seed: int, generation: int, number: int) -> Any:
+    """Draw one particle with the random numbers of its number; done by a worker."""
+    simulate_one, known = _load(work)
     # pyABC draws from the global generators
     words = np.random.SeedSequence((seed, generation + 1, number)).generate_state(4)
     np.random.seed(words)  # noqa: NPY002

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
-import numpy as np
-
 from multicell.calibration.indices import (
     DEFAULT_SIZE,
     NOISE,
@@ -47,7 +45,6 @@ PLAN: Final = "sensitivity.toml"
 _USUAL: Final = ("cells", "diameter", "viable_rim", "necrotic_radius", "heterotypic_fraction",
                  "pull", "largest_pressure")  # fmt: skip
 _MAX_USUAL: Final = 4
-_COURSE_RESAMPLES: Final = 100
 
 
 def sensitivity(
@@ -246,7 +243,6 @@ def result_of(
         size=size,
         seeds=tuple(seeds),
         table=table,
-        courses=_courses(method, ranges, shares, seen),
         notes=_notes(method, size, seeds, found, seen, table),
         runs=list(runs),
         folder=folder,
@@ -350,23 +346,6 @@ def _row(method: str, observable: str, free: Range, index: Index) -> Row:
     }
     own = {name: getattr(index, name) for name in COLUMNS[method]}
     return {**about, **own, "noise": index.noise, "verdict": index.verdict}
-
-
-def _courses(
-    method: str, ranges: Sequence[Range], shares: np.ndarray[Any, Any], seen: Responses
-) -> list[Row]:
-    """Return the indices over time; times at which nothing can be told are left out."""
-    rows, names = [], [free.name for free in ranges]
-    for observable, values in seen.courses.items():
-        for place, time in enumerate(seen.times):
-            found = analyse(method, names, shares, values[:, :, place], _COURSE_RESAMPLES)
-            if found.constant or found.used < 2:
-                continue
-            rows += [
-                {**_row(method, observable, free, index), "time": float(time)}
-                for free, index in zip(ranges, found.indices, strict=True)
-            ]
-    return rows
 
 
 def _notes(

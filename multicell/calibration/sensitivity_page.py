@@ -42,10 +42,6 @@ def write_report(result: Sensitivity, folder: Path) -> Path:
             "cannot be told from noise or zero."
         )
         pictures[path] = partial(result.plot, name), caption
-        if any(row["observable"] == name for row in result.courses):
-            path = folder / f"course-{file}.png"
-            caption = f"{told}: {index.lower()} over time, with bands of 95 % intervals."
-            pictures[path] = partial(result.plot_course, name), caption
     return write_page(
         folder / "report.html",
         "sensitivity.html",

@@ -52,8 +52,6 @@ class Sensitivity:
         ``st_conf`` (parts of the variance); ``..._conf`` are half widths of 95 % intervals.
         ``noise`` is what scatter over the seeds alone gives (NaN for one seed) and ``verdict`` what
         can be said: see :class:`multicell.calibration.indices.Index`.
-    courses : list of dict
-        The same over ``time`` (s), for observables that have a course.
     notes : list of str
         What the reader must know: failed runs, an observable that does not vary.
     runs : list of dict
@@ -67,7 +65,6 @@ class Sensitivity:
     size: int
     seeds: tuple[int, ...]
     table: list[Row]
-    courses: list[Row]
     notes: list[str]
     runs: list[Row] = field(default_factory=list)
     folder: Path | None = None
@@ -100,18 +97,6 @@ class Sensitivity:
 
         return indices(self, observable or self.observables[0])
 
-    def plot_course(self, observable: str | None = None) -> Figure:
-        """Draw the indices of an observable over time.
-
-        Raises
-        ------
-        ValueError
-            If it has no course.
-        """
-        from multicell.calibration.index_plots import course
-
-        return course(self, observable or self.observables[0])
-
     def to_csv(self) -> str:
         """Return the table as CSV."""
         return _csv(self.table)
@@ -124,7 +109,6 @@ class Sensitivity:
             "seeds": self.seeds,
             "free": [asdict(free) for free in self.ranges],
             "table": self.table,
-            "courses": self.courses,
             "notes": self.notes,
             "versions": {**versions(), "SALib": package_version("SALib")},
             "scene": self.scene.to_dict(),
@@ -165,7 +149,6 @@ class Sensitivity:
         with file_errors("use the output folder", place):
             place.mkdir(parents=True, exist_ok=True)
         texts = {"sensitivity.csv": self.to_csv(), "sensitivity.json": self.to_json()}
-        texts |= {"courses.csv": _csv(self.courses)} if self.courses else {}
         texts |= {"runs.csv": _csv(self.runs)} if self.runs else {}
         for name, text in texts.items():
             write_text(place / name, text)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
@@ -18,11 +18,6 @@ RIDGE: Final = 0.9
 """Size of a correlation from which only a combination of two parameters is determined."""
 EDGE: Final = 0.02
 """Part of a range next to its end in which half of the posterior is too much."""
-_CAUSES: Final = {
-    "error": "the emulator is at fault, with an exact one it would be {}: a larger budget helps",
-    "scatter": "the scatter of runs is at fault, without it it would be {}: data of more tissues "
-    "(column 'n') help",
-}
 
 
 @final
@@ -61,31 +56,11 @@ class Undetermined:
         ``"edge"``: the posterior presses against an end of the range.
     words
         In words.
-    cause
-        Why a parameter is open: ``"error"`` of the emulator, ``"scatter"`` of runs or ``"data"``;
-        empty where that is not known.
     """
 
     names: tuple[str, ...]
     kind: str
     words: str
-    cause: str = ""
-
-    def because(self, parts: Mapping[str, Mapping[str, float]]) -> Undetermined:
-        """Return it with its cause.
-
-        Parameters
-        ----------
-        parts
-            By cause: by name which part of its range a parameter's interval would cover without.
-        """
-        cause = min(parts, key=lambda one: parts[one][self.names[0]])
-        part = parts[cause][self.names[0]]
-        if part >= OPEN:
-            words = "neither exact emulation nor runs without scatter would help: the data leave it"
-            return replace(self, words=f"{self.words}; {words}", cause="data")
-        words = _CAUSES[cause].format(f"{100.0 * part:.0f} %")
-        return replace(self, words=f"{self.words}; {words}", cause=cause)
 
     def __str__(self) -> str:
         return self.words

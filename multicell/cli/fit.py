@@ -22,7 +22,7 @@ from multicell.cli.options import (
     with_values,
 )
 from multicell.cli.process import complain, print_json
-from multicell.cli.progress import on_stderr
+from multicell.cli.progress import display
 from multicell.cli.study import (
     confirm,
     cores_option,
@@ -73,7 +73,7 @@ def _budget(context: click.Context, option: click.Parameter, value: str | None) 
     show_default=True,
     metavar="NAME",
     help="best: the best point in few runs, with approximate intervals; posterior: sampled with "
-    "runs, some thousands; both.",
+    "runs, some thousands.",
 )
 @click.option(
     "--seeds",
@@ -180,44 +180,19 @@ def _cost(plan: FitPlan, folder: Path | None, cores: int | None) -> Any:
 
 @contextmanager
 def _reporter(*, show: bool) -> Iterator[Callable[[str, int, int], None] | None]:
-    """Yield what reports the progress of a fit: a bar in a terminal, lines elsewhere."""
+    """Yield what reports the stages of a fit, or None to show nothing."""
     if not show:
         yield None
         return
-    stderr = on_stderr()
-    if not stderr.is_terminal:
-        yield _lines(stderr)
-        return
-    from rich import progress as rich_progress
-
-    columns = (
-        rich_progress.TextColumn("{task.description}", markup=False),
-        rich_progress.BarColumn(bar_width=24),
-        rich_progress.MofNCompleteColumn(),
-        rich_progress.TimeElapsedColumn(),
-        rich_progress.TimeRemainingColumn(),
-    )
-    with rich_progress.Progress(*columns, console=stderr, refresh_per_second=2) as bar:
-        task = bar.add_task("begins", total=None)
+    words = "starting"
+    with display(lambda: words, refresh=2, lines=_LINES) as update:
 
         def note(what: str, done: int, wanted: int) -> None:
-            bar.update(task, description=what, completed=done, total=wanted)
+            nonlocal words
+            words = f"{what}: {done:,} of {wanted:,}"
+            update(done / max(wanted, 1))
 
         yield note
-
-
-def _lines(stderr: Console) -> Callable[[str, int, int], None]:
-    """Return what prints a line now and then."""
-    printed = -1
-
-    def note(what: str, done: int, wanted: int) -> None:
-        nonlocal printed
-        part = done * _LINES // max(wanted, 1)
-        if part != printed:
-            printed = part
-            stderr.print(f"{what}: {done:,} of {wanted:,}", markup=False, soft_wrap=True)
-
-    return note
 
 
 def _print(out: Console, found: Fit, output: Path) -> None:

@@ -59,15 +59,26 @@ law_option = click.option(
 )
 
 
-def _load_observables(
-    context: click.Context, _: click.Parameter, specs: Sequence[str]
-) -> Sequence[str]:
-    """Load observables of the user's own; :func:`scene_of` has the scene record them."""
-    if specs:
-        from multicell.results.own_observable import load_observable
+def _load_own(context: click.Context, _: click.Parameter, specs: Sequence[str]) -> list[str]:
+    """Load observables of the user's own and return their names.
 
-        context.meta[_OBSERVABLES] = [load_observable(spec) for spec in specs]
-    return specs
+    :func:`scene_of` has the scene record them.
+    """
+    if not specs:
+        return []
+    from multicell.results.own_observable import load_observable
+
+    context.meta[_OBSERVABLES] = [load_observable(spec) for spec in specs]
+    return [observable.name for observable in context.meta[_OBSERVABLES]]
+
+
+def observable_names(
+    context: click.Context, option: click.Parameter, given: Sequence[str]
+) -> list[str]:
+    """Return the names of observables, after loading those given as FILE:NAME."""
+    own = [text for text in given if ":" in text]
+    names = dict(zip(own, _load_own(context, option, own), strict=True))
+    return [names.get(text, text) for text in given]
 
 
 _OBSERVABLES = "multicell.observables"
@@ -75,7 +86,7 @@ observable_option = click.option(
     "--observable",
     multiple=True,
     expose_value=False,
-    callback=_load_observables,
+    callback=_load_own,
     metavar="FILE:NAME",
     help="Record an observable of your own, as mine.py:rim_area. May be given several times.",
 )

@@ -63,7 +63,7 @@ def display(
         def show(done: float) -> None:
             nonlocal printed
             part = int(lines * done * (1.0 + 1e-12))
-            if part > printed:
+            if part != printed:  # it falls where another stage begins
                 printed = part
                 console.print(
                     f"{100 * part // lines:3d} %  {words()}", markup=False, soft_wrap=True

@@ -14,7 +14,7 @@ from multicell.cli.options import (
     console,
     law_option,
     no_report_option,
-    observable_option,
+    observable_names,
     output_option,
     overwrite_option,
     quiet_option,
@@ -70,13 +70,14 @@ from multicell.cli.study import (
     "--observable",
     "observables",
     multiple=True,
+    callback=observable_names,
     metavar="NAME",
-    help="What the indices are of, at the end of the runs: a column of the history, as diameter. "
-    "May be given several times; by default the usual ones of the scene.",
+    help="What the indices are of, at the end of the runs: a column of the history, as diameter, "
+    "or one of your own, as mine.py:rim_area. May be given several times; by default the usual "
+    "ones of the scene.",
 )
 @changes_option
 @law_option
-@observable_option
 @cores_option
 @scheduler_option
 @yes_option

@@ -14,7 +14,7 @@ MAX_POINTS: Final = 20_000
 MAX_SEEDS: Final = 20_000
 MAX_RUNS: Final = 100_000
 MAX_FORECASTS: Final = 300
-"""Points whose cost is predicted, at about 15 ms each; others are expected to cost as much as one
+"""Points whose cost is predicted, at 15 to 400 ms each; others are expected to cost as much as one
 of these."""
 
 

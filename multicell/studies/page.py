@@ -1,4 +1,4 @@
-"""The page of a study: maps, courses, sections, and a table of all runs."""
+"""The page of a study: maps, curves over time, and a table of all runs."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def write_report(
         place.mkdir(parents=True, exist_ok=True)
     told = key_observables(table) if shown is None else list(shown)
     title = f"{scene.title or 'Untitled scene'}: study"
-    drawings = _drawings(table, title, runs, states, place, told)
+    drawings = _drawings(table, title, told)
     pictures = {place / f"{name}.png": (draw, caption) for name, draw, caption in drawings}
     return write_page(
         place / "report.html",
@@ -124,12 +124,9 @@ def key_observables(table: xr.Dataset) -> list[str]:
 Drawing = tuple[str, "Callable[[], Figure]", str]
 
 
-def _drawings(
-    table: xr.Dataset, title: str, runs: Sequence[Run], states: Sequence[RunStatus],
-    folder: Path, told: Sequence[str],
-) -> Iterator[Drawing]:  # fmt: skip
+def _drawings(table: xr.Dataset, title: str, told: Sequence[str]) -> Iterator[Drawing]:
     """Yield name, drawing function and caption of each picture."""
-    plots = StudyPlots(table, title, runs, states, folder)
+    plots = StudyPlots(table, title)
     names = axes_of(table)
     mapped = not is_sampled(table) and len(names) > 1
     several = table.sizes[SEED] > 1
@@ -146,12 +143,6 @@ def _drawings(
     for name in courses[:_COURSES]:
         caption = f"One panel for each axis, {bands}."
         yield f"curves-{name}", lambda name=name: plots.curves(name), caption  # type: ignore[misc]
-    if any(state.state != "waiting" for state in states):
-        yield (
-            "sections",
-            plots.sections,
-            "Cells that a plane through their centre cuts in each run.",
-        )
 
 
 def _subtitle(table: xr.Dataset) -> str:
@@ -203,27 +194,25 @@ def _unfinished(states: Sequence[RunStatus]) -> str:
 def _run_table(
     table: xr.Dataset, runs: Sequence[Run], states: Sequence[RunStatus], told: Sequence[str]
 ) -> dict[str, Any]:
-    """Return heads and rows of the table of runs; each cell with its rank in its column."""
+    """Return heads and rows of the table of runs."""
     axes = [(name, scale_alone(table, name)) for name in coordinates_of(table)]
     ends = [at_end(table, name).values.ravel() for name in told]
     chosen = _rows_shown(states)
-    heads = [*(shown.label for _, shown in axes), "seed", "state",
-             *(label(table, name) for name in told), "wall time"]  # fmt: skip
     rows = []
     for k in chosen:
         run, state = runs[k], states[k]
-        own: list[Any] = [_coordinate(run.coordinates.get(n), s.factor) for n, s in axes]
         values = [float(end[k]) if state.state == "done" else np.nan for end in ends]
-        own += [run.coordinates.get(SEED, run.scene.seed), state.state, *values, state.wall]
-        rows.append({"name": run.name, "state": state.state, "reason": state.reason, "own": own})
-    count = len(heads)
-    ranks = [_ranks([row["own"][k] for row in rows]) for k in range(count)]
-    for number, row in enumerate(rows):
-        row["cells"] = [
-            {"text": _cell(value, heads[k]), "rank": ranks[k][number],
-             "number": not isinstance(value, str)}
-            for k, value in enumerate(row.pop("own"))
-        ]  # fmt: skip
+        cells = [
+            *(_coordinate_text(run.coordinates.get(name), own.factor) for name, own in axes),
+            f"{run.coordinates.get(SEED, run.scene.seed)}",
+            _STATE_WORDS.get(state.state, state.state),
+            *(number_text(value, 4) if np.isfinite(value) else "—" for value in values),
+            clock(state.wall) if np.isfinite(state.wall) else "—",
+        ]
+        rows.append({"name": run.name, "state": state.state, "reason": state.reason,
+                     "cells": cells})  # fmt: skip
+    heads = [*(own.label for _, own in axes), "seed", "state",
+             *(label(table, name) for name in told), "wall time"]  # fmt: skip
     return {"heads": heads, "rows": rows, "left_out": len(states) - len(chosen)}
 
 
@@ -235,29 +224,7 @@ def _rows_shown(states: Sequence[RunStatus]) -> list[int]:
     return sorted(order[:MAX_ROWS])
 
 
-def _coordinate(value: Any, factor: float) -> Any:
-    return value if isinstance(value, str) or value is None else float(value) / factor
-
-
-def _cell(value: Any, head: str) -> str:
+def _coordinate_text(value: Any, factor: float) -> str:
     if isinstance(value, str):
-        return _STATE_WORDS.get(value, value) if head == "state" else value
-    if value is None or not np.isfinite(value):
-        return "—"
-    if head == "wall time":
-        return clock(float(value))
-    return f"{value}" if head == "seed" else number_text(float(value), 4)
-
-
-def _ranks(values: Sequence[Any]) -> list[int]:
-    """Return the place of each value in their order, equal for equal ones; missing ones last."""
-
-    def order(value: Any) -> tuple[int, float, str]:
-        if isinstance(value, str):
-            return 0, 0.0, value
-        missing = value is None or not np.isfinite(value)
-        return (1, 0.0, "") if missing else (0, float(value), "")
-
-    known = sorted({order(value) for value in values})
-    places = {entry: place for place, entry in enumerate(known)}
-    return [places[order(value)] for value in values]
+        return value
+    return "—" if value is None else number_text(float(value) / factor, 4)

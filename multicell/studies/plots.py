@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
 if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
-
-    from multicell.studies.runs import Run
-    from multicell.studies.status import RunStatus
 
 
 @final
@@ -28,22 +24,10 @@ class StudyPlots:
         Of the study, as ``study.to_xarray()``.
     title
         Of the pictures.
-    runs, states
-        All runs of the study and how they stand, in the order of the table.
-    folder
-        Of the study.
     """
 
-    def __init__(
-        self,
-        table: xr.Dataset,
-        title: str,
-        runs: Sequence[Run] = (),
-        states: Sequence[RunStatus] = (),
-        folder: Path | None = None,
-    ) -> None:
+    def __init__(self, table: xr.Dataset, title: str) -> None:
         self._table, self._title = table, title
-        self._runs, self._states, self._folder = runs, states, folder
 
     def heatmap(
         self,
@@ -82,27 +66,3 @@ class StudyPlots:
         from multicell.studies.pictures.response import response
 
         return response(self._table, self._title, observable)
-
-    def sections(
-        self,
-        x: str | None = None,
-        y: str | None = None,
-        seed: int | None = None,
-        at: Mapping[str, Any] | None = None,
-    ) -> Figure:
-        """Draw the last frames of one seed side by side over two axes, all on one scale.
-
-        See :func:`multicell.studies.pictures.sections.sections`.
-
-        Raises
-        ------
-        ValueError
-            If the study has no folder to read frames from.
-        """
-        from multicell.studies.pictures.sections import sections
-
-        if self._folder is None:
-            raise ValueError("there are no frames: the study has no folder")
-        return sections(
-            self._table, self._title, self._runs, self._states, self._folder, x, y, seed, at
-        )

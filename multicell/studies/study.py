@@ -114,7 +114,7 @@ class Study:
     def to_xarray(self) -> xarray.Dataset:
         """Return one table of all that the runs have found; it is kept as ``study.nc``.
 
-        See :mod:`multicell.studies.table`. Runs that were in the table before are not read again.
+        See :mod:`multicell.studies.table`. Runs are read again only where one of them has changed.
 
         Raises
         ------
@@ -130,9 +130,9 @@ class Study:
 
         path = self.folder / table.NAME
         before = table.load(path)
-        made = table.dataset(self.plan, self.folder, states, before)
-        if before is not None and table.same(made, before):
+        if before is not None and table.is_current(before, self.plan, states):
             return before
+        made = table.dataset(self.plan, self.folder, states)
         table.save(made, path)
         return made
 
@@ -172,9 +172,7 @@ class Study:
         """Pictures of the study, such as ``plot.heatmap("viable_rim")``."""
         from multicell.studies.plots import StudyPlots
 
-        states = self.status()
-        title = self.plan.scene.title or "Study"
-        return StudyPlots(self._table(states), title, self.runs, states, self.folder)
+        return StudyPlots(self.to_xarray(), self.plan.scene.title or "Study")
 
 
 def study(

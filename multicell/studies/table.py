@@ -38,7 +38,7 @@ NAME: Final = "study.nc"
 FORMAT: Final = 1
 _LARGEST: Final = 1 << 32  # bytes of a file
 _NOT_CHECKED: Final = ("command", "digest")
-_TEXTS: Final = ("state", "reason", "run")
+_CHECKED: Final = ("format", "model_version", "scene", "scene_digest", "plan")
 _SKIPPED: Final = ("units", "versions", "title", "notes", "seed")
 _RENAMED: Final = {"time": "end_time"}
 FloatArray = NDArray[np.float64]
@@ -52,9 +52,7 @@ def common_times(plan: Plan) -> FloatArray:
     return times if times[-1] >= end * (1.0 - 1e-12) else np.append(times, end)
 
 
-def dataset(
-    plan: Plan, folder: Path, states: Sequence[RunStatus], before: xarray.Dataset | None = None
-) -> xarray.Dataset:
+def dataset(plan: Plan, folder: Path, states: Sequence[RunStatus]) -> xarray.Dataset:
     """Return the table of a study.
 
     Histories are read one at a time, so that no more than the table itself is held in memory.
@@ -66,8 +64,6 @@ def dataset(
         Of the study, with ``runs/<name>``.
     states
         Of all runs, in the order of ``plan.names``.
-    before
-        An earlier table, from which runs that were done then are taken.
 
     Returns
     -------
@@ -83,7 +79,6 @@ def dataset(
     import xarray
 
     times = common_times(plan)
-    known = _Known(before, times, set(plan.names))
     columns: dict[str, FloatArray] = {}
     scalars: dict[str, FloatArray] = {}
     units: dict[str, str] = {}
@@ -91,7 +86,7 @@ def dataset(
     for place, state in enumerate(states):
         if state.state != "done":
             continue
-        rows, numbers, own_units = known.run(state.name) or _read(folder, state.name, times)
+        rows, numbers, own_units = _read(folder, state.name, times)
         units |= own_units
         for name, row in rows.items():
             _column(columns, name, (count, len(times)))[place] = row
@@ -208,52 +203,6 @@ def _flat(summary: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, flo
             yield f"{path}{name}", float(value)
 
 
-class _Known:
-    """Runs that an earlier table has."""
-
-    def __init__(self, before: xarray.Dataset | None, times: FloatArray, names: set[str]) -> None:
-        self._places: dict[str, int] = {}
-        self._columns: dict[str, FloatArray] = {}
-        self._scalars: dict[str, FloatArray] = {}
-        self._units: dict[str, str] = {}
-        if before is not None and self._fits(before, times, names):
-            self._take(before, len(times))
-
-    @staticmethod
-    def _fits(before: xarray.Dataset, times: FloatArray, names: set[str]) -> bool:
-        """Return whether a table is of this version, of these runs, and has the same times."""
-        if any(before.attrs.get(key) != value for key, value in _version().items()):
-            return False
-        if "run" not in before or not set(map(str, before["run"].values.ravel())) <= names:
-            return False
-        return np.array_equal(before["time"].values, times)
-
-    def _take(self, before: xarray.Dataset, count: int) -> None:
-        states = before["state"].values.ravel()
-        names = before["run"].values.ravel()
-        self._places = {str(n): k for k, n in enumerate(names) if states[k] == "done"}
-        for name, variable in before.data_vars.items():
-            if name in _TEXTS:
-                continue
-            values = np.asarray(variable.values, dtype=np.float64)
-            self._units[str(name)] = str(variable.attrs.get("units", ""))
-            if variable.dims[-1] == "time":
-                self._columns[str(name)] = values.reshape(len(names), count)
-            else:
-                self._scalars[str(name)] = values.reshape(len(names))
-
-    def run(
-        self, name: str
-    ) -> tuple[dict[str, FloatArray], dict[str, float], dict[str, str]] | None:
-        """Return what the table has of a run, as :func:`_read` does; None if it has none."""
-        place = self._places.get(name)
-        if place is None:
-            return None
-        rows = {column: values[place] for column, values in self._columns.items()}
-        numbers = {scalar: float(values[place]) for scalar, values in self._scalars.items()}
-        return rows, numbers, self._units
-
-
 def _version() -> dict[str, Any]:
     return {"format": FORMAT, "model_version": MODEL_VERSION}
 
@@ -271,10 +220,15 @@ def provenance(plan: Plan) -> dict[str, Any]:
     }
 
 
-def same(one: xarray.Dataset, other: xarray.Dataset) -> bool:
-    """Return whether two tables differ in nothing but the command that made them."""
-    mine, others = ({k: v for k, v in t.attrs.items() if k != "command"} for t in (one, other))
-    return bool(mine == others and one.equals(other))
+def is_current(table: xarray.Dataset, plan: Plan, states: Sequence[RunStatus]) -> bool:
+    """Return whether a table is of this plan and of runs that stand as they do now."""
+    about = provenance(plan)
+    if any(table.attrs.get(key) != about[key] for key in _CHECKED):
+        return False
+    return all(
+        name in table and table[name].values.ravel().tolist() == texts.tolist()
+        for name, texts in _texts(states).items()
+    )
 
 
 def save(table: xarray.Dataset, path: Path) -> None:

@@ -105,7 +105,7 @@ def test_the_sample_does_not_depend_on_who_works_in_which_order():
 
     one = posterior(problem(), Pool(), seed=7, population=30)
     other = posterior(problem(), Pool(Backwards(), lambda: 5), seed=7, population=30)
-    third = posterior(problem(), Pool(Backwards(), lambda: 3), seed=7, population=30, together=4)
+    third = posterior(problem(), Pool(Backwards(), lambda: 3), seed=7, population=30)
     for draws in (other, third):
         assert draws.shares.tolist() == one.shares.tolist()
         assert draws.weights.tolist() == one.weights.tolist()

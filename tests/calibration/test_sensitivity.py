@@ -58,9 +58,7 @@ def of_function(method, size, seeds=1, noise=0.0, shift=0.0, lost=()):
         values += noise * rng.standard_normal(values.shape) + shift * np.arange(seeds)
         for place in lost:
             values[place] = np.nan
-        times = np.array([1.0, 2.0])
-        courses = np.stack([0.5 * values, values], axis=-1)
-        return Responses({"diameter": values}, times, {"diameter": courses}, {})
+        return Responses({"diameter": values})
 
     ranges = ranges_of(CELL, FOUR)
     return result_of(CELL, method, ranges, size, range(seeds), ["diameter"], evaluate)
@@ -164,15 +162,6 @@ def test_without_values_nothing_is_claimed():
     result = of_function("sobol", 8, lost=range(48))
     assert {row["verdict"] for row in result.table} == {"unknown"}
     assert any("no index is known" in note for note in result.notes)
-
-
-def test_indices_over_time_follow_the_course():
-    result = of_function("sobol", 64)
-    times = sorted({row["time"] for row in result.courses})
-    assert times == [1.0, 2.0]
-    # both times have the same shape, so parts of the variance are equal
-    early = [row["st"] for row in result.courses if row["time"] == 1.0]
-    assert early == pytest.approx(list(column(result, "st")))
 
 
 @pytest.fixture
@@ -320,7 +309,7 @@ def test_the_command_writes_tables_pictures_and_a_page(tmp_path, here):
     document = json.loads(done.stdout)
     assert document["table"][0]["parameter"] == "division_radius"
     files = {path.name for path in (tmp_path / "out").iterdir()}
-    assert {"report.html", "sensitivity.csv", "sensitivity.json", "courses.csv", "runs.csv",
+    assert {"report.html", "sensitivity.csv", "sensitivity.json", "runs.csv",
             "sensitivity-diameter.png"} <= files  # fmt: skip
     rows = list(csv.DictReader(io.StringIO((tmp_path / "out" / "sensitivity.csv").read_text())))
     assert float(rows[0]["mu_star"]) == pytest.approx(document["table"][0]["mu_star"])
@@ -328,6 +317,25 @@ def test_the_command_writes_tables_pictures_and_a_page(tmp_path, here):
     html = (tmp_path / "out" / "report.html").read_text("utf-8")
     assert "division radius" in html
     assert "http" not in html.replace("http-equiv", "")
+
+
+def test_the_command_takes_an_observable_of_the_users_own(tmp_path, here):
+    file = tmp_path / "mine.py"
+    file.write_text(
+        "import multicell as mc\n\n"
+        "@mc.observable(name='twice the radius', unit='um')\n"
+        "def twice(state):\n"
+        "    return 2.0 * float(state.cells.radius[0])\n"
+    )
+    done = command(tmp_path, "--observable", f"{file}:twice", "--observable", "diameter",
+                   "--no-report", "--json")  # fmt: skip
+    assert done.exit_code == 0, done.output
+    rows = json.loads(done.stdout)["table"]
+    own, known = (
+        [row["mu"] for row in rows if row["observable"] == name]
+        for name in ("twice_the_radius", "diameter")
+    )
+    assert own == pytest.approx(known)
 
 
 def test_the_command_tells_the_table_and_asks_nothing_of_what_is_short(tmp_path, here):
@@ -368,14 +376,6 @@ def test_the_plane_of_morris_has_a_point_for_each_parameter():
     points = np.concatenate([line.get_xydata() for line in plane.lines if line.get_marker() == "o"])
     wanted = np.stack([column(result, "mu_star"), column(result, "sigma")], axis=1)
     np.testing.assert_allclose(np.sort(points, axis=0), np.sort(wanted, axis=0))
-
-
-def test_the_course_has_a_line_for_each_parameter():
-    result = of_function("morris", 10)
-    lines = result.plot_course("diameter").axes[0].lines
-    assert len([line for line in lines if len(line.get_xdata()) == 2]) >= 4
-    with pytest.raises(ValueError, match="over time"):
-        result.plot_course("cells")
 
 
 def test_salib_is_loaded_for_analyses_only():

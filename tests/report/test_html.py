@@ -18,7 +18,7 @@ from multicell.report.wording import clock
 
 NAMES = (
     "base.html", "parts.html", "run.html", "compare.html", "fields.html", "stability.html",
-    "style.css", "viewer.html", "study.html", "sorted.html", "sensitivity.html", "fit.html",
+    "style.css", "viewer.html", "study.html", "sensitivity.html", "fit.html",
 )  # fmt: skip
 
 

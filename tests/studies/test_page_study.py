@@ -1,20 +1,16 @@
-"""The page of a study, and its sections: whole, alone, and true to the runs."""
+"""The page of a study: complete, self-contained, and true to the runs."""
 
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
 
-import matplotlib as mpl
 import numpy as np
 import pytest
-from matplotlib.collections import EllipseCollection
 from study_tables import grid, sampled, with_states
-from synthetic import SCENE, spheroid
+from synthetic import SCENE
 
-from multicell.errors import OutputError, SceneError
+from multicell.errors import OutputError
 from multicell.studies.page import key_observables, write_report
-from multicell.studies.pictures import sections as tiles
-from multicell.studies.plots import StudyPlots
 from multicell.studies.runs import Run
 from multicell.studies.status import RunStatus
 
@@ -44,24 +40,11 @@ def table():
     return with_states(grid(OXYGEN, LAW, seeds=2), failed=[(0, 0, 0)])
 
 
-@pytest.fixture
-def frames(monkeypatch):
-    """Give the folder of each run the same last frame; keep which were asked for."""
-    asked, frame = [], spheroid(400)
-
-    def last(place):
-        asked.append(place.name)
-        return frame
-
-    monkeypatch.setattr(tiles, "last_frame", last)
-    return asked
-
-
 class Page(HTMLParser):
     def __init__(self, html):
         super().__init__()
         self.tags, self.images, self.rows, self.text = [], [], [], []
-        self._open = []
+        self._open, self._listed, self._body = [], False, False
         self.feed(html)
 
     def handle_starttag(self, tag, attributes):
@@ -69,9 +52,12 @@ class Page(HTMLParser):
         self.tags.append((tag, own))
         if tag == "img":
             self.images.append(own)
-        if tag == "tr" and "--r0" in own.get("style", ""):
-            ranks = dict(re.findall(r"--r(\d+):(\d+)", own["style"]))
-            self.rows.append({"ranks": {int(k): int(v) for k, v in ranks.items()}, "cells": []})
+        if tag == "section":
+            self._listed = "runs" in own.get("class", "")
+        if tag == "tbody":
+            self._body = True
+        if tag == "tr" and self._listed and self._body:
+            self.rows.append({"cells": []})
             self._open = self.rows
         if tag in ("td", "th") and self._open:
             self._open[-1]["cells"].append("")
@@ -97,10 +83,7 @@ def written(folder, table, names):
 def folder(table, tmp_path_factory):
     """Write one page, which most tests look at."""
     place = tmp_path_factory.mktemp("study")
-    frame = spheroid(400)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(tiles, "last_frame", lambda place: frame)
-        written(place, table, (OXYGEN, LAW))
+    written(place, table, (OXYGEN, LAW))
     return place
 
 
@@ -139,28 +122,6 @@ def test_every_run_is_a_row_with_its_state_and_reason(table, page):
     assert "hertz" in row["cells"]
 
 
-def test_ranks_order_the_rows_by_each_column(page):
-    heads = [own["aria-label"] for tag, own in page.tags if tag == "input"][::2]
-    for column, head in enumerate(heads):
-        ordered = sorted(page.rows, key=lambda row: row["ranks"][column])
-        cells = [row["cells"][column] for row in ordered]
-        missing = [text for text in cells if text == "—"]
-        assert cells[len(cells) - len(missing) :] == missing, head
-        known = cells[: len(cells) - len(missing)]
-        if "state" in head or "law" in head:
-            assert known == sorted(known), head
-        elif "wall" not in head:
-            numbers = [float(text.replace(",", "")) for text in known]
-            assert numbers == sorted(numbers), head
-
-
-def test_each_column_has_its_buttons_and_rules(html, page):
-    buttons = [own["id"] for tag, own in page.tags if tag == "input"]
-    assert sorted(buttons) == sorted(own["for"] for tag, own in page.tags if tag == "label")
-    for name in buttons:
-        assert f"#{name}:checked ~ .scroll tbody tr" in html
-
-
 def test_the_head_tells_what_is_not_done(page):
     assert "Of 18 runs 1 failed" in page.text
     assert "law (3)" in " ".join(page.text)
@@ -178,7 +139,7 @@ def test_a_study_of_which_nothing_has_run_has_a_page(tmp_path):
     assert not list(tmp_path.glob("*.png"))  # not a picture of empty tiles
 
 
-def test_a_sample_has_a_page_with_points_over_each_axis(tmp_path, frames):
+def test_a_sample_has_a_page_with_points_over_each_axis(tmp_path):
     table = sampled(OXYGEN, LAW, count=6, seeds=2)
     runs, states = [], []
     for point in range(6):
@@ -191,7 +152,6 @@ def test_a_sample_has_a_page_with_points_over_each_axis(tmp_path, frames):
     assert len(Page(text).rows) == 12
     assert (tmp_path / "response-diameter.png").exists()
     assert not list(tmp_path.glob("map-*.png"))
-    assert len(frames) == 6  # one seed of each point
 
 
 def test_observables_that_stay_the_same_are_left_out():
@@ -207,49 +167,17 @@ def test_a_page_that_cannot_be_written_is_refused(table, tmp_path):
         written(tmp_path / "file", table, (OXYGEN, LAW))
 
 
-def test_sections_show_the_right_runs_on_one_scale(table, tmp_path, frames):
-    runs, states = runs_of(table, (OXYGEN, LAW))
-    figure = StudyPlots(table, "A study", runs, states, tmp_path).sections(seed=1)
-    # the second axis goes up
-    wanted = [f"run{i}-{j}-1" for j in (2, 1, 0) for i in range(3)]
-    assert frames == wanted
-    spans = {round(float(np.ptp(axes.get_xlim())), 6) for axes in figure.axes}
-    assert len(spans) == 1
-    circles = [c for axes in figure.axes for c in axes.collections]
-    assert len([c for c in circles if isinstance(c, EllipseCollection)]) == 9
-
-
-def test_a_tile_without_frames_says_why(table, tmp_path, monkeypatch):
-    monkeypatch.setattr(tiles, "last_frame", lambda place: None)
-    runs, states = runs_of(table, (OXYGEN, LAW))
-    figure = StudyPlots(table, "A study", runs, states, tmp_path).sections()
-    words = [t.get_text() for t in figure.findobj(mpl.text.Text) if t.get_text()]
-    assert words.count("failed") == 1
-    assert words.count("no frame") == 8
-
-
-def test_the_axes_of_sections_can_be_chosen(table, tmp_path, frames):
-    runs, states = runs_of(table, (OXYGEN, LAW))
-    plots = StudyPlots(table, "A study", runs, states, tmp_path)
-    plots.sections(x=LAW, at={OXYGEN: 0.28})
-    assert frames == ["run2-0-0", "run2-1-0", "run2-2-0"]
-    with pytest.raises(SceneError, match="none of the study"):
-        plots.sections(seed=7)
-    with pytest.raises(SceneError, match="Did you mean 'jkr'"):
-        plots.sections(at={LAW: "jkl"})
-
-
 def test_times_of_all_runs_are_summed(page):
     place = page.text.index("wall time of all runs")
     assert page.text[place - 1] == "17 min 0 s"
 
 
-def test_of_very_many_runs_those_that_failed_are_listed_first(table, tmp_path, monkeypatch, frames):
+def test_of_very_many_runs_those_that_failed_are_listed_first(table, tmp_path, monkeypatch):
     monkeypatch.setattr("multicell.studies.page.MAX_ROWS", 5)
-    monkeypatch.setattr("multicell.studies.page._drawings", lambda *given: iter(()))
     runs, states = runs_of(table, (OXYGEN, LAW))
     states[-1] = RunStatus(states[-1].name, "failed", "late")
-    text = write_report(tmp_path, SCENE, table, runs, states).read_text("utf-8")
+    page = write_report(tmp_path, SCENE, table, runs, states, shown=[])
+    text = page.read_text("utf-8")
     rows = Page(text).rows
     assert len(rows) == 5
     assert sum("failed" in row["cells"] for row in rows) == 2

@@ -129,7 +129,7 @@ def test_what_is_known_is_not_read_again(study, found, monkeypatch):
         raise AssertionError("read again")
 
     before = (study.folder / "study.nc").stat().st_mtime_ns
-    monkeypatch.setattr(table, "_read", refused)
+    monkeypatch.setattr(table, "dataset", refused)
     assert study.to_xarray().identical(found)
     assert (study.folder / "study.nc").stat().st_mtime_ns == before
 
