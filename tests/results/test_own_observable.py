@@ -10,17 +10,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from multicell.calibration.simulating import SceneSimulator
 
 import multicell as mc
+from multicell.calibration.data import read_data
+from multicell.calibration.sensitivity import observables_of as asked_of
 from multicell.errors import SceneError
 from multicell.results.measures import OBSERVABLES, observables_of
 from multicell.results.observable import OWN
 from multicell.results.quantities import known_unit
 from multicell.studies.axes import parse_range
-from multicell.studies.data import read_data
 from multicell.studies.observed import in_history
-from multicell.studies.sensitivity import observables_of as asked_of
-from multicell.studies.simulating import SceneSimulator
 
 TEXT = """
 import multicell as mc
