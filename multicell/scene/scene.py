@@ -22,7 +22,6 @@ from multicell.errors import SceneError
 from multicell.files import DEEPEST, parse_toml, read_regular
 from multicell.laws import OwnLaw
 from multicell.plugins import OWN_OBJECT
-from multicell.scene.arrangement import check_arrangement
 from multicell.scene.checks import (
     check_integrator,
     check_motility,
@@ -193,7 +192,6 @@ class Scene:
             problem = f"is {smoothing:g} um, must be at most the birth radius {smallest:g} um"
             raise SceneError("contact.smoothing", problem, "0 turns it off.")
         check_domain(self)
-        check_arrangement(self)
         check_driven(self)
         check_springs(self)
         check_nutrients(self)

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from multicell.calibration.simulating import SceneSimulator
 
 import multicell as mc
 from multicell.calibration.data import read_data
 from multicell.calibration.sensitivity import observables_of as asked_of
+from multicell.calibration.simulator import SceneSimulator
 from multicell.errors import SceneError
 from multicell.results.measures import OBSERVABLES, observables_of
 from multicell.results.observable import OWN
