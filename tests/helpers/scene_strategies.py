@@ -494,28 +494,15 @@ def _fit_driven(scene, flat):
 
 
 def _fit_springs(scene):
-    """Let springs join cells that there are, in one way, and break when they are long."""
+    """Let springs join cells that there are."""
     count = scene.get("initial", {}).get("count", 1)
-    radius = base(scene.get("cells", {}).get("division_radius", 5.0))
     springs = scene.get("springs", {})
     for name, spring in list(springs.items()):
         if count < 2:
             del springs[name]
             continue
-        if "file" in spring:
-            spring["file"] = str(Path(__file__).with_name("edges.csv"))
-            spring.pop("pairs", None)
-            spring.pop("within", None)
-        elif "within" in spring:
-            spring.pop("pairs", None)
-            spring["within"] = 20.0 * radius
-        else:
-            pairs = [pair for pair in spring.get("pairs", []) if max(pair) < count]
-            spring["pairs"] = pairs or [[0, 1]]
-        if "growth" not in scene:
-            spring.pop("sisters", None)
-        if "breaking_length" in spring:
-            spring["breaking_length"] = base(spring.get("rest", 0.0)) + 10.0 * radius
+        pairs = [pair for pair in spring.get("pairs", []) if max(pair) < count]
+        spring["pairs"] = pairs or [[0, 1]]
 
 
 def _fit_motility(scene, flat):
