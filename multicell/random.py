@@ -45,7 +45,6 @@ class Purpose(IntEnum):
     EIGENVECTOR = 13
     VIEW = 14
     RENEWAL = 15
-    ARRANGEMENT = 16
 
 
 def philox(counter: UIntArray, key: tuple[int, int]) -> UIntArray:

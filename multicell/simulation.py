@@ -121,9 +121,9 @@ class Simulation(RunState):
     def _start(self, cells: Cells, *, given_states: bool) -> None:
         """Begin with these cells; states that are not given are found with the fields."""
         check_start(self.scene, cells)
-        self.named = driven.named_at_start(self.scene, cells)
+        self.named = driven.named_at_start(self.plan, cells)
         if self.scene.springs:
-            self.springs = spring_graph.springs_at_start(self.scene, cells)
+            self.springs = spring_graph.springs_at_start(self.plan, cells)
         self.cells = cells
         bind(self.plan, cells, cells, {}, self.time)
         self.next_id = int(cells.id.max(initial=-1)) + 1
@@ -205,8 +205,6 @@ class Simulation(RunState):
             self.released += lost
             self.timeline = self.timeline.after_step()
             self._divide_and_remove()
-            if len(self.springs):
-                self.springs = spring_graph.without_broken(plan, self.springs, self.cells)
             self._sort()
         with self.phase("nutrient"):
             self._fields.advance(self.cells, begin, end, None if before is None else began)
@@ -327,9 +325,7 @@ class Simulation(RunState):
             self.lineage.events(before, self.cells, self.time)
             self.named = driven.pass_on(self.named, self.cells, first)
             if len(self.springs):
-                self.springs = spring_graph.after_divisions(
-                    self.plan, self.springs, before, self.cells
-                )
+                self.springs = spring_graph.after_divisions(self.springs, before, self.cells)
             if len(self.contacts):
                 self.contacts = self.cells.id[contact_rows(self.cells, self.contacts)]
 

@@ -27,13 +27,12 @@ if TYPE_CHECKING:
     from multicell.mechanics.motion import Motion
     from multicell.mechanics.system import Mechanics
     from multicell.scene.driven import Force
-    from multicell.scene.scene import Scene
 
 Named = Mapping[str, IntArray]
 """Identities of the cells of each driver that keeps a list, by its path in the scene."""
 
 
-def named_at_start(scene: Scene, cells: Cells) -> dict[str, IntArray]:
+def named_at_start(plan: BiologyPlan, cells: Cells) -> dict[str, IntArray]:
     """Return the cells of each driver that keeps a list.
 
     Raises
@@ -41,10 +40,10 @@ def named_at_start(scene: Scene, cells: Cells) -> dict[str, IntArray]:
     SceneError
         If one names no cell, or one that is not there, or two motions move the same cell.
     """
-    check_members(scene, cells)
+    check_members(plan, cells)
     return {
-        path: np.sort(cells.id[members(scene.types, driver, cells)])
-        for path, driver in drivers(scene)
+        path: np.sort(cells.id[members(plan.types, driver, cells)])
+        for path, driver in drivers(plan)
         if by_identity(driver)
     }
 

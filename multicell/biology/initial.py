@@ -116,10 +116,6 @@ def initial_cells(scene: Scene) -> Cells:
 
 def _positions(scene: Scene, ids: NDArray[np.int64], radius: FloatArray) -> FloatArray:
     """Return the starting positions (n, 3), µm, of cells with these radii, (n,) µm."""
-    if scene.initial.arrangement != "ball":
-        from multicell.biology.placing import random_places  # compiled where it is asked for
-
-        return random_places(scene, ids, radius)
     diameter = 2.0 * float(radius.mean())
     flat = scene.dimensions == 2
     packed = packed_disc if flat else packed_ball

@@ -1,8 +1,8 @@
-"""Which springs there are in a run: at the start, after divisions and deaths, and when some break.
+"""Find which springs there are in a run: at the start, and after divisions and deaths.
 
 A spring keeps the identities of its two cells. When one of them divides, the daughter takes the
 spring over whose centre is nearer to the other end; where both divide, the nearest two. When one
-dies the spring is gone. At the end of each coupling step those break that are too long.
+dies the spring is gone.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from multicell.scene.springs import pairs_at_start
 
 if TYPE_CHECKING:
     from multicell.biology.plan import BiologyPlan
-    from multicell.scene.scene import Scene
 
 
 @final
@@ -67,17 +66,17 @@ class Springs:
         return cls(table.astype(np.int64), pair.astype(np.int64).reshape(-1, 2), rest.astype(float))
 
 
-def springs_at_start(scene: Scene, cells: Cells) -> Springs:
-    """Return the springs that a scene starts with.
+def springs_at_start(plan: BiologyPlan, cells: Cells) -> Springs:
+    """Return the springs that a run starts with.
 
     Raises
     ------
     SceneError
-        For a cell that is not there, and where there is none to join.
+        For a cell that is not there.
     """
     tables, pairs, rests = [], [], []
-    for number, (name, law) in enumerate(scene.springs.items()):
-        pair = pairs_at_start(scene, name, cells)
+    for number, (name, law) in enumerate(plan.springs.items()):
+        pair = pairs_at_start(plan.springs, name, cells)
         tables.append(np.full(len(pair), number))
         pairs.append(pair)
         rest = _lengths(cells, pair) if law.rest is None else np.full(len(pair), law.rest)
@@ -103,24 +102,13 @@ def without_dead(springs: Springs, cells: Cells) -> Springs:
     return springs.take(np.flatnonzero(~gone)) if gone.any() else springs
 
 
-def without_broken(plan: BiologyPlan, springs: Springs, cells: Cells) -> Springs:
-    """Return the springs that are neither too long nor under too much tension."""
-    longest = _limits(plan, springs, "breaking_length")
-    strongest = _limits(plan, springs, "breaking_force")
-    if not (np.isfinite(longest).any() or np.isfinite(strongest).any()):
-        return springs
-    length = _lengths(cells, springs.pair)
-    broken = (length > longest) | (tensions(plan, springs, cells) > strongest)
-    return springs.take(~broken) if broken.any() else springs
-
-
 def tensions(plan: BiologyPlan, springs: Springs, cells: Cells) -> FloatArray:
     """Return the tension of each spring, (m,) nN, negative where it is compressed."""
     longer = _lengths(cells, springs.pair) - springs.rest
     return np.asarray(_stiffness(plan, springs) * longer)
 
 
-def after_divisions(plan: BiologyPlan, springs: Springs, before: Cells, after: Cells) -> Springs:
+def after_divisions(springs: Springs, before: Cells, after: Cells) -> Springs:
     """Return the springs after divisions; those of cells that are gone are left out."""
     born = np.flatnonzero(before.rows_of(after.id) < 0)
     if not len(born) or not len(springs):
@@ -131,14 +119,9 @@ def after_divisions(plan: BiologyPlan, springs: Springs, before: Cells, after: C
     divided = np.isin(springs.pair, mothers)
     pair = springs.pair.copy()
     pair[divided.any(axis=1)] = _nearest(after, mothers, daughters, pair[divided.any(axis=1)])
-    moved = Springs(springs.table, np.sort(pair, axis=1), springs.rest)
-    joined = _of_sisters(plan, springs, after, mothers, daughters)
-    every = Springs(
-        np.concatenate([moved.table, joined.table]), np.concatenate([moved.pair, joined.pair]),
-        np.concatenate([moved.rest, joined.rest]),
-    )  # fmt: skip
-    every = every.take(np.lexsort((every.pair[:, 1], every.pair[:, 0], every.table)))
-    return without_dead(every, after)
+    pair = np.sort(pair, axis=1)
+    order = np.lexsort((pair[:, 1], pair[:, 0], springs.table))
+    return without_dead(Springs(springs.table, pair, springs.rest).take(order), after)
 
 
 def _nearest(after: Cells, mothers: IntArray, daughters: IntArray, pairs: IntArray) -> IntArray:
@@ -159,25 +142,6 @@ def _nearest(after: Cells, mothers: IntArray, daughters: IntArray, pairs: IntArr
     return np.where(gone, pairs, found)
 
 
-def _of_sisters(
-    plan: BiologyPlan, springs: Springs, after: Cells, mothers: IntArray, daughters: IntArray
-) -> Springs:
-    """Return the springs that join daughters, of length at rest as given, or as if they touched."""
-    tables, pairs, rests = [], [], []
-    for number, law in enumerate(plan.springs.values()):
-        if not law.sisters:
-            continue
-        joined = np.isin(mothers, springs.pair[springs.table == number])
-        pair = np.sort(after.id[daughters[joined]], axis=1)
-        touching = after.radius[daughters[joined]].sum(axis=1)
-        tables.append(np.full(len(pair), number))
-        pairs.append(pair)
-        rests.append(touching if law.rest is None else np.full(len(pair), law.rest))
-    if not tables:
-        return Springs()
-    return Springs(np.concatenate(tables), np.concatenate(pairs), np.concatenate(rests))
-
-
 def columns(plan: BiologyPlan, springs: Springs, cells: Cells) -> dict[str, float]:
     """Return what the history tells of springs: their number, and the largest tension, nN."""
     tension = tensions(plan, springs, cells)
@@ -192,8 +156,3 @@ def _lengths(cells: Cells, pair: IntArray) -> FloatArray:
 
 def _stiffness(plan: BiologyPlan, springs: Springs) -> FloatArray:
     return np.array([law.stiffness for law in plan.springs.values()])[springs.table]
-
-
-def _limits(plan: BiologyPlan, springs: Springs, key: str) -> FloatArray:
-    found = (getattr(law, key) for law in plan.springs.values())
-    return np.array([np.inf if limit is None else limit for limit in found])[springs.table]

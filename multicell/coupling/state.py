@@ -163,12 +163,6 @@ class RunState(ABC):
         return self._fields.system
 
     @property
-    def shared_from(self) -> int | None:
-        """Number of cells from which on threads share loops; None on one thread."""
-        system = self.mechanics
-        return (system.shared_chunks - 1) * system.chunk + 1 if system.threads > 1 else None
-
-    @property
     def nodes(self) -> int:
         """Number of nodes of the largest field in a box; zero without any."""
         return self._fields.nodes

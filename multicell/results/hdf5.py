@@ -20,10 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.errors import OutputError
-from multicell.results import format4, stored
+from multicell.results import stored
 from multicell.results.folder import package_version, replace_file
 from multicell.results.journal import digest
-from multicell.results.layout import FORMAT, READABLE, Kind, layout, of_rows
+from multicell.results.layout import FORMAT, Kind, layout, of_rows
 from multicell.results.lineage import COLUMNS
 from multicell.results.quantities import known_unit
 from multicell.results.records import Arrays
@@ -234,7 +234,7 @@ def check_whole(path: Path) -> None:
         raise OutputError(f"'{path}' is missing")
     with _open_file(path) as file:
         written = file.attrs.get("format", 0)
-        if np.shape(written) != () or written not in READABLE:
+        if np.shape(written) != () or written != FORMAT:
             raise OutputError(f"'{path}' is no result file that this multicell reads")
 
 
@@ -292,8 +292,6 @@ class File:
     Attributes
     ----------
     scene : str
-    version : int
-        Of the layout, one of :data:`~multicell.results.layout.READABLE`.
     nutrients : tuple of str
     identity, absorbed : str
     times : (k,) float64, s
@@ -322,11 +320,9 @@ class File:
             self._read_format(file)
             for group in ("fields", "history", "cells", "frames", "lineage"):
                 self._group(file, group)
-            if self.version == 4:
-                self._group(file, "kept")
             self.nutrients = tuple(sorted(file["fields"]))
             self.columns = tuple(file["history"])
-            self._sets = layout(self.nutrients, self.version)
+            self._sets = layout(self.nutrients)
             self._check_sets(file)
             shared = _shared_arrays(file, self._sets)
             if digest(shared) != int(file.attrs["digest"]):
@@ -352,11 +348,10 @@ class File:
         written = file.attrs.get("format", 0)
         if np.shape(written) != () or not np.issubdtype(np.asarray(written).dtype, np.integer):
             raise self._damaged("its format is no number")
-        self.version = int(written)
-        if self.version not in READABLE:
+        if int(written) != FORMAT:
             raise OutputError(
-                f"'{self.path}' has result format {self.version}; this multicell reads formats "
-                f"{' and '.join(map(str, READABLE))}"
+                f"'{self.path}' has result format {int(written)}; "
+                f"this multicell reads format {FORMAT}"
             )
         frames = file.attrs["frames"]
         if np.shape(frames) != () or int(frames) < 0:
@@ -451,9 +446,8 @@ class File:
         OutputError
             If they are not what was written.
         """
-        read_frame = format4.read_frame if self.version == 4 else stored.read_frame
         with self._again() as file:
-            arrays = read_frame(file, place, self.nutrients, self._offsets)
+            arrays = stored.read_frame(file, place, self.nutrients, self._offsets)
         if digest(arrays) != int(self.digests[place]):
             raise OutputError(f"it is not what was written to '{self.path}'")
         return arrays

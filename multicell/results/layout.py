@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import Any, Final, NamedTuple, final
 
 import numpy as np
@@ -13,17 +13,6 @@ from multicell.results.records import FIELD, UNIT
 
 FORMAT: Final = 5
 """Number of the layout that :mod:`multicell.results.writer` describes."""
-READABLE: Final = (4, FORMAT)
-"""Layouts that can be read; :mod:`multicell.results.format4` reads the older one."""
-
-POOLS: Final[Mapping[str, tuple[str, ...]]] = {
-    "birth": ("parent", "kind", "young", "poisson", "cycle_time"),
-    "age": ("age",),
-    "phase": ("progress", "phase_length"),
-    "surface": ("receptor", "ligand"),
-}
-"""Columns of cells that share a list of entries in format 4."""
-
 _LONG: Final = 8192  # rows in a chunk of what grows with cells and nodes: 64 kB for a number each
 _MIDDLE: Final = 4096  # ... of logs and texts
 _SHORT: Final = 256  # ... of what has one row for each frame
@@ -44,7 +33,7 @@ class Kind(NamedTuple):
     chunk: int = _SHORT
 
 
-def layout(nutrients: Iterable[str], version: int = FORMAT) -> dict[str, Kind]:
+def layout(nutrients: Iterable[str]) -> dict[str, Kind]:
     """Return all data sets but those of the history, by path; checksums go by their order."""
     sets = {
         "frames/offset": Kind("<i8", None, "ends"),
@@ -55,12 +44,12 @@ def layout(nutrients: Iterable[str], version: int = FORMAT) -> dict[str, Kind]:
         "contacts/pair": Kind("<i8", 2, "contacts/offset", chunk=_MIDDLE),
         "progress/offset": Kind("<i8", None, "ends"),
         "progress/text": Kind("|u1", None, "progress/offset", chunk=_MIDDLE),
-        **(_pooled_cells() if version == 4 else _cells()),
+        **_cells(),
         **_lineage(),
     }
     for name in nutrients:
         sets |= _field(name)
-        sets |= _entries(name) if version == 4 else _concentration(name)
+        sets |= _concentration(name)
     return sets
 
 
@@ -77,20 +66,6 @@ def _cells() -> dict[str, Kind]:
         )
         for name, spec in Cells.schema().items()
     }
-
-
-def _pooled_cells() -> dict[str, Kind]:
-    """Return the columns of cells in format 4."""
-    columns = _cells()
-    sets: dict[str, Kind] = {}
-    for pool, names in POOLS.items():
-        offset = f"kept/{pool}/offset"
-        sets[offset] = Kind("<i8", None, "ends")
-        sets[f"kept/{pool}/id"] = Kind("<i8", None, offset, chunk=_MIDDLE)
-        for name in names:
-            entry = columns.pop(f"cells/{name}")
-            sets[f"kept/{pool}/{name}"] = entry._replace(pool=offset, chunk=_MIDDLE)
-    return columns | sets
 
 
 def _lineage() -> dict[str, Kind]:
@@ -124,13 +99,3 @@ def _field(name: str) -> dict[str, Kind]:
 def _concentration(name: str) -> dict[str, Kind]:
     """Return the data set of the concentrations at the cells."""
     return {f"cells/concentration_{name}": Kind("<f8", None, "frames/offset", UNIT, _LONG)}
-
-
-def _entries(name: str) -> dict[str, Kind]:
-    """Return the concentrations at the cells in format 4, where not the interpolated field."""
-    group = f"concentrations/{name}"
-    return {
-        f"{group}/offset": Kind("<i8", None, "ends"),
-        f"{group}/row": Kind("<i8", None, f"{group}/offset", chunk=_MIDDLE),
-        f"{group}/value": Kind("<f8", None, f"{group}/offset", UNIT, _MIDDLE),
-    }

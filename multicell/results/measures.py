@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Final
+from weakref import ref
 
 from multicell.results import observables as of
 from multicell.results.contacts import counts_contacts
@@ -247,17 +248,17 @@ def observables_of(scene: Scene, *, own: bool = True) -> Iterator[tuple[Observab
             yield observable, key
 
 
-_LAST: list[tuple[Scene, tuple[tuple[Observable, str], ...]]] = []
-"""The last scene and ours in it: a run asks in every step."""
+_MEMORY: list[tuple[ref[Scene], tuple[tuple[Observable, str], ...]]] = []
+"""The latest scene and ours in it, as a run asks in every step; it does not keep a scene alive."""
 
 
 def _ours(scene: Scene) -> tuple[tuple[Observable, str], ...]:
     """Return those of ours that exist in a scene."""
-    for known, found in _LAST:
-        if known is scene:
+    for known, found in _MEMORY:
+        if known() is scene:
             return found
     found = tuple((o, key) for o in OBSERVABLES for key in o.keys(scene))
-    _LAST[:] = [(scene, found)]
+    _MEMORY[:] = [(ref(scene), found)]
     return found
 
 

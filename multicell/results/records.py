@@ -46,9 +46,6 @@ FIELD: Final[Mapping[str, FieldArray]] = {
 _OF_PARTS: Final = ("driven", "springs", "first_states", "replays", "stability")
 """Entries of a progress that only some runs have."""
 
-_OF_OTHERS: Final = ("local_error",)
-"""Entries that earlier versions noted: they are left out."""
-
 _MAX_DEPTH: Final = 32
 
 
@@ -177,7 +174,7 @@ def progress_of(text: bytes, nutrients: Iterable[str]) -> Progress | None:
     """
     if not text:
         return None
-    entries = {name: x for name, x in parse_table(text).items() if name not in _OF_OTHERS}
+    entries = parse_table(text)
     expected = {spec.name for spec in fields(Progress)}
     if not expected - set(_OF_PARTS) <= set(entries) <= expected:
         raise OutputError(f"its progress has other entries: {sorted(set(entries) ^ expected)}")

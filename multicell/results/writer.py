@@ -29,8 +29,7 @@ Layout of ``frames.h5`` for k frames and m history rows::
     /scene                           bytes of ``scene.toml``
 
 All is compressed by filters that every HDF5 has (shuffle, gzip). A frame is compared with its
-checksum whenever it is read. Files of format 4, which left out what follows from the rest, are read
-by :mod:`multicell.results.format4` and become format 5 when their run is resumed.
+checksum whenever it is read.
 
 It is an ordinary file without links to others: h5py, pandas and xarray open it, and a copy of it is
 complete. The attributes ``identity`` and ``absorbed`` tell it and its journals apart, ``digest``

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, Protocol, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,13 +84,29 @@ class PrescribedMotion:
 Driver = Force | PrescribedMotion
 
 
+class DrivingTables(Protocol):
+    """What holds the tables that drive cells: a scene, or the plan of a run."""
+
+    @property
+    def forces(self) -> Mapping[str, Force]:
+        """Forces from outside by name."""
+
+    @property
+    def motions(self) -> Mapping[str, PrescribedMotion]:
+        """Prescribed motions by name."""
+
+    @property
+    def types(self) -> Mapping[str, Any]:
+        """Types of cells by name."""
+
+
 def _check_window(driver: Driver) -> None:
     if driver.end is not None and not driver.end > driver.begin:
         problem = f"is {driver.end:g} s, must be after begin, {driver.begin:g} s"
         raise SceneError("end", problem)
 
 
-def drivers(scene: Scene) -> Iterator[tuple[str, Driver]]:
+def drivers(scene: DrivingTables) -> Iterator[tuple[str, Driver]]:
     """Yield the tables of a scene that drive cells, each with its dotted path."""
     tables: Mapping[str, Mapping[str, Driver]] = {
         "forces": scene.forces, "motions": scene.motions
@@ -161,7 +177,7 @@ def members(types: Iterable[str], driver: Driver, cells: Cells) -> NDArray[np.bo
     return chosen
 
 
-def check_members(scene: Scene, cells: Cells) -> None:
+def check_members(scene: DrivingTables, cells: Cells) -> None:
     """Raise ``SceneError`` for drivers that name no cell of the start, or one that is not there.
 
     A cell that two motions would move at the same time is refused too.

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import final
+from typing import Final, final
 
 from multicell.errors import SceneError
-from multicell.scene.arrangement import KEYS, check_keys
 from multicell.scene.start_table import StartTable
-from multicell.schema import choice, count, interval, number, parameters, quantity, table, vector
+from multicell.schema import choice, count, number, parameters, table
 
-_ARRANGED = {"arrangement": "ball", "spacing": 1.0, "jitter": 0.0}
+_PACKED: Final = {"spacing": 1.0, "jitter": 0.0}
 """Keys that say where cells are if no table does, with their defaults."""
 
 
@@ -29,43 +28,12 @@ class Initial:
         StartTable,
         default=None,
         shorthand="file",
-        doc="table of positions, types, radii, ages ...; absent: cells are arranged",
-    )
-    arrangement: str = choice(
-        tuple(KEYS),
-        default="ball",
-        doc="hexagonal close packing that is cut to a ball, or at random in a region",
-    )
-    radius: float | None = quantity(
-        "um", default=None, above=0, doc="of a random ball, disc or shell, for centres of cells"
-    )
-    inner_radius: float | None = quantity(
-        "um", default=None, above=0, doc="of a random shell (ring in two dimensions)"
-    )
-    length: float | None = quantity("um", default=None, above=0, doc="of a random line")
-    centre: tuple[float, float, float] | None = vector(
-        "um",
-        default=None,
-        at_least=-1e6,
-        at_most=1e6,
-        doc="of a random ball, disc, shell or line; absent: 0",
-    )
-    axis: str | None = choice(
-        ["x", "y", "z"], default=None, doc="along a random line (absent: x), or across a disc (z)"
-    )
-    x: tuple[float, float] | None = interval(
-        "um", at_least=-1e6, at_most=1e6, doc="of a random box; absent: that of the domain"
-    )
-    y: tuple[float, float] | None = interval(
-        "um", at_least=-1e6, at_most=1e6, doc="of a random box; absent: that of the domain"
-    )
-    z: tuple[float, float] | None = interval(
-        "um", at_least=-1e6, at_most=1e6, doc="of a random box; absent: that of the domain"
+        doc="table of positions, types, radii, ages ...; absent: a close packing, cut to a ball",
     )
     spacing: float = number(
         default=1.0,
         above=0,
-        doc="centre distance / mean diameter; at random the smallest of two cells",
+        doc="centre distance / mean diameter",
     )
     jitter: float = number(
         default=0.0, at_least=0, doc="standard deviation of a random shift / mean diameter"
@@ -84,7 +52,6 @@ class Initial:
         SceneError
             If it contradicts the number that is given, or leaves other keys without effect.
         """
-        check_keys(self)
         number = 1 if self.cells is None else self.cells.rows
         if self.count is None:
             object.__setattr__(self, "count", number)
@@ -93,7 +60,7 @@ class Initial:
         if self.count != number:
             problem = f"is {self.count:,}, but the table of initial.cells has {number:,} rows"
             raise SceneError("count", problem, "Leave it out.")
-        for name, usual in _ARRANGED.items():
+        for name, usual in _PACKED.items():
             if getattr(self, name) != usual:
                 problem = "has no effect: initial.cells gives the positions"
                 raise SceneError(name, problem, "Leave it out.")

@@ -22,7 +22,6 @@ from multicell.errors import SceneError
 from multicell.files import DEEPEST, parse_toml, read_regular
 from multicell.laws import OwnLaw
 from multicell.plugins import OWN_OBJECT
-from multicell.scene.arrangement import check_arrangement
 from multicell.scene.checks import (
     check_integrator,
     check_motility,
@@ -55,7 +54,7 @@ from multicell.scene.parts import (
 )
 from multicell.scene.ranges import check_sizes
 from multicell.scene.reactions import Reaction
-from multicell.scene.springs import Springs, check_springs, place_pairs
+from multicell.scene.springs import Springs
 from multicell.schema import (
     Tables,
     build,
@@ -193,9 +192,7 @@ class Scene:
             problem = f"is {smoothing:g} um, must be at most the birth radius {smallest:g} um"
             raise SceneError("contact.smoothing", problem, "0 turns it off.")
         check_domain(self)
-        check_arrangement(self)
         check_driven(self)
-        check_springs(self)
         check_nutrients(self)
         check_energy(self)
         if self.reactions:
@@ -323,7 +320,7 @@ def beside(entries: dict[str, Any], source: str | Path) -> dict[str, Any]:
     from multicell.scene.start_table import place_table
 
     folder = Path(os.path.expanduser(source)).parent
-    return place_pairs(place_table(entries, folder), folder)
+    return place_table(entries, folder)
 
 
 def _read(source: str | Path) -> str:

@@ -20,7 +20,6 @@ from hypothesis import strategies as st
 
 from multicell.cells import Phase, State
 from multicell.integrators.registry import METHODS
-from multicell.scene.arrangement import KEYS, OF_REGIONS
 from multicell.scene.nutrient import FACES
 from multicell.scene.parts import PHASES
 from multicell.scene.scene import Scene
@@ -352,7 +351,7 @@ def fitted(entries):
     fields, types = scene.get("nutrients", {}), scene.get("types", {})
     _fit_cells(scene)
     _fit_domain(scene, flat)
-    _fit_start(scene, flat)
+    _fit_start(scene)
     _fit_growth(scene)
     _fit_driven(scene, flat)
     _fit_springs(scene)
@@ -495,28 +494,15 @@ def _fit_driven(scene, flat):
 
 
 def _fit_springs(scene):
-    """Let springs join cells that there are, in one way, and break when they are long."""
+    """Let springs join cells that there are."""
     count = scene.get("initial", {}).get("count", 1)
-    radius = base(scene.get("cells", {}).get("division_radius", 5.0))
     springs = scene.get("springs", {})
     for name, spring in list(springs.items()):
         if count < 2:
             del springs[name]
             continue
-        if "file" in spring:
-            spring["file"] = str(Path(__file__).with_name("edges.csv"))
-            spring.pop("pairs", None)
-            spring.pop("within", None)
-        elif "within" in spring:
-            spring.pop("pairs", None)
-            spring["within"] = 20.0 * radius
-        else:
-            pairs = [pair for pair in spring.get("pairs", []) if max(pair) < count]
-            spring["pairs"] = pairs or [[0, 1]]
-        if "growth" not in scene:
-            spring.pop("sisters", None)
-        if "breaking_length" in spring:
-            spring["breaking_length"] = base(spring.get("rest", 0.0)) + 10.0 * radius
+        pairs = [pair for pair in spring.get("pairs", []) if max(pair) < count]
+        spring["pairs"] = pairs or [[0, 1]]
 
 
 def _fit_motility(scene, flat):
@@ -535,11 +521,11 @@ def _fit_motility(scene, flat):
 
 
 _TABLES = Path(tempfile.mkdtemp(prefix="multicell-starts-"))
-_ARRANGED = ("count", "arrangement", "spacing", "jitter", *OF_REGIONS)
+_ARRANGED = ("count", "spacing", "jitter")
 
 
-def _fit_start(scene, flat):
-    """Write the table that a start names; give a region room, and only the keys that it takes."""
+def _fit_start(scene):
+    """Write the table that a start names, and drop the keys that it leaves without effect."""
     initial = scene.get("initial", {})
     if "cells" in initial:
         for key in _ARRANGED:
@@ -557,36 +543,6 @@ def _fit_start(scene, flat):
         if "sha256" in named:
             named["sha256"] = hashlib.sha256(file.read_bytes()).hexdigest()
         return
-    kind = initial.get("arrangement", "ball")
-    for key in OF_REGIONS:
-        if key not in KEYS[kind]:
-            initial.pop(key, None)
-    if kind != "ball":
-        _fit_region(scene, initial, kind, flat)
-
-
-def _fit_region(scene, initial, kind, flat):
-    """Give all cells of a random start room, within the domain if there is one."""
-    initial.pop("jitter", None)
-    radius = base(scene.get("cells", {}).get("division_radius", 5.0))
-    initial["spacing"] = min(initial.get("spacing", 1.0), 1.0)
-    initial["count"] = min(initial.get("count", 1), 20)
-    room = 6.0 * radius
-    sizes = {"radius": room, "inner_radius": 0.5 * room, "length": 80.0 * radius}
-    boxed = "domain" in scene
-    for key in KEYS[kind]:
-        if key in sizes:
-            initial[key] = sizes[key]
-    if boxed and "length" in initial:
-        initial["count"], initial["length"] = min(initial["count"], 4), 12.0 * radius
-    if boxed or flat:
-        initial.pop("centre", None)
-    if kind == "random-box":
-        for axis in "xy" if flat else "xyz":
-            initial[axis] = [-room, room]
-    if flat:
-        initial.pop("z", None)
-        initial.pop("axis", None)
 
 
 def written_table(rows, radius, named):

@@ -11,12 +11,13 @@ def at_rest(count, sides, **changes):
     """Return cells that have come to rest in a box, sides in µm."""
     entries = {
         "duration": "2 d", "coupling_step": "1 h", "seed": 2,
-        "initial": {"count": count, "arrangement": "random-box", "spacing": 0.3},
         "contact": {"law": "hertz"}, "drag": {"viscosity": 0.05},
         "domain": {axis: [0.0, side] for axis, side in zip("xyz", sides, strict=True)},
         "integrator": {"atol": 1e-4},
     }  # fmt: skip
-    simulation = Simulation(mc.Scene.from_dict(entries | changes), threads=1)
+    places = np.random.default_rng(2).uniform(0.0, sides, (count, 3))
+    cells = dict(zip(("x_um", "y_um", "z_um"), places.T, strict=True))
+    simulation = Simulation(mc.Scene.from_dict(entries | changes), cells=cells, threads=1)
     for _ in range(8):
         simulation.step()
     return simulation

@@ -1,7 +1,4 @@
-"""Result files hold every bit, in few bytes; files of the format before are read."""
-
-import shutil
-from pathlib import Path
+"""Result files hold every bit, in few bytes; files of other formats are refused."""
 
 import h5py
 import numpy as np
@@ -10,12 +7,10 @@ from stored import contents
 from synthetic import SCENE, ball, cells_at, growing_frames
 
 import multicell as mc
-from multicell.files import parse_toml
 from multicell.results.coding import decode, encode
 from multicell.results.frame import Field, Frame
 from multicell.results.reader import Contents, Frames
 from multicell.results.writer import Store
-from multicell.scene.scene import Scene
 
 RNG = np.random.default_rng(5)
 
@@ -95,27 +90,14 @@ def test_files_hold_what_memory_holds(case, tmp_path):
             )
 
 
-@pytest.mark.parametrize("name", ["cubes", "shells"])
-def test_files_of_format_4_are_read_and_become_format_5(name, tmp_path):
-    """Each frame must have the checksum that the program of that format wrote."""
-    old, new = tmp_path / "old", tmp_path / "new"
-    old.mkdir()
-    shutil.copy(Path(__file__).parent / "format4" / f"{name}.h5", old / "frames.h5")
-    before = Contents(old)
-    assert before.file.version == 4
-    frames = list(Frames(before))
-    assert len(frames) == 3
-    assert all(len(frame.cells) >= 8 for frame in frames)
-    with Store.create(new, Scene.from_dict(parse_toml(before.scene))) as store:
-        store.copy(before, 2, before.rows)
-    after = Contents(new)
-    assert after.file.version == 5
-    assert [place.digest for place in after.places] == [place.digest for place in before.places]
-    for one, other in zip(frames, Frames(after), strict=True):
-        assert one.cells.age.tobytes() == other.cells.age.tobytes()
-        for nutrient, values in one.concentrations.items():
-            assert other.concentrations[nutrient].tobytes() == values.tobytes()
-            assert np.isfinite(values).all()
+def test_files_of_another_format_are_refused_in_words(tmp_path):
+    with Store.create(tmp_path / "out", SCENE) as store:
+        for frame in growing_frames(count=2, last=10):
+            store.append(frame)
+    with h5py.File(tmp_path / "out" / "frames.h5", "r+") as file:
+        file.attrs["format"] = 4
+    with pytest.raises(mc.OutputError, match=r"has result format 4; this multicell reads format 5"):
+        Contents(tmp_path / "out")
 
 
 def test_frames_are_read_in_any_order_and_also_with_strange_numbers(tmp_path):

@@ -193,7 +193,6 @@ def test_unreadable_file(tmp_path):
         ({"stop_cells": 0}, "stop_cells", "at least 1"),
         ({"title": 3}, "title", "one line of text"),
         ({"initial": {"count": 0}}, "initial.count", "at least 1"),
-        ({"initial": {"arrangement": "cube"}}, "initial.arrangement", "must be one of 'ball'"),
         ({"initial": {"spacing": 0}}, "initial.spacing", "above 0"),
         ({"initial": {"jitter": -0.1}}, "initial.jitter", "at least 0"),
         ({"initial": {"stage": "old"}}, "initial.stage", "'birth', 'uniform'"),

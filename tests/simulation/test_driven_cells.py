@@ -9,6 +9,7 @@ import pytest
 import multicell as mc
 from multicell.biology.driven import named_at_start, pass_on
 from multicell.biology.initial import initial_cells
+from multicell.biology.plan import biology_plan
 from multicell.cells import State
 from multicell.comparison.record import record
 from multicell.comparison.replay import replay
@@ -168,7 +169,7 @@ def test_a_type_keeps_its_drivers_and_removed_cells_leave_their_list():
         6, types={"a": {}, "b": {}}, motions={"m": {"type": "b"}},
         forces={"f": {"force": [1, 0, 0]}},
     )  # fmt: skip
-    assert named_at_start(scene, initial_cells(scene)) == {}
+    assert named_at_start(biology_plan(scene), initial_cells(scene)) == {}
     way, simulation = course(scene)
     kind = simulation.cells.kind[np.argsort(simulation.cells.id)]
     moved = np.abs(way[-1] - way[0]).max(axis=1)
@@ -198,7 +199,7 @@ def test_a_resumed_run_has_the_bits_of_the_whole(division):
         division,
         motions={"held": {"cells": [0, 2]}, "x": {"cells": [1], "velocity": [0, 1e-4, 0]}},
         forces={"f": {"force": [0.001, 0, 0], "cells": [3]}},
-        springs={"s": {"stiffness": 0.05, "pairs": [[0, 1], [2, 3]], "sisters": True}},
+        springs={"s": {"stiffness": 0.05, "pairs": [[0, 1], [2, 3]]}},
     )  # fmt: skip
     whole = Simulation(scene, threads=1)
     while whole.step_index < 20:
@@ -223,7 +224,9 @@ def test_frames_of_other_scenes_say_nothing_of_drivers():
 
 def test_threads_give_the_same_bits(monkeypatch):
     scene = mc.load_scene("compression").with_changes({"duration": "2 min", "initial.count": 400})
-    scene = scene.with_changes({"springs.net": {"stiffness": 0.1, "within": 7.0}})
+    scene = scene.with_changes(
+        {"springs.net": {"stiffness": 0.1, "pairs": [[i, i + 1] for i in range(100)]}}
+    )
     found = []
     for threads in (1, 2):
         simulation = Simulation(scene, threads=threads)

@@ -47,14 +47,15 @@ def test_a_step_of_few_cells_takes_few_calls(count, most):
     assert calls(run) < most
 
 
-def test_a_run_loads_neither_pde_nor_transforms():
+@pytest.mark.parametrize(("name", "loaded"), [("spheroid", ["pde"]), ("growth", [])])
+def test_a_run_loads_pde_for_its_fields_only(name, loaded):
     code = (
         "import sys; import multicell as mc; from multicell.simulation import Simulation;"
-        "s = Simulation(mc.load_scene('spheroid'), threads=1); s.step();"
-        "print([m for m in ('pde', 'scipy.fft', 'h5py', 'matplotlib') if m in sys.modules])"
+        f"s = Simulation(mc.load_scene({name!r}), threads=1); s.step();"
+        "print([m for m in ('pde', 'h5py', 'matplotlib') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
+    assert done.stdout.strip() == str(loaded)
 
 
 def test_a_lone_cell_stays_where_it_is_and_is_not_integrated():

@@ -9,6 +9,7 @@ import multicell as mc
 from multicell.biology import splitting
 from multicell.biology.plan import biology_plan
 from multicell.cells import State
+from multicell.scene.sizes import birth_volume
 from multicell.simulation import Simulation
 
 STEPS = (2400.0, 1200.0, 300.0)
@@ -149,7 +150,7 @@ def test_rms_and_worst_are_those_of_single_cells():
     now = splitting.FrozenRates(cells.id, factor - np.linspace(0.0, 0.2, n))
     cells.state[0] = State.NECROTIC
     error = splitting.step_error(biology_plan(scene), before, now, cells, 1000, 600.0)
-    rate = splitting.birth_volume(scene) / cells.cycle_time
+    rate = birth_volume(scene) / cells.cycle_time
     single = 300.0 * rate * np.linspace(0.0, 0.2, n) / cells.volume
     assert error.rms == pytest.approx(np.sqrt(np.mean(single[1:] ** 2)))
     assert error.worst == pytest.approx(single.max())

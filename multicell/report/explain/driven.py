@@ -77,6 +77,6 @@ def _moved(velocity: tuple[float, float, float]) -> str:
 
 
 def _springs(law: Springs) -> str:
-    whom = f"cells within {law.within} um" if law.pairs is None else f"{len(law.pairs):,} pairs"
+    whom = f"{len(law.pairs or ()):,} pairs"
     rest = "their distance at the start" if law.rest is None else f"{law.rest:g} um"
     return f"{law.stiffness:g} nN/um between {whom}, at rest at {rest}"

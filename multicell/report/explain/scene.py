@@ -16,7 +16,6 @@ from multicell.report.explain.contact import contact_notes, contact_numbers, con
 from multicell.report.explain.cost import cost_numbers
 from multicell.report.explain.items import Number, Part, hours, part
 from multicell.report.explain.nutrient import nutrient_notes, nutrient_numbers, nutrient_parts
-from multicell.scene.arrangement import coverage, region
 from multicell.scene.coupling import fixed_step, longest_step, shortest_step, tolerance
 from multicell.scene.domain import sides
 from multicell.scene.pairs import daughters_stiffness, drag
@@ -76,13 +75,7 @@ def _start_words(scene: Scene) -> str:
         name = Path(start.cells.file).name or "cells given in memory"
         told = ", ".join(start.cells.given.columns)
         return f"{start.count:,} cell(s) of the table '{name}', which gives {told}{_stage(scene)}"
-    found = region(scene)
-    if found is not None:
-        share = 100.0 * coverage(scene, 2.0 * birth_radius(scene))
-        words = start.arrangement.removeprefix("random-")
-        words = f"{start.count:,} cell(s) at random in a {words}, of which they cover {share:.3g} %"
-        return f"{words}{_stage(scene)}"
-    shape = start.arrangement if scene.dimensions == 3 else "plane, where they stay"
+    shape = "ball" if scene.dimensions == 3 else "plane, where they stay"
     return f"{start.count:,} cell(s) in a {shape}{_stage(scene)}"
 
 

@@ -11,7 +11,6 @@ from multicell.errors import NutrientFailed, SceneError
 from multicell.nutrient.choosing.choice import CHANGED
 from multicell.nutrient.fields import Feeding
 from multicell.scene import domain as box
-from multicell.scene.arrangement import region
 from multicell.scene.start import separate
 from multicell.scene.start_checks import positions
 
@@ -35,9 +34,6 @@ def _nodes(scene: Scene) -> float:
         * max(scene.initial.spacing, 1.0)
         * scene.initial.count ** (1.0 / scene.dimensions)
     )
-    found = region(scene)
-    if found is not None:
-        across = max(across, 2.0 * max(found.half()))
     if scene.initial.cells is not None:
         places = positions(scene.initial.cells.given)
         across = max(across, float((places.max(axis=0) - places.min(axis=0)).max()))
