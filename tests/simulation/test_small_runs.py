@@ -47,11 +47,11 @@ def test_a_step_of_few_cells_takes_few_calls(count, most):
     assert calls(run) < most
 
 
-def test_a_run_loads_neither_pde_nor_transforms():
+def test_a_run_loads_neither_transforms_nor_pictures():
     code = (
         "import sys; import multicell as mc; from multicell.simulation import Simulation;"
         "s = Simulation(mc.load_scene('spheroid'), threads=1); s.step();"
-        "print([m for m in ('pde', 'scipy.fft', 'h5py', 'matplotlib') if m in sys.modules])"
+        "print([m for m in ('scipy.fft', 'h5py', 'matplotlib') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
