@@ -326,7 +326,8 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
     ) -> None:  # fmt: skip
         """Take cells elsewhere, with largest uptake and secretion of each, (n,) amol/s, by name.
 
-        ``layout`` may lie elsewhere too.
+        ``layout`` may lie elsewhere too, and have other nodes of the same kind; nothing that
+        belongs to nodes (``varied``, ``supply``, ``tissue``) may have been given then.
         """
         self.position = position
         if layout is not self.layout:

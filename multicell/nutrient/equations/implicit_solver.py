@@ -84,7 +84,7 @@ class ImplicitFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
         SceneError
             For an equation or a state that it cannot solve.
         """
-        equation = suitable(self.pde, state, Invertible)  # type: ignore[type-abstract]
+        equation: Invertible = suitable(self.pde, state, "shifted_inverse")
         names = labels(state)
         if self.atol is not None and np.size(self.atol) not in (1, len(names)):
             raise SceneError("atol", f"has {np.size(self.atol)} numbers for {len(names)} fields")

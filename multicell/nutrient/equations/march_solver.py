@@ -78,7 +78,7 @@ class MarchFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
         SceneError
             For an equation that takes no steps of backward Euler.
         """
-        pde = suitable(self.pde, state, Stepped)  # type: ignore[type-abstract]
+        pde: Stepped = suitable(self.pde, state, "implicit_step")
         done = March(Rows(np.zeros((len(pde.names), len(COLUMNS)))))
         self.info.update(dt=dt, stochastic=False)
         self._note(done)

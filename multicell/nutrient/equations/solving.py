@@ -8,7 +8,7 @@ of an explicit one. Ours know more of an equation than its rates, which it offer
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from pde.fields.collection import FieldCollection
@@ -23,7 +23,6 @@ Inverse = Callable[[FloatArray, float], FloatArray]
 """(r, shift) -> about (shift - J)⁻¹ r, arrays like a state's data."""
 
 
-@runtime_checkable
 class Invertible(Protocol):
     """An equation that about inverts the derivative of its rates."""
 
@@ -40,7 +39,6 @@ class Invertible(Protocol):
         """Return in words which field grows without bound; empty if none does."""
 
 
-@runtime_checkable
 class Stepped(Protocol):
     """An equation that takes steps of backward Euler, whatever their length."""
 
@@ -61,7 +59,6 @@ class Stepped(Protocol):
         """Return the times strictly between two at which the rates jump."""
 
 
-@runtime_checkable
 class Steady(Protocol):
     """An equation that knows the state in which it rests."""
 
@@ -69,18 +66,15 @@ class Steady(Protocol):
         """Return the state that rests with the conditions of a time, and what it took."""
 
 
-E = TypeVar("E")
-
-
-def suitable(pde: PDEBase, state: Any, kind: type[E]) -> E:
-    """Return an equation of the kind that a solver solves.
+def suitable(pde: PDEBase, state: Any, method: str) -> Any:
+    """Return an equation that has the method by which a solver solves it.
 
     Raises
     ------
     SceneError
-        If it is of another kind, or the state is not one of its own.
+        If it has not, or the state is not one of its own.
     """
-    if not isinstance(pde, kind):
+    if not hasattr(pde, method):
         problem = f"is {type(pde).__name__}, but multicell's solvers solve equations of fields only"
         raise SceneError("equation", problem, "Take one of py-pde's own solvers.")
     check = getattr(pde, "check", None)

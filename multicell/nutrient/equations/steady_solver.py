@@ -40,7 +40,7 @@ class SteadyFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
         SceneError
             For an equation that has no steady solver, and a state of another one.
         """
-        equation = suitable(self.pde, state, Steady)  # type: ignore[type-abstract]
+        equation: Steady = suitable(self.pde, state, "steady_state")
         self.info.update(dt=None, steps=0, stochastic=False)
 
         def stepper(state: Any, t_start: float, t_end: float) -> float:
