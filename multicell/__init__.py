@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from multicell.calibration.sensitivity import sensitivity
     from multicell.calibration.sensitivity_result import Sensitivity
     from multicell.cells import Cells, State
-    from multicell.comparison.field_solvers.compare import compare_fields
-    from multicell.comparison.field_solvers.result import FieldComparison
     from multicell.comparison.result import WorkPrecision
     from multicell.comparison.stability_limits.result import StabilityMap
     from multicell.comparison.stability_limits.search import stability
@@ -67,7 +65,6 @@ __version__ = "0.1.0"
 __all__ = [
     "JKR",
     "Cells",
-    "FieldComparison",
     "FieldEquation",
     "FieldProblem",
     "Fit",
@@ -98,7 +95,6 @@ __all__ = [
     "Substance",
     "WorkPrecision",
     "compare",
-    "compare_fields",
     "export",
     "field_problem",
     "fit",
@@ -159,8 +155,6 @@ _LAZY = {
     "WorkPrecision": "multicell.comparison.result",
     "StabilityMap": "multicell.comparison.stability_limits.result",
     "compare": "multicell.comparison.work_precision",
-    "compare_fields": "multicell.comparison.field_solvers.compare",
-    "FieldComparison": "multicell.comparison.field_solvers.result",
     "export": "multicell.report.exports.files",
     "resume": "multicell.runner",
     "run": "multicell.runner",

@@ -23,7 +23,6 @@ from multicell.cli.process import complain, print_json
 
 if TYPE_CHECKING:
     from multicell.comparison import StabilityMap, WorkPrecision
-    from multicell.scene.scene import Scene
 
 
 def _positive(context: click.Context, option: click.Parameter, value: float | None) -> float | None:
@@ -99,38 +98,13 @@ def _comparing(command: Callable[..., None]) -> Callable[..., None]:
 @click.option("--repeats", type=click.IntRange(min=1), default=3, help="Timed solves per point.")
 @_seconds("--patience", "Longest solve in s.", default=10.0)
 @_seconds("--budget", "Time for all methods together in s.")
-@click.option(
-    "--fields",
-    is_flag=True,
-    help="Compare solvers of the scene's fields instead: ours, py-pde's and SciPy's.",
-)
-@click.option(
-    "--at",
-    metavar="TIME",
-    help="With --fields: run the scene to this time first, for example '3 d'.",
-)
-@click.option(
-    "--spacings",
-    type=click.IntRange(min=1, max=6),
-    help="With --fields: number of grids, from twice the field's own spacing down.  [default: 3]",
-)
-@click.option(
-    "--backend",
-    type=click.Choice(["kernels", "numpy", "numba"]),
-    help="With --fields: what evaluates the rates for py-pde's solvers; numba compiles for "
-    "seconds for each of them.  [default: kernels]",
-)
-@click.pass_context
 def compare(
-    context: click.Context,
-    /,
     scene: str,
     law: str | None,
     changes: Sequence[str],
     stepwise: int | None,
     quiet: bool,
     as_json: bool,
-    fields: bool,
     **options: Any,
 ) -> None:
     """Chart error against cost of integration methods on a SCENE.
@@ -138,60 +112,14 @@ def compare(
     All methods replay the same events at the same times. The reference is computed twice, and
     its uncertainty is part of the chart. Trajectories of a growing or driven population diverge
     with any method: compare those with --stepwise.
-
-    With --fields the cells stay as they are, and solvers of the nutrient fields are compared on
-    steady, transient and switching-medium problems, on grids of several spacings.
     """
-    _refuse_mixed(context, fields)
     described = scene_of(scene, changes, law)
-    only = {name: options.pop(name) for name in ("at", "spacings", "backend")}
     from multicell import comparison
 
-    if fields:
-        given = {name: value for name, value in only.items() if value is not None}
-        _compare_fields(context, described, given, options, quiet, as_json)
-        return
     result = comparison.compare(
         described, stepwise=stepwise or False, progress=None if quiet else complain, **options
     )
     _show(result, options["output"], quiet, as_json)
-
-
-def _given(context: click.Context, name: str) -> bool:
-    """Return whether an option was given."""
-    source = context.get_parameter_source(name)
-    return source is not None and source is not click.core.ParameterSource.DEFAULT
-
-
-def _refuse_mixed(context: click.Context, fields: bool) -> None:
-    """Refuse options that mean nothing for what is compared."""
-    others = ("stepwise", "shift") if fields else ("at", "spacings", "backend")
-    for name in others:
-        if _given(context, name):
-            why = "compares methods of integration, not --fields" if fields else "needs --fields"
-            raise click.UsageError(f"--{name} {why}.", context)
-
-
-def _compare_fields(
-    context: click.Context, scene: Scene, given: dict[str, Any], options: dict[str, Any],
-    quiet: bool, as_json: bool,
-) -> None:  # fmt: skip
-    """Compare solvers of fields and print what was found."""
-    from multicell import comparison
-
-    for name in ("budget", "clock"):
-        if not _given(context, name):
-            del options[name]
-    del options["shift"]
-    result = comparison.compare_fields(
-        scene, options.pop("output"), solvers=options.pop("methods"),
-        progress=None if quiet else complain, **options, **given,
-    )  # fmt: skip
-    if as_json:
-        print_json(result.table)
-    elif not quiet:
-        console().print(result.text(), markup=False, highlight=False)
-        console().print(f"Results are in '{context.params['output']}'.", markup=False)
 
 
 @click.command()

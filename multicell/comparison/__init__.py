@@ -1,4 +1,4 @@
-"""Compare methods of integration and field solvers: error against cost, limits of stability."""
+"""Compare methods of integration: error against cost, limits of stability."""
 
 from __future__ import annotations
 
@@ -6,8 +6,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from multicell.comparison.field_solvers.compare import compare_fields
-    from multicell.comparison.field_solvers.result import FieldComparison
     from multicell.comparison.ladders import Method
     from multicell.comparison.result import WorkPrecision
     from multicell.comparison.stability_limits.result import StabilityMap
@@ -15,21 +13,17 @@ if TYPE_CHECKING:
     from multicell.comparison.work_precision import compare
 
 __all__ = [
-    "FieldComparison",
     "Method",
     "StabilityMap",
     "WorkPrecision",
     "compare",
-    "compare_fields",
     "stability",
 ]
 
 _LAZY = {
-    "FieldComparison": "multicell.comparison.field_solvers.result",
     "Method": "multicell.comparison.ladders",
     "WorkPrecision": "multicell.comparison.result",
     "compare": "multicell.comparison.work_precision",
-    "compare_fields": "multicell.comparison.field_solvers.compare",
     "stability": "multicell.comparison.stability_limits.search",
     "StabilityMap": "multicell.comparison.stability_limits.result",
 }

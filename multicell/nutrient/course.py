@@ -72,9 +72,8 @@ class Course:
         strays = all(f.parameters.open_medium for f in fields)
         layout, kept, position = group.first.lay(position, radius, strays=strays)
         self.layout, self.kept = layout, kept
-        self.equation = group.equation(layout, kept, position, radius, demand)
-        values = {f.name: self._first(f, time, carry) for f in fields}
-        self.state: Any = self.equation.state(values)
+        self.equation = group.equation(layout, position, radius, demand)
+        self.state: Any = group.state([self._first(f, time, carry) for f in fields])
 
     def _first(self, field: NutrientField, time: float, carry: bool) -> FloatArray:
         """Return the values that a field begins with on the layout."""

@@ -7,7 +7,7 @@ values of the layout before it, and makes the operator that solves on it.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol, final
 
 import numpy as np
@@ -161,12 +161,6 @@ class BoxLayout:
         """Lay it round a ball or disc of tissue, its outermost centres at ``radius`` (µm)."""
         reach = np.full(3, radius + margin)
         return cls(lay(-reach, reach, spacing, height))
-
-    def moved_from(self, other: Layout) -> bool:
-        """Return whether it is another one that lies elsewhere."""
-        return isinstance(other, BoxLayout) and self.box == replace(
-            other.box, origin=self.box.origin
-        )
 
     @property
     def spacing(self) -> float:

@@ -18,7 +18,7 @@ from multicell.nutrient import finite, foreign
 from multicell.nutrient.balance import FADED, FieldReport
 from multicell.nutrient.course import Course, Demand, substance
 from multicell.nutrient.equations.equation import FieldEquation
-from multicell.nutrient.grid import BoxLayout, Layout, tissue_share
+from multicell.nutrient.grid import Layout, tissue_share
 
 if TYPE_CHECKING:
     from multicell.nutrient.field import NutrientField
@@ -55,6 +55,7 @@ class FieldGroup:
         self._equation: FieldEquation | None = None
         self._made_for: tuple[FieldParameters, ...] = ()
         self._may_stay = False
+        self._state: Any = None
         self.info: dict[str, Any] = {}
 
     def solve(
@@ -155,17 +156,17 @@ class FieldGroup:
         course.finish(time)
 
     def equation(
-        self, layout: Layout, kept: bool, position: FloatArray, radius: FloatArray, demand: Demand,
-    ) -> FieldEquation:  # fmt: skip
+        self, layout: Layout, position: FloatArray, radius: FloatArray, demand: Demand
+    ) -> FieldEquation:
         """Return the equation on a layout with cells there; the last one if it still holds.
 
-        A box that has only moved with the tissue leaves all but its place as it was.
+        A layout of the same kind that follows the tissue leaves what it is made of as it was.
         """
         fields = self.fields.values()
         tissue = self.kinetics is not None and self.kinetics.needs_tissue
         last, made_for = self._equation, tuple(f.parameters for f in fields)
         holds = last is not None and self._may_stay and self._made_for == made_for
-        if last is not None and holds and not tissue and (kept or _moved(last.layout, layout)):
+        if last is not None and holds and not tissue and last.layout.kind == layout.kind:
             for f in fields:
                 if f.well_mixed is not None:
                     last.terms[f.name].follow(f.well_mixed.concentration)
@@ -184,9 +185,20 @@ class FieldGroup:
         )  # fmt: skip
         return self._equation
 
+    def state(self, values: list[FloatArray]) -> Any:
+        """Return a state of the last equation; the last one, with other values, if it still holds.
 
-def _moved(old: Layout, new: Layout) -> bool:
-    return isinstance(new, BoxLayout) and new.moved_from(old)
+        Parameters
+        ----------
+        values : mM
+            At the nodes, for each field.
+        """
+        assert self._equation is not None
+        if self._state is not None and self._state.grid is self._equation.grid:
+            self._state.data[...] = np.reshape(values, self._state.data.shape)
+        else:
+            self._state = self._equation.state(dict(zip(self.names, values, strict=True)))
+        return self._state
 
 
 def _stands_still(nutrient: Nutrient) -> bool:

@@ -34,7 +34,7 @@ def is_picture(path: Path) -> bool:
 def test_every_example_states_problem_cost_and_command() -> None:
     files = sorted(EXAMPLES.glob("*.py"))
     assert [f.stem for f in files] == [
-        "exact_jkr", "figure_3_3", "fisher_front", "fit_growth", "jkr_curves", "own_growth_law",
+        "exact_jkr", "figure_3_3", "fit_growth", "jkr_curves", "own_growth_law",
         "own_integrator", "own_law", "own_observable", "slurm_study", "small_spheroid", "study",
         "table_3_2",
         "two_cells",

@@ -77,9 +77,8 @@ def test_rates_are_pdes_laplacian_and_the_sum_of_all_terms(kind):
     assert np.sum(volumes * height * sink) == pytest.approx(60 * 40.0, rel=1e-12)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
-def test_numba_backend_has_the_same_rates_while_the_medium_changes(kind):
+def test_rates_follow_a_changing_medium(kind):
     steps = mc.Schedule.steps([(0.0, 0.07), (5.0, 0.02)])
     ramp = mc.Schedule(np.array([0.0, 4.0]), np.array([1.0, 3.0]), np.array([0.5, 0.0]))
 
@@ -95,19 +94,13 @@ def test_numba_backend_has_the_same_rates_while_the_medium_changes(kind):
             varied=rng.uniform(0.5, 2.0, grid_of(kind).shape),
         ),
     }  # fmt: skip
-    # each further kernel takes py-pde's compiler seconds
-    kept = {"cubes": ["oxygen"], "squares": ["glucose"], "shells": ["oxygen", "glucose"]}[kind]
-    substances = {name: substances[name] for name in kept}
     equation = FieldEquation(grid_of(kind), substances, cells_of(kind))
     assert equation.explicit_time_dependence
-    jumps = {"cubes": [5.0], "squares": [4.0], "shells": [4.0, 5.0]}[kind]
-    assert equation.switches(0.0, 9.0) == jumps
+    assert equation.switches(0.0, 9.0) == [4.0, 5.0]
     state = random_state(equation)
-    rhs = equation.make_pde_rhs(state, "numba")
     for t in (0.0, 3.0, 4.5, 5.0, 8.0):
         ours = equation.evolution_rate(state, t).data
         size = np.abs(ours).max()
-        np.testing.assert_allclose(rhs(state.data, t), ours, atol=1e-13 * size)
         np.testing.assert_allclose(equation.rates(state.data, t)[0], ours, atol=1e-13 * size)
         levels = {"oxygen": steps.at(t), "glucose": ramp.at(t)}
         fixed = {
@@ -172,17 +165,17 @@ def test_pdes_explicit_solver_takes_the_same_course(kind):
 
 
 @pytest.mark.parametrize(
-    ("solver", "backend", "order"),
+    ("solver", "order"),
     [
-        ("euler", "numba", 1),
-        ("runge-kutta", "numpy", 4),
-        ("adams-bashforth", "numpy", 2),
-        ("implicit", "numpy", 1),
-        ("crank-nicolson", "numpy", 2),
-        ("scipy", "numpy", 4),
+        ("euler", 1),
+        ("runge-kutta", 4),
+        ("adams-bashforth", 2),
+        ("implicit", 1),
+        ("crank-nicolson", 2),
+        ("scipy", 4),
     ],
 )
-def test_every_solver_of_pdes_solves_it(solver, backend, order):
+def test_every_solver_of_pdes_solves_it(solver, order):
     equation = equation_of("shells")
     rng = np.random.default_rng(8)
     state = equation.state({"oxygen": 0.05 + 0.04 * rng.random(40)})
@@ -194,7 +187,7 @@ def test_every_solver_of_pdes_solves_it(solver, backend, order):
     }
     dt = None if solver == "scipy" else 2e-4
     theirs = equation.solve(
-        state, 0.05, dt=dt, solver=solver, backend=backend, tracker=None, **settings.get(solver, {})
+        state, 0.05, dt=dt, solver=solver, backend="numpy", tracker=None, **settings.get(solver, {})
     )
     # steps of a fifth of the explicit limit, over noise that decays: what is left at the end
     bound = {1: 1e-4, 2: 1e-5, 4: 1e-7}[order]

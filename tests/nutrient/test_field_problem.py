@@ -1,7 +1,5 @@
 """The equation of a frame of a run, for py-pde's solvers and for ours."""
 
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -153,18 +151,3 @@ def test_what_cannot_be_had_is_said():
     for wrong in ("oxygen", []):
         with pytest.raises(mc.SceneError, match="expected a list of names"):
             mc.field_problem(scene, frame, wrong)
-
-
-def test_a_run_with_fields_does_not_load_the_equation():
-    program = (
-        "import sys, multicell as mc\n"
-        "s = mc.load_scene('spheroid').with_changes({'duration': '1 min', 'initial.count': 3})\n"
-        "mc.run(s)\n"
-        "new = ('equation', 'problem', 'schedule', 'solver', 'solving', 'transforms')\n"
-        "ours = [m for m in sys.modules if m.startswith('multicell.nutrient.')]\n"
-        "print('multicell.nutrient.field' in ours, [m for m in ours if any(n in m for n in new)])"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True
-    )
-    assert done.stdout.strip() == "True []"

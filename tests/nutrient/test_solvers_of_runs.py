@@ -36,9 +36,11 @@ def test_py_pde_is_loaded_by_a_run_with_a_field_and_by_no_other():
         "for name in ('growth', 'spheroid'):\n"
         "    mc.Simulation(mc.load_scene(name)).step()\n"
         "    print('pde' in sys.modules)\n"
+        "print('scipy.optimize._optimize' in sys.modules)\n"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert done.stdout.split() == ["False", "True"], done.stderr
+    # what py-pde imports of SciPy and no field uses stays unloaded
+    assert done.stdout.split() == ["False", "True", "False"], done.stderr
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from multicell.report.html import write_page
 from multicell.report.wording import clock
 
 NAMES = (
-    "base.html", "parts.html", "run.html", "compare.html", "fields.html", "stability.html",
+    "base.html", "parts.html", "run.html", "compare.html", "stability.html",
     "style.css", "viewer.html", "study.html", "sensitivity.html", "fit.html",
 )  # fmt: skip
 

@@ -38,9 +38,13 @@ def calls(run):
     return np.median(found)
 
 
-@pytest.mark.parametrize(("count", "most"), [(1, 800), (40, 1300)])
+@pytest.mark.parametrize(("count", "most"), [(1, 900), (40, 1600)])
 def test_a_step_of_few_cells_takes_few_calls(count, most):
-    """It was 2,100 for one cell, most of them to describe the sides of the field anew."""
+    """It was 2,100 for one cell, most of them to describe the sides of the field anew.
+
+    Grid, state and solver are py-pde's objects, which take 60 calls where the grid stays and 230
+    where it follows the tissue.
+    """
     run = simulation(count)
     for _ in range(3):
         run.step()
@@ -52,7 +56,7 @@ def test_a_run_loads_pde_for_its_fields_only(name, loaded):
     code = (
         "import sys; import multicell as mc; from multicell.simulation import Simulation;"
         f"s = Simulation(mc.load_scene({name!r}), threads=1); s.step();"
-        "print([m for m in ('pde', 'h5py', 'matplotlib') if m in sys.modules])"
+        "print([m for m in ('pde', 'scipy.fft', 'h5py', 'matplotlib') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == str(loaded)

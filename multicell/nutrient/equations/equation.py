@@ -33,7 +33,6 @@ from multicell.nutrient.uptake import uptake_and_slope
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pde.backends.base import BackendBase
     from pde.grids.base import GridBase
 
     from multicell.nutrient.reactions.kinetics import Kinetics
@@ -199,26 +198,6 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         result.data = rates.reshape(state.data.shape)
         return result
 
-    def make_evolution_rate(  # type: ignore[override]
-        self, state: State, backend: BackendBase[Any]
-    ) -> Callable[[FloatArray, float], FloatArray]:
-        """Return a function for py-pde's backends that evaluates ∂c/∂t, compiled by numba.
-
-        Raises
-        ------
-        NotImplementedError
-            For other backends, and where demands depend on other substances or substances react:
-            there py-pde takes :meth:`evolution_rate`.
-        """
-        from multicell.nutrient.equations.compiled import compiled_rate
-
-        if backend.implementation != "numba":
-            raise NotImplementedError("the backends of a field equation are numpy and numba")
-        if self.coupling is not None or self.reactions is not None:
-            raise NotImplementedError("fields that depend on each other need backend='numpy'")
-        self.check(state)
-        return compiled_rate(list(self.terms.values()), state.data.shape)
-
     def rates(self, data: FloatArray, t: float) -> tuple[FloatArray, FloatArray]:
         """Return ∂c/∂t (mM/s) and the derivative of all sinks (1/s), by the solvers' kernels.
 
@@ -347,7 +326,8 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
     ) -> None:  # fmt: skip
         """Take cells elsewhere, with largest uptake and secretion of each, (n,) amol/s, by name.
 
-        ``layout`` may lie elsewhere too.
+        ``layout`` may lie elsewhere too, and have other nodes of the same kind; nothing that
+        belongs to nodes (``varied``, ``supply``, ``tissue``) may have been given then.
         """
         self.position = position
         if layout is not self.layout:

@@ -1,4 +1,4 @@
-"""``multicell-implicit``: a transient solver for equations of py-pde's, by SUNDIALS CVODE."""
+"""``multicell-implicit``: a transient solver for equations of fields, by SUNDIALS CVODE."""
 
 from __future__ import annotations
 
@@ -12,14 +12,11 @@ from pde.solvers.base import SolverBase
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed, SceneError
 from multicell.nutrient.equations.solving import (
-    Diffusivity,
     Inverse,
     Invertible,
-    Rate,
-    inverse_of,
     labels,
-    rate_of,
-    refuse_unsuitable,
+    refuse_runaway,
+    suitable,
 )
 from multicell.scene.nutrient import MOST
 
@@ -36,28 +33,20 @@ _SMALL = 1e-3
 class ImplicitFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
     """BDF of orders 1 to 5 with error control, Newton's method and preconditioned GMRES.
 
-    For any deterministic equation of py-pde's: ``equation.solve(state, t_range,
-    solver="multicell-implicit", diffusivity=...)``. The preconditioner is a fast inverse of
-    diffusion; without diffusivities GMRES goes without, as is right for equations that are mild.
-    BDF keeps no bounds: a field may fall below zero by about its tolerance.
+    ``equation.solve(state, t_range, solver="multicell-implicit")``. The preconditioner is a fast
+    inverse of diffusion. BDF keeps no bounds: a field may fall below zero by about its tolerance.
 
     Parameters
     ----------
     pde
-        The equation.
+        A field equation.
     backend
-        py-pde's, for the rates.
+        Not used: the rates are compiled kernels.
     rtol
         Relative tolerance of a step's error, by the root of its mean square over all nodes.
     atol
         Absolute tolerance, one or one for each field; absent: ``rtol`` times a thousandth of each
         field's largest value.
-    diffusivity
-        Of the fields, in the grid's length² over time: one number, one for each field, or a
-        mapping by label. Absent: the equation's ``diffusivity``, if it has one. It only makes
-        the solver fast.
-    bc
-        Conditions for it, in py-pde's terms; absent: the equation's ``bc``, else slopes.
     max_order, krylov_dim, max_steps
         Largest order; dimension of the Krylov space; most steps between two calls of trackers.
     """
@@ -71,8 +60,6 @@ class ImplicitFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
         backend: Any = "auto",
         rtol: float = 1e-5,
         atol: float | list[float] | None = None,
-        diffusivity: Diffusivity = None,
-        bc: Any = None,
         max_order: int = 5,
         krylov_dim: int = 10,
         max_steps: int = 100_000,
@@ -81,7 +68,7 @@ class ImplicitFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
         for name, value in (("rtol", rtol), ("atol", atol)):
             if value is not None and not (np.isfinite(value) & (np.asarray(value) > 0.0)).all():
                 raise SceneError(name, f"is {value!r}, must be above zero")
-        self.rtol, self.atol, self.diffusivity, self.bc = rtol, atol, diffusivity, bc
+        self.rtol, self.atol = rtol, atol
         self.options = {"rtol": rtol, "max_order": max_order, "krylov_dim": krylov_dim}
         self.max_steps = max_steps
 
@@ -97,17 +84,12 @@ class ImplicitFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
         SceneError
             For an equation or a state that it cannot solve.
         """
-        refuse_unsuitable(self.pde, state)
-        fields = len(labels(state))
-        if self.atol is not None and np.size(self.atol) not in (1, fields):
-            raise SceneError("atol", f"has {np.size(self.atol)} numbers for {fields} fields")
-        rate = rate_of(self, state)
-        inverse = inverse_of(self.pde, state, self.diffusivity, self.bc)
-        self.info.update(dt=dt, steps=0, evaluations=0, preconditioned=inverse is not None)
-        self.info["stochastic"] = False
-        # an equation with compiled rates of its own has no hook, and no backend for one
-        hook = None if self.backend_name == "auto" else self._make_post_step_hook(state)
-        march = _March(self, rate, inverse, fields, dt, hook)
+        equation: Invertible = suitable(self.pde, state, "shifted_inverse")
+        names = labels(state)
+        if self.atol is not None and np.size(self.atol) not in (1, len(names)):
+            raise SceneError("atol", f"has {np.size(self.atol)} numbers for {len(names)} fields")
+        self.info.update(dt=dt, steps=0, evaluations=0, stochastic=False)
+        march = _March(self, equation, names, dt)
 
         def stepper(state: Any, t_start: float, t_end: float) -> float:
             state.data[...] = march.advance(state.data, float(t_start), float(t_end))
@@ -126,15 +108,12 @@ class _March:
     def __init__(
         self,
         solver: ImplicitFieldSolver,
-        rate: Rate,
-        inverse: Callable[[FloatArray, float], Inverse] | None,
-        fields: int,
+        equation: Invertible,
+        names: list[str],
         first: float | None,
-        hook: Any,
     ) -> None:
         self.owner, self.info = solver, solver.info
-        self.rate, self.inverse, self.fields = rate, inverse, fields
-        self.first, self.hook = first, hook
+        self.equation, self.names, self.first = equation, names, first
         self.begin = self.reached = math.nan
         self.y = np.empty(0)
 
@@ -164,26 +143,22 @@ class _March:
 
     def _refuse_growth(self) -> None:
         """Refuse values beyond anything where reactions make them grow on: steps would only end."""
-        growing = getattr(self.owner.pde, "growing", None)
-        if growing is None or not float(self.y.max(initial=0.0)) > MOST:
+        if not float(self.y.max(initial=0.0)) > MOST:
             return
-        words = growing(self.y.reshape(self.shape))
+        words = self.equation.growing(self.y.reshape(self.shape))
         if words:
             hint = "Look at the rates of the reactions that make it, or let them saturate."
             raise NutrientFailed(f"at t = {self.reached:.6g} {words}", hint)
 
     def _jumps(self, begin: float, end: float) -> list[float]:
         """Return when the rates jump from ``begin`` on, itself included, up to ``end``."""
-        pde = self.owner.pde
-        before = float(np.nextafter(begin, -np.inf))
-        return pde.switches(before, end) if isinstance(pde, Invertible) else []
+        return self.equation.switches(float(np.nextafter(begin, -np.inf)), end)
 
     def _start(self, y: FloatArray, begin: float) -> None:
         from sksundae.cvode import CVODE, CVODEPrecond
 
         options = dict(self.owner.options, atol=self._absolute(y), first_step=self.first or 0.0)
-        if self.inverse is not None:
-            options["precond"] = CVODEPrecond(self.setup, self.precondition, side="right")
+        options["precond"] = CVODEPrecond(self.setup, self.precondition, side="right")
         self.begin = self.reached = begin
         self.y = y
         self.near: Inverse | None = None
@@ -192,13 +167,13 @@ class _March:
 
     def _absolute(self, y: FloatArray) -> FloatArray:
         """Return the absolute tolerance of each value."""
-        parts = np.abs(y).reshape(self.fields, -1)
+        parts = np.abs(y).reshape(len(self.names), -1)
         if self.owner.atol is None:
             largest = parts.max(axis=1)
             largest[largest == 0.0] = largest.max() or 1.0
             each = self.owner.rtol * _SMALL * largest
         else:
-            each = np.broadcast_to(np.asarray(self.owner.atol, dtype=float), self.fields)
+            each = np.broadcast_to(np.asarray(self.owner.atol, dtype=float), len(self.names))
         return np.repeat(each, parts.shape[1])
 
     def _step(self, stop: float, limit: int) -> None:
@@ -214,27 +189,24 @@ class _March:
         self.info["steps"] += 1
         self.reached = stop if result.t >= left else self.begin + float(result.t)
         self.y = np.array(result.y)
-        if self.hook is not None:
-            data = self.y.reshape(self.shape).copy()
-            changed, kept = self.hook(data, self.reached, self.info["post_step_data"])
-            self.info["post_step_data"] = kept
-            if not np.array_equal(changed.ravel(), self.y):
-                self._start(np.array(changed).ravel(), self.reached)
 
     def velocity(self, t: float, y: FloatArray, yp: FloatArray) -> None:
         """Write the rates at a time of the solver's clock."""
         self.info["evaluations"] += 1
         now = min(self.begin + t, self.last)
-        yp[:] = self.rate(np.array(y).reshape(self.shape), now).ravel()
+        data = np.array(y).reshape(self.shape)
+        found, _ = self.equation.rates(data, now)
+        refuse_runaway(self.names, data, found, now)
+        yp[:] = found.ravel()
 
     def setup(
         self, t: float, y: FloatArray, yp: FloatArray, jok: int, jnew: list[int], gamma: float
     ) -> None:
         """Make the preconditioner anew where SUNDIALS asks for it."""
         jnew[0] = int(not jok or self.near is None)
-        if jnew[0] and self.inverse is not None:
+        if jnew[0]:
             now = min(self.begin + t, self.last)
-            self.near = self.inverse(np.array(y).reshape(self.shape), now)
+            self.near = self.equation.shifted_inverse(np.array(y).reshape(self.shape), now)
 
     def precondition(
         self, t: float, y: FloatArray, yp: FloatArray, r: FloatArray, z: FloatArray,

@@ -11,7 +11,7 @@ from pde.solvers.base import SolverBase
 
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed, SceneError
-from multicell.nutrient.equations.solving import Stepped, refuse_unsuitable
+from multicell.nutrient.equations.solving import Stepped, suitable
 from multicell.nutrient.transient import COLUMNS, March, controlled
 
 if TYPE_CHECKING:
@@ -78,11 +78,7 @@ class MarchFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
         SceneError
             For an equation that takes no steps of backward Euler.
         """
-        refuse_unsuitable(self.pde, state)
-        pde: Any = self.pde
-        if not hasattr(pde, "implicit_step"):
-            hint = "Take 'multicell-implicit' or one of py-pde's solvers."
-            raise SceneError("equation", "takes no steps of backward Euler", hint)
+        pde: Stepped = suitable(self.pde, state, "implicit_step")
         done = March(Rows(np.zeros((len(pde.names), len(COLUMNS)))))
         self.info.update(dt=dt, stochastic=False)
         self._note(done)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable, Mapping
 from typing import Any, final
 
@@ -53,7 +54,6 @@ class Reactions:
         tissue: FloatArray | None,
     ) -> None:
         self.terms = terms
-        self.shape = terms[0].shape
         names = [term.name for term in terms]
         if isinstance(reactions, Mapping):
             self.kinetics: Kinetics = kinetics_of(names, reactions)
@@ -65,15 +65,16 @@ class Reactions:
         self.tissue = None
         if tissue is not None:
             filled = np.asarray(tissue, dtype=float)
-            if filled.size != np.prod(self.shape) or not ((filled >= 0) & (filled <= 1)).all():
-                problem = f"must have {np.prod(self.shape)} values from 0 to 1, one for each node"
+            nodes = math.prod(terms[0].shape)
+            if filled.size != nodes or not ((filled >= 0) & (filled <= 1)).all():
+                problem = f"must have {nodes} values from 0 to 1, one for each node"
                 raise SceneError("tissue", problem)
             self.tissue = filled.ravel()
 
     def made(self, nodes: Nodes) -> FloatArray:
         """Return what reactions make of all substances, (m, ...) mM/s."""
         found, _ = self.kinetics.evaluate(self._flat(nodes), self.tissue)
-        return found.reshape(len(self.terms), *self.shape)
+        return found.reshape(len(self.terms), *self.terms[0].shape)
 
     def shifted_inverse(
         self, nodes: Nodes, slopes: Nodes

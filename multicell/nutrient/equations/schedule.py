@@ -1,7 +1,4 @@
-"""The concentration of the medium over time: straight pieces, with or without jumps between them.
-
-The same few numbers are evaluated by Python and inside compiled evolution rates.
-"""
+"""The concentration of the medium over time: straight pieces, which jumps may separate."""
 
 from __future__ import annotations
 
@@ -9,22 +6,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, final
 
 import numpy as np
-from numba.extending import register_jitable
 
 from multicell.cells import FloatArray
 from multicell.errors import SceneError
 
 if TYPE_CHECKING:
     from multicell.scene.nutrient import Nutrient
-
-
-@register_jitable
-def level(times: FloatArray, start: FloatArray, slope: FloatArray, t: float) -> float:
-    """Return the concentration at a time: that of the last piece that has begun, mM."""
-    piece = max(int(np.searchsorted(times, t, side="right")) - 1, 0)
-    if slope[piece] == 0.0:
-        return float(start[piece])
-    return float(start[piece] + slope[piece] * (t - times[piece]))
 
 
 @final
@@ -81,10 +68,13 @@ class Schedule:
         return len(self.times) == 1 and self.slope[0] == 0.0
 
     def at(self, t: float) -> float:
-        """Return the concentration at a time in s, mM."""
+        """Return the concentration at a time in s, mM: that of the last piece that has begun."""
         if len(self.times) == 1 and self.slope[0] == 0.0:
             return float(self.start[0])  # asked for often in each step, of most fields
-        return float(level(self.times, self.start, self.slope, float(t)))
+        piece = max(int(np.searchsorted(self.times, t, side="right")) - 1, 0)
+        if self.slope[piece] == 0.0:
+            return float(self.start[piece])
+        return float(self.start[piece] + self.slope[piece] * (t - self.times[piece]))
 
     def switches(self, begin: float, end: float) -> list[float]:
         """Return the beginnings of pieces strictly between two times, s."""

@@ -147,15 +147,29 @@ class Term:
         self, layout: Layout, position: FloatArray, capacity: FloatArray | None,
         production: FloatArray | None,
     ) -> None:  # fmt: skip
-        """Take cells elsewhere, with other largest uptake and secretion (n,) in amol/s."""
+        """Take cells elsewhere, with other largest uptake and secretion (n,) in amol/s.
+
+        ``layout`` may lie elsewhere too, and have other nodes of the same kind.
+        """
         if layout is not self.layout:
-            self.layout, self._laplace = layout, None
+            scaled = (layout.shape, layout.spacing) != (self.shape, self.layout.spacing)
+            self.layout, self.shape, self._laplace = layout, layout.shape, None
+            if scaled:
+                self._scale()
         none = np.zeros(len(position))
         self.sink = self.spread(position, none if capacity is None else capacity)
         self.secreted = self.layout.filled(0.0)
         if production is not None:
             self.secreted = self.spread(position, production)
         self._base: FloatArray | None = None
+
+    def _scale(self) -> None:
+        """Renew what depends on the number of nodes and their distance."""
+        self._level = self._reference
+        self.operator = self._operator(self._reference)
+        self.supplied = self._supplied()
+        for derived in ("faces", "per_level"):
+            self.__dict__.pop(derived, None)
 
     def follow(self, level: float) -> None:
         """Take another concentration of a medium that does not change by itself, mM."""
