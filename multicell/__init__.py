@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from multicell.nutrient.equations.implicit_solver import ImplicitFieldSolver
     from multicell.nutrient.equations.schedule import Schedule
     from multicell.nutrient.equations.steady_solver import SteadyFieldSolver
-    from multicell.nutrient.equations.term import Substance
+    from multicell.nutrient.equations.substance import Substance
     from multicell.nutrient.problem import FieldProblem, field_problem
     from multicell.nutrient.reactions.own import OwnReaction, reaction
     from multicell.ode import OdeProblem, ode_problem
@@ -133,7 +133,7 @@ _LAZY = {
     "reaction": "multicell.nutrient.reactions.own",
     "Schedule": "multicell.nutrient.equations.schedule",
     "SteadyFieldSolver": "multicell.nutrient.equations.steady_solver",
-    "Substance": "multicell.nutrient.equations.term",
+    "Substance": "multicell.nutrient.equations.substance",
     "Imported": "multicell.importing.imported",
     "import_physicell": "multicell.importing.physicell.reader",
     "Integrator": "multicell.integrators.base",

@@ -15,11 +15,12 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 SPHERE = 4.0 * np.pi / 3.0
-_TABLE = 8  # identities for each cell that a table of them may span
 """Volume of a sphere of unit radius."""
 
 HALF = 0.5 ** (1.0 / 3.0)
 """Radius of a sphere over the radius of one with twice its volume."""
+
+_TABLE = 8  # identities for each cell that a table of them may span
 
 
 def stokes_drag(viscosity: float) -> float:
@@ -148,15 +149,15 @@ class Cells:
         """Return copies of the cells at ``index`` (integers or a mask), in that order."""
         if index.dtype == np.bool_:
             index = np.flatnonzero(index)
-        return _made({name: column.take(index, axis=0) for name, column in self.columns()})
+        return _made({name: column.take(index, axis=0) for name, column in vars(self).items()})
 
     def copy(self) -> Cells:
         """Return the same cells in arrays of their own."""
-        return _made({name: column.copy() for name, column in self.columns()})
+        return _made({name: column.copy() for name, column in vars(self).items()})
 
     def shared(self) -> Cells:
         """Return the same cells in the same arrays, of which some are to be replaced."""
-        return _made(dict(self.columns()))
+        return _made(vars(self))
 
     def rows_of(self, ids: IntArray) -> IntArray:
         """Return the row of the cell of each identity, in the shape of ``ids``; -1 without one."""
@@ -169,7 +170,7 @@ class Cells:
         return _made(
             {
                 name: np.concatenate([column.take(index, axis=0), getattr(other, name)])
-                for name, column in self.columns()
+                for name, column in vars(self).items()
             }
         )
 

@@ -2,46 +2,81 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Final, final
+from typing import TYPE_CHECKING, Final, Self, final
 
 if TYPE_CHECKING:
     from multicell.nutrient.medium import WellMixed
 
+SIGNS: Final = {
+    "inflow": 1.0, "secreted": 1.0, "injected": 1.0, "made": 1.0,
+    "uptake": -1.0, "decayed": -1.0, "used": -1.0,
+    "outflow": 0.0, "washed": 0.0,
+}  # fmt: skip
+"""Entries of an account, and what each adds to the content; zero: it is a part of another entry."""
+
+COLUMNS: Final = (*SIGNS, "level")
+"""What solvers say of a field: its entries, and the concentration of the medium (mM)."""
+
 _MEDIUM: Final = ("held", "level", "fresh", "discarded", "spoiled", "changes")
+_WHERE_ANY: Final = ("injected", "made", "used")
 
 
-FADED = 1e-6
+FADED: Final = 1e-6
 """Part of the medium's highest concentration below which a field that fades is not followed any
 more with an error relative to itself: steps would stay as short as ever down to nothing."""
 
 
 @final
 @dataclass(frozen=True)
-class FieldReport:
-    """What a steady solve took and how well it balances; rates in amol/s.
+class Exchange:
+    """What a field exchanged, and what it took to find that out.
 
-    ``inflow + produced - uptake - decayed`` is zero up to ``residual``. ``inflow`` includes what a
-    perfusion brings and is net; ``outflow`` is what leaves through the faces, ``washed`` what a
-    perfusion takes. A field that takes part in reactions gains ``made`` besides and loses ``used``;
-    for others these are None.
+    Rates (amol/s) of a field at rest, amounts (amol) of one that was brought through some time.
+
+    Attributes
+    ----------
+    inflow ... relaid
+        See :class:`Ledger`. ``injected`` is None for a field without points and planes, ``made``
+        and ``used`` are None for one that takes part in no reaction.
+    newton, cg, residual
+        Of a steady solve: its steps, and the sum of all nodes' imbalances (amol/s).
+    steps, rejections, first_order
+        Of a march: steps taken and refused, and steps whose value of second order was negative
+        somewhere.
+    error
+        Largest estimate of a step's error over the concentration scale.
     """
 
-    newton: int
-    cg: int
-    residual: float
-    inflow: float
-    uptake: float
-    produced: float
-    decayed: float
+    inflow: float = 0.0
     outflow: float = 0.0
+    uptake: float = 0.0
+    secreted: float = 0.0
+    injected: float | None = None
+    decayed: float = 0.0
     washed: float = 0.0
     made: float | None = None
     used: float | None = None
+    relaid: float = 0.0
+    newton: int = 0
+    cg: int = 0
+    residual: float = 0.0
+    steps: int = 0
+    rejections: int = 0
+    first_order: int = 0
+    error: float = 0.0
+
+    @classmethod
+    def of(cls, row: Sequence[float], absent: Sequence[str], **more: float) -> Self:
+        """Return what a row of :data:`COLUMNS` says, without the entries that are ``absent``."""
+        entries = zip(COLUMNS[:-1], row, strict=False)
+        return cls(**{name: x for name, x in entries if name not in absent}, **more)  # type: ignore[arg-type]
 
     def kept(self) -> dict[str, float]:
-        """Return what another report can be made from."""
-        return {name: value for name, value in asdict(self).items() if value is not None}
+        """Return what another one can be made from."""
+        found = vars(self).items()
+        return {name: x for name, x in found if x or (x is not None and name in _WHERE_ANY)}
 
 
 @final
@@ -59,7 +94,7 @@ class Ledger:
     inflow
         Over the sides of the grid and, where the field is perfused, from the flow; net.
     outflow
-        What has left a steady field over its sides, part of the above.
+        What has left over the sides, part of the above.
     washed
         What a perfusion took with it; as much or more it brought, and inflow holds the difference.
     content
@@ -112,7 +147,7 @@ class Ledger:
             name: value
             for name, value in asdict(self).items()
             if (name not in _MEDIUM or self.held is not None)
-            and (name not in ("injected", "made", "used") or value is not None)
+            and (name not in _WHERE_ANY or value is not None)
         }
 
     def copy(self) -> Ledger:
@@ -127,56 +162,38 @@ class Ledger:
         self.fresh, self.discarded = medium.fresh, medium.discarded
         self.spoiled, self.changes = medium.decayed, medium.changes
 
-    def add(
-        self,
-        inflow: float,
-        uptake: float,
-        dt: float = 1.0,
-        *,
-        secreted: float = 0.0,
-        decayed: float = 0.0,
-        outflow: float = 0.0,
-        relaid: float = 0.0,
-        stored: float = 0.0,
-        content: float = 0.0,
-        washed: float = 0.0,
-        injected: float = 0.0,
-        made: float | None = None,
-        used: float | None = None,
-    ) -> None:
-        """Add rates (amol/s) that held for a time ``dt`` (s), or amounts where it is left out.
+    def add(self, found: Exchange, dt: float = 1.0, *, stored: float = 0.0) -> None:
+        """Enter rates that held for a time ``dt`` (s), or amounts where it is left out.
 
-        ``relaid`` and ``stored`` are amounts always, and so is ``content``, what the field holds.
+        ``relaid`` and ``stored`` are amounts (amol) always.
         """
-        self.inflow += inflow * dt
-        self.uptake += uptake * dt
-        self.secreted += secreted * dt
-        self.decayed += decayed * dt
-        self.outflow += outflow * dt
-        self.washed += washed * dt
-        if injected:
-            self.injected = (self.injected or 0.0) + injected * dt
-        if made is not None and used is not None:
-            self.made = (self.made or 0.0) + made * dt
-            self.used = (self.used or 0.0) + used * dt
-        self.relaid += relaid
+        own, new = self.__dict__, found.__dict__
+        for name in SIGNS:
+            value = new[name]
+            if value is not None:
+                own[name] = (own[name] or 0.0) + value * dt
+        self.relaid += found.relaid
         self.stored += stored
+
+    def fill(self, content: float) -> None:
+        """Note what the field holds, amol."""
         self.content = max(self.content, content)
+
+    def _changes(self) -> list[float]:
+        """Return what each entry has added to the content, amol."""
+        signed = [sign * (getattr(self, name) or 0.0) for name, sign in SIGNS.items()]
+        return [*signed, self.relaid]
 
     @property
     def remainder(self) -> float:
         """What came in and was secreted but neither left nor is there, amol."""
-        gained = self.inflow + self.secreted + self.relaid + (self.injected or 0.0)
-        gained += (self.made or 0.0) - (self.used or 0.0)
-        return gained - self.uptake - self.decayed - self.stored
+        return sum(self._changes()) - self.stored
 
     @property
     def turnover(self) -> float:
         """The larger of all that was gained and all that was spent, with what passed, amol."""
-        gained = max(self.inflow, 0.0) + self.secreted + max(self.relaid, 0.0)
-        gained += (self.injected or 0.0) + (self.made or 0.0)
-        spent = self.uptake + self.decayed + max(-self.inflow, 0.0) + max(-self.relaid, 0.0)
-        spent += self.used or 0.0
+        changes = self._changes()
+        gained, spent = (sum(max(sign * x, 0.0) for x in changes) for sign in (1.0, -1.0))
         return max(gained, spent, abs(self.stored)) + self.outflow + self.washed
 
     @property

@@ -9,11 +9,10 @@ import numpy as np
 from pde.solvers.base import SolverBase
 
 from multicell.cells import FloatArray
-from multicell.nutrient.balance import FieldReport
-from multicell.nutrient.equations.term import Substance
+from multicell.nutrient.balance import Exchange
+from multicell.nutrient.equations.substance import LINEAR_TERMS, Substance
 from multicell.nutrient.regions import coefficients
 from multicell.nutrient.sources import injected
-from multicell.nutrient.transient import COLUMNS, TransientReport
 
 if TYPE_CHECKING:
     from multicell.nutrient.equations.schedule import Schedule
@@ -21,7 +20,6 @@ if TYPE_CHECKING:
     from multicell.nutrient.grid import Layout
     from multicell.nutrient.group import FieldGroup
     from multicell.nutrient.parameters import FieldParameters
-    from multicell.nutrient.steady import SolveReport
 
 Demand = Mapping[str, tuple[FloatArray, FloatArray | None]]
 """Largest uptake and secretion of each cell by field, (n,) amol/s."""
@@ -43,9 +41,11 @@ def substance(
 
     supply = injected(layout, nutrient.sources) if nutrient.sources else None
     varied = coefficients(layout, position, radius, nutrient)
+    capacity, production = demand
     return Substance(
-        nutrient.diffusion, conditions, nutrient.half_saturation, nutrient.decay,
-        nutrient.perfusion, medium, *demand, varied, supply,
+        nutrient.diffusion, conditions, nutrient.half_saturation, medium=medium,
+        capacity=capacity, production=production, varied=varied, supply=supply,
+        **{name: getattr(nutrient, name) for name in LINEAR_TERMS},
     )  # fmt: skip
 
 
@@ -105,43 +105,19 @@ class Course:
             conditions = field.parameters.conditions(self.layout, field.level(time))
             field.take(self.layout, values.copy(), conditions, self.kept)
 
-    def report(self, name: str, report: SolveReport, time: float) -> FieldReport:
-        """Return the balance of a steady field by what it was for."""
+    def exchange(self, name: str, row: FloatArray, **more: float) -> Exchange:
+        """Return what a field exchanged, from a row of what solvers say."""
         field = self.group.fields[name]
-        nutrient, mass, brought = field.parameters.nutrient, 0.0, 0.0
-        if nutrient.decay > 0.0 or nutrient.perfusion > 0.0:
-            mass = field.stored()
-        if nutrient.perfusion > 0.0:
-            brought = nutrient.perfusion * field.level(time) * self.layout.whole
-        washed = nutrient.perfusion * mass
-        reacts = self.group.kinetics is not None
-        return FieldReport(
-            report.newton, report.cg, report.residual, report.inflow + brought - washed,
-            report.uptake, report.supplied - brought, nutrient.decay * mass, report.outflow,
-            washed, report.made if reacts else None, report.used if reacts else None,
-        )  # fmt: skip
+        absent = [] if field.parameters.nutrient.sources else ["injected"]
+        if self.group.kinetics is None:
+            absent += ["made", "used"]
+        return Exchange.of(row.tolist(), absent, **more)
 
-    def account(
-        self, name: str, info: Mapping[str, Any], row: FloatArray, length: float, relaid: float
-    ) -> TransientReport:
-        """Return the account of a field over all steps."""
-        amounts = dict(zip(COLUMNS, map(float, row), strict=True))
-        nutrient, production = self.group.fields[name].parameters.nutrient, self.demand[name][1]
-        mass, whole = amounts["mass"], self.layout.whole
-        return TransientReport(
-            amounts["inflow"] + nutrient.perfusion * (amounts["level"] * whole - mass),
-            amounts["uptake"],
-            0.0 if production is None else float(np.sum(production)) * length,
-            nutrient.decay * mass,
-            relaid,
-            info["steps"],
-            info["rejections"],
-            info["first_order"],
-            info["error"],
-            nutrient.perfusion * mass,
-            amounts["made"],
-            amounts["used"],
-        )
+    def march(self, info: Mapping[str, Any], relaid: FloatArray) -> dict[str, Exchange]:
+        """Return what the fields exchanged by a march; ``relaid`` (amol) what the grid gained."""
+        counts = {name: info[name] for name in ("steps", "rejections", "first_order", "error")}
+        rows = zip(self.group.names, info["amounts"], relaid.tolist(), strict=True)
+        return {name: self.exchange(name, row, relaid=more, **counts) for name, row, more in rows}
 
 
 def checked(

@@ -114,11 +114,8 @@ class Diffusion:
         else:
             self._sides = self._by_pde(self._grid, boundary)
         self.ghost, self.const = self._sides.ghost, self._sides.const
-        self.source = np.zeros(self.shape)
-        for face, const in enumerate(self.const[: 2 * self.dimensions]):
-            layer = _layer(self.source, face)
-            layer += const
-        self.source *= self.stiffness
+        brought = self._sides.brought
+        self.source = self.stiffness * (_brought(self.const) if brought is None else brought)
         self._leak = self.stiffness * self._sides.leak
         halves = self._sides.halves
         self._dense = dense.Inverse(halves, self.stiffness) if halves else None
@@ -241,6 +238,8 @@ class _Sides(NamedTuple):
         slope stays bounded when the grid becomes finer, that to a value does not.
     halves : (3,) of (4, h, h), (n,)
         See :func:`multicell.nutrient.dense.halves`; empty for grids that these do not suit.
+    brought : (nx, ny, nz), mM
+        What nodes gain by ``const``, over D/h²; None on such large grids.
     """
 
     ghost: FloatArray
@@ -248,6 +247,7 @@ class _Sides(NamedTuple):
     kinds: list[tuple[bool, bool]]
     leak: float
     halves: list[tuple[NDArray[np.float32], FloatArray]]
+    brought: FloatArray | None
 
     @classmethod
     def of(
@@ -264,7 +264,8 @@ class _Sides(NamedTuple):
         if max(shape) <= dense.MOST and all(low == high for low, high in kinds):
             halves = [dense.halves(n, low) for n, (low, _) in zip(shape, kinds, strict=True)]
         a, b, c, d, e, f = const
-        return cls(ghost, (a, b, c, d, e, f), kinds, leak, halves)
+        brought = _brought(const) if halves else None
+        return cls(ghost, (a, b, c, d, e, f), kinds, leak, halves, brought)
 
 
 @lru_cache(maxsize=16)
@@ -295,6 +296,15 @@ def _transform(
         run = getattr(fft, f"i{name}n" if inverse else f"{name}n")
         y = run(y, type=number, axes=axes, norm="ortho", overwrite_x=True, workers=1)
     return y
+
+
+def _brought(const: Sequence[FloatArray]) -> FloatArray:
+    """Return what nodes gain by the constants of the six faces, (nx, ny, nz) mM."""
+    found = np.zeros((const[2].shape[0], *const[0].shape))
+    for face, each in enumerate(const):
+        layer = _layer(found, face)
+        layer += each
+    return found
 
 
 def _layer(values: NDArray[Any], face: int) -> NDArray[Any]:

@@ -14,12 +14,11 @@ from multicell.nutrient.tissue import drawn_in, drawn_to_ball
 from multicell.nutrient.uptake import uptake
 
 if TYPE_CHECKING:
-    from multicell.nutrient.balance import FieldReport
+    from multicell.nutrient.balance import Exchange
     from multicell.nutrient.equations.schedule import Schedule
     from multicell.nutrient.group import FieldGroup
     from multicell.nutrient.medium import WellMixed
     from multicell.nutrient.parameters import FieldParameters
-    from multicell.nutrient.transient import TransientReport
     from multicell.results.frame import Field
 
 
@@ -98,7 +97,7 @@ class NutrientField:
         production: FloatArray | None = None,
         radius: FloatArray | None = None,
         time: float = 0.0,
-    ) -> FieldReport:
+    ) -> Exchange:
         """Solve for the steady field that the cells' uptake and secretion leave.
 
         Cell i takes up ``capacity_i * sum_g w_ig c_g / (K + c_g)``, with the linear weights w_ig
@@ -135,7 +134,7 @@ class NutrientField:
         radius: FloatArray | None = None,
         begin: float,
         end: float,
-    ) -> TransientReport:
+    ) -> Exchange:
         """March the field from ``begin`` to ``end`` (s); parameters as for :meth:`solve`.
 
         The grid is laid round the cells first. What it encloses then and did not before is the

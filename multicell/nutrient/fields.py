@@ -16,7 +16,7 @@ import numpy as np
 
 from multicell.cells import Cells, FloatArray, Phase, State
 from multicell.errors import SceneError
-from multicell.nutrient.balance import FieldReport, Ledger
+from multicell.nutrient.balance import Exchange, Ledger
 from multicell.nutrient.choosing.grids import Grids
 from multicell.nutrient.field import NutrientField
 from multicell.nutrient.grid import BoxLayout
@@ -25,7 +25,6 @@ from multicell.scene.checks import solving_order
 
 if TYPE_CHECKING:
     from multicell.nutrient.group import FieldGroup
-    from multicell.nutrient.transient import TransientReport
     from multicell.results.frame import Field, Frame
     from multicell.scene.nutrient import Nutrient
     from multicell.scene.scene import Scene
@@ -87,7 +86,7 @@ class Feeding:
         self.grids = Grids(scene)
         self.ledger = {name: Ledger() for name in scene.nutrients}
         self.concentrations: dict[str, FloatArray] = {}
-        self.reports: dict[str, FieldReport] = {}
+        self.reports: dict[str, Exchange] = {}
         self._uptake: dict[str, FloatArray] = {}
         # a field whose regime the run chooses may become transient
         may_move = [x for x in self.order if x in self.grids.choosers or not self._rests(x)]
@@ -121,7 +120,8 @@ class Feeding:
         none = None if group.kinetics is None else 0.0
         for name in group.names:
             field = self.fields[name]
-            self.ledger[name].add(0.0, 0.0, content=field.stored(), made=none, used=none)
+            self.ledger[name].add(Exchange(made=none, used=none))
+            self.ledger[name].fill(field.stored())
             if self._nutrients[name].finite_medium is not None:
                 field.attach_medium()
             self._note_medium(name)
@@ -174,57 +174,22 @@ class Feeding:
                 self.grids.look(self.fields[name], cells, *demand[name], begin, end)
         if rested and self._rests(group.names[0]):
             for name in group.names:
-                self._enter_rates(name, end - begin)
+                self.ledger[name].add(self.reports[name], end - begin)
             self.reports |= group.solve(cells.position, demand, radius=cells.radius, time=end)
-            for name in group.names:
-                self.ledger[name].add(0.0, 0.0, content=self.fields[name].stored())
         else:
             content = {name: self.fields[name].stored() for name in group.names}
-            marches = group.advance(
-                cells.position, demand, radius=cells.radius, begin=begin, end=end
-            )
-            for name, march in marches.items():
-                reacted = (None, None) if group.kinetics is None else (march.made, march.used)
-                self._enter_march(name, march, content[name], end - begin, reacted)
+            found = group.advance(cells.position, demand, radius=cells.radius, begin=begin, end=end)
+            for name, exchange in found.items():
+                gained = self.fields[name].stored() - content[name]
+                self.ledger[name].add(exchange, stored=gained)
                 if name in began:
-                    self._rate(name, began[name], float(demand[name][0].sum()), march.uptake)
+                    self._rate(name, began[name], float(demand[name][0].sum()), exchange.uptake)
                 self._note_medium(name)
+        for name in group.names:
+            self.ledger[name].fill(self.fields[name].stored())
         for name in group.names:
             self.grids.note(self.fields[name], layouts[name], end)
             self._sample(name, cells, demand[name][0])
-
-    def _enter_rates(self, name: str, length: float) -> None:
-        """Enter into the account of a steady field what its last solution exchanged for a time."""
-        old, injected = self.reports[name], self._injected(name)
-        self.ledger[name].add(
-            old.inflow, old.uptake, length, injected=injected,
-            secreted=old.produced - injected, decayed=old.decayed, outflow=old.outflow,
-            washed=old.washed, made=old.made, used=old.used,
-        )  # fmt: skip
-
-    def _enter_march(
-        self,
-        name: str,
-        march: TransientReport,
-        content: float,
-        length: float,
-        reacted: tuple[float | None, float | None] = (None, None),
-    ) -> None:
-        """Enter a march into the account of a field that held ``content`` before."""
-        now = self.fields[name].stored()
-        self.ledger[name].add(
-            march.inflow,
-            march.uptake,
-            secreted=march.produced,
-            decayed=march.decayed,
-            relaid=march.relaid,
-            washed=march.washed,
-            injected=self._injected(name) * length,
-            stored=now - content,
-            content=now,
-            made=reacted[0],
-            used=reacted[1],
-        )
 
     def kept(self) -> dict[str, Any]:
         """Return what :meth:`take_back` needs to undo an :meth:`advance`."""
@@ -272,7 +237,7 @@ class Feeding:
                 field.restore(frame.fields[name], frame.time)
             self.concentrations[name] = np.array(frame.concentrations[name])
         self.reports = {
-            name: FieldReport(**report)  # type: ignore[arg-type]
+            name: Exchange(**report)  # type: ignore[arg-type]
             for name, report in frame.progress.rates.items()
         }
 
@@ -350,15 +315,6 @@ class Feeding:
         if nutrient.uptake_on:
             capacity *= dependence(nutrient, self.concentrations, len(cells))
         return np.asarray(capacity)
-
-    def _injected(self, name: str) -> float:
-        """Return what the sources of a field give, amol/s; points and planes do not change it."""
-        sources = self._nutrients[name].sources
-        if not sources:
-            return 0.0
-        from multicell.nutrient.sources import rate
-
-        return rate(self.fields[name].layout, sources)
 
     def _note_medium(self, name: str) -> None:
         """Note what a finite medium holds."""

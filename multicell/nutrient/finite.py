@@ -32,10 +32,9 @@ from pde.solvers.base import SolverBase
 
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed
+from multicell.nutrient.balance import COLUMNS, SIGNS, Exchange
 from multicell.nutrient.course import Course, Demand
-from multicell.nutrient.equations.equation import amounts_of
 from multicell.nutrient.medium import WellMixed, beyond
-from multicell.nutrient.transient import COLUMNS, TransientReport
 
 if TYPE_CHECKING:
     from multicell.nutrient.equations.equation import FieldEquation
@@ -64,7 +63,7 @@ def advance(
     radius: FloatArray | None,
     begin: float,
     end: float,
-) -> dict[str, TransientReport]:
+) -> dict[str, Exchange]:
     """Bring fields with their finite media from ``begin`` to ``end`` (s).
 
     Parameters as for :meth:`FieldGroup.advance`; changes of the media up to and at ``end`` that
@@ -82,7 +81,7 @@ def advance(
         exchange.march(max(time, exchange.now))
         exchange.change(name, level)
     exchange.march(end)
-    return exchange.finish(begin)
+    return exchange.finish()
 
 
 @final
@@ -205,16 +204,13 @@ class _Exchange:
             amount = self.totals[name] - self._content(name)
             self.media[name] = replace(medium, amount=amount if amount > 0.0 else 0.0)
 
-    def finish(self, begin: float) -> dict[str, TransientReport]:
+    def finish(self) -> dict[str, Exchange]:
         """Give the fields what has been found, and return the account of the step."""
         for name, medium in self.media.items():
             self.group.fields[name].well_mixed = medium
         self.course.finish(self.now)
         gained = self.course.masses() - np.array(self.before) if self.steady else self.relaid
-        return {
-            name: self.course.account(name, self.info, row, self.now - begin, float(more))
-            for name, row, more in zip(self.group.names, self.amounts, gained, strict=True)
-        }
+        return self.course.march({**self.info, "amounts": self.amounts}, gained)
 
 
 def _refuse_overdrawn(name: str, amount: float) -> None:
@@ -248,9 +244,9 @@ class WithMedia(PDEBase):  # type: ignore[no-untyped-call]
         self.equation, self.names = equation, equation.names
         self._media = [self.names.index(name) for name in volumes]
         self._volumes = np.array(list(volumes.values()))
-        self._terms = [equation.terms[name] for name in volumes]
+        self._placed = [equation.substances[name] for name in volumes]
         self._highest = np.array([highest[name] for name in self.names])
-        self._decay = np.array([term.substance.decay for term in self._terms])
+        self.decay = np.array([each.substance.decay for each in self._placed])
         self._root = _Root(list(volumes))
 
     def _parts(self, data: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -259,8 +255,8 @@ class WithMedia(PDEBase):  # type: ignore[no-untyped-call]
         return data[:m], data[m:].reshape(len(data) - m, -1)[:, 0].copy()
 
     def _at(self, levels: FloatArray) -> None:
-        for term, level in zip(self._terms, levels.tolist(), strict=True):
-            term.follow(level)
+        for each, level in zip(self._placed, levels.tolist(), strict=True):
+            each.follow(level)
 
     def implicit_step(self, data: FloatArray, dt: float, t: float) -> tuple[FloatArray, FloatArray]:
         """Take a step of backward Euler of ``dt`` s that ends at ``t``.
@@ -272,15 +268,15 @@ class WithMedia(PDEBase):  # type: ignore[no-untyped-call]
         """
         eq, volume = self.equation, self._volumes
         before, levels = self._parts(data)
-        share = 1.0 + self._decay * dt
+        share = 1.0 + self.decay * dt
         found, taken, rows = before, levels, np.empty(0)
 
         def excess(trial: FloatArray) -> tuple[FloatArray, FloatArray]:
             nonlocal found, taken, rows
             self._at(trial)
             found, reports = eq.solution(found, t, dt, before)
-            rows = dt * amounts_of(eq, found, t, reports)
-            taken = self._taken(rows)
+            rows = dt * eq.exchanges(found, t, reports)
+            taken = rows[self._media, COLUMNS.index("inflow")]
             return volume * (share * trial - levels) + taken, self._contents(found)
 
         new = self._root.find(excess, levels, volume * share, volume, dt)
@@ -291,12 +287,6 @@ class WithMedia(PDEBase):  # type: ignore[no-untyped-call]
             after.reshape(-1, *[1] * (data.ndim - 1)), data[len(before) :].shape
         )
         return np.concatenate([found.reshape(before.shape), uniform]), rows
-
-    def _taken(self, rows: FloatArray) -> FloatArray:
-        """Return what the fields have taken out of the media, (k,) amol."""
-        inflow, mass, level = (rows[self._media, COLUMNS.index(x)] for x in _EXCHANGED)
-        perfusion = np.array([term.substance.perfusion for term in self._terms])
-        return np.asarray(inflow + perfusion * (level * self.equation.layout.whole - mass))
 
     def _contents(self, nodes: FloatArray) -> FloatArray:
         """Return what the fields that have a medium hold, (k,) amol."""
@@ -334,17 +324,17 @@ class WithMedia(PDEBase):  # type: ignore[no-untyped-call]
         out, slope = (np.zeros_like(data) for _ in range(2))
         m = len(nodes)
         out[:m], slope[:m] = eq.rates(nodes, t)
-        values = nodes.reshape(-1, *eq.layout.shape)
-        for k, (i, term) in enumerate(zip(self._media, self._terms, strict=True)):
-            level, perfusion = float(levels[k]), term.substance.perfusion
-            mass = float(np.sum(eq.layout.volumes * values[i]))
-            taken = term.at(level).inflow(values[i]) + perfusion * (level * eq.layout.whole - mass)
-            out[m + k] = -taken / self._volumes[k] - self._decay[k] * level
-            slope[m + k] = self._decay[k]
+        taken = eq.exchanges(nodes, t)[self._media, COLUMNS.index("inflow")]
+        for k, level in enumerate(levels.tolist()):
+            out[m + k] = -taken[k] / self._volumes[k] - self.decay[k] * level
+            slope[m + k] = self.decay[k]
         return out, slope
 
 
-_EXCHANGED = ("inflow", "mass", "level")
+_OTHERS: Final = np.array([
+    0.0 if name in ("inflow", "decayed") else SIGNS.get(name, 0.0) for name in COLUMNS
+])  # fmt: skip
+"""What entries of an account add to field and medium together, but for what decays in both."""
 
 
 @final
@@ -387,10 +377,7 @@ class AtRestWithMedia(PDEBase):  # type: ignore[no-untyped-call]
     def implicit_step(self, data: FloatArray, dt: float, t: float) -> tuple[FloatArray, FloatArray]:
         """Take a step of backward Euler of ``dt`` s that ends at ``t``; see :class:`WithMedia`."""
         before, volume, layout = np.ravel(data), self._volumes, self.equation.layout
-        terms = [self.equation.terms[self.names[i]] for i in self._rows]
-        decay, perfusion = (
-            np.array([getattr(term.substance, x) for term in terms]) for x in ("decay", "perfusion")
-        )
+        decay = self._with.decay
         after, rows = before, np.empty(0)
 
         def excess(trial: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -398,12 +385,8 @@ class AtRestWithMedia(PDEBase):  # type: ignore[no-untyped-call]
             reports = self._solve(trial, t)
             content = self._contents()
             there = content + volume * trial
-            rows = amounts_of(self.equation, np.array(self.state.data), t, reports)
-            gained = rows[self._rows, COLUMNS.index("supplied")]
-            gained = gained - perfusion * trial * layout.whole
-            for name, sign in (("uptake", -1.0), ("made", 1.0), ("used", -1.0)):
-                gained = gained + sign * rows[self._rows, COLUMNS.index(name)]
-            after = before + dt * (gained - decay * there)
+            rows = self.equation.exchanges(np.array(self.state.data), t, reports)
+            after = before + dt * (rows[self._rows] @ _OTHERS - decay * there)
             return there - after, content
 
         fixed = (volume + layout.whole) * (1.0 + decay * dt)

@@ -11,8 +11,8 @@ import numpy as np
 from pde.solvers.base import SolverBase
 
 from multicell.errors import NutrientFailed
+from multicell.nutrient.balance import COLUMNS
 from multicell.nutrient.equations.accounts import AccountedEquation
-from multicell.nutrient.transient import COLUMNS
 from multicell.scene.nutrient import STEPPING
 
 if TYPE_CHECKING:
@@ -46,8 +46,8 @@ def advance(
     name, steps = nutrients[0].solver, 0
     assert name is not None
     tolerance = min(nutrient.time_tolerance for nutrient in nutrients)
-    amounts = np.zeros((len(equation.terms), len(COLUMNS)))
-    m = len(equation.terms)
+    amounts = np.zeros((len(equation.substances), len(COLUMNS)))
+    m = len(equation.substances)
     for start, stop in itertools.pairwise([begin, *equation.switches(begin, end), end]):
         accounted = AccountedEquation(equation, until=stop)
         whole = accounted.state(state)
@@ -75,7 +75,7 @@ def advance(
 
 def _scale(equation: FieldEquation, state: Any, time: float) -> float:
     """Return the largest concentration in fields and media, mM."""
-    media = [term.schedule.at(time) for term in equation.terms.values()]
+    media = [each.schedule.at(time) for each in equation.substances.values()]
     return max(float(np.max(state.data, initial=0.0)), *media, 0.0)
 
 

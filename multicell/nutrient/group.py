@@ -15,7 +15,7 @@ import numpy as np
 
 from multicell.cells import FloatArray
 from multicell.nutrient import finite, foreign
-from multicell.nutrient.balance import FADED, FieldReport
+from multicell.nutrient.balance import FADED, Exchange
 from multicell.nutrient.course import Course, Demand, substance
 from multicell.nutrient.equations.equation import FieldEquation
 from multicell.nutrient.grid import Layout, tissue_share
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from multicell.nutrient.parameters import FieldParameters
     from multicell.nutrient.reactions.kinetics import Kinetics
     from multicell.nutrient.steady import SolveReport
-    from multicell.nutrient.transient import TransientReport
     from multicell.scene.nutrient import Nutrient
 
 
@@ -60,7 +59,7 @@ class FieldGroup:
 
     def solve(
         self, position: FloatArray, demand: Demand, *, radius: FloatArray | None, time: float
-    ) -> dict[str, FieldReport]:
+    ) -> dict[str, Exchange]:
         """Bring the fields to rest with the cells' uptake and secretion.
 
         Raises
@@ -73,8 +72,14 @@ class FieldGroup:
         course = Course(self, position, demand, radius, time, carry=False)
         self.info = course.run("multicell-steady", time, time).info
         course.finish(time)
-        reports = self.info["reports"]
-        return {name: course.report(name, reports[name], time) for name in self.names}
+        found, rows = self.info["reports"], zip(self.names, self.info["rates"], strict=True)
+        return {
+            name: course.exchange(
+                name, row, newton=found[name].newton, cg=found[name].cg,
+                residual=found[name].residual,
+            )
+            for name, row in rows
+        }  # fmt: skip
 
     def advance(
         self,
@@ -84,7 +89,7 @@ class FieldGroup:
         radius: FloatArray | None,
         begin: float,
         end: float,
-    ) -> dict[str, TransientReport]:
+    ) -> dict[str, Exchange]:
         """Bring transient fields from ``begin`` to ``end`` (s).
 
         The grid is laid round the cells first. What it encloses then and did not before is the
@@ -113,10 +118,7 @@ class FieldGroup:
         else:
             self.info = foreign.advance(course.equation, course.state, nutrients, begin, end)
         course.finish(end)
-        return {
-            name: course.account(name, self.info, row, end - begin, float(relaid[i]))
-            for i, (name, row) in enumerate(zip(self.names, self.info["amounts"], strict=True))
-        }
+        return course.march(self.info, relaid)
 
     def leap(
         self,
@@ -169,7 +171,7 @@ class FieldGroup:
         if last is not None and holds and not tissue and last.layout.kind == layout.kind:
             for f in fields:
                 if f.well_mixed is not None:
-                    last.terms[f.name].follow(f.well_mixed.concentration)
+                    last.substances[f.name].follow(f.well_mixed.concentration)
             last.place(layout, position, demand)
             return last
         substances = {
@@ -197,7 +199,7 @@ class FieldGroup:
         if self._state is not None and self._state.grid is self._equation.grid:
             self._state.data[...] = np.reshape(values, self._state.data.shape)
         else:
-            self._state = self._equation.state(dict(zip(self.names, values, strict=True)))
+            self._state = self._equation.state_of(values)
         return self._state
 
 

@@ -5,7 +5,7 @@ import pytest
 
 import multicell as mc
 from multicell.errors import SceneError
-from multicell.nutrient.balance import Ledger
+from multicell.nutrient.balance import Exchange, Ledger
 from multicell.scene.nutrient import Nutrient
 from multicell.scene.scales import level_fixed
 from multicell.scene.scene import Scene
@@ -72,13 +72,14 @@ def test_a_true_imbalance_shows(regime):
 
 def test_an_imbalance_of_an_idle_field_shows_as_part_of_what_is_there():
     ledger = Ledger()
-    ledger.add(0.0, 0.0, content=1000.0)
-    ledger.add(1e-13, 0.0, 60.0, content=900.0)
+    ledger.fill(1000.0)
+    ledger.add(Exchange(inflow=1e-13), 60.0)
+    ledger.fill(900.0)
     assert ledger.content == 1000.0
     assert ledger.relative_remainder == pytest.approx(6e-15)
-    ledger.add(1.0, 0.0, 10.0)
+    ledger.add(Exchange(inflow=1.0), 10.0)
     assert ledger.relative_remainder == pytest.approx(0.01)
-    ledger.add(1e6, 0.0)
+    ledger.add(Exchange(inflow=1e6))
     assert ledger.relative_remainder == pytest.approx(1.0)
 
 

@@ -58,9 +58,9 @@ def test_a_steady_field_of_a_frame_is_at_rest_in_its_equation(changes):
             problem.state.data.ravel(), frame.fields["oxygen"].values.ravel()
         )
         balance = problem.equation.balance(problem.state, problem.time)["oxygen"]
-        assert balance["taken"] > 100.0
-        assert abs(balance["stored"]) < 1e-8 * balance["taken"]
-        capacity = problem.equation.terms["oxygen"].substance.capacity
+        assert balance["uptake"] > 100.0
+        assert abs(balance["stored"]) < 1e-8 * balance["uptake"]
+        capacity = problem.equation.substances["oxygen"].substance.capacity
         assert capacity.shape == (len(frame.cells),)
         again = problem.equation.solve(
             problem.equation.state({"oxygen": 0.05}),
@@ -82,11 +82,11 @@ def test_what_sources_give_and_a_finite_medium_holds_is_the_frame_s():
         equation = mc.field_problem(scene, frame).equation
         state = equation.state({"oxygen": 0.01})
         account = equation.balance(state, frame.time)["oxygen"]
-        assert account["supplied"] == pytest.approx(250.0, rel=1e-12)
-        kinds = ("inflow", "perfused", "secreted", "supplied")
-        gained = sum(account[kind] for kind in kinds) - account["taken"] - account["decayed"]
+        assert account["injected"] == pytest.approx(250.0, rel=1e-12)
+        kinds = ("inflow", "secreted", "injected")
+        gained = sum(account[kind] for kind in kinds) - account["uptake"] - account["decayed"]
         assert account["stored"] == pytest.approx(gained, rel=1e-10)
-        levels.append(equation.terms["oxygen"].schedule.at(frame.time + 1e9))
+        levels.append(equation.substances["oxygen"].schedule.at(frame.time + 1e9))
     assert levels[0] == pytest.approx(0.07)
     assert levels[1] == frame.progress.ledger["oxygen"]["level"] != levels[0]
     with pytest.raises(mc.SceneError, match="does not say what the finite medium of oxygen holds"):
@@ -116,7 +116,8 @@ def test_fields_that_depend_on_each_other_do_so_in_one_equation():
     for name, account in found.items():
         size = max(abs(x) for x in account.values())
         assert abs(account["stored"]) < 1e-7 * size, name
-    assert found["lactate"]["secreted"] == pytest.approx(1.8 * found["glucose"]["taken"], rel=1e-12)
+    taken = found["glucose"]["uptake"]
+    assert found["lactate"]["secreted"] == pytest.approx(1.8 * taken, rel=1e-12)
     start = equation.state({"oxygen": 0.07, "glucose": 0.5, "lactate": 0.0})
     rest = equation.solve(start, 1.0, solver="multicell-steady", tracker=None)
     np.testing.assert_allclose(rest.data, state.data, atol=1e-8)
@@ -131,7 +132,7 @@ def test_fields_that_depend_on_each_other_do_so_in_one_equation():
     # alone it keeps the uptake that the frame's glucose gives it
     alone = mc.field_problem(scene, frame, ["oxygen"])
     expected = 20.0 * (1.0 + 2.0 / (1.0 + frame.concentrations["glucose"]))
-    np.testing.assert_allclose(alone.equation.terms["oxygen"].substance.capacity, expected)
+    np.testing.assert_allclose(alone.equation.substances["oxygen"].substance.capacity, expected)
 
 
 def test_what_cannot_be_had_is_said():

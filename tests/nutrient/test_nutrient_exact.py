@@ -8,10 +8,13 @@ from pde import CartesianGrid, ScalarField, SphericalSymGrid
 from scipy.integrate import solve_bvp
 
 from multicell.nutrient import stencil
+from multicell.nutrient.balance import COLUMNS
 from multicell.nutrient.diffusion import Diffusion, eigenvalues
+from multicell.nutrient.equations.equation import FieldEquation
+from multicell.nutrient.equations.march_solver import MarchFieldSolver
+from multicell.nutrient.equations.substance import Substance
 from multicell.nutrient.spherical import Shells
 from multicell.nutrient.steady import solve_steady
-from multicell.nutrient.transient import Amounts, March, march
 
 D = 1000.0
 WALL = {"derivative": 0.0}
@@ -262,19 +265,23 @@ def test_two_fields_against_solve_bvp():
 # --- time -----------------------------------------------------------------------------------------
 
 
-def ball_march(n, tolerance, end, begin=0.0, start=None):
-    """Let a substance diffuse into an empty ball; return the shells, the field and the account."""
-    shells = Shells(100.0, n, D, 1.0)
-    zero = np.zeros(n)
+def marched(equation, start, end, tolerance, scale=1.0):
+    """Return the state at ``end`` by the march of runs, and what its solver says."""
+    state = equation.state({"a": start})
+    solver = MarchFieldSolver(equation, tolerance=tolerance, scales=np.array([scale]))
+    solver.make_stepper(state)(state, 0.0, end)
+    return state.data, solver.info
 
-    def solve(c, dt, time):
-        values, report = shells.solve(zero, 1.0, c, linear=1.0 / dt, supply=c / dt)
-        return values, report, 1.0
 
-    done = March(Amounts())
-    start = zero if start is None else start
-    c = march(solve, shells.volumes, start, begin, end, tolerance=tolerance, scale=1.0, done=done)
-    return shells, c, done
+def entry(info, name):
+    """Return what happened to the one field there is, amol."""
+    return info["amounts"][0][COLUMNS.index(name)]
+
+
+def ball_march(n, tolerance, end):
+    """Let a substance diffuse into an empty ball; return equation, field and solver's account."""
+    equation = FieldEquation(SphericalSymGrid(100.0, n), {"a": Substance(D, 1.0)})
+    return equation, *marched(equation, 0.0, end, tolerance)
 
 
 def series(r, t, radius=100.0):
@@ -287,11 +294,11 @@ def series(r, t, radius=100.0):
 
 def test_diffusion_into_a_ball_follows_the_series():
     for t in (0.5, 2.0, 6.0):
-        shells, c, done = ball_march(100, 1e-4, t)
-        r = (np.arange(100) + 0.5) * shells.spacing
-        assert np.abs(c - series(r, t)).max() < 5e-3
-        stored = float(np.sum(shells.volumes * c))
-        assert done.amounts.inflow == pytest.approx(stored, rel=1e-9)
+        equation, c, info = ball_march(100, 1e-4, t)
+        assert np.abs(c - series(np.arange(100) + 0.5, t)).max() < 5e-3
+        stored = float(np.sum(equation.layout.volumes * c))
+        assert entry(info, "inflow") == pytest.approx(stored, rel=1e-9)
+        assert entry(info, "outflow") == 0.0
         assert c.min() >= 0.0
 
 
@@ -303,21 +310,17 @@ def test_the_error_of_the_march_follows_its_tolerance():
 
 
 def test_the_march_comes_to_rest_at_the_steady_state():
-    shells = Shells(100.0, 30, D, 1.0)
-    sink = np.where(np.arange(30) < 20, 0.3, 0.0)
-    steady, _ = shells.solve(sink, 0.1, np.ones(30), linear=0.02)
-
-    def solve(c, dt, time):
-        values, report = shells.solve(sink, 0.1, c, linear=0.02 + 1.0 / dt, supply=c / dt)
-        return values, report, 1.0
-
-    done = March(Amounts())
-    c = march(solve, shells.volumes, np.ones(30), 0.0, 5e5, tolerance=1e-3, scale=1.0, done=done)
+    shells, inside = Shells(100.0, 30, D, 1.0), np.arange(30) < 20
+    steady, _ = shells.solve(np.where(inside, 0.3, 0.0), 0.1, np.ones(30), linear=0.02)
+    position = np.zeros((20, 3))
+    position[:, 1] = (np.arange(20) + 0.5) * shells.spacing  # in the middles of shells
+    eaten = Substance(D, 1.0, 0.1, decay=0.02, capacity=0.3 * shells.volumes[inside])
+    equation = FieldEquation(SphericalSymGrid(100.0, 30), {"a": eaten}, position)
+    c, info = marched(equation, 1.0, 5e5, 1e-3)
     np.testing.assert_allclose(c, steady, rtol=1e-7)
-    amounts = done.amounts
     stored = float(np.sum(shells.volumes * (c - 1.0)))
-    balance = amounts.inflow - amounts.uptake - 0.02 * amounts.mass - stored
-    assert abs(balance) < 1e-8 * amounts.uptake
+    gone = entry(info, "uptake") + entry(info, "decayed")
+    assert abs(entry(info, "inflow") - gone - stored) < 1e-8 * gone
 
 
 def test_the_march_agrees_with_explicit_stepping_of_pde():
@@ -328,15 +331,5 @@ def test_the_march_agrees_with_explicit_stepping_of_pde():
     theirs = DiffusionPDE(10.0, bc={"value": 0.5}).solve(
         begin, t_range=3.0, dt=1e-3, solver="explicit", backend="numpy", tracker=None
     )
-    operator = Diffusion(grid, 10.0, 0.5)
-    zero = np.zeros(operator.shape)
-
-    def solve(c, dt, time):
-        values, report = solve_steady(operator, zero, 1.0, c, linear=1.0 / dt, supply=c / dt)
-        return values, report, 0.5
-
-    ours = march(
-        solve, operator.volume, begin.data, 0.0, 3.0, tolerance=1e-5, scale=1.0,
-        done=March(Amounts()),
-    )  # fmt: skip
+    ours, _ = marched(FieldEquation(grid, {"a": Substance(10.0, 0.5)}), begin.data, 3.0, 1e-5)
     np.testing.assert_allclose(ours, theirs.data, atol=2e-4)

@@ -103,7 +103,7 @@ def test_rates_are_diffusion_and_reactions_added_up():
     state = started(made)
     rng = np.random.default_rng(2)
     state.data = 0.1 * rng.random(state.data.shape)
-    plain = {name: term.substance for name, term in made.terms.items()}
+    plain = {name: term.substance for name, term in made.substances.items()}
     without = mc.FieldEquation(made.grid, plain, made.position)
     kinetics = FixedForms("abc", {n: mc.Reaction(**r) for n, r in BINDING.items()})
     rates = kinetics.evaluate(state.data.reshape(3, -1))[0].reshape(state.data.shape)
@@ -112,7 +112,7 @@ def test_rates_are_diffusion_and_reactions_added_up():
     np.testing.assert_allclose(made.rates(state.data, 0.0)[0], expected, rtol=1e-9, atol=1e-12)
     for balance in made.balance(state).values():
         gained = balance["inflow"] + balance["secreted"] + balance["made"]
-        lost = balance["taken"] + balance["decayed"]
+        lost = balance["uptake"] + balance["decayed"] + balance["used"]
         size = max(abs(x) for x in balance.values())
         assert balance["stored"] == pytest.approx(gained - lost, abs=1e-11 * size)
 
@@ -133,8 +133,8 @@ def test_the_inverse_of_blocks_makes_gmres_short(kind, fast):
         for name, d, side in zip("ab", (500.0, 20.0), sides, strict=True)
     }
     made = mc.FieldEquation(grid, substances)
-    operators = [term.operator for term in made.terms.values()]
-    shape, n = made.terms["a"].shape, int(np.prod(grid.shape))
+    operators = [term.operator for term in made.substances.values()]
+    shape, n = made.substances["a"].shape, int(np.prod(grid.shape))
     c = rng.uniform(0.5, 1.0, (2, n))
     binding = {"x": {"rate": fast, "consumes": {"a": 1}, "produces": {"b": 1}},
                "y": {"rate": fast, "consumes": {"b": 2}, "produces": {"a": 2}}}  # fmt: skip

@@ -117,8 +117,8 @@ def test_the_equation_of_a_frame_has_the_gel():
     frame = mc.run(described).frames[-1]
     problem = mc.field_problem(described, frame)
     balance = problem.equation.balance(problem.state, problem.time)["a"]
-    assert balance["taken"] > 50.0
-    assert abs(balance["stored"]) < 1e-8 * balance["taken"]
+    assert balance["uptake"] > 50.0
+    assert abs(balance["stored"]) < 1e-8 * balance["uptake"]
 
 
 def test_explain_names_it():

@@ -45,7 +45,7 @@ def test_a_point_in_an_infinite_medium_with_decay():
         exact = 3000.0 / (4 * np.pi * D * r) * np.exp(-r / length)
         assert oxygen.sample(around(r)).mean() == pytest.approx(exact, rel=2e-2)
         np.testing.assert_allclose(oxygen.sample(around(r)), exact, rtol=8e-2)
-    assert report.produced == pytest.approx(3000.0, rel=1e-12)
+    assert report.injected == pytest.approx(3000.0, rel=1e-12)
     assert report.decayed == pytest.approx(3000.0 + report.inflow, rel=1e-8)
     assert report.outflow < 0.003 * 3000.0
 
@@ -88,7 +88,7 @@ def test_a_plane_between_two_sides(axis, place):
     low, high = np.minimum(x, place), np.maximum(x, place)
     exact = 0.2 / D * (low + 60.0) * (60.0 - high) / 120.0
     np.testing.assert_allclose(oxygen.sample(position), exact, rtol=1e-8)
-    assert report.produced == pytest.approx(0.2 * 120.0**2, rel=1e-12)
+    assert report.injected == pytest.approx(0.2 * 120.0**2, rel=1e-12)
 
 
 def test_a_plane_gives_as_much_wherever_it_lies():

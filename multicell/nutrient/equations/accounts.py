@@ -17,8 +17,7 @@ from pde.fields.scalar import ScalarField
 from pde.pdes.base import PDEBase
 
 from multicell.cells import FloatArray
-from multicell.nutrient.transient import COLUMNS
-from multicell.nutrient.uptake import uptake_and_slope
+from multicell.nutrient.balance import COLUMNS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -43,7 +42,7 @@ class AccountedEquation(PDEBase):  # type: ignore[no-untyped-call]
         self.equation, self.until = equation, until
         self._whole = equation.layout.whole
         self._nodes = math.prod(equation.layout.shape)
-        self._number = len(equation.terms) * len(COLUMNS)
+        self._number = len(equation.substances) * len(COLUMNS)
         self.explicit_time_dependence = equation.explicit_time_dependence
 
     def state(self, fields: Any) -> FieldCollection:
@@ -54,18 +53,18 @@ class AccountedEquation(PDEBase):  # type: ignore[no-untyped-call]
         return FieldCollection([*each, *account])
 
     def account(self, data: FloatArray) -> FloatArray:
-        """Return what has happened, (m, 7), with the columns of :data:`COLUMNS`."""
-        m = len(self.equation.terms)
+        """Return what has happened, (m, columns), with the columns of :data:`COLUMNS`."""
+        m = len(self.equation.substances)
         kept = np.ravel(data[m:])[: self._number].reshape(m, len(COLUMNS)) * self._whole
         kept[:, COLUMNS.index("level")] /= self._whole
         return kept
 
     def rates(self, data: FloatArray, t: float) -> tuple[FloatArray, FloatArray]:
         """Return the rates of fields and account, and the derivative of all sinks (1/s)."""
-        m, out, slope = len(self.equation.terms), np.zeros_like(data), np.zeros_like(data)
+        m, out, slope = len(self.equation.substances), np.zeros_like(data), np.zeros_like(data)
         t = min(t, float(np.nextafter(self.until, -np.inf)))
         out[:m], slope[:m] = self.equation.rates(data[:m], t)
-        rows = flows(self.equation, data[:m], t)
+        rows = self.equation.exchanges(data[:m], t)
         rows[:, [i for i, name in enumerate(COLUMNS) if name != "level"]] /= self._whole
         out[m:].reshape(-1)[: self._number] = rows.ravel()
         return out, slope
@@ -80,7 +79,7 @@ class AccountedEquation(PDEBase):  # type: ignore[no-untyped-call]
         self, data: FloatArray, t: float
     ) -> Callable[[FloatArray, float], FloatArray]:
         """Return a function of r and a shift (1/s) that gives about (shift - J)⁻¹ r."""
-        m = len(self.equation.terms)
+        m = len(self.equation.substances)
         inner = self.equation.shifted_inverse(data[:m], t)
 
         def inverse(r: FloatArray, shift: float) -> FloatArray:
@@ -94,27 +93,7 @@ class AccountedEquation(PDEBase):  # type: ignore[no-untyped-call]
 
     def growing(self, data: FloatArray) -> str:
         """Return in words which substance grows without bound; empty if none does."""
-        return self.equation.growing(data[: len(self.equation.terms)])
+        return self.equation.growing(data[: len(self.equation.substances)])
 
     def check(self, state: Any) -> None:
         """Refuse nothing: the state is made by :meth:`state`."""
-
-
-def flows(equation: FieldEquation, data: FloatArray, t: float) -> FloatArray:
-    """Return what happens to each substance at a time in s, (m, 7) for each second.
-
-    The columns are those of :data:`multicell.nutrient.transient.COLUMNS`.
-    """
-    nodes, volumes = equation.nodes(data), equation.layout.volumes
-    made = None if equation.reactions is None else equation.reactions.made(nodes)
-    demands, rows = equation.demands(nodes, t), []
-    for i, (name, term) in enumerate(equation.terms.items()):
-        c, level, (sink, secreted) = nodes[name], term.schedule.at(t), demands[name]
-        taken, _ = uptake_and_slope(sink, c, term.substance.half_saturation)
-        parts = [taken, term.supply(level, secreted), c]
-        if made is not None:
-            parts += [np.maximum(made[i], 0.0), np.maximum(-made[i], 0.0)]
-        sums = [float(np.sum(volumes * part)) for part in parts]
-        sums += [0.0] * (5 - len(sums))
-        rows.append((term.at(level).inflow(c), *sums[:3], level, *sums[3:]))
-    return np.array(rows)

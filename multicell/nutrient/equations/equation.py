@@ -21,20 +21,23 @@ from pde.pdes.base import PDEBase
 
 from multicell.cells import FloatArray
 from multicell.errors import SceneError
+from multicell.nutrient.balance import COLUMNS
 from multicell.nutrient.equations.grid import grid_on, layout_on
 from multicell.nutrient.equations.implicit_solver import ImplicitFieldSolver
 from multicell.nutrient.equations.march_solver import MarchFieldSolver
+from multicell.nutrient.equations.placed import PlacedSubstance
 from multicell.nutrient.equations.steady_solver import SteadyFieldSolver
-from multicell.nutrient.equations.term import Substance, Term
+from multicell.nutrient.equations.substance import Substance
 from multicell.nutrient.grid import Layout
 from multicell.nutrient.operators import fastest
 from multicell.nutrient.uptake import uptake_and_slope
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
     from pde.grids.base import GridBase
 
+    from multicell.nutrient.equations.placed import Flowing
     from multicell.nutrient.reactions.kinetics import Kinetics
     from multicell.nutrient.steady import SolveReport
 
@@ -130,17 +133,19 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         self.position = np.zeros((0, 3)) if position is None else np.asarray(position, dtype=float)
         if self.position.ndim != 2 or self.position.shape[1] != 3:
             raise SceneError("position", f"has the shape {self.position.shape}, expected (n, 3)")
-        self.terms = {
-            name: Term(name, substance, layout, lambda: self.grid, self.position, threads)
+        self.substances = {
+            name: PlacedSubstance(
+                name, substance, layout, lambda: self.grid, self.position, threads
+            )
             for name, substance in substances.items()
         }
         self.reactions = None
         if reactions is not None and reactions != {}:
             from multicell.nutrient.equations.reactions import Reactions
 
-            self.reactions = Reactions(list(self.terms.values()), reactions, tissue)
-        terms = self.terms.values()
-        self.explicit_time_dependence = not all(term.schedule.constant for term in terms)
+            self.reactions = Reactions(list(self.substances.values()), reactions, tissue)
+        schedules = [each.schedule for each in self.substances.values()]
+        self.explicit_time_dependence = not all(schedule.constant for schedule in schedules)
 
     @cached_property
     def grid(self) -> GridBase:
@@ -150,7 +155,7 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
     @property
     def names(self) -> list[str]:
         """Names of the substances in the order of the state's fields."""
-        return list(self.terms)
+        return list(self.substances)
 
     def state(self, values: Mapping[str, Any]) -> State:
         """Return a state from an array of the grid's nodes or one number for each substance, mM.
@@ -160,20 +165,27 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         SceneError
             If a substance is missing, unknown, or of another shape.
         """
-        if set(values) != set(self.terms):
-            problem = f"are of {sorted(values)}, expected {sorted(self.terms)}"
+        if set(values) != set(self.substances):
+            problem = f"are of {sorted(values)}, expected {sorted(self.substances)}"
             raise SceneError("values", problem)
-        fields = []
-        for name in self.terms:
+        shape = self.grid.shape
+        arrays = []
+        for name in self.substances:
             array = np.asarray(values[name], dtype=float)
-            if array.ndim and array.size != np.prod(self.grid.shape):
-                problem = f"has the shape {array.shape}, the grid has {self.grid.shape}"
+            if array.ndim and array.size != np.prod(shape):
+                problem = f"has the shape {array.shape}, the grid has {shape}"
                 raise SceneError(f"values.{name}", problem)
-            data = np.broadcast_to(array, self.grid.shape) if not array.ndim else array
-            fields.append(ScalarField(self.grid, data.reshape(self.grid.shape), label=name))
-        if len(fields) == 1:
-            return fields[0]
-        return FieldCollection(fields, labels=list(self.terms))
+            arrays.append(array if array.ndim else np.broadcast_to(array, shape))
+        return self.state_of(arrays)
+
+    def state_of(self, nodes: Iterable[FloatArray]) -> State:
+        """Return a state of the values (mM) at the nodes, of each substance in their order."""
+        grid = self.grid
+        fields = [
+            ScalarField(grid, array.reshape(grid.shape), label=name)
+            for name, array in zip(self.substances, nodes, strict=True)
+        ]
+        return fields[0] if len(fields) == 1 else FieldCollection(fields, labels=[*self.substances])
 
     def evolution_rate(self, state: State, t: float = 0.0) -> State:  # type: ignore[override]
         """Return ∂c/∂t of all substances at a time in s, mM/s, by py-pde's own Laplacian.
@@ -190,7 +202,8 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         data = self.nodes(state.data)
         demands = self.demands(data, t)
         rates = np.array([
-            term.reference_rate(data[name], t, *demands[name]) for name, term in self.terms.items()
+            each.reference_rate(data[name], t, *demands[name])
+            for name, each in self.substances.items()
         ])  # fmt: skip
         if self.reactions is not None:
             rates += self.reactions.made(data)
@@ -205,10 +218,12 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         """
         nodes = self.nodes(data)
         if self.coupling is None:
-            found = [term.rate(nodes[name], t) for name, term in self.terms.items()]
+            found = [each.rate(nodes[name], t) for name, each in self.substances.items()]
         else:
             demands = self.demands(nodes, t)
-            found = [term.rate(nodes[name], t, *demands[name]) for name, term in self.terms.items()]
+            found = [
+                each.rate(nodes[name], t, *demands[name]) for name, each in self.substances.items()
+            ]
         out, slope = (np.array(x) for x in zip(*found, strict=True))
         if self.reactions is not None:
             out += self.reactions.made(nodes)
@@ -230,7 +245,8 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         def inverse(r: FloatArray, shift: float) -> FloatArray:
             parts = self.nodes(r)
             found = [
-                term.inverse(parts[name], slopes[name] + shift) for name, term in self.terms.items()
+                each.inverse(parts[name], slopes[name] + shift)
+                for name, each in self.substances.items()
             ]
             return np.array(found).reshape(r.shape)
 
@@ -259,9 +275,8 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         -------
         data
             At the end.
-        (m, 7)
-            What happened to each substance: the columns of
-            :data:`multicell.nutrient.transient.COLUMNS`.
+        (m, columns)
+            What happened to each substance: :data:`multicell.nutrient.balance.COLUMNS`.
 
         Raises
         ------
@@ -271,7 +286,7 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
             As for :meth:`steady_state`.
         """
         found, reports = self.solution(data, t, dt, data)
-        return found.reshape(data.shape), dt * amounts_of(self, found, t, reports)
+        return found.reshape(data.shape), dt * self.exchanges(found, t, reports)
 
     def solution(
         self, start: FloatArray, t: float, dt: float = np.inf, before: FloatArray | None = None
@@ -291,9 +306,9 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
             return found.reshape(-1, *self.layout.shape), reports
         reports = {}
         for name in self.names if self.coupling is None else self.coupling.order:
-            term = self.terms[name]
-            nodes[name], reports[name] = term.solve(
-                nodes[name], term.schedule.at(t), dt=dt,
+            each = self.substances[name]
+            nodes[name], reports[name] = each.solve(
+                nodes[name], each.schedule.at(t), dt=dt,
                 before=None if earlier is None else earlier[name],
                 demand=None if self.coupling is None else self.demands(nodes, t)[name],
             )  # fmt: skip
@@ -305,16 +320,16 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         Reactions are not part of it.
         """
         rates = [
-            fastest(term.operator) + term.linear
-            + float(term.sink.max(initial=0.0)) / term.substance.half_saturation
-            for term in self.terms.values()
+            fastest(each.operator) + each.linear
+            + float(each.sink.max(initial=0.0)) / each.substance.half_saturation
+            for each in self.substances.values()
         ]  # fmt: skip
         return 1.0 / max(rates)
 
     def scales(self, data: FloatArray, begin: float, end: float) -> FloatArray:
         """Return the concentration of each substance that errors are small beside, (m,) mM."""
-        terms = self.terms.values()
-        found = np.array([term.schedule.at(begin) for term in terms])
+        substances = self.substances.values()
+        found = np.array([each.schedule.at(begin) for each in substances])
         if self.reactions is None:
             return found
         found = np.maximum(found, self.reactions.ahead(self.nodes(data), begin, end))
@@ -333,40 +348,44 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         if layout is not self.layout:
             self.__dict__.pop("grid", None)
             self.layout = layout
-        for name, term in self.terms.items():
-            term.place(layout, position, *demands[name])
+        for name, each in self.substances.items():
+            each.place(layout, position, *demands[name])
+
+    def exchanges(
+        self, data: FloatArray, t: float, reports: Mapping[str, Flowing] | None = None
+    ) -> FloatArray:
+        """Return what happens to each substance at a time in s, (m, columns) amol/s.
+
+        The columns are those of :data:`multicell.nutrient.balance.COLUMNS`. ``reports`` are what
+        solvers know of this state; absent: it is found here.
+        """
+        nodes, rows = self.nodes(data), []
+        demands = self.demands(nodes, t)
+        made: dict[str, FloatArray] = {}
+        if reports is None and self.reactions is not None:
+            made = dict(zip(self.substances, self.reactions.made(nodes), strict=True))
+        for name, each in self.substances.items():
+            c, level, (sink, secreted) = nodes[name], each.schedule.at(t), demands[name]
+            flows: Flowing | None = None if reports is None else reports[name]
+            if flows is None:
+                flows = each.flows(c, level, sink, made.get(name))
+            rows.append(each.account(c, level, flows, secreted if self.coupling else None))
+        return np.array(rows)
 
     def balance(self, state: State, t: float = 0.0) -> dict[str, dict[str, float]]:
         """Return what happens to each substance in all, amol/s.
 
-        ``inflow`` over the sides, ``perfused`` by the flow (both net), ``secreted``,
-        ``supplied`` by what stands still, ``taken`` up, ``decayed``, ``made`` by reactions (net)
-        where there are any, and ``stored``, which is the sum of them.
+        The entries of :class:`multicell.nutrient.balance.Ledger`, and ``stored``, which is what the
+        content gains by all of them.
         """
         self.check(state)
-        data = self.nodes(state.data)
-        demands, found = self.demands(data, t), {}
-        made = None
-        if self.reactions is not None:
-            made = dict(zip(self.names, self.reactions.made(data), strict=True))
-        for name, term in self.terms.items():
-            c, (sink, secreted), p = data[name], demands[name], term.substance
-            volumes, level = self.layout.volumes, term.schedule.at(t)
-            parts = {
-                "perfused": p.perfusion * (level - c),
-                "secreted": secreted,
-                "supplied": term.supplied,
-                "taken": uptake_and_slope(sink, c, p.half_saturation)[0],
-                "decayed": p.decay * c,
-                "stored": term.reference_rate(c, t, sink, secreted),
-            }
-            sums = {key: float(np.sum(volumes * part)) for key, part in parts.items()}
-            sums["inflow"] = term.at(level).inflow(c)
-            if made is not None:
-                sums["made"] = float(np.sum(volumes * made[name]))
-                sums["stored"] += sums["made"]
-            found[name] = sums
-        return found
+        rows = self.exchanges(np.array(state.data, dtype=float), t)
+        rates = np.reshape(self.evolution_rate(state, t).data, (len(rows), *self.layout.shape))
+        return {
+            name: dict(zip(COLUMNS[:-1], map(float, row), strict=False))
+            | {"stored": float(np.sum(self.layout.volumes * rate))}
+            for name, row, rate in zip(self.substances, rows, rates, strict=True)
+        }
 
     def growing(self, data: FloatArray) -> str:
         """Return in words which substance grows without bound and how fast; empty if none does."""
@@ -374,7 +393,9 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
 
     def switches(self, begin: float, end: float) -> list[float]:
         """Return the times strictly between two at which a medium jumps or bends, s."""
-        return sorted({t for x in self.terms.values() for t in x.schedule.switches(begin, end)})
+        return sorted(
+            {t for x in self.substances.values() for t in x.schedule.switches(begin, end)}
+        )
 
     def check(self, state: State) -> None:
         """Refuse a state that is not one of this equation.
@@ -384,7 +405,9 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
         SceneError
         """
         fields = [state] if isinstance(state, ScalarField) else list(state)
-        if len(fields) != len(self.terms) or any(not isinstance(f, ScalarField) for f in fields):
+        if len(fields) != len(self.substances) or any(
+            not isinstance(f, ScalarField) for f in fields
+        ):
             problem = f"has {len(fields)} fields, expected one scalar field for each of"
             raise SceneError("state", f"{problem} {', '.join(self.names)}")
         if not state.grid.compatible_with(self.grid):
@@ -395,40 +418,25 @@ class FieldEquation(PDEBase):  # type: ignore[no-untyped-call]
     ) -> dict[str, tuple[FloatArray, FloatArray]]:
         """Return largest uptake and secretion at the nodes for each substance, mM/s."""
         if self.coupling is None:
-            return {name: (term.sink, term.secreted) for name, term in self.terms.items()}
+            return {name: (each.sink, each.secreted) for name, each in self.substances.items()}
         found: dict[str, FloatArray] = {}
         taken: dict[str, FloatArray] = {}
         demands = {}
         for name in self.coupling.order:
-            term, c = self.terms[name], nodes[name]
+            each, c = self.substances[name], nodes[name]
             capacity, production = self.coupling.demand(name, found, taken)
-            secreted = np.zeros(term.shape)
+            secreted = np.zeros(each.shape)
             if production is not None:
-                secreted = term.spread(self.position, production)
-            demands[name] = term.spread(self.position, capacity), secreted
-            sides = term.conditions_at(term.schedule.at(t))
+                secreted = each.spread(self.position, production)
+            demands[name] = each.spread(self.position, capacity), secreted
+            sides = each.conditions_at(each.schedule.at(t))
             found[name] = self.layout.read(self.position, c, sides)
-            share, _ = uptake_and_slope(1.0, c, term.substance.half_saturation)
+            share, _ = uptake_and_slope(1.0, c, each.substance.half_saturation)
             taken[name] = capacity * self.layout.gather(self.position, share)
         return demands
 
     def nodes(self, data: Any) -> dict[str, FloatArray]:
         """Return the values of each substance as solvers have them."""
         shape = self.layout.shape
-        parts = np.ascontiguousarray(data, dtype=float).reshape(len(self.terms), *shape)
-        return dict(zip(self.terms, parts, strict=True))
-
-
-def amounts_of(
-    equation: FieldEquation, data: FloatArray, t: float, reports: Mapping[str, SolveReport]
-) -> FloatArray:
-    """Return what happens to each substance at a time in s, (m, 7), for each second.
-
-    The columns are those of :data:`multicell.nutrient.transient.COLUMNS`.
-    """
-    rows, volumes = [], equation.layout.volumes
-    for c, (name, term) in zip(equation.nodes(data).values(), equation.terms.items(), strict=True):
-        x, mass = reports[name], float(np.sum(volumes * c))
-        level = term.schedule.at(t)
-        rows.append((x.inflow, x.uptake, x.supplied, mass, level, x.made, x.used))
-    return np.array(rows)
+        parts = np.ascontiguousarray(data, dtype=float).reshape(len(self.substances), *shape)
+        return dict(zip(self.substances, parts, strict=True))

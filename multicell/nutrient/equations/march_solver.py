@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
@@ -11,8 +10,9 @@ from pde.solvers.base import SolverBase
 
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed, SceneError
+from multicell.nutrient.balance import COLUMNS
 from multicell.nutrient.equations.solving import Stepped, suitable
-from multicell.nutrient.transient import COLUMNS, March, controlled
+from multicell.nutrient.march import March, march
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -21,23 +21,11 @@ if TYPE_CHECKING:
 
 
 @final
-@dataclass(frozen=True)
-class Rows:
-    """What happened in some time: a row for each field with the columns of :data:`COLUMNS`."""
-
-    values: FloatArray
-
-    def plus(self, other: Rows, share: float = 1.0) -> Rows:
-        """Return these and a share of others."""
-        return Rows(self.values + share * other.values)
-
-
-@final
 class MarchFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
-    """What transient fields of runs are solved by: see :mod:`multicell.nutrient.transient`.
+    """What transient fields of runs are solved by: see :mod:`multicell.nutrient.march`.
 
-    ``info["amounts"]`` holds what happened to each substance, (m, 7), with the columns of
-    :data:`multicell.nutrient.transient.COLUMNS`.
+    ``info["amounts"]`` holds what happened to each substance, with the columns of
+    :data:`multicell.nutrient.balance.COLUMNS`.
 
     Parameters
     ----------
@@ -79,7 +67,7 @@ class MarchFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
             For an equation that takes no steps of backward Euler.
         """
         pde: Stepped = suitable(self.pde, state, "implicit_step")
-        done = March(Rows(np.zeros((len(pde.names), len(COLUMNS)))))
+        done = March(np.zeros((len(pde.names), len(COLUMNS))))
         self.info.update(dt=dt, stochastic=False)
         self._note(done)
 
@@ -94,7 +82,7 @@ class MarchFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
         return stepper
 
     def _march(
-        self, pde: Stepped, c: FloatArray, begin: float, end: float, done: March[Rows]
+        self, pde: Stepped, c: FloatArray, begin: float, end: float, done: March
     ) -> FloatArray:
         """Bring the data from one time to another, between which no medium jumps."""
         last = float(np.nextafter(end, -np.inf))  # at the moment of a jump the old medium holds
@@ -104,11 +92,10 @@ class MarchFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
         m = len(scale)
         reached = begin, c
 
-        def step(c: FloatArray, dt: float, time: float) -> tuple[FloatArray, Rows]:
+        def step(c: FloatArray, dt: float, time: float) -> tuple[FloatArray, FloatArray]:
             nonlocal reached
             reached = time - dt, c
-            after, rows = pde.implicit_step(c, dt, min(time, last))
-            return after, Rows(rows)
+            return pde.implicit_step(c, dt, min(time, last))
 
         def error(halves: FloatArray, full: FloatArray) -> float:
             apart, most = (
@@ -119,7 +106,7 @@ class MarchFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
 
         opening = 0.1 * (end - begin) if self.info["dt"] is None else self.info["dt"]
         try:
-            return controlled(
+            return march(
                 step, error, c, begin, end, tolerance=self.tolerance, done=done, opening=opening
             )
         except NutrientFailed as failure:
@@ -129,8 +116,8 @@ class MarchFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
             hint = "Look at the rates of the reactions that make it, or let them saturate."
             raise NutrientFailed(f"at t = {reached[0]:.6g} s {words}", hint) from failure
 
-    def _note(self, done: March[Rows]) -> None:
+    def _note(self, done: March) -> None:
         self.info.update(
             steps=done.steps, rejections=done.rejections, first_order=done.first_order,
-            error=done.error, amounts=done.amounts.values,
+            error=done.error, amounts=done.amounts,
         )  # fmt: skip

@@ -11,7 +11,8 @@ import numpy as np
 
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed, SceneError
-from multicell.nutrient.equations.term import Term
+from multicell.nutrient.equations.placed import PlacedSubstance
+from multicell.nutrient.march import StepRefused
 from multicell.nutrient.reactions.coupled import Coupled, settle
 from multicell.nutrient.reactions.inverse import inverse_of_blocks
 from multicell.nutrient.reactions.kinetics import (
@@ -21,7 +22,6 @@ from multicell.nutrient.reactions.kinetics import (
     kinetics_of,
 )
 from multicell.nutrient.steady import SolveReport
-from multicell.nutrient.transient import StepRefused
 from multicell.scene.nutrient import MOST
 
 Nodes = Mapping[str, FloatArray]
@@ -33,7 +33,7 @@ class Reactions:
 
     Parameters
     ----------
-    terms
+    substances
         The substances on the grid.
     reactions
         See :class:`multicell.FieldEquation`.
@@ -49,12 +49,12 @@ class Reactions:
 
     def __init__(
         self,
-        terms: list[Term],
+        substances: list[PlacedSubstance],
         reactions: Mapping[str, Any] | Kinetics,
         tissue: FloatArray | None,
     ) -> None:
-        self.terms = terms
-        names = [term.name for term in terms]
+        self.substances = substances
+        names = [each.name for each in substances]
         if isinstance(reactions, Mapping):
             self.kinetics: Kinetics = kinetics_of(names, reactions)
         else:
@@ -65,7 +65,7 @@ class Reactions:
         self.tissue = None
         if tissue is not None:
             filled = np.asarray(tissue, dtype=float)
-            nodes = math.prod(terms[0].shape)
+            nodes = math.prod(substances[0].shape)
             if filled.size != nodes or not ((filled >= 0) & (filled <= 1)).all():
                 problem = f"must have {nodes} values from 0 to 1, one for each node"
                 raise SceneError("tissue", problem)
@@ -74,7 +74,7 @@ class Reactions:
     def made(self, nodes: Nodes) -> FloatArray:
         """Return what reactions make of all substances, (m, ...) mM/s."""
         found, _ = self.kinetics.evaluate(self._flat(nodes), self.tissue)
-        return found.reshape(len(self.terms), *self.terms[0].shape)
+        return found.reshape(len(self.substances), *self.substances[0].shape)
 
     def shifted_inverse(
         self, nodes: Nodes, slopes: Nodes
@@ -85,7 +85,7 @@ class Reactions:
         """
         _, derivative = self.kinetics.evaluate(self._flat(nodes), self.tissue)
         others = self._flat(slopes)
-        operators = [term.operator for term in self.terms]
+        operators = [each.operator for each in self.substances]
         last: dict[float, Callable[[FloatArray], FloatArray]] = {}
 
         def inverse(r: FloatArray, shift: float) -> FloatArray:
@@ -95,7 +95,7 @@ class Reactions:
                     blocks[i, i] += slope + shift
                 last.clear()
                 last[shift] = inverse_of_blocks(operators, blocks)
-            return last[shift](r.reshape(len(self.terms), -1)).reshape(r.shape)
+            return last[shift](r.reshape(len(self.substances), -1)).reshape(r.shape)
 
         return inverse
 
@@ -117,15 +117,15 @@ class Reactions:
         else:
             c = coupled.step(self._flat(before), first, dt)
             if float(c.max()) > MOST:
-                names = ", ".join(term.name for term in self.terms)
+                names = ", ".join(each.name for each in self.substances)
                 problem = f"one of {names} became denser than water"
                 raise NutrientFailed(problem, "Look at what is secreted and made of it")
         reports = {}
-        for i, (term, a) in enumerate(zip(self.terms, coupled.account(c), strict=True)):
-            spent = term.linear * a.mass
+        for i, (each, a) in enumerate(zip(self.substances, coupled.account(c), strict=True)):
+            spent = each.linear * a.mass
             left = abs(a.inflow + a.supplied + a.made - a.used - a.uptake - spent)
             newton, linear = (coupled.newton, coupled.linear_steps) if i == 0 else (0, 0)
-            reports[term.name] = SolveReport(
+            reports[each.name] = SolveReport(
                 newton, linear, left, a.inflow, a.uptake, spent, a.supplied, a.outflow, a.made,
                 a.used,
             )  # fmt: skip
@@ -144,14 +144,14 @@ class Reactions:
 
     def _coupled(self, t: float) -> Coupled:
         """Return the equations with what holds at a time in s."""
-        levels = [term.schedule.at(t) for term in self.terms]
-        pairs = list(zip(self.terms, levels, strict=True))
+        levels = [each.schedule.at(t) for each in self.substances]
+        pairs = list(zip(self.substances, levels, strict=True))
         return Coupled(
-            [term.at(level) for term, level in pairs],
-            np.array([term.sink.ravel() for term in self.terms]),
-            np.array([term.supply(level).ravel() for term, level in pairs]),
-            np.array([term.substance.half_saturation for term in self.terms]),
-            np.array([term.linear for term in self.terms]),
+            [each.at(level) for each, level in pairs],
+            np.array([each.sink.ravel() for each in self.substances]),
+            np.array([each.supply(level).ravel() for each, level in pairs]),
+            np.array([each.substance.half_saturation for each in self.substances]),
+            np.array([each.linear for each in self.substances]),
             self.kinetics,
             self.tissue,
         )
@@ -159,7 +159,7 @@ class Reactions:
     def growing(self, nodes: Nodes) -> str:
         """Return which substance grows without bound and how fast, in words; empty if none does."""
         c = self._flat(nodes)
-        losses = np.array([term.linear for term in self.terms])
+        losses = np.array([each.linear for each in self.substances])
         worst = (0.0, 0, 0)
         for node in {int(np.argmax(np.where(np.isfinite(row), row, -1.0))) for row in c}:
             tissue = None if self.tissue is None else self.tissue[node : node + 1]
@@ -167,17 +167,19 @@ class Reactions:
             _, derivative = self.kinetics.evaluate(point, tissue)
             if not np.isfinite(derivative).all():
                 row = int(np.argmax(point))
-                return f"{self.terms[row].name} grows without bound, and is {point.max():.3g} mM"
+                return (
+                    f"{self.substances[row].name} grows without bound, and is {point.max():.3g} mM"
+                )
             growth, field = growth_rate(derivative[:, :, 0], losses)
             worst = max(worst, (growth, field, node))
         growth, field, node = worst
         if not growth > 0.0:
             return ""
         return (
-            f"{self.terms[field].name} grows without bound: it has come to "
+            f"{self.substances[field].name} grows without bound: it has come to "
             f"{float(c[field, node]):.3g} mM, and reactions make it grow by {growth:.3g} 1/s more "
             "than decay and perfusion take"
         )
 
     def _flat(self, nodes: Nodes) -> FloatArray:
-        return np.array([np.ravel(nodes[term.name]) for term in self.terms])
+        return np.array([np.ravel(nodes[each.name]) for each in self.substances])

@@ -47,7 +47,7 @@ class Stepped(Protocol):
         """Names of the substances in its account."""
 
     def implicit_step(self, data: FloatArray, dt: float, t: float) -> tuple[FloatArray, FloatArray]:
-        """Return the data at the end of a step, and what happened in it, (m, 7)."""
+        """Return the data at the end of a step, and what happened in it, (m, columns)."""
 
     def scales(self, data: FloatArray, begin: float, end: float) -> FloatArray:
         """Return the concentration of each field that errors are small beside, (m,)."""
@@ -64,6 +64,9 @@ class Steady(Protocol):
 
     def steady_state(self, data: FloatArray, t: float) -> tuple[FloatArray, dict[str, Any]]:
         """Return the state that rests with the conditions of a time, and what it took."""
+
+    def exchanges(self, data: FloatArray, t: float, reports: dict[str, Any]) -> FloatArray:
+        """Return what happens in that state, (m, columns)."""
 
 
 def suitable(pde: PDEBase, state: Any, method: str) -> Any:

@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 class SteadyFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
     """Steady states by Newton's method, as runs have them (:mod:`multicell.nutrient.steady`).
 
+    ``info["reports"]`` says what the solves took, and ``info["rates"]`` what happens to each
+    substance, with the columns of :data:`multicell.nutrient.balance.COLUMNS`.
+
     ``equation.solve(state, t_range, solver="multicell-steady")`` returns the state that rests with
     what holds at the end of ``t_range``; trackers see it at all times after the start.
 
@@ -47,6 +50,7 @@ class SteadyFieldSolver(SolverBase):  # type: ignore[no-untyped-call]
             found, reports = equation.steady_state(np.array(state.data), float(t_end))
             state.data[...] = found
             self.info["reports"] = reports
+            self.info["rates"] = equation.exchanges(found, float(t_end), reports)
             self.info["steps"] += sum(report.newton for report in reports.values())
             return t_end
 

@@ -26,6 +26,7 @@ import numpy as np
 from multicell.cells import FloatArray
 from multicell.errors import NutrientFailed
 from multicell.nutrient.diffusion import Diffusion
+from multicell.nutrient.march import StepRefused
 from multicell.nutrient.operators import (
     AnyOperator,
     brought,
@@ -37,7 +38,6 @@ from multicell.nutrient.operators import (
 )
 from multicell.nutrient.reactions.inverse import apply_blocks, inverse_of_blocks
 from multicell.nutrient.reactions.krylov import gmres
-from multicell.nutrient.transient import StepRefused
 from multicell.nutrient.uptake import uptake_and_slope
 
 if TYPE_CHECKING:

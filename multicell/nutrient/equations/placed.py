@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, final
 
 import numpy as np
 
 from multicell.cells import FloatArray
 from multicell.errors import SceneError
+from multicell.nutrient.balance import COLUMNS
 from multicell.nutrient.diffusion import Diffusion
 from multicell.nutrient.equations.grid import conditions_on, numbers_only
 from multicell.nutrient.equations.schedule import Schedule
+from multicell.nutrient.equations.substance import Conditions, Substance
 from multicell.nutrient.grid import BoxLayout, Layout
 from multicell.nutrient.operators import AnyOperator, brought, imbalance
 from multicell.nutrient.spherical import Shells
@@ -23,78 +24,46 @@ from multicell.nutrient.uptake import uptake_and_slope
 if TYPE_CHECKING:
     from pde.grids.base import GridBase
 
-Conditions = Mapping[str, Any]
-
 _ROUNDING = 1e-9
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class Substance:
-    """What diffuses, decays, and is taken up and secreted by cells.
-
-    Parameters
-    ----------
-    diffusion : float, µm²/s
-    conditions
-        On the sides of the grid, in py-pde's terms (``{"x-": {"value": 0.1}, "*":
-        {"derivative": 0}}``; of shells ``"r+"`` or one condition), a concentration in mM on all
-        sides, or a function of the medium's concentration (mM) that returns them. Values, slopes
-        and mixed conditions are known; what one brings must be linear in that concentration.
-        Never pass text from users: py-pde executes it.
-    half_saturation : float, mM
-    decay, perfusion : float, 1/s
-    medium
-        What a perfusion brings and ``conditions`` is called with: mM, or a :class:`Schedule`.
-    capacity, production : (n,), amol/s, optional
-        Largest uptake and secretion of each cell.
-    varied : shape of the grid, optional
-        Coefficient of diffusion at the nodes over ``diffusion``.
-    supply : shape of the grid, mM/s, optional
-        What nodes gain besides, whatever the cells do: from points and planes that stand still.
-
-    Raises
-    ------
-    SceneError
-        For a number that makes no sense.
-    """
-
-    diffusion: float
-    conditions: float | Conditions | Callable[[float], Conditions]
-    half_saturation: float = 1.0
-    decay: float = 0.0
-    perfusion: float = 0.0
-    medium: float | Schedule = 0.0
-    capacity: FloatArray | None = None
-    production: FloatArray | None = None
-    varied: FloatArray | None = None
-    supply: FloatArray | None = None
-
-    def __post_init__(self) -> None:
-        for name in ("diffusion", "half_saturation", "decay", "perfusion"):
-            value = getattr(self, name)
-            positive = name in ("diffusion", "half_saturation")
-            if not (np.isfinite(value) and (value > 0.0 or (value == 0.0 and not positive))):
-                bound = "above zero" if positive else "zero or more"
-                raise SceneError(name, f"is {value!r}, must be a finite number, {bound}")
-        for name in ("capacity", "production"):
-            amounts = getattr(self, name)
-            if (
-                amounts is not None
-                and not (np.isfinite(amounts) & (np.asarray(amounts) >= 0)).all()
-            ):
-                raise SceneError(name, "of some cell is negative or not finite")
-        if self.supply is not None and not np.isfinite(self.supply).all():
-            raise SceneError("supply", "of some node is not finite")
+class Flowing(Protocol):
+    """What solvers know of the balance of a substance on a grid, amol/s."""
 
     @property
-    def schedule(self) -> Schedule:
-        """The medium over time."""
-        return self.medium if isinstance(self.medium, Schedule) else Schedule.steady(self.medium)
+    def inflow(self) -> float:
+        """Over the sides, net."""
+
+    @property
+    def outflow(self) -> float:
+        """Over the sides, what leaves."""
+
+    @property
+    def uptake(self) -> float:
+        """By cells."""
+
+    @property
+    def made(self) -> float:
+        """By reactions, where in the sum of them they make some."""
+
+    @property
+    def used(self) -> float:
+        """By reactions, where in the sum of them they take some."""
 
 
 @final
-class Term:
+class Flows(NamedTuple):
+    """The same of any state; see :class:`Flowing`."""
+
+    inflow: float
+    outflow: float
+    uptake: float
+    made: float
+    used: float
+
+
+@final
+class PlacedSubstance:
     """A substance on a grid.
 
     Parameters
@@ -131,7 +100,7 @@ class Term:
         self.name, self.substance, self.layout = name, substance, layout
         self._grid, self._threads = grid, threads
         self.schedule = substance.schedule
-        self.linear = substance.decay + substance.perfusion
+        self.linear = sum(term.rate for term in substance.linear_terms)
         self.shape = layout.shape
         self._reference = self.schedule.at(0.0) if self.schedule.constant else 0.0
         self._plain = numbers_only(self.conditions_at(self._reference))
@@ -158,9 +127,10 @@ class Term:
                 self._scale()
         none = np.zeros(len(position))
         self.sink = self.spread(position, none if capacity is None else capacity)
-        self.secreted = self.layout.filled(0.0)
+        self.secreted, self._production = self.layout.filled(0.0), 0.0
         if production is not None:
             self.secreted = self.spread(position, production)
+            self._production = float(np.sum(production))
         self._base: FloatArray | None = None
 
     def _scale(self) -> None:
@@ -168,7 +138,7 @@ class Term:
         self._level = self._reference
         self.operator = self._operator(self._reference)
         self.supplied = self._supplied()
-        for derived in ("faces", "per_level"):
+        for derived in ("faces", "per_level", "_injected"):
             self.__dict__.pop(derived, None)
 
     def follow(self, level: float) -> None:
@@ -248,8 +218,12 @@ class Term:
         """What nodes gain for each mM in a medium that changes, 1/s; None where it does not."""
         if self.schedule.constant:
             return None
-        found = brought(self._operator(1.0)) - self.faces + self.substance.perfusion
+        found = brought(self._operator(1.0)) - self.faces + (self._gain(1.0) - self._gain(0.0))
         return np.ascontiguousarray(found)
+
+    def _gain(self, level: float) -> float:
+        """Return what linear terms bring to each node, mM/s."""
+        return sum(term.gain(level) for term in self.substance.linear_terms)
 
     @property
     def base(self) -> FloatArray:
@@ -264,7 +238,7 @@ class Term:
         ``secreted`` stands in place of what cells secrete.
         """
         secreted = self.secreted if secreted is None else secreted
-        return self.supplied + self.substance.perfusion * level + secreted
+        return self.supplied + self._gain(level) + secreted
 
     def source(self, t: float, secreted: FloatArray | None = None) -> FloatArray:
         """Return what nodes gain at a time in s, mM/s; ``secreted`` in place of what cells do."""
@@ -351,6 +325,51 @@ class Term:
         return self.at(level).solve(
             sink, self.substance.half_saturation, start, linear=linear, supply=supply
         )
+
+    def flows(
+        self, c: FloatArray, level: float, sink: FloatArray, made: FloatArray | None = None
+    ) -> Flows:
+        """Return what a state (mM) exchanges with sides, cells and reactions (``made``, mM/s)."""
+        volumes, operator = self.layout.volumes, self.at(level)
+        if isinstance(operator, Diffusion):
+            inward, outward = operator.flows(c)
+        else:
+            net = operator.inflow(c)
+            inward, outward = max(net, 0.0), max(-net, 0.0)
+        taken, _ = uptake_and_slope(sink, c, self.substance.half_saturation)
+        gained = lost = 0.0
+        if made is not None:
+            gained = float(np.sum(volumes * np.maximum(made, 0.0)))
+            lost = float(np.sum(volumes * np.maximum(-made, 0.0)))
+        return Flows(inward - outward, outward, float(np.sum(volumes * taken)), gained, lost)
+
+    def account(
+        self, c: FloatArray, level: float, flows: Flowing, secreted: FloatArray | None = None
+    ) -> list[float]:
+        """Return all that happens to a state (mM), amol/s: the columns :data:`COLUMNS`.
+
+        ``secreted`` (mM/s) stands in place of what cells secrete.
+        """
+        volumes = self.layout.volumes
+        produced = self._production
+        if secreted is not None:
+            produced = float(np.sum(volumes * secreted))
+        found = {
+            "inflow": flows.inflow, "outflow": flows.outflow, "uptake": flows.uptake,
+            "secreted": produced, "injected": self._injected, "made": flows.made,
+            "used": flows.used, "level": level,
+        }  # fmt: skip
+        if self.substance.linear_terms:
+            content, medium = float(np.sum(volumes * c)), level * self.layout.whole
+            for term in self.substance.linear_terms:
+                for entry, amount in term.entries(content, medium).items():
+                    found[entry] = found.get(entry, 0.0) + amount
+        return [found.get(name, 0.0) for name in COLUMNS]
+
+    @cached_property
+    def _injected(self) -> float:
+        """What stands still gives, amol/s."""
+        return float(np.sum(self.layout.volumes * self.supplied))
 
     def inverse(self, r: FloatArray, shift: FloatArray) -> FloatArray:
         """Return about (shift - D L)⁻¹ r with ``shift`` (1/s) at the nodes, exactly on shells."""
