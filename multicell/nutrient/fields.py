@@ -83,7 +83,7 @@ class Feeding:
             self.groups = together(self.fields, self.order, known)
         else:
             self.groups = [self.fields[name].group for name in self.order]
-        self.grids = Grids(scene)
+        self.grids = Grids(scene, [group.names for group in self.groups])
         self.ledger = {name: Ledger() for name in scene.nutrients}
         self.concentrations: dict[str, FloatArray] = {}
         self.reports: dict[str, Exchange] = {}
@@ -110,9 +110,8 @@ class Feeding:
     def _begin(self, group: FieldGroup, cells: Cells, time: float, *, choose: bool) -> None:
         """Solve for fields at the start of a run; ``choose`` their grid where the run does so."""
         demand = {name: self.demand_now(name, cells) for name in group.names}
-        for name in group.names:
-            if choose and name in self.grids.choosers:
-                self.grids.begin(self.fields[name], cells, *demand[name], time)
+        if choose and group.names[0] in self.grids.choosers:
+            self.grids.begin(group, cells, demand, time)
         if self._rests_first(group.names[0]):
             self.reports |= group.solve(cells.position, demand, radius=cells.radius, time=time)
         else:
@@ -169,9 +168,8 @@ class Feeding:
         demand = {name: self.demand_now(name, cells) for name in group.names}
         rested = self._rests(group.names[0])
         layouts = {name: self.fields[name].layout for name in group.names}
-        for name in group.names:
-            if name in self.grids.choosers:
-                self.grids.look(self.fields[name], cells, *demand[name], begin, end)
+        if group.names[0] in self.grids.choosers:
+            self.grids.look(group, cells, demand, begin, end)
         if rested and self._rests(group.names[0]):
             for name in group.names:
                 self.ledger[name].add(self.reports[name], end - begin)

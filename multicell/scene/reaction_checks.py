@@ -72,10 +72,13 @@ def _check_grid(scene: Scene, group: list[str]) -> None:
     first = group[0]
     for name in group:
         nutrient = scene.nutrients[name]
-        if nutrient.tolerance is not None:
-            problem = "is not known of a field that takes part in reactions"
-            hint = "Fields that react with each other share one grid: give its spacing."
-            raise SceneError(f"nutrients.{name}.tolerance", problem, hint)
+        if (nutrient.tolerance is None) != (scene.nutrients[first].tolerance is None):
+            with_one, without = (name, first) if nutrient.tolerance is not None else (first, name)
+            problem = f"is missing, but {with_one}, with which it reacts, has one"
+            hint = (
+                "Fields that react with each other share one grid: give each a tolerance, or none."
+            )
+            raise SceneError(f"nutrients.{without}.tolerance", problem, hint)
         keys: dict[str, tuple[Any, Any]] = {
             key: (getattr(nutrient, key), getattr(scene.nutrients[first], key)) for key in _SHARED
         }

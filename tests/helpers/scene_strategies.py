@@ -406,11 +406,12 @@ def _fit_reactions(scene, fields):
     reacting = [field for name, field in fields.items() if name in joined]
     first = reacting[0]
     for field in reacting:
-        for key in (
-            "uptake_on", "secretion_from", "finite_medium", "regime", "initial", "tolerance",
-            "solver",
-        ):  # fmt: skip
+        for key in ("uptake_on", "secretion_from", "regime", "initial", "solver"):
             field.pop(key, None)
+        if "tolerance" in first:
+            field.setdefault("tolerance", first["tolerance"])
+        else:
+            field.pop("tolerance", None)
         for key in ("margin", "roundness_limit", "height", "spacing", "geometry", "layer"):
             if key in first:
                 field[key] = first[key]

@@ -72,10 +72,11 @@ def test_without_its_own_dip_a_lone_cell_finds_the_medium_on_every_grid(dimensio
         nutrient = Nutrient(boundary=0.05, uptake=uptake, margin=200.0, half_saturation=1e-9)
         parameters = FieldParameters(nutrient, 10.0, 10.0, "steady", dimensions)
         place = np.array([[0.7, 0.4, 0.2 * (dimensions == 3)]])
-        load = Load(place, np.full(1, 5.0), np.full(1, uptake), None, 0.0, 600.0)
+        load = Load(place, np.full(1, 5.0), {"a": (np.full(1, uptake), None)}, 0.0, 600.0)
         field = NutrientField("a", parameters)
         for h in (20.0, 10.0, 5.0):
-            found[uptake, h] = float(trial(field, on_grid(parameters, "box", h), load).around[0])
+            boxes = {"a": on_grid(parameters, "box", h)}
+            found[uptake, h] = float(trial(field.group, boxes, load).around[0, 0])
     back = [found[40.0, h] - found[0.0, h] for h in (20.0, 10.0, 5.0)]
     # Kirchhoff: q/(4 pi D h) alone would be 8e-5 and more, growing as h falls
     assert np.ptp(back) < 2e-6
@@ -106,7 +107,7 @@ def balls(described, cells, spacing, points=150):
     place = spread.reshape(-1, 3)
     field = NutrientField(name, on_grid(p, "box", spacing))
     layout = BoxLayout.round(cells.position, p.nutrient.margin, spacing, None)
-    field.lay = lambda position, radius: (layout, False, position)
+    field.lay = lambda position, radius, strays: (layout, False, position)
     each = np.repeat(capacity / points, points)
     field.solve(place, each, radius=np.ones(len(place)))
     mean = field.sample(place).reshape(-1, points).mean(axis=1)
@@ -126,8 +127,8 @@ def test_cells_find_what_they_would_as_balls_on_a_much_finer_grid(nutrient, tole
     cells, field = simulation.cells, simulation.field_system.fields[name]
     choice = simulation.field_system.grids.choices[name]
     capacity, _ = simulation.field_system.demand_now(name, cells)
-    load = Load(cells.position, cells.radius, capacity, None, 0.0, 600.0)
-    found = trial(field, field.parameters, load).around
+    load = Load(cells.position, cells.radius, {name: (capacity, None)}, 0.0, 600.0)
+    found = trial(field.group, {name: field.parameters}, load).around[0]
     error = np.abs(found - balls(described, cells, 2.5)).max()
     assert error <= tolerance
     assert choice.error <= tolerance
@@ -147,11 +148,12 @@ def test_shells_against_an_outside_solver(tolerance):
     described = scene({"oxygen": {**AIR, "geometry": "radial", "tolerance": tolerance}})
     chooser = choices.Chooser(described, "oxygen")
     parameters = FieldParameters.of(described, "oxygen")
-    load = Load(place, np.full(n, 5.0), np.full(n, q / 3.0), None, 0.0, 1200.0)
+    capacity = np.full(n, q / 3.0)
+    load = Load(place, np.full(n, 5.0), {"oxygen": (capacity, None)}, 0.0, 1200.0)
     field = NutrientField("oxygen", parameters)
-    choice = chooser.choose(field, load, None, level, 0.0)
+    choice = chooser.choose(field.group, load, None, [level], [0.0])["oxygen"]
     field.parameters = choice.applied(parameters)
-    field.solve(place, load.capacity, radius=load.radius)
+    field.solve(place, capacity, radius=load.radius)
     outer = field.layout.radius
     density = n * q / 3.0 / (4.0 / 3.0 * np.pi * ball**3)
 
@@ -437,7 +439,60 @@ def test_the_estimate_is_of_second_order():
     simulation = mc.Simulation(described)
     field, cells = simulation.field_system.fields["glucose"], simulation.cells
     capacity, _ = simulation.field_system.demand_now("glucose", cells)
-    load = Load(cells.position, cells.radius, capacity, None, 0.0, 600.0)
-    boxes = [on_grid(field.parameters, "box", h) for h in (16, 8)]
-    errors = [spacing_error(field, box, load, 20.0)[0] for box in boxes]
+    load = Load(cells.position, cells.radius, {"glucose": (capacity, None)}, 0.0, 600.0)
+    boxes = [{"glucose": on_grid(field.parameters, "box", h)} for h in (16, 8)]
+    errors = [spacing_error(field.group, box, load, 20.0)[0] for box in boxes]
     assert 2.0 < errors[0] / errors[1] < 8.0
+
+
+# --- fields that react -------------------------------------------------------------------------
+
+REACTING = {
+    "a": {**AIR, "tolerance": 4e-4},
+    "b": {"boundary": 0.4, "diffusion": 900.0, "uptake": 15.0, "half_saturation": 0.05,
+          "tolerance": 4e-3},
+}  # fmt: skip
+BINDING = {"binding": {"rate": "0.5 1/mM/s", "consumes": {"a": 1, "b": 1}}}
+
+
+@pytest.mark.parametrize("regime", ["steady", "transient"])
+def test_fields_that_react_live_on_a_grid_that_does_for_all(regime):
+    fields = {name: {**table, "regime": regime} for name, table in REACTING.items()}
+    described = scene(fields, reactions=BINDING)
+    feeding = mc.Simulation(described).field_system
+    first, second = (feeding.grids.choices[name] for name in "ab")
+    assert (first.spacing, first.geometry) == (second.spacing, second.geometry)
+    assert feeding.fields["a"].layout is feeding.fields["b"].layout
+    (group,) = feeding.groups
+    cells = mc.Simulation(described).cells
+    demand = {name: feeding.demand_now(name, cells) for name in "ab"}
+    load = Load(cells.position, cells.radius, demand, 0.0, 1200.0)
+    own = {name: field.parameters for name, field in group.fields.items()}
+    fine = {name: on_grid(p, "box", first.spacing / 3.0) for name, p in own.items()}
+    errors = np.abs(trial(group, own, load).around - trial(group, fine, load).around)
+    assert errors.max() <= 4e-4  # those of b are scaled to the tolerance of a
+    assert first.error <= 4e-4
+    if first.spacing < 19.9:
+        assert first.error > 0.1 * 4e-4
+
+
+def test_fields_that_react_choose_again_and_are_resumed_bit_by_bit(tmp_path):
+    fields = {name: {**table, "regime": "transient"} for name, table in REACTING.items()}
+    changes = {"duration": "8 h", "growth.cycle_time": "4 h", "output.every": "2 h"}
+    whole = mc.run(scene(fields, reactions=BINDING, **changes), output=tmp_path / "a", report=False)
+    looked = {frame.progress.grids["a"]["cells"] for frame in whole.frames}
+    assert len(looked) > 2
+    again = mc.resume(tmp_path / "a", frame=2, output=tmp_path / "b", report=False).frames[-1]
+    for name in "ab":
+        np.testing.assert_array_equal(
+            again.fields[name].values, whole.frames[-1].fields[name].values
+        )
+    assert whole.summary()["ledger"]["relative_remainder"] < 1e-8
+
+
+def test_a_tolerance_is_for_all_fields_that_react_or_none():
+    without = {key: x for key, x in REACTING["b"].items() if key != "tolerance"}
+    words = "is missing, but a, with which it reacts, has one"
+    with pytest.raises(SceneError, match=words) as found:
+        scene({"a": REACTING["a"], "b": without}, reactions=BINDING)
+    assert found.value.path == "nutrients.b.tolerance"

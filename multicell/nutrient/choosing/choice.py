@@ -9,7 +9,7 @@ which frames keep: a run that goes on from a frame chooses as it would have.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Final, NamedTuple, final
 
@@ -19,17 +19,20 @@ from multicell.nutrient.choosing.estimate import (
     Load,
     Trial,
     apart,
+    copied,
     finest_grid,
     lag,
     on_grid,
     remembered,
     spacing_error,
 )
-from multicell.nutrient.field import NutrientField
 from multicell.nutrient.parameters import FieldParameters
 from multicell.scene.scales import MAX_NODES, level_fixed, spacing
 
 if TYPE_CHECKING:
+    from multicell.nutrient.choosing.estimate import Parameters
+    from multicell.nutrient.field import NutrientField
+    from multicell.nutrient.group import FieldGroup
     from multicell.scene.scene import Scene
 
 
@@ -128,7 +131,7 @@ class Fit(NamedTuple):
 
 @final
 class Chooser:
-    """Chooses for one field of a scene.
+    """Chooses for fields of a scene that share a grid: one, or those that react with each other.
 
     Attributes
     ----------
@@ -138,16 +141,16 @@ class Chooser:
         How far the field was from its steady state, where that was looked at.
     """
 
-    def __init__(self, scene: Scene, name: str) -> None:
-        nutrient, radius = scene.nutrients[name], scene.cells.division_radius
+    def __init__(self, scene: Scene, *names: str) -> None:
+        nutrient, radius = scene.nutrients[names[0]], scene.cells.division_radius
         assert nutrient.tolerance is not None
-        self._name, self._tolerance = name, nutrient.tolerance
-        self._parameters = FieldParameters.of(scene, name)
+        self.names, self._tolerance = names, nutrient.tolerance
+        self._parameters = {name: FieldParameters.of(scene, name) for name in names}
         self._finest = {kind: share * radius for kind, share in FINEST.items()}
         self._coarsest = COARSEST * radius
-        self._first = spacing(scene, name)
+        self._first = spacing(scene, names[0])
         rests = level_fixed(nutrient, scene.dimensions)
-        self._regime_free = nutrient.regime == "auto" and rests
+        self._regime_free = nutrient.regime == "auto" and rests and len(names) == 1
         self.fits: list[Fit] = []
         self.lagged: float | None = None
 
@@ -159,22 +162,23 @@ class Chooser:
         return not now.steady and time - now.since >= LATER * (now.time - now.since)
 
     def choose(
-        self, field: NutrientField, load: Load, now: Choice | None, level: float, content: float
-    ) -> Choice:
-        """Return what a field should live on and be solved as.
+        self, fields: FieldGroup, load: Load, now: Choice | None, levels: Sequence[float],
+        contents: Sequence[float],
+    ) -> dict[str, Choice]:  # fmt: skip
+        """Return what each field should live on and be solved as.
 
         Parameters
         ----------
-        field
-            As it is before the coupling step.
+        fields
+            As they are before the coupling step.
         load
             The cells as they are after it.
         now
-            The choice so far; None at the start.
-        level : float, mM
-            Of the medium after it.
-        content : float, amol
-            Of the field before it.
+            The choice for the first field so far; None at the start.
+        levels : mM
+            Of their media after it.
+        contents : amol
+            Of the fields before it.
 
         Raises
         ------
@@ -184,28 +188,26 @@ class Chooser:
         NutrientFailed
             If a trial cannot be solved for.
         """
-        steady = self._rests(field, load, now, level)
-        parameters = replace(self._parameters, regime="steady" if steady else "transient")
+        level = levels[0]
+        steady = self._rests(fields.first, load, now, level)
+        regime = "steady" if steady else "transient"
+        parameters = {name: replace(own, regime=regime) for name, own in self._parameters.items()}
         since = now.since if now is not None and not _changed(now.level, level) else load.begin
         if steady:
-            best = self._grid(field, parameters, load, now)
+            best = self._grid(fields, parameters, load, now)
         else:
-            best = self._grid(*self._long(field, load, now, since, parameters), now)
-        return Choice(
-            best.geometry == "radial", steady, best.spacing, best.error, best.trial.nodes,
-            best.trial.iterations, len(load.position), level, content,
-            load.begin if now is None else load.end, since,
-        )  # fmt: skip
-
-    def _long(
-        self, field: NutrientField, load: Load, now: Choice | None, since: float,
-        parameters: FieldParameters,
-    ) -> tuple[NutrientField, FieldParameters, Load]:  # fmt: skip
-        """Return a transient field and a step in which its errors since some time show."""
-        if now is None:  # there is no grid yet: any of the field's will do
-            field = NutrientField(self._name, parameters)
-        past, long = remembered(field, load, since)
-        return past, parameters, long
+            if now is None:  # there is no grid yet: any of the fields' will do
+                fields = copied(fields, parameters)
+            past, long = remembered(fields, load, since)
+            best = self._grid(past, parameters, long, now)
+        time = load.begin if now is None else load.end
+        return {
+            name: Choice(
+                best.geometry == "radial", steady, best.spacing, best.error, best.trial.nodes,
+                best.trial.iterations, len(load.position), own_level, content, time, since,
+            )
+            for name, own_level, content in zip(self.names, levels, contents, strict=True)
+        }  # fmt: skip
 
     def _rests(self, field: NutrientField, load: Load, now: Choice | None, level: float) -> bool:
         """Return whether the steady state is as good as the tolerance.
@@ -214,12 +216,13 @@ class Chooser:
         so.
         """
         self.lagged = None
+        first = self._parameters[self.names[0]]
         if not self._regime_free:
-            return self._parameters.regime == "steady"
+            return first.regime == "steady"
         if now is not None and not now.steady:
             return False
-        shells = self._parameters.geometry == "radial" or (now is not None and now.radial)
-        parameters = on_grid(self._parameters, "radial" if shells else "box", self._coarsest)
+        shells = first.geometry == "radial" or (now is not None and now.radial)
+        parameters = on_grid(first, "radial" if shells else "box", self._coarsest)
         loose = max(parameters.nutrient.time_tolerance, LOOSE)
         nutrient = replace(parameters.nutrient, time_tolerance=loose)
         parameters = replace(parameters, nutrient=nutrient)
@@ -231,36 +234,37 @@ class Chooser:
         return self.lagged <= self._tolerance * (BACK if now is None else 1.0)
 
     def _grid(
-        self, field: NutrientField, parameters: FieldParameters, load: Load, now: Choice | None
+        self, fields: FieldGroup, parameters: Parameters, load: Load, now: Choice | None
     ) -> Fit:
         """Return the grid, shells where they may be and are good enough."""
         self.fits = []
-        if parameters.geometry != "auto":
-            return self._fit(field, parameters, parameters.geometry, load, now)
-        cubes = self._fit(field, parameters, "box", load, now)
+        geometry = parameters[self.names[0]].geometry
+        if geometry != "auto":
+            return self._fit(fields, parameters, geometry, load, now)
+        cubes = self._fit(fields, parameters, "box", load, now)
         if len(load.position) <= FEW:
             return cubes
-        shells = self._fit(field, parameters, "radial", load, now, refuse=False)
+        shells = self._fit(fields, parameters, "radial", load, now, refuse=False)
         shells = shells._replace(error=shells.error + apart(shells.trial, cubes.trial))
         self.fits[-1] = shells
         limit = self._tolerance * (1.0 if now is None or now.radial else BACK)
         return shells if shells.error <= limit else cubes
 
     def _fit(
-        self, field: NutrientField, parameters: FieldParameters, geometry: str, load: Load,
+        self, fields: FieldGroup, parameters: Parameters, geometry: str, load: Load,
         now: Choice | None, refuse: bool = True,
     ) -> Fit:  # fmt: skip
         """Return the coarsest spacing that does for a geometry, within the worth of a change."""
         tolerance, finest = self._tolerance, self._finest[geometry]
-        axes = 1 if geometry == "radial" else parameters.dimensions
+        axes = 1 if geometry == "radial" else parameters[self.names[0]].dimensions
         h, worth = self._first, WORTH[0]
         if now is not None and now.geometry == geometry:
             h, worth = now.spacing, WORTH[1]
         good: Fit | None = None
         failed = False
         for _ in range(_MOST):
-            trial = on_grid(parameters, geometry, h)
-            error, found = spacing_error(field, trial, load, self._coarsest)
+            trial = {name: on_grid(own, geometry, h) for name, own in parameters.items()}
+            error, found = spacing_error(fields, trial, load, self._coarsest)
             finest = min(max(finest, finest_grid(found, axes)), self._coarsest)
             last = Fit(geometry, h, error, found)
             want = h * math.sqrt(AIM * tolerance / max(error, 1e-300))
@@ -281,15 +285,16 @@ class Chooser:
 
     def _refuse(self, last: Fit) -> None:
         """Say which tolerance can be reached."""
-        reach = _rounded_up(last.error)
+        reach, others = _rounded_up(last.error), self.names[1:]
         limited = last.spacing > self._finest[last.geometry] * (1.0 + 1e-9)
         why = f"more than {MAX_NODES} nodes" if limited else "finer than cells"
         raise SceneError(
-            f"nutrients.{self._name}.tolerance",
+            f"nutrients.{self.names[0]}.tolerance",
             f"is {self._tolerance:g} mM, which no grid reaches for the cells at the start: the "
             f"error is about {reach:g} mM at a spacing of {last.spacing:.3g} um, and beyond that "
             f"a grid would be {why}",
-            f"Take {reach:g} mM or more.",
+            f"Take {reach:g} mM or more."
+            + (f" Those of {', '.join(others)} count in proportion." if others else ""),
         )
 
 

@@ -13,11 +13,17 @@ import numpy as np
 from multicell.errors import NutrientFailed
 from multicell.nutrient.choosing.own_dip import own_dip
 from multicell.nutrient.field import NutrientField
+from multicell.nutrient.group import FieldGroup
 from multicell.scene.scales import MAX_NODES
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from multicell.cells import FloatArray
+    from multicell.nutrient.course import Demand
     from multicell.nutrient.parameters import FieldParameters
+
+    Parameters = Mapping[str, FieldParameters]
 
 
 _LEAST_RATIO: Final = 1.5
@@ -30,24 +36,21 @@ _NEARLY: Final = 1e-9
 @final
 @dataclass(frozen=True, eq=False)
 class Load:
-    """What the cells ask of a field, and when.
+    """What the cells ask of fields, and when.
 
     Attributes
     ----------
     position : (n, 3), µm
     radius : (n,), µm
-    capacity : (n,), amol/s
-        Largest uptake.
-    production : (n,), amol/s, or None
-        Secretion.
+    demand : name -> (n,), amol/s, and (n,), amol/s, or None
+        Largest uptake and secretion.
     begin, end : float, s
         Of the coupling step.
     """
 
     position: FloatArray
     radius: FloatArray
-    capacity: FloatArray
-    production: FloatArray | None
+    demand: Demand
     begin: float
     end: float
 
@@ -55,17 +58,18 @@ class Load:
 @final
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """A field as it would be on another grid.
+    """Fields as they would be on another grid.
 
     Attributes
     ----------
     spacing : float, µm
-        Of its grid; at most what was asked for.
+        Of their grid; at most what was asked for.
     nodes : int
     iterations : int
         Of conjugate gradients; of shells, which are solved directly, Newton's.
-    around : (n,), mM
-        What each cell finds, without the dip that it makes itself.
+    around : (m, n), mM
+        What each cell finds of each field, without the dip that it makes itself. Those of fields
+        with another tolerance than the first are multiplied so that they may have its errors.
     """
 
     spacing: float
@@ -83,66 +87,65 @@ def on_grid(parameters: FieldParameters, geometry: str, spacing: float) -> Field
     return replace(parameters, nutrient=nutrient, spacing=spacing)
 
 
-def trial(field: NutrientField, parameters: FieldParameters, load: Load) -> Trial:
-    """Solve for a copy of a field with other parameters, such as :func:`on_grid` gives.
+def trial(fields: FieldGroup, parameters: Parameters, load: Load) -> Trial:
+    """Solve for copies of fields with other parameters, such as :func:`on_grid` gives.
 
-    A steady field is solved for at the end of the step. A transient one takes one implicit step
-    from what it is at the beginning; see :func:`remembered`.
+    Steady fields are solved for at the end of the step. Transient ones take one implicit step
+    from what they are at the beginning; see :func:`remembered`.
 
     Raises
     ------
     NutrientFailed
-        As for :meth:`NutrientField.solve`.
+        As for :meth:`FieldGroup.solve`.
     """
-    other = _copied(field, parameters, load)
-    if other.parameters.regime == "steady":
-        iterations = _solved(other, load)
-    else:
-        iterations = _leapt(other, load)
-    return Trial(other.layout.spacing, _nodes(other), iterations, _around(other, load))
+    other = copied(fields, parameters, load.begin)
+    steady = other.first.parameters.regime == "steady"
+    iterations = _solved(other, load) if steady else _leapt(other, load)
+    first = other.first
+    return Trial(first.layout.spacing, int(first.values.size), iterations, _around(other, load))
 
 
-def _copied(field: NutrientField, parameters: FieldParameters, load: Load) -> NutrientField:
-    other = NutrientField(field.name, parameters)
-    other.well_mixed = field.well_mixed
-    if field.laid:
-        other.restore(field.field(), load.begin)
-    return other
+def copied(fields: FieldGroup, parameters: Parameters, time: float = 0.0) -> FieldGroup:
+    """Return fields with the same values and media, and these parameters."""
+    found = {}
+    for name, field in fields.fields.items():
+        found[name] = other = NutrientField(name, parameters[name])
+        other.well_mixed = field.well_mixed
+        if field.laid:
+            other.restore(field.field(), time)
+    return FieldGroup(found, fields.kinetics)
 
 
-def _nodes(field: NutrientField) -> int:
-    return int(field.field().values.size)
+def _around(fields: FieldGroup, load: Load) -> FloatArray:
+    """Return what each cell finds without its own dip, (m, n) mM; see :class:`Trial`."""
+    first, rows = fields.first.parameters.nutrient.tolerance, []
+    for name, field in fields.fields.items():
+        capacity, production = load.demand[name]
+        taken = field.uptake(load.position, capacity)
+        if production is not None:
+            taken = taken - production
+        nutrient = field.parameters.nutrient
+        dip = own_dip(field.layout, load.position, taken, nutrient.diffusion)
+        share = first / nutrient.tolerance if first and nutrient.tolerance else 1.0
+        rows.append(share * (field.sample(load.position) + dip))
+    return np.array(rows)
 
 
-def _around(field: NutrientField, load: Load) -> FloatArray:
-    """Return what each cell finds without its own dip, (n,) mM."""
-    taken = field.uptake(load.position, load.capacity)
-    if load.production is not None:
-        taken = taken - load.production
-    diffusion = field.parameters.nutrient.diffusion
-    dip = own_dip(field.layout, load.position, taken, diffusion)
-    return np.asarray(field.sample(load.position) + dip)
+def _solved(fields: FieldGroup, load: Load) -> int:
+    reports = fields.solve(load.position, load.demand, radius=load.radius, time=load.end)
+    return max(max(report.cg, report.newton) for report in reports.values())
 
 
-def _solved(field: NutrientField, load: Load) -> int:
-    report = field.solve(
-        load.position, load.capacity, production=load.production, radius=load.radius,
-        time=load.end,
-    )  # fmt: skip
-    return max(report.cg, report.newton)
-
-
-def _leapt(field: NutrientField, load: Load) -> int:
+def _leapt(fields: FieldGroup, load: Load) -> int:
     """Take one implicit step over the whole time of a load."""
-    demand = {field.name: (load.capacity, load.production)}
-    report = field.group.leap(
-        load.position, demand, radius=load.radius, begin=load.begin, end=load.end
-    )[field.name]
-    return max(report.cg, report.newton)
+    reports = fields.leap(
+        load.position, load.demand, radius=load.radius, begin=load.begin, end=load.end
+    )
+    return max(max(report.cg, report.newton) for report in reports.values())
 
 
-def remembered(field: NutrientField, load: Load, since: float) -> tuple[NutrientField, Load]:
-    """Return a transient field from which one long step leads to where it is at a step's end.
+def remembered(fields: FieldGroup, load: Load, since: float) -> tuple[FieldGroup, Load]:
+    """Return transient fields from which one long step leads to where they are at a step's end.
 
     The errors of a grid add up over the steps of a transient field, and one step of its own knows
     of the last alone. With the rate s at the end of the step, a field c has c = a + T s with
@@ -151,7 +154,7 @@ def remembered(field: NutrientField, load: Load, since: float) -> tuple[Nutrient
 
     Parameters
     ----------
-    field
+    fields
         At the beginning of the step; before the first solve, the medium.
     load
         The step.
@@ -159,29 +162,34 @@ def remembered(field: NutrientField, load: Load, since: float) -> tuple[Nutrient
 
     Returns
     -------
-    field
-        A copy that holds a.
+    fields
+        Copies that hold a.
     load
         The long step.
     """
-    other, dt = _copied(field, field.parameters, load), load.end - load.begin
-    if not other.laid:
-        other.group.fill(load.position, radius=load.radius, time=load.begin)
-    layout, before = other.layout, other.values
+    own = {name: field.parameters for name, field in fields.fields.items()}
+    other, dt = copied(fields, own, load.begin), load.end - load.begin
+    if not other.first.laid:
+        other.fill(load.position, radius=load.radius, time=load.begin)
+    layout = other.first.layout
+    before = {name: field.values for name, field in other.fields.items()}
     _leapt(other, load)
-    if other.layout is not layout:
-        before = other.layout.carried(before, layout, other.level(load.end))
-    after = other.values
-    rate = (after - before) / dt
-    rises = rate > 0.0
-    longest = float((after[rises] / rate[rises]).min(initial=np.inf))
-    length = max(dt, min(load.end - since, longest))
-    other.values = np.maximum(after - length * rate, 0.0)  # rounding alone is below zero
+    length, rates = load.end - since, {}
+    for name, field in other.fields.items():
+        begun = before[name]
+        if field.layout is not layout:
+            begun = field.layout.carried(begun, layout, field.level(load.end))
+        rates[name] = rate = (field.values - begun) / dt
+        rises = rate > 0.0
+        length = min(length, float((field.values[rises] / rate[rises]).min(initial=np.inf)))
+    length = max(dt, length)
+    for name, field in other.fields.items():
+        field.values = np.maximum(field.values - length * rates[name], 0.0)  # rounding is below
     return other, replace(load, begin=load.end - length)
 
 
 def spacing_error(
-    field: NutrientField, parameters: FieldParameters, load: Load, coarsest: float
+    fields: FieldGroup, parameters: Parameters, load: Load, coarsest: float
 ) -> tuple[float, Trial]:
     """Estimate the error at the cells that the spacing of some parameters makes.
 
@@ -192,7 +200,7 @@ def spacing_error(
 
     Parameters
     ----------
-    field, load
+    fields, load
     parameters
         See :func:`on_grid`.
     coarsest : float, µm
@@ -210,20 +218,24 @@ def spacing_error(
     NutrientFailed
         As for :func:`trial`.
     """
-    found = trial(field, parameters, load)
+    found = trial(fields, parameters, load)
     if 2.0 * found.spacing <= coarsest * (1.0 + _NEARLY):
-        coarse = trial(field, replace(parameters, spacing=2.0 * found.spacing), load)
+        coarse = trial(fields, _spaced(parameters, 2.0 * found.spacing), load)
         ratio = coarse.spacing / found.spacing
         if ratio >= _LEAST_RATIO:
             return apart(found, coarse) / (ratio**2 - 1.0), found
-    finer = trial(field, replace(parameters, spacing=0.5 * found.spacing), load)
+    finer = trial(fields, _spaced(parameters, 0.5 * found.spacing), load)
     ratio = found.spacing / finer.spacing
     if ratio < _LEAST_RATIO:
         raise NutrientFailed(
-            f"no grid of {field.name} has half the spacing of {found.spacing:g} um",
+            f"no grid of {fields.names[0]} has half the spacing of {found.spacing:g} um",
             "Give the field a spacing in place of a tolerance",
         )
     return apart(found, finer) * ratio**2 / (ratio**2 - 1.0), found
+
+
+def _spaced(parameters: Parameters, spacing: float) -> dict[str, FieldParameters]:
+    return {name: replace(own, spacing=spacing) for name, own in parameters.items()}
 
 
 def apart(one: Trial, other: Trial) -> float:
@@ -259,18 +271,19 @@ def lag(
     object.__setattr__(still, "boundary", level)  # a finite medium's may be beyond the bounds
     found = []
     for regime in ("transient", "steady"):
-        other = _copied(field, replace(parameters, nutrient=still, regime=regime), load)
+        own = replace(parameters, nutrient=still, regime=regime)
+        group = copied(field.group, {field.name: own}, load.begin)
+        other = group.first
         other.well_mixed = None
         if regime == "steady":
-            _solved(other, load)
+            _solved(group, load)
         else:
             if not other.laid:
-                other.group.fill(load.position, radius=load.radius, time=load.begin)
+                group.fill(load.position, radius=load.radius, time=load.begin)
                 other.values = other.layout.filled(start)
-            other.advance(
-                load.position, load.capacity, production=load.production, radius=load.radius,
-                begin=load.begin, end=load.end,
-            )  # fmt: skip
+            group.advance(
+                load.position, load.demand, radius=load.radius, begin=load.begin, end=load.end
+            )
         found.append(other.sample(load.position))
     return float(np.abs(found[0] - found[1]).max(initial=0.0))
 

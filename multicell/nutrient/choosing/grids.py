@@ -2,24 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, final
 
 from multicell.nutrient.grid import ShellLayout
 from multicell.scene.coupling import usual_step
 
 if TYPE_CHECKING:
-    from multicell.cells import Cells, FloatArray
+    from multicell.cells import Cells
     from multicell.nutrient.choosing.choice import Choice, Chooser
     from multicell.nutrient.choosing.estimate import Load
+    from multicell.nutrient.course import Demand
     from multicell.nutrient.field import NutrientField
     from multicell.nutrient.grid import Layout
+    from multicell.nutrient.group import FieldGroup
     from multicell.scene.scene import Scene
 
 
 @final
 class Grids:
     """Owner of what is chosen for the fields of a simulation.
+
+    Parameters
+    ----------
+    scene
+    groups
+        Names of the fields that share a grid, since they react with each other.
 
     Attributes
     ----------
@@ -29,18 +37,15 @@ class Grids:
         The present ones.
     """
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, groups: Iterable[Sequence[str]]) -> None:
         self._step = usual_step(scene)
         self._tolerance = {name: n.tolerance or 0.0 for name, n in scene.nutrients.items()}
-        self.choosers = _choosers(scene)
+        self.choosers = _choosers(scene, groups)
         self.choices: dict[str, Choice] = {}
         self._changes: dict[str, tuple[float, float]] = {}  # number and time of the last, s
         self._marched: dict[str, float] = {}  # since when a field is not steady any more, s
 
-    def begin(
-        self, field: NutrientField, cells: Cells, capacity: FloatArray,
-        production: FloatArray | None, time: float,
-    ) -> None:  # fmt: skip
+    def begin(self, fields: FieldGroup, cells: Cells, demand: Demand, time: float) -> None:
         """Choose for the cells at the start.
 
         Raises
@@ -48,32 +53,36 @@ class Grids:
         SceneError, NutrientFailed
             See :meth:`multicell.nutrient.choosing.choice.Chooser.choose`.
         """
-        load = _load(cells, capacity, production, time, time + self._step)
-        level = field.level(time)
-        choice = self.choosers[field.name].choose(field, load, None, level, 0.0)
-        self.choices[field.name] = choice
-        self.apply(field)
+        self._choose(fields, _load(cells, demand, time, time + self._step), None, time)
 
     def look(
-        self, field: NutrientField, cells: Cells, capacity: FloatArray,
-        production: FloatArray | None, begin: float, end: float,
-    ) -> None:  # fmt: skip
+        self, fields: FieldGroup, cells: Cells, demand: Demand, begin: float, end: float
+    ) -> None:
         """Choose again for cells at the end of a coupling step, if there is reason to.
 
         Raises
         ------
         NutrientFailed
         """
-        chooser, now = self.choosers[field.name], self.choices[field.name]
-        level, content = field.level(end), field.stored()
-        if not chooser.due(now, len(cells), level, content, end):
-            return
-        load = _load(cells, capacity, production, begin, end)
-        found = chooser.choose(field, load, now, level, content)
-        if now.steady and not found.steady:
-            self._marched[field.name] = begin
-        self.choices[field.name] = found
-        self.apply(field)
+        chooser = self.choosers[fields.names[0]]
+        if any(
+            chooser.due(self.choices[name], len(cells), field.level(end), field.stored(), end)
+            for name, field in fields.fields.items()
+        ):
+            now = self.choices[fields.names[0]]
+            self._choose(fields, _load(cells, demand, begin, end), now, end)
+            for name in fields.names:
+                if now.steady and not self.choices[name].steady:
+                    self._marched[name] = begin
+
+    def _choose(self, fields: FieldGroup, load: Load, now: Choice | None, time: float) -> None:
+        each = fields.fields.values()
+        levels = [field.level(time) for field in each]
+        contents = [0.0 if now is None else field.stored() for field in each]
+        chooser = self.choosers[fields.names[0]]
+        self.choices |= chooser.choose(fields, load, now, levels, contents)
+        for field in each:
+            self.apply(field)
 
     def apply(self, field: NutrientField) -> None:
         """Let a field be what is chosen for it."""
@@ -155,19 +164,18 @@ class Grids:
             self.choices = {name: Choice.of(kept[name]) for name in self.choosers}
 
 
-def _choosers(scene: Scene) -> dict[str, Chooser]:
+def _choosers(scene: Scene, groups: Iterable[Sequence[str]]) -> dict[str, Chooser]:
     """Return what chooses for each field with a tolerance; without one, nothing is loaded."""
-    names = [name for name, nutrient in scene.nutrients.items() if nutrient.tolerance is not None]
-    if not names:
+    chosen = [names for names in groups if scene.nutrients[names[0]].tolerance is not None]
+    if not chosen:
         return {}
     from multicell.nutrient.choosing.choice import Chooser
 
-    return {name: Chooser(scene, name) for name in names}
+    choosers = [Chooser(scene, *names) for names in chosen]
+    return {name: chooser for chooser in choosers for name in chooser.names}
 
 
-def _load(
-    cells: Cells, capacity: FloatArray, production: FloatArray | None, begin: float, end: float
-) -> Load:
+def _load(cells: Cells, demand: Demand, begin: float, end: float) -> Load:
     from multicell.nutrient.choosing.estimate import Load
 
-    return Load(cells.position, cells.radius, capacity, production, begin, end)
+    return Load(cells.position, cells.radius, demand, begin, end)
