@@ -73,7 +73,7 @@ def test_no_assertion_is_joined_by_or():
 
 def test_names_of_test_files_are_given_once():
     """Files without packages are modules by their names alone."""
-    names = [path.name for path in FILES]
+    names = [path.name for path in FILES if path.name != "conftest.py"]
     assert len(names) == len(set(names))
 
 

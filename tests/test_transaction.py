@@ -11,6 +11,7 @@ import multicell.simulation as simulation_module
 from multicell.errors import NutrientFailed, StepFailed
 from multicell.mechanics.system import Mechanics
 from multicell.nutrient.field import NutrientField
+from multicell.nutrient.group import FieldGroup
 
 SCENE = mc.Scene.from_dict(
     {
@@ -84,8 +85,8 @@ WHERE = {
     "motion": (Mechanics, "pressure"),
     "division": (biology, "divide"),
     "removal": (biology, "remove_lysed"),
-    "first field": (NutrientField, "solve"),
-    "second field": (NutrientField, "advance"),
+    "first field": (FieldGroup, "solve"),
+    "second field": (FieldGroup, "advance"),
     "sampling": (NutrientField, "sample"),
     "states": (biology, "update_states"),
     "estimate": (simulation_module, "step_error"),
@@ -121,9 +122,9 @@ def test_the_scene_divides_and_dies_in_the_step_that_fails():
 
 def test_a_field_that_fails_ends_a_run_with_all_that_came_before(tmp_path, monkeypatch):
     whole = mc.run(SCENE.with_changes({"duration": "4 h"}), report=False)
-    advance = fails(NutrientFailed("it cannot be solved", "Try again"), 4)(NutrientField.advance)
+    advance = fails(NutrientFailed("it cannot be solved", "Try again"), 4)(FieldGroup.advance)
     with monkeypatch.context() as patch:
-        patch.setattr(NutrientField, "advance", advance)
+        patch.setattr(FieldGroup, "advance", advance)
         with pytest.raises(StepFailed, match="it cannot be solved"):
             mc.run(SCENE.with_changes({"duration": "4 h"}), output=tmp_path / "out", report=False)
     left = mc.load_result(tmp_path / "out")
@@ -136,7 +137,7 @@ def test_a_field_that_fails_ends_a_run_with_all_that_came_before(tmp_path, monke
 
 
 def test_a_field_that_cannot_begin_is_a_step_that_failed(monkeypatch):
-    solve = fails(NutrientFailed("it cannot be solved", "Try again"))(NutrientField.solve)
-    monkeypatch.setattr(NutrientField, "solve", solve)
+    solve = fails(NutrientFailed("it cannot be solved", "Try again"))(FieldGroup.solve)
+    monkeypatch.setattr(FieldGroup, "solve", solve)
     with pytest.raises(StepFailed, match="t = 0 s"):
         mc.Simulation(SCENE)

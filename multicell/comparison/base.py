@@ -81,10 +81,9 @@ class Comparison(ABC):
             folder.mkdir(parents=True, exist_ok=True)
         for name, rows in self.tables().items():
             write_text(folder / name, to_csv(rows))
-        pictures = {folder / name: picture for name, picture in self.pictures().items()}
         return write_page(
             folder / "report.html", self.template, scene=self.scene, result=self,
-            pictures=pictures, **self.page(),
+            pictures=self.pictures(), **self.page(),
         )  # fmt: skip
 
 

@@ -267,7 +267,7 @@ def test_a_law_goes_through_the_commands(tmp_path):
     ("law", "words"),
     [
         ("mine.py:Nothing", "has nothing called 'Nothing'"),
-        ("mine.py:helper", "is not a pair law"),
+        ("mine.py:helper", "is neither a pair law nor a growth law"),
         ("other.py:Square", "there is no file 'other.py'"),
         ("Square", "must be the form 'file.py:Name'"),
     ],

@@ -119,6 +119,13 @@ WILD = (
 )  # fmt: skip
 
 
+OF_OWN_CODE = {
+    "growth.parameters", "output.observables", "output.observables.*.function",
+    "output.observables.*.unit",
+}  # fmt: skip
+"""Keys that mean a user's own Python code, without which no scene with them is made."""
+
+
 def declared(part=Scene, path=""):
     """Yield every key that a scene may have as a dotted path, ``*`` for names, and its spec."""
     for name, spec in specs(part).items():

@@ -58,7 +58,7 @@ def test_replays_change_no_bit_and_no_count_of_a_run(method, monkeypatch):
         {"contact": {"law": "exact-jkr", "surface_energy": 0.1}},
         {"motions": {"m": {"cells": [0, 1], "velocity": [0.001, 0, 0]}}},
         {"friction": {"normal": 0.1}},
-        {"springs": {"s": {"stiffness": 0.1, "within": "10 um"}}},
+        {"springs": {"s": {"stiffness": 0.1}}},
         {"dimensions": 2},
     ],
     ids=lambda parts: next(iter(parts)),
@@ -177,16 +177,6 @@ def test_the_page_and_the_closing_lines_give_the_effect(tmp_path):
     assert "µm in a step" in figures["effect of a shift of 0.01 µm"]
     page = (tmp_path / "out" / "report.html").read_text()
     assert "farthest that a shift of 0.01 µm moved the end of a cell" in page
-
-
-def test_progress_of_earlier_versions_is_read_without_their_estimate():
-    frame = course(scene_of(duration="1 h")).frame()
-    noted = vars(frame.progress) | {"local_error": 0.01}
-    del noted["replays"]
-    noted = {name: x for name, x in noted.items() if name not in ("springs", "driven")}
-    found = progress_of(json.dumps(noted).encode(), [])
-    assert found.replays == {}
-    assert found.next_id == frame.progress.next_id
 
 
 @pytest.mark.parametrize("damage", [{"done": 1.0}, {"done": "x"}, [1.0], {"much": 1.0}])
