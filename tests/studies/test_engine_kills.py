@@ -62,7 +62,7 @@ def assert_no_tracebacks(text):
 def test_killed_studies_go_on_to_the_same_bits(undisturbed, tmp_path, pytestconfig):
     """The process that holds the scheduler, or workers: whatever is killed, at any moment."""
     whole, seconds = undisturbed
-    kills = max(10, pytestconfig.getoption("kills"))
+    kills = max(4, pytestconfig.getoption("kills"))
     folder, done, case, times = tmp_path / "study0", 0, 0, 0
     process = started(folder, COUNT)
     while done < kills:
