@@ -191,8 +191,6 @@ OBSERVABLES: Final = (
         entry=None,
         signed=True,
     ),
-    Observable("springs", exists=lambda scene: scene.springs, entry=None),
-    Observable("largest_tension", unit="nN", exists=lambda scene: scene.springs, entry=None),
     Observable(
         "instability_rate",
         unit="1/s",

@@ -178,13 +178,6 @@ _KINDS: Final[Mapping[str, Callable[[Parameter, dict[str, Schema]], Schema]]] = 
         "type": "array", "items": {"type": "integer", "minimum": 0}, "minItems": 1,
         "uniqueItems": True,
     },
-    "id_pairs": lambda spec, _: {
-        "type": "array", "minItems": 1, "uniqueItems": True,
-        "items": {
-            "type": "array", "items": {"type": "integer", "minimum": 0}, "minItems": 2,
-            "maxItems": 2,
-        },
-    },
     "course": lambda spec, _: _course(spec),
     "schedule": lambda spec, _: _curve(_amount("s"), _amount(spec.unit, spec.bounds)),
     "responses": lambda spec, _: {

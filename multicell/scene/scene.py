@@ -54,7 +54,6 @@ from multicell.scene.parts import (
 )
 from multicell.scene.ranges import check_sizes
 from multicell.scene.reactions import Reaction
-from multicell.scene.springs import Springs
 from multicell.schema import (
     Tables,
     build,
@@ -104,8 +103,6 @@ class Scene:
         None where the scene has no such part.
     forces, motions : mapping of name to Force or PrescribedMotion, read-only
         What drives named cells from outside.
-    springs : mapping of name to Springs, read-only
-        Springs between given pairs of cells.
     types : mapping of name to CellType, read-only
         Empty where all cells are alike.
     nutrients : mapping of name to Nutrient, read-only
@@ -155,9 +152,6 @@ class Scene:
     )
     motions: Mapping[str, PrescribedMotion] = tables(
         PrescribedMotion, default_factory=Tables, doc="of named cells; absent: all move freely"
-    )
-    springs: Mapping[str, Springs] = tables(
-        Springs, default_factory=Tables, doc="between given pairs; absent: none"
     )
     domain: Domain | None = table(Domain, default=None, doc="absent: fields follow the cells")
     nutrients: Mapping[str, Nutrient] = tables(

@@ -19,7 +19,6 @@ from multicell.schema.declarations import (
     course,
     file_path,
     flag,
-    id_pairs,
     interval,
     names,
     number,
@@ -51,7 +50,7 @@ from multicell.schema.part import (
 
 __all__ = [
     "Bounds", "Parameter", "Tables", "build", "choice", "chosen", "count", "course", "file_path",
-    "flag", "id_pairs", "interval", "leaves", "names", "near_miss", "number", "parameters", "plain",
+    "flag", "interval", "leaves", "names", "near_miss", "number", "parameters", "plain",
     "quantities", "quantity", "quantity_or_name", "rate_constant", "responses", "schedule",
     "specs", "table", "tables", "text", "variant", "vector", "whole", "whole_numbers",
 ]  # fmt: skip

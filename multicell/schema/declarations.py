@@ -273,30 +273,6 @@ def whole_numbers(*, doc: str = "") -> Any:
     )
 
 
-def id_pairs(*, doc: str = "") -> Any:
-    """Declare an optional list of pairs of different whole numbers; stored with the smaller first.
-
-    No pair stands there twice, in either order.
-    """
-
-    def convert(value: object, path: str) -> tuple[tuple[int, int], ...]:
-        found = list(value) if isinstance(value, list | tuple) else []
-        if not found or not all(isinstance(p, list | tuple) and len(p) == 2 for p in found):
-            hint = "For example [[0, 1], [1, 2]]."
-            raise SceneError(path, f"is {shown(value)}, must be a list of pairs", hint)
-        pairs = []
-        for i, j in found:
-            first, second = sorted((whole(i, path), whole(j, path)))
-            if first == second:
-                raise SceneError(path, f"joins {first} to itself")
-            pairs.append((first, second))
-        if len(set(pairs)) < len(pairs):
-            raise SceneError(path, "holds a pair twice")
-        return tuple(pairs)
-
-    return declare("id_pairs", convert, None, plain=lists, doc=doc, allowed="pairs of numbers")
-
-
 def whole(value: object, path: str) -> int:
     """Return a whole number from zero on that fits into 64 bits."""
     number = int(value) if isinstance(value, Integral) and not isinstance(value, bool) else -1
@@ -484,7 +460,7 @@ def tables(
     kw_only_default=True,
     field_specifiers=(
         quantity, quantity_or_name, rate_constant, number, count, choice, text, file_path, flag,
-        names, interval, vector, whole_numbers, id_pairs, course, schedule, responses, quantities,
+        names, interval, vector, whole_numbers, course, schedule, responses, quantities,
         table, variant, tables,
     ),
 )  # fmt: skip

@@ -57,7 +57,6 @@ NAMES = {
     "inhibited_by": FIELDS,
     "forces": ("tug", "weight"),
     "motions": ("base", "tip"),
-    "springs": ("net", "chain"),
     "observables": ("first", "second"),
 }
 """Names of the entries of the tables that have named entries."""
@@ -262,9 +261,6 @@ class Drawer:
     def _whole_numbers(self, spec, field, path):
         return self.one_of([[0], [0, 1], [3, 1, 2]])
 
-    def _id_pairs(self, spec, field, path):
-        return self.one_of([[[0, 1]], [[2, 1], [0, 1]], [[0, 3], [3, 4], [4, 0]]])
-
     def _course(self, spec, field, path):
         if self.chance(0.5):
             return self.size(spec, "")
@@ -354,7 +350,6 @@ def fitted(entries):
     _fit_start(scene)
     _fit_growth(scene)
     _fit_driven(scene, flat)
-    _fit_springs(scene)
     _fit_motility(scene, flat)
     _fit_types(scene, types, fields)
     if flat and any(_takes_up(x) and not base(x.get("perfusion", 0.0)) for x in fields.values()):
@@ -491,18 +486,6 @@ def _fit_driven(scene, flat):
             size = math.hypot(*motion["velocity"])
             share = min(1.0, 0.1 * radius / longest / size)
             motion["velocity"] = [share * part for part in motion["velocity"]]
-
-
-def _fit_springs(scene):
-    """Let springs join cells that there are."""
-    count = scene.get("initial", {}).get("count", 1)
-    springs = scene.get("springs", {})
-    for name, spring in list(springs.items()):
-        if count < 2:
-            del springs[name]
-            continue
-        pairs = [pair for pair in spring.get("pairs", []) if max(pair) < count]
-        spring["pairs"] = pairs or [[0, 1]]
 
 
 def _fit_motility(scene, flat):

@@ -58,7 +58,6 @@ def test_replays_change_no_bit_and_no_count_of_a_run(method, monkeypatch):
         {"contact": {"law": "exact-jkr", "surface_energy": 0.1}},
         {"motions": {"m": {"cells": [0, 1], "velocity": [0.001, 0, 0]}}},
         {"friction": {"normal": 0.1}},
-        {"springs": {"s": {"stiffness": 0.1, "within": "10 um"}}},
         {"dimensions": 2},
     ],
     ids=lambda parts: next(iter(parts)),
@@ -183,7 +182,7 @@ def test_progress_of_earlier_versions_is_read_without_their_estimate():
     frame = course(scene_of(duration="1 h")).frame()
     noted = vars(frame.progress) | {"local_error": 0.01}
     del noted["replays"]
-    noted = {name: x for name, x in noted.items() if name not in ("springs", "driven")}
+    noted = {name: x for name, x in noted.items() if name != "driven"}
     found = progress_of(json.dumps(noted).encode(), [])
     assert found.replays == {}
     assert found.next_id == frame.progress.next_id
@@ -192,6 +191,6 @@ def test_progress_of_earlier_versions_is_read_without_their_estimate():
 @pytest.mark.parametrize("damage", [{"done": 1.0}, {"done": "x"}, [1.0], {"much": 1.0}])
 def test_progress_with_damaged_replays_is_refused(damage):
     frame = course(scene_of(duration="1 h")).frame()
-    noted = {name: x for name, x in vars(frame.progress).items() if name != "springs"}
+    noted = vars(frame.progress)
     with pytest.raises(mc.OutputError, match="replays"):
         progress_of(json.dumps(noted | {"replays": damage}).encode(), [])
