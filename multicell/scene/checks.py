@@ -28,7 +28,7 @@ def check_names(names: Iterable[str] | None, known: Iterable[str], path: str, wh
             raise SceneError(f"{path}.{name}", f"is not {what}", near_miss(name, known))
 
 
-_FIELD = "a field of this scene"
+FIELD = "a field of this scene"
 
 
 def check_types(scene: Scene) -> None:
@@ -63,7 +63,7 @@ def check_motility(scene: Scene) -> None:
     if law is None:
         return
     if law.towards and law.towards not in scene.nutrients:
-        problem = f"is {law.towards!r}, which is not {_FIELD}"
+        problem = f"is {law.towards!r}, which is not {FIELD}"
         raise SceneError("motility.towards", problem, near_miss(law.towards, scene.nutrients))
     if scene.dimensions == 2 and law.direction is not None and law.direction[2] != 0.0:
         problem = "points out of the plane of a scene of 2 dimensions"
@@ -110,7 +110,7 @@ def _check_responses(scene: Scene, path: str, kind: CellType) -> None:
         phases = getattr(kind, key)
         _check_phases(scene, f"{path}.{key}", phases)
     for key in ("receptor_by", "ligand_by", "uptake_of", "secretion_of"):
-        check_names(getattr(kind, key), scene.nutrients, f"{path}.{key}", _FIELD)
+        check_names(getattr(kind, key), scene.nutrients, f"{path}.{key}", FIELD)
 
 
 def _check_phases(scene: Scene, path: str, phases: Mapping[str, float] | None) -> None:
@@ -130,7 +130,7 @@ _FINEST = 0.001
 
 def check_nutrients(scene: Scene) -> None:
     """Raise ``SceneError`` for fields that do not fit together or to the rest of the scene."""
-    check_names(scene.chemotaxis, scene.nutrients, "chemotaxis", _FIELD)
+    check_names(scene.chemotaxis, scene.nutrients, "chemotaxis", FIELD)
     for name, nutrient in scene.nutrients.items():
         path = f"nutrients.{name}"
         _check_names(scene, path, nutrient)
@@ -152,7 +152,7 @@ def check_nutrients(scene: Scene) -> None:
 def _check_names(scene: Scene, path: str, nutrient: Nutrient) -> None:
     """Check that fields which a field refers to exist."""
     for key in ("uptake_on", "secretion_from"):
-        check_names(getattr(nutrient, key), scene.nutrients, f"{path}.{key}", _FIELD)
+        check_names(getattr(nutrient, key), scene.nutrients, f"{path}.{key}", FIELD)
     for key in ("uptake_by_phase", "secretion_by_phase"):
         _check_phases(scene, f"{path}.{key}", getattr(nutrient, key))
     states = [state.name.lower() for state in State]
