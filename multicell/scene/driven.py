@@ -30,17 +30,10 @@ def _span() -> Any:
     )
 
 
-@final
 @parameters
-class Force:
-    """A force from outside on each of the named cells: ``force`` + ``rate`` x time since ``begin``.
+class _Driven:
+    """Which cells a table drives, and when."""
 
-    A cell keeps it until it is removed, also after its death. Of the daughters of a cell that was
-    named by identity or region the first one (the smaller identity) takes it over.
-    """
-
-    force: Vector = vector("nN", default=(0.0, 0.0, 0.0), doc="on each cell, at begin")
-    rate: Vector = vector("nN/s", default=(0.0, 0.0, 0.0), doc="at which the force grows")
     cells: tuple[int, ...] | None = whole_numbers(doc="identities; absent: not chosen by them")
     type: str = text(default="", doc="name of the cells' type; empty: any")
     x: tuple[float, float] | None = _span()
@@ -50,16 +43,35 @@ class Force:
     end: float | None = quantity("s", default=None, above=0, doc="when it ends; absent: never")
 
     def check(self) -> None:
-        """Raise ``SceneError`` for a force that is none, or a time that is none."""
-        if not any((*self.force, *self.rate)):
-            hint = "For example force = ['1 nN', '0 nN', '0 nN']."
-            raise SceneError("force", "is zero, and does not grow: it has no effect", hint)
-        _check_window(self)
+        """Raise ``SceneError`` for times that do not follow each other."""
+        if self.end is not None and not self.end > self.begin:
+            problem = f"is {self.end:g} s, must be after begin, {self.begin:g} s"
+            raise SceneError("end", problem)
 
 
 @final
 @parameters
-class PrescribedMotion:
+class Force(_Driven):
+    """A force from outside on each of the named cells: ``force`` + ``rate`` x time since ``begin``.
+
+    A cell keeps it until it is removed, also after its death. Of the daughters of a cell that was
+    named by identity or region the first one (the smaller identity) takes it over.
+    """
+
+    force: Vector = vector("nN", default=(0.0, 0.0, 0.0), doc="on each cell, at begin")
+    rate: Vector = vector("nN/s", default=(0.0, 0.0, 0.0), doc="at which the force grows")
+
+    def check(self) -> None:
+        """Raise ``SceneError`` for a force that is none, or a time that is none."""
+        if not any((*self.force, *self.rate)):
+            hint = "For example force = ['1 nN', '0 nN', '0 nN']."
+            raise SceneError("force", "is zero, and does not grow: it has no effect", hint)
+        super().check()
+
+
+@final
+@parameters
+class PrescribedMotion(_Driven):
     """A velocity that the named cells have whatever pushes them; zero holds them where they are.
 
     Until they are removed, also after their death. Of the daughters of a cell that was named by
@@ -68,17 +80,6 @@ class PrescribedMotion:
     """
 
     velocity: Vector = vector("um/s", default=(0.0, 0.0, 0.0), doc="of each cell; zero: held")
-    cells: tuple[int, ...] | None = whole_numbers(doc="identities; absent: not chosen by them")
-    type: str = text(default="", doc="name of the cells' type; empty: any")
-    x: tuple[float, float] | None = _span()
-    y: tuple[float, float] | None = _span()
-    z: tuple[float, float] | None = _span()
-    begin: float = quantity("s", default=0.0, at_least=0, doc="when it takes hold of the cells")
-    end: float | None = quantity("s", default=None, above=0, doc="when it lets go; absent: never")
-
-    def check(self) -> None:
-        """Raise ``SceneError`` for times that do not follow each other."""
-        _check_window(self)
 
 
 Driver = Force | PrescribedMotion
@@ -98,12 +99,6 @@ class DrivingTables(Protocol):
     @property
     def types(self) -> Mapping[str, Any]:
         """Types of cells by name."""
-
-
-def _check_window(driver: Driver) -> None:
-    if driver.end is not None and not driver.end > driver.begin:
-        problem = f"is {driver.end:g} s, must be after begin, {driver.begin:g} s"
-        raise SceneError("end", problem)
 
 
 def drivers(scene: DrivingTables) -> Iterator[tuple[str, Driver]]:

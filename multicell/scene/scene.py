@@ -64,7 +64,6 @@ from multicell.schema import (
     parameters,
     plain,
     quantity,
-    quantity_or_name,
     specs,
     table,
     tables,
@@ -117,8 +116,8 @@ class Scene:
     title: str = text(default="", doc="one line about the scene")
     duration: float = quantity("s", above=0, doc="Simulated time, for example duration = '11 d'.")
     seed: int = count(default=0, at_least=0, at_most=2**63 - 1, doc="of the random numbers")
-    coupling_step: float | str = quantity_or_name(
-        "s", (AUTO,), default=USUAL, above=0,
+    coupling_step: float | str = quantity(
+        "s", names=(AUTO,), default=USUAL, above=0,
         doc="between exchanges of parts; 'auto': as long as coupling_tolerance allows",
     )  # fmt: skip
     coupling_tolerance: float | None = number(

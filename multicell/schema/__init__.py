@@ -25,7 +25,6 @@ from multicell.schema.declarations import (
     parameters,
     quantities,
     quantity,
-    quantity_or_name,
     rate_constant,
     responses,
     schedule,
@@ -51,6 +50,6 @@ from multicell.schema.part import (
 __all__ = [
     "Bounds", "Parameter", "Tables", "build", "choice", "chosen", "count", "course", "file_path",
     "flag", "interval", "leaves", "names", "near_miss", "number", "parameters", "plain",
-    "quantities", "quantity", "quantity_or_name", "rate_constant", "responses", "schedule",
+    "quantities", "quantity", "rate_constant", "responses", "schedule",
     "specs", "table", "tables", "text", "variant", "vector", "whole", "whole_numbers",
 ]  # fmt: skip

@@ -176,18 +176,13 @@ class Drawer:
 
     def value(self, spec, field, path):
         """Return a value that the declaration accepts."""
-        if spec.examples:
-            return copy.deepcopy(self.one_of(spec.examples))
         make = getattr(self, f"_{spec.kind}", None)
         return None if make is None else make(spec, field, path)
 
     def _quantity(self, spec, field, path):
-        return self.written(self.size(spec, spec.unit, field.default), spec.unit)
-
-    def _quantity_or_name(self, spec, field, path):
-        if self.chance(0.3):
+        if spec.options and self.chance(0.3):
             return self.one_of(spec.options)
-        return self._quantity(spec, field, path)
+        return self.written(self.size(spec, spec.unit, field.default), spec.unit)
 
     def _number(self, spec, field, path):
         return self.size(spec, "", field.default)
@@ -210,11 +205,6 @@ class Drawer:
     def _file_path(self, spec, field, path):
         # how many rows the table has that _fit_start writes
         return self.one_of(["1", "2", "3", "8"])
-
-    def _point(self, spec, field, path):
-        least, most = USUAL[spec.unit]
-        x, y = (self.draw(st.floats(least, most)) for _ in range(2))
-        return [self.written(float(f"{x:.4g}"), spec.unit), float(f"{-y:.4g}")]
 
     def _flag(self, spec, field, path):
         return self.chance(0.5)
