@@ -245,20 +245,12 @@ class Simulation(RunState):
         if self.scene.motions:
             now = self._motion(self.time, self.time, self.cells.radius)
             extra |= driven.columns(self.plan, self.cells, self.named, self.mechanics, now)
-        if self.scene.output.instability:
-            extra["instability_rate"] = self._instability_rate()
         return summary.history_row(self.scene, self._view(whole=False), **extra)
 
     def energy(self) -> float:
         """Return the contact energy of the cells, fJ."""
         self.mechanics.begin(self._motion(self.time, self.time, self.cells.radius))
         return self.mechanics.energy(self.time, self.cells.position)
-
-    def _instability_rate(self) -> float:
-        from multicell.mechanics.growth_rate import recorded_rate
-
-        motion = self._motion(self.time, self.time + self.timeline.plan.longest, self.cells.radius)
-        return recorded_rate(self.mechanics, motion, self.cells.position, self.scene.dimensions)
 
     def summary(self) -> dict[str, Any]:
         """Return the numbers that describe the run so far; ``units`` names the units.

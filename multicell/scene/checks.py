@@ -76,13 +76,6 @@ def followed(scene: Scene) -> tuple[str, ...]:
     return tuple(name for name in scene.nutrients if name in scene.chemotaxis or name == biased)
 
 
-def check_output(scene: Scene) -> None:
-    """Raise ``SceneError`` for a record of something that the scene does not have."""
-    if scene.output.instability and scene.friction is not None:
-        problem = "is not known with friction between cells: the drag is no diagonal matrix then"
-        raise SceneError("output.instability", problem)
-
-
 def _check_energies(scene: Scene, path: str, kind: CellType) -> None:
     """Check one row of the matrix of surface energies: names, completeness, symmetry."""
     assert kind.surface_energy is not None

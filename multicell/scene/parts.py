@@ -326,9 +326,6 @@ class OutputOptions:
     """What is recorded."""
 
     every: float = quantity("s", default=21600.0, above=0, doc="simulated time between frames")
-    instability: bool = flag(
-        default=False, doc="whether the history tells how fast the most unstable motion grows"
-    )
     observables: Mapping[str, OwnObservable] = tables(
         OwnObservable, default_factory=Tables, doc="of the user's own, by name; absent: none"
     )

@@ -26,7 +26,6 @@ from multicell.scene.checks import (
     check_integrator,
     check_motility,
     check_nutrients,
-    check_output,
     check_types,
 )
 from multicell.scene.coupling import AUTO, USUAL
@@ -177,7 +176,6 @@ class Scene:
             check_start_table(self)
         check_types(self)
         check_integrator(self)
-        check_output(self)
         check_motility(self)
         smallest = 0.5 ** (1.0 / 3.0) * self.cells.division_radius
         smoothing = getattr(self.contact, "smoothing", 0.0)

@@ -353,8 +353,6 @@ def fitted(entries):
     scene["chemotaxis"] = {n: x for n, x in scene.get("chemotaxis", {}).items() if n in fields}
     if flat and scene.get("haptotaxis", {}).get("axis") == "z":
         scene["haptotaxis"]["axis"] = "y"
-    if "friction" in scene:
-        scene.get("output", {}).pop("instability", None)
     # functions of this process, which no scene brings along
     scene.get("output", {}).pop("observables", None)
     return scene

@@ -59,7 +59,7 @@ SCENES = {
     },
     "bare mechanics": {
         "duration": "80 min", "coupling_step": "1 min", "initial": {"count": 3},
-        "integrator": {"method": "euler"}, "output": {"instability": True},
+        "integrator": {"method": "euler"},
         "domain": {axis: [-60.0, 60.0] for axis in "xyz"},
     },
 }  # fmt: skip
