@@ -131,8 +131,7 @@ def check_nutrients(scene: Scene) -> None:
         _check_sides(scene, path, nutrient)
         _check_medium(path, nutrient)
         _check_finite(scene, path, nutrient)
-        _check_sources(scene, path, nutrient)
-        _check_regions(scene, path, nutrient)
+        _check_places(scene, path, nutrient)
         _check_layer(path, nutrient)
         if scene.domain is not None:
             _check_in_domain(scene, name)
@@ -234,47 +233,40 @@ def _check_finite(scene: Scene, path: str, nutrient: Nutrient) -> None:
             raise SceneError(f"{path}.finite_medium.volume", problem, hint)
 
 
-def _check_sources(scene: Scene, path: str, nutrient: Nutrient) -> None:
-    """Check that sources have a place in the scene's dimensions, and lie in its domain."""
-    axes = "xyz"[: scene.dimensions]
-    if nutrient.sources and nutrient.layout != "box":
-        problem = f"need geometry = 'box': shells ('{nutrient.geometry}') know a distance only"
-        raise SceneError(f"{path}.sources", problem)
+def _check_places(scene: Scene, path: str, nutrient: Nutrient) -> None:
+    """Check that sources and regions have a place in the scene's dimensions and its domain."""
+    for key in ("sources", "regions"):
+        if getattr(nutrient, key) and nutrient.layout != "box":
+            problem = f"need geometry = 'box': shells ('{nutrient.geometry}') know a distance only"
+            raise SceneError(f"{path}.{key}", problem)
     for name, source in nutrient.sources.items():
         where = f"{path}.sources.{name}"
-        for axis in source.place:
-            if axis not in axes:
-                raise SceneError(f"{where}.{axis}", "does not exist in a scene of 2 dimensions")
-        if source.flux is not None and scene.domain is None:
-            problem = "is that of a plane, which needs a domain: other grids follow the cells"
-            raise SceneError(f"{where}.flux", problem, "Give [domain], or take a point.")
-        missing = [axis for axis in axes if axis not in source.place]
-        if source.strength is not None and missing:
-            raise SceneError(f"{where}.{missing[0]}", "is missing: a point has a place along it")
         for axis, place in source.place.items():
-            low, high = getattr(scene.domain, axis, None) or (-math.inf, math.inf)
+            low, high = _ends(scene, where, axis)
             if not low <= place <= high:
                 problem = f"is {place:g} um, outside the domain: from {low:g} to {high:g} um"
                 raise SceneError(f"{where}.{axis}", problem)
-
-
-def _check_regions(scene: Scene, path: str, nutrient: Nutrient) -> None:
-    """Check that regions are boxes in the scene's dimensions, and lie in its domain."""
-    if nutrient.regions and nutrient.layout != "box":
-        problem = f"need geometry = 'box': shells ('{nutrient.geometry}') know a distance only"
-        raise SceneError(f"{path}.regions", problem)
+        if source.flux is not None and scene.domain is None:
+            problem = "is that of a plane, which needs a domain: other grids follow the cells"
+            raise SceneError(f"{where}.flux", problem, "Give [domain], or take a point.")
+        missing = [axis for axis in "xyz"[: scene.dimensions] if axis not in source.place]
+        if source.strength is not None and missing:
+            raise SceneError(f"{where}.{missing[0]}", "is missing: a point has a place along it")
     for name, region in nutrient.regions.items():
         where = f"{path}.regions.{name}"
         for axis in "xyz":
             ends = getattr(region, axis)
-            if ends is None:
-                continue
-            if axis not in "xyz"[: scene.dimensions]:
-                raise SceneError(f"{where}.{axis}", "does not exist in a scene of 2 dimensions")
-            low, high = getattr(scene.domain, axis, None) or (-math.inf, math.inf)
-            if ends[1] <= low or ends[0] >= high:
+            low, high = (0.0, 0.0) if ends is None else _ends(scene, where, axis)
+            if ends is not None and (ends[1] <= low or ends[0] >= high):
                 problem = f"lies outside the domain: from {low:g} to {high:g} um"
                 raise SceneError(f"{where}.{axis}", problem)
+
+
+def _ends(scene: Scene, path: str, axis: str) -> tuple[float, float]:
+    """Return the ends of the domain along an axis, infinite without one; check the axis."""
+    if axis not in "xyz"[: scene.dimensions]:
+        raise SceneError(f"{path}.{axis}", "does not exist in a scene of 2 dimensions")
+    return getattr(scene.domain, axis, None) or (-math.inf, math.inf)
 
 
 def _check_layer(path: str, nutrient: Nutrient) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any, Protocol, final
 
 import numpy as np
@@ -15,7 +16,8 @@ from numpy.typing import NDArray
 
 from multicell.errors import SceneError
 from multicell.scene.coupling import longest_step
-from multicell.schema import interval, near_miss, parameters, quantity, text, vector, whole_numbers
+from multicell.scene.parts import span
+from multicell.schema import near_miss, parameters, quantity, text, vector, whole_numbers
 
 if TYPE_CHECKING:
     from multicell.cells import Cells
@@ -24,10 +26,7 @@ if TYPE_CHECKING:
 Vector = tuple[float, float, float]
 
 
-def _span() -> Any:
-    return interval(
-        "um", at_least=-1e6, at_most=1e6, doc="where the cells' centres are at the start"
-    )
+_span = partial(span, doc="where the cells' centres are at the start")
 
 
 @parameters
@@ -166,9 +165,9 @@ def members(types: Iterable[str], driver: Driver, cells: Cells) -> NDArray[np.bo
         chosen &= np.isin(cells.id, driver.cells)
     if driver.type:
         chosen &= cells.kind == list(types).index(driver.type)
-    for axis, span in enumerate((driver.x, driver.y, driver.z)):
-        if span is not None:
-            chosen &= (cells.position[:, axis] >= span[0]) & (cells.position[:, axis] <= span[1])
+    for axis, ends in enumerate((driver.x, driver.y, driver.z)):
+        if ends is not None:
+            chosen &= (cells.position[:, axis] >= ends[0]) & (cells.position[:, axis] <= ends[1])
     return chosen
 
 
