@@ -101,11 +101,6 @@ def check_growth_law(law: GrowthLaw) -> None:
     law
         A law with its parameters, such as ``Bertalanffy(largest=2.2)``
         (:func:`multicell.growth_law`).
-
-    Raises
-    ------
-    AssertionError
-        If a promise is not kept.
     """
     checks = (_check_numbers, _check_doubling, _check_inverse, _check_additivity, _check_rate)
     _carry_out(checks, law, type(law).__name__)
@@ -501,11 +496,6 @@ def check_pair_law(law: PairLaw) -> None:
     ----------
     law
         A law with its parameters, such as ``Cubic(stiffness=2.0)``.
-
-    Raises
-    ------
-    AssertionError
-        If a promise is not kept.
     """
     _carry_out((_check_slopes, _check_reach, _check_rest, _check_compiled), law, type(law).__name__)
 

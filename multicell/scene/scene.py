@@ -7,7 +7,6 @@ numbers in base units (µm, s, nN, amol; kPa, mM) or strings with units; inside 
 
 from __future__ import annotations
 
-import errno
 import os
 import re
 from collections.abc import Mapping
@@ -19,7 +18,7 @@ from typing import TYPE_CHECKING, Any, final
 from multicell.contact.law import PairLaw
 from multicell.contact.registry import LAWS
 from multicell.errors import SceneError
-from multicell.files import DEEPEST, parse_toml, read_regular
+from multicell.files import DEEPEST, parse_toml, read_text
 from multicell.laws import OwnLaw
 from multicell.plugins import OWN_OBJECT
 from multicell.scene.checks import (
@@ -323,7 +322,7 @@ def _read(source: str | Path) -> str:
     path = Path(os.path.expanduser(source))
     bare = isinstance(source, str) and not path.suffix and path.name == source
     try:
-        return _file_text(path, source)
+        return read_text(path, _MAX_FILE_BYTES)
     except FileNotFoundError:
         if bare:
             hint = near_miss(str(source), names)
@@ -336,21 +335,6 @@ def _read(source: str | Path) -> str:
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise SceneError("", f"the scene file {str(source)!r} cannot be read: {reason}") from None
-
-
-def _file_text(path: Path, source: str | Path) -> str:
-    """Return the text of a regular file of a scene's size; a pipe or device may never end."""
-    try:
-        content = read_regular(path, _MAX_FILE_BYTES)
-    except OSError as error:
-        if error.errno == errno.EINVAL:
-            problem = f"the scene {str(source)!r} is a device, pipe or socket, not a file"
-            raise SceneError("", problem, "Write the scene to a file first.") from None
-        if error.errno == errno.EFBIG:
-            problem = f"the scene file {str(source)!r} is larger than {_MAX_FILE_BYTES // 10**6} MB"
-            raise SceneError("", problem, "No scene needs so much text.") from None
-        raise
-    return content.decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")
 
 
 def check_dotted(key: object) -> None:

@@ -244,7 +244,7 @@ def test_what_never_ends_is_no_scene(command, tmp_path):
         ("/dev/zero", "a device"),
         ("/dev/null", "a device"),
         ("/dev/stdin", "scene"),
-        (tmp_path / "pipe", "a device, pipe"),
+        (tmp_path / "pipe", "no regular file"),
         (tmp_path / "huge.toml", "larger than 10 MB"),
         (tmp_path, "directory"),
         ("/dev/null/scene.toml", "ot a directory"),
