@@ -55,6 +55,20 @@ def read_regular(path: Path, largest: int) -> bytes:
     return content
 
 
+def read_text(path: Path, largest: int) -> str:
+    r"""Return the text of a regular file, its lines ending in ``\n``, as :func:`read_regular`.
+
+    Raises
+    ------
+    OSError
+        As there.
+    UnicodeDecodeError
+        For text that is not UTF-8.
+    """
+    text = read_regular(path, largest).decode("utf-8-sig")
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
 def parse_toml(text: str) -> dict[str, Any]:
     """Return the table that a TOML text describes.
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from multicell.biology import driven, spring_graph
+from multicell.biology import driven
 from multicell.biology.growth import growth_factor
 from multicell.biology.initial import initial_cells
 from multicell.biology.motion import motion_of
@@ -122,8 +122,6 @@ class Simulation(RunState):
         """Begin with these cells; states that are not given are found with the fields."""
         check_start(self.scene, cells)
         self.named = driven.named_at_start(self.plan, cells)
-        if self.scene.springs:
-            self.springs = spring_graph.springs_at_start(self.plan, cells)
         self.cells = cells
         bind(self.plan, cells, cells, {}, self.time)
         self.next_id = int(cells.id.max(initial=-1)) + 1
@@ -164,7 +162,6 @@ class Simulation(RunState):
             self.first_states = {"quiescent": resting, "necrotic": dead, "unfit": unfit}
         if dead:
             self.lineage.died(np.sort(self.cells.id[search.dead]), self.time)
-            self.springs = spring_graph.without_dead(self.springs, self.cells)
 
     def step(self) -> None:
         """Advance by one coupling step.
@@ -248,22 +245,12 @@ class Simulation(RunState):
         if self.scene.motions:
             now = self._motion(self.time, self.time, self.cells.radius)
             extra |= driven.columns(self.plan, self.cells, self.named, self.mechanics, now)
-        if self.scene.springs:
-            extra |= spring_graph.columns(self.plan, self.springs, self.cells)
-        if self.scene.output.instability:
-            extra["instability_rate"] = self._instability_rate()
         return summary.history_row(self.scene, self._view(whole=False), **extra)
 
     def energy(self) -> float:
         """Return the contact energy of the cells, fJ."""
         self.mechanics.begin(self._motion(self.time, self.time, self.cells.radius))
         return self.mechanics.energy(self.time, self.cells.position)
-
-    def _instability_rate(self) -> float:
-        from multicell.mechanics.growth_rate import recorded_rate
-
-        motion = self._motion(self.time, self.time + self.timeline.plan.longest, self.cells.radius)
-        return recorded_rate(self.mechanics, motion, self.cells.position, self.scene.dimensions)
 
     def summary(self) -> dict[str, Any]:
         """Return the numbers that describe the run so far; ``units`` names the units.
@@ -284,7 +271,6 @@ class Simulation(RunState):
         return motion_of(
             self.plan, self.cells, radius, begin, end, concentrations=self.concentrations,
             gradients=self._fields.gradients(self.cells), contacts=self.contacts, named=self.named,
-            springs=self.springs,
         )  # fmt: skip
 
     def prepared(self) -> Mechanics:
@@ -324,8 +310,6 @@ class Simulation(RunState):
         if born or after.removals:
             self.lineage.events(before, self.cells, self.time)
             self.named = driven.pass_on(self.named, self.cells, first)
-            if len(self.springs):
-                self.springs = spring_graph.after_divisions(self.springs, before, self.cells)
             if len(self.contacts):
                 self.contacts = self.cells.id[contact_rows(self.cells, self.contacts)]
 
@@ -342,4 +326,3 @@ class Simulation(RunState):
         dead = decide(self.plan, cells, self.concentrations, self.step_index, dt, self.time)
         if dead.any():
             self.lineage.died(np.sort(cells.id[dead]), self.time)
-            self.springs = spring_graph.without_dead(self.springs, cells)

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any, final
 
@@ -101,20 +101,9 @@ def check_growth_law(law: GrowthLaw) -> None:
     law
         A law with its parameters, such as ``Bertalanffy(largest=2.2)``
         (:func:`multicell.growth_law`).
-
-    Raises
-    ------
-    AssertionError
-        If a promise is not kept.
     """
-    problems = []
-    for check in (_check_numbers, _check_doubling, _check_inverse, _check_additivity, _check_rate):
-        try:
-            check(law)
-        except _Broken as error:
-            problems.append(str(error))
-    if problems:
-        raise AssertionError(f"{type(law).__name__}: " + "; ".join(dict.fromkeys(problems)))
+    checks = (_check_numbers, _check_doubling, _check_inverse, _check_additivity, _check_rate)
+    _carry_out(checks, law, type(law).__name__)
 
 
 _GROWTH_ROUNDING = 1e-9
@@ -203,17 +192,9 @@ def check_integrator(method: Any) -> None:
     """
     info = method_info(method)
     wanted = "step" if info.control == "step" else "atol"
-    problems = []
     if wanted not in info.settings:
-        problems.append(f"it takes no {wanted!r}, which is how its accuracy is set")
-    else:
-        for check in _CHECKS:
-            try:
-                check(info)
-            except _Broken as error:
-                problems.append(str(error))
-    if problems:
-        raise AssertionError(f"{info.name}: " + "; ".join(dict.fromkeys(problems)))
+        _fail(info.name, [f"it takes no {wanted!r}, which is how its accuracy is set"])
+    _carry_out(_CHECKS, info, info.name)
 
 
 @final
@@ -224,6 +205,23 @@ class _Broken(Exception):  # noqa: N818 - it names what happened to a promise
 def _require(kept: object, problem: str) -> None:
     if not kept:
         raise _Broken(problem)
+
+
+def _carry_out(checks: Iterable[Callable[[Any], None]], subject: Any, name: str) -> None:
+    """Raise ``AssertionError`` with all promises that checks of a subject find broken."""
+    problems = []
+    for check in checks:
+        try:
+            check(subject)
+        except _Broken as error:
+            problems.append(str(error))
+    _fail(name, problems)
+
+
+def _fail(name: str, problems: Iterable[str]) -> None:
+    found = "; ".join(dict.fromkeys(problems))
+    if found:
+        raise AssertionError(f"{name}: {found}")
 
 
 def _instantiate(info: MethodInfo, setting: float) -> Integrator:
@@ -433,8 +431,7 @@ def check_observable(observable: Observable, scene: Scene | None = None) -> None
                 problems += [f"{case}{place} it {problem}" for problem in found]
     if not (tried or problems):
         problems = ["it does not exist in the scene: give check_observable one that has it"]
-    if problems:
-        raise AssertionError(f"{observable.name}: " + "; ".join(dict.fromkeys(problems)))
+    _fail(observable.name, problems)
 
 
 def _frames(scene: Scene) -> Iterator[tuple[str, Frame]]:
@@ -499,20 +496,8 @@ def check_pair_law(law: PairLaw) -> None:
     ----------
     law
         A law with its parameters, such as ``Cubic(stiffness=2.0)``.
-
-    Raises
-    ------
-    AssertionError
-        If a promise is not kept.
     """
-    problems = []
-    for check in (_check_slopes, _check_reach, _check_rest, _check_compiled):
-        try:
-            check(law)
-        except _Broken as error:
-            problems.append(str(error))
-    if problems:
-        raise AssertionError(f"{type(law).__name__}: " + "; ".join(dict.fromkeys(problems)))
+    _carry_out((_check_slopes, _check_reach, _check_rest, _check_compiled), law, type(law).__name__)
 
 
 _SIZES = (2.0, 5.0, 8.0)

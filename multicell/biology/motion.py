@@ -11,7 +11,6 @@ from multicell.biology import adhesion
 from multicell.biology.active_forces import push
 from multicell.biology.cycle import parting
 from multicell.biology.driven import Named, prescribed
-from multicell.biology.spring_graph import Springs, for_mechanics
 from multicell.cells import Cells, FloatArray
 from multicell.mechanics.motion import Motion
 from multicell.results.observables import contact_rows
@@ -33,7 +32,6 @@ def motion_of(
     gradients: Mapping[str, FloatArray],
     contacts: NDArray[np.int64],
     named: Named | None = None,
-    springs: Springs | None = None,
 ) -> Motion:
     """Return what mechanics must know of the cells between two times.
 
@@ -53,16 +51,12 @@ def motion_of(
         Identities of the cells that have touched.
     named
         Cells that are driven from outside; see :mod:`multicell.biology.driven`.
-    springs
-        Between the cells.
     """
     length = end - begin
     rate = (radius - cells.radius) / length if length > 0.0 else np.zeros(len(cells))
     apart = parting(plan, cells, length)
     given = prescribed(plan, cells, named or {}, begin, end) if plan.motions else None
     held, velocity = given or (None, None)
-    graph = None if springs is None else for_mechanics(plan, cells, springs)
-    joined, spring = graph or (None, None)
     touching = contact_rows(cells, contacts) if plan.contact.remembers else None
     return Motion(
         cells.radius, rate, cells.young, cells.poisson, begin, end,
@@ -72,5 +66,5 @@ def motion_of(
         touching=None if touching is None else np.sort(touching, axis=1),
         offset_pairs=None if apart is None else apart[0],
         offset=None if apart is None else apart[1],
-        held=held, velocity=velocity, spring_pairs=joined, spring=spring,
+        held=held, velocity=velocity,
     )  # fmt: skip

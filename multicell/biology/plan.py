@@ -32,7 +32,6 @@ if TYPE_CHECKING:
         Pull,
     )
     from multicell.scene.scene import Scene
-    from multicell.scene.springs import Springs
 
     Concentrations = Mapping[str, FloatArray]
 
@@ -93,7 +92,7 @@ class BiologyPlan:
     energies : (types, types) nN/µm, or None
         Surface energies between types that have their own.
     contact, domain, growth, death, adhesion, motility, chemotaxis, haptotaxis, pull, forces, \
-motions, springs
+motions
         Parts of the scene that hold nothing but numbers and names.
     """
 
@@ -130,7 +129,6 @@ motions, springs
     pull: Pull | None
     forces: Mapping[str, Force]
     motions: Mapping[str, PrescribedMotion]
-    springs: Mapping[str, Springs]
 
 
 def biology_plan(scene: Scene) -> BiologyPlan:
@@ -173,7 +171,6 @@ def biology_plan(scene: Scene) -> BiologyPlan:
         pull=scene.pull,
         forces=scene.forces,
         motions=scene.motions,
-        springs=scene.springs,
     )
 
 

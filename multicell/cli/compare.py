@@ -12,6 +12,7 @@ from multicell.cli.options import (
     as_json_option,
     changes_option,
     console,
+    grouped,
     law_option,
     output_option,
     overwrite_option,
@@ -46,28 +47,24 @@ def _seconds(name: str, help: str, default: float | None = None) -> Callable[[An
     return click.option(name, type=float, default=default, callback=_positive, help=help)
 
 
-def _comparing(command: Callable[..., None]) -> Callable[..., None]:
-    """Add what both commands take."""
-    options = (
-        click.argument("scene"),
-        output_option("Folder for the results; it must be empty or new."),
-        law_option,
-        changes_option,
-        click.option(
-            "--methods",
-            metavar="NAMES",
-            callback=_names,
-            help="Methods to compare, separated by commas; by default all that can hold the scene. "
-            "One of your own is named as mine.py:Midpoint.",
-        ),
-        threads_option,
-        overwrite_option("Replace earlier results."),
-        quiet_option,
-        as_json_option,
-    )
-    for option in reversed(options):
-        command = option(command)
-    return command
+_comparing = grouped(
+    click.argument("scene"),
+    output_option("Folder for the results; it must be empty or new."),
+    law_option,
+    changes_option,
+    click.option(
+        "--methods",
+        metavar="NAMES",
+        callback=_names,
+        help="Methods to compare, separated by commas; by default all that can hold the scene. "
+        "One of your own is named as mine.py:Midpoint.",
+    ),
+    threads_option,
+    overwrite_option("Replace earlier results."),
+    quiet_option,
+    as_json_option,
+)
+"""What both commands take."""
 
 
 @click.command()

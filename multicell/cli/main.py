@@ -24,9 +24,10 @@ from multicell.cli.options import (
     as_json_option,
     changes_option,
     console,
+    grouped,
     integrator_option,
     law_option,
-    name_law,
+    loaded_law_option,
     no_report_option,
     observable_option,
     output_option,
@@ -83,22 +84,17 @@ def explain(
         _print_facts(console(), scene, facts)
 
 
-def _run_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Add what ``run`` and ``resume`` take."""
-    options = (
-        law_option,
-        observable_option,
-        changes_option,
-        integrator_option,
-        overwrite_option("Replace the results of an earlier run."),
-        threads_option,
-        no_report_option,
-        quiet_option,
-        as_json_option,
-    )
-    for option in reversed(options):
-        command = option(command)
-    return command
+_run_options = grouped(
+    observable_option,
+    changes_option,
+    integrator_option,
+    overwrite_option("Replace the results of an earlier run."),
+    threads_option,
+    no_report_option,
+    quiet_option,
+    as_json_option,
+)
+"""What ``run`` and ``resume`` take."""
 
 
 @main.command()
@@ -110,6 +106,7 @@ def _run_options(command: Callable[..., None]) -> Callable[..., None]:
     metavar="FILE",
     help="Cells to start with, a CSV or Parquet table (--set initial.cells=FILE).",
 )
+@law_option
 @_run_options
 def run(
     scene: str,
@@ -140,12 +137,12 @@ def run(
 @click.argument("folder", type=click.Path(path_type=Path))
 @click.option("--frame", type=int, default=-1, show_default=True, help="Frame to resume from.")
 @output_option("Folder for the whole run; by default FOLDER itself.", required=False)
+@loaded_law_option
 @_run_options
 def resume(
     folder: Path,
     frame: int,
     output: Path | None,
-    law: str | None,
     changes: Sequence[str],
     integrator: str | None,
     **options: Any,
@@ -156,8 +153,6 @@ def resume(
     may change what can change during a run: duration, stop_cells, output and the medium.
     """
     parsed = parse_changes(changes)
-    if law is not None:
-        name_law(law)
     from multicell.runner import resume as resumed
     from multicell.scene.scene import load_scene
 
@@ -182,13 +177,12 @@ def resume(
     "by default all.",
 )
 @click.option("--frame", type=int, help="This frame only; -1 is the last.")
-@law_option
+@loaded_law_option
 @overwrite_option("Replace files of the same names.")
 @as_json_option
 def export(
     folder: Path,
     output: Path,
-    law: str | None,
     format: str,
     tables: str | None,
     frame: int | None,
@@ -196,8 +190,6 @@ def export(
     as_json: bool,
 ) -> None:
     """Write the results in FOLDER as files for other programs, with units in their names."""
-    if law is not None:
-        name_law(law)
     from multicell.report.exports import export as write
 
     chosen = None if tables is None else [name.strip() for name in tables.split(",")]

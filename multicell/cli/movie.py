@@ -8,33 +8,28 @@ import click
 
 from multicell.cli.options import (
     as_json_option,
-    law_option,
-    name_law,
+    cut_option,
+    loaded_law_option,
     output_option,
     overwrite_option,
     quiet_option,
+    refuse_existing,
+    section_option,
 )
-from multicell.cli.process import print_json
+from multicell.cli.process import print_file
 from multicell.cli.progress import count_progress
-from multicell.errors import OutputError
 
 
 @click.command()
 @click.argument("folder", type=click.Path(path_type=Path))
 @output_option("File for the movie: .gif, .webp, or .mp4 with multicell[movie].")
-@click.option(
-    "--section", metavar="PLANE", help="The plane that is cut: x, y, z, x=0 or z='12 um'."
-)
+@section_option
 @click.option("--colour", "--color", metavar="NAME", help="Of the cells, as for plot.")
 @click.option(
     "--rate", type=float, default=8.0, show_default=True, help="Frames in a second, at most 60."
 )
 @click.option("--space", is_flag=True, help="Whole cells in space instead of a section.")
-@click.option(
-    "--cut",
-    type=click.Choice(("none", "half", "quarter")),
-    help="What is cut away in space.  [default: quarter]",
-)
+@cut_option
 @click.option(
     "--turn",
     type=float,
@@ -44,7 +39,7 @@ from multicell.errors import OutputError
 @click.option(
     "--transparent", is_flag=True, help="Without background: a .webp of cells in space only."
 )
-@law_option
+@loaded_law_option
 @overwrite_option("Replace the file.")
 @quiet_option
 @as_json_option
@@ -58,7 +53,6 @@ def movie(
     cut: str | None,
     turn: float | None,
     transparent: bool,
-    law: str | None,
     overwrite: bool,
     quiet: bool,
     as_json: bool,
@@ -66,21 +60,16 @@ def movie(
     """Write all frames of the run in FOLDER as a moving picture: sections, or cells in space."""
     if not space and (cut is not None or turn is not None):
         raise click.UsageError("--cut and --turn have a meaning with --space only")
-    if law is not None:
-        name_law(law)
     from multicell.report.plots.movie import TURN
     from multicell.report.plots.movie import movie as written
     from multicell.report.result import load_result
 
-    if (output.exists() or output.is_symlink()) and not overwrite:
-        raise OutputError(f"'{output}' exists already: name another file (-o) or overwrite it")
+    refuse_existing(output, overwrite=overwrite)
     run = load_result(folder)
     with count_progress("pictures", show=not quiet) as progress:
         written(
             run, output, plane=section, colour=colour, rate=rate, progress=progress, space=space,
             cut=cut or "quarter", turn=TURN if turn is None else turn, transparent=transparent,
         )  # fmt: skip
-    if as_json:
-        print_json({"file": str(output)})
-    elif not quiet:
-        click.echo(output)
+    if as_json or not quiet:
+        print_file(output, as_json)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from multicell.errors import SceneError
+from multicell.errors import OutputError, SceneError
 from multicell.files import parse_toml
 from multicell.units import shown
 
@@ -20,6 +20,18 @@ if TYPE_CHECKING:
 
 Option = Callable[[Any], Any]
 """A decorator of click."""
+
+
+def grouped(*options: Option) -> Option:
+    """Return a decorator that adds options, the first one first in the help."""
+
+    def add(command: Any) -> Any:
+        for option in reversed(options):
+            command = option(command)
+        return command
+
+    return add
+
 
 _MAX_DEPTH = 20
 """Tables and lists of a scene stand at most five deep."""
@@ -56,6 +68,21 @@ law_option = click.option(
     metavar="FILE:NAME",
     help="Contact or growth law of your own, as mine.py:Cubic; its parameters follow as "
     "--set contact.KEY= or --set growth.parameters.KEY=.",
+)
+loaded_law_option = click.option(
+    "--law",
+    metavar="FILE:NAME",
+    expose_value=False,
+    callback=lambda _, __, spec: spec and name_law(spec),
+    help="Contact or growth law of your own that the run was made with, as mine.py:Cubic.",
+)
+section_option = click.option(
+    "--section", metavar="PLANE", help="The plane that is cut: x, y, z, x=0 or z='12 um'."
+)
+cut_option = click.option(
+    "--cut",
+    type=click.Choice(("none", "half", "quarter")),
+    help="What is cut away of the cells in space.  [default: quarter]",
 )
 
 
@@ -104,6 +131,16 @@ def output_option(help: str, *, required: bool = True) -> Option:
 def overwrite_option(help: str) -> Option:
     """Return the flag that lets a command replace what is there."""
     return click.option("--overwrite", is_flag=True, help=help)
+
+
+def refuse_existing(path: Path, *, overwrite: bool) -> None:
+    """Raise ``OutputError`` for a file that is there already, unless it may be replaced."""
+    from multicell.results.folder import file_errors
+
+    with file_errors("use", path):
+        there = path.exists() or path.is_symlink()
+    if there and not overwrite:
+        raise OutputError(f"'{path}' exists already: name another file (-o) or overwrite it")
 
 
 def scene_of(source: str, changes: Sequence[str], law: str | None = None) -> Scene:

@@ -10,12 +10,14 @@ import click
 
 from multicell.cli.options import (
     as_json_option,
-    law_option,
-    name_law,
+    cut_option,
+    loaded_law_option,
     output_option,
     overwrite_option,
+    refuse_existing,
+    section_option,
 )
-from multicell.cli.process import print_json
+from multicell.cli.process import print_file
 from multicell.errors import OutputError
 from multicell.report.plots.run import PICTURES
 
@@ -36,9 +38,7 @@ _OPTIONS = {"plane": "--section", "colour": "--colour", "cut": "--cut", "turn": 
     type=click.Choice(list(PICTURES)),
     help="One of those of the report.  [default: section]",
 )
-@click.option(
-    "--section", metavar="PLANE", help="The plane that is cut: x, y, z, x=0 or z='12 um'."
-)
+@section_option
 @click.option(
     "--colour",
     "--color",
@@ -46,11 +46,7 @@ _OPTIONS = {"plane": "--section", "colour": "--colour", "cut": "--cut", "turn": 
     help="Of the cells in a section or in space: state, type, phase, clone, a quantity such as "
     "pressure, radius or age, or the name of a field.",
 )
-@click.option(
-    "--cut",
-    type=click.Choice(("none", "half", "quarter")),
-    help="What is cut away of the cells in space.  [default: quarter]",
-)
+@cut_option
 @click.option(
     "--turn", type=float, metavar="DEGREES", help="Where the eye stands round the cells in space."
 )
@@ -61,7 +57,7 @@ _OPTIONS = {"plane": "--section", "colour": "--colour", "cut": "--cut", "turn": 
     metavar="NAME",
     help="Draw a column of the history against time, such as diameter; of several runs in one.",
 )
-@law_option
+@loaded_law_option
 @overwrite_option("Replace the file.")
 @as_json_option
 def plot(
@@ -75,7 +71,6 @@ def plot(
     moment: str | None,
     frame: int | None,
     quantity: str | None,
-    law: str | None,
     overwrite: bool,
     as_json: bool,
 ) -> None:
@@ -83,13 +78,10 @@ def plot(
     named = {"plane": section, "colour": colour, "cut": cut, "turn": turn}
     given: dict[str, Any] = {name: value for name, value in named.items() if value is not None}
     _refuse_mixed(folders, picture, given, moment, frame, quantity)
-    if law is not None:
-        name_law(law)
     from multicell.report.plots.style import save
     from multicell.report.result import load_result
 
-    if (output.exists() or output.is_symlink()) and not overwrite:
-        raise OutputError(f"'{output}' exists already: name another file (-o) or overwrite it")
+    refuse_existing(output, overwrite=overwrite)
     runs = [load_result(folder) for folder in folders]
     if quantity is not None:
         figure = _quantity(folders, runs, quantity)
@@ -102,10 +94,7 @@ def plot(
         except ValueError as error:  # there is nothing to draw
             raise OutputError(f"no picture of '{runs[0].folder}': {error}") from error
     save(figure, output)
-    if as_json:
-        print_json({"file": str(output)})
-    else:
-        click.echo(output)
+    print_file(output, as_json)
 
 
 def _refuse_mixed(

@@ -7,13 +7,11 @@ reads any more. Only ``MULTICELL_DEBUG=1`` shows tracebacks.
 
 from __future__ import annotations
 
-import codecs
 import errno
 import io
 import json
 import os
 import sys
-import unicodedata
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from threading import Timer
@@ -34,10 +32,18 @@ def print_json(document: Any) -> None:
     try:
         text.encode(getattr(sys.stdout, "encoding", None) or "utf-8")
     except UnicodeEncodeError:
-        # spelt out it would be other text; escaped it is the same
+        # escaped it is the same text
         text = json.dumps(json.loads(text), indent=2)
     # click's own choice of a stream would be UTF-8 where this one is ASCII
     click.echo(text, file=sys.stdout)
+
+
+def print_file(path: object, as_json: bool) -> None:
+    """Print the path of a file that was written."""
+    if as_json:
+        print_json({"file": str(path)})
+    else:
+        click.echo(path)
 
 
 INTERRUPTED = 130
@@ -46,34 +52,6 @@ PIPE_CLOSED = 1
 """Exit code where the reader of our output has gone: click's and rich's, without words."""
 DEBUG = "MULTICELL_DEBUG"
 """Environment variable that shows the traceback of an unexpected error."""
-
-_SPELT = {"µ": "u", "μ": "u", "·": "|", "²": "^2", "³": "^3", "→": "->", "−": "-", "–": "-",
-          "—": "-", "…": "...", "×": "x", "≤": "<=", "≥": ">=", "≈": "~", "∞": "inf",
-          "λ": "lambda", "Δ": "delta ", "γ": "gamma", "ε": "eps", "π": "pi", "σ": "sigma",
-          "η": "eta", "°": " deg", "√": "sqrt ", "’": "'", "‘": "'", "“": '"', "”": '"',
-          "━": "-", "╸": "-", "╺": "-"}  # fmt: skip
-
-
-_PLAIN = ("strict", "backslashreplace", "surrogateescape")
-"""How streams treat what they cannot encode unless somebody has asked for another way."""
-
-
-def _degrade(error: UnicodeError) -> tuple[str, int]:
-    """Spell out what an encoding does not have; the handler of codecs with our name."""
-    if not isinstance(error, UnicodeEncodeError):
-        raise error
-    return "".join(map(spell, error.object[error.start : error.end])), error.end
-
-
-def spell(character: str) -> str:
-    """Return ASCII in place of a character: a name, its letter without accents, or ``?``."""
-    if character in _SPELT:
-        return _SPELT[character]
-    plain = unicodedata.normalize("NFKD", character).encode("ascii", "ignore").decode()
-    return plain or "?"
-
-
-codecs.register_error("multicell.spelt", _degrade)
 
 
 @final
@@ -102,24 +80,24 @@ class Commands(click.Group):
 def exit_code(command: Callable[[], Any], as_json: bool) -> int:
     """Run a command; put what went wrong into one line; return the exit code."""
     _open_standard_streams()
-    with _spell_out():
-        try:
-            code = command()
-            if sys.stdout is not None:
-                sys.stdout.flush()
-            return code if isinstance(code, int) else 0
-        except (KeyboardInterrupt, click.Abort):
-            end_command()
+    _fit_encodings()
+    try:
+        code = command()
+        if sys.stdout is not None:
+            sys.stdout.flush()
+        return code if isinstance(code, int) else 0
+    except (KeyboardInterrupt, click.Abort):
+        end_command()
+        complain("Interrupted.")
+        return INTERRUPTED
+    except click.exceptions.Exit as leaving:
+        return leaving.exit_code
+    except Exception as error:
+        if interrupted() and not isinstance(error, MulticellError | OSError):
+            # a Ctrl-C during the import of a library, or reported as another error
             complain("Interrupted.")
             return INTERRUPTED
-        except click.exceptions.Exit as leaving:
-            return leaving.exit_code
-        except Exception as error:
-            if interrupted() and not isinstance(error, MulticellError | OSError):
-                # a Ctrl-C during the import of a library, or reported as another error
-                complain("Interrupted.")
-                return INTERRUPTED
-            return _explain(error, as_json)
+        return _explain(error, as_json)
 
 
 def _explain(error: Exception, as_json: bool) -> int:
@@ -258,20 +236,12 @@ def quietly() -> Iterator[None]:
         return
 
 
-@contextmanager
-def _spell_out() -> Iterator[None]:
-    """Let the standard streams spell out what their encoding lacks."""
-    changed = []
+def _fit_encodings() -> None:
+    """Let the standard streams print ``?`` for what their encoding lacks, in place of failing."""
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper) and stream.errors in _PLAIN:
-            changed.append((stream, stream.errors))
-            stream.reconfigure(errors="multicell.spelt")
-    try:
-        yield
-    finally:
-        for stream, errors in changed:
+        if isinstance(stream, io.TextIOWrapper):
             with quietly():
-                stream.reconfigure(errors=errors)
+                stream.reconfigure(errors="replace")
 
 
 def _open_standard_streams() -> None:

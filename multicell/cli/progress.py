@@ -12,7 +12,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import IO, TYPE_CHECKING, Any, Final, cast, final
 
-from multicell.cli.remaining import Forecast, Remaining, in_words
+from multicell.cli.remaining import Forecast
+from multicell.cli.tables import time_text
 from multicell.report.wording import time_unit
 
 if TYPE_CHECKING:
@@ -126,7 +127,7 @@ def status(simulation: Any, wall: float, left: float | None = None) -> str:
     speed = simulation.time / 3600.0 / wall if wall > 0.0 else 0.0
     n = len(simulation.cells)
     unit, size = time_unit(simulation.scene.duration)
-    ahead = "" if left is None else f" · about {in_words(left)} left"
+    ahead = "" if left is None else f" · about {time_text(left, 2)} left"
     return (
         f"{simulation.time / size:.2f} of {simulation.scene.duration / size:.2f} {unit} · "
         f"{n:,} cell{'' if n == 1 else 's'} · step {simulation.step_index:,} · "
@@ -146,22 +147,24 @@ class _Clock:
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
-        self._start = self._before = self._predicted = time.perf_counter()
-        self._remaining: Remaining | None = None
+        self._start = self._predicted = time.perf_counter()
+        self._forecast: Forecast | None = None
+        self._since = 0.0, 0.0
         self._left: float | None = None
-        self._last = 0.0
         self.words = "starting"
 
     def note(self, simulation: Any) -> None:
         """Note a step."""
+        from multicell.compiling import COMPILATION  # loaded by then
+
         now = time.perf_counter()
-        if self._remaining is not None:
-            length = simulation.time - self._last
-            self._remaining.note(simulation.time, length, len(simulation.cells), now - self._before)
-            if now - self._predicted > _UPDATE_EVERY:
-                self._predicted, self._left = now, self._remaining.left()
-        elif now - self._start > _FORECAST_AFTER:
-            forecast = Forecast.of(self._scene)
-            self._remaining = Remaining(self._scene.duration, forecast, self._scene.stop_cells)
-        self._last, self._before = simulation.time, time.perf_counter()
+        worked = now - COMPILATION.seconds
+        if self._forecast is None:
+            if now - self._start > _FORECAST_AFTER:
+                self._forecast = Forecast.of(self._scene)
+                self._since = simulation.time, time.perf_counter() - COMPILATION.seconds
+        elif now - self._predicted > _UPDATE_EVERY:
+            begin, before = self._since
+            self._predicted = now
+            self._left = self._forecast.left(begin, simulation.time, worked - before)
         self.words = status(simulation, now - self._start, self._left)

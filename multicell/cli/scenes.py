@@ -8,7 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from multicell.cli.options import as_json_option, console, output_option, overwrite_option
+from multicell.cli.options import (
+    as_json_option,
+    console,
+    output_option,
+    overwrite_option,
+    refuse_existing,
+)
 from multicell.cli.process import print_json
 from multicell.cli.tables import bare_table, plain, time_text
 from multicell.errors import OutputError
@@ -62,17 +68,14 @@ def _print_scene(name: str, full: bool, as_json: bool) -> None:
 @as_json_option
 def init(name: str, output: Path | None, full: bool, overwrite: bool, as_json: bool) -> None:
     """Write a copy of the built-in scene NAME, to edit and run as a scene of your own."""
-    from multicell.results.folder import file_errors, write_text
+    from multicell.results.folder import write_text
     from multicell.scene.scene import load_scene, scene_names, scene_text
     from multicell.schema import near_miss
 
     if name not in scene_names():
         raise OutputError(f"there is no built-in scene {name!r}. {near_miss(name, scene_names())}")
     path = output or Path(f"{name}.toml")
-    with file_errors("use", path):
-        there = path.exists() or path.is_symlink()
-    if there and not overwrite:
-        raise OutputError(f"'{path}' exists already: name another file (-o) or overwrite it")
+    refuse_existing(path, overwrite=overwrite)
     write_text(path, load_scene(name).to_toml() if full else scene_text(name))
     if as_json:
         print_json({"file": str(path)})

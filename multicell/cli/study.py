@@ -226,9 +226,9 @@ def _cost_words(cost: StudyCost, cores: int | None) -> str:
 
 
 def _in_words(seconds: float) -> str:
-    from multicell.cli.remaining import in_words  # it needs NumPy, which other commands do not
+    from multicell.cli.tables import time_text
 
-    return in_words(seconds)
+    return time_text(seconds, 2)
 
 
 def _bytes(number: float) -> str:

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Final, final
 
 from multicell.cli.progress import display
-from multicell.cli.remaining import in_words
+from multicell.cli.tables import time_text
 
 if TYPE_CHECKING:
     from multicell.studies.runs import Run
@@ -80,7 +80,7 @@ class Pace:
     def words(self, now: float) -> str:
         """Return how the study stands in words."""
         left = self.remaining(now)
-        ahead = "" if left is None or not self.left else f" · about {in_words(left)} left"
+        ahead = "" if left is None or not self.left else f" · about {time_text(left, 2)} left"
         failed = f" · {self.failed:,} failed" if self.failed else ""
         return f"{self.done:,} of {self.total:,} runs{failed}{ahead}"
 

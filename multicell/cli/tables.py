@@ -8,12 +8,12 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 
-def time_text(seconds: float) -> str:
+def time_text(seconds: float, digits: int = 3) -> str:
     """Return a time in the unit that suits it."""
     for unit, size in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
         if seconds >= size:
-            return f"{seconds / size:.3g} {unit}"
-    return f"{seconds:.3g} s"
+            return f"{seconds / size:.{digits}g} {unit}"
+    return f"{seconds:.{digits}g} s"
 
 
 def bare_table(**options: Any) -> Table:

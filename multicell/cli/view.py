@@ -7,22 +7,20 @@ from pathlib import Path
 
 import click
 
-from multicell.cli.options import as_json_option, law_option, name_law
-from multicell.cli.process import complain, print_json
+from multicell.cli.options import as_json_option, loaded_law_option
+from multicell.cli.process import complain, print_file
 
 
 @click.command()
 @click.argument("folder", type=click.Path(path_type=Path))
 @click.option("--no-browser", is_flag=True, help="Write the page, and do not open it.")
-@law_option
+@loaded_law_option
 @as_json_option
-def view(folder: Path, no_browser: bool, law: str | None, as_json: bool) -> None:
+def view(folder: Path, no_browser: bool, as_json: bool) -> None:
     """Open the page of the run in FOLDER, also while it goes on: with all frames so far.
 
     The page is written anew unless it is younger than the results.
     """
-    if law is not None:
-        name_law(law)
     page = folder / "report.html"
     if not _up_to_date(page, folder):
         from multicell.report.result import load_result
@@ -30,10 +28,7 @@ def view(folder: Path, no_browser: bool, law: str | None, as_json: bool) -> None
         page = load_result(folder).report()
     if not no_browser and not webbrowser.open(page.resolve().as_uri()):
         complain("There is no browser to open it.")
-    if as_json:
-        print_json({"file": str(page)})
-    else:
-        click.echo(page)
+    print_file(page, as_json)
 
 
 def _up_to_date(page: Path, folder: Path) -> bool:

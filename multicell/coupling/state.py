@@ -11,7 +11,6 @@ import numpy as np
 
 from multicell.biology.plan import biology_plan
 from multicell.biology.splitting import StepError
-from multicell.biology.spring_graph import Springs
 from multicell.coupling.timeline import Timeline
 from multicell.coupling.wall import PHASES, Phase
 from multicell.errors import SceneError
@@ -42,7 +41,7 @@ _NOTED: Final = (
 """What a run notes beside its cells; a frame's progress has entries of the same names."""
 
 _STATE: Final = (
-    "cells", "timeline", "contacts", "step_error", "named", "springs", "replays", "stability",
+    "cells", "timeline", "contacts", "step_error", "named", "replays", "stability",
     *_NOTED,
 )  # fmt: skip
 """What a coupling step changes, beside fields, logs and counts of work."""
@@ -75,7 +74,6 @@ class RunState(ABC):
         fit the field.
     named : table of the scene -> (k,) identities
         Cells that are driven from outside because of who or where they were at the start.
-    springs : Springs
     plan : BiologyPlan
         What biology needs of the scene.
     timeline : Timeline
@@ -107,7 +105,6 @@ class RunState(ABC):
         self.contacts = np.empty((0, 2), dtype=np.int64)
         self.separation: Mapping[str, float] | None = None
         self.named: dict[str, IntArray] = {}
-        self.springs = Springs()
         self.lineage = Lineage() if lineage is None else lineage
 
     def resume(self, frame: Frame) -> None:
@@ -126,7 +123,6 @@ class RunState(ABC):
         check_start(self.scene, self.cells)
         self.contacts = np.array(frame.contacts)
         self.named = {path: np.array(ids, np.int64) for path, ids in known.driven.items()}
-        self.springs = Springs.of(known.springs)
         for name in _NOTED:
             setattr(self, name, getattr(known, name))
         self.replays = Replays.of(known.replays)
@@ -142,7 +138,6 @@ class RunState(ABC):
             work=asdict(self.mechanics.work),
             pace=None if self.pace is None else self.pace._asdict(),
             driven={path: ids.tolist() for path, ids in self.named.items()},
-            springs=self.springs.to_plain(),
             replays={} if self.replays is None else self.replays._asdict(),
             stability=self.stability._asdict() if self.mover.limit > 0.0 else {},
         )

@@ -64,12 +64,17 @@ class Account:
         self.entries: list[Entry] = []
         self._taken: set[Element] = set()
 
-    def take(self, element: Element, fate: Fate, key: str = "", note: str = "") -> None:
-        """Account for an element; ValueError for one that is accounted for already."""
+    def take(
+        self, element: Element, fate: Fate, key: str = "", note: str = "", value: str | None = None
+    ) -> None:
+        """Account for an element; ValueError for one that is accounted for already.
+
+        ``value`` stands for what its attributes say, where other elements are in it.
+        """
         if element in self._taken:
             raise ValueError(f"{element.path} (line {element.line}) is accounted for twice")
         self._taken.add(element)
-        value = " ".join(element.text.split())[:100]
+        value = " ".join(element.text.split())[:100] if value is None else value
         self.entries.append(Entry(element.path, element.line, value, fate, key, note))
 
     def take_all(
@@ -81,14 +86,10 @@ class Account:
                 if leaf not in self._taken:
                     self.take(leaf, fate, key, note)
 
-    def take_container(
-        self, element: Element, value: str, fate: Fate, key: str = "", note: str = ""
-    ) -> None:
-        """Account for what attributes of an element say; the elements in it have their own."""
-        if element in self._taken:
-            raise ValueError(f"{element.path} (line {element.line}) is accounted for twice")
-        self._taken.add(element)
-        self.entries.append(Entry(element.path, element.line, value, fate, key, note))
+    def leave_out(self, elements: Iterable[Element], note: str, *, acts: bool = True) -> None:
+        """Account for what has no counterpart; without effect in the model it is off."""
+        fate = Fate.LEFT_OUT if acts else Fate.OFF
+        self.take_all(elements, fate, note=note if acts else "")
 
     def add(self, path: str, value: str, fate: Fate, key: str = "", note: str = "") -> None:
         """Account for what is no element: a column or a line of another file."""

@@ -5,14 +5,14 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 
+from multicell import files
 from multicell.errors import SceneError
-from multicell.files import read_regular
 
 _MAX_BYTES = 100_000_000
 
 
 def read_text(path: Path) -> str:
-    r"""Return the text of a file, with line ends as ``\n``.
+    """Return the text of a file.
 
     Raises
     ------
@@ -21,14 +21,13 @@ def read_text(path: Path) -> str:
     """
     name = str(path)
     try:
-        text = read_regular(path, _MAX_BYTES).decode("utf-8-sig")
+        return files.read_text(path, _MAX_BYTES)
     except FileNotFoundError:
         raise SceneError("", f"there is no file '{name}'") from None
     except UnicodeDecodeError as error:
         raise SceneError("", f"'{name}' is not UTF-8 text (byte {error.start})") from None
     except OSError as error:
         raise SceneError("", f"'{name}' cannot be read: {error.strerror}") from None
-    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def read_rows(path: Path) -> list[tuple[int, list[str]]]:

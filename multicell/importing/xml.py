@@ -6,6 +6,7 @@ that grow without bound or name files, and anything that is large or deep beyond
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,6 +15,7 @@ from xml.parsers import expat
 
 from multicell.errors import SceneError
 from multicell.importing.files import read_text
+from multicell.schema import Bounds
 
 _MAX_DEPTH = 50
 _MAX_ELEMENTS = 1_000_000
@@ -67,22 +69,31 @@ class Element:
         """Return its text without blanks at both ends."""
         return self.text.strip()
 
-    def number(self) -> float:
-        """Return its text as a finite number; SceneError otherwise."""
+    def number(
+        self,
+        *,
+        above: float | None = None,
+        at_least: float | None = None,
+        at_most: float | None = None,
+    ) -> float:
+        """Return its text as a finite number within bounds; SceneError otherwise."""
         try:
             value = float(self.word())
         except ValueError:
             raise self.error(f"is {self.word()[:60]!r}, must be a number") from None
-        if value != value or value in (float("inf"), float("-inf")):
+        if not math.isfinite(value):
             raise self.error(f"is {self.word()[:60]!r}, must be a finite number")
+        bounds = Bounds(above, at_least, at_most)
+        if not bounds.contain(value):
+            raise self.error(f"is {self.word()}, must be {bounds.words()}")
         return value
 
-    def number_within(self, low: float, high: float) -> float:
-        """Return its text as a number from ``low`` to ``high``; SceneError otherwise."""
-        value = self.number()
-        if not low <= value <= high:
-            raise self.error(f"is {self.word()}, must be from {low:g} to {high:g}")
-        return value
+    def whole(self, attribute: str) -> int:
+        """Return an attribute as a whole number from 0 on; SceneError otherwise."""
+        stated = self.attributes.get(attribute, "")
+        if not stated.isdecimal():
+            raise self.error(f"has the {attribute} {stated!r}, must be a whole number")
+        return int(stated)
 
     def flag(self) -> bool:
         """Return whether its text says yes."""

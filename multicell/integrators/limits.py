@@ -50,9 +50,6 @@ def _stiffness_scale(system: Mechanics) -> float:
     modulus = effective_modulus(young, poisson, young, poisson)
     _, slope, _ = system.law.evaluate(0.25 * radius, modulus, 0.5 * radius, rest=2.0 * radius)
     stiffness = _CONTACTS * abs(float(slope))
-    if system.springs is not None:
-        # no row of the Jacobian adds up to more than twice its diagonal
-        stiffness += 2.0 * system.springs.stiffest(len(system))
     return stiffness / (system.drag * radius)
 
 

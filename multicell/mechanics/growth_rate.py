@@ -15,7 +15,7 @@ https://doi.org/10.1137/1.9780898719628
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
@@ -24,14 +24,13 @@ from multicell.random import Purpose, normal
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
-    from multicell.mechanics.motion import Motion
     from multicell.mechanics.system import Mechanics
 
 PRODUCTS: Final = 40
 """Products J·v that are spent unless another number is asked for."""
 
 RECORDED: Final = 20
-"""Products for each row of a history: after divisions they give μ to many digits."""
+"""Products that give the largest decay rate to what a limit of a step needs."""
 
 _FEWEST = 5  # two vectors, and three products beside those of the sweep
 _ANY: Final = 1e30  # a relative tolerance at which ARPACK stops after its first sweep
@@ -148,23 +147,6 @@ def largest_decay_rate(
         found = np.linalg.eigvals(matrix) if friction else np.linalg.eigvalsh(matrix)
         return float(found.real.max())
     return (_by_arnoldi if friction else _by_lanczos)(product, size, products).rate
-
-
-def recorded_rate(
-    system: Mechanics, motion: Motion, position: FloatArray, dimensions: int
-) -> float:
-    """Return μ at the beginning of a motion, 1/s, by 20 products that no account counts.
-
-    NaN if ARPACK does not give it. The system is made ready for ``motion``.
-    """
-    counted = asdict(system.work)
-    system.begin(motion)
-    found = largest_growth_rate(
-        system, motion.begin, position, products=RECORDED, dimensions=dimensions
-    )
-    for name, count in counted.items():
-        setattr(system.work, name, count)
-    return found.rate
 
 
 def _by_lanczos(

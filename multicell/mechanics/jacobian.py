@@ -51,7 +51,7 @@ def limited(system: Mechanics, fraction: float) -> tuple[Linearisation, float]:
 
     Where dF/dh of a pair is below -``fraction`` E_ij r_ij it is raised to that. Only the way to a
     solution changes by that, not the solution. The slope is dF/dh of a pair or of a wall, nN/µm.
-    What :meth:`Mechanics.jacobian_product` uses by itself stays as it is. Springs count like walls.
+    What :meth:`Mechanics.jacobian_product` uses by itself stays as it is.
     """
     linear = system.linearisation
     pairs = linear.pairs
@@ -62,7 +62,7 @@ def limited(system: Mechanics, fraction: float) -> tuple[Linearisation, float]:
             linear.along, linear.across,
         )
     )  # fmt: skip
-    return linear, max(stiffest, float(linear.local.max(initial=0.0)))
+    return linear, max(stiffest, float(linear.walls.max(initial=0.0)))
 
 
 @final
@@ -86,19 +86,12 @@ class Pattern:
     index: NDArray[np.int32]
 
     @classmethod
-    def of(cls, pairs: PairList, joined: NDArray[Any] | None = None) -> Pattern:
-        """Return the pattern of a neighbour list, with all diagonal blocks.
-
-        ``joined`` are pairs of cells that a spring joins, (m, 2).
-        """
+    def of(cls, pairs: PairList) -> Pattern:
+        """Return the pattern of a neighbour list, with all diagonal blocks."""
         from scipy.sparse import csc_matrix, kron
 
         place, _ = _places(pairs)
         first, second, own = pairs.first[place], pairs.second[place], np.arange(pairs.n)
-        if joined is not None:
-            first, second = (
-                np.concatenate([x, y]) for x, y in zip((first, second), joined.T, strict=True)
-            )
         row, column = np.concatenate([first, second, own]), np.concatenate([second, first, own])
         # pairs between chunks are listed twice
         shape = (pairs.n, pairs.n)
@@ -126,7 +119,7 @@ class Pattern:
         length = motion.end - motion.begin
         largest = np.maximum(motion.radius, motion.radius + motion.radius_rate * length)
         near = neighbours.build(position, largest, margin * float(largest.mean()))
-        return cls.of(near, motion.spring_pairs)
+        return cls.of(near)
 
     def fill(self, system: Mechanics, values: FloatArray, linear: Linearisation) -> int:
         """Write J at a linearisation, 1/s; return how many blocks have no place.
@@ -161,11 +154,6 @@ class Pattern:
             own[:, :3] -= mobility[:, None] * linear.walls
         values[:] = 0.0
         lost = self._put(i, j, six, values)
-        if system.springs is not None:
-            i, j, six = system.springs.sides(linear.springs)
-            six = mobility[i, None] * six
-            own -= np.stack([np.bincount(i, six[:, k], n) for k in range(6)], axis=1)
-            lost += self._put(i, j, six, values, add=True)
         self._put(np.arange(n), np.arange(n), own, values)
         if system.prescribed is not None:
             # held cells are no unknowns: neither rows nor columns
@@ -175,10 +163,9 @@ class Pattern:
         return lost
 
     def _put(
-        self, i: NDArray[np.int64], j: NDArray[np.int64], six: FloatArray, values: FloatArray,
-        *, add: bool = False,
-    ) -> int:  # fmt: skip
-        """Write symmetric blocks (i, j), or add them; return how many have no place."""
+        self, i: NDArray[np.int64], j: NDArray[np.int64], six: FloatArray, values: FloatArray
+    ) -> int:
+        """Write symmetric blocks (i, j); return how many have no place."""
         n = len(self.column) - 1
         key = np.repeat(np.arange(n), np.diff(self.column)) * n + self.row
         wanted = j * n + i
@@ -189,11 +176,7 @@ class Pattern:
         corner = 9 * self.column[j] + 3 * (place - self.column[j])
         step = np.arange(3)
         at = corner[:, None, None] + step[:, None] + height[:, None, None] * step
-        if add:
-            # two springs may join the same cells, and these touch
-            np.add.at(values, at, six[:, _SQUARE])
-        else:
-            values[at] = six[:, _SQUARE]
+        values[at] = six[:, _SQUARE]
         return int(len(known) - known.sum())
 
     def matrix(self, values: FloatArray) -> Any:
@@ -220,7 +203,7 @@ def sparse_jacobian(system: Mechanics) -> Any:
         stand in it as zeros.
     """
     linear = system.linearisation
-    pattern = Pattern.of(linear.pairs, system.motion.spring_pairs)
+    pattern = Pattern.of(linear.pairs)
     values = np.empty(len(pattern.index))
     pattern.fill(system, values, linear)
     return pattern.matrix(values)

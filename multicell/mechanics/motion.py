@@ -91,10 +91,6 @@ class Motion:
         :mod:`multicell.mechanics.prescribed`.
     velocity : (n, 3), optional
         Their prescribed velocity, µm/s, zero for all others; given where ``held`` is.
-    spring_pairs : (m, 2) int, optional
-        Pairs that a spring joins, at any distance; see :mod:`multicell.mechanics.spring_graph`.
-    spring : (m, 2), optional
-        Stiffness of each spring, nN/µm, and its length at rest, µm.
     """
 
     radius: FloatArray
@@ -111,8 +107,6 @@ class Motion:
     offset: FloatArray | None = None
     held: NDArray[Any] | None = None
     velocity: FloatArray | None = None
-    spring_pairs: NDArray[Any] | None = None
-    spring: FloatArray | None = None
 
     @property
     def end_radius(self) -> FloatArray:

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 if TYPE_CHECKING:
     from multicell.mechanics.friction import PairFriction
     from multicell.mechanics.motion import Motion
     from multicell.mechanics.prescribed import Prescribed
-    from multicell.mechanics.spring_graph import SpringGraph
 
 
 def friction(coefficients: tuple[float, float], n: int, drag: float, chunk: int) -> PairFriction:
@@ -27,12 +24,3 @@ def prescribed(motion: Motion) -> Prescribed | None:
     from multicell.mechanics.prescribed import Prescribed
 
     return Prescribed(motion.held, motion.velocity, motion.begin)
-
-
-def springs(motion: Motion) -> SpringGraph | None:
-    """Return the springs of a coupling step."""
-    if motion.spring_pairs is None or motion.spring is None:
-        return None
-    from multicell.mechanics.spring_graph import SpringGraph
-
-    return SpringGraph(motion.spring_pairs.astype(np.int64), motion.spring)

@@ -75,7 +75,7 @@ def _collect_chunk(
 ):  # fmt: skip
     """Write the diagonal blocks of one chunk of M, and its inner pairs that touch.
 
-    ``walls`` is the stiffness of each cell's walls and springs along the axes, or has no rows.
+    ``walls`` is the stiffness of each cell's walls along the axes, or has no rows.
     ``near`` and ``link`` (n, w, s with P = w n nᵀ + s I, times γ) hold the pairs of cell i at
     ``begin[i, 0]:begin[i, 1]``.
     """
@@ -259,7 +259,7 @@ class Sweeps:
         factor(
             system.chunk, system.weighed_rows, pairs.first, pairs.second, pairs.start,
             pairs.inner_end, pairs.outer_end, linear.normal, linear.along, linear.across, gamma,
-            system.drag, linear.local, self.incomplete, self._begin, self._near, self._link,
+            system.drag, linear.walls, self.incomplete, self._begin, self._near, self._link,
             self._blocks,
         )  # fmt: skip
 

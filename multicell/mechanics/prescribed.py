@@ -55,7 +55,7 @@ def outside_force(system: Mechanics, time: float, position: FloatArray) -> Float
     """Return the force that the prescribed motion takes, (n, 3) nN, zero for free cells.
 
     It is what is missing in Γ v = F with the prescribed velocities: the drag of the medium and the
-    friction with other cells, less the force of contacts, walls, springs and from outside.
+    friction with other cells, less the force of contacts, walls and from outside.
 
     Raises
     ------

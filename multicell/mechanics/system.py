@@ -25,7 +25,6 @@ from multicell.threads import launch
 if TYPE_CHECKING:
     from multicell.mechanics.friction import PairFriction
     from multicell.mechanics.prescribed import Prescribed
-    from multicell.mechanics.spring_graph import SpringGraph
     from multicell.mechanics.walls import Walls
 
 
@@ -39,8 +38,7 @@ _ROOM = 50
 class Linearisation:
     """Direction, dF/dh + F/d and F/d of every pair at one state.
 
-    ``walls`` is the stiffness of each cell's walls along each axis, (n, 3) nN/µm, or empty, and
-    ``local`` that of its walls and springs together; ``springs`` are those, linearised.
+    ``walls`` is the stiffness of each cell's walls along each axis, (n, 3) nN/µm, or empty.
     """
 
     pairs: neighbours.PairList
@@ -49,8 +47,6 @@ class Linearisation:
     across: FloatArray
     data: forces.PairData | None = None
     walls: FloatArray = field(default_factory=lambda: _NOTHING)
-    local: FloatArray = field(default_factory=lambda: _NOTHING)
-    springs: FloatArray = field(default_factory=lambda: _NOTHING)
 
     @classmethod
     def room(cls, pairs: neighbours.PairList) -> Linearisation:
@@ -130,7 +126,6 @@ class Mechanics:
         self._linear: Linearisation | None = None
         self._pair_friction: PairFriction | None = None
         self.prescribed: Prescribed | None = None
-        self.springs: SpringGraph | None = None
         # of the coupling step, once multicell.integrators.limits has found it, 1/s
         self.stiffness_scale: float | None = None
 
@@ -167,7 +162,6 @@ class Mechanics:
         if max(self.friction) > 0.0:
             self._pair_friction = optional.friction(self.friction, n, self.drag, self.chunk)
         self.prescribed = optional.prescribed(motion)
-        self.springs = optional.springs(motion)
 
     def __len__(self) -> int:
         """Return the number of cells."""
@@ -215,11 +209,7 @@ class Mechanics:
         )  # fmt: skip
         linear.data = self._pair_data
         if self.walls is not None:
-            linear.walls = linear.local = self.walls.stiffness(self._rows)
-        if self.springs is not None:
-            linear.springs = self.springs.linearised(self._rows)
-            local = self.springs.diagonal(linear.springs, len(self))
-            linear.local = local + linear.walls if linear.walls.size else local
+            linear.walls = self.walls.stiffness(self._rows)
         if self._offsets.data is not None:
             forces.relinearise(
                 self._rows, self._pair_data, self._offsets.data, self._law,
@@ -270,8 +260,6 @@ class Mechanics:
         )  # fmt: skip
         if self.walls is not None:
             self.walls.subtract_products(self._rows, linear.walls, drag, _frozen(vector), out)
-        if self.springs is not None:
-            self.springs.add_products(self._rows, linear.springs, drag, _frozen(vector), out)
         if given is not None:
             out[given.held] = 0.0
         friction = self._pair_friction
@@ -297,7 +285,7 @@ class Mechanics:
         blocks.apply_blocks(self._inverse, _frozen(vector), out)
 
     def force(self, time: float, position: FloatArray) -> FloatArray:
-        """Return the force of contacts, walls, springs and from outside on each cell, (n, 3) nN."""
+        """Return the force of contacts, walls and from outside on each cell, (n, 3) nN."""
         out = np.empty_like(position)
         self._forces(time, position, False, out)
         return out
@@ -319,15 +307,13 @@ class Mechanics:
         return found[np.lexsort((found[:, 1], found[:, 0]))]
 
     def energy(self, time: float, position: FloatArray) -> float:
-        """Return the contact energy Σ U(h) over all pairs, and that of walls and springs, fJ."""
+        """Return the contact energy Σ U(h) over all pairs, and that of walls, fJ."""
         self._settle(time, position)
         elapsed = time - self.motion.begin
         total = float(forces.energy(self._rows, self._pair_data, self._law, elapsed))
         total += self._add_offset_virials(elapsed, np.empty(len(self)))
         if self.walls is not None:
             total += self.walls.energy(self._rows)
-        if self.springs is not None:
-            total += self.springs.energy(self._rows)
         return total
 
     def pressure(self, time: float, position: FloatArray) -> FloatArray:
@@ -336,7 +322,7 @@ class Mechanics:
         p_i = 1/(3 V_i) ½ Σ_j F_ij d_ij with the volume V_i of the free sphere: a third of
         the trace of the contact stress of one cell. It is zero on average in a cluster at
         rest, where adhesion and repulsion balance. A wall at the distance d adds F d to the
-        sum, as a neighbour at 2 d would; the tension of springs counts like that of contacts.
+        sum, as a neighbour at 2 d would.
         """
         pairs = self._settle(time, position)
         virials = np.zeros(len(self))
@@ -346,8 +332,6 @@ class Mechanics:
         self._add_offset_virials(elapsed, virials)
         if self.walls is not None:
             self.walls.add_virials(self._rows, virials)
-        if self.springs is not None:
-            self.springs.add_virials(self._rows, virials)
         return np.asarray(virials / (3.0 * SPHERE * self._rows[:, 3] ** 3))
 
     def stiffness_bound(self, time: float, position: FloatArray) -> float:
@@ -371,8 +355,6 @@ class Mechanics:
         )
         if self.walls is not None:
             self._blocks[:, :3] += linear.walls
-        if self.springs is not None:
-            self.springs.add_blocks(linear.springs, self._blocks)
         if self.prescribed is not None:
             self._blocks[self.prescribed.held] = 0.0
 
@@ -390,8 +372,6 @@ class Mechanics:
             pairs = self._rebuild(position)
         if self.walls is not None:
             self.walls.add_forces(self._rows, self.drag if stokes else 0.0, out)
-        if self.springs is not None:
-            self.springs.add_forces(self._rows, self.drag if stokes else 0.0, out)
         return pairs
 
     def _placed(self, time: float, position: FloatArray) -> FloatArray:

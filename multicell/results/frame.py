@@ -145,8 +145,6 @@ class Progress:
         What is known of grids that the run chooses or changes by itself.
     driven : table of the scene -> identities
         Cells that are driven from outside, where a table named them at the start.
-    springs : name -> numbers
-        Springs between cells: tables, identities and lengths at rest.
     first_states : name -> int
         Cells that rested, were dead, and did not fit the field at the start.
     replays : name -> float
@@ -168,7 +166,6 @@ class Progress:
     pace: Mapping[str, float] | None = None
     grids: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     driven: Mapping[str, list[int]] = field(default_factory=dict)
-    springs: Mapping[str, list[float]] = field(default_factory=dict)
     first_states: Mapping[str, int] = field(default_factory=dict)
     replays: Mapping[str, float] = field(default_factory=dict)
     stability: Mapping[str, float] = field(default_factory=dict)

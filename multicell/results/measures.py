@@ -191,15 +191,6 @@ OBSERVABLES: Final = (
         entry=None,
         signed=True,
     ),
-    Observable("springs", exists=lambda scene: scene.springs, entry=None),
-    Observable("largest_tension", unit="nN", exists=lambda scene: scene.springs, entry=None),
-    Observable(
-        "instability_rate",
-        unit="1/s",
-        exists=lambda scene: scene.output.instability,
-        entry=None,
-        signed=True,
-    ),
     # of a whole run
     Observable("divisions", at_end=True, shown="{:,}".format, shown_if_zero=False),
     Observable(

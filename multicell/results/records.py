@@ -43,7 +43,7 @@ FIELD: Final[Mapping[str, FieldArray]] = {
     "radial": FieldArray("|i1", 0, "", 0),
 }
 
-_OF_PARTS: Final = ("driven", "springs", "first_states", "replays", "stability")
+_OF_PARTS: Final = ("driven", "first_states", "replays", "stability")
 """Entries of a progress that only some runs have."""
 
 _MAX_DEPTH: Final = 32
@@ -189,7 +189,6 @@ def progress_of(text: bytes, nutrients: Iterable[str]) -> Progress | None:
         "rates": lambda value: _of_nutrients(value, known),
         "grids": lambda value: _of_nutrients(value, known),
         "driven": _are_identities,
-        "springs": _are_springs,
         "first_states": _are_first_states,
         "replays": lambda v: not v or (_are_numbers(v) and set(v) == set(Replays._fields)),
         "stability": lambda v: not v or (_are_numbers(v) and set(v) == set(Stability._fields)),
@@ -215,16 +214,6 @@ def _are_numbers(value: Any) -> bool:
 def _are_identities(value: Any) -> bool:
     inside = isinstance(value, dict) and all(isinstance(ids, list) for ids in value.values())
     return inside and all(_is_count(x) for ids in value.values() for x in ids)
-
-
-def _are_springs(value: Any) -> bool:
-    if not isinstance(value, dict) or set(value) != {"table", "pair", "rest"}:
-        return False
-    if not all(isinstance(numbers, list) for numbers in value.values()):
-        return False
-    table, pair, rest = (value[name] for name in ("table", "pair", "rest"))
-    fits = 2 * len(table) == len(pair) == 2 * len(rest) and all(map(_is_number, rest))
-    return fits and all(_is_count(x) for x in (*table, *pair))
 
 
 def _are_first_states(value: Any) -> bool:

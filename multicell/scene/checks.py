@@ -28,7 +28,7 @@ def check_names(names: Iterable[str] | None, known: Iterable[str], path: str, wh
             raise SceneError(f"{path}.{name}", f"is not {what}", near_miss(name, known))
 
 
-_FIELD = "a field of this scene"
+FIELD = "a field of this scene"
 
 
 def check_types(scene: Scene) -> None:
@@ -63,7 +63,7 @@ def check_motility(scene: Scene) -> None:
     if law is None:
         return
     if law.towards and law.towards not in scene.nutrients:
-        problem = f"is {law.towards!r}, which is not {_FIELD}"
+        problem = f"is {law.towards!r}, which is not {FIELD}"
         raise SceneError("motility.towards", problem, near_miss(law.towards, scene.nutrients))
     if scene.dimensions == 2 and law.direction is not None and law.direction[2] != 0.0:
         problem = "points out of the plane of a scene of 2 dimensions"
@@ -74,13 +74,6 @@ def followed(scene: Scene) -> tuple[str, ...]:
     """Return the fields whose gradients cells follow, in the order of the scene."""
     biased = "" if scene.motility is None else scene.motility.towards
     return tuple(name for name in scene.nutrients if name in scene.chemotaxis or name == biased)
-
-
-def check_output(scene: Scene) -> None:
-    """Raise ``SceneError`` for a record of something that the scene does not have."""
-    if scene.output.instability and scene.friction is not None:
-        problem = "is not known with friction between cells: the drag is no diagonal matrix then"
-        raise SceneError("output.instability", problem)
 
 
 def _check_energies(scene: Scene, path: str, kind: CellType) -> None:
@@ -110,7 +103,7 @@ def _check_responses(scene: Scene, path: str, kind: CellType) -> None:
         phases = getattr(kind, key)
         _check_phases(scene, f"{path}.{key}", phases)
     for key in ("receptor_by", "ligand_by", "uptake_of", "secretion_of"):
-        check_names(getattr(kind, key), scene.nutrients, f"{path}.{key}", _FIELD)
+        check_names(getattr(kind, key), scene.nutrients, f"{path}.{key}", FIELD)
 
 
 def _check_phases(scene: Scene, path: str, phases: Mapping[str, float] | None) -> None:
@@ -130,7 +123,7 @@ _FINEST = 0.001
 
 def check_nutrients(scene: Scene) -> None:
     """Raise ``SceneError`` for fields that do not fit together or to the rest of the scene."""
-    check_names(scene.chemotaxis, scene.nutrients, "chemotaxis", _FIELD)
+    check_names(scene.chemotaxis, scene.nutrients, "chemotaxis", FIELD)
     for name, nutrient in scene.nutrients.items():
         path = f"nutrients.{name}"
         _check_names(scene, path, nutrient)
@@ -138,8 +131,7 @@ def check_nutrients(scene: Scene) -> None:
         _check_sides(scene, path, nutrient)
         _check_medium(path, nutrient)
         _check_finite(scene, path, nutrient)
-        _check_sources(scene, path, nutrient)
-        _check_regions(scene, path, nutrient)
+        _check_places(scene, path, nutrient)
         _check_layer(path, nutrient)
         if scene.domain is not None:
             _check_in_domain(scene, name)
@@ -152,7 +144,7 @@ def check_nutrients(scene: Scene) -> None:
 def _check_names(scene: Scene, path: str, nutrient: Nutrient) -> None:
     """Check that fields which a field refers to exist."""
     for key in ("uptake_on", "secretion_from"):
-        check_names(getattr(nutrient, key), scene.nutrients, f"{path}.{key}", _FIELD)
+        check_names(getattr(nutrient, key), scene.nutrients, f"{path}.{key}", FIELD)
     for key in ("uptake_by_phase", "secretion_by_phase"):
         _check_phases(scene, f"{path}.{key}", getattr(nutrient, key))
     states = [state.name.lower() for state in State]
@@ -241,47 +233,40 @@ def _check_finite(scene: Scene, path: str, nutrient: Nutrient) -> None:
             raise SceneError(f"{path}.finite_medium.volume", problem, hint)
 
 
-def _check_sources(scene: Scene, path: str, nutrient: Nutrient) -> None:
-    """Check that sources have a place in the scene's dimensions, and lie in its domain."""
-    axes = "xyz"[: scene.dimensions]
-    if nutrient.sources and nutrient.layout != "box":
-        problem = f"need geometry = 'box': shells ('{nutrient.geometry}') know a distance only"
-        raise SceneError(f"{path}.sources", problem)
+def _check_places(scene: Scene, path: str, nutrient: Nutrient) -> None:
+    """Check that sources and regions have a place in the scene's dimensions and its domain."""
+    for key in ("sources", "regions"):
+        if getattr(nutrient, key) and nutrient.layout != "box":
+            problem = f"need geometry = 'box': shells ('{nutrient.geometry}') know a distance only"
+            raise SceneError(f"{path}.{key}", problem)
     for name, source in nutrient.sources.items():
         where = f"{path}.sources.{name}"
-        for axis in source.place:
-            if axis not in axes:
-                raise SceneError(f"{where}.{axis}", "does not exist in a scene of 2 dimensions")
-        if source.flux is not None and scene.domain is None:
-            problem = "is that of a plane, which needs a domain: other grids follow the cells"
-            raise SceneError(f"{where}.flux", problem, "Give [domain], or take a point.")
-        missing = [axis for axis in axes if axis not in source.place]
-        if source.strength is not None and missing:
-            raise SceneError(f"{where}.{missing[0]}", "is missing: a point has a place along it")
         for axis, place in source.place.items():
-            low, high = getattr(scene.domain, axis, None) or (-math.inf, math.inf)
+            low, high = _ends(scene, where, axis)
             if not low <= place <= high:
                 problem = f"is {place:g} um, outside the domain: from {low:g} to {high:g} um"
                 raise SceneError(f"{where}.{axis}", problem)
-
-
-def _check_regions(scene: Scene, path: str, nutrient: Nutrient) -> None:
-    """Check that regions are boxes in the scene's dimensions, and lie in its domain."""
-    if nutrient.regions and nutrient.layout != "box":
-        problem = f"need geometry = 'box': shells ('{nutrient.geometry}') know a distance only"
-        raise SceneError(f"{path}.regions", problem)
+        if source.flux is not None and scene.domain is None:
+            problem = "is that of a plane, which needs a domain: other grids follow the cells"
+            raise SceneError(f"{where}.flux", problem, "Give [domain], or take a point.")
+        missing = [axis for axis in "xyz"[: scene.dimensions] if axis not in source.place]
+        if source.strength is not None and missing:
+            raise SceneError(f"{where}.{missing[0]}", "is missing: a point has a place along it")
     for name, region in nutrient.regions.items():
         where = f"{path}.regions.{name}"
         for axis in "xyz":
             ends = getattr(region, axis)
-            if ends is None:
-                continue
-            if axis not in "xyz"[: scene.dimensions]:
-                raise SceneError(f"{where}.{axis}", "does not exist in a scene of 2 dimensions")
-            low, high = getattr(scene.domain, axis, None) or (-math.inf, math.inf)
-            if ends[1] <= low or ends[0] >= high:
+            low, high = (0.0, 0.0) if ends is None else _ends(scene, where, axis)
+            if ends is not None and (ends[1] <= low or ends[0] >= high):
                 problem = f"lies outside the domain: from {low:g} to {high:g} um"
                 raise SceneError(f"{where}.{axis}", problem)
+
+
+def _ends(scene: Scene, path: str, axis: str) -> tuple[float, float]:
+    """Return the ends of the domain along an axis, infinite without one; check the axis."""
+    if axis not in "xyz"[: scene.dimensions]:
+        raise SceneError(f"{path}.{axis}", "does not exist in a scene of 2 dimensions")
+    return getattr(scene.domain, axis, None) or (-math.inf, math.inf)
 
 
 def _check_layer(path: str, nutrient: Nutrient) -> None:

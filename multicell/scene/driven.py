@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any, Protocol, final
 
 import numpy as np
@@ -15,7 +16,8 @@ from numpy.typing import NDArray
 
 from multicell.errors import SceneError
 from multicell.scene.coupling import longest_step
-from multicell.schema import interval, near_miss, parameters, quantity, text, vector, whole_numbers
+from multicell.scene.parts import span
+from multicell.schema import near_miss, parameters, quantity, text, vector, whole_numbers
 
 if TYPE_CHECKING:
     from multicell.cells import Cells
@@ -24,23 +26,13 @@ if TYPE_CHECKING:
 Vector = tuple[float, float, float]
 
 
-def _span() -> Any:
-    return interval(
-        "um", at_least=-1e6, at_most=1e6, doc="where the cells' centres are at the start"
-    )
+_span = partial(span, doc="where the cells' centres are at the start")
 
 
-@final
 @parameters
-class Force:
-    """A force from outside on each of the named cells: ``force`` + ``rate`` x time since ``begin``.
+class _Driven:
+    """Which cells a table drives, and when."""
 
-    A cell keeps it until it is removed, also after its death. Of the daughters of a cell that was
-    named by identity or region the first one (the smaller identity) takes it over.
-    """
-
-    force: Vector = vector("nN", default=(0.0, 0.0, 0.0), doc="on each cell, at begin")
-    rate: Vector = vector("nN/s", default=(0.0, 0.0, 0.0), doc="at which the force grows")
     cells: tuple[int, ...] | None = whole_numbers(doc="identities; absent: not chosen by them")
     type: str = text(default="", doc="name of the cells' type; empty: any")
     x: tuple[float, float] | None = _span()
@@ -50,16 +42,35 @@ class Force:
     end: float | None = quantity("s", default=None, above=0, doc="when it ends; absent: never")
 
     def check(self) -> None:
-        """Raise ``SceneError`` for a force that is none, or a time that is none."""
-        if not any((*self.force, *self.rate)):
-            hint = "For example force = ['1 nN', '0 nN', '0 nN']."
-            raise SceneError("force", "is zero, and does not grow: it has no effect", hint)
-        _check_window(self)
+        """Raise ``SceneError`` for times that do not follow each other."""
+        if self.end is not None and not self.end > self.begin:
+            problem = f"is {self.end:g} s, must be after begin, {self.begin:g} s"
+            raise SceneError("end", problem)
 
 
 @final
 @parameters
-class PrescribedMotion:
+class Force(_Driven):
+    """A force from outside on each of the named cells: ``force`` + ``rate`` x time since ``begin``.
+
+    A cell keeps it until it is removed, also after its death. Of the daughters of a cell that was
+    named by identity or region the first one (the smaller identity) takes it over.
+    """
+
+    force: Vector = vector("nN", default=(0.0, 0.0, 0.0), doc="on each cell, at begin")
+    rate: Vector = vector("nN/s", default=(0.0, 0.0, 0.0), doc="at which the force grows")
+
+    def check(self) -> None:
+        """Raise ``SceneError`` for a force that is none, or a time that is none."""
+        if not any((*self.force, *self.rate)):
+            hint = "For example force = ['1 nN', '0 nN', '0 nN']."
+            raise SceneError("force", "is zero, and does not grow: it has no effect", hint)
+        super().check()
+
+
+@final
+@parameters
+class PrescribedMotion(_Driven):
     """A velocity that the named cells have whatever pushes them; zero holds them where they are.
 
     Until they are removed, also after their death. Of the daughters of a cell that was named by
@@ -68,17 +79,6 @@ class PrescribedMotion:
     """
 
     velocity: Vector = vector("um/s", default=(0.0, 0.0, 0.0), doc="of each cell; zero: held")
-    cells: tuple[int, ...] | None = whole_numbers(doc="identities; absent: not chosen by them")
-    type: str = text(default="", doc="name of the cells' type; empty: any")
-    x: tuple[float, float] | None = _span()
-    y: tuple[float, float] | None = _span()
-    z: tuple[float, float] | None = _span()
-    begin: float = quantity("s", default=0.0, at_least=0, doc="when it takes hold of the cells")
-    end: float | None = quantity("s", default=None, above=0, doc="when it lets go; absent: never")
-
-    def check(self) -> None:
-        """Raise ``SceneError`` for times that do not follow each other."""
-        _check_window(self)
 
 
 Driver = Force | PrescribedMotion
@@ -98,12 +98,6 @@ class DrivingTables(Protocol):
     @property
     def types(self) -> Mapping[str, Any]:
         """Types of cells by name."""
-
-
-def _check_window(driver: Driver) -> None:
-    if driver.end is not None and not driver.end > driver.begin:
-        problem = f"is {driver.end:g} s, must be after begin, {driver.begin:g} s"
-        raise SceneError("end", problem)
 
 
 def drivers(scene: DrivingTables) -> Iterator[tuple[str, Driver]]:
@@ -171,9 +165,9 @@ def members(types: Iterable[str], driver: Driver, cells: Cells) -> NDArray[np.bo
         chosen &= np.isin(cells.id, driver.cells)
     if driver.type:
         chosen &= cells.kind == list(types).index(driver.type)
-    for axis, span in enumerate((driver.x, driver.y, driver.z)):
-        if span is not None:
-            chosen &= (cells.position[:, axis] >= span[0]) & (cells.position[:, axis] <= span[1])
+    for axis, ends in enumerate((driver.x, driver.y, driver.z)):
+        if ends is not None:
+            chosen &= (cells.position[:, axis] >= ends[0]) & (cells.position[:, axis] <= ends[1])
     return chosen
 
 

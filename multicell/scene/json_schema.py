@@ -8,7 +8,7 @@ quantity that is written with a unit, or what concerns several keys, is checked 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, Field, fields
 from typing import Any, Final
 
@@ -86,12 +86,13 @@ def _number(bounds: Bounds | None, kind: str = "number") -> Schema:
     return {"type": kind, **limits}
 
 
-def _amount(unit: str, bounds: Bounds | None = None) -> Schema:
+def _amount(unit: str, bounds: Bounds | None = None, names: Iterable[str] = ()) -> Schema:
     """Return the schema of a quantity, or of a number where there is no unit."""
     if not unit:
         return _number(bounds)
     text = {"type": "string", "pattern": _QUANTITY, "examples": [f"1 {unit}"]}
-    return {"anyOf": [_number(bounds), text], "x-unit": unit}
+    words = [{"enum": list(names)}] if names else []
+    return {"anyOf": [_number(bounds), text, *words], "x-unit": unit}
 
 
 def _curve(x: Schema, y: Schema) -> Schema:
@@ -153,11 +154,7 @@ def _choice(spec: Parameter) -> Schema:
 
 
 _KINDS: Final[Mapping[str, Callable[[Parameter, dict[str, Schema]], Schema]]] = {
-    "quantity": lambda spec, _: _amount(spec.unit, spec.bounds),
-    "quantity_or_name": lambda spec, _: {
-        "anyOf": [*_amount(spec.unit, spec.bounds)["anyOf"], {"enum": list(spec.options)}],
-        "x-unit": spec.unit,
-    },
+    "quantity": lambda spec, _: _amount(spec.unit, spec.bounds, spec.options),
     "rate_constant": lambda spec, _: {
         "anyOf": [{"type": "number"}, {"type": "string", "pattern": _QUANTITY}],
     },
@@ -177,13 +174,6 @@ _KINDS: Final[Mapping[str, Callable[[Parameter, dict[str, Schema]], Schema]]] = 
     "whole_numbers": lambda spec, _: {
         "type": "array", "items": {"type": "integer", "minimum": 0}, "minItems": 1,
         "uniqueItems": True,
-    },
-    "id_pairs": lambda spec, _: {
-        "type": "array", "minItems": 1, "uniqueItems": True,
-        "items": {
-            "type": "array", "items": {"type": "integer", "minimum": 0}, "minItems": 2,
-            "maxItems": 2,
-        },
     },
     "course": lambda spec, _: _course(spec),
     "schedule": lambda spec, _: _curve(_amount("s"), _amount(spec.unit, spec.bounds)),

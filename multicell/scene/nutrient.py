@@ -9,10 +9,10 @@ from typing import Any, final
 import numpy as np
 
 from multicell.errors import SceneError
+from multicell.scene.parts import span
 from multicell.schema import (
     Tables,
     choice,
-    interval,
     number,
     parameters,
     quantities,
@@ -120,7 +120,6 @@ class Dependence:
         return 1.0 + self.effect * self.half / (self.half + g)
 
 
-_ends = partial(interval, "um", at_least=-1e6, at_most=1e6)
 _place = partial(quantity, "um", default=None, at_least=-1e6, at_most=1e6)
 
 
@@ -165,9 +164,9 @@ class Region:
     diffusion: float = quantity(
         "um^2/s", at_least=1e-6, at_most=1e8, doc="diffusion coefficient in it, cells or not"
     )
-    x: tuple[float, float] | None = _ends(doc="from and to; absent: all along this axis")
-    y: tuple[float, float] | None = _ends(doc="from and to; absent: all along this axis")
-    z: tuple[float, float] | None = _ends(doc="from and to; absent: all along this axis")
+    x: tuple[float, float] | None = span(doc="from and to; absent: all along this axis")
+    y: tuple[float, float] | None = span(doc="from and to; absent: all along this axis")
+    z: tuple[float, float] | None = span(doc="from and to; absent: all along this axis")
 
 
 @final

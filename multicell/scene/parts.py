@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import final
 
 import numpy as np
@@ -33,6 +34,9 @@ from multicell.schema import (
     vector,
 )
 from multicell.units import shown
+
+span = partial(interval, "um", at_least=-1e6, at_most=1e6)
+"""Declares the ends of something along an axis."""
 
 
 @final
@@ -326,9 +330,6 @@ class OutputOptions:
     """What is recorded."""
 
     every: float = quantity("s", default=21600.0, above=0, doc="simulated time between frames")
-    instability: bool = flag(
-        default=False, doc="whether the history tells how fast the most unstable motion grows"
-    )
     observables: Mapping[str, OwnObservable] = tables(
         OwnObservable, default_factory=Tables, doc="of the user's own, by name; absent: none"
     )
@@ -519,15 +520,9 @@ class Domain:
     Absent, a field's grid is laid round the cells anew in every step.
     """
 
-    x: tuple[float, float] | None = interval(
-        "um", at_least=-1e6, at_most=1e6, doc="from side x- to side x+"
-    )
-    y: tuple[float, float] | None = interval(
-        "um", at_least=-1e6, at_most=1e6, doc="from side y- to side y+"
-    )
-    z: tuple[float, float] | None = interval(
-        "um", at_least=-1e6, at_most=1e6, doc="from side z- to side z+; not in two dimensions"
-    )
+    x: tuple[float, float] | None = span(doc="from side x- to side x+")
+    y: tuple[float, float] | None = span(doc="from side y- to side y+")
+    z: tuple[float, float] | None = span(doc="from side z- to side z+; not in two dimensions")
     wall: str = choice(
         ["elastic", "refuse"],
         default="elastic",

@@ -1,15 +1,15 @@
-"""Check whether the numbers of a scene have sizes that can be computed with.
+"""Check whether the numbers of a scene can be computed with together.
 
-Each number has a range of its own (:data:`multicell.units.RANGES`); what must fit together is
-checked here too. Bounds are orders of magnitude beyond any use: they keep out what would hang,
-overflow or end in nonsense, not what is merely unusual.
+Each number has a range of its own (:func:`multicell.schema.bounds.reader`). Bounds are orders of
+magnitude beyond any use: they keep out what would hang, overflow or end in nonsense, not what is
+merely unusual.
 """
 
 from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
@@ -22,8 +22,6 @@ from multicell.scene.coupling import (
     quickest_cycle,
     shortest_step,
 )
-from multicell.schema import Bounds, Parameter, leaves
-from multicell.units import RANGES
 
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
@@ -45,42 +43,10 @@ BYTES_PER_CELL: Final = 1000
 
 
 def check_sizes(scene: Scene) -> None:
-    """Raise ``SceneError`` for numbers that nothing can be computed with."""
-    for path, value, spec in leaves(scene):
-        for number, unit, ends in _numbers(value, spec):
-            _check_size(".".join(path), number, unit, ends)
+    """Raise ``SceneError`` for numbers that nothing can be computed with together."""
     _check_steps(scene)
     _check_overlap(scene)
     _check_diffusion(scene)
-
-
-def _numbers(value: Any, spec: Parameter) -> Iterator[tuple[float, str, Bounds | None]]:
-    """Yield number, unit and bounds: of a value itself, or the two of each point of a curve."""
-    if isinstance(value, str):
-        return
-    if spec.kind in ("quantity", "quantity_or_name", "number", "quantities"):
-        yield value, spec.unit, spec.bounds
-    elif spec.kind == "vector":
-        for part in value:
-            yield part, spec.unit, spec.bounds
-    elif spec.kind in ("course", "schedule", "responses"):
-        first, second = (spec.unit, "") if spec.kind == "responses" else ("s", spec.unit)
-        for x, y in value:
-            yield x, first, None
-            yield y, second, spec.bounds
-
-
-def _check_size(path: str, value: float, unit: str, ends: Bounds | None) -> None:
-    """Raise ``SceneError`` for a number that is too large or, if not zero, too small."""
-    smallest, largest = RANGES.get(unit, RANGES[""])
-    if ends is not None and ends.at_least:
-        smallest = min(smallest, abs(ends.at_least))
-    if value == 0.0 or smallest <= abs(value) <= largest:
-        return
-    tail = f" {unit}" if unit else ""
-    zero = "0 or " if ends is None or ends.contain(0.0) else ""
-    problem = f"is {value:g}{tail}, must be {zero}from {smallest:g} to {largest:g}{tail} in size"
-    raise SceneError(path, problem, "Anything beyond is far from cells, media and their world.")
 
 
 def _check_steps(scene: Scene) -> None:

@@ -7,7 +7,6 @@ numbers in base units (µm, s, nN, amol; kPa, mM) or strings with units; inside 
 
 from __future__ import annotations
 
-import errno
 import os
 import re
 from collections.abc import Mapping
@@ -19,14 +18,13 @@ from typing import TYPE_CHECKING, Any, final
 from multicell.contact.law import PairLaw
 from multicell.contact.registry import LAWS
 from multicell.errors import SceneError
-from multicell.files import DEEPEST, parse_toml, read_regular
+from multicell.files import DEEPEST, parse_toml, read_text
 from multicell.laws import OwnLaw
 from multicell.plugins import OWN_OBJECT
 from multicell.scene.checks import (
     check_integrator,
     check_motility,
     check_nutrients,
-    check_output,
     check_types,
 )
 from multicell.scene.coupling import AUTO, USUAL
@@ -54,7 +52,6 @@ from multicell.scene.parts import (
 )
 from multicell.scene.ranges import check_sizes
 from multicell.scene.reactions import Reaction
-from multicell.scene.springs import Springs
 from multicell.schema import (
     Tables,
     build,
@@ -65,7 +62,6 @@ from multicell.schema import (
     parameters,
     plain,
     quantity,
-    quantity_or_name,
     specs,
     table,
     tables,
@@ -104,8 +100,6 @@ class Scene:
         None where the scene has no such part.
     forces, motions : mapping of name to Force or PrescribedMotion, read-only
         What drives named cells from outside.
-    springs : mapping of name to Springs, read-only
-        Springs between given pairs of cells.
     types : mapping of name to CellType, read-only
         Empty where all cells are alike.
     nutrients : mapping of name to Nutrient, read-only
@@ -120,8 +114,8 @@ class Scene:
     title: str = text(default="", doc="one line about the scene")
     duration: float = quantity("s", above=0, doc="Simulated time, for example duration = '11 d'.")
     seed: int = count(default=0, at_least=0, at_most=2**63 - 1, doc="of the random numbers")
-    coupling_step: float | str = quantity_or_name(
-        "s", (AUTO,), default=USUAL, above=0,
+    coupling_step: float | str = quantity(
+        "s", names=(AUTO,), default=USUAL, above=0,
         doc="between exchanges of parts; 'auto': as long as coupling_tolerance allows",
     )  # fmt: skip
     coupling_tolerance: float | None = number(
@@ -156,9 +150,6 @@ class Scene:
     motions: Mapping[str, PrescribedMotion] = tables(
         PrescribedMotion, default_factory=Tables, doc="of named cells; absent: all move freely"
     )
-    springs: Mapping[str, Springs] = tables(
-        Springs, default_factory=Tables, doc="between given pairs; absent: none"
-    )
     domain: Domain | None = table(Domain, default=None, doc="absent: fields follow the cells")
     nutrients: Mapping[str, Nutrient] = tables(
         Nutrient,
@@ -184,7 +175,6 @@ class Scene:
             check_start_table(self)
         check_types(self)
         check_integrator(self)
-        check_output(self)
         check_motility(self)
         smallest = 0.5 ** (1.0 / 3.0) * self.cells.division_radius
         smoothing = getattr(self.contact, "smoothing", 0.0)
@@ -332,7 +322,7 @@ def _read(source: str | Path) -> str:
     path = Path(os.path.expanduser(source))
     bare = isinstance(source, str) and not path.suffix and path.name == source
     try:
-        return _file_text(path, source)
+        return read_text(path, _MAX_FILE_BYTES)
     except FileNotFoundError:
         if bare:
             hint = near_miss(str(source), names)
@@ -345,21 +335,6 @@ def _read(source: str | Path) -> str:
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise SceneError("", f"the scene file {str(source)!r} cannot be read: {reason}") from None
-
-
-def _file_text(path: Path, source: str | Path) -> str:
-    """Return the text of a regular file of a scene's size; a pipe or device may never end."""
-    try:
-        content = read_regular(path, _MAX_FILE_BYTES)
-    except OSError as error:
-        if error.errno == errno.EINVAL:
-            problem = f"the scene {str(source)!r} is a device, pipe or socket, not a file"
-            raise SceneError("", problem, "Write the scene to a file first.") from None
-        if error.errno == errno.EFBIG:
-            problem = f"the scene file {str(source)!r} is larger than {_MAX_FILE_BYTES // 10**6} MB"
-            raise SceneError("", problem, "No scene needs so much text.") from None
-        raise
-    return content.decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")
 
 
 def check_dotted(key: object) -> None:

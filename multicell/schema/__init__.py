@@ -19,14 +19,12 @@ from multicell.schema.declarations import (
     course,
     file_path,
     flag,
-    id_pairs,
     interval,
     names,
     number,
     parameters,
     quantities,
     quantity,
-    quantity_or_name,
     rate_constant,
     responses,
     schedule,
@@ -51,7 +49,7 @@ from multicell.schema.part import (
 
 __all__ = [
     "Bounds", "Parameter", "Tables", "build", "choice", "chosen", "count", "course", "file_path",
-    "flag", "id_pairs", "interval", "leaves", "names", "near_miss", "number", "parameters", "plain",
-    "quantities", "quantity", "quantity_or_name", "rate_constant", "responses", "schedule",
+    "flag", "interval", "leaves", "names", "near_miss", "number", "parameters", "plain",
+    "quantities", "quantity", "rate_constant", "responses", "schedule",
     "specs", "table", "tables", "text", "variant", "vector", "whole", "whole_numbers",
 ]  # fmt: skip

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, final
 
 from multicell.errors import SceneError
-from multicell.units import finite, shown, to_base
+from multicell.units import RANGES, finite, shown, to_base
 
 
 @final
@@ -49,12 +49,24 @@ Read = Callable[[Any, str], float]
 
 
 def reader(unit: str, bounds: Bounds, wanted: str = "a number", hint: str = "") -> Read:
-    """Return what reads a quantity, or a number without dimension where ``unit`` is empty."""
+    """Return what reads a quantity, or a number without dimension where ``unit`` is empty.
+
+    Besides the bounds its size is checked (:data:`multicell.units.RANGES`): these ranges are orders
+    of magnitude beyond any use and keep out what would hang, overflow or end in nonsense.
+    """
+    smallest, largest = RANGES.get(unit, RANGES[""])
+    if bounds.at_least:
+        smallest = min(smallest, abs(bounds.at_least))
 
     def read(value: Any, path: str) -> float:
         result = to_base(value, unit, path) if unit else finite(value, path, wanted)
         bounds.require(result, value, path, unit, hint)
-        return result
+        if result == 0.0 or smallest <= abs(result) <= largest:
+            return result
+        tail, zero = f" {unit}" if unit else "", "0 or " if bounds.contain(0.0) else ""
+        size = f"{zero}from {smallest:g} to {largest:g}{tail} in size"
+        remark = "Anything beyond is far from cells, media and their world."
+        raise SceneError(path, f"is {result:g}{tail}, must be {size}", remark)
 
     return read
 

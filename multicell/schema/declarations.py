@@ -34,32 +34,17 @@ def quantity(
     at_least: float | None = None,
     at_most: float | None = None,
     below: float | None = None,
+    names: Iterable[str] = (),
     doc: str = "",
     hint: str = "",
 ) -> Any:
     """Declare a quantity: a number in the base unit or a string with a unit.
 
     With ``default=None`` the value may be None: the quantity is absent. ``hint`` is given when a
-    value lies outside the bounds.
+    value lies outside the bounds. One of ``names`` may stand in its place.
     """
-    bounds = Bounds(above, at_least, at_most, below)
-    return declare(
-        "quantity", reader(unit, bounds, hint=hint), default,
-        unit=unit, allowed=bounds.words(unit), doc=doc, bounds=bounds,
-    )  # fmt: skip
-
-
-def quantity_or_name(
-    unit: str,
-    options: Iterable[str],
-    *,
-    default: Any = MISSING,
-    above: float | None = None,
-    doc: str = "",
-) -> Any:
-    """Declare a quantity in whose place one of some names may stand."""
-    bounds, known = Bounds(above=above), tuple(options)
-    read = reader(unit, bounds)
+    bounds, known = Bounds(above, at_least, at_most, below), tuple(names)
+    read = reader(unit, bounds, hint=hint)
 
     def convert(value: object, path: str) -> float | str:
         if isinstance(value, str) and value in known:
@@ -67,14 +52,13 @@ def quantity_or_name(
         try:
             return read(value, path)
         except SceneError as error:
-            also = f"Allowed in its place: {', '.join(map(repr, known))}."
-            hint = " ".join(filter(None, (error.hint, also)))
-            raise SceneError(path, error.problem, hint) from None
+            also = f"Allowed in its place: {', '.join(map(repr, known))}." if known else ""
+            hints = " ".join(filter(None, (error.hint, also)))
+            raise SceneError(path, error.problem, hints) from None
 
-    allowed = " or ".join([bounds.words(unit), *map(repr, known)])
     return declare(
-        "quantity_or_name", convert, default, unit=unit, allowed=allowed, doc=doc, bounds=bounds,
-        options=known,
+        "quantity", convert, default, unit=unit, doc=doc, bounds=bounds, options=known,
+        allowed=" or ".join([bounds.words(unit), *map(repr, known)]),
     )  # fmt: skip
 
 
@@ -273,30 +257,6 @@ def whole_numbers(*, doc: str = "") -> Any:
     )
 
 
-def id_pairs(*, doc: str = "") -> Any:
-    """Declare an optional list of pairs of different whole numbers; stored with the smaller first.
-
-    No pair stands there twice, in either order.
-    """
-
-    def convert(value: object, path: str) -> tuple[tuple[int, int], ...]:
-        found = list(value) if isinstance(value, list | tuple) else []
-        if not found or not all(isinstance(p, list | tuple) and len(p) == 2 for p in found):
-            hint = "For example [[0, 1], [1, 2]]."
-            raise SceneError(path, f"is {shown(value)}, must be a list of pairs", hint)
-        pairs = []
-        for i, j in found:
-            first, second = sorted((whole(i, path), whole(j, path)))
-            if first == second:
-                raise SceneError(path, f"joins {first} to itself")
-            pairs.append((first, second))
-        if len(set(pairs)) < len(pairs):
-            raise SceneError(path, "holds a pair twice")
-        return tuple(pairs)
-
-    return declare("id_pairs", convert, None, plain=lists, doc=doc, allowed="pairs of numbers")
-
-
 def whole(value: object, path: str) -> int:
     """Return a whole number from zero on that fits into 64 bits."""
     number = int(value) if isinstance(value, Integral) and not isinstance(value, bool) else -1
@@ -483,8 +443,8 @@ def tables(
     frozen_default=True,
     kw_only_default=True,
     field_specifiers=(
-        quantity, quantity_or_name, rate_constant, number, count, choice, text, file_path, flag,
-        names, interval, vector, whole_numbers, id_pairs, course, schedule, responses, quantities,
+        quantity, rate_constant, number, count, choice, text, file_path, flag,
+        names, interval, vector, whole_numbers, course, schedule, responses, quantities,
         table, variant, tables,
     ),
 )  # fmt: skip

@@ -53,8 +53,6 @@ class Parameter:
         The key of a variant that says which part it is, and what it is without the key.
     further
         A regular expression for names beyond the options, else empty.
-    examples
-        Values that are accepted, where ``kind`` does not say how to make some.
     """
 
     convert: Callable[[Any, str], Any]
@@ -71,7 +69,6 @@ class Parameter:
     key: str = ""
     usual: str = ""
     further: str = ""
-    examples: tuple[Any, ...] = ()
 
     @property
     def units(self) -> str:

@@ -32,7 +32,7 @@ _RANGE: Final = re.compile(rf"(log\s+)?({_NUMBER}):({_NUMBER})\s*(.*)")
 _MAX_CHECKED: Final = 100
 _FIRST: Final = ("contact.law",)
 """Keys that are set before others: those that decide which others there are."""
-_NUMERIC: Final = ("quantity", "quantity_or_name", "number", "count", "rate_constant")
+_NUMERIC: Final = ("quantity", "number", "count", "rate_constant")
 _RANGES: Final = (*_NUMERIC, "quantities", "course")
 
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import islice
 from numbers import Number
 from typing import Any, Final, final
 
@@ -13,10 +12,7 @@ from numpy.typing import NDArray
 
 from multicell.errors import DataError
 from multicell.extras import needs
-from multicell.tables.text import Row, lines_of, rows_of
-
-_CHUNK: Final = 8192
-"""Rows whose fields are in memory as text at one time."""
+from multicell.tables.text import lines_of, rows_of
 
 PARQUET: Final = b"PAR1"
 """What a Parquet file begins with."""
@@ -209,22 +205,11 @@ def _quick(content: bytes, name: str) -> Columns | None:
 
 
 def _slow(content: bytes, name: str) -> Columns:
-    """Return the columns of CSV text; a chunk of rows at a time is in memory as text."""
-    rows = rows_of(content, name)
-    _, titles = next(rows)
-    parts: list[list[NDArray[Any]]] = [[] for _ in titles]
-    lines: list[NDArray[np.int64]] = []
-    for numbers, fields in _chunks(rows):
-        lines.append(np.array(numbers, np.int64))
-        for part, column in zip(parts, zip(*fields, strict=True), strict=True):
-            part.append(parsed(column))
-    columns = {title: _joined(part) for title, part in zip(titles, parts, strict=True)}
-    return Columns(name, columns, np.concatenate(lines) if lines else np.empty(0, np.int64))
-
-
-def _chunks(rows: Iterator[Row]) -> Iterator[tuple[list[int], list[list[str]]]]:
-    while chunk := list(islice(rows, _CHUNK)):
-        yield [number for number, _ in chunk], [fields for _, fields in chunk]
+    """Return the columns of CSV text, read field by field."""
+    (_, titles), *rows = rows_of(content, name)
+    fields = zip(*(row for _, row in rows), strict=True) if rows else [()] * len(titles)
+    columns = {title: parsed(column) for title, column in zip(titles, fields, strict=True)}
+    return Columns(name, columns, np.array([number for number, _ in rows], np.int64))
 
 
 def parsed(column: Sequence[str]) -> NDArray[Any]:
@@ -238,16 +223,3 @@ def parsed(column: Sequence[str]) -> NDArray[Any]:
         return np.array([float(field) if field else np.nan for field in column])
     except ValueError:
         return np.array(column, dtype=object)
-
-
-def _joined(parts: list[NDArray[Any]]) -> NDArray[Any]:
-    """Return the chunks of a column as one of the type that holds them all."""
-    if any(part.dtype == object for part in parts):
-        return np.concatenate([_as_text(part) for part in parts])
-    return np.concatenate(parts) if parts else np.empty(0)
-
-
-def _as_text(part: NDArray[Any]) -> NDArray[Any]:
-    if part.dtype == object:
-        return part
-    return np.array(["" if value != value else str(value) for value in part.tolist()], object)

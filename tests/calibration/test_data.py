@@ -227,10 +227,9 @@ def test_bad_options_are_named(tmp_path):
         read(text, tmp_path, sd=0)
 
 
-SPRINGS = mc.Scene.from_dict({
+DRIVEN = mc.Scene.from_dict({
     "duration": "1 min", "coupling_step": "30 s", "initial": {"count": 3},
     "forces": {"tug": {"cells": [0], "force": [0.1, 0.0, 0.0]}},
-    "springs": {"net": {"stiffness": 0.01, "pairs": [[1, 2]]}},
 })  # fmt: skip
 
 
@@ -248,9 +247,9 @@ def recorded_by(simulation):
     return {c for c in simulation.history_row() if not c.startswith(of_the_computation)}
 
 
-def test_observables_of_springs_are_those_of_a_run():
-    simulation = mc.Simulation(SPRINGS, threads=1)
-    assert set(in_history(SPRINGS)) == recorded_by(simulation)
+def test_observables_of_driven_cells_are_those_of_a_run():
+    simulation = mc.Simulation(DRIVEN, threads=1)
+    assert set(in_history(DRIVEN)) == recorded_by(simulation)
 
 
 def test_only_what_has_a_sign_may_be_negative(tmp_path):

@@ -57,7 +57,6 @@ NAMES = {
     "inhibited_by": FIELDS,
     "forces": ("tug", "weight"),
     "motions": ("base", "tip"),
-    "springs": ("net", "chain"),
     "observables": ("first", "second"),
 }
 """Names of the entries of the tables that have named entries."""
@@ -184,18 +183,13 @@ class Drawer:
 
     def value(self, spec, field, path):
         """Return a value that the declaration accepts."""
-        if spec.examples:
-            return copy.deepcopy(self.one_of(spec.examples))
         make = getattr(self, f"_{spec.kind}", None)
         return None if make is None else make(spec, field, path)
 
     def _quantity(self, spec, field, path):
-        return self.written(self.size(spec, spec.unit, field.default), spec.unit)
-
-    def _quantity_or_name(self, spec, field, path):
-        if self.chance(0.3):
+        if spec.options and self.chance(0.3):
             return self.one_of(spec.options)
-        return self._quantity(spec, field, path)
+        return self.written(self.size(spec, spec.unit, field.default), spec.unit)
 
     def _number(self, spec, field, path):
         return self.size(spec, "", field.default)
@@ -218,11 +212,6 @@ class Drawer:
     def _file_path(self, spec, field, path):
         # how many rows the table has that _fit_start writes
         return self.one_of(["1", "2", "3", "8"])
-
-    def _point(self, spec, field, path):
-        least, most = USUAL[spec.unit]
-        x, y = (self.draw(st.floats(least, most)) for _ in range(2))
-        return [self.written(float(f"{x:.4g}"), spec.unit), float(f"{-y:.4g}")]
 
     def _flag(self, spec, field, path):
         return self.chance(0.5)
@@ -268,9 +257,6 @@ class Drawer:
 
     def _whole_numbers(self, spec, field, path):
         return self.one_of([[0], [0, 1], [3, 1, 2]])
-
-    def _id_pairs(self, spec, field, path):
-        return self.one_of([[[0, 1]], [[2, 1], [0, 1]], [[0, 3], [3, 4], [4, 0]]])
 
     def _course(self, spec, field, path):
         if self.chance(0.5):
@@ -361,7 +347,6 @@ def fitted(entries):
     _fit_start(scene)
     _fit_growth(scene)
     _fit_driven(scene, flat)
-    _fit_springs(scene)
     _fit_motility(scene, flat)
     _fit_types(scene, types, fields)
     if flat and any(_takes_up(x) and not base(x.get("perfusion", 0.0)) for x in fields.values()):
@@ -375,8 +360,6 @@ def fitted(entries):
     scene["chemotaxis"] = {n: x for n, x in scene.get("chemotaxis", {}).items() if n in fields}
     if flat and scene.get("haptotaxis", {}).get("axis") == "z":
         scene["haptotaxis"]["axis"] = "y"
-    if "friction" in scene:
-        scene.get("output", {}).pop("instability", None)
     # functions of this process, which no scene brings along
     scene.get("output", {}).pop("observables", None)
     return scene
@@ -499,18 +482,6 @@ def _fit_driven(scene, flat):
             size = math.hypot(*motion["velocity"])
             share = min(1.0, 0.1 * radius / longest / size)
             motion["velocity"] = [share * part for part in motion["velocity"]]
-
-
-def _fit_springs(scene):
-    """Let springs join cells that there are."""
-    count = scene.get("initial", {}).get("count", 1)
-    springs = scene.get("springs", {})
-    for name, spring in list(springs.items()):
-        if count < 2:
-            del springs[name]
-            continue
-        pairs = [pair for pair in spring.get("pairs", []) if max(pair) < count]
-        spring["pairs"] = pairs or [[0, 1]]
 
 
 def _fit_motility(scene, flat):

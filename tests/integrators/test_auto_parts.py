@@ -20,10 +20,6 @@ PARTS = {
         "friction": {"normal": 0.1}, "motions": {"m": {"cells": [0], "velocity": [0.001, 0, 0]}},
     },
     "force": {"forces": {"f": {"cells": [2], "force": [0.1, 0, 0]}}},
-    "springs": {"springs": {"s": {"stiffness": 0.1}}},
-    "friction and springs": {
-        "friction": {"tangential": 0.1}, "springs": {"s": {"stiffness": 0.1}},
-    },
     "motility": {"motility": {"force": "0.5 nN"}},
     "exact JKR": {"contact": {"law": "exact-jkr", "surface_energy": 0.1}},
     "adhesion molecules": {

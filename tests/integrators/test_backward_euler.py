@@ -132,7 +132,6 @@ WITH = {
     "a force that rises": {
         "forces": {"a": {"cells": [1], "force": [0.2, 0, 0], "rate": [1e-3, 0, 0]}}
     },
-    "springs": {"springs": {"a": {"stiffness": "0.3 nN/um", "pairs": [[0, 7], [2, 9]]}}},
     "crawling": {"motility": {"force": "0.1 nN", "persistence": "10 min"}},
     "exact-jkr": {"contact": {"law": "exact-jkr"}},
     "hertz": {"contact": {"law": "hertz"}},

@@ -58,7 +58,6 @@ def test_replays_change_no_bit_and_no_count_of_a_run(method, monkeypatch):
         {"contact": {"law": "exact-jkr", "surface_energy": 0.1}},
         {"motions": {"m": {"cells": [0, 1], "velocity": [0.001, 0, 0]}}},
         {"friction": {"normal": 0.1}},
-        {"springs": {"s": {"stiffness": 0.1}}},
         {"dimensions": 2},
     ],
     ids=lambda parts: next(iter(parts)),
@@ -182,6 +181,6 @@ def test_the_page_and_the_closing_lines_give_the_effect(tmp_path):
 @pytest.mark.parametrize("damage", [{"done": 1.0}, {"done": "x"}, [1.0], {"much": 1.0}])
 def test_progress_with_damaged_replays_is_refused(damage):
     frame = course(scene_of(duration="1 h")).frame()
-    noted = {name: x for name, x in vars(frame.progress).items() if name != "springs"}
+    noted = vars(frame.progress)
     with pytest.raises(mc.OutputError, match="replays"):
         progress_of(json.dumps(noted | {"replays": damage}).encode(), [])

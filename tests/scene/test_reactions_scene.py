@@ -139,58 +139,6 @@ def test_fields_are_grouped_by_what_reacts_with_what():
     assert groups("abcdefg", known) == [["a", "c", "d", "e"], ["f"]]
 
 
-CLOSED = {name: {"sides": WALLS} for name in "abc"}
-
-
-@pytest.mark.parametrize(
-    ("reactions", "fields", "growth"),
-    [
-        ({"x": {"rate": 1e-3, "consumes": {"a": 1}, "produces": {"a": 2}}}, CLOSED, 1e-3),
-        (  # by way of another: eigenvalues of [[-1, 1], [2, -1]] are -1 ± √2
-            {
-                "x": {"rate": 1.0, "consumes": {"a": 1}, "produces": {"b": 2}},
-                "y": {"rate": 1.0, "consumes": {"b": 1}, "produces": {"a": 1}},
-            },
-            CLOSED, 2**0.5 - 1.0,
-        ),
-        (  # of second order: the derivative k a is that at the medium's concentration
-            {"x": {"rate": 2.0, "consumes": {"a": 2}, "produces": {"a": 3}}},
-            {"a": {"sides": WALLS, "boundary": 0.05}}, 2.0 * 2.0 * 0.05,
-        ),
-        (  # more than decay takes
-            {"x": {"rate": 3e-3, "consumes": {"a": 1}, "produces": {"a": 2}}},
-            {"a": {"sides": WALLS, "decay": 1e-3}}, 2e-3,
-        ),
-    ],
-)  # fmt: skip
-def test_growth_without_bound_is_named_before_the_run(reactions, fields, growth):
-    with pytest.raises(SceneError, match="grow without bound") as caught:
-        scene(reactions=reactions, fields=fields)
-    assert caught.value.path == "reactions.x"
-    assert f"{growth:.3g} 1/s faster" in caught.value.problem
-
-
-@pytest.mark.parametrize(
-    ("reactions", "fields"),
-    [
-        # decay, or diffusion to the sides, takes it away faster
-        ({"x": {"rate": 1e-3, "consumes": {"a": 1}, "produces": {"a": 2}}},
-         {"a": {"sides": WALLS, "decay": 2e-3}}),
-        ({"x": {"rate": 1e-3, "consumes": {"a": 1}, "produces": {"a": 2}}}, {}),
-        # autocatalysis of what is used up for it (Gray & Scott)
-        ({"x": {"rate": 1e3, "consumes": {"a": 1, "b": 2}, "produces": {"b": 3}}}, CLOSED),
-        # two of one are one of another, there and back
-        ({"x": {"rate": 1.0, "consumes": {"a": 1}, "produces": {"b": 2}},
-          "y": {"rate": 1.0, "consumes": {"b": 2}, "produces": {"a": 1}}}, CLOSED),
-        # what saturates is bounded
-        ({"x": {"kind": "hill", "rate": 1.0, "produces": {"a": 1},
-                "activated_by": {"a": {"half": 0.1}}}}, CLOSED),
-    ],
-)  # fmt: skip
-def test_what_is_bounded_is_not_refused(reactions, fields):
-    assert scene(reactions=reactions, fields=fields).reactions
-
-
 def test_explain_tells_of_reactions():
     hill = {"kind": "hill", "rate": 1e-3, "consumes": {"c": 1}, "where": "tissue"}
     hill["activated_by"] = {"c": {"half": 0.1, "exponent": 2}}

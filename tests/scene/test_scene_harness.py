@@ -100,7 +100,7 @@ def refusal(entries):
 def numbers():
     """Yield every declared number of a scene that stands in a table without names."""
     for path, spec in drawn.declared():
-        if spec.kind in ("quantity", "quantity_or_name", "number") and "*" not in path:
+        if spec.kind in ("quantity", "number") and "*" not in path:
             yield pytest.param(path, spec, id=path)
 
 

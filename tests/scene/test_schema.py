@@ -31,6 +31,7 @@ from multicell.schema import (
     text,
     variant,
 )
+from multicell.units import RANGES
 
 
 @final
@@ -243,8 +244,7 @@ def test_bounds_are_intervals(value, low, high):
 
 @given(value=st.floats())
 def test_a_number_is_kept_exactly_or_refused(value):
-    inside = 0 < value <= 10
-    if inside:
+    if RANGES["um"][0] <= value <= 10:
         assert Inner(size=value).size == value
     else:
         with pytest.raises(SceneError):

@@ -199,7 +199,6 @@ def test_a_resumed_run_has_the_bits_of_the_whole(division):
         division,
         motions={"held": {"cells": [0, 2]}, "x": {"cells": [1], "velocity": [0, 1e-4, 0]}},
         forces={"f": {"force": [0.001, 0, 0], "cells": [3]}},
-        springs={"s": {"stiffness": 0.05, "pairs": [[0, 1], [2, 3]]}},
     )  # fmt: skip
     whole = Simulation(scene, threads=1)
     while whole.step_index < 20:
@@ -213,20 +212,16 @@ def test_a_resumed_run_has_the_bits_of_the_whole(division):
     for name, column in whole.cells.columns():
         np.testing.assert_array_equal(getattr(again.cells, name), column)
     np.testing.assert_equal(again.history_row(), whole.history_row())
-    assert again.springs.to_plain() == whole.springs.to_plain()
 
 
 def test_frames_of_other_scenes_say_nothing_of_drivers():
     simulation = Simulation(scene_of(2), threads=1)
     text = arrays_of(simulation.frame(), [])["progress/text"].tobytes()
-    assert not {"driven", "springs"} & set(json.loads(text))
+    assert "driven" not in json.loads(text)
 
 
 def test_threads_give_the_same_bits(monkeypatch):
     scene = mc.load_scene("compression").with_changes({"duration": "2 min", "initial.count": 400})
-    scene = scene.with_changes(
-        {"springs.net": {"stiffness": 0.1, "pairs": [[i, i + 1] for i in range(100)]}}
-    )
     found = []
     for threads in (1, 2):
         simulation = Simulation(scene, threads=threads)

@@ -14,7 +14,6 @@ from multicell.studies.runs import digest
 
 NAMED = {
     "types", "nutrients", "reactions", "chemotaxis", "sources", "regions", "forces", "motions",
-    "springs",
 }  # fmt: skip
 LAW = """
 import multicell as mc

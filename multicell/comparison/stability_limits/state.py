@@ -174,7 +174,7 @@ def settled_state(scene: Scene, threads: int | None = None, ratio: float = 1.0) 
     Parameters
     ----------
     scene
-        External forces, prescribed motion, springs and motility are left out, growth stands still.
+        External forces, prescribed motion and motility are left out, growth stands still.
     threads
         See :class:`multicell.simulation.Simulation`.
     ratio
@@ -265,8 +265,7 @@ def first_cells(scene: Scene, threads: int | None) -> tuple[Mechanics, Motion, F
     simulation = Simulation(scene, threads=threads, integrator=Cvode())
     cells = simulation.cells
     motion = simulation._motion(0.0, 0.0, cells.radius)
-    motion = replace(motion, push=None, held=None, velocity=None,
-                     spring_pairs=None, spring=None)  # fmt: skip
+    motion = replace(motion, push=None, held=None, velocity=None)
     return simulation.mechanics, motion, cells.position
 
 

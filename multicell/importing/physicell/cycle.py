@@ -19,6 +19,8 @@ _INSTANT = 1.0
 _NEVER = 1e6
 """Mean cycle over the duration of the run, for types whose cells do not divide."""
 _RATE = "cytoplasmic_biomass_change_rate"
+_PARTS = ("fluid_fraction", "nuclear", "fluid_change_rate", "nuclear_biomass_change_rate")
+"""Elements about parts of a cell's volume."""
 _SLOWEST, _FASTEST = 0.7, 12.0
 """Bounds of rate times growing time: beyond, cells become ever smaller, or grow at once."""
 _NAMES = ("G1", "S", "G2", "M")
@@ -208,25 +210,14 @@ def _stated(cycle: Element) -> list[tuple[Element, int, Stage]]:
     made = []
     rates = cycle.all("phase_transition_rates/rate") + cycle.all("transition_rates/rate")
     for one in rates:
-        rate = one.number()
-        if rate < 0.0:
-            raise one.error(f"is {rate:g}, must not be negative")
+        rate = one.number(at_least=0.0)
         minutes = 1.0 / rate if rate > 1e-15 else math.inf
-        made.append((one, _index(one, "start_index"), Stage(minutes, one.says("fixed_duration"))))
+        made.append((one, one.whole("start_index"), Stage(minutes, one.says("fixed_duration"))))
     for one in cycle.all("phase_durations/duration"):
-        minutes = one.number()
-        if minutes < 0.0:
-            raise one.error(f"is {minutes:g}, must not be negative")
+        minutes = one.number(at_least=0.0)
         stage = Stage(minutes if minutes < 1e15 else math.inf, one.says("fixed_duration"))
-        made.append((one, _index(one, "index"), stage))
+        made.append((one, one.whole("index"), stage))
     return made
-
-
-def _index(element: Element, name: str) -> int:
-    stated = element.attributes.get(name, "")
-    if not stated.isdecimal():
-        raise element.error(f"has the {name} {stated!r}, must be a whole number")
-    return int(stated)
 
 
 def _account_for_cycle(
@@ -237,14 +228,14 @@ def _account_for_cycle(
         return
     cycle = known[kind]
     if lead is None or not math.isfinite(cycle.minutes):
-        account.take_container(element, cycle.model.name, Fate.MAPPED, "types.*.cycle_scale"
-                               if lead else "growth", "these cells do not divide")  # fmt: skip
+        key, note = "types.*.cycle_scale" if lead else "growth", "these cells do not divide"
+        account.take(element, Fate.MAPPED, key, note, cycle.model.name)
         for one, _, _ in _stated(element):
-            account.take(one, Fate.MAPPED, note="these cells do not divide")
+            account.take(one, Fate.MAPPED, note=note)
     else:
         homes = ", ".join(f"{n} {home}" for n, home in enumerate(cycle.model.homes))
         note = f"volume doubles in the time in which it grows; its phases here: {homes}"
-        account.take_container(element, cycle.model.name, Fate.APPROXIMATED, "growth.phases", note)
+        account.take(element, Fate.APPROXIMATED, "growth.phases", note, cycle.model.name)
         alike = cycle.model is known[lead].model and _ratio(cycle, known[lead])
         for one, start, _ in _stated(element):
             if start == 0 and kind.entry is not None:
@@ -256,9 +247,8 @@ def _account_for_cycle(
                 note = f"phases as those of '{lead.name}', of this type's mean cycle in all"
                 account.take(one, Fate.APPROXIMATED, f"types.{kind.key}.cycle_scale", note)
     for one in element.all("standard_asymmetric_division"):
-        on = one.says("enabled")
-        note = "daughters are of the type of their mother" if on else ""
-        account.take_all([one], Fate.LEFT_OUT if on else Fate.OFF, note=note)
+        note = "daughters are of the type of their mother"
+        account.leave_out([one], note, acts=one.says("enabled"))
 
 
 def _ratio(cycle: Cycle, lead: Cycle) -> bool:
@@ -282,12 +272,11 @@ def _account_for_volume(model: Model, kind: Kind, cycle: Cycle, lead: Kind | Non
             note = "at the start; types share the volume at division"
             account.take(one, Fate.APPROXIMATED, "radius in cells.csv", note)
     _account_for_rates(model, kind, table)
-    for tag in ("fluid_fraction", "nuclear"):
-        account.take_all(table.all(tag), Fate.LEFT_OUT, note="a cell has one volume")
+    for tag in _PARTS:
+        account.leave_out(table.all(tag), "a cell has one volume")
     for tag in ("calcified_fraction", "calcification_rate"):
         for one in table.all(tag):
-            on = one.number() != 0.0
-            account.take(one, Fate.LEFT_OUT if on else Fate.OFF, note="no calcium" if on else "")
+            account.leave_out([one], "no calcium", acts=one.number() != 0.0)
     note = "that of each model of death counts"
     account.take_all(table.all("relative_rupture_volume"), Fate.OFF, note=note)
 
@@ -295,8 +284,6 @@ def _account_for_volume(model: Model, kind: Kind, cycle: Cycle, lead: Kind | Non
 def _account_for_rates(model: Model, kind: Kind, table: Element) -> None:
     """Account for how fast parts of a cell's volume go to their targets."""
     account, grows = model.account, "growth" in model.scene
-    for tag in ("fluid_change_rate", "nuclear_biomass_change_rate"):
-        account.take_all(table.all(tag), Fate.LEFT_OUT, note="a cell has one volume")
     for one in table.all(_RATE):
         note = (
             "V' = r (K - V) at this rate; with another cycle time in proportion, and for all types "

@@ -93,9 +93,7 @@ def _dying(kind: Kind, code: str) -> Dying:
         if one is not None:
             parameters[tag] = one.number()
     last = 516.0 if code == APOPTOSIS else 86400.0
-    value = 0.0 if rate is None else rate.number()
-    if rate is not None and value < 0.0:
-        raise rate.error(f"is {value:g}, must not be negative")
+    value = 0.0 if rate is None else rate.number(at_least=0.0)
     return Dying(found, value, parameters, _last(found, code, last))
 
 
@@ -146,8 +144,7 @@ def _account_for(model: Model, kind: Kind) -> None:
     for one in [] if table is None else table.all("model"):
         code = _code(one)
         if code not in (APOPTOSIS, NECROSIS):
-            note = "neither apoptosis nor necrosis"
-            account.take_all([one], Fate.LEFT_OUT, note=note)
+            account.leave_out([one], "neither apoptosis nor necrosis")
             continue
         _account_for_rate(model, kind, one, code)
         _account_for_course(model, kind, one, code)
@@ -197,8 +194,7 @@ def _account_for_course(model: Model, kind: Kind, one: Element, code: str) -> No
     }
     account, calcium = model.account, one.find("parameters/calcification_rate")
     if calcium is not None:
-        on = calcium.number() != 0.0
-        account.take(calcium, Fate.LEFT_OUT if on else Fate.OFF, note="no calcium" if on else "")
+        account.leave_out([calcium], "no calcium", acts=calcium.number() != 0.0)
     for tag, key in keys.items():
         for leaf in one.all(f"parameters/{tag}"):
             if code == APOPTOSIS:

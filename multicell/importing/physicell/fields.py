@@ -51,7 +51,7 @@ def _read_variable(model: Model, variable: Element, active: bool) -> None:
     key = model.fields[name]
     unit, fate, note = _unit(name, variable.attributes.get("units", ""))
     called = "" if key == name else f"called {key} here; "
-    model.account.take_container(variable, name, fate, f"nutrients.{key}", called + note)
+    model.account.take(variable, fate, f"nutrients.{key}", called + note, name)
     made = model.part("nutrients", key)
     # nothing rests here: uptake is that of living cells, whatever they do
     made |= {"uptake": 0.0, "quiescent_uptake": 1.0, "geometry": "box"}
@@ -61,8 +61,8 @@ def _read_variable(model: Model, variable: Element, active: bool) -> None:
         made["height"] = thickness.number()
     _read_transport(model, variable, made)
     start = variable.find("initial_condition")
-    level = 0.0 if start is None else start.number()
-    made["boundary"] = _not_negative(start, level) * unit
+    level = 0.0 if start is None else start.number(at_least=0.0)
+    made["boundary"] = level * unit
     if start is not None:
         model.account.take(start, Fate.MAPPED, f"nutrients.{key}.boundary")
     levels = _read_sides(model, variable, active, made)
@@ -72,12 +72,6 @@ def _read_variable(model: Model, variable: Element, active: bool) -> None:
 def _spacing(model: Model) -> float:
     """Return the spacing of grids, µm: the voxels', unless cells are too small for them."""
     return min(run.spacing(model.root), 4.0 * float(model.part("cells")["division_radius"]))
-
-
-def _not_negative(element: Element | None, value: float) -> float:
-    if element is not None and value < 0.0:
-        raise element.error(f"is {value:g}, must not be negative")
-    return value
 
 
 def _unit(name: str, said: str) -> tuple[float, Fate, str]:
@@ -98,7 +92,7 @@ def _read_transport(model: Model, variable: Element, made: dict[str, Any]) -> No
     key, account = model.fields[variable.attributes["name"]], model.account
     diffusion = variable.find("physical_parameter_set/diffusion_coefficient")
     decay = variable.find("physical_parameter_set/decay_rate")
-    value = 0.0 if diffusion is None else _not_negative(diffusion, diffusion.number()) / MINUTE
+    value = 0.0 if diffusion is None else diffusion.number(at_least=0.0) / MINUTE
     made["diffusion"] = max(value, _SLOWEST)
     if diffusion is not None and value < _SLOWEST:
         note = f"{_SLOWEST:g} um^2/s, the least there is: it stays where it is"
@@ -106,7 +100,7 @@ def _read_transport(model: Model, variable: Element, made: dict[str, Any]) -> No
     elif diffusion is not None:
         account.take(diffusion, Fate.MAPPED, f"nutrients.{key}.diffusion")
     if decay is not None:
-        made["decay"] = _not_negative(decay, decay.number()) / MINUTE
+        made["decay"] = decay.number(at_least=0.0) / MINUTE
         account.take(decay, Fate.MAPPED, f"nutrients.{key}.decay")
 
 
@@ -115,22 +109,21 @@ def _read_sides(model: Model, variable: Element, active: bool, made: dict[str, A
     name = variable.attributes["name"]
     unit, path = model.unit[name], f"nutrients.{model.fields[name]}.sides"
     all_sides = variable.find("Dirichlet_boundary_condition")
-    value = all_sides.number() if all_sides is not None and _on_all(variable) else 0.0
+    on_all = _on_all(variable)
+    value = all_sides.number(at_least=0.0) if all_sides is not None and on_all else 0.0
     axes = "xyz"[: model.scene["dimensions"]]
-    levels = {f"{a}{e}": (_on_all(variable), value) for a in axes for e in "-+"}
+    levels = {f"{a}{e}": (on_all, value) for a in axes for e in "-+"}
     if all_sides is not None:
-        fate, note = (Fate.MAPPED, "") if _on_all(variable) else (Fate.OFF, "")
-        model.account.take(all_sides, fate, path if fate is Fate.MAPPED else "", note)
+        model.account.take(all_sides, Fate.MAPPED if on_all else Fate.OFF, path if on_all else "")
     for one in variable.all("Dirichlet_options/boundary_value"):
         side = one.attributes.get("ID", "")
         face = side[:1] + {"min": "-", "max": "+"}.get(side[1:], "")
         if face not in levels:
-            flat = side in ("zmin", "zmax")
-            fate = Fate.OFF if flat else Fate.LEFT_OUT
-            model.account.take(one, fate, note="" if flat else "no side of this name")
+            named = side not in ("zmin", "zmax")  # those a plane does not have
+            model.account.leave_out([one], "no side of this name", acts=named)
             continue
         on = one.says("enabled")
-        levels[face] = on, one.number() if on and active else 0.0
+        levels[face] = on, one.number(at_least=0.0) if on and active else 0.0
         if on and not active:
             note = "PhysiCell sets no side unless a Dirichlet_boundary_condition is enabled"
             model.account.take(one, Fate.OFF, note=note)
@@ -139,9 +132,7 @@ def _read_sides(model: Model, variable: Element, active: bool, made: dict[str, A
     held = {face: level for face, (on, level) in levels.items() if on and active}
     wall: dict[str, Any] = {"type": "derivative", "derivative": 0.0}
     sides = {
-        face: {"type": "value", "value": _not_negative(all_sides, held[face]) * unit}
-        if face in held
-        else wall
+        face: {"type": "value", "value": held[face] * unit} if face in held else wall
         for face in levels
     }
     alike = all(side == sides["x-"] for side in sides.values())
@@ -157,12 +148,10 @@ def _read_options(model: Model) -> None:
         options.all("calculate_gradients"), Fate.MAPPED, note="where chemotaxis asks for them"
     )
     for found in options.all("track_internalized_substrates_in_each_agent"):
-        note = "what a cell has taken up is not kept" if found.flag() else ""
-        account.take(found, Fate.LEFT_OUT if found.flag() else Fate.OFF, note=note)
+        account.leave_out([found], "what a cell has taken up is not kept", acts=found.flag())
     for tag, note in (
         ("initial_condition", "a field starts with one concentration everywhere"),
         ("dirichlet_nodes", "concentrations are held on sides of the box, not inside"),
     ):
         for found in options.all(tag):
-            on = found.says("enabled")
-            account.take_all([found], Fate.LEFT_OUT if on else Fate.OFF, note=note if on else "")
+            account.leave_out([found], note, acts=found.says("enabled"))

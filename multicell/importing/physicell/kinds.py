@@ -61,6 +61,4 @@ def _account_for(kind: Kind, account: Account) -> None:
     note = [] if kind.key == kind.name else [f"called {kind.key} here"]
     if kind.declared and kind.parent is not None:
         note.append(f"takes what it does not say from '{kind.parent.name}'")
-    account.take_container(
-        kind.element, kind.name, Fate.MAPPED, f"types.{kind.key}", "; ".join(note)
-    )
+    account.take(kind.element, Fate.MAPPED, f"types.{kind.key}", "; ".join(note), kind.name)

@@ -39,7 +39,7 @@ def read_mechanics(model: Model) -> None:
 
 
 def _repulsion(kind: Kind) -> float:
-    return kind.number_of("mechanics/cell_cell_repulsion_strength", 10.0)
+    return kind.number_of("mechanics/cell_cell_repulsion_strength", 10.0, at_least=0.0)
 
 
 def _young(repulsion: float) -> float:
@@ -57,12 +57,9 @@ def _read_repulsion(model: Model) -> None:
         if mixed and value > 0.0:
             model.of_type(kind, "young", _young(value))
     for kind, element in model.each(path):
-        value = known[kind]
-        if value < 0.0:
-            raise element.error(f"is {value:g}, must not be negative")
-        if value == 0.0:
+        if known[kind] == 0.0:
             note = f"cells repel each other here: as those of '{model.leader.name}'"
-            model.account.take(element, Fate.LEFT_OUT, note=note)
+            model.account.leave_out([element], note)
         elif mixed:
             note = "between types the harmonic mean of the strengths, not the geometric one"
             model.account.take(element, Fate.APPROXIMATED, f"types.{kind.key}.young", note)
@@ -92,12 +89,10 @@ def _read_range(model: Model) -> None:
 
 def _equilibrium(kind: Kind) -> tuple[float, Element] | None:
     """Return the distance at rest over the radius, where the model sets it, and where."""
-    found = kind.given("mechanics/options/set_absolute_equilibrium_distance")
-    if found is not None and found.says("enabled"):
-        return min(found.number() / kind.radius, 2.0), found
-    found = kind.given("mechanics/options/set_relative_equilibrium_distance")
-    if found is not None and found.says("enabled"):
-        return min(found.number(), 2.0), found
+    for name, unit in (("absolute", kind.radius), ("relative", 1.0)):
+        found = kind.given(f"mechanics/options/set_{name}_equilibrium_distance")
+        if found is not None and found.says("enabled"):
+            return min(found.number() / unit, 2.0), found
     return None
 
 
@@ -105,7 +100,7 @@ def _adhesion(kind: Kind) -> float:
     """Return the strength of adhesion of a type, µm/min."""
     found = _equilibrium(kind)
     if found is None:
-        return kind.number_of("mechanics/cell_cell_adhesion_strength", 0.4)
+        return kind.number_of("mechanics/cell_cell_adhesion_strength", 0.4, at_least=0.0)
     share, reach = 0.5 * found[0], _range(kind)
     return float(_repulsion(kind) * ((1.0 - share) / (1.0 - share / max(reach, 1.0))) ** 2)
 
@@ -146,8 +141,6 @@ def _read_adhesion(model: Model) -> None:
 def _account_for_adhesion(model: Model, kind: Kind, key: str) -> None:
     take, ruled = model.account.take, _equilibrium(kind)
     element = kind.own("mechanics/cell_cell_adhesion_strength")
-    if element is not None and element.number() < 0.0:
-        raise element.error(f"is {element.number():g}, must not be negative")
     if element is not None and ruled is not None:
         take(element, Fate.OFF, note=f"set by {ruled[1].tag}")
     elif element is not None:
@@ -187,14 +180,10 @@ def _read_wall(model: Model) -> None:
 
 def _read_springs(model: Model, kind: Kind) -> None:
     attaches = kind.number_of("mechanics/attachment_rate", 0.0) > 0.0
-    fate = Fate.LEFT_OUT if attaches else Fate.OFF
-    note = "" if not attaches else "cells are not joined by springs"
-    for tag in ("attachment_elastic_constant", "attachment_rate", "detachment_rate",
-                "maximum_number_of_attachments"):  # fmt: skip
-        one = kind.own(f"mechanics/{tag}")
-        if one is not None:
-            model.account.take(one, fate, note=note)
-    for tag in ("cell_BM_adhesion_strength", "cell_BM_repulsion_strength"):
-        one = kind.own(f"mechanics/{tag}")
-        if one is not None:
-            model.account.take(one, Fate.LEFT_OUT, note="used by C++ code of a model only")
+    for table in kind.element.all("phenotype/mechanics"):
+        for tag in ("attachment_elastic_constant", "attachment_rate", "detachment_rate",
+                    "maximum_number_of_attachments"):  # fmt: skip
+            note = "cells are not joined by springs"
+            model.account.leave_out(table.all(tag), note, acts=attaches)
+        for tag in ("cell_BM_adhesion_strength", "cell_BM_repulsion_strength"):
+            model.account.leave_out(table.all(tag), "used by C++ code of a model only")

@@ -73,19 +73,15 @@ class Kind:
             return None
         return self.parent.given(path)
 
-    def number_of(self, path: str, usual: float) -> float:
+    def number_of(self, path: str, usual: float, **bounds: float) -> float:
         """Return a number of its phenotype; ``usual`` where neither it nor a parent says it."""
         found = self.given(path)
-        return usual if found is None else found.number()
+        return usual if found is None else found.number(**bounds)
 
     @property
     def volume(self) -> float:
         """Total volume, µm³."""
-        found = self.given("volume/total")
-        value = 2494.0 if found is None else found.number()
-        if found is not None and not value > 0.0:
-            raise found.error(f"is {value:g}, must be above 0")
-        return value
+        return self.number_of("volume/total", 2494.0, above=0.0)
 
     @property
     def radius(self) -> float:

@@ -53,10 +53,7 @@ def _moves(kind: Kind) -> bool:
 
 def _migration(model: Model, kind: Kind) -> Migration:
     along, summed = _directions(model, kind)
-    bias = kind.number_of("motility/migration_bias", 0.0)
-    found = kind.given("motility/migration_bias")
-    if found is not None and not 0.0 <= bias <= 1.0:
-        raise found.error(f"is {bias:g}, must be from 0 to 1")
+    bias = kind.number_of("motility/migration_bias", 0.0, at_least=0.0, at_most=1.0)
     return Migration(
         kind.number_of("motility/speed", 1.0), kind.number_of("motility/persistence_time", 1.0),
         bias, tuple(along), summed,
@@ -124,20 +121,15 @@ def _set_scene(model: Model, lead: Kind, moving: dict[Kind, Migration]) -> None:
 def _step(model: Model) -> float:
     """Return the step of PhysiCell's mechanics, s: no direction changes sooner."""
     found = model.root.find("overall/dt_mechanics")
-    value = 0.1 if found is None else found.number()
-    if found is not None and not value > 0.0:
-        raise found.error(f"is {value:g}, must be above 0")
-    return value * MINUTE
+    return (0.1 if found is None else found.number(above=0.0)) * MINUTE
 
 
 def _account_for(model: Model, kind: Kind, how: Migration | None, lead: Migration | None) -> None:
-    table, take = kind.own("motility"), model.account.take
+    table = kind.own("motility")
     assert table is not None
-    for path in ("options/use_2D",):
-        for one in table.all(path):
-            planar = one.flag() and model.scene["dimensions"] == 3 and how is not None
-            note = "motion in a plane within three dimensions" if planar else ""
-            take(one, Fate.LEFT_OUT if planar else Fate.OFF, note=note)
+    for one in table.all("options/use_2D"):
+        planar = one.flag() and model.scene["dimensions"] == 3 and how is not None
+        model.account.leave_out([one], "motion in a plane within three dimensions", acts=planar)
     if how is None or lead is None:
         model.account.take_all([table], Fate.OFF)
         return
@@ -148,15 +140,14 @@ def _account_for(model: Model, kind: Kind, how: Migration | None, lead: Migratio
     _take(model, table, "speed", Fate.APPROXIMATED, "motility.force", size)
     _take(model, table, "persistence_time", fate, "motility.persistence", other)
     _take(model, table, "options/enabled", Fate.MAPPED, "motility")
-    bias = "motility.bias" if len(how.along) == 1 else "chemotaxis"
     if not how.along:
         _take(model, table, "migration_bias", Fate.OFF, "", "no gradient is followed")
-    elif len(how.along) == 1:
-        note = "along the gradient of the moment, not that of the last change of direction"
-        note = "; ".join(filter(None, (note, other)))
-        _take(model, table, "migration_bias", Fate.APPROXIMATED, bias, note)
     else:
-        note = "random and directed part are added; PhysiCell gives their sum the full speed again"
+        note = "along the gradient of the moment, not that of the last change of direction"
+        bias = "motility.bias"
+        if len(how.along) > 1:
+            note = "random and directed part are added; in PhysiCell their sum has the full speed"
+            bias = "chemotaxis"
         note = "; ".join(filter(None, (note, other)))
         _take(model, table, "migration_bias", Fate.APPROXIMATED, bias, note)
     _account_for_taxis(model, kind, how, table, other)

@@ -22,21 +22,19 @@ _PARTS: Final = {
 
 def read_others(model: Model) -> None:
     """Account for what has no counterpart here."""
-    take_all = model.account.take_all
+    account = model.account
     for kind in model.kinds:
         for part, why in _PARTS.items():
             found = kind.own(part)
             if found is not None:
                 _leave(model, found, why)
-        inside = kind.own("intracellular")
-        if inside is not None:
-            take_all([inside], Fate.LEFT_OUT, note="there are no models inside cells")
-        take_all(kind.element.all("custom_data"), Fate.LEFT_OUT, note=_CODE)
+        inside = kind.element.all("phenotype/intracellular")
+        account.leave_out(inside, "there are no models inside cells")
+        account.leave_out(kind.element.all("custom_data"), _CODE)
         for one in kind.element.all("initial_parameter_distributions"):
             _read_distributions(model, one)
-    for one in model.root.all("cell_rules/settings"):
-        take_all([one], Fate.OFF)
-    take_all(model.root.all("user_parameters"), Fate.LEFT_OUT, note=_CODE)
+    account.take_all(model.root.all("cell_rules/settings"), Fate.OFF)
+    account.leave_out(model.root.all("user_parameters"), _CODE)
 
 
 def _leave(model: Model, part: Element, why: str) -> None:
@@ -44,8 +42,7 @@ def _leave(model: Model, part: Element, why: str) -> None:
     peaceful = not any(_acts(one) for one in part.all("attack_rates/attack_rate"))
     for leaf in part.leaves():
         idle = peaceful and leaf.tag in _ATTACKS and part.tag == "cell_interactions"
-        on = _acts(leaf) and not idle
-        model.account.take(leaf, Fate.LEFT_OUT if on else Fate.OFF, note=why if on else "")
+        model.account.leave_out([leaf], why, acts=_acts(leaf) and not idle)
 
 
 def _acts(element: Element) -> bool:
@@ -56,6 +53,6 @@ def _read_distributions(model: Model, table: Element) -> None:
     off = "enabled" in table.attributes and not table.says("enabled")
     for one in table.all("distribution"):
         quiet = off or ("enabled" in one.attributes and not one.says("enabled"))
-        note = "" if quiet else "cells of one type are alike at the start, but for cells.csv"
-        model.account.take_all([one], Fate.OFF if quiet else Fate.LEFT_OUT, note=note)
+        note = "cells of one type are alike at the start, but for cells.csv"
+        model.account.leave_out([one], note, acts=not quiet)
     model.account.take_all([table], Fate.OFF)

@@ -28,10 +28,8 @@ def read_run(model: Model) -> None:
     _read_overall(model)
     _read_save(model)
     _read_options(model)
-    model.account.take_all(
-        model.root.all("parallel/omp_num_threads"), Fate.LEFT_OUT,
-        note="of this machine, not of the model: multicell run --threads",
-    )  # fmt: skip
+    note = "of this machine, not of the model: multicell run --threads"
+    model.account.leave_out(model.root.all("parallel/omp_num_threads"), note)
 
 
 def _required(above: Element, path: str) -> Element:
@@ -50,7 +48,7 @@ def is_flat(root: Element) -> bool:
 def spacing(root: Element) -> float:
     """Return the side of the voxels, µm; of boxes that are no cubes the shortest."""
     sides = [_required(root, f"domain/d{axis}") for axis in "xyz"[: 2 if is_flat(root) else 3]]
-    return min(side.number_within(_FINEST, _FARTHEST) for side in sides)
+    return min(side.number(at_least=_FINEST, at_most=_FARTHEST) for side in sides)
 
 
 def _read_domain(model: Model) -> None:
@@ -62,11 +60,9 @@ def _read_domain(model: Model) -> None:
     axes = "xy" if flat else "xyz"
     for axis in axes:
         low, high = (_required(box, f"{axis}_{end}") for end in ("min", "max"))
-        ends[axis] = (
-            low.number_within(-_FARTHEST, _FARTHEST),
-            high.number_within(-_FARTHEST, _FARTHEST),
-        )
-        if not low.number() < high.number():
+        first, last = (end.number(at_least=-_FARTHEST, at_most=_FARTHEST) for end in (low, high))
+        ends[axis] = first, last
+        if not first < last:
             raise low.error(f"is {low.word()}, must be below {axis}_max, {high.word()}")
     widened = _fitting(ends, step)
     for axis in axes:
@@ -117,9 +113,7 @@ def _fitting(ends: dict[str, tuple[float, float]], step: float) -> dict[str, tup
 def _read_overall(model: Model) -> None:
     overall, take = _required(model.root, "overall"), model.account.take
     end = _required(overall, "max_time")
-    if not end.number() > 0.0:
-        raise end.error(f"is {end.word()}, must be above 0")
-    model.scene["duration"] = end.number() * MINUTE
+    model.scene["duration"] = end.number(above=0.0) * MINUTE
     take(end, Fate.MAPPED, "duration")
     for tag, usual in (("time_units", "min"), ("space_units", "micron")):
         found = overall.find(tag)
@@ -129,11 +123,9 @@ def _read_overall(model: Model) -> None:
             note = f"PhysiCell only prints it: numbers are taken in {usual}, as there"
             take(found, Fate.APPROXIMATED, note=note)
     for tag, note in _STEPS.items():
-        model.account.take_all(overall.all(tag), Fate.LEFT_OUT, note=note)
+        model.account.leave_out(overall.all(tag), note)
     found = overall.find("dt_phenotype")
-    model.scene["coupling_step"] = 6.0 * MINUTE if found is None else found.number() * MINUTE
-    if found is not None and not found.number() > 0.0:
-        raise found.error(f"is {found.word()}, must be above 0")
+    model.scene["coupling_step"] = (6.0 if found is None else found.number(above=0.0)) * MINUTE
 
 
 def account_for_step(model: Model) -> None:
@@ -159,12 +151,11 @@ def _read_save(model: Model) -> None:
         model.account.take(every, Fate.MAPPED, "output.every")
         take_all(save.all("full_data/enable"), Fate.MAPPED, "output.every")
     take_all(save.all("full_data"), Fate.OFF)
-    take_all(save.all("folder"), Fate.LEFT_OUT, note="multicell run -o names the folder")
+    model.account.leave_out(save.all("folder"), "multicell run -o names the folder")
     for tag in ("SVG", "legacy_data", "intracellular_data"):
         found = save.find(f"{tag}/enable")
-        off = found is not None and not found.flag()
-        note = "" if off else "pictures and reports are made of the results of any run"
-        take_all(save.all(tag), Fate.OFF if off else Fate.LEFT_OUT, note=note)
+        note = "pictures and reports are made of the results of any run"
+        model.account.leave_out(save.all(tag), note, acts=found is None or found.flag())
 
 
 def _read_options(model: Model) -> None:
@@ -185,8 +176,7 @@ def _read_options(model: Model) -> None:
         ("disable_automated_spring_adhesions", ""),
     ):
         for found in options.all(tag):
-            left = found.flag() and bool(note)
-            account.take(found, Fate.LEFT_OUT if left else Fate.OFF, note=note if left else "")
+            account.leave_out([found], note, acts=found.flag() and bool(note))
 
 
 def _read_seed(model: Model, seed: Element) -> None:

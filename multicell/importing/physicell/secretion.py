@@ -70,10 +70,8 @@ def _exchange(kind: Kind, name: str) -> Exchange:
 
     def number(tag: str) -> float:
         one = None if found is None else found.find(tag)
-        value = 0.0 if one is None else one.number()
-        if one is not None and value < 0.0 and tag != "net_export_rate":
-            raise one.error(f"is {value:g}, must not be negative")
-        return value
+        least = None if tag == "net_export_rate" else 0.0
+        return 0.0 if one is None else one.number(at_least=least)
 
     return Exchange(
         number("secretion_rate"), number("secretion_target"), number("uptake_rate"),

@@ -1,4 +1,4 @@
-"""What drives single cells and what joins them, for :mod:`multicell.report.explain.contact`."""
+"""What drives single cells, for :mod:`multicell.report.explain.contact`."""
 
 from __future__ import annotations
 
@@ -10,11 +10,10 @@ from multicell.scene.driven import Driver
 
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
-    from multicell.scene.springs import Springs
 
 
 def driven_parts(scene: Scene) -> list[Part]:
-    """Return forces from outside, prescribed motions and springs, used or absent."""
+    """Return forces from outside and prescribed motions, used or absent."""
     forces = [
         f"{name}: {math.hypot(*law.force):.3g} nN on {_whom(law)}{_when(law)}"
         for name, law in scene.forces.items()
@@ -23,12 +22,7 @@ def driven_parts(scene: Scene) -> list[Part]:
         f"{name}: {_whom(law)} {_moved(law.velocity)}{_when(law)}"
         for name, law in scene.motions.items()
     ]
-    springs = [f"{name}: {_springs(law)}" for name, law in scene.springs.items()]
-    return [
-        part("forces", "; ".join(forces)),
-        part("motions", "; ".join(motions)),
-        part("springs", "; ".join(springs)),
-    ]
+    return [part("forces", "; ".join(forces)), part("motions", "; ".join(motions))]
 
 
 def drift(bias: float, dimensions: int) -> float:
@@ -74,9 +68,3 @@ def _when(driver: Driver) -> str:
 def _moved(velocity: tuple[float, float, float]) -> str:
     speed = math.hypot(*velocity)
     return f"moved at {speed:.3g} um/s" if speed else "held where they are"
-
-
-def _springs(law: Springs) -> str:
-    whom = f"{len(law.pairs or ()):,} pairs"
-    rest = "their distance at the start" if law.rest is None else f"{law.rest:g} um"
-    return f"{law.stiffness:g} nN/um between {whom}, at rest at {rest}"

@@ -13,7 +13,6 @@ _ABSENT: Final = {
     "pull": "no external force",
     "forces": "nothing pushes single cells from outside",
     "motions": "no cell is held or moved from outside",
-    "springs": "cells act on each other only where they touch",
     "growth": "the number of cells stays, no growth and no division is computed",
     "death": "necrotic cells keep their place and volume",
     "energy": "every field acts by itself, none makes up for another",
