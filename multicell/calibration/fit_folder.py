@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 import json
 import sqlite3
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -28,6 +26,7 @@ from multicell.results.start_copy import with_copy
 from multicell.scene.start_table import COPIES
 from multicell.studies.runs import MODEL_VERSION, canonical
 from multicell.tables.fields import Table
+from multicell.tables.text import csv_text
 
 if TYPE_CHECKING:
     from multicell.calibration.fitted import Fit
@@ -36,10 +35,10 @@ if TYPE_CHECKING:
 FIT: Final = "fit.json"
 """What the folder is a fit of."""
 SEARCH: Final = "search.log"
-"""Optuna's storage."""
+"""Points and readings of the search, and of fresh runs."""
 _JOURNAL: Final = "posterior.journal"
 FILES: Final = (
-    FIT, "scene.toml", "data.csv", SEARCH, f"{SEARCH}.lock", "posterior.db", _JOURNAL,
+    FIT, "scene.toml", "data.csv", SEARCH, "posterior.db", _JOURNAL,
     "result.json", "best.toml", "posterior.csv", "residuals.csv", "report.html", "data.png",
     "parameters.png", *COPIES,
 )  # fmt: skip
@@ -100,7 +99,7 @@ def open_folder(
             entry = {"digest": name, "multicell": package_version(), "problem": problem}
             kept = with_copy(scene, folder)
             write_text(folder / "scene.toml", kept.to_toml(beside=folder))
-            write_text(folder / "data.csv", _csv([table.titles, *table.rows]))
+            write_text(folder / "data.csv", csv_text(table.titles, table.rows))
             write_table(folder / FIT, entry)  # the last: then all is there
         yield folder
 
@@ -115,8 +114,7 @@ def work_done(folder: str | Path, problem: Mapping[str, Any]) -> tuple[int, int,
     if known is None or known.get("digest") != digest(problem):
         return 0, 0, False
     log, database, journal = (folder / name for name in (SEARCH, "posterior.db", _JOURNAL))
-    attributes = [entry.get("user_attr", {}) for entry in Lines(log).entries]
-    runs = sum(isinstance(value, dict) for found in attributes for value in found.values())
+    runs = sum("values" in entry for entry in Lines(log).entries)
     draws = len(Lines(journal).entries)
     finished = False
     if database.is_file():
@@ -152,13 +150,12 @@ def write_result(fit: Fit, folder: Path) -> None:
     best = with_copy(fit.best.scene, folder)
     write_text(folder / "best.toml", best.to_toml(beside=folder))
     rows = fit.rows()
-    write_text(folder / "residuals.csv", _csv([list(rows[0]), *(list(r.values()) for r in rows)]))
+    write_text(folder / "residuals.csv", csv_text(rows[0], (row.values() for row in rows)))
     if fit.sample is not None:
         frame = fit.posterior
         units = frame.attrs["units"]
         titles = [f"{name} / {units[name]}" if units.get(name) else name for name in frame.columns]
-        lines = frame.to_numpy().tolist()
-        write_text(folder / "posterior.csv", _csv([titles, *lines]))
+        write_text(folder / "posterior.csv", csv_text(titles, frame.to_numpy().tolist()))
 
 
 def _read_fit(folder: Path) -> dict[str, Any] | None:
@@ -167,9 +164,3 @@ def _read_fit(folder: Path) -> dict[str, Any] | None:
         return read_table(folder / FIT)
     except OutputError as error:
         raise OutputError(f"{error}. Allow overwriting to begin anew") from error
-
-
-def _csv(rows: Sequence[Sequence[Any]]) -> str:
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(rows)
-    return text.getvalue()

@@ -30,8 +30,8 @@ _HIGHEST: Final = 1.2  # of an axis of parts of the variance; intervals may go f
 def indices(result: Sensitivity, observable: str) -> Figure:
     """Draw the indices of an observable, the largest one on top, with 95 % intervals.
 
-    What cannot be told from noise, or from zero, is pale; a red tick is what noise over the seeds
-    alone would give.
+    What is not distinguishable from noise, or from zero, is pale; a red tick is what noise over
+    the seeds alone would give.
     """
     rows = result.ordered(observable)
     morris = result.method == "morris"

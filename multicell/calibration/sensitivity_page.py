@@ -39,7 +39,7 @@ def write_report(result: Sensitivity, folder: Path) -> Path:
         path = folder / f"sensitivity-{file}.png"
         caption = (
             f"{told}: {index.lower()} at the end of the runs, with 95 % intervals; pale is what "
-            "cannot be told from noise or zero."
+            "is not distinguishable from noise or zero."
         )
         pictures[path] = partial(result.plot, name), caption
     return write_page(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -13,6 +11,7 @@ from multicell.errors import OutputError, SceneError
 from multicell.results.folder import file_errors, package_version, to_json, versions, write_text
 from multicell.results.quantities import known_unit
 from multicell.studies.observed import likely
+from multicell.tables.text import csv_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -97,7 +96,7 @@ class Sensitivity:
 
         return indices(self, observable or self.observables[0])
 
-    def to_csv(self) -> str:
+    def tocsv_text(self) -> str:
         """Return the table as CSV."""
         return _csv(self.table)
 
@@ -148,7 +147,7 @@ class Sensitivity:
             raise OutputError("the analysis has no output folder: say where the report shall go")
         with file_errors("use the output folder", place):
             place.mkdir(parents=True, exist_ok=True)
-        texts = {"sensitivity.csv": self.to_csv(), "sensitivity.json": self.to_json()}
+        texts = {"sensitivity.csv": self.tocsv_text(), "sensitivity.json": self.to_json()}
         texts |= {"runs.csv": _csv(self.runs)} if self.runs else {}
         for name, text in texts.items():
             write_text(place / name, text)
@@ -156,11 +155,7 @@ class Sensitivity:
 
 
 def _csv(rows: Sequence[Row]) -> str:
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()
+    return csv_text(rows[0], (row.values() for row in rows))
 
 
 def _told(method: str, rows: Sequence[Row]) -> list[str]:

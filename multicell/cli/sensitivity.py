@@ -105,20 +105,20 @@ def sensitivity(
 ) -> None:
     """Find out which parameters of a SCENE decide its observables.
 
-    Every index has its 95 % interval, and says whether it can be told from the noise over seeds.
+    Every index has its 95 % interval, and states whether it is distinguishable from the noise over
+    seeds.
     An analysis that was stopped continues with the same command; a larger --size or more --seeds
     take the runs that are there.
     """
     pairs = key_values(free, "--free")
     described = scene_of(scene, changes, law)
-    from multicell.calibration.sensitivity import carry_out, plan_of, prepare
-    from multicell.studies.study import Study
+    from multicell.calibration.sensitivity import carry_out, plan_of
+    from multicell.studies.study import write_study
 
     with planning():
         plan = plan_of(described, pairs, observables=observables or None, **options)
     count = cores_wanted(cores, scheduler)
-    prepare(plan, output, overwrite=overwrite)
-    study = Study(plan.study, output)
+    study = write_study(plan.study, output, overwrite=overwrite)
     confirm(study.expected(count or 1), count, yes, quiet or as_json)
     from multicell.cli.study_progress import reporter
 

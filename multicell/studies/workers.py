@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from multicell import __version__
 from multicell.errors import ClusterError
-from multicell.extras import needs
+from multicell.extras import needs, quiet
 from multicell.results.folder import file_errors, versions
 from multicell.studies.limits import check_cores
 
@@ -89,7 +89,7 @@ def workers(cores: int | None, scheduler: Any) -> Iterator[Client]:
     with ExitStack() as stack:
         if scheduler is None:
             stack.enter_context(dask.config.set(_SETTINGS))
-        stack.enter_context(_silence())
+        stack.enter_context(quiet(*_QUIET))
         place = stack.enter_context(_local(cores)) if scheduler is None else scheduler
         address = getattr(scheduler, "scheduler_address", scheduler)
         security = None if scheduler is None else getattr(scheduler, "security", None)
@@ -189,21 +189,6 @@ def _without_interrupts() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-@contextmanager
-def _silence() -> Iterator[None]:
-    """Let Dask say nothing on the terminal: what matters of it is said by errors of our own."""
-    inner = [name for name in logging.root.manager.loggerDict if name.startswith(_QUIET)]
-    loggers = [logging.getLogger(name) for name in {*_QUIET, *inner}]
-    before = [logger.level for logger in loggers]
-    for logger in loggers:
-        logger.setLevel(logging.CRITICAL + 1)
-    try:
-        yield
-    finally:
-        for logger, level in zip(loggers, before, strict=True):
-            logger.setLevel(level)
 
 
 def _client(kind: type[Client], place: Any, security: Any = None) -> Client:

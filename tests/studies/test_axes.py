@@ -63,9 +63,9 @@ def test_an_entry_of_a_table_of_numbers_is_an_axis():
     key = f"types.{kind}.surface_energy.{other}"
     axis = parse_axis(key, "0.1,0.2 mN/m", scene)
     assert (axis.numbers, axis.unit) == ((0.1, 0.2), "nN/um")
-    with pytest.raises(SceneError, match="name one of its entries"):
+    with pytest.raises(SceneError, match="name one of its keys"):
         parse_axis(f"types.{kind}.surface_energy", "0.1", scene)
-    with pytest.raises(SceneError, match="there is no entry 'x'"):
+    with pytest.raises(SceneError, match="surface_energy' has no 'x'"):
         parse_axis(f"types.{kind}.surface_energy.x", "0.1", scene)
 
 
