@@ -22,7 +22,7 @@ from multicell.calibration.distance import (
 )
 from multicell.calibration.simulator import Reading, SceneSimulator, Simulator
 from multicell.errors import SceneError
-from multicell.studies.axes import Range, check_axes, parse_range, with_unique_names
+from multicell.studies.axes import Range, check_axes, parse_ranges
 from multicell.studies.observed import signed
 
 
@@ -127,15 +127,12 @@ def ranges_of(free: Mapping[str, str | Sequence[object]], measured: Measured) ->
         If there are none, one is no key of the scene of every condition, one is a condition of
         the data, or the end of a range is refused by the scene.
     """
-    if not free:
-        raise SceneError("free", "names no parameter", "For example 'cells.division_radius'.")
     for condition in measured.conditions:
         for key in free:
             if key in condition.changes:
                 problem = "is a condition of the data, so that no fit can choose it"
                 raise SceneError(key, problem)
-    scene = measured.conditions[0].scene
-    ranges = with_unique_names([parse_range(key, text, scene) for key, text in free.items()])
+    ranges = parse_ranges(free, measured.conditions[0].scene)
     for condition in measured.conditions:
         try:
             check_axes(condition.scene, ranges)
@@ -144,7 +141,7 @@ def ranges_of(free: Mapping[str, str | Sequence[object]], measured: Measured) ->
                 raise
             problem = f"{error.problem} (under the condition '{condition.label}')"
             raise SceneError(error.path, problem, error.hint) from None
-    return tuple(ranges)
+    return ranges
 
 
 def problem_of(

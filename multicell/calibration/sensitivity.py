@@ -25,7 +25,7 @@ from multicell.errors import MulticellError, SceneError
 from multicell.extras import needs
 from multicell.results.documents import read_table
 from multicell.results.quantities import known_unit
-from multicell.studies.axes import Range, check_axes, parse_range, with_unique_names
+from multicell.studies.axes import Range, check_axes, parse_ranges
 from multicell.studies.limits import check_runs, check_seeds
 from multicell.studies.observed import at_the_end, continued, entry_of, in_history, likely
 from multicell.studies.plan import Plan, make_plan
@@ -162,7 +162,8 @@ def plan_of(
     described = load_scene(scene) if isinstance(scene, str | Path) else scene
     size = DEFAULT_SIZE.get(method, 0) if size is None else size
     check_size(method, size)
-    ranges = ranges_of(described, free)
+    ranges = parse_ranges(free, described)
+    check_axes(described, ranges)
     chosen = observables_of(described, observables)
     check_seeds(seeds, described.seed)
     check_runs(size * block(method, len(ranges)), seeds, "size")
@@ -292,21 +293,6 @@ def _read_end(place: Path, observables: Sequence[str]) -> dict[str, float]:
         name: float(continued(history, name)[-1]) if name in history else entry_of(summary, name)
         for name in observables
     }
-
-
-def ranges_of(scene: Scene, free: Mapping[str, Any]) -> tuple[Range, ...]:
-    """Return the free parameters of a scene, checked.
-
-    Raises
-    ------
-    SceneError
-        If there are none, or one of them does not fit.
-    """
-    if not free:
-        raise SceneError("free", "names no parameter", "For example drag.viscosity='1:10 kPa s'.")
-    ranges = with_unique_names([parse_range(key, text, scene) for key, text in free.items()])
-    check_axes(scene, ranges)
-    return tuple(ranges)
 
 
 def observables_of(scene: Scene, names: Sequence[str] | None) -> list[str]:

@@ -19,13 +19,13 @@ from multicell.cli.options import (
     overwrite_option,
     quiet_option,
     scene_of,
-    with_values,
 )
 from multicell.cli.process import complain, print_json
 from multicell.cli.study import (
     confirm,
     cores_option,
     cores_wanted,
+    free_option,
     key_values,
     planning,
     scheduler_option,
@@ -36,14 +36,7 @@ from multicell.cli.study import (
 @click.command()
 @click.argument("scene")
 @output_option("Folder of the analysis; its runs are kept there.")
-@click.option(
-    "--free",
-    multiple=True,
-    callback=with_values,
-    metavar="KEY=LOW:HIGH",
-    help="A free parameter and its range, as growth.cycle_time='8:25 h' or "
-    "drag.viscosity='log 0.1:10 kPa s' (equal ratios count the same). May be given several times.",
-)
+@free_option
 @click.option(
     "--method",
     default="morris",

@@ -48,6 +48,14 @@ cores_option = click.option(
 scheduler_option = click.option(
     "--scheduler", metavar="ADDRESS", help="Dask scheduler of a cluster, as tcp://host:8786."
 )
+free_option = click.option(
+    "--free",
+    multiple=True,
+    callback=with_values,
+    metavar="KEY=LOW:HIGH",
+    help="A free parameter and its range, as growth.cycle_time='8:25 h' or "
+    "drag.viscosity='log 0.1:10 kPa s' (equal ratios count the same). May be given several times.",
+)
 yes_option = click.option(
     "--yes", "-y", is_flag=True, help="Do not ask before what is expected to take over an hour."
 )

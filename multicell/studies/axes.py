@@ -195,6 +195,19 @@ def parse_range(key: str, text: str | Sequence[Any], scene: Scene) -> Range:
     return Range(found.name, low, high, found.unit, log, name, found.spec.kind == "count")
 
 
+def parse_ranges(free: Mapping[str, Any], scene: Scene) -> tuple[Range, ...]:
+    """Return the ranges of free parameters; that they go together is for :func:`check_axes`.
+
+    Raises
+    ------
+    SceneError
+        If there are none, or one of them is none.
+    """
+    if not free:
+        raise SceneError("free", "names no parameter", "For example drag.viscosity='1:10 kPa s'.")
+    return tuple(with_unique_names(parse_range(key, text, scene) for key, text in free.items()))
+
+
 def with_unique_names(axes: Iterable[Axis | Range], taken: Iterable[str] = ()) -> list[Any]:
     """Return axes or ranges with names that are unique: as much of the keys as that takes.
 

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from multicell.report.html import write_page
+from multicell.report.html import Drawing, write_page
 from multicell.report.wording import clock, time_unit
-from multicell.results.folder import file_errors
 from multicell.studies.pictures.values import (
     SEED,
     TIME,
@@ -86,21 +86,16 @@ def write_report(
     SceneError
         If an observable is unknown.
     """
-    place = Path(folder)
-    with file_errors("use the output folder", place):
-        place.mkdir(parents=True, exist_ok=True)
     told = key_observables(table) if shown is None else list(shown)
     title = f"{scene.title or 'Untitled scene'}: study"
-    drawings = _drawings(table, title, told)
-    pictures = {place / f"{name}.png": (draw, caption) for name, draw, caption in drawings}
     return write_page(
-        place / "report.html",
+        Path(folder) / "report.html",
         "study.html",
         scene=scene,
         title=title,
         subtitle=_subtitle(table),
         tiles=_tiles(table, states),
-        pictures=pictures,
+        pictures=_drawings(table, title, told),
         axes=[_axis_row(table, name) for name in axes_of(table)],
         unfinished=_unfinished(states),
         **_run_table(table, runs, states, told[:_COLUMNS]),
@@ -121,28 +116,25 @@ def key_observables(table: xr.Dataset) -> list[str]:
     return told
 
 
-Drawing = tuple[str, "Callable[[], Figure]", str]
-
-
-def _drawings(table: xr.Dataset, title: str, told: Sequence[str]) -> Iterator[Drawing]:
-    """Yield name, drawing function and caption of each picture."""
+def _drawings(table: xr.Dataset, title: str, told: Sequence[str]) -> dict[str, Drawing]:
+    """Return the pictures: maps of a grid or responses, then curves over time."""
     plots = StudyPlots(table, title)
     names = axes_of(table)
-    mapped = not is_sampled(table) and len(names) > 1
     several = table.sizes[SEED] > 1
-    scatter = "mean ± standard deviation over the seeds" if several else "of the only seed"
-    for name in told[:_MAPS] if names else ():
-        if mapped:
-            caption = f"One tile for each pair of values: {scatter}."
-            yield f"map-{name}", lambda name=name: plots.heatmap(name), caption  # type: ignore[misc]
-        else:
-            caption = "One panel for each axis."
-            yield f"response-{name}", lambda name=name: plots.response(name), caption  # type: ignore[misc]
-    courses = [name for name in told if TIME in table[name].dims and table.sizes[TIME] > 1]
+    draw: Callable[[str], Figure] = plots.response
+    kind, caption = "response", "One panel for each axis."
+    if not is_sampled(table) and len(names) > 1:
+        scatter = "mean ± standard deviation over the seeds" if several else "of the only seed"
+        draw, kind = plots.heatmap, "map"
+        caption = f"One tile for each pair of values: {scatter}."
+    ends = told[:_MAPS] if names else ()
+    found: dict[str, Drawing] = {f"{kind}-{n}.png": (partial(draw, n), caption) for n in ends}
     bands = "with bands of one standard deviation over the seeds" if several else "of the only seed"
-    for name in courses[:_COURSES]:
-        caption = f"One panel for each axis, {bands}."
-        yield f"curves-{name}", lambda name=name: plots.curves(name), caption  # type: ignore[misc]
+    caption = f"One panel for each axis, {bands}."
+    courses = [name for name in told if TIME in table[name].dims and table.sizes[TIME] > 1]
+    return found | {
+        f"curves-{name}.png": (partial(plots.curves, name), caption) for name in courses[:_COURSES]
+    }
 
 
 def _subtitle(table: xr.Dataset) -> str:

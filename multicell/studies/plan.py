@@ -101,7 +101,7 @@ class Plan:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of all runs: those of one point after the other, each with all its seeds."""
-        return tuple(digest(scene, self.integrator) for _, scene, _ in self._each())
+        return tuple(digest(scene, self.integrator) for _, scene in self._each())
 
     @property
     def row_every(self) -> float:
@@ -124,14 +124,14 @@ class Plan:
                 expected=expected[k],
                 integrator=self.integrator,
             )
-            for name, (k, scene, _) in zip(self.names, self._each(), strict=True)
+            for name, (k, scene) in zip(self.names, self._each(), strict=True)
         ]
 
-    def _each(self) -> Iterator[tuple[int, Scene, int]]:
-        """Yield number of the point, scene and number of the seed of each run."""
+    def _each(self) -> Iterator[tuple[int, Scene]]:
+        """Yield number of the point and scene of each run."""
         for k, scene in enumerate(self.scenes):
             for j in range(self.seeds):
-                yield k, replace(scene, seed=scene.seed + j) if j else scene, j
+                yield k, replace(scene, seed=scene.seed + j) if j else scene
 
     def _refuse_equal_points(self) -> None:
         """Refuse two points of a grid or a list whose runs would be the same."""
@@ -171,20 +171,8 @@ def make_plan(
 ) -> Plan:
     """Return a plan of what is given in Python, on the command line or in ``study.toml``.
 
-    Parameters
-    ----------
-    scene
-        What is varied.
-    vary
-        Dotted key -> values or range: a text as behind ``--vary``, a list of values, for a sample
-        a tuple of two ends (and ``"log"``), or an axis that was read before.
-    zipped
-        Keys whose values go together, one table or several.
-    points
-        Points of a list: path of a CSV file (:func:`read_points`), a table of key -> column (a
-        mapping or a pandas DataFrame), or a list of tables.
-    seeds, design, size, sample_seed, every, integrator
-        As :class:`Plan` and :class:`Design` have them; ``every`` in s or with a unit.
+    Parameters are those of :func:`multicell.studies.study.study`; ``vary`` may also be axes that
+    were read before.
 
     Raises
     ------

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -105,10 +106,9 @@ def test_a_run_that_outgrows_its_data_ends_early(monkeypatch):
 def test_a_run_that_fails_is_a_reading_with_its_reason():
     data = {"time / h": [5], "cells": [6]}
     simulator = simulated(data, **{"growth.cycle_variation": "0.1:0.5"})
-    broken = SceneSimulator(
-        ({**simulator.scenes[0], "coupling_step": -1.0},), simulator.data, simulator.ranges
-    )
-    found = broken((0.5,), 0, 1)
+    (scene,) = simulator.scenes
+    wrong = replace(scene, values={**scene.values, "coupling_step": -1.0})
+    found = replace(simulator, scenes=(wrong,))((0.5,), 0, 1)
     assert math.isnan(found.values[0])
     assert "coupling_step" in found.reason
 

@@ -12,10 +12,11 @@ from click.testing import CliRunner
 
 import multicell as mc
 from multicell.calibration.indices import analyse, sample
-from multicell.calibration.sensitivity import plan_of, ranges_of, result_of
+from multicell.calibration.sensitivity import plan_of, result_of
 from multicell.cli.main import main
 from multicell.errors import OutputError, SceneError
 from multicell.studies import engine
+from multicell.studies.axes import parse_ranges
 from multicell.studies.task import do_run, task
 
 CELL = mc.Scene.from_dict(
@@ -51,7 +52,7 @@ def exact(a=7.0, b=0.1):
 def of_function(method, size, seeds=1, noise=0.0, shift=0.0, lost=()):
     """Return the analysis of Ishigami's function in place of runs."""
     rng = np.random.default_rng(3)
-    ranges = ranges_of(CELL, FOUR)
+    ranges = parse_ranges(FOUR, CELL)
     shares = sample(method, [free.name for free in ranges], size)
     values = np.repeat(ishigami(shares)[:, None], seeds, axis=1)
     values += noise * rng.standard_normal(values.shape) + shift * np.arange(seeds)
