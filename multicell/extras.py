@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
@@ -55,6 +54,8 @@ def quiet(*packages: str) -> Iterator[None]:
     packages
         Names of their loggers. Those below them that there are have levels of their own, perhaps.
     """
+    import logging
+
     inner = [name for name in logging.root.manager.loggerDict if name.startswith(packages)]
     loggers = [logging.getLogger(name) for name in {*packages, *inner}]
     before = [logger.level for logger in loggers]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, final
 
@@ -156,11 +155,9 @@ def _is_key(name: str, scene: Scene) -> bool:
     """Return whether a name is a key of scenes and no observable."""
     first, dot, _ = name.partition(".")
     known = specs(type(scene))
-    return (bool(dot) and first in known) or (name in known and name not in _everywhere(scene))
-
-
-def _everywhere(scene: Scene) -> Sequence[str]:
-    return [*in_history(scene), *at_the_end(scene), "pull", "cells"]
+    if dot:
+        return first in known
+    return name in known and name not in {*in_history(scene), *at_the_end(scene), "pull", "cells"}
 
 
 def _unit_of(name: str, scene: Scene, place: str) -> str:

@@ -22,7 +22,7 @@ from multicell.calibration.distance import (
 )
 from multicell.calibration.simulator import Reading, SceneSimulator, Simulator
 from multicell.errors import SceneError
-from multicell.studies.axes import Range, check_axes, parse_ranges
+from multicell.studies.axes import Range, check_ranges, parse_ranges
 from multicell.studies.observed import signed
 
 
@@ -135,7 +135,7 @@ def ranges_of(free: Mapping[str, str | Sequence[object]], measured: Measured) ->
     ranges = parse_ranges(free, measured.conditions[0].scene)
     for condition in measured.conditions:
         try:
-            check_axes(condition.scene, ranges)
+            check_ranges(condition.scene, ranges)
         except SceneError as error:
             if not condition.changes:
                 raise

@@ -187,7 +187,8 @@ class Search:
         proposed = self._proposed(known, count)
         if len(proposed) == count:
             return proposed
-        space = dict.fromkeys(names, optuna.distributions.FloatDistribution(0.0, 1.0))
+        anywhere = optuna.distributions.FloatDistribution(0.0, 1.0)
+        space: dict[str, Any] = dict.fromkeys(names, anywhere)
         sampler = optuna.samplers.TPESampler(
             seed=self._seed + known, multivariate=True, n_startup_trials=self._first_points
         )

@@ -25,7 +25,7 @@ from multicell.errors import MulticellError, SceneError
 from multicell.extras import needs
 from multicell.results.documents import read_table
 from multicell.results.quantities import known_unit
-from multicell.studies.axes import Range, check_axes, parse_ranges
+from multicell.studies.axes import Range, check_ranges, parse_ranges
 from multicell.studies.limits import check_runs, check_seeds
 from multicell.studies.observed import at_the_end, continued, entry_of, in_history, likely
 from multicell.studies.plan import Plan, make_plan
@@ -163,7 +163,7 @@ def plan_of(
     size = DEFAULT_SIZE.get(method, 0) if size is None else size
     check_size(method, size)
     ranges = parse_ranges(free, described)
-    check_axes(described, ranges)
+    check_ranges(described, ranges)
     chosen = observables_of(described, observables)
     check_seeds(seeds, described.seed)
     check_runs(size * block(method, len(ranges)), seeds, "size")

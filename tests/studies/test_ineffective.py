@@ -5,9 +5,10 @@ from rich_medium import RICH
 
 import multicell as mc
 from multicell import SceneError
-from multicell.studies.axes import check_axes, parse_axis, parse_range
+from multicell.studies.axes import check_ranges, parse_ranges
 from multicell.studies.ineffective import _KEYS, no_effect
 from multicell.studies.keys import all_keys, key_of
+from multicell.studies.plan import make_plan
 
 NONE = [
     (RICH, {}, "growth.cycle_time", "phases of the cycle"),
@@ -92,12 +93,15 @@ def test_rules_name_keys_that_there_are():
     assert missing == []
 
 
-def checked(scene, **given):
-    axes = [
-        parse_range(key, text, scene) if ":" in text else parse_axis(key, text, scene)
-        for key, text in given.items()
-    ]
-    check_axes(scene, axes)
+def planned(scene, **given):
+    """Plan what is given: ranges of free parameters, values of a grid, or both of a sample."""
+    ranged = [":" in text for text in given.values()]
+    if all(ranged):
+        check_ranges(scene, parse_ranges(given, scene))
+    elif any(ranged):
+        make_plan(scene, given, design="lhs", size=8)
+    else:
+        make_plan(scene, given)
 
 
 @pytest.mark.parametrize(
@@ -126,18 +130,17 @@ def checked(scene, **given):
 )
 def test_axes_that_do_not_go_together_are_told(given, said):
     with pytest.raises(SceneError) as error:
-        checked(mc.load_scene(RICH), **given)
+        planned(mc.load_scene(RICH), **given)
     assert said in str(error.value)
 
 
 def test_ranges_that_go_together_are_taken():
     """Each alone would leave the scene behind: the thresholds rise together."""
-    checked(
+    planned(
         mc.load_scene(RICH),
         **{
             "nutrients.oxygen.necrosis": "0.001:0.03 mM",
             "nutrients.oxygen.quiescence": "0.02:0.06 mM",
-            "integrator.method": "euler,rkc2",
         },
     )
     assert no_effect(mc.load_scene(RICH), "nutrients.oxygen.necrosis") == ""
