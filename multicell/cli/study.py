@@ -79,17 +79,10 @@ def study() -> None:
     "'log 1e-3:1 1/s'. May be given several times.",
 )
 @click.option(
-    "--zip",
-    "zipped",
-    multiple=True,
-    metavar="KEY=VALUES",
-    help="Keys whose values go together, two or more; several such sets each as "
-    "--zip 'KEY=VALUES; KEY=VALUES'.",
-)
-@click.option(
     "--points",
     metavar="FILE",
-    help="List of points: a CSV file with keys and units in its header, as 'cells.young [kPa]'.",
+    help="List of points, such as those of keys that vary together: a CSV file with keys and units "
+    "in its header, as 'cells.young [kPa]'.",
 )
 @click.option(
     "--design",
@@ -120,7 +113,6 @@ def new(
     scene: str,
     output: Path,
     vary: Sequence[str],
-    zipped: Sequence[str],
     changes: Sequence[str],
     law: str | None,
     integrator: str | None,
@@ -139,7 +131,6 @@ def new(
         made = planned(
             base,
             key_values(vary, "--vary"),
-            zipped=_groups(zipped),
             output=output,
             integrator=integrator or "",
             **options,
@@ -167,13 +158,6 @@ def key_values(items: Sequence[str], option: str) -> dict[str, str]:
     return pairs
 
 
-def _groups(items: Sequence[str]) -> list[dict[str, str]]:
-    """Return the sets of keys that go together: all that come alone are one."""
-    alone = [item for item in items if ";" not in item]
-    sets = [[part for part in item.split(";") if part.strip()] for item in items if ";" in item]
-    return [key_values(group, "--zip") for group in ([alone] if alone else []) + sets]
-
-
 def _tell_plan(made: Study, quiet: bool, as_json: bool) -> None:
     """Tell what a study is of, what it is expected to take, and how to continue."""
     cores = _known_cores()
@@ -191,7 +175,7 @@ def _tell_plan(made: Study, quiet: bool, as_json: bool) -> None:
     if quiet:
         return
     out = console()
-    for axis in made.plan.design.varied:
+    for axis in made.plan.design.axes:
         out.print(f"{axis.key}: {_values(axis)}", markup=False, soft_wrap=True)
     plan = made.plan
     points, seeds = _count(len(plan.points), "point"), _count(plan.seeds, "seed")
@@ -396,7 +380,7 @@ def _tell_outcomes(
 
 
 def _list_failed(failed: Sequence[tuple[Any, str]], made: Study) -> None:
-    units = {axis.name: axis.unit for axis in made.plan.design.varied}
+    units = {axis.name: axis.unit for axis in made.plan.design.axes}
     for coordinates, reason in failed[:_LISTED]:
         where = _where(coordinates, units)
         console().print(f"  failed at {where}: {reason}", markup=False, soft_wrap=True)
@@ -456,7 +440,7 @@ def status(folder: Path, law: str | None, integrator: str | None, as_json: bool)
 
 
 def _tell_running(made: Study, run: Any, state: RunStatus) -> None:
-    units = {axis.name: axis.unit for axis in made.plan.design.varied}
+    units = {axis.name: axis.unit for axis in made.plan.design.axes}
     share = 100.0 * state.time / run.scene.duration
     console().print(
         f"  running at {_where(run.coordinates, units)}: {share:.0f} % of the time, "

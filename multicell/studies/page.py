@@ -17,13 +17,11 @@ from multicell.studies.pictures.values import (
     at_end,
     axes_of,
     axis_words,
-    coordinates_of,
     is_sampled,
     label,
     number_text,
     observables,
     scale,
-    scale_alone,
 )
 from multicell.studies.plots import StudyPlots
 
@@ -168,9 +166,7 @@ def _axis_row(table: xr.Dataset, name: str) -> dict[str, str]:
     values = shown.texts
     if len(values) > 12:
         values = [values[0], "…", values[-1], f"({len(values)} values)"]
-    along = [entry for entry in table.coords.values() if entry.dims == (name,)]
-    keys = [str(entry.attrs["key"]) for entry in along if "key" in entry.attrs]
-    key = ", ".join(keys) or str(table[name].attrs.get("key", name))
+    key = str(table[name].attrs.get("key", name))
     return {"label": shown.label, "key": key, "values": ", ".join(values).replace("…, ", "… ")}
 
 
@@ -187,7 +183,7 @@ def _run_table(
     table: xr.Dataset, runs: Sequence[Run], states: Sequence[RunStatus], told: Sequence[str]
 ) -> dict[str, Any]:
     """Return heads and rows of the table of runs."""
-    axes = [(name, scale_alone(table, name)) for name in coordinates_of(table)]
+    axes = [(name, scale(table, name)) for name in axes_of(table)]
     ends = [at_end(table, name).values.ravel() for name in told]
     chosen = _rows_shown(states)
     rows = []

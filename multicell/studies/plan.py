@@ -40,8 +40,7 @@ SCENE: Final = "scene.toml"
 _LARGEST: Final = 20_000_000
 """Bytes of study.toml: 1,000 for each of as many points as there may be."""
 _KEYS: Final = (
-    "scene", "seeds", "design", "size", "sample_seed", "every", "integrator", "vary", "zip",
-    "points",
+    "scene", "seeds", "design", "size", "sample_seed", "every", "integrator", "vary", "points",
 )  # fmt: skip
 
 
@@ -89,7 +88,7 @@ class Plan:
         scenes = tuple(change(self.scene, point.changes) for point in self.design.points)
         object.__setattr__(self, "scenes", scenes)
         cases = zip((point.changes for point in self.design.points), scenes, strict=True)
-        refuse_ineffective(cases, [axis.key for axis in self.design.varied])
+        refuse_ineffective(cases, [axis.key for axis in self.design.axes])
         if self.design.kind in ("grid", "list"):
             self._refuse_equal_points()
 
@@ -160,7 +159,6 @@ def make_plan(
     scene: Scene,
     vary: Mapping[str, Any] | Iterable[Axis | Range] | None = None,
     *,
-    zipped: Mapping[str, Any] | Sequence[Mapping[str, Any]] | None = None,
     points: Any = None,
     seeds: int = 1,
     design: str = "grid",
@@ -184,9 +182,8 @@ def make_plan(
     elif integrator:
         file, _, name = integrator.rpartition(":")
         integrator = f"{Path(file).expanduser().resolve()}:{name}"  # workers may be elsewhere
-    groups = [zipped] if isinstance(zipped, Mapping) else list(zipped or ())
     if points is not None:
-        if vary or groups:
+        if vary:
             hint = "Give them as further columns, or take another design."
             raise SceneError("points", "cannot stand beside keys that are varied one by one", hint)
         if design not in ("grid", "list"):
@@ -200,7 +197,6 @@ def make_plan(
     made = Design(
         kind=design,
         axes=axes,
-        zipped=tuple(_group(group, scene) for group in groups),
         size=_size(size, design),
         sample_seed=whole("sample_seed", sample_seed, 0, 2**63 - 1),
     )
@@ -230,20 +226,6 @@ def _parse_vary(vary: Any, scene: Scene, sampled: bool) -> tuple[Axis | Range, .
     for axis in axes:
         if not isinstance(axis, Axis | Range):
             raise SceneError("vary", f"is {shown(vary)}, must be a table of keys and values")
-    return axes
-
-
-def _group(group: Any, scene: Scene) -> tuple[Axis, ...]:
-    """Return axes whose values go together."""
-    if not isinstance(group, Mapping):
-        raise SceneError("zip", f"is {shown(group)}, must be a table of keys and values")
-    axes = tuple(
-        parse_column(key, values, scene) if not isinstance(values, Axis) else values
-        for key, values in _flat(group).items()
-    )
-    if len(axes) < 2:
-        hint = "A key that goes alone belongs to 'vary'."
-        raise SceneError("zip", f"has {len(axes)} key(s), must have two or more", hint)
     return axes
 
 
@@ -310,7 +292,7 @@ def read_plan(folder: str | Path, *, integrator: str = "") -> Plan:
         raise SceneError("scene", f"is {shown(source)}, must be the path of a scene file")
     _check_method(entries.pop("integrator", ""), integrator, path)
     scene = load_scene(folder / source)
-    for key, kind in (("vary", dict), ("points", dict | str), ("zip", dict | list)):
+    for key, kind in (("vary", dict), ("points", dict | str)):
         if key in entries and not isinstance(entries[key], kind):
             raise SceneError(key, f"is {shown(entries[key])}, must be a table")
         below = entries[key] if isinstance(entries.get(key), dict) else ()
@@ -323,9 +305,8 @@ def read_plan(folder: str | Path, *, integrator: str = "") -> Plan:
     if isinstance(points, str):
         points = folder / points
     return make_plan(
-        scene, entries.pop("vary", None), zipped=entries.pop("zip", None), points=points,
-        integrator=integrator, **entries,
-    )  # fmt: skip
+        scene, entries.pop("vary", None), points=points, integrator=integrator, **entries
+    )
 
 
 def _check_method(named: Any, given: str, path: Path) -> None:
@@ -383,11 +364,6 @@ def _lines(plan: Plan) -> Iterator[str]:
     yield f"[{table}]" + ("  # key = values, or 'low:high unit' to sample" * (table == "vary"))
     for axis in design.axes:
         yield axis_line(axis)
-    for group in design.zipped:
-        yield ""
-        yield "[[zip]]  # values at the same places go together"
-        for axis in group:
-            yield axis_line(axis)
 
 
 _WORDS: Final = {
