@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import sqlite3
 from collections.abc import Iterator, Mapping
@@ -80,23 +79,23 @@ def open_folder(
         it, or it cannot be used.
     """
     folder = Path(folder)
-    name = digest(problem)
+    asked = json.loads(to_json(problem))
     known = _read_fit(folder)
     if known is None or overwrite:
         make_folder(folder, overwrite=overwrite)
-    elif known.get("digest") != name:
-        problem_there = known.get("problem")
-        parts = problem_there if isinstance(problem_there, dict) else {}
-        other = [key for key in problem if parts.get(key) != problem[key]]
+    elif known.get("problem") != asked:
+        there = known.get("problem")
+        parts = there if isinstance(there, dict) else {}
+        other = [key for key in {**parts, **asked} if parts.get(key) != asked.get(key)]
         raise OutputError(
-            f"'{folder}' holds another fit: {', '.join(other) or 'its version'} differ. Choose "
+            f"'{folder}' holds another fit: {', '.join(other)} differ. Choose "
             "another folder, or allow overwriting (--overwrite, overwrite=True)"
         )
     with lock_folder(folder):
         if overwrite:
             remove(folder, FILES)
         if _read_fit(folder) is None:
-            entry = {"digest": name, "multicell": package_version(), "problem": problem}
+            entry = {"multicell": package_version(), "problem": asked}
             kept = with_copy(scene, folder)
             write_text(folder / "scene.toml", kept.to_toml(beside=folder))
             write_text(folder / "data.csv", csv_text(table.titles, table.rows))
@@ -111,7 +110,7 @@ def work_done(folder: str | Path, problem: Mapping[str, Any]) -> tuple[int, int,
     """
     folder = Path(folder)
     known = _read_fit(folder)
-    if known is None or known.get("digest") != digest(problem):
+    if known is None or known.get("problem") != json.loads(to_json(problem)):
         return 0, 0, False
     log, database, journal = (folder / name for name in (SEARCH, "posterior.db", _JOURNAL))
     runs = sum("values" in entry for entry in Lines(log).entries)
@@ -129,12 +128,6 @@ def work_done(folder: str | Path, problem: Mapping[str, Any]) -> tuple[int, int,
         draws = max(draws, sum(int(samples) for _, samples, _ in rows))
         finished = any(t >= 0 and temperature <= 1.0 for t, _, temperature in rows)
     return runs, draws, finished
-
-
-def digest(problem: Mapping[str, Any]) -> str:
-    """Return a digest of what decides all numbers of a fit."""
-    text = json.dumps(json.loads(to_json(problem)), sort_keys=True, separators=(",", ":"))
-    return hashlib.sha256(text.encode()).hexdigest()[:24]
 
 
 def write_result(fit: Fit, folder: Path) -> None:

@@ -306,7 +306,7 @@ class Fit:
                 "wide. A larger budget continues from there."
             )
         if self.kind == "none":
-            notes.append("Too few points were tried to tell intervals.")
+            notes.append("Too few points were tried for intervals.")
         if self.fresh.reasons:
             count = len(self.fresh.reasons)
             notes.append(f"{count} fresh runs failed, for example: {self.fresh.reasons[0]}.")

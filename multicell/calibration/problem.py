@@ -23,7 +23,7 @@ from multicell.calibration.distance import (
 from multicell.calibration.simulator import Reading, SceneSimulator, Simulator
 from multicell.errors import SceneError
 from multicell.studies.axes import Range, check_ranges, parse_ranges
-from multicell.studies.observed import signed
+from multicell.studies.observed import may_be_negative
 
 
 @final
@@ -72,7 +72,7 @@ class Problem:
     def lowest(self) -> Array:
         """(0 - datum) / σ where an observable cannot be negative, else -inf: (n,)."""
         data = self.measured.data
-        free = np.array([datum.log or signed(datum.observable) for datum in data])
+        free = np.array([datum.log or may_be_negative(datum.observable) for datum in data])
         return np.where(free, -np.inf, -self.observed / self.sigma)
 
     @property

@@ -27,7 +27,7 @@ from multicell.results.documents import read_table
 from multicell.results.quantities import known_unit
 from multicell.studies.axes import Range, check_ranges, parse_ranges
 from multicell.studies.limits import check_runs, check_seeds
-from multicell.studies.observed import at_the_end, continued, entry_of, in_history, likely
+from multicell.studies.observed import at_the_end, course_of, entry_of, in_history, suggest
 from multicell.studies.plan import Plan, make_plan
 from multicell.studies.status import run_folder
 from multicell.studies.study import Study, write_study
@@ -290,7 +290,7 @@ def _read_end(place: Path, observables: Sequence[str]) -> dict[str, float]:
     history = Contents(place).history()
     summary = read_table(place / "summary.json") or {}
     return {
-        name: float(continued(history, name)[-1]) if name in history else entry_of(summary, name)
+        name: float(course_of(history, name)[-1]) if name in history else entry_of(summary, name)
         for name in observables
     }
 
@@ -314,7 +314,7 @@ def observables_of(scene: Scene, names: Sequence[str] | None) -> list[str]:
     for name in names:
         if name not in known:
             raise SceneError(
-                "observable", f"runs of this scene have no {name!r}", likely(name, known)
+                "observable", f"runs of this scene have no {name!r}", suggest(name, known)
             )
     return list(dict.fromkeys(names))
 

@@ -64,18 +64,18 @@ def _subtitle(result: Sensitivity) -> str:
 def _tiles(result: Sensitivity) -> dict[str, str]:
     points = result.size * block(result.method, len(result.ranges))
     failed = sum(bool(row["reason"]) for row in result.runs)
-    told = {
+    tiles = {
         "free parameters": f"{len(result.ranges)}",
         "trajectories" if result.method == "morris" else "base points": f"{result.size:,}",
         "points": f"{points:,}",
         "seeds": f"{len(result.seeds)}",
     }
     if result.runs:
-        told["runs"] = f"{len(result.runs):,}"
+        tiles["runs"] = f"{len(result.runs):,}"
     if failed:
-        told["runs that failed"] = f"{failed:,}"
+        tiles["runs that failed"] = f"{failed:,}"
     for name in result.observables[:3]:
         first = result.ordered(name)[0]
         if first["verdict"] in (CLEAR, CLEAR_SINGLE):
-            told[f"decides {words(name)} most"] = key_words(first["key"], first["parameter"])
-    return told
+            tiles[f"decides {words(name)} most"] = key_words(first["key"], first["parameter"])
+    return tiles

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 from multicell.errors import OutputError, SceneError
 from multicell.results.folder import file_errors, package_version, to_json, versions, write_text
 from multicell.results.quantities import known_unit
-from multicell.studies.observed import likely
+from multicell.studies.observed import suggest
 from multicell.tables.text import csv_text
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ class Sensitivity:
         known = [*self.observables, *(free.name for free in self.ranges)]
         missing = observable if observable not in known else parameter
         raise SceneError(
-            "", f"the analysis has no {missing!r}", likely(missing, dict.fromkeys(known))
+            "", f"the analysis has no {missing!r}", suggest(missing, dict.fromkeys(known))
         )
 
     def plot(self, observable: str | None = None) -> Figure:
@@ -123,7 +123,7 @@ class Sensitivity:
         for name in self.observables:
             unit = known_unit(name)
             lines.append(f"{name.replace('_', ' ')}{f' ({unit})' if unit else ''}")
-            lines += [f"  {line}" for line in _told(self.method, self.ordered(name))]
+            lines += [f"  {line}" for line in _table_lines(self.method, self.ordered(name))]
         return "\n".join([*lines, *(f"Note: {note}" for note in self.notes)])
 
     def ordered(self, observable: str) -> list[Row]:
@@ -158,7 +158,7 @@ def _csv(rows: Sequence[Row]) -> str:
     return csv_text(rows[0], (row.values() for row in rows))
 
 
-def _told(method: str, rows: Sequence[Row]) -> list[str]:
+def _table_lines(method: str, rows: Sequence[Row]) -> list[str]:
     """Return lines of a table of one observable."""
     heads = ["parameter", "mu*", "± 95 %", "mu", "sigma", "noise", ""] if method == "morris" else (
         ["parameter", "S1", "± 95 %", "ST", "± 95 %", "noise", ""]

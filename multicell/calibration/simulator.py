@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from multicell.calibration.data import Datum, Measured
 from multicell.errors import MulticellError
 from multicell.studies.axes import Range
-from multicell.studies.observed import continued, entry_of
+from multicell.studies.observed import course_of, entry_of
 from multicell.studies.runs import PlainScene
 
 OUTGROWN: Final = {"cells": 3.0, "diameter": 1.5}
@@ -172,7 +172,7 @@ def reading(
     was ended has its last values for later times.
     """
     times = history["time"]
-    values = continued(history, datum.observable)
+    values = course_of(history, datum.observable)
     if datum.at is not None:
         when = _crossing(times, history[datum.at[0]], datum.at[1])
     else:

@@ -129,7 +129,7 @@ def fit(
 ) -> None:
     """Fit free parameters of a SCENE to measured data.
 
-    The result says how far each parameter is determined, and what the data leave open. A fit that
+    The result states how far each parameter is determined, and what the data leave open. A fit that
     was stopped continues with the same command; a larger --budget adds to it.
     """
     pairs = key_values(free, "--free")

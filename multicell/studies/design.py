@@ -197,7 +197,7 @@ def _sample_points(design: Design) -> Iterator[Point]:
         yield Point(values, coordinates)
 
 
-def parse_varied(key: str, given: Any, scene: Scene, sampled: bool = False) -> Axis | Range:
+def parse_axis_or_range(key: str, given: Any, scene: Scene, sampled: bool = False) -> Axis | Range:
     """Return the axis or the range that a text or a list describes.
 
     A text is a range where it has one colon (``"8:25 h"``), else it lists values; a tuple is one

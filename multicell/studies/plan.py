@@ -23,8 +23,8 @@ from multicell.studies.design import (
     SAMPLED,
     Design,
     Point,
+    parse_axis_or_range,
     parse_column,
-    parse_varied,
     read_points,
 )
 from multicell.studies.ineffective import refuse_ineffective
@@ -221,7 +221,7 @@ def _parse_vary(vary: Any, scene: Scene, sampled: bool) -> tuple[Axis | Range, .
         return ()
     if isinstance(vary, Mapping):
         entries = _flat(vary).items()
-        return tuple(parse_varied(key, given, scene, sampled) for key, given in entries)
+        return tuple(parse_axis_or_range(key, given, scene, sampled) for key, given in entries)
     axes = tuple(vary) if isinstance(vary, Iterable) and not isinstance(vary, str) else (None,)
     for axis in axes:
         if not isinstance(axis, Axis | Range):

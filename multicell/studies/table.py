@@ -118,7 +118,7 @@ def _column(table: dict[str, FloatArray], name: str, shape: tuple[int, ...]) -> 
 
 
 def _texts(states: Sequence[RunStatus]) -> dict[str, NDArray[Any]]:
-    """Return the variables that tell how each run stands."""
+    """Return the variables that state how each run stands."""
     entries = {
         "state": [state.state for state in states],
         "reason": [state.reason for state in states],

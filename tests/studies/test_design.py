@@ -13,7 +13,7 @@ from scipy.stats import qmc
 import multicell as mc
 from multicell import SceneError
 from multicell.studies.axes import parse_axis, parse_range
-from multicell.studies.design import Design, parse_column, parse_varied, read_points
+from multicell.studies.design import Design, parse_axis_or_range, parse_column, read_points
 
 OXYGEN, GLUCOSE = "nutrients.oxygen.boundary", "nutrients.glucose.boundary"
 LENGTH = "growth.phases.G1.duration"
@@ -172,5 +172,5 @@ def test_a_table_of_points_that_cannot_be_read_is_told(tmp_path):
 
 
 def test_one_colon_is_a_range_two_are_values():
-    assert parse_varied(LENGTH, "8:25 h", EMT6) == parse_range(LENGTH, "8:25 h", EMT6)
-    assert parse_varied(LENGTH, "8:25:3 h", EMT6).numbers == (28800.0, 59400.0, 90000.0)
+    assert parse_axis_or_range(LENGTH, "8:25 h", EMT6) == parse_range(LENGTH, "8:25 h", EMT6)
+    assert parse_axis_or_range(LENGTH, "8:25:3 h", EMT6).numbers == (28800.0, 59400.0, 90000.0)
