@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from typing import Final
 
@@ -41,3 +43,26 @@ def _there(name: str) -> bool:
             raise  # the package is there and lacks something itself
         return False
     return True
+
+
+@contextmanager
+def quiet(*packages: str) -> Iterator[None]:
+    """Let packages log nothing: what matters of it is said by errors and notes of our own.
+
+    Parameters
+    ----------
+    packages
+        Names of their loggers. Those below them that there are have levels of their own, perhaps.
+    """
+    import logging
+
+    inner = [name for name in logging.root.manager.loggerDict if name.startswith(packages)]
+    loggers = [logging.getLogger(name) for name in {*packages, *inner}]
+    before = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        for logger, level in zip(loggers, before, strict=True):
+            logger.setLevel(level)

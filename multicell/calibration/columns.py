@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.errors import DataError, SceneError
 from multicell.schema import specs
-from multicell.studies.observed import at_the_end, in_history, is_known_elsewhere, likely, signed
+from multicell.studies.observed import (
+    at_the_end,
+    in_history,
+    is_known_elsewhere,
+    may_be_negative,
+    suggest,
+)
 from multicell.tables.fields import Table
 from multicell.tables.titles import split_title
 from multicell.units import to_base
@@ -70,7 +75,7 @@ class Column:
             raise DataError(place, f"is {text}, must be a finite number", hint)
         if self.relative:
             return number / 100.0
-        if number < 0.0 and self.kind != "time" and not signed(self.name):
+        if number < 0.0 and self.kind != "time" and not may_be_negative(self.name):
             raise DataError(place, f"is {text}, must not be negative")
         if not self.base:
             return number
@@ -156,11 +161,9 @@ def _is_key(name: str, scene: Scene) -> bool:
     """Return whether a name is a key of scenes and no observable."""
     first, dot, _ = name.partition(".")
     known = specs(type(scene))
-    return (bool(dot) and first in known) or (name in known and name not in _everywhere(scene))
-
-
-def _everywhere(scene: Scene) -> Sequence[str]:
-    return [*in_history(scene), *at_the_end(scene), "pull", "cells"]
+    if dot:
+        return first in known
+    return name in known and name not in {*in_history(scene), *at_the_end(scene), "pull", "cells"}
 
 
 def _unit_of(name: str, scene: Scene, place: str) -> str:
@@ -185,7 +188,7 @@ def _unit_in(name: str, known: dict[str, str], place: str) -> str:
         problem = f"'{name}' is no observable of this scene"
     else:
         problem = f"'{name}' is no observable and no key of the scene"
-    raise DataError(place, problem, likely(name, known))
+    raise DataError(place, problem, suggest(name, known))
 
 
 def _with_unit(kind: str, name: str, unit: str, base: str, title: str, place: str) -> Column:

@@ -41,7 +41,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 from multicell.calibration.columns import Column, columns_of
 from multicell.errors import DataError, SceneError
 from multicell.schema import leaves
-from multicell.studies.observed import at_the_end, in_history, likely
+from multicell.studies.observed import at_the_end, in_history, suggest
 from multicell.tables.fields import Table, read_table
 from multicell.units import to_base
 
@@ -77,7 +77,7 @@ class Datum:
     time
         Simulated time in s; None: at the end, or ``at``.
     at
-        Observable and its value (base unit) that tell when; or None.
+        Observable and its value (base unit) that state when; or None.
     condition
         Number of the condition.
     place
@@ -238,7 +238,7 @@ class _Rows:
             where = self._where(row, place)
             if column.name not in known:
                 problem = f"'{column.name}' is no observable of the scene under these conditions"
-                raise DataError(where, problem, likely(column.name, known))
+                raise DataError(where, problem, suggest(column.name, known))
             if column.name not in timed and (time is not None or at is not None):
                 raise DataError(
                     where,

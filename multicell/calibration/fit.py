@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import time as clock
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
@@ -26,7 +27,7 @@ from multicell.units import to_base
 if TYPE_CHECKING:
     from multicell.calibration.fresh import Fresh
     from multicell.calibration.posterior import Draws
-    from multicell.calibration.search import Evaluation, Search
+    from multicell.calibration.search import Evaluation
     from multicell.calibration.simulator import Simulator
     from multicell.scene.scene import Scene
 
@@ -274,11 +275,18 @@ def carry_out(
 ) -> Fit:
     """Carry out a fit that was checked; parameters as of :func:`fit`."""
     needs("optuna", "pyabc", "distributed", "pandas", "sklearn", "sqlalchemy")
-    with _place(plan, output, overwrite) as folder:
+    from multicell.calibration.fit_folder import open_folder, write_result
+
+    progress = progress or (lambda what, done, wanted: None)
+    with ExitStack() as stack:
+        folder = None
+        if output is not None:
+            folder = stack.enter_context(
+                open_folder(output, plan.describe(), plan.scene, plan.table, overwrite=overwrite)
+            )
         begin = clock.monotonic()
-        evaluations, draws, again = _make_runs(
-            plan, folder, cores, scheduler, begin, progress or _ignore
-        )
+        with open_pool(cores, scheduler) as pool:
+            evaluations, draws, again = _make_runs(plan, folder, pool, begin, progress)
         facts = {
             "method": plan.method,
             "sd": plan.sd,
@@ -292,75 +300,37 @@ def carry_out(
         }
         found = Fit(plan.problem, plan.scene, evaluations, draws, folder, facts, again)
         if folder is not None:
-            from multicell.calibration.fit_folder import write_result
-
             write_result(found, folder)
             found.report()
         return found
 
 
-def _ignore(what: str, done: int, wanted: int) -> None:
-    """Take no note of progress."""
-
-
 def _make_runs(
-    plan: FitPlan, folder: Path | None, cores: int | None, scheduler: str | None, begin: float,
-    progress: Progress,
-) -> tuple[list[Evaluation], Draws | None, Fresh]:  # fmt: skip
+    plan: FitPlan, folder: Path | None, pool: Pool, begin: float, progress: Progress
+) -> tuple[list[Evaluation], Draws | None, Fresh]:
     """Make all runs of a fit that are not there."""
     from multicell.calibration.fit_folder import SEARCH
     from multicell.calibration.fresh import fresh
+    from multicell.calibration.posterior import posterior
     from multicell.calibration.search import Search
+
+    def note_draws(generation: int, accepted: int, wanted: int, drawn: int) -> None:
+        of = "calibration" if generation < 0 else f"generation {generation + 1}"
+        progress(f"posterior, {of}, {drawn:,} draws", accepted, wanted)
 
     search = Search(plan.problem, None if folder is None else folder / SEARCH)
     evaluations: list[Evaluation] = []
     draws: Draws | None = None
-    with open_pool(cores, scheduler) as pool:
-        if plan.method == "best":
-            evaluations = _search(plan, search, pool, begin, progress)
-        else:
-            draws = _sample(plan, folder, pool, begin, progress)
-
-        def tell(done: int, wanted: int) -> None:
-            progress("fresh runs", done, wanted)
-
-        emulator = search.emulator()
-        again = fresh(plan.problem, search, pool, emulator, draws, plan.repeats, tell)
+    if plan.method == "best":
+        evaluations = search.run(
+            pool, plan.points, deadline=begin + _SEARCHED * plan.seconds,
+            progress=partial(progress, "runs of the search"),
+        )  # fmt: skip
+    else:
+        draws = posterior(
+            plan.problem, pool, folder=folder, population=plan.population, most=plan.draws,
+            deadline=begin + plan.seconds, progress=note_draws,
+        )  # fmt: skip
+    note = partial(progress, "fresh runs")
+    again = fresh(plan.problem, search, pool, search.emulator(), draws, plan.repeats, note)
     return evaluations, draws, again
-
-
-@contextmanager
-def _place(plan: FitPlan, output: str | Path | None, overwrite: bool) -> Iterator[Path | None]:
-    """Yield the folder of a fit, locked; None without one."""
-    if output is None:
-        yield None
-        return
-    from multicell.calibration.fit_folder import open_folder
-
-    about = plan.describe()
-    with open_folder(output, about, plan.scene, plan.table, overwrite=overwrite) as folder:
-        yield folder
-
-
-def _search(
-    plan: FitPlan, search: Search, pool: Pool, begin: float, progress: Progress
-) -> list[Evaluation]:
-    def tell(done: int, wanted: int) -> None:
-        progress("runs of the search", done, wanted)
-
-    return search.run(pool, plan.points, deadline=begin + _SEARCHED * plan.seconds, progress=tell)
-
-
-def _sample(
-    plan: FitPlan, folder: Path | None, pool: Pool, begin: float, progress: Progress
-) -> Draws:
-    from multicell.calibration.posterior import posterior
-
-    def tell(generation: int, accepted: int, wanted: int, drawn: int) -> None:
-        of = "calibration" if generation < 0 else f"generation {generation + 1}"
-        progress(f"posterior, {of}, {drawn:,} draws", accepted, wanted)
-
-    return posterior(
-        plan.problem, pool, folder=folder, population=plan.population, most=plan.draws,
-        deadline=begin + plan.seconds, progress=tell,
-    )  # fmt: skip

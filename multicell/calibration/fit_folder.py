@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import csv
-import hashlib
-import io
 import json
 import sqlite3
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -28,6 +25,7 @@ from multicell.results.start_copy import with_copy
 from multicell.scene.start_table import COPIES
 from multicell.studies.runs import MODEL_VERSION, canonical
 from multicell.tables.fields import Table
+from multicell.tables.text import csv_text
 
 if TYPE_CHECKING:
     from multicell.calibration.fitted import Fit
@@ -36,10 +34,10 @@ if TYPE_CHECKING:
 FIT: Final = "fit.json"
 """What the folder is a fit of."""
 SEARCH: Final = "search.log"
-"""Optuna's storage."""
+"""Points and readings of the search, and of fresh runs."""
 _JOURNAL: Final = "posterior.journal"
 FILES: Final = (
-    FIT, "scene.toml", "data.csv", SEARCH, f"{SEARCH}.lock", "posterior.db", _JOURNAL,
+    FIT, "scene.toml", "data.csv", SEARCH, "posterior.db", _JOURNAL,
     "result.json", "best.toml", "posterior.csv", "residuals.csv", "report.html", "data.png",
     "parameters.png", *COPIES,
 )  # fmt: skip
@@ -81,26 +79,26 @@ def open_folder(
         it, or it cannot be used.
     """
     folder = Path(folder)
-    name = digest(problem)
+    asked = json.loads(to_json(problem))
     known = _read_fit(folder)
     if known is None or overwrite:
         make_folder(folder, overwrite=overwrite)
-    elif known.get("digest") != name:
-        problem_there = known.get("problem")
-        parts = problem_there if isinstance(problem_there, dict) else {}
-        other = [key for key in problem if parts.get(key) != problem[key]]
+    elif known.get("problem") != asked:
+        there = known.get("problem")
+        parts = there if isinstance(there, dict) else {}
+        other = [key for key in {**parts, **asked} if parts.get(key) != asked.get(key)]
         raise OutputError(
-            f"'{folder}' holds another fit: {', '.join(other) or 'its version'} differ. Choose "
+            f"'{folder}' holds another fit: {', '.join(other)} differ. Choose "
             "another folder, or allow overwriting (--overwrite, overwrite=True)"
         )
     with lock_folder(folder):
         if overwrite:
             remove(folder, FILES)
         if _read_fit(folder) is None:
-            entry = {"digest": name, "multicell": package_version(), "problem": problem}
+            entry = {"multicell": package_version(), "problem": asked}
             kept = with_copy(scene, folder)
             write_text(folder / "scene.toml", kept.to_toml(beside=folder))
-            write_text(folder / "data.csv", _csv([table.titles, *table.rows]))
+            write_text(folder / "data.csv", csv_text(table.titles, table.rows))
             write_table(folder / FIT, entry)  # the last: then all is there
         yield folder
 
@@ -112,11 +110,10 @@ def work_done(folder: str | Path, problem: Mapping[str, Any]) -> tuple[int, int,
     """
     folder = Path(folder)
     known = _read_fit(folder)
-    if known is None or known.get("digest") != digest(problem):
+    if known is None or known.get("problem") != json.loads(to_json(problem)):
         return 0, 0, False
     log, database, journal = (folder / name for name in (SEARCH, "posterior.db", _JOURNAL))
-    attributes = [entry.get("user_attr", {}) for entry in Lines(log).entries]
-    runs = sum(isinstance(value, dict) for found in attributes for value in found.values())
+    runs = sum("values" in entry for entry in Lines(log).entries)
     draws = len(Lines(journal).entries)
     finished = False
     if database.is_file():
@@ -133,12 +130,6 @@ def work_done(folder: str | Path, problem: Mapping[str, Any]) -> tuple[int, int,
     return runs, draws, finished
 
 
-def digest(problem: Mapping[str, Any]) -> str:
-    """Return a digest of what decides all numbers of a fit."""
-    text = json.dumps(json.loads(to_json(problem)), sort_keys=True, separators=(",", ":"))
-    return hashlib.sha256(text.encode()).hexdigest()[:24]
-
-
 def write_result(fit: Fit, folder: Path) -> None:
     """Write what was found: ``result.json``, ``best.toml`` and the tables.
 
@@ -152,13 +143,12 @@ def write_result(fit: Fit, folder: Path) -> None:
     best = with_copy(fit.best.scene, folder)
     write_text(folder / "best.toml", best.to_toml(beside=folder))
     rows = fit.rows()
-    write_text(folder / "residuals.csv", _csv([list(rows[0]), *(list(r.values()) for r in rows)]))
+    write_text(folder / "residuals.csv", csv_text(rows[0], (row.values() for row in rows)))
     if fit.sample is not None:
         frame = fit.posterior
         units = frame.attrs["units"]
         titles = [f"{name} / {units[name]}" if units.get(name) else name for name in frame.columns]
-        lines = frame.to_numpy().tolist()
-        write_text(folder / "posterior.csv", _csv([titles, *lines]))
+        write_text(folder / "posterior.csv", csv_text(titles, frame.to_numpy().tolist()))
 
 
 def _read_fit(folder: Path) -> dict[str, Any] | None:
@@ -167,9 +157,3 @@ def _read_fit(folder: Path) -> dict[str, Any] | None:
         return read_table(folder / FIT)
     except OutputError as error:
         raise OutputError(f"{error}. Allow overwriting to begin anew") from error
-
-
-def _csv(rows: Sequence[Sequence[Any]]) -> str:
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(rows)
-    return text.getvalue()

@@ -36,10 +36,6 @@ def write_report(fit: Fit, folder: str | Path | None = None) -> Path:
     place = fit.folder if folder is None else Path(folder)
     if place is None:
         raise OutputError("the fit has no folder to report to: name one")
-    pictures = {
-        "data.png": (fit.plot.data, _DATA),
-        "parameters.png": (fit.plot.parameters, _POSTERIOR),
-    }
     return write_page(
         place / "report.html",
         "fit.html",
@@ -47,7 +43,10 @@ def write_report(fit: Fit, folder: str | Path | None = None) -> Path:
         title=f"{fit.scene.title or 'Untitled scene'}: fit",
         subtitle=_subtitle(fit),
         tiles=_tiles(fit),
-        pictures={place / name: drawing for name, drawing in pictures.items()},
+        pictures={
+            "data.png": (fit.plot.data, _DATA),
+            "parameters.png": (fit.plot.parameters, _POSTERIOR),
+        },
         parameters=parameters_in_words(fit),
         undetermined=[str(entry) for entry in fit.undetermined],
         asked=fit.sample is not None,

@@ -20,7 +20,6 @@ from multicell.calibration.search import Evaluation, emulator_of
 from multicell.calibration.verdict import (
     Interval,
     Undetermined,
-    correlations,
     in_words,
     intervals,
     quantiles,
@@ -135,11 +134,6 @@ class Fit:
             _fitted=self.scene,
         )
 
-    @property
-    def exact(self) -> bool:
-        """Whether the posterior is sampled with runs at temperature 1, and no approximation."""
-        return self.draws is not None and self.draws.temperature <= 1.0
-
     @cached_property
     def sample(self) -> tuple[Array, Array] | None:
         """Draws from the posterior as places in the ranges (k, d), and their weights (k,).
@@ -189,18 +183,11 @@ class Fit:
         """What the posterior is: ``"exact"``, ``"tempered"``, ``"emulated"`` or ``"none"``."""
         if self.draws is None:
             return "emulated" if self.sample is not None else "none"
-        return "exact" if self.exact else "tempered"
+        return "exact" if self.draws.temperature <= 1.0 else "tempered"
 
     def intervals(self, level: float = 0.95) -> dict[str, Interval]:
         """Return a central credible interval of each parameter by its name, base units."""
         return intervals(self.problem.ranges, *self._some_sample(), level)
-
-    def correlations(self) -> pd.DataFrame:
-        """Return the correlations of the parameters, on the scales of their ranges."""
-        import pandas
-
-        names = self.problem.names
-        return pandas.DataFrame(correlations(*self._some_sample()), index=names, columns=names)
 
     @cached_property
     def undetermined(self) -> list[Undetermined]:
@@ -319,7 +306,7 @@ class Fit:
                 "wide. A larger budget continues from there."
             )
         if self.kind == "none":
-            notes.append("Too few points were tried to tell intervals.")
+            notes.append("Too few points were tried for intervals.")
         if self.fresh.reasons:
             count = len(self.fresh.reasons)
             notes.append(f"{count} fresh runs failed, for example: {self.fresh.reasons[0]}.")

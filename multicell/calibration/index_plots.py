@@ -30,8 +30,8 @@ _HIGHEST: Final = 1.2  # of an axis of parts of the variance; intervals may go f
 def indices(result: Sensitivity, observable: str) -> Figure:
     """Draw the indices of an observable, the largest one on top, with 95 % intervals.
 
-    What cannot be told from noise, or from zero, is pale; a red tick is what noise over the seeds
-    alone would give.
+    What is not distinguishable from noise, or from zero, is pale; a red tick is what noise over
+    the seeds alone would give.
     """
     rows = result.ordered(observable)
     morris = result.method == "morris"
@@ -85,7 +85,7 @@ def _bars(axes: Axes, rows: list[Row], kinds: list[tuple[str, str]]) -> None:
         values = np.array([row[name] for row in rows])
         halves = np.array([row[f"{name}_conf"] for row in rows])
         sure = [row["verdict"] in (CLEAR, CLEAR_SINGLE) for row in rows]
-        colours = [colour if told else PALE for told in sure]
+        colours = [colour if clear else PALE for clear in sure]
         axes.barh(places + shift, np.nan_to_num(values), 0.9 * thick, color=colours)
         axes.errorbar(values, places + shift, xerr=halves, fmt="none", ecolor=QUIET, elinewidth=1.3,
                       capsize=2.5)  # fmt: skip
@@ -112,8 +112,8 @@ def _plane(axes: Axes, rows: list[Row]) -> None:
     half = np.array([row["mu_star_conf"] for row in rows])
     sure = np.array([row["verdict"] in (CLEAR, CLEAR_SINGLE) for row in rows])
     axes.errorbar(star, sigma, xerr=half, fmt="none", ecolor="#a9b5be", elinewidth=1.2, zorder=1)
-    for told, colour in ((True, BLUE), (False, "#a9b5be")):
-        axes.plot(star[sure == told], sigma[sure == told], "o", color=colour, ms=7)
+    for clear, colour in ((True, BLUE), (False, "#a9b5be")):
+        axes.plot(star[sure == clear], sigma[sure == clear], "o", color=colour, ms=7)
     ends = [v for v in (*(star + half), *sigma) if np.isfinite(v)]
     top = 1.12 * max(ends, default=1.0) or 1.0
     for row, x, y in zip(rows[:_MAX_LINES], star, sigma, strict=False):

@@ -50,8 +50,12 @@ _CONFIDENCE: Final = 0.95
 _ROUNDING: Final = 1e-9  # of the size of an observable: smaller variation is rounding
 
 CLEAR, NOISE, ZERO, CLEAR_SINGLE, UNKNOWN = (
-    "clear", "not told from noise", "not told from zero", "clear of zero, noise unknown", "unknown",
-)  # fmt: skip
+    "clear",
+    "not distinguishable from noise",
+    "not distinguishable from zero",
+    "clear of zero, noise unknown",
+    "unknown",
+)
 """What can be said of an index."""
 
 

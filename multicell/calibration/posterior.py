@@ -11,11 +11,9 @@ and says so.
 
 from __future__ import annotations
 
-import logging
 import math
 import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
@@ -26,7 +24,7 @@ from multicell.calibration.distance import Array
 from multicell.calibration.pool import Pool
 from multicell.calibration.problem import Problem
 from multicell.errors import FitFailed, OutputError
-from multicell.extras import needs
+from multicell.extras import needs, quiet
 
 
 @final
@@ -97,8 +95,9 @@ def posterior(
     OutputError
         If the database cannot be read.
     """
-    needs("pyabc", "sqlalchemy")
-    with _quiet():
+    needs("pyabc", "sqlalchemy")  # they set the levels of their loggers as they are loaded
+    with quiet("ABC", "pyabc"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
         from multicell.calibration.reproducible_sampler import Model, ReproducibleSampler
 
         sampler = ReproducibleSampler(
@@ -175,21 +174,3 @@ def _draws(problem: Problem, history: Any) -> Draws:
         shares, weights / weights.sum(), residuals, _temperature(history),
         int(history.max_t) + 1, int(history.total_nr_simulations),
     )  # fmt: skip
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Let pyABC say nothing: what matters is said in words of our own."""
-    import pyabc  # noqa: F401 - it sets the level of its logger
-
-    loggers = [logging.getLogger(name) for name in ("ABC", "pyabc")]
-    levels = [logger.level for logger in loggers]
-    for logger in loggers:
-        logger.setLevel(logging.ERROR)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
-    finally:
-        for logger, level in zip(loggers, levels, strict=True):
-            logger.setLevel(level)

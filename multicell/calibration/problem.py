@@ -22,8 +22,8 @@ from multicell.calibration.distance import (
 )
 from multicell.calibration.simulator import Reading, SceneSimulator, Simulator
 from multicell.errors import SceneError
-from multicell.studies.axes import Range, check_axes, parse_range, with_unique_names
-from multicell.studies.observed import signed
+from multicell.studies.axes import Range, check_ranges, parse_ranges
+from multicell.studies.observed import may_be_negative
 
 
 @final
@@ -72,7 +72,7 @@ class Problem:
     def lowest(self) -> Array:
         """(0 - datum) / σ where an observable cannot be negative, else -inf: (n,)."""
         data = self.measured.data
-        free = np.array([datum.log or signed(datum.observable) for datum in data])
+        free = np.array([datum.log or may_be_negative(datum.observable) for datum in data])
         return np.where(free, -np.inf, -self.observed / self.sigma)
 
     @property
@@ -127,24 +127,21 @@ def ranges_of(free: Mapping[str, str | Sequence[object]], measured: Measured) ->
         If there are none, one is no key of the scene of every condition, one is a condition of
         the data, or the end of a range is refused by the scene.
     """
-    if not free:
-        raise SceneError("free", "names no parameter", "For example 'cells.division_radius'.")
     for condition in measured.conditions:
         for key in free:
             if key in condition.changes:
                 problem = "is a condition of the data, so that no fit can choose it"
                 raise SceneError(key, problem)
-    scene = measured.conditions[0].scene
-    ranges = with_unique_names([parse_range(key, text, scene) for key, text in free.items()])
+    ranges = parse_ranges(free, measured.conditions[0].scene)
     for condition in measured.conditions:
         try:
-            check_axes(condition.scene, ranges)
+            check_ranges(condition.scene, ranges)
         except SceneError as error:
             if not condition.changes:
                 raise
             problem = f"{error.problem} (under the condition '{condition.label}')"
             raise SceneError(error.path, problem, error.hint) from None
-    return tuple(ranges)
+    return ranges
 
 
 def problem_of(

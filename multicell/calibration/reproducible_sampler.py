@@ -87,36 +87,35 @@ class ReproducibleSampler(Sampler):  # type: ignore[misc]
 
         generation = -1 if all_accepted else t
         work = cloudpickle.dumps((simulate_one, self._read(generation)))
-        ordered, most = _Ordered(), int(min(max_eval, self._most - self.drawn, sys.maxsize))
+        most = int(min(max_eval, self._most - self.drawn, sys.maxsize))
+        particles: list[Any] = []  # in the order of their numbers, up to the n-th accepted one
+        early: dict[int, Any] = {}  # those that have a gap before them
+        accepted = in_any_order = 0
 
         def calls() -> Iterator[Call]:
             for number in range(most):
-                if ordered.in_any_order >= n or clock.monotonic() > self._deadline:
+                if in_any_order >= n or clock.monotonic() > self._deadline:
                     return
                 yield number, _draw, (work, self._seed, generation, number)
 
         with closing(self._pool.results(calls())) as results:
             for number, particle in results:
                 self._write(generation, particle)
-                ordered.add(number, particle)
+                early[number] = particle
+                in_any_order += particle.accepted
+                while accepted < n and len(particles) in early:
+                    particles.append(early.pop(len(particles)))
+                    accepted += particles[-1].accepted
                 if self._progress is not None:
-                    drawn = self.drawn + ordered.count
-                    self._progress(generation, min(ordered.in_any_order, n), n, drawn)
-                if ordered.accepted >= n:
+                    drawn = self.drawn + len(particles) + len(early)
+                    self._progress(generation, min(in_any_order, n), n, drawn)
+                if accepted >= n:
                     break
-        return self._sample(ordered.particles, n)
-
-    def _sample(self, particles: list[Any], n: int) -> Any:
-        """Return the first draws with ``n`` accepted ones."""
         sample = self._create_empty_sample()
-        used = 0
         for particle in particles:
             sample.append(particle)
-            used += 1
-            if sample.n_accepted == n:
-                break
-        self.nr_evaluations_ = used
-        self.drawn += used
+        self.nr_evaluations_ = len(particles)
+        self.drawn += len(particles)
         sample.ok = sample.n_accepted == n
         return sample
 
@@ -138,30 +137,6 @@ class ReproducibleSampler(Sampler):  # type: ignore[misc]
             found = particle.sum_stat
             entry = {"generation": generation, "key": found["key"]}
             self._lines.append([{**entry, "z": list(map(float, found["z"]))}])
-
-
-@final
-class _Ordered:
-    """Draws in the order of their numbers, while they come in any other.
-
-    ``particles`` are those without a gap before them and ``accepted`` how many of these are;
-    ``in_any_order`` counts all that are accepted and ``count`` all.
-    """
-
-    def __init__(self) -> None:
-        self.particles: list[Any] = []
-        self.accepted = self.in_any_order = self.count = 0
-        self._early: dict[int, Any] = {}
-
-    def add(self, number: int, particle: Any) -> None:
-        """Add a draw."""
-        self._early[number] = particle
-        self.in_any_order += particle.accepted
-        self.count += 1
-        while len(self.particles) in self._early:
-            particle = self._early.pop(len(self.particles))
-            self.particles.append(particle)
-            self.accepted += particle.accepted
 
 
 @lru_cache(maxsize=1)

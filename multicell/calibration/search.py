@@ -6,8 +6,9 @@ which are where another run tells most. The rest are Optuna's (TPE), which needs
 dependence and looks elsewhere too. All points have the same random numbers, so that differences
 between them are differences of parameters.
 
-Whatever is known is Optuna's storage: each run is an attribute of its trial as soon as it has
-ended, so that a search that is stopped continues without a second run of anything.
+Batches and readings are lines of one file, each written as soon as it is known, so that a search
+that is stopped continues without a second run of anything. Optuna gets all that is known with each
+batch.
 """
 
 from __future__ import annotations
@@ -15,9 +16,7 @@ from __future__ import annotations
 import math
 import time as clock
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from copy import deepcopy
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, final
@@ -30,8 +29,13 @@ from multicell.calibration.pool import Call, Pool
 from multicell.calibration.problem import Problem
 from multicell.calibration.simulator import Reading
 from multicell.errors import FitFailed, OutputError
-from multicell.extras import needs
+from multicell.extras import needs, quiet
 from multicell.results.documents import Lines
+
+Point = tuple[float, ...]
+"""Places in the ranges."""
+Run = tuple[Point, int, int]
+"""A point, the number of a condition, and a seed: what decides a reading."""
 
 BATCH: Final = 5
 """Points that are tried together, at least."""
@@ -78,21 +82,21 @@ class Search:
         needs("optuna")
         self._problem = problem
         self._seed = seed
-        with _quiet():
-            import optuna
-
-            self._study: Any = _study(path)
-            distribution = optuna.distributions.FloatDistribution(0.0, 1.0)
-        self._space = dict.fromkeys(problem.names, distribution)
+        self._points: list[Point] = []
+        self._readings: dict[Run, Reading] = {}
         self._known: dict[int, Evaluation] = {}
+        self._lines = None if path is None else Lines(path)
+        for entry in () if self._lines is None else self._lines.entries:
+            try:
+                self._take(entry)
+            except (KeyError, TypeError, ValueError) as error:
+                raise OutputError(f"'{path}' is damaged: {error!r}") from error
 
     def evaluations(self) -> list[Evaluation]:
         """Return all that is known, in order."""
-        from optuna.trial import TrialState
-
-        for trial in self._study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)):
-            if trial.number not in self._known:
-                self._known[trial.number] = self._evaluation(trial)
+        for number, shares in enumerate(self._points):
+            if number not in self._known and not self._missing(self._runs([shares])):
+                self._known[number] = self._evaluation(number, shares)
         return [self._known[number] for number in sorted(self._known)]
 
     def run(
@@ -121,13 +125,17 @@ class Search:
         FitFailed
             If all runs of the first points fail.
         """
-        with _quiet():
-            self._finish(pool, self._open(), progress, points)
+        import optuna
+
+        with quiet("optuna"), warnings.catch_warnings():
+            warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
+            self._finish(pool, progress, points)
             while (known := len(self.evaluations())) < points and clock.monotonic() < deadline:
                 self._refuse_failures()
                 width = max(BATCH, math.ceil(pool.count / len(self._problem.tasks())))
-                batch = self._ask(min(width, points - known))
-                self._finish(pool, batch, progress, points)
+                # one entry: a search that is stopped here has none of the batch, or all of it
+                self._note({"points": self._next(min(width, points - known))})
+                self._finish(pool, progress, points)
             self._refuse_failures()
             return self.evaluations()
 
@@ -156,56 +164,46 @@ class Search:
             Why runs failed.
         """
         conditions = range(len(self._problem.measured.conditions))
-        known: dict[tuple[int, int], Reading] = {}
-        calls: list[Call] = []
-        for row, (shares, seed) in enumerate(points):
-            for condition in conditions:
-                entry = self._study.user_attrs.get(f"extra {seed}:{condition}")
-                if entry is not None and entry["shares"] == list(shares):
-                    known[row, condition] = _reading(entry)
-                else:
-                    arguments = list(shares), condition, seed
-                    calls.append(((row, condition), self._problem.simulator, arguments))
-        for (row, condition), reading in pool.results(calls):
-            shares, seed = points[row]
-            entry = {"shares": list(shares), **_entry(reading)}
-            self._study.set_user_attr(f"extra {seed}:{condition}", entry)
-            known[row, condition] = reading
-            if progress is not None:
-                progress(len(known), len(points) * len(conditions))
-        on_scales = {
-            (condition, row): self._problem.on_scales(condition, reading)
-            for (row, condition), reading in known.items()
+        runs = [(_point(shares), k, seed) for shares, seed in points for k in conditions]
+        self._make(pool, runs, progress, len(runs))
+        readings = {
+            (k, row): self._readings[_point(shares), k, seed]
+            for row, (shares, seed) in enumerate(points)
+            for k in conditions
         }
-        reasons = [reading.reason for reading in known.values() if reading.reason]
+        on_scales = {(k, row): self._problem.on_scales(k, r) for (k, row), r in readings.items()}
+        reasons = [reading.reason for reading in readings.values() if reading.reason]
         return self._problem.runs(on_scales, range(len(points))), reasons
 
     def emulator(self) -> Emulator | None:
         """Return an emulator through the best points, None while there are too few."""
         return emulator_of(self._problem, self.evaluations())
 
-    def _ask(self, count: int) -> list[Any]:
-        """Return the next trials."""
+    def _next(self, count: int) -> list[list[float]]:
+        """Return the points of the next batch."""
         import optuna
 
-        known = len(self._planned())
-        self._study.sampler = optuna.samplers.TPESampler(
+        known, names = len(self._points), self._problem.names
+        proposed = self._proposed(known, count)
+        if len(proposed) == count:
+            return proposed
+        anywhere = optuna.distributions.FloatDistribution(0.0, 1.0)
+        space: dict[str, Any] = dict.fromkeys(names, anywhere)
+        sampler = optuna.samplers.TPESampler(
             seed=self._seed + known, multivariate=True, n_startup_trials=self._first_points
         )
-        trials = []
-        for shares in self._proposed(known, count):
-            self._study.enqueue_trial(dict(zip(self._problem.names, shares, strict=True)))
-            trials.append(self._study.ask(self._space))
-        trials += [self._study.ask(self._space) for _ in range(count - len(trials))]
-        # a batch is begun once this is written: half of one is forgotten
-        self._study.set_user_attr(f"batch {known}", [trial.number for trial in trials])
-        return trials
-
-    def _planned(self) -> set[int]:
-        """Return the numbers of the trials of all batches that were begun."""
-        known = self._study.user_attrs.items()
-        batches = [numbers for name, numbers in known if name.startswith("batch ")]
-        return {number for numbers in batches for number in numbers}
+        study = optuna.create_study(sampler=sampler)
+        for found in self.evaluations():
+            params = dict(zip(names, found.shares.tolist(), strict=True))
+            study.add_trial(
+                optuna.trial.create_trial(
+                    params=params, distributions=space, value=found.misfit.loss
+                )
+            )
+        for shares in proposed:
+            study.enqueue_trial(dict(zip(names, shares, strict=True)))
+        trials = [study.ask(space) for _ in range(count)]
+        return [[trial.params[name] for name in names] for trial in trials]
 
     @property
     def _first_points(self) -> int:
@@ -231,69 +229,57 @@ class Search:
         power = math.ceil(math.log2(self._first_points + BATCH))
         return np.asarray(sequence.random_base2(max(power, 6)))
 
-    def _open(self) -> list[Any]:
-        """Return the trials that were begun and not ended, by a search that was stopped."""
-        from optuna.trial import Trial, TrialState
+    def _runs(self, points: Sequence[Point]) -> list[Run]:
+        """Return the runs that some points of the search take."""
+        return [(shares, k, seed) for k, seed in self._problem.tasks() for shares in points]
 
-        waiting = self._study.get_trials(deepcopy=False, states=(TrialState.WAITING,))
-        for _ in waiting:  # each is handed out once, and not again
-            self._study.ask()
-        planned, begun = self._planned(), []
-        for trial in self._study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
-            if trial.number in planned:
-                begun.append(Trial(self._study, trial._trial_id))
-            else:
-                self._study.tell(trial.number, state=TrialState.FAIL)
-        return begun
+    def _missing(self, runs: Sequence[Run]) -> list[Run]:
+        return [run for run in dict.fromkeys(runs) if run not in self._readings]
 
-    def _finish(
-        self,
-        pool: Pool,
-        trials: Sequence[Any],
-        progress: Callable[[int, int], None] | None,
-        points: int,
-    ) -> None:
-        """Make the runs of some trials that are not known yet, and tell what they came to."""
-        tasks = self._problem.tasks()
-        missing = {trial.number: set(tasks) - set(_readings(trial)) for trial in trials}
-        by_number = {trial.number: trial for trial in trials}
-        for trial in trials:
-            if not missing[trial.number]:
-                self._tell(trial)
-        calls: list[Call] = []
-        for condition, seed in tasks:
-            for trial in trials:
-                if (condition, seed) in missing[trial.number]:
-                    shares = [trial.params[name] for name in self._problem.names]
-                    key = trial.number, condition, seed
-                    calls.append((key, self._problem.simulator, (shares, condition, seed)))
-        done = len(self.evaluations()) * len(tasks)
-        done += sum(len(tasks) - len(m) for m in missing.values() if m)
-        for (number, condition, seed), reading in pool.results(calls):
-            _note(by_number[number], condition, seed, reading)
-            missing[number].discard((condition, seed))
-            if not missing[number]:
-                self._tell(by_number[number])
+    def _finish(self, pool: Pool, progress: Callable[[int, int], None] | None, points: int) -> None:
+        """Make the runs of all points that are not known yet."""
+        runs = self._runs(self._points)
+        self._make(pool, runs, progress, max(points * len(self._problem.tasks()), len(runs)))
+
+    def _make(
+        self, pool: Pool, runs: Sequence[Run], progress: Callable[[int, int], None] | None,
+        wanted: int,
+    ) -> None:  # fmt: skip
+        """Make those of some runs that are not known, and keep what they come to."""
+        missing = self._missing(runs)
+        done = len(runs) - len(missing)
+        calls: list[Call] = [
+            (run, self._problem.simulator, (list(run[0]), run[1], run[2])) for run in missing
+        ]
+        for (shares, condition, seed), reading in pool.results(calls):
+            values = [None if math.isnan(v) else v for v in reading.values]
+            run = {"shares": list(shares), "condition": condition, "seed": seed}
+            self._note({**run, "values": values, "reason": reading.reason})
             done += 1
             if progress is not None:
-                progress(done, max(points * len(tasks), done))
+                progress(done, wanted)
 
-    def _tell(self, trial: Any) -> None:
-        found = self._evaluation(trial)
-        self._study.tell(trial.number, found.misfit.loss)
+    def _note(self, entry: Mapping[str, Any]) -> None:
+        """Keep a batch of points or a reading."""
+        if self._lines is not None:
+            self._lines.append([entry])
+        self._take(entry)
 
-    def _evaluation(self, trial: Any) -> Evaluation:
-        """Return what a trial has come to."""
-        readings, reasons = _readings(trial), []
-        for reading in readings.values():
-            if reading.reason:
-                reasons.append(reading.reason)
-        known = {
-            (condition, seed): self._problem.on_scales(condition, reading)
-            for (condition, seed), reading in readings.items()
-        }
-        shares = np.array([trial.params[name] for name in self._problem.names])
-        return Evaluation(trial.number, shares, self._problem.misfit(known), tuple(reasons))
+    def _take(self, entry: Mapping[str, Any]) -> None:
+        if "points" in entry:
+            self._points += map(_point, entry["points"])
+            return
+        values = tuple(math.nan if v is None else float(v) for v in entry["values"])
+        run = _point(entry["shares"]), int(entry["condition"]), int(entry["seed"])
+        self._readings[run] = Reading(values, str(entry["reason"]))
+
+    def _evaluation(self, number: int, shares: Point) -> Evaluation:
+        """Return what a point has come to."""
+        tasks = self._problem.tasks()
+        readings = {(k, seed): self._readings[shares, k, seed] for k, seed in tasks}
+        known = {(k, seed): self._problem.on_scales(k, r) for (k, seed), r in readings.items()}
+        reasons = tuple(reading.reason for reading in readings.values() if reading.reason)
+        return Evaluation(number, np.array(shares), self._problem.misfit(known), reasons)
 
     def _refuse_failures(self) -> None:
         """Refuse to continue where no run succeeds."""
@@ -325,71 +311,5 @@ def emulator_of(problem: Problem, evaluations: Sequence[Evaluation]) -> Emulator
     )
 
 
-def _study(path: Path | None) -> Any:
-    """Return Optuna's study, from a file if there is one; that is locked by the caller."""
-    import optuna
-    from optuna.storages import JournalStorage
-    from optuna.storages.journal import BaseJournalBackend
-
-    class Checked(BaseJournalBackend):
-        """Optuna's log in lines with checksums; one process at a time has it."""
-
-        def __init__(self, lines: Lines) -> None:
-            self._lines = lines
-
-        def read_logs(self, log_number_from: int) -> list[Any]:
-            return deepcopy(self._lines.entries[log_number_from:])
-
-        def append_logs(self, logs: list[dict[str, Any]]) -> None:
-            self._lines.append(logs)
-
-    if path is None:
-        return optuna.create_study(study_name="fit")
-    lines = Lines(path)
-    try:
-        storage = JournalStorage(Checked(lines))
-        return optuna.create_study(storage=storage, study_name="fit", load_if_exists=True)
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise OutputError(f"'{path}' is damaged: {error}") from error
-
-
-def _note(trial: Any, condition: int, seed: int, reading: Reading) -> None:
-    """Keep the reading of a run with its trial."""
-    trial.set_user_attr(f"{condition}:{seed}", _entry(reading))
-
-
-def _entry(reading: Reading) -> dict[str, Any]:
-    """Return a reading as JSON has it."""
-    values = [None if math.isnan(v) else v for v in reading.values]
-    return {"values": values, "reason": reading.reason}
-
-
-def _reading(entry: Mapping[str, Any]) -> Reading:
-    """Return the reading that an entry holds."""
-    values = tuple(math.nan if v is None else float(v) for v in entry["values"])
-    return Reading(values, entry["reason"])
-
-
-def _readings(trial: Any) -> dict[tuple[int, int], Reading]:
-    """Return the readings that a trial has."""
-    attributes: Mapping[str, Any] = trial.user_attrs
-    found = {}
-    for name, entry in attributes.items():
-        condition, _, seed = name.partition(":")
-        found[int(condition), int(seed)] = _reading(entry)
-    return found
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Let Optuna say nothing: what matters is said in words of our own."""
-    import optuna
-
-    level = optuna.logging.get_verbosity()
-    optuna.logging.set_verbosity(optuna.logging.ERROR)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
-            yield
-    finally:
-        optuna.logging.set_verbosity(level)
+def _point(shares: Sequence[float]) -> Point:
+    return tuple(map(float, shares))

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
+
+import numpy as np
 
 from multicell.calibration.indices import (
     DEFAULT_SIZE,
@@ -19,28 +20,22 @@ from multicell.calibration.indices import (
     check_size,
     sample,
 )
-from multicell.calibration.responses import Evaluate, Responses, responses_of
 from multicell.calibration.sensitivity_result import COLUMNS, Row, Sensitivity
-from multicell.errors import OutputError, SceneError
+from multicell.errors import MulticellError, SceneError
 from multicell.extras import needs
-from multicell.files import parse_toml, read_regular
-from multicell.results.folder import file_errors, make_folder, write_text
+from multicell.results.documents import read_table
 from multicell.results.quantities import known_unit
-from multicell.studies.axes import Range, check_axes, parse_range, with_unique_names
+from multicell.studies.axes import Range, check_ranges, parse_ranges
 from multicell.studies.limits import check_runs, check_seeds
-from multicell.studies.observed import at_the_end, in_history, likely
+from multicell.studies.observed import at_the_end, course_of, entry_of, in_history, suggest
 from multicell.studies.plan import Plan, make_plan
+from multicell.studies.status import run_folder
 from multicell.studies.study import Study, write_study
 
 if TYPE_CHECKING:
+    from multicell.cells import FloatArray
     from multicell.scene.scene import Scene
-    from multicell.studies.runs import Run
     from multicell.studies.task import Outcome
-
-_LARGEST: Final = 20_000_000
-"""Bytes of the file that says what is asked: twice those of the largest scene."""
-PLAN: Final = "sensitivity.toml"
-"""File in the folder that says what is asked there."""
 
 _USUAL: Final = ("cells", "diameter", "viable_rim", "necrotic_radius", "heterotypic_fraction",
                  "pull", "largest_pressure")  # fmt: skip
@@ -110,7 +105,7 @@ def sensitivity(
         If the scheduler does not answer.
     """
     plan = plan_of(scene, free, method=method, size=size, seeds=seeds, observables=observables)
-    prepare(plan, output, overwrite=overwrite)
+    write_study(plan.study, output, overwrite=overwrite)
     result = carry_out(
         plan, output, cores=cores, scheduler=scheduler, retry=retry, progress=progress
     )
@@ -161,11 +156,14 @@ def plan_of(
 
     Parameters and errors are those of :func:`sensitivity`.
     """
+    from multicell.scene.scene import load_scene
+
     needs("SALib", "distributed")
-    described = _scene(scene)
+    described = load_scene(scene) if isinstance(scene, str | Path) else scene
     size = DEFAULT_SIZE.get(method, 0) if size is None else size
     check_size(method, size)
-    ranges = ranges_of(described, free)
+    ranges = parse_ranges(free, described)
+    check_ranges(described, ranges)
     chosen = observables_of(described, observables)
     check_seeds(seeds, described.seed)
     check_runs(size * block(method, len(ranges)), seeds, "size")
@@ -198,70 +196,103 @@ def carry_out(
     folder = Path(output)
     study = Study(plan.study, folder)
     outcomes = study.run(cores, scheduler, progress, retry=retry)
-    found = responses_of(outcomes, plan.study.seeds, folder, plan.observables)
-    return result_of(
-        plan.scene, plan.method, plan.ranges, plan.size, plan.seeds, plan.observables,
-        lambda _: found.at(plan.rows), _run_rows(study.runs, found), folder,
-    )  # fmt: skip
+    final, failures = read_final(outcomes, folder, plan.observables)
+    shape = len(plan.study.points), plan.study.seeds
+    values = {n: column.reshape(shape)[list(plan.rows)] for n, column in final.items()}
+    result = result_of(plan.scene, plan.method, plan.ranges, plan.seeds, values, failures)
+    runs = [
+        {
+            "name": run.name,
+            **run.coordinates,
+            **{name: float(column[number]) for name, column in final.items()},
+            "reason": failures.get(run.name, ""),
+        }
+        for number, run in enumerate(study.runs)
+    ]
+    return replace(result, runs=runs, folder=folder)
 
 
 def result_of(
     scene: Scene,
     method: str,
     ranges: Sequence[Range],
-    size: int,
     seeds: Sequence[int],
-    observables: Sequence[str],
-    evaluate: Evaluate,
-    runs: Sequence[Row] = (),
-    folder: Path | None = None,
+    values: Mapping[str, FloatArray],
+    failures: Mapping[str, str] | None = None,
 ) -> Sensitivity:
-    """Return the sensitivity of whatever gives values at points of the unit cube.
+    """Return the sensitivity of whatever has values at the points of a sample.
 
     Parameters
     ----------
-    scene, method, ranges, size, seeds, observables
+    scene, method, ranges, seeds
         As in :func:`sensitivity`, checked.
-    evaluate
-        Gives the observables at the points of the sample.
-    runs, folder
-        A row for each run, and where they are.
+    values : observable -> (n, seeds)
+        At the points of :func:`multicell.calibration.indices.sample`; NaN where there is none.
+    failures
+        Name of a run that failed -> reason.
     """
     names = [free.name for free in ranges]
+    size = len(next(iter(values.values()))) // block(method, len(names))
     shares = sample(method, names, size)
-    seen = evaluate(shares)
-    found = {name: analyse(method, names, shares, seen.final[name]) for name in observables}
+    found = {name: analyse(method, names, shares, known) for name, known in values.items()}
     table = [
         _row(method, name, free, index)
         for name, analysis in found.items()
         for free, index in zip(ranges, analysis.indices, strict=True)
     ]
-    return Sensitivity(
-        scene=scene,
-        method=method,
-        ranges=tuple(ranges),
-        size=size,
-        seeds=tuple(seeds),
-        table=table,
-        notes=_notes(method, size, seeds, found, seen, table),
-        runs=list(runs),
-        folder=folder,
-    )
+    notes = _notes(method, size, seeds, found, failures or {}, table)
+    return Sensitivity(scene, method, tuple(ranges), size, tuple(seeds), table, notes)
 
 
-def ranges_of(scene: Scene, free: Mapping[str, Any]) -> tuple[Range, ...]:
-    """Return the free parameters of a scene, checked.
+def read_final(
+    outcomes: Sequence[Outcome], folder: Path, observables: Sequence[str]
+) -> tuple[dict[str, FloatArray], dict[str, str]]:
+    """Return observables at the ends of runs, and why runs failed.
 
-    Raises
-    ------
-    SceneError
-        If there are none, or one of them does not fit.
+    The viable rim of a population without a necrotic core is its radius, which is what it tends to
+    as a core vanishes.
+
+    Parameters
+    ----------
+    outcomes
+        Of all runs of a study, n.
+    folder
+        Of the study.
+    observables
+        Columns of histories, or dotted names of entries of summaries.
+
+    Returns
+    -------
+    dict of str to (n,)
+        NaN where a run failed or lacks the observable.
+    dict of str to str
+        Name of a run -> reason.
     """
-    if not free:
-        raise SceneError("free", "names no parameter", "For example drag.viscosity='1:10 kPa s'.")
-    ranges = with_unique_names([parse_range(key, text, scene) for key, text in free.items()])
-    check_axes(scene, ranges)
-    return tuple(ranges)
+    failures = {o.name: o.reason for o in outcomes if o.state == "failed"}
+    final = {name: np.full(len(outcomes), np.nan) for name in observables}
+    for number, outcome in enumerate(outcomes):
+        if outcome.state != "done":
+            continue
+        try:
+            last = _read_end(run_folder(folder, outcome.name), observables)
+        except MulticellError as error:
+            failures[outcome.name] = str(error)
+            continue
+        for name in observables:
+            final[name][number] = last[name]
+    return final, failures
+
+
+def _read_end(place: Path, observables: Sequence[str]) -> dict[str, float]:
+    """Return the final values of a run."""
+    from multicell.results.reader import Contents
+
+    history = Contents(place).history()
+    summary = read_table(place / "summary.json") or {}
+    return {
+        name: float(course_of(history, name)[-1]) if name in history else entry_of(summary, name)
+        for name in observables
+    }
 
 
 def observables_of(scene: Scene, names: Sequence[str] | None) -> list[str]:
@@ -283,55 +314,9 @@ def observables_of(scene: Scene, names: Sequence[str] | None) -> list[str]:
     for name in names:
         if name not in known:
             raise SceneError(
-                "observable", f"runs of this scene have no {name!r}", likely(name, known)
+                "observable", f"runs of this scene have no {name!r}", suggest(name, known)
             )
     return list(dict.fromkeys(names))
-
-
-def _scene(scene: Scene | str | Path) -> Scene:
-    from multicell.scene.scene import load_scene
-
-    return load_scene(scene) if isinstance(scene, str | Path) else scene
-
-
-def prepare(plan: SensitivityPlan, output: str | Path, *, overwrite: bool = False) -> None:
-    """Make the folder of an analysis, or see that it holds the same one; write down what is asked.
-
-    Raises
-    ------
-    OutputError
-        If it holds something else, or cannot be used.
-    """
-    import tomli_w
-
-    folder = Path(output)
-    path = folder / PLAN
-    question = tomli_w.dumps(
-        {
-            "method": plan.method,
-            "free": {free.key: _range_text(free) for free in plan.ranges},
-            "scene": plan.scene.to_dict(),
-        }
-    )
-    there = os.path.lexists(path)
-    make_folder(folder, overwrite=there)
-    if there and not overwrite and not _same(path, question):
-        raise OutputError(
-            f"'{path}' asks something else (another scene, method or ranges): choose another "
-            "folder, or allow overwriting (--overwrite, overwrite=True), which keeps all runs"
-        )
-    write_study(plan.study, folder, overwrite=True)
-    write_text(path, question)
-
-
-def _same(path: Path, question: str) -> bool:
-    """Return whether a file asks the same; one that cannot be read as TOML does not."""
-    with file_errors("read", path):
-        before = read_regular(path, _LARGEST)
-    try:
-        return parse_toml(before.decode()) == parse_toml(question)
-    except ValueError:
-        return False
 
 
 def _row(method: str, observable: str, free: Range, index: Index) -> Row:
@@ -350,14 +335,14 @@ def _row(method: str, observable: str, free: Range, index: Index) -> Row:
 
 def _notes(
     method: str, size: int, seeds: Sequence[int], found: Mapping[str, Analysis],
-    seen: Responses, table: Sequence[Row],
+    failures: Mapping[str, str], table: Sequence[Row],
 ) -> list[str]:  # fmt: skip
     """Return what the reader must know of the result."""
     what = "trajectories" if method == "morris" else "base points"
     notes = []
-    if seen.failures:
-        reason = next(iter(seen.failures.values()))
-        notes.append(f"{len(seen.failures)} runs failed, the first one: {reason}")
+    if failures:
+        reason = next(iter(failures.values()))
+        notes.append(f"{len(failures)} runs failed, the first one: {reason}")
     for name, analysis in found.items():
         if analysis.used < 2:
             notes.append(f"{name}: fewer than two {what} have all their runs: no index is known")
@@ -376,23 +361,5 @@ def _notes(
     if hidden:
         pairs = ", ".join(f"{row['parameter']} on {row['observable']}" for row in hidden[:6])
         more = f" and {len(hidden) - 6} more" if len(hidden) > 6 else ""
-        notes.append(f"not told from the noise over {len(seeds)} seeds: {pairs}{more}")
+        notes.append(f"not distinguishable from the noise over {len(seeds)} seeds: {pairs}{more}")
     return notes
-
-
-def _run_rows(runs: Sequence[Run], found: Responses) -> list[Row]:
-    """Return a row for each run of a study: name, coordinates, observables, why it failed."""
-    ends = {name: values.ravel() for name, values in found.final.items()}
-    return [
-        {
-            "name": run.name,
-            **run.coordinates,
-            **{name: float(values[number]) for name, values in ends.items()},
-            "reason": found.failures.get(run.name, ""),
-        }
-        for number, run in enumerate(runs)
-    ]
-
-
-def _range_text(free: Range) -> str:
-    return f"{'log ' if free.log else ''}{free.low!r}:{free.high!r} {free.unit}".strip()

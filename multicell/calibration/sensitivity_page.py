@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from multicell.calibration.indices import CLEAR, CLEAR_SINGLE, block
 from multicell.calibration.verdict import in_words
-from multicell.report.html import write_page
+from multicell.report.html import Drawing, write_page
 from multicell.studies.pictures.values import key_words, sentence, words
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from multicell.calibration.sensitivity_result import Sensitivity
     from multicell.studies.axes import Range
 
@@ -27,21 +24,18 @@ def write_report(result: Sensitivity, folder: Path) -> Path:
     OutputError
         If the folder cannot be written to.
     """
-    pictures: dict[Path, tuple[Callable[[], Figure], str]] = {}
-    index = "Size of effects" if result.method == "morris" else "Parts of the variance"
+    pictures: dict[str, Drawing] = {}
+    index, first = "parts of the variance", "st"
+    if result.method == "morris":
+        index, first = "size of effects", "mu_star"
     for name in result.observables:
-        rows = result.ordered(name)
-        first = "mu_star" if result.method == "morris" else "st"
-        if not any(row[first] > 0.0 for row in rows):
-            continue  # nothing to draw: a note says why
-        told = sentence(words(name))
-        file = name.replace(".", "_")
-        path = folder / f"sensitivity-{file}.png"
-        caption = (
-            f"{told}: {index.lower()} at the end of the runs, with 95 % intervals; pale is what "
-            "cannot be told from noise or zero."
-        )
-        pictures[path] = partial(result.plot, name), caption
+        if any(row[first] > 0.0 for row in result.ordered(name)):  # else a note says why
+            caption = (
+                f"{sentence(words(name))}: {index} at the end of the runs, with 95 % intervals; "
+                "pale is what is not distinguishable from noise or zero."
+            )
+            path = f"sensitivity-{name.replace('.', '_')}.png"
+            pictures[path] = partial(result.plot, name), caption
     return write_page(
         folder / "report.html",
         "sensitivity.html",
@@ -70,18 +64,18 @@ def _subtitle(result: Sensitivity) -> str:
 def _tiles(result: Sensitivity) -> dict[str, str]:
     points = result.size * block(result.method, len(result.ranges))
     failed = sum(bool(row["reason"]) for row in result.runs)
-    told = {
+    tiles = {
         "free parameters": f"{len(result.ranges)}",
         "trajectories" if result.method == "morris" else "base points": f"{result.size:,}",
         "points": f"{points:,}",
         "seeds": f"{len(result.seeds)}",
     }
     if result.runs:
-        told["runs"] = f"{len(result.runs):,}"
+        tiles["runs"] = f"{len(result.runs):,}"
     if failed:
-        told["runs that failed"] = f"{failed:,}"
+        tiles["runs that failed"] = f"{failed:,}"
     for name in result.observables[:3]:
         first = result.ordered(name)[0]
         if first["verdict"] in (CLEAR, CLEAR_SINGLE):
-            told[f"decides {words(name)} most"] = key_words(first["key"], first["parameter"])
-    return told
+            tiles[f"decides {words(name)} most"] = key_words(first["key"], first["parameter"])
+    return tiles

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -12,7 +10,8 @@ from typing import TYPE_CHECKING, Any, Final, final
 from multicell.errors import OutputError, SceneError
 from multicell.results.folder import file_errors, package_version, to_json, versions, write_text
 from multicell.results.quantities import known_unit
-from multicell.studies.observed import likely
+from multicell.studies.observed import suggest
+from multicell.tables.text import csv_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -88,7 +87,7 @@ class Sensitivity:
         known = [*self.observables, *(free.name for free in self.ranges)]
         missing = observable if observable not in known else parameter
         raise SceneError(
-            "", f"the analysis has no {missing!r}", likely(missing, dict.fromkeys(known))
+            "", f"the analysis has no {missing!r}", suggest(missing, dict.fromkeys(known))
         )
 
     def plot(self, observable: str | None = None) -> Figure:
@@ -97,7 +96,7 @@ class Sensitivity:
 
         return indices(self, observable or self.observables[0])
 
-    def to_csv(self) -> str:
+    def tocsv_text(self) -> str:
         """Return the table as CSV."""
         return _csv(self.table)
 
@@ -124,7 +123,7 @@ class Sensitivity:
         for name in self.observables:
             unit = known_unit(name)
             lines.append(f"{name.replace('_', ' ')}{f' ({unit})' if unit else ''}")
-            lines += [f"  {line}" for line in _told(self.method, self.ordered(name))]
+            lines += [f"  {line}" for line in _table_lines(self.method, self.ordered(name))]
         return "\n".join([*lines, *(f"Note: {note}" for note in self.notes)])
 
     def ordered(self, observable: str) -> list[Row]:
@@ -148,7 +147,7 @@ class Sensitivity:
             raise OutputError("the analysis has no output folder: say where the report shall go")
         with file_errors("use the output folder", place):
             place.mkdir(parents=True, exist_ok=True)
-        texts = {"sensitivity.csv": self.to_csv(), "sensitivity.json": self.to_json()}
+        texts = {"sensitivity.csv": self.tocsv_text(), "sensitivity.json": self.to_json()}
         texts |= {"runs.csv": _csv(self.runs)} if self.runs else {}
         for name, text in texts.items():
             write_text(place / name, text)
@@ -156,14 +155,10 @@ class Sensitivity:
 
 
 def _csv(rows: Sequence[Row]) -> str:
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()
+    return csv_text(rows[0], (row.values() for row in rows))
 
 
-def _told(method: str, rows: Sequence[Row]) -> list[str]:
+def _table_lines(method: str, rows: Sequence[Row]) -> list[str]:
     """Return lines of a table of one observable."""
     heads = ["parameter", "mu*", "± 95 %", "mu", "sigma", "noise", ""] if method == "morris" else (
         ["parameter", "S1", "± 95 %", "ST", "± 95 %", "noise", ""]

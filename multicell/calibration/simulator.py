@@ -7,7 +7,7 @@ and back comes one number for each datum.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Final, Protocol, final
 
 import numpy as np
@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from multicell.calibration.data import Datum, Measured
 from multicell.errors import MulticellError
 from multicell.studies.axes import Range
-from multicell.studies.observed import continued, entry_of
-from multicell.studies.runs import own_laws, own_observables
-from multicell.studies.task import load_observables
+from multicell.studies.observed import course_of, entry_of
+from multicell.studies.runs import PlainScene
 
 OUTGROWN: Final = {"cells": 3.0, "diameter": 1.5}
 """A run ends when one of these is so many times the largest one measured in its condition."""
@@ -67,33 +66,23 @@ class SceneSimulator:
     Attributes
     ----------
     scenes
-        The scene of each condition as plain values.
+        The scene of each condition.
     data
         The data of each condition.
     ranges
         The free parameters.
-    laws
-        Contact laws of the user's own, ``file.py:Name``, that workers load first.
-    observables
-        See :func:`multicell.studies.runs.own_observables`.
     """
 
-    scenes: tuple[Mapping[str, Any], ...]
+    scenes: tuple[PlainScene, ...]
     data: tuple[tuple[Datum, ...], ...]
     ranges: tuple[Range, ...]
-    laws: tuple[str, ...] = ()
-    observables: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def of(cls, measured: Measured, ranges: Sequence[Range]) -> SceneSimulator:
         """Return the simulator that stands for the conditions of some data."""
-        scenes = tuple(condition.scene.to_dict() for condition in measured.conditions)
+        scenes = tuple(PlainScene.of(condition.scene) for condition in measured.conditions)
         data = tuple(tuple(measured.of(k)) for k in range(len(scenes)))
-        laws = {law for condition in measured.conditions for law in own_laws(condition.scene)}
-        own: dict[str, str] = {}
-        for condition in measured.conditions:
-            own |= own_observables(condition.scene)
-        return cls(scenes, data, tuple(ranges), tuple(sorted(laws)), own)
+        return cls(scenes, data, tuple(ranges))
 
     def __call__(self, shares: Sequence[float], condition: int, seed: int) -> Reading:
         """Run the scene; a run that fails is a reading of NaN with its reason."""
@@ -104,20 +93,14 @@ class SceneSimulator:
             return Reading((float("nan"),) * len(data), str(error))
 
     def _run(self, shares: Sequence[float], condition: int, seed: int) -> list[float]:
-        from multicell.scene.scene import Scene
         from multicell.simulation import Simulation
 
-        for law in self.laws:
-            from multicell.contact.custom import load_law
-
-            load_law(law)
-        load_observables(self.observables)
         data = self.data[condition]
         changes: dict[str, Any] = {
             free.key: free.setting(free.value(share))
             for free, share in zip(self.ranges, shares, strict=True)
         }
-        scene = Scene.from_dict(self.scenes[condition]).with_changes({**changes, "seed": seed})
+        scene = self.scenes[condition].load().with_changes({**changes, "seed": seed})
         simulation = Simulation(scene, threads=1)
         watch = _Watch(data)
         watch.add(simulation.history_row())
@@ -189,7 +172,7 @@ def reading(
     was ended has its last values for later times.
     """
     times = history["time"]
-    values = continued(history, datum.observable)
+    values = course_of(history, datum.observable)
     if datum.at is not None:
         when = _crossing(times, history[datum.at[0]], datum.at[1])
     else:

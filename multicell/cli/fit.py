@@ -19,7 +19,6 @@ from multicell.cli.options import (
     overwrite_option,
     quiet_option,
     scene_of,
-    with_values,
 )
 from multicell.cli.process import complain, print_json
 from multicell.cli.progress import display
@@ -27,6 +26,7 @@ from multicell.cli.study import (
     confirm,
     cores_option,
     cores_wanted,
+    free_option,
     key_values,
     planning,
     scheduler_option,
@@ -58,14 +58,7 @@ def _budget(context: click.Context, option: click.Parameter, value: str | None) 
     help="CSV file with a column for each quantity and its unit in the title, as 'time / h', "
     "'diameter / um', 'diameter sd / um', 'nutrients.oxygen.boundary / mM'.",
 )
-@click.option(
-    "--free",
-    multiple=True,
-    callback=with_values,
-    metavar="KEY=LOW:HIGH",
-    help="A free parameter and its range, as growth.cycle_time='8:25 h' or "
-    "drag.viscosity='log 0.1:10 kPa s' (equal ratios count the same). May be given several times.",
-)
+@free_option
 @output_option("Folder of the fit; the same fit there is continued.")
 @click.option(
     "--method",
@@ -136,7 +129,7 @@ def fit(
 ) -> None:
     """Fit free parameters of a SCENE to measured data.
 
-    The result says how far each parameter is determined, and what the data leave open. A fit that
+    The result states how far each parameter is determined, and what the data leave open. A fit that
     was stopped continues with the same command; a larger --budget adds to it.
     """
     pairs = key_values(free, "--free")

@@ -19,13 +19,13 @@ from multicell.cli.options import (
     overwrite_option,
     quiet_option,
     scene_of,
-    with_values,
 )
 from multicell.cli.process import complain, print_json
 from multicell.cli.study import (
     confirm,
     cores_option,
     cores_wanted,
+    free_option,
     key_values,
     planning,
     scheduler_option,
@@ -36,14 +36,7 @@ from multicell.cli.study import (
 @click.command()
 @click.argument("scene")
 @output_option("Folder of the analysis; its runs are kept there.")
-@click.option(
-    "--free",
-    multiple=True,
-    callback=with_values,
-    metavar="KEY=LOW:HIGH",
-    help="A free parameter and its range, as growth.cycle_time='8:25 h' or "
-    "drag.viscosity='log 0.1:10 kPa s' (equal ratios count the same). May be given several times.",
-)
+@free_option
 @click.option(
     "--method",
     default="morris",
@@ -105,20 +98,20 @@ def sensitivity(
 ) -> None:
     """Find out which parameters of a SCENE decide its observables.
 
-    Every index has its 95 % interval, and says whether it can be told from the noise over seeds.
+    Every index has its 95 % interval, and states whether it is distinguishable from the noise over
+    seeds.
     An analysis that was stopped continues with the same command; a larger --size or more --seeds
     take the runs that are there.
     """
     pairs = key_values(free, "--free")
     described = scene_of(scene, changes, law)
-    from multicell.calibration.sensitivity import carry_out, plan_of, prepare
-    from multicell.studies.study import Study
+    from multicell.calibration.sensitivity import carry_out, plan_of
+    from multicell.studies.study import write_study
 
     with planning():
         plan = plan_of(described, pairs, observables=observables or None, **options)
     count = cores_wanted(cores, scheduler)
-    prepare(plan, output, overwrite=overwrite)
-    study = Study(plan.study, output)
+    study = write_study(plan.study, output, overwrite=overwrite)
     confirm(study.expected(count or 1), count, yes, quiet or as_json)
     from multicell.cli.study_progress import reporter
 

@@ -48,6 +48,14 @@ cores_option = click.option(
 scheduler_option = click.option(
     "--scheduler", metavar="ADDRESS", help="Dask scheduler of a cluster, as tcp://host:8786."
 )
+free_option = click.option(
+    "--free",
+    multiple=True,
+    callback=with_values,
+    metavar="KEY=LOW:HIGH",
+    help="A free parameter and its range, as growth.cycle_time='8:25 h' or "
+    "drag.viscosity='log 0.1:10 kPa s' (equal ratios count the same). May be given several times.",
+)
 yes_option = click.option(
     "--yes", "-y", is_flag=True, help="Do not ask before what is expected to take over an hour."
 )
@@ -71,17 +79,10 @@ def study() -> None:
     "'log 1e-3:1 1/s'. May be given several times.",
 )
 @click.option(
-    "--zip",
-    "zipped",
-    multiple=True,
-    metavar="KEY=VALUES",
-    help="Keys whose values go together, two or more; several such sets each as "
-    "--zip 'KEY=VALUES; KEY=VALUES'.",
-)
-@click.option(
     "--points",
     metavar="FILE",
-    help="List of points: a CSV file with keys and units in its header, as 'cells.young [kPa]'.",
+    help="List of points, such as those of keys that vary together: a CSV file with keys and units "
+    "in its header, as 'cells.young [kPa]'.",
 )
 @click.option(
     "--design",
@@ -112,7 +113,6 @@ def new(
     scene: str,
     output: Path,
     vary: Sequence[str],
-    zipped: Sequence[str],
     changes: Sequence[str],
     law: str | None,
     integrator: str | None,
@@ -131,17 +131,16 @@ def new(
         made = planned(
             base,
             key_values(vary, "--vary"),
-            zipped=_groups(zipped),
             output=output,
             integrator=integrator or "",
             **options,
         )
         made.expected(1)
-    _tell_plan(made, quiet, as_json)
+    _print_plan(made, quiet, as_json)
 
 
 def planning() -> AbstractContextManager[None]:
-    """Return what says that a plan takes its time, where it does."""
+    """Return a context that reports that a plan takes its time, where it does."""
     return words_after(3.0, "Planning: every set of parameters is checked beforehand ...")
 
 
@@ -159,15 +158,8 @@ def key_values(items: Sequence[str], option: str) -> dict[str, str]:
     return pairs
 
 
-def _groups(items: Sequence[str]) -> list[dict[str, str]]:
-    """Return the sets of keys that go together: all that come alone are one."""
-    alone = [item for item in items if ";" not in item]
-    sets = [[part for part in item.split(";") if part.strip()] for item in items if ";" in item]
-    return [key_values(group, "--zip") for group in ([alone] if alone else []) + sets]
-
-
-def _tell_plan(made: Study, quiet: bool, as_json: bool) -> None:
-    """Tell what a study is of, what it is expected to take, and how to continue."""
+def _print_plan(made: Study, quiet: bool, as_json: bool) -> None:
+    """Print what a study is of, what it is expected to take, and how to continue."""
     cores = _known_cores()
     cost, states = made.expected(cores), made.status()
     done = sum(state.state == "done" for state in states)
@@ -183,7 +175,7 @@ def _tell_plan(made: Study, quiet: bool, as_json: bool) -> None:
     if quiet:
         return
     out = console()
-    for axis in made.plan.design.varied:
+    for axis in made.plan.design.axes:
         out.print(f"{axis.key}: {_values(axis)}", markup=False, soft_wrap=True)
     plan = made.plan
     points, seeds = _count(len(plan.points), "point"), _count(plan.seeds, "seed")
@@ -268,7 +260,7 @@ def run(
     and runs that were begun continue from their last frame. A run that fails is reported with its
     reason, and the others continue.
     """
-    made = _opened(folder, law, integrator)
+    made = _open_study(folder, law, integrator)
     from multicell.extras import needs
 
     needs("dask", "distributed", *(() if no_report else ("xarray", "h5netcdf", "pandas")))
@@ -282,16 +274,16 @@ def run(
         with reporter(made, count, show=not quiet) as progress:
             outcomes = made.run(cores, scheduler, progress, retry=retry)
     except KeyboardInterrupt:
-        _stopped(made)
+        _print_stop(made)
         raise
     computed = [outcome for outcome in outcomes if not outcome.reused]
     page = made.folder / "report.html"
     if not no_report and (computed or not page.exists()):
         made.report()
-    _tell_outcomes(made, outcomes, None if no_report else page, quiet, as_json)
+    _print_outcomes(made, outcomes, None if no_report else page, quiet, as_json)
 
 
-def _opened(folder: Path, law: str | None, integrator: str | None) -> Study:
+def _open_study(folder: Path, law: str | None, integrator: str | None) -> Study:
     """Return the study in a folder; a law of the user's own is loaded first."""
     if law is not None:
         name_law(law)
@@ -328,7 +320,7 @@ def _known_cores() -> int:
 
 
 def confirm(cost: StudyCost, cores: int | None, yes: bool, silent: bool) -> None:
-    """Tell what is expected, and ask where it is more than an hour."""
+    """Report what is expected, and ask for confirmation above an hour."""
     seconds = cost.core_seconds if cores is None else cost.seconds
     words = _cost_words(cost, cores)
     if not silent and cost.runs:
@@ -347,7 +339,7 @@ def _terminal() -> bool:
     return sys.stdin is not None and sys.stdin.isatty()
 
 
-def _stopped(made: Study) -> None:
+def _print_stop(made: Study) -> None:
     """Say what there is after Ctrl-C, and how to continue."""
     states = Counter(state.state for state in made.status())
     done, begun = states["done"], states["partial"] + states["running"]
@@ -357,7 +349,7 @@ def _stopped(made: Study) -> None:
     )
 
 
-def _tell_outcomes(
+def _print_outcomes(
     made: Study, outcomes: Sequence[Outcome], page: Path | None, quiet: bool, as_json: bool
 ) -> None:
     """Print what the runs came to; end with 1 if one has failed."""
@@ -388,7 +380,7 @@ def _tell_outcomes(
 
 
 def _list_failed(failed: Sequence[tuple[Any, str]], made: Study) -> None:
-    units = {axis.name: axis.unit for axis in made.plan.design.varied}
+    units = {axis.name: axis.unit for axis in made.plan.design.axes}
     for coordinates, reason in failed[:_LISTED]:
         where = _where(coordinates, units)
         console().print(f"  failed at {where}: {reason}", markup=False, soft_wrap=True)
@@ -413,11 +405,11 @@ def _where(coordinates: Any, units: Any) -> str:
 @integrator_option
 @as_json_option
 def status(folder: Path, law: str | None, integrator: str | None, as_json: bool) -> None:
-    """Tell how the runs of the study in FOLDER stand: done, running, failed and why, time left."""
-    made = _opened(folder, law, integrator)
+    """Report the state of all runs of the study in FOLDER, why runs failed, and the time left."""
+    made = _open_study(folder, law, integrator)
     states = made.status()
     counts = Counter(state.state for state in states)
-    left = _left(made, states)
+    left = _time_left(made, states)
     if as_json:
         runs = [
             {**asdict(state), "coordinates": dict(run.coordinates), "expected": run.expected}
@@ -437,7 +429,7 @@ def status(folder: Path, law: str | None, integrator: str | None, as_json: bool)
     out.print(f"{_count(len(states), 'run')}: {', '.join(shown)}", markup=False)
     for run, state in zip(made.runs, states, strict=True):
         if state.state == "running":
-            _tell_running(made, run, state)
+            _print_running(made, run, state)
     if left > 0.0:
         cores = max(counts["running"], 1)
         now = f", about {_in_words(left / cores)} on {_count(cores, 'core')}" if cores > 1 else ""
@@ -447,8 +439,8 @@ def status(folder: Path, law: str | None, integrator: str | None, as_json: bool)
     _list_failed(failed, made)
 
 
-def _tell_running(made: Study, run: Any, state: RunStatus) -> None:
-    units = {axis.name: axis.unit for axis in made.plan.design.varied}
+def _print_running(made: Study, run: Any, state: RunStatus) -> None:
+    units = {axis.name: axis.unit for axis in made.plan.design.axes}
     share = 100.0 * state.time / run.scene.duration
     console().print(
         f"  running at {_where(run.coordinates, units)}: {share:.0f} % of the time, "
@@ -457,7 +449,7 @@ def _tell_running(made: Study, run: Any, state: RunStatus) -> None:
     )  # fmt: skip
 
 
-def _left(made: Study, states: Sequence[RunStatus]) -> float:
+def _time_left(made: Study, states: Sequence[RunStatus]) -> float:
     """Return the time on one core that is left, s: as expected, by what was measured so far."""
     measured = foreseen = left = 0.0
     seen: set[str] = set()
@@ -484,7 +476,7 @@ def report(folder: Path, law: str | None, integrator: str | None, as_json: bool)
     That is report.html, study.nc (netCDF, for xarray) and study.csv. What has not run yet or has
     failed is marked as such.
     """
-    made = _opened(folder, law, integrator)
+    made = _open_study(folder, law, integrator)
     page = made.report()
     files = [str(page), str(folder / "study.nc"), str(folder / "study.csv")]
     if as_json:

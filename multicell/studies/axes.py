@@ -8,7 +8,6 @@ the end holds for all that have none), ``"0.05:0.30:6 mM"`` (six values, evenly 
 
 from __future__ import annotations
 
-import itertools
 import json
 import math
 import re
@@ -29,7 +28,6 @@ _NUMBER: Final = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _QUANTITY: Final = re.compile(rf"\s*({_NUMBER})\s*(.*?)\s*", re.DOTALL)
 _SPACED: Final = re.compile(rf"(log\s+)?({_NUMBER}):({_NUMBER}):(\d+)\s*(.*)")
 _RANGE: Final = re.compile(rf"(log\s+)?({_NUMBER}):({_NUMBER})\s*(.*)")
-_MAX_CHECKED: Final = 100
 _FIRST: Final = ("contact.law",)
 """Keys that are set before others: those that decide which others there are."""
 _NUMERIC: Final = ("quantity", "number", "count", "rate_constant")
@@ -195,12 +193,22 @@ def parse_range(key: str, text: str | Sequence[Any], scene: Scene) -> Range:
     return Range(found.name, low, high, found.unit, log, name, found.spec.kind == "count")
 
 
-def with_unique_names(axes: Iterable[Axis | Range], taken: Iterable[str] = ()) -> list[Any]:
-    """Return axes or ranges with names that are unique: as much of the keys as that takes.
+def parse_ranges(free: Mapping[str, Any], scene: Scene) -> tuple[Range, ...]:
+    """Return the ranges of free parameters; that they go together is for :func:`check_ranges`.
 
-    ``taken`` are further names that none of them may have.
+    Raises
+    ------
+    SceneError
+        If there are none, or one of them is none.
     """
-    axes, taken = list(axes), {*_reserved(), *taken}
+    if not free:
+        raise SceneError("free", "names no parameter", "For example drag.viscosity='1:10 kPa s'.")
+    return tuple(with_unique_names(parse_range(key, text, scene) for key, text in free.items()))
+
+
+def with_unique_names(axes: Iterable[Axis | Range]) -> list[Any]:
+    """Return axes or ranges with names that are unique: as much of the keys as that takes."""
+    axes, taken = list(axes), _reserved()
     keys = {axis.key for axis in axes}
     result = []
     for axis in axes:
@@ -360,47 +368,30 @@ def _example(key: Key) -> str:
     return f"'1,2,5 {key.unit}'".replace(" '", "'")
 
 
-def check_axes(scene: Scene, axes: Sequence[Axis | Range]) -> None:
-    """Refuse axes and ranges that do not fit to a scene or to each other.
+def check_ranges(scene: Scene, ranges: Sequence[Range]) -> None:
+    """Refuse ranges that do not fit to a scene.
 
     Raises
     ------
     SceneError
-        For two of the same key, a key without effect (also one that another axis leaves without),
-        and values that the scene refuses, with the key: those of an axis, and ends of a range that
-        are refused whatever the other ranges are at.
+        For a key without effect, and for an end of a range that the scene refuses whatever the
+        other ranges are at, with the key.
     """
     from multicell.studies.ineffective import refuse_ineffective
 
-    seen: set[str] = set()
-    for axis in axes:
-        if axis.key in seen:
-            raise SceneError(axis.key, "is varied twice", "Give all its values at once.")
-        seen.add(axis.key)
-        key_of(scene, axis.key)
-    for axis in axes:
-        others = [other for other in axes if other is not axis]
-        for setting in axis.values if isinstance(axis, Axis) else _ends_of(axis):
-            _somewhere(scene, {axis.key: setting}, others)
-    words = [axis for axis in axes if isinstance(axis, Axis) and axis.numbers is None]
-    numeric = [axis for axis in axes if axis not in words]
-    chosen = itertools.islice(itertools.product(*(axis.values for axis in words)), _MAX_CHECKED)
-    cases = []
-    for values in chosen:
-        changes = dict(zip((axis.key for axis in words), values, strict=True))
-        cases.append((changes, _somewhere(scene, changes, numeric)))
-    refuse_ineffective(cases, [axis.key for axis in axes])
+    for free in ranges:
+        others = [other for other in ranges if other is not free]
+        for end in _ends_of(free):
+            _somewhere(scene, {free.key: end}, others)
+    refuse_ineffective([({}, _somewhere(scene, {}, ranges))], [free.key for free in ranges])
 
 
-def _ends_of(axis: Axis | Range) -> tuple[Any, Any]:
-    """Return the first and the last setting of an axis or a range."""
-    if isinstance(axis, Axis):
-        return axis.values[0], axis.values[-1]
-    return axis.setting(axis.low), axis.setting(axis.high)
+def _ends_of(free: Range) -> tuple[Any, Any]:
+    return free.setting(free.low), free.setting(free.high)
 
 
-def _somewhere(scene: Scene, changes: Mapping[str, Any], others: Sequence[Axis | Range]) -> Scene:
-    """Return the scene with changes and other axes at their first or last values.
+def _somewhere(scene: Scene, changes: Mapping[str, Any], others: Sequence[Range]) -> Scene:
+    """Return the scene with changes and other parameters at the low or the high ends.
 
     Raises
     ------

@@ -1,8 +1,8 @@
 """Designs: which points of the space of parameters a study runs.
 
-A grid runs all combinations of its axes, of which some may go together (zipped); a list runs the
-rows of a table; Latin hypercube and Sobol' sequence (Sobol' 1967, scrambled after Owen 1995, both
-by :mod:`scipy.stats.qmc`) spread a number of points evenly over ranges.
+A grid runs all combinations of its axes; a list runs the rows of a table; Latin hypercube and
+Sobol' sequence (Sobol' 1967, scrambled after Owen 1995, both by :mod:`scipy.stats.qmc`) spread a
+number of points evenly over ranges.
 """
 
 from __future__ import annotations
@@ -54,26 +54,6 @@ class Point:
 
 @final
 @dataclass(frozen=True)
-class Dimension:
-    """One dimension of a design's points: an axis, or several whose values go together.
-
-    Attributes
-    ----------
-    name
-        That of its axis; of several that of the first one without repeated values.
-    axes
-        All of the same length.
-    """
-
-    name: str
-    axes: tuple[Axis, ...]
-
-    def __len__(self) -> int:
-        return len(self.axes[0].values)
-
-
-@final
-@dataclass(frozen=True)
 class Design:
     """What is varied, and how.
 
@@ -82,10 +62,8 @@ class Design:
     kind
         One of :data:`DESIGNS`.
     axes
-        Of a grid those that are varied one by one; axes and ranges of samples; of a list its
+        Of a grid, the last one running fastest; axes and ranges of samples; of a list its
         columns, all of one length.
-    zipped
-        Of a grid: groups of axes whose values go together.
     size
         Number of points of a sample, else 0.
     sample_seed
@@ -94,41 +72,14 @@ class Design:
 
     kind: str = "grid"
     axes: tuple[Axis | Range, ...] = ()
-    zipped: tuple[tuple[Axis, ...], ...] = ()
     size: int = 0
     sample_seed: int = 0
     points: tuple[Point, ...] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         check_form(self)
-        names = iter(with_unique_names([*self.axes, *itertools.chain(*self.zipped)]))
-        axes = tuple(next(names) for _ in self.axes)
-        zipped = tuple(tuple(next(names) for _ in group) for group in self.zipped)
-        object.__setattr__(self, "axes", axes)
-        object.__setattr__(self, "zipped", zipped)
+        object.__setattr__(self, "axes", tuple(with_unique_names(self.axes)))
         object.__setattr__(self, "points", tuple(_points(self)))
-
-    @property
-    def varied(self) -> tuple[Axis | Range, ...]:
-        """All axes and ranges."""
-        return (*self.axes, *itertools.chain(*self.zipped))
-
-    @property
-    def dimensions(self) -> tuple[Dimension, ...]:
-        """The dimensions of the points in their order, the last one running fastest.
-
-        A list or sample has one, ``point``, without axes of its own.
-        """
-        if self.kind != "grid":
-            return ()
-        alone = [Dimension(axis.name, (axis,)) for axis in self.axes if isinstance(axis, Axis)]
-        return (*alone, *map(_zip_dimension, self.zipped))
-
-
-def _zip_dimension(group: tuple[Axis, ...]) -> Dimension:
-    unique = [a.name for a in group if len(set(a.coordinates)) == len(a.coordinates)]
-    name = unique[0] if unique else "+".join(axis.name for axis in group)
-    return Dimension(name, group)
 
 
 def check_form(design: Design) -> None:
@@ -143,14 +94,12 @@ def check_form(design: Design) -> None:
 
         problem = f"is {shown(design.kind)}, must be one of {', '.join(DESIGNS)}"
         raise SceneError("design", problem, near_miss(design.kind, DESIGNS, listed=False))
-    if design.zipped and design.kind != "grid":
-        raise SceneError("zip", f"has no meaning in a design of kind '{design.kind}'")
     if design.kind in SAMPLED:
         _check_sample(design)
     else:
         _check_lists(design)
     seen: set[str] = set()
-    for axis in design.varied:
+    for axis in design.axes:
         if axis.key in seen:
             raise SceneError(axis.key, "is varied twice", "Give all its values at once.")
         seen.add(axis.key)
@@ -170,7 +119,7 @@ def _check_sample(design: Design) -> None:
 
 def _check_lists(design: Design) -> None:
     """Refuse ranges where values are needed, lists of unequal lengths, and too many points."""
-    for axis in design.varied:
+    for axis in design.axes:
         if isinstance(axis, Range):
             ends = f"{axis.low:g}:{axis.high:g}"
             unit = f" {axis.unit}" if axis.unit else ""
@@ -183,21 +132,21 @@ def _check_lists(design: Design) -> None:
         problem = f"has no meaning in a design of kind '{design.kind}'"
         raise SceneError("size", problem, "It is the number of points of a sample.")
     columns = [axis for axis in design.axes if isinstance(axis, Axis)]
-    groups = [columns] if design.kind == "list" else list(map(list, design.zipped))
-    for group in groups:
-        _check_lengths(group)
-    if design.kind == "list" and not design.axes:
+    if design.kind == "grid":
+        check_runs(math.prod(len(axis.values) for axis in columns), 1, "vary")
+        return
+    if not columns:
         raise SceneError("points", "is empty", "A list needs a column for each key.")
-    lengths = [len(columns[0].values)] if design.kind == "list" else map(len, design.dimensions)
-    check_runs(math.prod(lengths), 1, "points" if design.kind == "list" else "vary")
+    _check_rows(columns)
+    check_runs(len(columns[0].values), 1, "points")
 
 
-def _check_lengths(group: Sequence[Axis]) -> None:
-    """Refuse axes that should go together and have different lengths, or a row twice."""
+def _check_rows(group: Sequence[Axis]) -> None:
+    """Refuse columns of different lengths, or a row twice."""
     lengths = {len(axis.values) for axis in group}
     if len(lengths) > 1:
         words = ", ".join(f"{axis.key} has {len(axis.values)}" for axis in group)
-        hint = "Values that go together stand at the same places of their lists."
+        hint = "The values of a point stand at the same places of their lists."
         raise SceneError(group[0].key, f"goes with lists of other lengths: {words}", hint)
     seen: dict[tuple[Any, ...], int] = {}
     for k, row in enumerate(zip(*(axis.coordinates for axis in group), strict=True)):
@@ -209,24 +158,19 @@ def _check_lengths(group: Sequence[Axis]) -> None:
 
 
 def _points(design: Design) -> Iterator[Point]:
-    """Yield all points, the last dimension running fastest."""
+    """Yield all points, the last axis running fastest."""
     if design.kind in SAMPLED:
         yield from _sample_points(design)
         return
-    if design.kind == "list":
-        groups = [design.axes]
-    else:
-        groups = [dimension.axes for dimension in design.dimensions]
-    places = (range(len(group[0].values)) for group in groups if isinstance(group[0], Axis))
-    for row in itertools.product(*places):
-        values: dict[str, Any] = {}
-        coordinates: dict[str, float | str] = {}
-        for group, place in zip(groups, row, strict=True):
-            for axis in group:
-                assert isinstance(axis, Axis)
-                values[axis.key] = axis.values[place]
-                coordinates[axis.name] = axis.coordinates[place]
-        yield Point(values, coordinates)
+    axes = [axis for axis in design.axes if isinstance(axis, Axis)]
+    sides = [range(len(axis.values)) for axis in axes]
+    places = zip(*sides, strict=True) if design.kind == "list" else itertools.product(*sides)
+    for row in places:
+        chosen = list(zip(axes, row, strict=True))
+        yield Point(
+            {axis.key: axis.values[place] for axis, place in chosen},
+            {axis.name: axis.coordinates[place] for axis, place in chosen},
+        )
 
 
 def _sample_points(design: Design) -> Iterator[Point]:
@@ -253,7 +197,7 @@ def _sample_points(design: Design) -> Iterator[Point]:
         yield Point(values, coordinates)
 
 
-def parse_varied(key: str, given: Any, scene: Scene, sampled: bool = False) -> Axis | Range:
+def parse_axis_or_range(key: str, given: Any, scene: Scene, sampled: bool = False) -> Axis | Range:
     """Return the axis or the range that a text or a list describes.
 
     A text is a range where it has one colon (``"8:25 h"``), else it lists values; a tuple is one
@@ -277,10 +221,7 @@ def parse_varied(key: str, given: Any, scene: Scene, sampled: bool = False) -> A
 
 
 def parse_column(key: str, values: Sequence[Any], scene: Scene) -> Axis:
-    """Return a column of a list of points, or one of axes that go together.
-
-    Other than along an axis, a value may stand there more than once.
-    """
+    """Return a column of a list of points: a value may stand there more than once."""
     return parse_axis(key, values, scene, repeated=True)
 
 

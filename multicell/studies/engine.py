@@ -200,7 +200,7 @@ class _Work:
         try:
             found = sum(self.client.nthreads().values())
         except Exception as error:
-            raise _lost() from error
+            raise _scheduler_lost() from error
         cluster = self.client.cluster
         if cluster is not None and found < self._threads:
             cluster.scale(self._threads)  # for what could not be started again
@@ -230,7 +230,7 @@ class _Work:
         elif entry.future.status == "error":
             outcome = self._trouble(entry, entry.future.exception())
         else:
-            raise _lost()
+            raise _scheduler_lost()
         if outcome is not None and outcome.state == "held":
             self.held.append(entry.work)
         elif outcome is not None:
@@ -274,7 +274,7 @@ class _Work:
         return Outcome(work.name, "failed", reason)
 
 
-def _lost() -> ClusterError:
+def _scheduler_lost() -> ClusterError:
     return ClusterError(
         "the scheduler has gone",
         "All that runs have saved is kept: run the study again, and it continues",

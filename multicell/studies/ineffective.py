@@ -1,4 +1,8 @@
-"""Keys that have no effect in a scene: to vary them would be to run the same thing again."""
+"""Keys that have no effect in a scene: to vary them would be to run the same thing again.
+
+The rules are of keys that studies usually vary; a study of any other key without effect runs, and
+shows that nothing depends on it.
+"""
 
 from __future__ import annotations
 
@@ -20,8 +24,8 @@ names that stand for the stars of the rule's key."""
 def no_effect(scene: Scene, key: str) -> str:
     """Return why a key has no effect in a scene, in words; nothing where it may have one.
 
-    What is told is what follows from the other keys alone; whether a run ever gets to where a key
-    matters is for the run to show.
+    The reason follows from the other keys alone; whether a run ever gets to where a key matters is
+    for the run to show.
     """
     for pattern, reason in _RULES:
         match = pattern.fullmatch(key)
@@ -84,17 +88,6 @@ def _integrator_setting(scene: Scene, name: str) -> str:
     return _if(absent, f"the method {scene.integrator.method!r} has no {name}")
 
 
-def _stage(scene: Scene) -> str:
-    """Say that the table of the cells holds at which stage they are."""
-    if scene.initial.cells is None:
-        return ""
-    columns = scene.initial.cells.given.columns.keys()
-    if scene.growth is not None and scene.growth.phases and "phase" in columns:
-        return _if("progress" in columns, "the table gives the progress of each cell")
-    known = [name for name in ("radius", "age") if name in columns]
-    return f"the table gives the {known[0]} of each cell" if known else ""
-
-
 def _necrosis(scene: Scene) -> str:
     """Say that no cell starves."""
     starve = any(
@@ -122,23 +115,6 @@ def _boundary(scene: Scene, field: str) -> str:
     return _if(scheduled, "'media' says what the medium is from the start on")
 
 
-def _margin(scene: Scene, field: str) -> str:
-    layer = scene.nutrients[field].layer
-    known = _if(layer is not None, "'layer' says how far the grid goes")
-    return _if(scene.domain is not None, "fields fill the domain") or known
-
-
-def _landscape(*kinds: str) -> Reason:
-    """Return the rule of a key that some landscapes of haptotaxis have."""
-
-    def reason(scene: Scene) -> str:
-        assert scene.haptotaxis is not None
-        found = scene.haptotaxis.landscape
-        return _if(found not in kinds, f"the landscape is {found!r}")
-
-    return reason
-
-
 def _cycle(s: Any) -> str:
     return _if(s.growth.phases, "the phases of the cycle say how long it lasts")
 
@@ -151,14 +127,6 @@ def _one_cell(s: Any) -> str:
     return _if(s.initial.count == 1, "there is one cell at the start")
 
 
-def _no_fields(s: Any, _: str) -> str:
-    return _if(not s.nutrients, "the scene has no nutrients")
-
-
-def _no_media(s: Any, field: str) -> str:
-    return _if(not s.nutrients[field].media, "the medium has no schedule 'media'")
-
-
 def _steady(s: Any, field: str) -> str:
     return _if(s.nutrients[field].regime == "steady", "the field is steady")
 
@@ -167,14 +135,9 @@ _KEYS: Final[Mapping[str, Reason]] = {
     "growth.cycle_time": _cycle,
     "growth.cycle_variation": _cycle,
     "growth.division": _no_phases,
-    "growth.target": lambda s: _if(s.growth.target is None, f"the law is {s.growth.law!r}"),
     "growth.restriction": _no_phases,
     "growth.phases.*.variation": lambda s, name: _if(
         s.growth.phases[name].distribution == "fixed", "the phase has a fixed duration"
-    ),
-    "growth.phases.*.shift": lambda s, name: _if(
-        s.growth.phases[name].distribution != "shifted-gamma",
-        f"the duration of the phase is {s.growth.phases[name].distribution!r}",
     ),
     "coupling_tolerance": lambda s: _if(s.coupling_step != "auto", "coupling_step is not 'auto'"),
     "integrator.step": _integrator_step,
@@ -187,12 +150,8 @@ _KEYS: Final[Mapping[str, Reason]] = {
         any(kind.surface_energy for kind in s.types.values()),
         "every pair of types has a surface energy of its own",
     ),
-    "initial.stage": _stage,
     "initial.spacing": _one_cell,
     "initial.jitter": _one_cell,
-    "types.*.fraction": lambda s, _: _if(len(s.types) == 1, "all cells are of this type"),
-    "types.*.uptake_scale": _no_fields,
-    "types.*.secretion_scale": _no_fields,
     "death.necrosis_rate": _necrosis,
     "death.swelling": _necrosis,
     "death.lysis_time": _necrosis,
@@ -203,24 +162,11 @@ _KEYS: Final[Mapping[str, Reason]] = {
         "the concentrations of the scene are in mM already; it only converts pressures"
     ),
     "nutrients.*.boundary": _boundary,
-    "nutrients.*.media_change": _no_media,
-    "nutrients.*.finite_medium.replaced": _no_media,
     "nutrients.*.time_tolerance": _steady,
     "nutrients.*.initial": _steady,
     "nutrients.*.half_saturation": lambda s, field: _if(
         not s.nutrients[field].takes_up, f"the uptake of {field} is 0"
     ),
-    "nutrients.*.uptake_on.*.half": lambda s, field, other: _if(
-        s.nutrients[field].uptake_on[other].effect == 0.0, "the effect is 0"
-    ),
-    "nutrients.*.roundness_limit": lambda s, field: _if(
-        s.nutrients[field].layout != "auto",
-        f"the geometry of the field is {s.nutrients[field].layout!r}",
-    ),
-    "nutrients.*.margin": _margin,
-    "nutrients.*.height": lambda s, _: _if(s.dimensions != 2, "the scene has 3 dimensions"),
-    "haptotaxis.axis": _landscape("gradient", "stripes"),
-    "haptotaxis.length": _landscape("stripes", "spot"),
 }
 
 _RULES: Final = [

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, is_dataclass, replace
 from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.errors import SceneError
 from multicell.scene.oxygen import in_concentrations
 from multicell.scene.scene import check_dotted
-from multicell.schema import Parameter, Tables, near_miss, specs
+from multicell.schema import Parameter, near_miss, specs
 
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
@@ -105,115 +105,79 @@ def key_of(scene: Scene, name: str) -> Key:
     check_dotted(name)
     if name in _NO_AXES:
         raise SceneError(name, f"cannot be varied: it {_NO_AXES[name]}")
-    steps = name.split(".")
-    holder: Any = scene
-    spec: Parameter | None = None
-    for depth, step in enumerate(steps):
-        here = ".".join(steps[:depth])
-        if isinstance(holder, Tables):
-            _in_table(scene, name, here, step, holder)
-            holder, spec = holder[step], None
-            continue
-        known = specs(holder)
-        if spec is not None and spec.kind == "variant" and step == spec.key:
-            return _last(scene, name, steps[depth + 1 :], Key(name, spec, "", holder, scene))
-        if step not in known:
-            raise _unknown(scene, name, here, [*([spec.key] if spec and spec.key else []), *known])
-        spec, value = known[step], getattr(holder, step)
-        if spec.kind not in _TABLES:
-            return _value(scene, name, steps[depth + 1 :], spec, holder, value)
-        if value is None:
-            raise _absent(name, ".".join(steps[: depth + 1]))
-        holder = value
-    if spec is not None and spec.shorthand:
-        return key_of(scene, f"{name}.{spec.shorthand}")
-    raise _whole_table(name, holder, spec)
+    absent: list[str] = []
+    known = {key.name: key for key in _keys_of(scene, scene, "", absent)}
+    top = specs(scene).get(name)
+    full = f"{name}.{top.shorthand}" if top is not None and top.shorthand else name
+    if full not in known:
+        raise _refusal(name, list(known), absent)
+    return known[full]
 
 
-def _in_table(scene: Scene, name: str, here: str, step: str, entries: Mapping[str, Any]) -> None:
-    """Refuse a name that a table of named tables does not have."""
-    if step in entries:
-        return
-    if not entries:
-        raise _absent(name, here)
-    problem = f"is not a key of this scene: '{here}' has no '{step}'"
-    raise SceneError(name, problem, _near(scene, name) or near_miss(step, entries))
+def all_keys(scene: Scene) -> list[str]:
+    """Return the dotted keys of all values of a scene, also of those that are absent."""
+    return [key.name for key in _keys_of(scene, scene, "", [])]
 
 
-def _value(
-    scene: Scene, name: str, rest: list[str], spec: Parameter, holder: Any, value: Any
-) -> Key:
-    """Return the key of a value, or of one entry in a table of numbers."""
-    unit = spec.unit
-    if spec.kind == "rate_constant":
-        unit = holder.unit
-    if spec.kind == "quantities":
-        if not rest:
-            names = ", ".join(value or ()) or "none in this scene"
-            raise SceneError(name, f"is a table, not a value: name one of its entries ({names})")
-        if rest[0] not in (value or {}):
-            problem = f"is not a key of this scene: there is no entry '{rest[0]}'"
-            raise SceneError(name, problem, near_miss(rest[0], value or ()))
-        return _last(scene, name, rest[1:], Key(name, spec, unit, None, scene))
-    if spec.kind in ("count", "choice", "text", "flag", "names"):
-        unit = ""
-    return _last(scene, name, rest, Key(name, spec, unit, holder, scene))
-
-
-def _last(scene: Scene, name: str, rest: list[str], key: Key) -> Key:
-    """Return a key if its path ends with it."""
-    if rest:
-        parent = name.removesuffix("." + ".".join(rest))
-        problem = f"is not a key: '{parent}' is a value, not a table"
-        raise SceneError(name, problem, _near(scene, name))
-    return key
-
-
-def _absent(name: str, table: str) -> SceneError:
-    """Return the error of a key in a part that the scene does not have."""
-    hint = f"Add it first: --set {name}=..., or with_changes({{'{name}': ...}})."
-    return SceneError(name, f"cannot be varied: the scene has no '{table}'", hint)
-
-
-def _unknown(scene: Scene, name: str, here: str, known: list[str]) -> SceneError:
-    near = _near(scene, name)
-    step = name.removeprefix(f"{here}.").split(".")[0] if here else name.split(".")[0]
-    return SceneError(name, "is not a key of this scene", near or near_miss(step, known))
-
-
-def _whole_table(name: str, holder: Any, spec: Parameter | None) -> SceneError:
-    keys = list(holder if isinstance(holder, Tables) else specs(holder))
-    if spec is not None and spec.key:
-        keys = [spec.key, *keys]
-    listed = ", ".join(keys[:8]) + (", ..." if len(keys) > 8 else "")
-    return SceneError(name, f"is a table, not a value: name one of its keys ({listed})")
-
-
-def _near(scene: Scene, name: str) -> str:
-    """Return the likely key in words, or nothing where none is near."""
-    keys = list(all_keys(scene))
-    last = name.rpartition(".")[2]
-    same = [key for key in keys if key == last or key.endswith(f".{last}")]
-    near = difflib.get_close_matches(name, keys, n=1, cutoff=0.75) or (
-        same if len(same) < 4 else difflib.get_close_matches(name, same, n=2, cutoff=0.0)
-    )
-    if not near:
-        near = difflib.get_close_matches(name, keys, n=1, cutoff=0.6)
-    return f"Did you mean {' or '.join(map(repr, near))}?" if near else ""
-
-
-def all_keys(part: Any, path: str = "") -> Iterator[str]:
-    """Yield the dotted keys of all values of a scene, also of those that are absent."""
+def _keys_of(scene: Scene, part: Any, path: str, absent: list[str]) -> Iterator[Key]:
+    """Yield the keys of a part and of all in it; note the tables that it does not have."""
     for name, spec in specs(part).items():
         value, where = getattr(part, name), f"{path}{name}"
         if spec.kind == "variant":
-            yield f"{where}.{spec.key}"
-        if spec.kind == "tables":
-            for key, entry in value.items():
-                yield from all_keys(entry, f"{where}.{key}.")
+            yield Key(f"{where}.{spec.key}", spec, "", part, scene)
+        if spec.kind == "tables" and value:
+            for entry, inner in value.items():
+                yield from _keys_of(scene, inner, f"{where}.{entry}.", absent)
         elif is_dataclass(value):
-            yield from all_keys(value, f"{where}.")
-        elif spec.kind == "quantities":
-            yield from (f"{where}.{key}" for key in value or ())
-        elif spec.kind not in _TABLES and where not in _NO_AXES:
-            yield where
+            yield from _keys_of(scene, value, f"{where}.", absent)
+        elif spec.kind == "quantities" and value:
+            for entry in value:
+                yield Key(f"{where}.{entry}", spec, spec.unit, None, scene)
+        elif spec.kind in (*_TABLES, "quantities"):
+            absent.append(where)
+        elif where not in _NO_AXES:
+            unit = part.unit if spec.kind == "rate_constant" else spec.unit
+            unitless = spec.kind in ("count", "choice", "text", "flag", "names")
+            yield Key(where, spec, "" if unitless else unit, part, scene)
+
+
+def _refusal(name: str, known: Sequence[str], absent: Sequence[str]) -> SceneError:
+    """Return why a name is not that of a value of a scene."""
+    steps = name.split(".")
+    for depth in range(1, len(steps) + 1):
+        here = ".".join(steps[:depth])
+        if here in absent:
+            hint = f"Add it first: --set {name}=..., or with_changes({{'{name}': ...}})."
+            return SceneError(name, f"cannot be varied: the scene has no '{here}'", hint)
+        if here in known:
+            problem = f"is not a key: '{here}' is a value, not a table"
+            return SceneError(name, problem, _near(name, known))
+        if not _below(here, known):
+            break
+    below = _below(here, known)
+    if below:
+        listed = ", ".join(below[:8]) + (", ..." if len(below) > 8 else "")
+        return SceneError(name, f"is a table, not a value: name one of its keys ({listed})")
+    table, _, step = here.rpartition(".")
+    where = f": '{table}' has no '{step}'" if table else ""
+    hint = _near(name, known) or near_miss(step, _below(table, known))
+    return SceneError(name, f"is not a key of this scene{where}", hint)
+
+
+def _below(table: str, known: Sequence[str]) -> list[str]:
+    """Return the keys of a table, or with an empty name those of the scene."""
+    start = f"{table}." if table else ""
+    found = (key.removeprefix(start).split(".")[0] for key in known if key.startswith(start))
+    return list(dict.fromkeys(found))
+
+
+def _near(name: str, known: Sequence[str]) -> str:
+    """Return the likely key in words, or nothing where none is near."""
+    last = name.rpartition(".")[2]
+    same = [key for key in known if key == last or key.endswith(f".{last}")]
+    near = difflib.get_close_matches(name, known, n=1, cutoff=0.75) or (
+        same if len(same) < 4 else difflib.get_close_matches(name, same, n=2, cutoff=0.0)
+    )
+    if not near:
+        near = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
+    return f"Did you mean {' or '.join(map(repr, near))}?" if near else ""

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 
-def signed(name: str) -> bool:
+def may_be_negative(name: str) -> bool:
     """Return whether an observable may be negative."""
     return any(o.signed and fnmatchcase(name, o.name) for o in (*OBSERVABLES, *OWN.values()))
 
@@ -41,7 +41,7 @@ def _units(scene: Scene, *, at_end: bool) -> dict[str, str]:
     return {o.name.replace("*", key): o.unit for o, key in found}
 
 
-def likely(name: str, options: Mapping[str, Any]) -> str:
+def suggest(name: str, options: Mapping[str, Any]) -> str:
     """Return which observable may have been meant, and the list of all."""
     parts = [o for o in options if name.lower() in o.lower() or o.lower() in name.lower()]
     known = near_miss(name, options)
@@ -59,7 +59,7 @@ def is_known_elsewhere(name: str) -> bool:
     return True
 
 
-def continued(history: Mapping[str, NDArray[np.float64]], name: str) -> NDArray[np.float64]:
+def course_of(history: Mapping[str, NDArray[np.float64]], name: str) -> NDArray[np.float64]:
     """Return an observable over the steps of a run, (m,): the viable rim also without a core.
 
     A rim grows into the radius as the core becomes smaller; where nothing is dead it is the radius.

@@ -2,28 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from multicell.report.html import write_page
+from multicell.report.html import Drawing, write_page
 from multicell.report.wording import clock, time_unit
-from multicell.results.folder import file_errors
 from multicell.studies.pictures.values import (
     SEED,
     TIME,
     at_end,
     axes_of,
     axis_words,
-    coordinates_of,
     is_sampled,
     label,
     number_text,
     observables,
     scale,
-    scale_alone,
 )
 from multicell.studies.plots import StudyPlots
 
@@ -86,24 +84,19 @@ def write_report(
     SceneError
         If an observable is unknown.
     """
-    place = Path(folder)
-    with file_errors("use the output folder", place):
-        place.mkdir(parents=True, exist_ok=True)
-    told = key_observables(table) if shown is None else list(shown)
+    names = key_observables(table) if shown is None else list(shown)
     title = f"{scene.title or 'Untitled scene'}: study"
-    drawings = _drawings(table, title, told)
-    pictures = {place / f"{name}.png": (draw, caption) for name, draw, caption in drawings}
     return write_page(
-        place / "report.html",
+        Path(folder) / "report.html",
         "study.html",
         scene=scene,
         title=title,
         subtitle=_subtitle(table),
         tiles=_tiles(table, states),
-        pictures=pictures,
+        pictures=_drawings(table, title, names),
         axes=[_axis_row(table, name) for name in axes_of(table)],
         unfinished=_unfinished(states),
-        **_run_table(table, runs, states, told[:_COLUMNS]),
+        **_run_table(table, runs, states, names[:_COLUMNS]),
     )
 
 
@@ -112,37 +105,34 @@ def key_observables(table: xr.Dataset) -> list[str]:
     known = observables(table)
     found: list[str] = [name for name in KEY_OBSERVABLES if name in known]
     found += [name for name in known if name.startswith("hypoxic_radius")]
-    told: list[str] = []
+    names: list[str] = []
     for name in found:
         values = at_end(table, name).values
         values = values[np.isfinite(values)]
         if values.size and (values.min() < values.max() or name in ("cells", "diameter")):
-            told.append(name)
-    return told
+            names.append(name)
+    return names
 
 
-Drawing = tuple[str, "Callable[[], Figure]", str]
-
-
-def _drawings(table: xr.Dataset, title: str, told: Sequence[str]) -> Iterator[Drawing]:
-    """Yield name, drawing function and caption of each picture."""
+def _drawings(table: xr.Dataset, title: str, names: Sequence[str]) -> dict[str, Drawing]:
+    """Return the pictures: maps of a grid or responses, then curves over time."""
     plots = StudyPlots(table, title)
-    names = axes_of(table)
-    mapped = not is_sampled(table) and len(names) > 1
+    axes = axes_of(table)
     several = table.sizes[SEED] > 1
-    scatter = "mean ± standard deviation over the seeds" if several else "of the only seed"
-    for name in told[:_MAPS] if names else ():
-        if mapped:
-            caption = f"One tile for each pair of values: {scatter}."
-            yield f"map-{name}", lambda name=name: plots.heatmap(name), caption  # type: ignore[misc]
-        else:
-            caption = "One panel for each axis."
-            yield f"response-{name}", lambda name=name: plots.response(name), caption  # type: ignore[misc]
-    courses = [name for name in told if TIME in table[name].dims and table.sizes[TIME] > 1]
+    draw: Callable[[str], Figure] = plots.response
+    kind, caption = "response", "One panel for each axis."
+    if not is_sampled(table) and len(axes) > 1:
+        scatter = "mean ± standard deviation over the seeds" if several else "of the only seed"
+        draw, kind = plots.heatmap, "map"
+        caption = f"One tile for each pair of values: {scatter}."
+    ends = names[:_MAPS] if axes else ()
+    found: dict[str, Drawing] = {f"{kind}-{n}.png": (partial(draw, n), caption) for n in ends}
     bands = "with bands of one standard deviation over the seeds" if several else "of the only seed"
-    for name in courses[:_COURSES]:
-        caption = f"One panel for each axis, {bands}."
-        yield f"curves-{name}", lambda name=name: plots.curves(name), caption  # type: ignore[misc]
+    caption = f"One panel for each axis, {bands}."
+    courses = [name for name in names if TIME in table[name].dims and table.sizes[TIME] > 1]
+    return found | {
+        f"curves-{name}.png": (partial(plots.curves, name), caption) for name in courses[:_COURSES]
+    }
 
 
 def _subtitle(table: xr.Dataset) -> str:
@@ -160,15 +150,15 @@ def _tiles(table: xr.Dataset, states: Sequence[RunStatus]) -> dict[str, str]:
     """Return the key figures: runs by state, seeds, time that it took."""
     count = {name: sum(state.state == name for state in states) for name in _STATES}
     wall = float(sum(state.wall for state in states if np.isfinite(state.wall)))
-    told = {"runs": f"{len(states):,}"}
-    told |= {f"runs {_STATE_WORDS.get(name, name)}": f"{n:,}" for name, n in count.items() if n}
-    told["seeds"] = f"{table.sizes[SEED]}"
+    tiles = {"runs": f"{len(states):,}"}
+    tiles |= {f"runs {_STATE_WORDS.get(name, name)}": f"{n:,}" for name, n in count.items() if n}
+    tiles["seeds"] = f"{table.sizes[SEED]}"
     if table.sizes[TIME] > 1:
         last = float(table[TIME].max())
-        told["simulated time, at most"] = time_unit(last).text(last)
+        tiles["simulated time, at most"] = time_unit(last).text(last)
     if wall > 0.0:
-        told["wall time of all runs"] = clock(wall)
-    return told
+        tiles["wall time of all runs"] = clock(wall)
+    return tiles
 
 
 def _axis_row(table: xr.Dataset, name: str) -> dict[str, str]:
@@ -176,14 +166,12 @@ def _axis_row(table: xr.Dataset, name: str) -> dict[str, str]:
     values = shown.texts
     if len(values) > 12:
         values = [values[0], "…", values[-1], f"({len(values)} values)"]
-    along = [entry for entry in table.coords.values() if entry.dims == (name,)]
-    keys = [str(entry.attrs["key"]) for entry in along if "key" in entry.attrs]
-    key = ", ".join(keys) or str(table[name].attrs.get("key", name))
+    key = str(table[name].attrs.get("key", name))
     return {"label": shown.label, "key": key, "values": ", ".join(values).replace("…, ", "… ")}
 
 
 def _unfinished(states: Sequence[RunStatus]) -> str:
-    """Return what the head of the page says of runs that are not done."""
+    """Return the warning at the head of the page about runs that are not done."""
     failed = sum(state.state == "failed" for state in states)
     open_ = sum(state.state not in ("done", "failed") for state in states)
     parts = [f"{failed:,} failed"] if failed else []
@@ -192,11 +180,11 @@ def _unfinished(states: Sequence[RunStatus]) -> str:
 
 
 def _run_table(
-    table: xr.Dataset, runs: Sequence[Run], states: Sequence[RunStatus], told: Sequence[str]
+    table: xr.Dataset, runs: Sequence[Run], states: Sequence[RunStatus], names: Sequence[str]
 ) -> dict[str, Any]:
     """Return heads and rows of the table of runs."""
-    axes = [(name, scale_alone(table, name)) for name in coordinates_of(table)]
-    ends = [at_end(table, name).values.ravel() for name in told]
+    axes = [(name, scale(table, name)) for name in axes_of(table)]
+    ends = [at_end(table, name).values.ravel() for name in names]
     chosen = _rows_shown(states)
     rows = []
     for k in chosen:
@@ -212,7 +200,7 @@ def _run_table(
         rows.append({"name": run.name, "state": state.state, "reason": state.reason,
                      "cells": cells})  # fmt: skip
     heads = [*(own.label for _, own in axes), "seed", "state",
-             *(label(table, name) for name in told), "wall time"]  # fmt: skip
+             *(label(table, name) for name in names), "wall time"]  # fmt: skip
     return {"heads": heads, "rows": rows, "left_out": len(states) - len(chosen)}
 
 

@@ -23,8 +23,8 @@ from multicell.studies.design import (
     SAMPLED,
     Design,
     Point,
+    parse_axis_or_range,
     parse_column,
-    parse_varied,
     read_points,
 )
 from multicell.studies.ineffective import refuse_ineffective
@@ -40,8 +40,7 @@ SCENE: Final = "scene.toml"
 _LARGEST: Final = 20_000_000
 """Bytes of study.toml: 1,000 for each of as many points as there may be."""
 _KEYS: Final = (
-    "scene", "seeds", "design", "size", "sample_seed", "every", "integrator", "vary", "zip",
-    "points",
+    "scene", "seeds", "design", "size", "sample_seed", "every", "integrator", "vary", "points",
 )  # fmt: skip
 
 
@@ -89,7 +88,7 @@ class Plan:
         scenes = tuple(change(self.scene, point.changes) for point in self.design.points)
         object.__setattr__(self, "scenes", scenes)
         cases = zip((point.changes for point in self.design.points), scenes, strict=True)
-        refuse_ineffective(cases, [axis.key for axis in self.design.varied])
+        refuse_ineffective(cases, [axis.key for axis in self.design.axes])
         if self.design.kind in ("grid", "list"):
             self._refuse_equal_points()
 
@@ -101,7 +100,7 @@ class Plan:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of all runs: those of one point after the other, each with all its seeds."""
-        return tuple(digest(scene, self.integrator) for _, scene, _ in self._each())
+        return tuple(digest(scene, self.integrator) for _, scene in self._each())
 
     @property
     def row_every(self) -> float:
@@ -124,14 +123,14 @@ class Plan:
                 expected=expected[k],
                 integrator=self.integrator,
             )
-            for name, (k, scene, _) in zip(self.names, self._each(), strict=True)
+            for name, (k, scene) in zip(self.names, self._each(), strict=True)
         ]
 
-    def _each(self) -> Iterator[tuple[int, Scene, int]]:
-        """Yield number of the point, scene and number of the seed of each run."""
+    def _each(self) -> Iterator[tuple[int, Scene]]:
+        """Yield number of the point and scene of each run."""
         for k, scene in enumerate(self.scenes):
             for j in range(self.seeds):
-                yield k, replace(scene, seed=scene.seed + j) if j else scene, j
+                yield k, replace(scene, seed=scene.seed + j) if j else scene
 
     def _refuse_equal_points(self) -> None:
         """Refuse two points of a grid or a list whose runs would be the same."""
@@ -160,7 +159,6 @@ def make_plan(
     scene: Scene,
     vary: Mapping[str, Any] | Iterable[Axis | Range] | None = None,
     *,
-    zipped: Mapping[str, Any] | Sequence[Mapping[str, Any]] | None = None,
     points: Any = None,
     seeds: int = 1,
     design: str = "grid",
@@ -171,20 +169,8 @@ def make_plan(
 ) -> Plan:
     """Return a plan of what is given in Python, on the command line or in ``study.toml``.
 
-    Parameters
-    ----------
-    scene
-        What is varied.
-    vary
-        Dotted key -> values or range: a text as behind ``--vary``, a list of values, for a sample
-        a tuple of two ends (and ``"log"``), or an axis that was read before.
-    zipped
-        Keys whose values go together, one table or several.
-    points
-        Points of a list: path of a CSV file (:func:`read_points`), a table of key -> column (a
-        mapping or a pandas DataFrame), or a list of tables.
-    seeds, design, size, sample_seed, every, integrator
-        As :class:`Plan` and :class:`Design` have them; ``every`` in s or with a unit.
+    Parameters are those of :func:`multicell.studies.study.study`; ``vary`` may also be axes that
+    were read before.
 
     Raises
     ------
@@ -196,9 +182,8 @@ def make_plan(
     elif integrator:
         file, _, name = integrator.rpartition(":")
         integrator = f"{Path(file).expanduser().resolve()}:{name}"  # workers may be elsewhere
-    groups = [zipped] if isinstance(zipped, Mapping) else list(zipped or ())
     if points is not None:
-        if vary or groups:
+        if vary:
             hint = "Give them as further columns, or take another design."
             raise SceneError("points", "cannot stand beside keys that are varied one by one", hint)
         if design not in ("grid", "list"):
@@ -212,7 +197,6 @@ def make_plan(
     made = Design(
         kind=design,
         axes=axes,
-        zipped=tuple(_group(group, scene) for group in groups),
         size=_size(size, design),
         sample_seed=whole("sample_seed", sample_seed, 0, 2**63 - 1),
     )
@@ -237,25 +221,11 @@ def _parse_vary(vary: Any, scene: Scene, sampled: bool) -> tuple[Axis | Range, .
         return ()
     if isinstance(vary, Mapping):
         entries = _flat(vary).items()
-        return tuple(parse_varied(key, given, scene, sampled) for key, given in entries)
+        return tuple(parse_axis_or_range(key, given, scene, sampled) for key, given in entries)
     axes = tuple(vary) if isinstance(vary, Iterable) and not isinstance(vary, str) else (None,)
     for axis in axes:
         if not isinstance(axis, Axis | Range):
             raise SceneError("vary", f"is {shown(vary)}, must be a table of keys and values")
-    return axes
-
-
-def _group(group: Any, scene: Scene) -> tuple[Axis, ...]:
-    """Return axes whose values go together."""
-    if not isinstance(group, Mapping):
-        raise SceneError("zip", f"is {shown(group)}, must be a table of keys and values")
-    axes = tuple(
-        parse_column(key, values, scene) if not isinstance(values, Axis) else values
-        for key, values in _flat(group).items()
-    )
-    if len(axes) < 2:
-        hint = "A key that goes alone belongs to 'vary'."
-        raise SceneError("zip", f"has {len(axes)} key(s), must have two or more", hint)
     return axes
 
 
@@ -322,7 +292,7 @@ def read_plan(folder: str | Path, *, integrator: str = "") -> Plan:
         raise SceneError("scene", f"is {shown(source)}, must be the path of a scene file")
     _check_method(entries.pop("integrator", ""), integrator, path)
     scene = load_scene(folder / source)
-    for key, kind in (("vary", dict), ("points", dict | str), ("zip", dict | list)):
+    for key, kind in (("vary", dict), ("points", dict | str)):
         if key in entries and not isinstance(entries[key], kind):
             raise SceneError(key, f"is {shown(entries[key])}, must be a table")
         below = entries[key] if isinstance(entries.get(key), dict) else ()
@@ -335,9 +305,8 @@ def read_plan(folder: str | Path, *, integrator: str = "") -> Plan:
     if isinstance(points, str):
         points = folder / points
     return make_plan(
-        scene, entries.pop("vary", None), zipped=entries.pop("zip", None), points=points,
-        integrator=integrator, **entries,
-    )  # fmt: skip
+        scene, entries.pop("vary", None), points=points, integrator=integrator, **entries
+    )
 
 
 def _check_method(named: Any, given: str, path: Path) -> None:
@@ -395,11 +364,6 @@ def _lines(plan: Plan) -> Iterator[str]:
     yield f"[{table}]" + ("  # key = values, or 'low:high unit' to sample" * (table == "vary"))
     for axis in design.axes:
         yield axis_line(axis)
-    for group in design.zipped:
-        yield ""
-        yield "[[zip]]  # values at the same places go together"
-        for axis in group:
-            yield axis_line(axis)
 
 
 _WORDS: Final = {

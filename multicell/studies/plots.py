@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, final
 
 if TYPE_CHECKING:
@@ -36,32 +36,68 @@ class StudyPlots:
         y: str | None = None,
         at: Mapping[str, Any] | None = None,
     ) -> Figure:
-        """Draw mean ± standard deviation of an observable over two axes (a third makes panels).
+        """Draw the mean of an observable over two axes, one tile for each pair of values.
 
-        See :func:`multicell.studies.pictures.heatmap.heatmap`.
+        Each tile states mean and standard deviation over the seeds, and how many seeds there are
+        where some failed or have not run. A third axis makes panels; further ones are fixed.
+
+        Parameters
+        ----------
+        observable
+            Its values at the end of each run are shown.
+        x, y
+            Axes of the map, by default the first two; of a study of one axis the map has one row.
+        at
+            Axis -> value for axes that are fixed, by default their middle value.
+
+        Raises
+        ------
+        SceneError
+            For an unknown observable or axis.
+        ValueError
+            If the design is sampled or varies nothing: there are no tiles.
         """
         from multicell.studies.pictures.heatmap import heatmap
 
         return heatmap(self._table, self._title, observable, x, y, at)
 
-    def curves(
-        self,
-        observable: str,
-        axes: Sequence[str] | None = None,
-        at: Mapping[str, Any] | None = None,
-    ) -> Figure:
-        """Draw an observable over time with bands over the seeds, one panel for each axis.
+    def curves(self, observable: str, at: Mapping[str, Any] | None = None) -> Figure:
+        """Draw an observable over time: the mean over the seeds, a band of one deviation each way.
 
-        See :func:`multicell.studies.pictures.curves.curves`.
+        A panel for each axis, whose values have a colour each while the other axes are fixed. Where
+        a run has no value, because it ended sooner than others of its point or the observable does
+        not exist yet, those that have one are thin lines without mean and band.
+
+        Parameters
+        ----------
+        observable
+            One with a course.
+        at
+            Axis -> value for axes that are fixed, by default their middle value; of a sample
+            nothing is fixed.
+
+        Raises
+        ------
+        SceneError
+            For an unknown observable or axis, or an observable that is a single number of each run.
         """
         from multicell.studies.pictures.curves import curves
 
-        return curves(self._table, self._title, observable, axes, at)
+        return curves(self._table, self._title, observable, at)
 
     def response(self, observable: str) -> Figure:
-        """Draw an observable at the end of the runs over each axis: points, means and bars.
+        """Draw an observable at the end of each run over every axis, one panel for each.
 
-        See :func:`multicell.studies.pictures.response.response`.
+        Dots are single runs. Each point of a sample, and each value of a single axis, has a bar of
+        one standard deviation over its seeds; of several axes the line is the mean over all runs of
+        a value. Runs that failed are crosses at the foot.
+
+        Raises
+        ------
+        SceneError
+            For an unknown observable.
+        ValueError
+            If nothing is varied.
         """
         from multicell.studies.pictures.response import response
 

@@ -13,7 +13,7 @@ from multicell.errors import SceneError
 from multicell.files import read_regular
 from multicell.laws import OwnLaw
 from multicell.plugins import origin
-from multicell.results.observable import find_own
+from multicell.results.observable import OWN, find_own
 from multicell.schema import Tables, specs
 
 if TYPE_CHECKING:
@@ -60,36 +60,59 @@ class Run:
     expected: float
     integrator: str = ""
 
-    @property
-    def laws(self) -> tuple[str, ...]:
-        """``/path/file.py:Name`` of each law of the user's own, which workers load.
 
-        Workers load them by :func:`multicell.load_law` before they read the scene.
+@final
+@dataclass(frozen=True)
+class PlainScene:
+    """A scene as it travels to a worker: plain values, and where to find what is the user's own.
+
+    Attributes
+    ----------
+    values
+        As a table in base units.
+    laws
+        ``/path/file.py:Name`` of each law of the user's own.
+    observables
+        The same by function of each observable of the user's own.
+    """
+
+    values: Mapping[str, Any]
+    laws: tuple[str, ...] = ()
+    observables: Mapping[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, scene: Scene) -> PlainScene:
+        """Return a scene as plain values.
+
+        Raises
+        ------
+        SceneError
+            If this process does not know one of its observables.
         """
-        return own_laws(self.scene)
+        own = scene.output.observables.items()
+        observables = {stated.function: find_own(name, stated).source for name, stated in own}
+        return cls(scene.to_dict(), own_laws(scene), observables)
 
-    @property
-    def observables(self) -> dict[str, str]:
-        """Observables of the user's own (:func:`own_observables`), which workers load."""
-        return own_observables(self.scene)
+    def load(self) -> Scene:
+        """Return the scene; laws and observables of the user's own are loaded first."""
+        from multicell.scene.scene import Scene
+
+        for law in self.laws:
+            from multicell.contact.custom import load_law
+
+            load_law(law)
+        for function, source in self.observables.items():
+            if function not in OWN:
+                from multicell.results.own_observable import load_observable
+
+                load_observable(source)
+        return Scene.from_dict(self.values)
 
 
 def own_laws(scene: Scene) -> tuple[str, ...]:
     """Return where the pair law and the growth law of a scene come from that are the user's own."""
     laws = [type(scene.contact), *([] if scene.growth is None else [scene.growth.law_class])]
     return tuple(origin(law) for law in laws if issubclass(law, OwnLaw))
-
-
-def own_observables(scene: Scene) -> dict[str, str]:
-    """Return ``/path/file.py:Name`` by function of each observable of the user's own.
-
-    Raises
-    ------
-    SceneError
-        If this process does not know one of them.
-    """
-    own = scene.output.observables.items()
-    return {stated.function: find_own(name, stated).source for name, stated in own}
 
 
 def digest(scene: Scene, integrator: str = "") -> str:

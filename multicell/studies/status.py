@@ -1,6 +1,6 @@
 """States of the runs of a study, from their folders alone.
 
-A folder says all that there is to know: whoever killed the study, on whatever machine it ran, and
+A folder states all that there is to know: whoever killed the study, on whatever machine it ran, and
 however many processes work on it. A run is
 
 ``done``
@@ -9,7 +9,7 @@ however many processes work on it. A run is
 ``running``
     while a process holds the lock of its folder;
 ``failed``
-    where a note in its folder says why (:data:`NOTE`), or what is there is damaged;
+    where a note in its folder states why (:data:`NOTE`), or what is there is damaged;
 ``partial``
     where there are frames from which it can continue;
 ``waiting``
@@ -97,14 +97,16 @@ def status(name: str, folder: Path, integrator: str = "", *, ours: bool = False)
         return RunStatus(name, "waiting")
     try:
         if not ours and in_use(place):
-            return _under_way(name, place, "running")
-        done = _done(name, place, integrator)
-        return _failed(_under_way(name, place, "partial"), place) if done is None else done
+            return _unfinished_status(name, place, "running")
+        done = _finished_status(name, place, integrator)
+        if done is not None:
+            return done
+        return _failure_status(_unfinished_status(name, place, "partial"), place)
     except MulticellError as error:
         return RunStatus(name, "failed", f"damaged: {error}", kind="damage")
 
 
-def _failed(found: RunStatus, place: Path) -> RunStatus:
+def _failure_status(found: RunStatus, place: Path) -> RunStatus:
     """Return the state of a run that is not under way, with why it failed if it did."""
     note = read_note(place)
     if note is None:
@@ -119,24 +121,24 @@ _KNOWN: Final[dict[tuple[Path, str], tuple[_Stamps, RunStatus]]] = {}
 """Runs that are done, with the stamps of their files: what has not changed is not read again."""
 
 
-def _done(name: str, place: Path, integrator: str) -> RunStatus | None:
+def _finished_status(name: str, place: Path, integrator: str) -> RunStatus | None:
     """Return the state of a run that has come to its end; None before that."""
     try:
         if (place / journal.NAME).exists():
             return None
         files = [(place / file).stat() for file in ("summary.json", hdf5.NAME, "scene.toml")]
     except OSError:  # missing, or worth an error where it is read
-        return _read_done(name, place, integrator)
+        return _read_finished(name, place, integrator)
     stamps = tuple((file.st_ino, file.st_size, file.st_mtime_ns) for file in files)
     before, found = _KNOWN.get((place, integrator), (None, None))
     if before != stamps:
-        found = _read_done(name, place, integrator)
+        found = _read_finished(name, place, integrator)
         if found is not None:
             _KNOWN[place, integrator] = stamps, found
     return found
 
 
-def _read_done(name: str, place: Path, integrator: str) -> RunStatus | None:
+def _read_finished(name: str, place: Path, integrator: str) -> RunStatus | None:
     """Return the state of a run that has come to its end, from its files."""
     summary = read_table(place / "summary.json")
     if summary is None or summary.get("interrupted"):
@@ -152,7 +154,7 @@ def _read_done(name: str, place: Path, integrator: str) -> RunStatus | None:
         raise OutputError(problem) from None
 
 
-def _under_way(name: str, place: Path, state: str) -> RunStatus:
+def _unfinished_status(name: str, place: Path, state: str) -> RunStatus:
     """Return how far a run has come that has not ended; one without frames waits, or runs."""
     from multicell.results.reader import Contents
 

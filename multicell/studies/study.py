@@ -180,7 +180,6 @@ def study(
     vary: Mapping[str, Any] | None = None,
     *,
     output: str | Path,
-    zipped: Mapping[str, Any] | Sequence[Mapping[str, Any]] | None = None,
     points: Any = None,
     seeds: int = 1,
     design: str = "grid",
@@ -204,10 +203,9 @@ def study(
         ``"8:25 h"``, ``"log 1e-3:1 1/s"`` or a tuple of both ends.
     output
         Folder of the study.
-    zipped
-        Keys whose values go together, as a table or several: a dimension each.
     points
         In place of ``vary``: a list of points, as a table of columns, its rows, or a CSV file.
+        The values of keys that vary together stand in one row.
     seeds
         Runs of each point, with the scene's seed and those that follow it; the same at all points.
     design
@@ -240,7 +238,7 @@ def study(
 
     base = scene if isinstance(scene, Scene) else load_scene(scene)
     plan = make_plan(
-        base, vary, zipped=zipped, points=points, seeds=seeds, design=design, size=size,
+        base, vary, points=points, seeds=seeds, design=design, size=size,
         sample_seed=sample_seed, every=every, integrator=integrator,
     )  # fmt: skip
     return write_study(plan, output, overwrite=overwrite)

@@ -1,6 +1,6 @@
 """One table of all that the runs of a study have found: an ``xarray.Dataset`` with units.
 
-Dimensions are those of the design (:attr:`Design.dimensions`; ``point`` for a list or a sample),
+Dimensions are those of the design (the axes of a grid; ``point`` for a list or a sample),
 ``seed`` and ``time``. Variables are the columns of the histories, at common times, and the numbers
 of the summaries that histories do not have, under their names with ``_`` for dots. A run that is
 not done, has failed, or has ended before a time has NaN there; ``state`` and ``reason`` say which.
@@ -26,6 +26,7 @@ from multicell.results.documents import read_table
 from multicell.results.folder import file_errors, put_in_place, sync_file, versions
 from multicell.results.hdf5 import check_contained
 from multicell.results.quantities import known_unit
+from multicell.studies.axes import Axis, Range
 from multicell.studies.runs import MODEL_VERSION, digest
 
 if TYPE_CHECKING:
@@ -117,7 +118,7 @@ def _column(table: dict[str, FloatArray], name: str, shape: tuple[int, ...]) -> 
 
 
 def _texts(states: Sequence[RunStatus]) -> dict[str, NDArray[Any]]:
-    """Return the variables that tell how each run stands."""
+    """Return the variables that state how each run stands."""
     entries = {
         "state": [state.state for state in states],
         "reason": [state.reason for state in states],
@@ -129,23 +130,23 @@ def _texts(states: Sequence[RunStatus]) -> dict[str, NDArray[Any]]:
 def _space(plan: Plan) -> tuple[tuple[int, ...], tuple[str, ...], dict[str, Any]]:
     """Return shape, names and coordinates of the dimensions of points and seeds."""
     coordinates: dict[str, Any] = {}
-    dimensions = plan.design.dimensions
+    found: list[tuple[str, Axis | Range, tuple[float | str, ...]]]
     if plan.design.kind == "grid":
-        shape, dims = tuple(map(len, dimensions)), tuple(d.name for d in dimensions)
-        for dimension in dimensions:
-            for axis in dimension.axes:
-                values = np.array(axis.coordinates, dtype=object if axis.numbers is None else float)
-                about = {"units": axis.unit, "key": axis.key}
-                coordinates[axis.name] = (dimension.name, values, about)
+        axes = [axis for axis in plan.design.axes if isinstance(axis, Axis)]
+        shape, dims = tuple(len(axis.values) for axis in axes), tuple(axis.name for axis in axes)
+        found = [(axis.name, axis, axis.coordinates) for axis in axes]
     else:
         shape, dims = (len(plan.points),), ("point",)
         coordinates["point"] = ("point", np.arange(len(plan.points)))
-        for column in plan.design.axes:
-            found = [point.coordinates[column.name] for point in plan.points]
-            words = any(isinstance(value, str) for value in found)
-            about = {"units": column.unit, "key": column.key}
-            values = np.array(found, dtype=object if words else float)
-            coordinates[column.name] = ("point", values, about)
+        found = [
+            ("point", axis, tuple(point.coordinates[axis.name] for point in plan.points))
+            for axis in plan.design.axes
+        ]
+    for dimension, axis, values in found:
+        words = any(isinstance(value, str) for value in values)
+        about = {"units": axis.unit, "key": axis.key}
+        entry = np.array(values, dtype=object if words else float)
+        coordinates[axis.name] = (dimension, entry, about)
     seeds = plan.scene.seed + np.arange(plan.seeds, dtype=np.int64)
     coordinates["seed"] = ("seed", seeds)
     return (*shape, plan.seeds), (*dims, "seed"), coordinates
@@ -203,14 +204,11 @@ def _flat(summary: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, flo
             yield f"{path}{name}", float(value)
 
 
-def _version() -> dict[str, Any]:
-    return {"format": FORMAT, "model_version": MODEL_VERSION}
-
-
 def provenance(plan: Plan) -> dict[str, Any]:
     """Return where a table comes from: versions, the digest and text of its scene, the command."""
     return {
-        **_version(),
+        "format": FORMAT,
+        "model_version": MODEL_VERSION,
         "title": plan.scene.title,
         "scene": plan.scene.to_toml(),
         "scene_digest": digest(plan.scene, plan.integrator),

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Final, final
 
 from multicell.errors import MulticellError, OutputError
 from multicell.plugins import own_fault
 from multicell.results.folder import FILES, PASSING, lock_folder, remove
-from multicell.results.observable import OWN
+from multicell.studies.runs import PlainScene
 from multicell.studies.status import NOTE, Kind, RunStatus, run_folder, status, write_note
 
 if TYPE_CHECKING:
-    from multicell.scene.scene import Scene
     from multicell.simulation import Simulation
     from multicell.studies.runs import Run
 
@@ -61,28 +60,22 @@ class Task:
     folder
         Of the study.
     scene
-        As a table in base units.
-    laws, integrator
+    integrator
         ``file.py:Name`` of the user's own, or empty.
-    observables
-        See :func:`multicell.studies.runs.own_observables`.
     retry
         Whether a run that failed, or whose folder is damaged, is tried again.
     """
 
     name: str
     folder: str
-    scene: Mapping[str, Any]
-    laws: tuple[str, ...]
+    scene: PlainScene
     integrator: str
-    observables: Mapping[str, str]
     retry: bool
 
 
 def task(run: Run, folder: Path, retry: bool) -> Task:
     """Return what a worker has to know of a run."""
-    own = run.laws, run.integrator, run.observables
-    return Task(run.name, str(folder), run.scene.to_dict(), *own, retry)
+    return Task(run.name, str(folder), PlainScene.of(run.scene), run.integrator, retry)
 
 
 @final
@@ -176,7 +169,7 @@ def _forward(work: Task, place: Path, found: RunStatus, wanted: Callable[[], boo
         if not wanted():
             raise Stopped
 
-    scene, integrator = _scene(work), work.integrator or None
+    scene, integrator = work.scene.load(), work.integrator or None
     if not wanted():
         raise Stopped
     options = runner.RunOptions(output=place, integrator=integrator, threads=1, progress=between)
@@ -186,27 +179,6 @@ def _forward(work: Task, place: Path, found: RunStatus, wanted: Callable[[], boo
     else:
         _empty(work, place)
         runner.record_run(scene, options)
-
-
-def _scene(work: Task) -> Scene:
-    """Return the scene of a run; the user's own laws and observables are loaded first."""
-    from multicell.scene.scene import Scene
-
-    for law in work.laws:
-        from multicell.contact.custom import load_law
-
-        load_law(law)
-    load_observables(work.observables)
-    return Scene.from_dict(work.scene)
-
-
-def load_observables(sources: Mapping[str, str]) -> None:
-    """Load observables of the user's own that this process does not know yet."""
-    for function, source in sources.items():
-        if function not in OWN:
-            from multicell.results.own_observable import load_observable
-
-            load_observable(source)
 
 
 def _empty(work: Task, place: Path) -> None:

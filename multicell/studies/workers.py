@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from multicell import __version__
 from multicell.errors import ClusterError
-from multicell.extras import needs
+from multicell.extras import needs, quiet
 from multicell.results.folder import file_errors, versions
 from multicell.studies.limits import check_cores
 
@@ -89,8 +89,8 @@ def workers(cores: int | None, scheduler: Any) -> Iterator[Client]:
     with ExitStack() as stack:
         if scheduler is None:
             stack.enter_context(dask.config.set(_SETTINGS))
-        stack.enter_context(_silence())
-        place = stack.enter_context(_local(cores)) if scheduler is None else scheduler
+        stack.enter_context(quiet(*_QUIET))
+        place = stack.enter_context(_local_cluster(cores)) if scheduler is None else scheduler
         address = getattr(scheduler, "scheduler_address", scheduler)
         security = None if scheduler is None else getattr(scheduler, "security", None)
         client = _client(Client, place if scheduler is None else address, security)
@@ -101,12 +101,12 @@ def workers(cores: int | None, scheduler: Any) -> Iterator[Client]:
 
 
 @contextmanager
-def _local(cores: int | None) -> Iterator[Any]:
+def _local_cluster(cores: int | None) -> Iterator[Any]:
     """Yield a cluster of processes of this machine, which end with this one."""
     environment = dict(os.environ)
     with _without_main():
         os.environ["PYTHONSAFEPATH"] = "1"  # or they would begin with modules of this folder
-        cluster = _started(cores or own_cores())
+        cluster = _start_cluster(cores or own_cores())
         try:
             yield cluster
         finally:
@@ -119,7 +119,7 @@ def _local(cores: int | None) -> Iterator[Any]:
                     os.environ[name] = environment[name]
 
 
-def _started(count: int) -> Any:
+def _start_cluster(count: int) -> Any:
     """Return a cluster of so many processes."""
     import distributed
 
@@ -178,7 +178,7 @@ def _without_main() -> Iterator[None]:
 def _without_interrupts() -> Iterator[None]:
     """Let threads and processes that are started now, and all theirs, not hear Ctrl-C.
 
-    A terminal sends it to workers too. They are told by this process what to do.
+    A terminal sends it to workers too. This process tells them what to do.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield
@@ -189,21 +189,6 @@ def _without_interrupts() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-@contextmanager
-def _silence() -> Iterator[None]:
-    """Let Dask say nothing on the terminal: what matters of it is said by errors of our own."""
-    inner = [name for name in logging.root.manager.loggerDict if name.startswith(_QUIET)]
-    loggers = [logging.getLogger(name) for name in {*_QUIET, *inner}]
-    before = [logger.level for logger in loggers]
-    for logger in loggers:
-        logger.setLevel(logging.CRITICAL + 1)
-    try:
-        yield
-    finally:
-        for logger, level in zip(loggers, before, strict=True):
-            logger.setLevel(level)
 
 
 def _client(kind: type[Client], place: Any, security: Any = None) -> Client:

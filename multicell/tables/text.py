@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 from multicell.errors import DataError
 from multicell.files import read_regular
@@ -99,3 +100,10 @@ def lines_of(content: bytes, numbers: list[int]) -> Iterator[str]:
         if line.strip(" \t,\n") and not line.lstrip().startswith("#"):
             numbers.append(number)
             yield line
+
+
+def csv_text(titles: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
+    """Return rows as CSV text below a header."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([titles, *rows])
+    return text.getvalue()

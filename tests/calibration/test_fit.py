@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -105,10 +106,9 @@ def test_a_run_that_outgrows_its_data_ends_early(monkeypatch):
 def test_a_run_that_fails_is_a_reading_with_its_reason():
     data = {"time / h": [5], "cells": [6]}
     simulator = simulated(data, **{"growth.cycle_variation": "0.1:0.5"})
-    broken = SceneSimulator(
-        ({**simulator.scenes[0], "coupling_step": -1.0},), simulator.data, simulator.ranges
-    )
-    found = broken((0.5,), 0, 1)
+    (scene,) = simulator.scenes
+    wrong = replace(scene, values={**scene.values, "coupling_step": -1.0})
+    found = replace(simulator, scenes=(wrong,))((0.5,), 0, 1)
     assert math.isnan(found.values[0])
     assert "coupling_step" in found.reason
 
@@ -223,6 +223,14 @@ def test_fresh_runs_that_were_stopped_go_on_with_what_is_there(tmp_path):
     np.testing.assert_array_equal(runs, expected)
 
 
+def test_equal_runs_are_made_once():
+    problem = linear([[1.0]], [0.5], 0.02, noise=0.1, seeds=2)
+    points = [([0.4], 10), ([0.4], 11), ([0.4], 10)]
+    (runs, _), calls = calls_of(lambda: Search(problem, None).extra(Pool(), points))
+    assert [seed for *_, seed in calls] == [10, 11]
+    assert runs[0] == runs[2] != runs[1]
+
+
 def test_checks_widen_the_error_where_the_emulator_is_off_and_nowhere_else():
     scatter = scatter_of(np.random.default_rng(1).normal(0.0, 1.0, (12, 2)))
     away = np.array([[0.5, 9.0], [-1.0, -8.0], [0.8, 9.5], [0.1, 7.0], [-0.4, -9.0], [1.2, 8.0]])
@@ -334,7 +342,7 @@ def test_too_few_points_tell_a_best_one_and_no_intervals():
     found = fitted(linear(MATRIX, [0.4, 0.6, 1.0, -0.2], 0.02), points=3)
     assert found.kind == "none"
     assert found.undetermined == []
-    assert "Too few points were tried to tell intervals." in found.notes
+    assert "Too few points were tried for intervals." in found.notes
     with pytest.raises(FitFailed, match="too few points"):
         _ = found.posterior
     assert found.summary()["parameters"]["toy.p0"]["interval"] is None

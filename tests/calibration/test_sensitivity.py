@@ -12,11 +12,11 @@ from click.testing import CliRunner
 
 import multicell as mc
 from multicell.calibration.indices import analyse, sample
-from multicell.calibration.responses import Responses
-from multicell.calibration.sensitivity import plan_of, ranges_of, result_of
+from multicell.calibration.sensitivity import plan_of, result_of
 from multicell.cli.main import main
 from multicell.errors import OutputError, SceneError
 from multicell.studies import engine
+from multicell.studies.axes import parse_ranges
 from multicell.studies.task import do_run, task
 
 CELL = mc.Scene.from_dict(
@@ -52,16 +52,13 @@ def exact(a=7.0, b=0.1):
 def of_function(method, size, seeds=1, noise=0.0, shift=0.0, lost=()):
     """Return the analysis of Ishigami's function in place of runs."""
     rng = np.random.default_rng(3)
-
-    def evaluate(shares):
-        values = np.repeat(ishigami(shares)[:, None], seeds, axis=1)
-        values += noise * rng.standard_normal(values.shape) + shift * np.arange(seeds)
-        for place in lost:
-            values[place] = np.nan
-        return Responses({"diameter": values})
-
-    ranges = ranges_of(CELL, FOUR)
-    return result_of(CELL, method, ranges, size, range(seeds), ["diameter"], evaluate)
+    ranges = parse_ranges(FOUR, CELL)
+    shares = sample(method, [free.name for free in ranges], size)
+    values = np.repeat(ishigami(shares)[:, None], seeds, axis=1)
+    values += noise * rng.standard_normal(values.shape) + shift * np.arange(seeds)
+    for place in lost:
+        values[place] = np.nan
+    return result_of(CELL, method, ranges, range(seeds), {"diameter": values})
 
 
 def column(result, name):
@@ -115,8 +112,13 @@ def test_noise_is_known_and_hides_what_has_no_effect(method):
         whole = 7.0**2 / 8.0 + 0.1 * math.pi**4 / 5.0 + 0.1**2 * math.pi**8 / 18.0 + 0.5
         wanted = 0.5 * variance / (whole + 0.5 * variance)
     assert column(result, "noise") == pytest.approx(np.full(4, wanted), rel=0.2)
-    assert [row["verdict"] for row in result.table] == [*["clear"] * 3, "not told from noise"]
-    assert any("not told from the noise over 4 seeds: poisson" in note for note in result.notes)
+    assert [row["verdict"] for row in result.table] == [
+        *["clear"] * 3,
+        "not distinguishable from noise",
+    ]
+    assert any(
+        "not distinguishable from the noise over 4 seeds: poisson" in note for note in result.notes
+    )
 
 
 def test_what_all_points_share_of_a_seed_is_no_noise():
@@ -130,7 +132,7 @@ def test_one_seed_leaves_the_noise_unknown():
     result = of_function("sobol", 64)
     assert np.isnan(column(result, "noise")).all()
     assert result.table[0]["verdict"] == "clear of zero, noise unknown"
-    assert result.table[3]["verdict"] == "not told from zero"
+    assert result.table[3]["verdict"] == "not distinguishable from zero"
     assert any("the noise is unknown" in note for note in result.notes)
 
 
@@ -199,7 +201,7 @@ def test_the_diameter_of_one_cell_depends_on_its_size_alone(tmp_path, here):
     assert row["verdict"] == "clear"
     for other in ("young", "viscosity"):
         assert result.index("diameter", other)["mu_star"] == 0.0
-        assert result.index("diameter", other)["verdict"] == "not told from zero"
+        assert result.index("diameter", other)["verdict"] == "not distinguishable from zero"
     with pytest.raises(SceneError, match="Did you mean 'viscosity'"):
         result.index("diameter", "viscosty")
 
@@ -235,8 +237,10 @@ def test_points_of_a_sample_that_are_the_same_are_one_point_of_the_study():
 
 def test_another_question_in_the_folder_is_refused(tmp_path, here):
     asked(tmp_path)
-    with pytest.raises(OutputError, match="asks something else"):
+    with pytest.raises(OutputError, match="would not be widened, but changed"):
         asked(tmp_path, method="sobol", size=8)
+    with pytest.raises(OutputError, match="holds a study of another scene"):
+        mc.sensitivity(CELL.with_changes({"cells.young": "2 kPa"}), ONE, size=4, output=tmp_path)
     assert asked(tmp_path, method="sobol", size=8, overwrite=True).method == "sobol"
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "file").write_text("")

@@ -79,11 +79,6 @@ def test_designs_by_option(folder, tmp_path):
     table.write_text("cells.young [kPa],initial.count\n1,5\n2,5\n")
     assert call("new", RICH, "-o", tmp_path / "list", "--points", table).exit_code == 0
     assert len(mc.load_study(tmp_path / "list").plan.points) == 2
-    zipped = ["--zip=cells.young=1,2 kPa", "--zip=initial.count=5,6"]
-    more = ["--zip", f"{OXYGEN}=0.1,0.2,0.3 mM; {LENGTH}=8,9,10 h"]
-    assert call("new", RICH, "-o", tmp_path / "zip", *zipped, *more).exit_code == 0
-    design = mc.load_study(tmp_path / "zip").plan.design
-    assert [len(dimension) for dimension in design.dimensions] == [2, 3]
 
 
 REFUSED = {
@@ -94,8 +89,6 @@ REFUSED = {
     (f"--vary={OXYGEN}",): "is not KEY=VALUES",
     ("--vary==1",): "is not KEY=VALUES",
     (f"--vary={OXYGEN}=1 mM", f"--vary={OXYGEN}=2 mM"): "is given twice",
-    (f"--vary={OXYGEN}=1 mM", f"--zip={OXYGEN}=2 mM", f"--zip={LENGTH}=1 h"): "is varied twice",
-    (f"--zip={OXYGEN}=2 mM",): "must have two or more",
     ("--vary=growth.cycle_time=8,9 h",): "has no effect: the phases",
     ("--vary=contact.law=jkr,hertz", "--vary=contact.surface_energy=0.1,0.2 nN/um"):
         "has no meaning where contact.law = 'hertz'",

@@ -11,7 +11,7 @@ from rich_medium import RICH
 
 import multicell as mc
 from multicell import SceneError
-from multicell.studies.axes import check_axes, parse_axis, parse_range, with_unique_names
+from multicell.studies.axes import parse_axis, parse_range, with_unique_names
 from multicell.studies.keys import all_keys
 from multicell.studies.plan import axis_line
 
@@ -63,9 +63,9 @@ def test_an_entry_of_a_table_of_numbers_is_an_axis():
     key = f"types.{kind}.surface_energy.{other}"
     axis = parse_axis(key, "0.1,0.2 mN/m", scene)
     assert (axis.numbers, axis.unit) == ((0.1, 0.2), "nN/um")
-    with pytest.raises(SceneError, match="name one of its entries"):
+    with pytest.raises(SceneError, match="name one of its keys"):
         parse_axis(f"types.{kind}.surface_energy", "0.1", scene)
-    with pytest.raises(SceneError, match="there is no entry 'x'"):
+    with pytest.raises(SceneError, match="surface_energy' has no 'x'"):
         parse_axis(f"types.{kind}.surface_energy.x", "0.1", scene)
 
 
@@ -206,12 +206,6 @@ def test_names_are_as_long_as_makes_them_unique(emt6):
     }
     axes = with_unique_names(parse_axis(key, [1.0], emt6) for key in keys)
     assert [axis.name for axis in axes] == list(keys.values())
-
-
-def test_a_key_is_varied_once(emt6):
-    axes = [parse_axis(OXYGEN, [0.1], emt6), parse_axis(OXYGEN, [0.2], emt6)]
-    with pytest.raises(SceneError, match="varied twice"):
-        check_axes(emt6, axes)
 
 
 @pytest.mark.parametrize("name", mc.scene_names())

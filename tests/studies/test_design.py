@@ -13,7 +13,7 @@ from scipy.stats import qmc
 import multicell as mc
 from multicell import SceneError
 from multicell.studies.axes import parse_axis, parse_range
-from multicell.studies.design import Design, parse_column, parse_varied, read_points
+from multicell.studies.design import Design, parse_axis_or_range, parse_column, read_points
 
 OXYGEN, GLUCOSE = "nutrients.oxygen.boundary", "nutrients.glucose.boundary"
 LENGTH = "growth.phases.G1.duration"
@@ -42,7 +42,7 @@ def test_a_grid_has_every_combination_once(axes, count):
     values = itertools.product(*(axis.values for axis in axes))
     keys = [axis.key for axis in axes]
     assert changes(design) == [dict(zip(keys, row, strict=True)) for row in values]
-    assert [len(dimension) for dimension in design.dimensions] == [len(a.values) for a in axes]
+    assert [axis.values for axis in design.axes] == [axis.values for axis in axes]
 
 
 def test_coordinates_are_numbers_in_base_units_or_words():
@@ -50,31 +50,7 @@ def test_coordinates_are_numbers_in_base_units_or_words():
     assert dict(design.points[1].coordinates) == {
         "oxygen.boundary": 0.07, "glucose.boundary": 0.8, "law": "jkr",
     }  # fmt: skip
-    assert [dimension.name for dimension in design.dimensions] == [
-        "oxygen.boundary", "glucose.boundary", "law",
-    ]  # fmt: skip
-
-
-def test_zipped_axes_are_one_dimension_of_a_grid():
-    group = (
-        parse_column(GLUCOSE, ["0.8 mM", "0.8 mM", "16.5 mM"], EMT6),
-        parse_column("cells.young", ["1 kPa", "2 kPa", "4 kPa"], EMT6),
-    )
-    design = Design(axes=(AXES[0],), zipped=(group,))
-    assert len(design.points) == 9
-    pairs = [(p[GLUCOSE], p["cells.young"]) for p in changes(design)[:3]]
-    assert pairs == [("0.8 mM", "1 kPa"), ("0.8 mM", "2 kPa"), ("16.5 mM", "4 kPa")]
-    # named by the axis whose values are all different
-    assert [dimension.name for dimension in design.dimensions] == ["oxygen.boundary", "young"]
-
-
-def test_a_zipped_dimension_without_unique_values_has_both_names():
-    group = (
-        parse_column(GLUCOSE, ["0.8 mM", "0.8 mM", "1 mM", "1 mM"], EMT6),
-        parse_column("cells.young", [1.0, 2.0, 1.0, 2.0], EMT6),
-    )
-    (dimension,) = Design(zipped=(group,)).dimensions
-    assert dimension.name == "boundary+young"
+    assert [axis.name for axis in design.axes] == ["oxygen.boundary", "glucose.boundary", "law"]
 
 
 @pytest.mark.parametrize("kind", ["lhs", "sobol"])
@@ -118,8 +94,7 @@ def test_words_are_sampled_equally_often():
         (lambda: Design("sobol", (RANGES[0],), size=12), "take 8 or 16"),
         (lambda: Design("lhs", (), size=12), "vary: is empty"),
         (lambda: Design("list", ()), "points: is empty"),
-        (lambda: Design("lhs", (RANGES[0],), (tuple(AXES[:2]),), 4), "zip: has no meaning"),
-        (lambda: Design(zipped=(tuple(AXES[:2]),)), "lists of other lengths"),
+        (lambda: Design("list", tuple(AXES[:2])), "lists of other lengths"),
         (
             lambda: Design(axes=tuple(parse_axis(k, list(range(1, 600)), EMT6)
                                       for k in ("cells.young", "duration"))),
@@ -197,5 +172,5 @@ def test_a_table_of_points_that_cannot_be_read_is_told(tmp_path):
 
 
 def test_one_colon_is_a_range_two_are_values():
-    assert parse_varied(LENGTH, "8:25 h", EMT6) == parse_range(LENGTH, "8:25 h", EMT6)
-    assert parse_varied(LENGTH, "8:25:3 h", EMT6).numbers == (28800.0, 59400.0, 90000.0)
+    assert parse_axis_or_range(LENGTH, "8:25 h", EMT6) == parse_range(LENGTH, "8:25 h", EMT6)
+    assert parse_axis_or_range(LENGTH, "8:25:3 h", EMT6).numbers == (28800.0, 59400.0, 90000.0)

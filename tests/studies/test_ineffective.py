@@ -5,16 +5,16 @@ from rich_medium import RICH
 
 import multicell as mc
 from multicell import SceneError
-from multicell.studies.axes import check_axes, parse_axis, parse_range
+from multicell.studies.axes import check_ranges, parse_ranges
 from multicell.studies.ineffective import _KEYS, no_effect
 from multicell.studies.keys import all_keys, key_of
+from multicell.studies.plan import make_plan
 
 NONE = [
     (RICH, {}, "growth.cycle_time", "phases of the cycle"),
     (RICH, {}, "growth.cycle_variation", "phases of the cycle"),
     ("spheroid", {}, "growth.restriction", "has no phases"),
     (RICH, {}, "growth.phases.S.variation", "a fixed duration"),
-    (RICH, {}, "growth.phases.S.shift", "'fixed'"),
     (RICH, {}, "coupling_tolerance", "not 'auto'"),
     (RICH, {}, "integrator.step", "chooses its steps"),
     (RICH, {"integrator": "euler"}, "integrator.atol", "has no atol"),
@@ -22,15 +22,11 @@ NONE = [
     (RICH, {"death.apoptosis_rate": 0}, "death.apoptosis_time", "apoptosis_rate is 0"),
     (RICH, {}, "nutrients.oxygen.temperature", "only converts pressures"),
     (RICH, {"nutrients.oxygen.media": [[0, 0.1]]}, "nutrients.oxygen.boundary", "'media'"),
-    (RICH, {}, "nutrients.oxygen.media_change", "no schedule"),
     (RICH, {"nutrients.oxygen.regime": "steady"}, "nutrients.oxygen.time_tolerance", "steady"),
     (RICH, {"nutrients.oxygen.uptake": 0}, "nutrients.oxygen.half_saturation", "uptake"),
-    (RICH, {"nutrients.oxygen.geometry": "box"}, "nutrients.oxygen.roundness_limit", "'box'"),
-    (RICH, {}, "nutrients.oxygen.height", "3 dimensions"),
     ("growth", {}, "initial.spacing", "one cell"),
     ("growth", {"death": {}}, "death.lysis_time", "threshold of necrosis"),
     ("sorting", {}, "contact.surface_energy", "surface energy of its own"),
-    ("growth", {"haptotaxis": {}}, "haptotaxis.length", "'gradient'"),
     (
         "emt6",
         {"nutrients.glucose.uptake_per_volume": 0},
@@ -38,7 +34,6 @@ NONE = [
         "uptake",
     ),
     ("emt6", {"energy.necrosis": None}, "death.lysis_time", "nor ATP has a threshold"),
-    ("emt6", {}, "nutrients.oxygen.margin", "'layer'"),
 ]
 
 
@@ -52,7 +47,6 @@ def test_keys_without_effect(name, changes, key, said):
     ("name", "changes", "key"),
     [
         (RICH, {}, "growth.phases.G1.variation"),
-        (RICH, {}, "growth.phases.G1.shift"),
         ("spheroid", {}, "growth.cycle_time"),
         (RICH, {"integrator": "euler"}, "integrator.step"),
         (RICH, {}, "integrator.atol"),
@@ -61,8 +55,6 @@ def test_keys_without_effect(name, changes, key, said):
         (RICH, {}, "death.apoptosis_time"),
         (RICH, {}, "nutrients.oxygen.boundary"),
         (RICH, {"nutrients.oxygen.media": [["1 d", 0.1]]}, "nutrients.oxygen.boundary"),
-        (RICH, {}, "nutrients.oxygen.margin"),
-        (RICH, {}, "nutrients.oxygen.roundness_limit"),
         (RICH, {}, "cells.young"),
         ("growth", {}, "contact.surface_energy"),
         ("emt6", {}, "death.lysis_time"),
@@ -77,7 +69,7 @@ def test_keys_with_an_effect(name, changes, key):
 @pytest.mark.parametrize("name", mc.scene_names())
 def test_every_key_of_a_scene_is_found_and_can_be_asked_for_its_effect(name):
     scene = mc.load_scene(name)
-    keys = list(all_keys(scene))
+    keys = all_keys(scene)
     assert len(keys) > 20
     for key in keys:
         assert key_of(scene, key).name == key
@@ -86,14 +78,7 @@ def test_every_key_of_a_scene_is_found_and_can_be_asked_for_its_effect(name):
 
 def test_rules_name_keys_that_there_are():
     """Each rule is of a key that some scene has, so that renamed keys do not leave rules behind."""
-    rich = mc.load_scene(RICH).with_changes(
-        {
-            "types": {"a": {}, "b": {}}, "haptotaxis": {},
-            "nutrients.oxygen.uptake_on": {"glucose": {"effect": 0, "half": 1.0}},
-            "nutrients.glucose.finite_medium": {"volume": "1 mL"},
-        }
-    )  # fmt: skip
-    keys = set(all_keys(rich))
+    keys = set(all_keys(mc.load_scene(RICH).with_changes({"types": {"a": {}, "b": {}}})))
     named = [key for key in _KEYS if "*" not in key or key.count("*") > 1]
     missing = [
         rule
@@ -108,12 +93,15 @@ def test_rules_name_keys_that_there_are():
     assert missing == []
 
 
-def checked(scene, **given):
-    axes = [
-        parse_range(key, text, scene) if ":" in text else parse_axis(key, text, scene)
-        for key, text in given.items()
-    ]
-    check_axes(scene, axes)
+def planned(scene, **given):
+    """Plan what is given: ranges of free parameters, values of a grid, or both of a sample."""
+    ranged = [":" in text for text in given.values()]
+    if all(ranged):
+        check_ranges(scene, parse_ranges(given, scene))
+    elif any(ranged):
+        make_plan(scene, given, design="lhs", size=8)
+    else:
+        make_plan(scene, given)
 
 
 @pytest.mark.parametrize(
@@ -142,18 +130,17 @@ def checked(scene, **given):
 )
 def test_axes_that_do_not_go_together_are_told(given, said):
     with pytest.raises(SceneError) as error:
-        checked(mc.load_scene(RICH), **given)
+        planned(mc.load_scene(RICH), **given)
     assert said in str(error.value)
 
 
 def test_ranges_that_go_together_are_taken():
     """Each alone would leave the scene behind: the thresholds rise together."""
-    checked(
+    planned(
         mc.load_scene(RICH),
         **{
             "nutrients.oxygen.necrosis": "0.001:0.03 mM",
             "nutrients.oxygen.quiescence": "0.02:0.06 mM",
-            "integrator.method": "euler,rkc2",
         },
     )
     assert no_effect(mc.load_scene(RICH), "nutrients.oxygen.necrosis") == ""

@@ -32,13 +32,6 @@ PLANS = {
     "grid": {"vary": GRID, "seeds": 3},
     "nothing": {},
     "seeds": {"seeds": 4, "every": "90 min"},
-    "zip": {
-        "vary": {OXYGEN: [0.1, 0.2]},
-        "zipped": [
-            {GLUCOSE: "0.8,1.8 mM", "cells.young": "1,2 kPa"},
-            {"initial.count": "5,6,7", "drag.viscosity": "5,5,5 kPa s"},
-        ],
-    },
     "list": {
         "points": {OXYGEN: [0.1, 0.1], GLUCOSE: ["0.8 mM", "1.8 mM"], "contact.law": ["jkr"] * 2}
     },
@@ -110,7 +103,6 @@ BY_HAND = {
     f'[vary]\n{OXYGEN} = "0.05:0.2:4 mM"\n': 4,
     '[vary.nutrients.oxygen]\nboundary = ["0.1 mM"]\n[vary.contact]\nlaw = "jkr,hertz"': 2,
     f'design = "lhs"\nsize = 6\n[vary]\n{LENGTH} = "8:25 h"\n': 6,
-    f'[[zip]]\n{OXYGEN} = "0.1,0.2 mM"\n{GLUCOSE} = "1,2 mM"\n': 2,
     f'design = "list"\n[points]\n{OXYGEN} = "0.1,0.1 mM"\n{GLUCOSE} = "1,2 mM"\n': 2,
     'design = "list"\npoints = "points.csv"\n': 1,
     "": 1,
@@ -153,9 +145,7 @@ BAD = {
     "[points]\ncells.young = [1]\n[vary]\nduration = [1]\n": "cannot stand beside keys",
     "points = 3\n": "points: is 3",
     "vary = 3\n": "vary: is 3",
-    "zip = 3\n": "zip: is 3",
-    '[[zip]]\ncells.young = "1,2 kPa"\n': "must have two or more",
-    f'[[zip]]\ncells.young = "1,2 kPa"\n{OXYGEN} = "1 mM"\n': "lists of other lengths",
+    f'design = "list"\n[points]\ncells.young = [1, 2]\n{OXYGEN} = [1]\n': "lists of other lengths",
     "sead = 3\n": "Did you mean 'seeds'",
     "every = 0\n": "every: is 0 s, must be above",
     'every = "6 um"\n': "must be a time",

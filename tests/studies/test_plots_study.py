@@ -203,22 +203,6 @@ def test_failed_runs_are_counted_beside_the_points():
     assert "failed (4)" in texts(plots(table).response("diameter"))
 
 
-def together():
-    """Return a table of two keys whose values go together, beside one of its own."""
-    table = grid(OXYGEN, "law", seeds=2)
-    medium = (OXYGEN, [0.8, 5.5, 5.5], {"units": "mM", "key": "nutrients.glucose.boundary"})
-    return table.assign_coords(glucose=medium)
-
-
-def test_values_that_go_together_are_one_axis():
-    table = together()
-    assert axes_of(table) == [OXYGEN, "law"]
-    assert scale(table, OXYGEN).texts == ["0.07 · 0.8", "0.14 · 5.5", "0.28 · 5.5"]
-    words = texts(plots(table).heatmap("diameter"))
-    assert "0.14 · 5.5" in words
-    assert len(plots(table).curves("diameter").axes) == 2
-
-
 def test_a_study_of_seeds_alone_has_one_curve():
     table = grid(OXYGEN, seeds=4).isel({OXYGEN: 0}, drop=True)
     figure = plots(table).curves("diameter")

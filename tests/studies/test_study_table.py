@@ -193,16 +193,6 @@ def test_samples_have_points_with_axes_as_coordinates(tmp_path):
     assert table.load(study.folder / "study.nc").identical(found)
 
 
-def test_zipped_axes_share_a_dimension(tmp_path):
-    pair = {"cells.young": "1,2,4 kPa", "drag.viscosity": "5,5,10 kPa s"}
-    study = mc.study(BASE, {"duration": "1,2 h"}, zipped=pair, output=tmp_path / "study")
-    found = study.to_xarray()
-    assert found["state"].dims == ("duration", "young", "seed")
-    assert found["viscosity"].dims == ("young",)
-    assert found["viscosity"].values.tolist() == [5.0, 5.0, 10.0]
-    assert table.load(study.folder / "study.nc").identical(found)
-
-
 def test_results_that_have_gone_are_told(tmp_path):
     study = compute(mc.study(BASE, output=tmp_path / "study"))
     state = study.status()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 import matplotlib as mpl
@@ -26,7 +26,6 @@ from multicell.studies.pictures.values import (
     Scale,
     at_point,
     axes_of,
-    axis_named,
     compact,
     is_sampled,
     label,
@@ -52,42 +51,15 @@ _LOG_RATIO: Final = 20.0  # of largest to smallest from which the axis is logari
 
 
 @styled
-def curves(
-    table: xr.Dataset, title: str, name: str,
-    axes: Sequence[str] | None = None, at: Mapping[str, Any] | None = None,
-) -> Figure:  # fmt: skip
-    """Draw an observable over time: the mean over the seeds, and a band of one deviation each way.
-
-    A panel for each axis, whose values have a colour each while the other axes are fixed. Where a
-    run has no value, because it ended sooner than others of its point or the observable does not
-    exist yet, those that have one are thin lines without mean and band.
-
-    Parameters
-    ----------
-    table
-        Of the study.
-    title
-        Of the picture.
-    name
-        Of an observable with a course.
-    axes
-        Which axes have a panel, by default all.
-    at
-        Axis -> value for axes that are fixed, by default their middle value; of a sample nothing
-        is fixed.
-
-    Raises
-    ------
-    SceneError
-        For an unknown observable or axis, or an observable that is a single number of each run.
-    """
+def curves(table: xr.Dataset, title: str, name: str, at: Mapping[str, Any] | None = None) -> Figure:
+    """Draw what :meth:`multicell.studies.plots.StudyPlots.curves` describes."""
     table = compact(table)
     values = observable(table, name)
     if TIME not in values.dims:
         courses = [str(n) for n, entry in table.data_vars.items() if TIME in entry.dims]
         hint = f"Those over time are {', '.join(courses)}."
         raise SceneError("", f"'{name}' is one number of each run and has no course", hint)
-    names = [axis_named(table, axis) for axis in axes or axes_of(table)]
+    names = axes_of(table)
     columns = 2 if len(names) > 1 else 1
     rows = -(-len(names) // columns)
     height = SIZE[1] if rows < 2 else 0.9 + 3.9 * rows

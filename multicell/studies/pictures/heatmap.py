@@ -45,7 +45,6 @@ if TYPE_CHECKING:
 
 _MAX_PANELS: Final = 6
 _MIN_FONT: Final = 6.5  # points; smaller numbers cannot be read
-_DIGIT_WIDTH: Final = 0.62  # over the height of a digit
 _EMPTY, _FAILED = "#eceff2", "#f6dfd9"
 _COLOURS: Final = "viridis"
 
@@ -55,31 +54,7 @@ def heatmap(
     table: xr.Dataset, title: str, name: str,
     x: str | None = None, y: str | None = None, at: Mapping[str, Any] | None = None,
 ) -> Figure:  # fmt: skip
-    """Draw the mean of an observable over two axes, one tile for each pair of values.
-
-    Each tile states mean and standard deviation over the seeds, and how many seeds there are where
-    some failed or have not run. A third axis makes panels; further ones are fixed.
-
-    Parameters
-    ----------
-    table
-        Of the study, a grid.
-    title
-        Of the picture.
-    name
-        Of the observable; its values at the end of each run are shown.
-    x, y
-        Axes of the map, by default the first two; of a study of one axis the map has one row.
-    at
-        Axis -> value for axes that are fixed, by default their middle value.
-
-    Raises
-    ------
-    SceneError
-        For an unknown observable or axis.
-    ValueError
-        If the design is sampled or varies nothing: there are no tiles.
-    """
+    """Draw what :meth:`multicell.studies.plots.StudyPlots.heatmap` describes."""
     if is_sampled(table):
         raise ValueError("a sampled design has no tiles: draw the response over each axis")
     if not axes_of(table):
@@ -94,10 +69,11 @@ def heatmap(
     if third is not None and len(shown) < part.sizes[third]:
         subtitle += f"; {len(shown)} of {part.sizes[third]} values of {words(third)}"
     columns, rows = min(len(shown), 3), -(-len(shown) // 3)
-    height = 0.9 + 4.2 * rows if rows > 1 else _height(sides[1])
+    one_row = 3.4 if sides[1] is None else max(SIZE[1], 1.7 + 0.3 * len(sides[1].texts))
+    height = 0.9 + 4.2 * rows if rows > 1 else one_row
     figure, grid = panels(title, subtitle, len(shown), columns, height, sharey=True)
     norm = _norm(known.mean.values)
-    font = _font((SIZE[0], height), sides, (columns, rows), known)
+    font = _font(sides, columns)
     for number, (axes, place) in enumerate(zip(grid, shown, strict=True)):
         chosen = {} if third is None else {third: place}
         tiles = Statistics(*(entry.isel(chosen) for entry in known))
@@ -147,26 +123,12 @@ def _norm(values: FloatArray) -> Normalize:
     return Normalize(low - room, high + room)
 
 
-def _height(up: Scale | None) -> float:
-    """Return the height of a figure with one row of panels, inches."""
-    return 3.4 if up is None else max(SIZE[1], 1.7 + 0.3 * len(up.texts))
-
-
-def _font(
-    size: tuple[float, float], sides: tuple[Scale, Scale | None], panels: tuple[int, int],
-    known: Statistics,
-) -> float:  # fmt: skip
-    """Return the size of letters that fit a tile, in points, 12 at most; 0 if none can be read."""
-    pairs = zip(known.mean.values.flat, known.sd.values.flat, strict=True)
-    texts = [text for mean, sd in pairs for text in scatter_text(float(mean), float(sd))]
-    letters = 2 + max(6, *map(len, texts))
-    tiles = len(sides[0].texts), 1 if sides[1] is None else len(sides[1].texts)
-    wide, high = (
-        (0.8 * inches / count - more) / tile
-        for inches, count, more, tile in zip(size, panels, (0.4, 0.7), tiles, strict=True)
-    )
-    fits = min(12.0, 72.0 * wide / (letters * _DIGIT_WIDTH), 72.0 * high / (3.0 * 1.3))
-    return fits if fits >= _MIN_FONT else 0.0
+def _font(sides: tuple[Scale, Scale | None], columns: int) -> float:
+    """Return the size of numbers that fit the tiles of maps side by side, points; 0 for none."""
+    across, up = sides
+    tiles = max(len(across.texts) * columns, 0 if up is None else len(up.texts))
+    size = min(12.0, 84.0 / tiles)
+    return size if size >= _MIN_FONT else 0.0
 
 
 def _scatter_note(known: Statistics) -> str:

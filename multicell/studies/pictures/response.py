@@ -39,19 +39,7 @@ _IN_A_ROW: Final = 3  # panels
 
 @styled
 def response(table: xr.Dataset, title: str, name: str) -> Figure:
-    """Draw an observable at the end of each run over every axis, one panel for each.
-
-    Dots are single runs. Each point of a sample, and each value of a single axis, has a bar of one
-    standard deviation over its seeds; of several axes the line is the mean over all runs of a
-    value. Runs that failed are crosses at the foot.
-
-    Raises
-    ------
-    SceneError
-        For an unknown observable.
-    ValueError
-        If nothing is varied.
-    """
+    """Draw what :meth:`multicell.studies.plots.StudyPlots.response` describes."""
     if not axes_of(table):
         raise ValueError("nothing is varied: there are no axes to draw over")
     table = compact(table)

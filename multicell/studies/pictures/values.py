@@ -96,20 +96,6 @@ def axes_of(table: xr.Dataset) -> list[str]:
     return [name for name in names if len(distinct(table[name].values)) > 1] or names
 
 
-def coordinates_of(table: xr.Dataset) -> list[str]:
-    """Return the names of all that the runs differ in beside their seeds, also what goes together.
-
-    Without what is the same in all, unless everything is.
-    """
-    sides = sides_of(table)[:-1]
-    names = [
-        str(name)
-        for name, entry in table.coords.items()
-        if len(entry.dims) == 1 and entry.dims[0] in sides and name != POINT
-    ]
-    return [name for name in names if len(distinct(table[name].values)) > 1] or names
-
-
 def compact(table: xr.Dataset) -> xr.Dataset:
     """Return a table without dimensions of one value, beside those that a picture shows."""
     kept = {SEED, TIME, *axes_of(table)}
@@ -199,14 +185,6 @@ def words(name: str) -> str:
 
 def scale(table: xr.Dataset, name: str) -> Scale:
     """Return how to show an axis; long times are told in minutes, hours or days."""
-    together = _together(table, name)
-    if together:
-        return _joined(name, [scale_alone(table, other) for other in together])
-    return scale_alone(table, name)
-
-
-def scale_alone(table: xr.Dataset, name: str) -> Scale:
-    """Return how to show one coordinate, also where its values go together with others."""
     found = table[name].values
     if is_sampled(table):
         found = distinct(found)
@@ -221,20 +199,6 @@ def scale_alone(table: xr.Dataset, name: str) -> Scale:
     numbers = found / factor
     told = f"{long} ({unit})" if unit else long
     return Scale(name, told, list(found), numbers, [number_text(v) for v in numbers], factor)
-
-
-def _together(table: xr.Dataset, name: str) -> list[str]:
-    """Return the coordinates along a dimension of which several have values that go together."""
-    if is_sampled(table) or name not in table.dims:
-        return []
-    found = [str(n) for n, entry in table.coords.items() if entry.dims == (name,)]
-    return [] if found in ([], [name]) else found
-
-
-def _joined(name: str, sides: Sequence[Scale]) -> Scale:
-    """Return one side for values that go together."""
-    texts = [" · ".join(parts) for parts in zip(*(side.texts for side in sides), strict=True)]
-    return Scale(name, " · ".join(side.label for side in sides), texts, None, texts, 1.0)
 
 
 def axis_words(table: xr.Dataset, name: str) -> str:
