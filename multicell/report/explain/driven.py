@@ -20,10 +20,10 @@ def driven_parts(scene: Scene) -> list[Part]:
         for name, law in scene.forces.items()
     ]
     motions = [
-        f"{name}: {_whom(law)} {_moved(law.velocity)}{_when(law)}"
+        f"{name}: {_whom(law)} {_motion_words(law.velocity)}{_when(law)}"
         for name, law in scene.motions.items()
     ]
-    springs = [f"{name}: {_springs(law)}" for name, law in scene.springs.items()]
+    springs = [f"{name}: {_spring_words(law)}" for name, law in scene.springs.items()]
     return [
         part("forces", "; ".join(forces)),
         part("motions", "; ".join(motions)),
@@ -71,12 +71,12 @@ def _when(driver: Driver) -> str:
     return f", from {hours(driver.begin)} to {end}"
 
 
-def _moved(velocity: tuple[float, float, float]) -> str:
+def _motion_words(velocity: tuple[float, float, float]) -> str:
     speed = math.hypot(*velocity)
     return f"moved at {speed:.3g} um/s" if speed else "held where they are"
 
 
-def _springs(law: Springs) -> str:
+def _spring_words(law: Springs) -> str:
     whom = f"{len(law.pairs or ()):,} pairs"
     rest = "their distance at the start" if law.rest is None else f"{law.rest:g} um"
     return f"{law.stiffness:g} nN/um between {whom}, at rest at {rest}"
