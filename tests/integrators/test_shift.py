@@ -179,16 +179,6 @@ def test_the_page_and_the_closing_lines_give_the_effect(tmp_path):
     assert "farthest that a shift of 0.01 µm moved the end of a cell" in page
 
 
-def test_progress_of_earlier_versions_is_read_without_their_estimate():
-    frame = course(scene_of(duration="1 h")).frame()
-    noted = vars(frame.progress) | {"local_error": 0.01}
-    del noted["replays"]
-    noted = {name: x for name, x in noted.items() if name not in ("springs", "driven")}
-    found = progress_of(json.dumps(noted).encode(), [])
-    assert found.replays == {}
-    assert found.next_id == frame.progress.next_id
-
-
 @pytest.mark.parametrize("damage", [{"done": 1.0}, {"done": "x"}, [1.0], {"much": 1.0}])
 def test_progress_with_damaged_replays_is_refused(damage):
     frame = course(scene_of(duration="1 h")).frame()

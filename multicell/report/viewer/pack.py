@@ -147,7 +147,7 @@ def _frame_numbers(result: Result) -> list[int]:
 
 def _thin(frame: Frame, most: int) -> Frame:
     """Return a frame with at most so many cells, in the order of their identities, no fields."""
-    rows = _rows_shown(frame.cells.id, most)
+    rows = _visible_rows(frame.cells.id, most)
     values = {name: column[rows] for name, column in frame.concentrations.items()}
     return Frame(frame.time, frame.step, frame.cells.take(rows), values)
 
@@ -277,7 +277,7 @@ def _body(
     return b"".join(parts), contents
 
 
-def _rows_shown(ids: IntArray, most: int) -> IntArray:
+def _visible_rows(ids: IntArray, most: int) -> IntArray:
     """Return the rows of the cells to show in the order of their identities."""
     rows = np.argsort(ids, kind="stable")
     if len(rows) <= most:
@@ -365,7 +365,7 @@ def _curves(result: Result, frames: Sequence[Frame]) -> tuple[dict[str, Any], li
     for name in _CURVES:
         values = history.get(name)
         if values is not None and np.isfinite(values).any():
-            shown = [_rounded(float(v)) for v in values[rows]]
+            shown = [_round(float(v)) for v in values[rows]]
             label, unit = title_of(name).capitalize(), written(known_unit(name))
             curves.append({"name": name, "label": label, "unit": unit, "values": shown})
     end = float(time[-1])
@@ -376,7 +376,7 @@ def _curves(result: Result, frames: Sequence[Frame]) -> tuple[dict[str, Any], li
     return about, points
 
 
-def _rounded(value: float) -> float | None:
+def _round(value: float) -> float | None:
     """Return a value of a curve to six digits, a count as it is, and None for no number."""
     if not math.isfinite(value):
         return None
