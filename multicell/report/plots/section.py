@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
 
 import matplotlib as mpl
 import numpy as np
@@ -195,40 +195,6 @@ def scale_legend(figure: Figure, shade: Colouring) -> None:
     bar.outline.set_visible(False)
     bar.ax.grid(False)
     figure.text(0.725, 0.815, shade.title[0].upper() + shade.title[1:], **HEADING)
-
-
-class Cut(NamedTuple):
-    """The cells that the plane z = centre cuts.
-
-    Attributes
-    ----------
-    middle : (3,) µm
-        Centre of the population.
-    position : (k, 2) µm
-    radius : (k,) µm
-        Of the circles that the plane cuts out of the cells.
-    group : (k,) int
-        Place of each cell's group in the palette.
-    palette
-        Name of each group (state or type) and its colour.
-    """
-
-    middle: FloatArray
-    position: FloatArray
-    radius: FloatArray
-    group: IntArray
-    palette: dict[str, str]
-
-
-def cut(frame: Frame, scene: Scene) -> Cut:
-    """Return the cells of a section; see :func:`section` for plane and groups."""
-    middle, place, level = _set_up(frame, scene, None)
-    square = frame.cells.radius**2 - (place[:, 2] - level) ** 2
-    inside = square > 0.0
-    shade = colouring(frame, scene, None, {})
-    assert shade.group is not None
-    palette = dict(shade.palette or {})
-    return Cut(middle, place[inside, :2], np.sqrt(square[inside]), shade.group[inside], palette)
 
 
 def _in_plane(position: FloatArray, middle: FloatArray) -> FloatArray:
