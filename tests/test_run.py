@@ -185,7 +185,7 @@ def test_compare_command_writes_table_chart_and_page(tmp_path):
 
 def test_stability_command_writes_limits_map_and_page(tmp_path):
     done = multicell(
-        "stability", "settle", "-o", tmp_path / "o", "--methods", "euler", "--no-sweeps",
+        "stability", "settle", "-o", tmp_path / "o", "--methods", "euler",
         "--set", "initial.count=12", "--json", check=0,
     )  # fmt: skip
     assert {row["method"] for row in json.loads(done.stdout)} == {"euler"}

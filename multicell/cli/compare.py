@@ -121,7 +121,6 @@ def compare(
 
 @click.command()
 @_comparing
-@click.option("--no-sweeps", is_flag=True, help="Only the scene as it is.")
 @click.option(
     "--state",
     metavar="STATE",
@@ -133,24 +132,20 @@ def stability(
     scene: str,
     law: str | None,
     changes: Sequence[str],
-    no_sweeps: bool,
     quiet: bool,
     as_json: bool,
     **options: Any,
 ) -> None:
     """Find the largest stable step of each method on a SCENE, and how it fails beyond.
 
-    Parameters of the scene are swept one at a time; limits are compared with theory. From another
-    --state than settled each method solves one coupling step, and a method that suppresses
-    unstable modes of the true motion is reported to damp a real instability.
+    Limits are compared with theory. From another --state than settled each method solves one
+    coupling step, and a method that suppresses unstable modes of the true motion is reported to
+    damp a real instability.
     """
     described = scene_of(scene, changes, law)
     from multicell import comparison
 
-    sweeps: dict[str, list[float]] | None = {} if no_sweeps else None
-    result = comparison.stability(
-        described, sweeps=sweeps, progress=None if quiet else complain, **options
-    )
+    result = comparison.stability(described, progress=None if quiet else complain, **options)
     _show(result, options["output"], quiet, as_json)
 
 

@@ -105,7 +105,7 @@ def save(path: Path, problem: Problem, trajectory: Trajectory, about: Mapping[st
         "radius": problem.radius,
     }
     for name, values in columns.items():
-        arrays |= _packed(name, values)
+        arrays |= _pack(name, values)
     with file_errors("write", path):
         path.parent.mkdir(parents=True, exist_ok=True)
     with replace_file(path) as file:
@@ -126,18 +126,18 @@ def load(path: Path, blank: Problem) -> tuple[Problem, Trajectory, dict[str, Any
     try:
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
-        return _restored(arrays, blank)
+        return _restore(arrays, blank)
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
         return None  # a cache: what it cannot give is computed again
 
 
-def _restored(
+def _restore(
     arrays: Mapping[str, Any], blank: Problem
 ) -> tuple[Problem, Trajectory, dict[str, Any]]:
-    columns = {spec.name: _unpacked(arrays, f"motion.{spec.name}") for spec in fields(Motion)}
-    ends = _unpacked(arrays, "ends") or []
+    columns = {spec.name: _unpack(arrays, f"motion.{spec.name}") for spec in fields(Motion)}
+    ends = _unpack(arrays, "ends") or []
     none = [None] * len(ends)
-    sources, offsets = (_unpacked(arrays, name) or none for name in ("source", "offset"))
+    sources, offsets = (_unpack(arrays, name) or none for name in ("source", "offset"))
     steps = []
     for k, (source, offset) in enumerate(zip(sources, offsets, strict=True)):
         motion = Motion(**{name: values[k] for name, values in columns.items() if values})
@@ -145,12 +145,12 @@ def _restored(
     about: dict[str, Any] = json.loads(str(arrays["about"]))
     problem = replace(
         blank, start=arrays["start"], radius=arrays["radius"], steps=steps,
-        starts=_unpacked(arrays, "starts"), total=int(arrays["total"]),
+        starts=_unpack(arrays, "starts"), total=int(arrays["total"]),
     )  # fmt: skip
     return problem, Trajectory(ends), about
 
 
-def _packed(name: str, values: Sequence[Any]) -> dict[str, Any]:
+def _pack(name: str, values: Sequence[Any]) -> dict[str, Any]:
     """Return numbers, or arrays and None, of all steps as one array; their lengths beside it."""
     known = [value for value in values if value is not None]
     if not known:
@@ -161,8 +161,8 @@ def _packed(name: str, values: Sequence[Any]) -> dict[str, Any]:
     return {name: np.concatenate(known), f"{name}.length": length}
 
 
-def _unpacked(arrays: Mapping[str, Any], name: str) -> list[Any] | None:
-    """Return what :func:`_packed` was given; each array owns its memory."""
+def _unpack(arrays: Mapping[str, Any], name: str) -> list[Any] | None:
+    """Return what :func:`_pack` was given; each array owns its memory."""
     if name not in arrays:
         return None
     if f"{name}.length" not in arrays:

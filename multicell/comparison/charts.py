@@ -64,7 +64,7 @@ def workprecision(result: WorkPrecision, norm: str) -> Figure:
     height = decade * decades(errors)
     lines = legend_lines(styles) + bool(result.failures())
     tall = max(top + strip + height + _BOTTOM, top + 0.6 + 0.24 * lines)
-    figure = _headed(result, result.norms[norm], tall)
+    figure = _comparison_figure(result, result.norms[norm], tall)
     left, base = _LEFT, tall - top - strip - height
     for cost, span in zip(costs, spans, strict=True):
         width = decade * decades(span)
@@ -99,7 +99,7 @@ def norms(result: WorkPrecision) -> Figure:
     left_open = "every norm; grey: uncertainty of the reference"
     if result.conditioning is not None:
         left_open = f"grey: uncertainty of the reference; yellow: {_floor(result.conditioning)}"
-    figure = _headed(result, left_open, tall)
+    figure = _comparison_figure(result, left_open, tall)
     styles = appearance(result)
     every = (point for name in NORMS for point in points(result, name, result.clock))
     span = log_range(end for point in every for end in (point.shortest, point.longest))
@@ -121,7 +121,7 @@ def norms(result: WorkPrecision) -> Figure:
     return figure
 
 
-def _headed(result: WorkPrecision, subtitle: str, tall: float) -> Figure:
+def _comparison_figure(result: WorkPrecision, subtitle: str, tall: float) -> Figure:
     """Return an empty figure, so many inches high, that says what was computed."""
     facts = result.facts
     first, last = facts["cells"]

@@ -92,7 +92,7 @@ def climb(
         tell(f"{method.name} at {setting:.3g}")
         solve = partial(replay, exact.problem, method.make(setting), effort.patience)
         found, lost = solve_compiled(solve)
-        row = _measured(method, setting, found, exact, effort)
+        row = _solve_row(method, setting, found, exact, effort)
         reserved = 0.0
         if found.done:
             wall = row["wall"]
@@ -177,7 +177,7 @@ def time_again(points: Sequence[TimedPoint], problem: Problem, repeats: int) -> 
             point.row.update(_times(point.repeats))
 
 
-def _measured(
+def _solve_row(
     method: Method, setting: float, found: Trajectory, exact: Reference, effort: Effort
 ) -> Row:
     """Return the row of a solve; one that succeeded is timed."""

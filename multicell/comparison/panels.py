@@ -16,7 +16,6 @@ from matplotlib.ticker import FuncFormatter, LogLocator
 from multicell.comparison.files import Row
 from multicell.comparison.styles import Point, Style
 from multicell.report.plots.colour_vision import PALE
-from multicell.report.plots.marks import NAMED
 from multicell.report.plots.style import INK, QUIET, RED, few_decades
 
 if TYPE_CHECKING:
@@ -77,7 +76,7 @@ def draw_curves(
         axes.plot(
             [p.cost for p in found], [p.error for p in found], line, color=colour, marker=marker,
             ms=0.6 * size if pale else size, lw=0.9 if pale else 1.5, label=method,
-            zorder=1.5 if pale else 2.5, gid=NAMED + method,
+            zorder=1.5 if pale else 2.5,
         )  # fmt: skip
         spread = [p for p in found if p.longest > p.shortest]
         axes.hlines(
@@ -106,7 +105,7 @@ def draw_failures(
     """
     for level, (method, times) in enumerate(spent.items()):
         height = 1.0 - (level + 0.5) / len(spent)
-        style: dict[str, Any] = {"color": styles[method].colour, "gid": f"{NAMED}{method} failed"}
+        style: dict[str, Any] = {"color": styles[method].colour}
         strip.plot(
             times, [height] * len(times), "x", ms=6, mew=1.6, label=f"{method} failed", **style
         )

@@ -130,7 +130,7 @@ def reference(
             if stepwise is not None and sampled is None:
                 name, tolerance = _RECORDED
                 leading = find_method(name, scene, unsolved.mean_radius)
-                sampled = _recorded(unsolved, leading, tolerance, recording, tell)
+                sampled = _record(unsolved, leading, tolerance, recording, tell)
             solved = _solve(unsolved, chosen, sampled, shift, recording, tell)
         except StepFailed as error:
             if k + 1 == len(pairs):
@@ -151,7 +151,7 @@ def default_pairs(scene: Scene, unsolved: Problem, stepwise: int | None = None) 
     scene CVODE is used with two tolerances. Single steps are solved by the embedded pair of
     order 5 and checked by CVODE: no error grows there, and both meet within 1e-7 of a radius.
     """
-    few = _expected(scene, len(unsolved.start)) <= (_FEW if scene.growth else _FEW_AT_REST)
+    few = _expected_cells(scene, len(unsolved.start)) <= (_FEW if scene.growth else _FEW_AT_REST)
     tolerance = _TIGHT if few else _LESS_TIGHT
     radius = unsolved.mean_radius
     cvode = find_method("cvode", scene, radius)
@@ -202,7 +202,7 @@ def unsolved_problem(scene: Scene, cells: Cells | None, threads: int | None) -> 
     return Problem(scene, simulation.prepared(), cells.position, cells.radius)
 
 
-def _expected(scene: Scene, count: int) -> float:
+def _expected_cells(scene: Scene, count: int) -> float:
     """Return about how many cells there will be at the end of a run that starts with ``count``."""
     if scene.growth is None:
         return count
@@ -236,19 +236,19 @@ def _solve(
     """Solve by the first method and check by the second; without a sample record the run."""
     (method, setting), (checking, other) = pair
     if sampled is None:
-        problem, found = _recorded(unsolved, method, setting, recording, tell)
+        problem, found = _record(unsolved, method, setting, recording, tell)
         wall = found.wall
     else:
         problem, run = sampled
-        found = _replayed(problem, method, setting, "reference", tell)
+        found = _replay(problem, method, setting, "reference", tell)
         wall = run.wall + found.wall
     observed = observe(problem, found)
-    check = _replayed(problem, checking, other, "check of the reference", tell)
+    check = _replay(problem, checking, other, "check of the reference", tell)
     uncertainty = errors(problem, observe(problem, check), observed)
     conditioning = None
     if shift > 0.0:
         moved = shift_starts(problem, shift)
-        ends = _replayed(moved, method, setting, f"reference after a shift of {shift:g} um", tell)
+        ends = _replay(moved, method, setting, f"reference after a shift of {shift:g} um", tell)
         conditioning = conditioning_of(problem, shift, observe(problem, ends), observed)
     text = f"{method.name} at {setting:g}, checked by {checking.name} at {other:g}"
     return Reference(
@@ -256,7 +256,7 @@ def _solve(
     )
 
 
-def _recorded(
+def _record(
     unsolved: Problem,
     method: Method,
     setting: float,
@@ -277,7 +277,7 @@ def _recorded(
     return record(unsolved.scene, method.make(setting), progress=share, **recording)
 
 
-def _replayed(
+def _replay(
     problem: Problem, method: Method, setting: float, what: str, tell: Callable[[str], None]
 ) -> Trajectory:
     """Return the solution by a method, which must succeed."""

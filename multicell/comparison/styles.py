@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from multicell.comparison.files import Row
 from multicell.comparison.ladders import Method
 from multicell.integrators.base import MethodInfo
 from multicell.integrators.registry import find
-from multicell.report.plots.colour_vision import PALE, told_apart
+from multicell.report.plots.colour_vision import PALE, distinguishable_colours
 
 if TYPE_CHECKING:
     from multicell.comparison.result import WorkPrecision
@@ -112,27 +112,19 @@ def _by_decades(solves: list[Point]) -> list[str]:
 
 
 def appearance(result: WorkPrecision, norm: str = "position") -> dict[str, Style]:
-    """Return the style of every method: at most eight in colour, the others in :data:`PALE`."""
-    return method_styles(result.methods, in_colour(result, norm), result.facts)
+    """Return the style of every method: at most eight in colour, the others in :data:`PALE`.
 
-
-def method_styles(
-    methods: Iterable[str], coloured: Sequence[str], facts: Mapping[str, Any]
-) -> dict[str, Style]:
-    """Return the style of each method, in colours that can be told apart (:func:`told_apart`)."""
-    return distinct({name: preferred_style(name, facts) for name in methods}, coloured)
-
-
-def distinct(preferred: Mapping[str, Style], coloured: Sequence[str]) -> dict[str, Style]:
-    """Return styles of which those in ``coloured`` differ in colour and the others are pale."""
-    own = told_apart({name: preferred[name].colour for name in coloured})
-    return {name: style._replace(colour=own.get(name, PALE)) for name, style in preferred.items()}
-
-
-def preferred_style(method: str, facts: Mapping[str, Any]) -> Style:
-    """Return the style that a method asks for; its colour may be empty."""
-    own = facts.get("looks", {})  # the name in files on disk
-    return Style(*own[method]) if method in own else _style_of(_info(method))
+    Colours can be told apart (:func:`distinguishable_colours`).
+    """
+    own = result.facts.get("looks", {})  # the name in files on disk
+    preferred = {
+        name: Style(*own[name]) if name in own else _style_of(_info(name))
+        for name in result.methods
+    }
+    colours = distinguishable_colours(
+        {name: preferred[name].colour for name in in_colour(result, norm)}
+    )
+    return {n: style._replace(colour=colours.get(n, PALE)) for n, style in preferred.items()}
 
 
 def _style_of(info: MethodInfo) -> Style:

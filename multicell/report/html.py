@@ -6,13 +6,12 @@ A page holds its pictures and needs nothing else. Whatever a template is given i
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import fields, is_dataclass
+from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from multicell.report.wording import clock, time_unit
+from multicell.report.wording import clock
 from multicell.results.folder import file_errors, package_version, write_text
 from multicell.results.quantities import known_unit, title_of
 
@@ -46,7 +45,7 @@ def write_page(
     template
         Name of a file in ``templates``.
     scene
-        Its parameters make the last card.
+        Its TOML makes the last card.
     title, subtitle
         Heading of the page.
     tiles
@@ -73,7 +72,7 @@ def write_page(
             _inline(path.parent / name, draw(), caption)
             for name, (draw, caption) in pictures.items()
         ],
-        blocks=list(_blocks(scene, "run")),
+        scene=scene.to_toml(),
         version=package_version(),
         **context,
     )
@@ -113,37 +112,6 @@ def _inline(path: Path, figure: Figure, caption: str) -> dict[str, Any]:
     return {"caption": caption, "shown": inline_picture(figure)}
 
 
-def _blocks(part: Any, title: str) -> Iterator[tuple[str, list[dict[str, Any]]]]:
-    """Yield the parameters of a part of a scene, then those of the parts in it."""
-    rows, below = [], []
-    for spec in fields(part):
-        value = getattr(part, spec.name)
-        inner = spec.name if title == "run" else f"{title}.{spec.name}"
-        if is_dataclass(value):
-            kind = f" ({type(value).__name__})" if spec.name == "contact" else ""
-            below.append((value, inner + kind))
-        elif isinstance(value, Mapping) and all(map(is_dataclass, value.values())):
-            below += [(entry, f"{inner}.{name}") for name, entry in value.items()]
-        else:
-            parameter = spec.metadata["parameter"]
-            text = _parameter_text(value, parameter.unit)
-            set_ = value is not None
-            rows.append({"name": spec.name, "text": text, "doc": parameter.doc, "set": set_})
-    if rows:
-        yield title, rows
-    for value, name in below:
-        yield from _blocks(value, name)
-
-
-def _parameter_text(value: Any, unit: str) -> str:
-    if value is None:
-        return "not set"
-    text = f"{_text(value)} {unit}".strip()
-    if unit == "s" and isinstance(value, float) and value >= 180.0:
-        text += f" ({time_unit(value).text(value)})"
-    return text
-
-
 def _label(key: str, path: str = "") -> str:
     """Return the name of an entry; ``path`` leads to it in the summary, which knows its unit."""
     name = title_of(str(key))
@@ -178,21 +146,4 @@ def _text(value: Any) -> str:
         return f"{value:,}"
     if isinstance(value, float):
         return f"{value:,.0f}" if value.is_integer() and abs(value) < 1e7 else f"{value:.4g}"
-    if isinstance(value, Mapping):  # of numbers, or of curves over a concentration
-        return ", ".join(
-            f"{name} {_curve(entry) if isinstance(entry, tuple) else _text(entry)}"
-            for name, entry in value.items()
-        )
-    if isinstance(value, tuple) and not all(isinstance(point, tuple) for point in value):
-        return ", ".join(map(_text, value)) or "none"
-    if isinstance(value, tuple):  # points of a course: time and value
-        if not value:
-            return "none"
-        first = _text(value[0][1])
-        points = [f"{_text(v)} at {time_unit(t).text(t)}" for t, v in value]
-        return first if len(value) == 1 else ", ".join(points)
     return str(value)
-
-
-def _curve(points: tuple[tuple[float, float], ...]) -> str:
-    return " ".join(f"{_text(y)} at {_text(x)}" for x, y in points)

@@ -42,7 +42,7 @@ def encode(values: FloatArray) -> tuple[Coded, FloatArray]:
     faces = _faces(values)
     coded = np.empty(values.shape, "<u8")
     for layer in range(len(values)):
-        difference = _bits(values[layer]) - _bits(_predicted(values, layer, faces))
+        difference = _bits(values[layer]) - _bits(_prediction(values, layer, faces))
         coded[layer] = ((difference << 1) ^ (difference >> 63)).view("<u8")
     return coded, faces
 
@@ -53,7 +53,7 @@ def decode(coded: Coded, faces: FloatArray) -> FloatArray:
     for layer in range(len(values)):
         whole, sign = coded[layer] >> np.uint64(1), coded[layer] & np.uint64(1)
         step = whole.view("<i8") ^ -sign.view("<i8")
-        values[layer] = (step + _bits(_predicted(values, layer, faces))).view("<f8")
+        values[layer] = (step + _bits(_prediction(values, layer, faces))).view("<f8")
     return values
 
 
@@ -61,7 +61,7 @@ def _bits(values: FloatArray) -> NDArray[np.int64]:
     return np.ascontiguousarray(values).view("<i8")
 
 
-def _predicted(values: FloatArray, layer: int, faces: FloatArray) -> FloatArray:
+def _prediction(values: FloatArray, layer: int, faces: FloatArray) -> FloatArray:
     """Return what a layer, (ny, nz), is expected to be from those before it; zeros for the first.
 
     The Laplacian vanishes at the layer before: ``c[+1] = 2 d c - c[-1] - other neighbours`` for d

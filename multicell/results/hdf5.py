@@ -326,7 +326,7 @@ class File:
             self._check_sets(file)
             shared = _shared_arrays(file, self._sets)
             if digest(shared) != int(file.attrs["digest"]):
-                raise self._damaged("its scene, index or lineage is not what was written")
+                raise self._damage("its scene, index or lineage is not what was written")
             self.identity, self.absorbed = (
                 self._name(file, key) for key in ("identity", "absorbed")
             )
@@ -341,13 +341,13 @@ class File:
             for name in columns
         }
 
-    def _damaged(self, what: str) -> OutputError:
+    def _damage(self, what: str) -> OutputError:
         return OutputError(f"'{self.path}' is damaged: {what}. Nothing in it can be read")
 
     def _read_format(self, file: Any) -> None:
         written = file.attrs.get("format", 0)
         if np.shape(written) != () or not np.issubdtype(np.asarray(written).dtype, np.integer):
-            raise self._damaged("its format is no number")
+            raise self._damage("its format is no number")
         if int(written) != FORMAT:
             raise OutputError(
                 f"'{self.path}' has result format {int(written)}; "
@@ -355,7 +355,7 @@ class File:
             )
         frames = file.attrs["frames"]
         if np.shape(frames) != () or int(frames) < 0:
-            raise self._damaged("it does not say how many frames it has")
+            raise self._damage("it does not say how many frames it has")
         self.count = int(frames)
 
     def _name(self, file: Any, key: str) -> str:
@@ -366,7 +366,7 @@ class File:
         """Refuse anything but a group of the file itself."""
         self._direct(file, path)
         if not isinstance(file[path], h5py.Group):
-            raise self._damaged(f"{path} is no group")
+            raise self._damage(f"{path} is no group")
 
     def _direct(self, file: Any, path: str) -> None:
         """Refuse a path that is missing, or that leads over a link to somewhere else."""
@@ -375,9 +375,9 @@ class File:
             inner = "/".join(parts[:depth])
             link = file.get(inner, getlink=True)
             if link is None:
-                raise self._damaged(f"it has no {path}")
+                raise self._damage(f"it has no {path}")
             if not isinstance(link, h5py.HardLink):
-                raise self._damaged(f"{inner} is a link, and links are not followed")
+                raise self._damage(f"{inner} is a link, and links are not followed")
 
     def _check_sets(self, file: Any) -> None:
         """Check place, type, shape and storage of every data set before anything is read."""
@@ -391,7 +391,7 @@ class File:
             if kind.pool == "ends":
                 ends = file[path][()]
                 if ends[0] != 0 or (np.diff(ends) < 0).any():
-                    raise self._damaged(f"{path} does not rise from 0")
+                    raise self._damage(f"{path} does not rise from 0")
                 lengths[path] = int(ends[-1])
                 self._at_once[path] = int(np.diff(ends).max(initial=0))
         self.rows = 0
@@ -405,18 +405,18 @@ class File:
         column = file[path]
         tail = () if kind.width is None else (kind.width,)
         if not isinstance(column, h5py.Dataset):
-            raise self._damaged(f"{path} is no data set")
+            raise self._damage(f"{path} is no data set")
         settings = column.id.get_create_plist()
         if column.is_virtual or settings.get_external_count():
-            raise self._damaged(f"{path} keeps its data elsewhere, and that is not followed")
+            raise self._damage(f"{path} keeps its data elsewhere, and that is not followed")
         if column.dtype.str != kind.dtype or column.ndim != 1 + len(tail):
-            raise self._damaged(f"{path} has type {column.dtype} and shape {column.shape}")
+            raise self._damage(f"{path} has type {column.dtype} and shape {column.shape}")
         if column.shape[1:] != tail or (rows is not None and column.shape[0] != rows):
-            raise self._damaged(f"{path} has shape {column.shape}, not {(rows, *tail)}")
+            raise self._damage(f"{path} has shape {column.shape}, not {(rows, *tail)}")
         # an array may claim any size: it is as large as the pieces of it that are there
         pieces = -(-column.shape[0] // kind.chunk)
         if column.chunks != (kind.chunk, *tail) or column.id.get_num_chunks() != pieces:
-            raise self._damaged(f"{path} is not complete")
+            raise self._damage(f"{path} is not complete")
         width = column.dtype.itemsize * (kind.width or 1)
         if path.startswith(_IN_FRAMES):
             check_claim(self.path, width * self._at_once.get(kind.pool, 0))

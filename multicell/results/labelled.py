@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.cells import Cells
 from multicell.extras import needs
 from multicell.results.folder import versions
-from multicell.results.quantities import known_unit, unit_of
-from multicell.results.tables import NAMED
+from multicell.results.quantities import known_unit
+from multicell.results.tables import NAMED, cell_columns
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -35,7 +34,10 @@ def history_arrays(history: Mapping[str, NDArray[np.float64]], scene: str) -> Da
     needs("xarray")
     import xarray
 
-    columns = {name: ("time", values, _unit(name)) for name, values in history.items()}
+    columns = {
+        name: ("time", values, {"units": unit} if (unit := known_unit(name)) else {})
+        for name, values in history.items()
+    }
     known = {"scene": scene}
     known |= {f"version_of_{name}": version for name, version in versions().items()}
     return xarray.Dataset(columns, attrs=known).set_coords("time")
@@ -55,16 +57,13 @@ def frame_arrays(frame: Frame, types: Sequence[str] = ()) -> Dataset:
     import xarray
 
     parts: dict[str, Any] = {}
-    for name in Cells.schema():
-        values, attributes = getattr(frame.cells, name), _unit(f"cells.{name}")
+    for name, values, unit in cell_columns(frame):
+        attributes: dict[str, Any] = {"units": unit} if unit else {}
         words = list(types) if name == "kind" else NAMED.get(name)
         if words:  # as the conventions of CF have it
             attributes |= {"flag_values": np.arange(len(words), dtype=values.dtype),
                            "flag_meanings": " ".join(words)}  # fmt: skip
         parts[name] = (("cell", "axis") if values.ndim == 2 else "cell", values, attributes)
-    for name, values in frame.concentrations.items():
-        title = f"concentration_{name}"
-        parts[title] = ("cell", values, _unit(f"cells.{title}"))
     places: dict[str, Any] = {"axis": list(_AXES)}
     for field in frame.fields.values():
         parts[field.name] = _field(field, places)
@@ -85,9 +84,3 @@ def _field(field: Field, places: dict[str, Any]) -> tuple[Sequence[str], Any, di
     for direction, name in enumerate(names):
         places[name] = (name, field.axis(direction), {"units": "um"})
     return names, field.values[:, :, 0] if flat else field.values, attributes
-
-
-def _unit(name: str) -> dict[str, Any]:
-    """Return the attribute for the unit of a number, if it has one."""
-    unit = unit_of(name) if name.startswith("cells.") else known_unit(name)
-    return {"units": unit} if unit else {}

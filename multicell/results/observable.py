@@ -89,12 +89,12 @@ class TissueState:
         """The same state in arrays that cannot be written into."""
         cells = self.cells.shared()
         for name, column in self.cells.columns():
-            setattr(cells, name, _sealed(column))
-        found = {name: _sealed(values) for name, values in self.concentrations.items()}
+            setattr(cells, name, _seal(column))
+        found = {name: _seal(values) for name, values in self.concentrations.items()}
         return TissueState(replace(self.frame, cells=cells, concentrations=found), self.scene)
 
 
-def _sealed(values: NDArray[Any]) -> NDArray[Any]:
+def _seal(values: NDArray[Any]) -> NDArray[Any]:
     view = values.view()
     view.setflags(write=False)
     return view

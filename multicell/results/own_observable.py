@@ -87,9 +87,9 @@ def observable(
         mark = hashlib.sha256(f"{fingerprint(function)} {column} {unit}".encode()).hexdigest()[:12]
         made = Observable(
             column,
-            _guarded(function, column),
+            _guard(function, column),
             unit=unit,
-            exists=_refusing(column, needs),
+            exists=_requirement(column, needs),
             absent=absent,
             signed=signed,
             function=f"{file}:{source.__qualname__}@{mark}",
@@ -117,7 +117,7 @@ def load_observable(spec: str) -> Observable:
     return found
 
 
-def _refusing(name: str, needs: Sequence[str]) -> Callable[[Scene], bool]:
+def _requirement(name: str, needs: Sequence[str]) -> Callable[[Scene], bool]:
     """Return what refuses scenes that lack one of some keys."""
 
     def exists(scene: Scene) -> bool:
@@ -130,7 +130,7 @@ def _refusing(name: str, needs: Sequence[str]) -> Callable[[Scene], bool]:
     return exists
 
 
-def _guarded(function: Function, name: str) -> Callable[[TissueState], float]:
+def _guard(function: Function, name: str) -> Callable[[TissueState], float]:
     """Return a function that refuses what is no number, in words with file and line."""
     path = f"output.observables.{name}"
 

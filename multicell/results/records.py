@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import builtins
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections import abc
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, fields
-from typing import Any, Final, NamedTuple, final
+from types import NoneType
+from typing import Any, Final, NamedTuple, final, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +48,13 @@ FIELD: Final[Mapping[str, FieldArray]] = {
 
 _OF_PARTS: Final = ("driven", "first_states", "replays", "stability")
 """Entries of a progress that only some runs have."""
+_KEYS: Final = {
+    "first_states": {"quiescent", "necrotic", "unfit"},
+    "replays": set(Replays._fields),
+    "stability": set(Stability._fields),
+}
+"""What tables of a progress hold where they are not empty."""
+_KINDS: Final = get_type_hints(Progress)
 
 _MAX_DEPTH: Final = 32
 
@@ -179,52 +189,34 @@ def progress_of(text: bytes, nutrients: Iterable[str]) -> Progress | None:
     if not expected - set(_OF_PARTS) <= set(entries) <= expected:
         raise OutputError(f"its progress has other entries: {sorted(set(entries) ^ expected)}")
     known = set(nutrients)
-    checks: dict[str, Callable[[Any], bool]] = {
-        **dict.fromkeys(("next_id", "divisions", "removals", "unsorted"), _is_count),
-        "released": _is_number,
-        "splitting": lambda value: value is None or _is_number(value),
-        **dict.fromkeys(("separation", "pace"), lambda v: v is None or _are_numbers(v)),
-        "work": lambda value: isinstance(value, dict) and all(map(_is_count, value.values())),
-        "ledger": lambda value: _of_nutrients(value, known),
-        "rates": lambda value: _of_nutrients(value, known),
-        "grids": lambda value: _of_nutrients(value, known),
-        "driven": _are_identities,
-        "first_states": _are_first_states,
-        "replays": lambda v: not v or (_are_numbers(v) and set(v) == set(Replays._fields)),
-        "stability": lambda v: not v or (_are_numbers(v) and set(v) == set(Stability._fields)),
-    }
-    for name, fits in checks.items():
-        if name in entries and not fits(entries[name]):
+    for name, value in entries.items():
+        if not (_fits(value, _KINDS[name]) and _has_keys(name, value, known)):
             raise OutputError(f"its progress has no usable {name}")
     return Progress(**entries)
 
 
-def _is_count(value: Any) -> bool:
-    return type(value) is int and 0 <= value < 1 << 63
+def _fits(value: Any, kind: Any) -> bool:
+    """Return whether a value out of JSON is of the type that :class:`Progress` states."""
+    inner = get_args(kind)
+    match get_origin(kind) or kind:
+        case builtins.int:
+            return type(value) is int and 0 <= value < 1 << 63
+        case builtins.float:
+            return type(value) is float or (type(value) is int and abs(value) < 1 << 63)
+        case builtins.list:
+            return isinstance(value, list) and all(_fits(x, inner[0]) for x in value)
+        case abc.Mapping:
+            return isinstance(value, dict) and all(_fits(x, inner[1]) for x in value.values())
+    return any(value is None if one is NoneType else _fits(value, one) for one in inner)
 
 
-def _is_number(value: Any) -> bool:
-    return type(value) is float or (type(value) is int and abs(value) < 1 << 63)
-
-
-def _are_numbers(value: Any) -> bool:
-    return isinstance(value, dict) and all(map(_is_number, value.values()))
-
-
-def _are_identities(value: Any) -> bool:
-    inside = isinstance(value, dict) and all(isinstance(ids, list) for ids in value.values())
-    return inside and all(_is_count(x) for ids in value.values() for x in ids)
-
-
-def _are_first_states(value: Any) -> bool:
-    names = {"quiescent", "necrotic", "unfit"}
-    known = isinstance(value, dict) and (not value or set(value) == names)
-    return known and all(map(_is_count, value.values()))
-
-
-def _of_nutrients(value: Any, known: set[str]) -> bool:
-    inside = isinstance(value, dict) and set(value) <= known
-    return inside and all(map(_are_numbers, value.values()))
+def _has_keys(name: str, value: Any, nutrients: set[str]) -> bool:
+    """Return whether a table of a progress has the entries that it must have."""
+    if name in ("ledger", "rates", "grids"):
+        return set(value) <= nutrients
+    if not value or name not in _KEYS:
+        return True
+    return set(value) == _KEYS[name]
 
 
 def parse_table(text: bytes | str) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -28,6 +28,15 @@ NAMED: Final[Mapping[str, list[str]]] = {
 OF_PHASES = ("phase", "progress", "phase_length")
 
 
+def cell_columns(frame: Frame) -> Iterator[tuple[str, NDArray[Any], str]]:
+    """Yield name, values and unit of all that is known of the cells, concentrations last."""
+    for name in Cells.schema():
+        yield name, getattr(frame.cells, name), unit_of(f"cells.{name}")
+    for name, values in frame.concentrations.items():
+        title = f"concentration_{name}"
+        yield title, values, unit_of(f"cells.{title}")
+
+
 def cells_table(
     frame: Frame, *, kinds: NDArray[Any] | None = None, phases: bool = True
 ) -> dict[str, NDArray[Any]]:
@@ -43,10 +52,9 @@ def cells_table(
         Whether there are phases of the cycle, whose columns are left out otherwise.
     """
     table: dict[str, NDArray[Any]] = {}
-    for name in Cells.schema():
+    for name, column, unit in cell_columns(frame):
         if name in OF_PHASES and not phases:
             continue
-        column, unit = getattr(frame.cells, name), unit_of(f"cells.{name}")
         if name == "kind" and kinds is not None:
             column = kinds[column]
         elif name in NAMED:
@@ -56,8 +64,6 @@ def cells_table(
         else:
             for axis, values in zip(_axes(column.shape[1]), column.T, strict=True):
                 table[titled(f"{name}_{axis}", unit)] = values
-    for name, values in frame.concentrations.items():
-        table[titled(f"concentration_{name}", unit_of(f"cells.concentration_{name}"))] = values
     return table
 
 

@@ -8,10 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.cells import Cells
 from multicell.extras import needs
-from multicell.results.quantities import unit_of
-from multicell.results.tables import NAMED
+from multicell.results.tables import NAMED, cell_columns
 from multicell.tables.titles import titled
 
 if TYPE_CHECKING:
@@ -59,14 +57,9 @@ def cells_points(frame: Frame, types: Sequence[str] = ()) -> PolyData:
     import pyvista
 
     points: PolyData = pyvista.PolyData(np.array(frame.cells.position))
-    for name in Cells.schema():
+    for name, values, unit in cell_columns(frame):
         if name != "position":
-            values = np.array(getattr(frame.cells, name))
-            points.point_data[titled(name, unit_of(f"cells.{name}"))] = values
-    for name, values in frame.concentrations.items():
-        points.point_data[
-            titled(f"concentration_{name}", unit_of(f"cells.concentration_{name}"))
-        ] = values
+            points.point_data[titled(name, unit)] = np.array(values)
     names = {**NAMED, "kind": list(types)}
     for name, words in names.items():
         if words:

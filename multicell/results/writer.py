@@ -133,7 +133,7 @@ class Store:
             text = scene.to_toml(versions(), beside=folder)
             write_text(folder / "scene.toml", text)
             names = tuple(scene.nutrients)
-            journal = Journal.create(folder, _opening(text, names, "", 0, 0))
+            journal = Journal.create(folder, _first_record(text, names, "", 0, 0))
             stack.callback(journal.close)
             return cls(folder, journal, names, stack.pop_all())
 
@@ -164,7 +164,7 @@ class Store:
         with ExitStack() as stack:
             if contents.journal is None:
                 base = "" if contents.file is None else contents.file.identity
-                journal = Journal.create(folder, _opening(text, names, base, place + 1, rows))
+                journal = Journal.create(folder, _first_record(text, names, base, place + 1, rows))
                 stack.callback(journal.close)
             else:
                 journal = Journal.reopen(contents.journal)
@@ -294,7 +294,7 @@ class Store:
             self.close()
 
 
-def _opening(
+def _first_record(
     scene: str, nutrients: tuple[str, ...], base: str, frames: int, rows: int
 ) -> dict[str, Any]:
     """Return the first record of a journal: what it continues from."""

@@ -64,9 +64,9 @@ class StudyCost:
 
 def cost_of(scene: Scene) -> Cost:
     """Return what a run of a scene is expected to take."""
-    from multicell.report.explain.cost import predicted
+    from multicell.report.explain.cost import predict
 
-    found = predicted(scene)
+    found = predict(scene)
     return Cost(found.seconds, found.memory, found.file)
 
 

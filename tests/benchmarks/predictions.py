@@ -50,9 +50,9 @@ def measured(name):
 
 def foretold(name):
     """Return the same from explain."""
-    from multicell.report.explain.cost import predicted
+    from multicell.report.explain.cost import predict
 
-    found = predicted(scene_of(name))
+    found = predict(scene_of(name))
     return {
         "cells": float(found.course.cells[-1]),
         "CPU / s": found.seconds,

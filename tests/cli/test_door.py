@@ -167,7 +167,7 @@ def test_compare_and_stability_print_in_ascii(tmp_path):
     done = process("compare", *small, "-o", tmp_path / "µ", "--methods", "euler,rk4",
                    "--repeats", "1", env=env)  # fmt: skip
     assert done.returncode == 0, done.stderr
-    done = process("stability", *small, "-o", tmp_path / "²", "--methods", "euler", "--no-sweeps",
+    done = process("stability", *small, "-o", tmp_path / "²", "--methods", "euler",
                    env=env)  # fmt: skip
     assert done.returncode == 0, done.stderr
 

@@ -13,20 +13,17 @@ from multicell import OutputError, SceneError
 from multicell.comparison.ladders import Method, find_method
 from multicell.comparison.stability_limits.charts import COLOURS
 from multicell.comparison.stability_limits.decay import largest_decay
+from multicell.comparison.stability_limits.moving_states import state_of
 from multicell.comparison.stability_limits.result import FILES, StabilityMap
 from multicell.comparison.stability_limits.search import (
-    OVERLAP,
-    RATIO,
     bisect,
     bracket,
-    default_sweeps,
     limit_in_theory,
     stability,
 )
 from multicell.comparison.stability_limits.state import (
     MIN_NOTICED,
     PUSH,
-    divided_state,
     settled_state,
 )
 from multicell.comparison.stability_limits.trial import (
@@ -125,17 +122,6 @@ def test_in_a_plane_nothing_leaves_it():
     flat = settled_state(SMALL.with_changes({"dimensions": 2}), 1)
     assert np.all(flat.start[:, 2] == 0.0)
     assert flat.rate > 0.0
-
-
-def test_division_replaces_the_innermost_cell_by_two_with_the_overlap_asked_for(small):
-    state = divided_state(SMALL, 0.6, 1)
-    assert len(state.start) == 15
-    inner = int(np.flatnonzero(state.motion.radius[:-1] < 0.9 * small.radius)[0])
-    distance = np.linalg.norm(state.start[inner] - state.start[-1])
-    assert distance == pytest.approx(0.4 * 2.0 * state.motion.radius[-1])
-    volume = (state.motion.radius**3).sum()
-    assert volume == pytest.approx((small.motion.radius**3).sum())
-    assert state.rate > small.rate
 
 
 # planted failures
@@ -255,17 +241,16 @@ def test_a_planted_failure_is_found_and_named(small, name):
 
 
 def test_no_progress_where_cells_should_move_is_a_stall():
-    state = divided_state(SMALL, 0.7, 1)
+    state = state_of("divided", SMALL, 1)
+    step = state.length / 8.0
 
     def stays(system, position, outcome):
         return Outcome(outcome.time, position)
 
-    verdict = judge(state, run_trial(state, planted("stays", stays, 0.0), state.stiff_limit))
+    verdict = judge(state, run_trial(state, planted("stays", stays, 0.0), step))
     assert verdict.kind == STALL
     assert "no progress" in verdict.words
-    assert (
-        judge(state, run_trial(state, planted("true", None, 0.0), state.stiff_limit)).kind == STABLE
-    )
+    assert judge(state, run_trial(state, planted("true", None, 0.0), step)).kind == STABLE
 
 
 def test_a_method_that_takes_too_long_is_a_stall(small):
@@ -311,7 +296,7 @@ def map_of_plants():
     # where no fault is planted the cells simply come half the way to rest in each step
     rest = state.at(400.0 / state.rate)
     methods = [planted(n, fault, 3.0 * scale, rest=rest) for n, (fault, _) in PLANTS.items()]
-    return scale, stability(SMALL, methods, sweeps={}, threads=1)
+    return scale, stability(SMALL, methods, threads=1)
 
 
 def test_the_limit_of_a_planted_failure_is_found_to_three_per_cent(map_of_plants):
@@ -350,7 +335,7 @@ LAWS = {"euler": 2.0, "heun": 2.0, "rk4": 2.785, "ab2": 1.0}
 @pytest.fixture(scope="module")
 def limits():
     methods = [*LAWS, "rkc2-4", "rkc2-9", "backward-euler", "cvode"]
-    return stability(CLUSTER, methods, sweeps={}, threads=1)
+    return stability(CLUSTER, methods, threads=1)
 
 
 @pytest.mark.parametrize(
@@ -392,16 +377,13 @@ def test_implicit_methods_have_no_limit(limits):
     assert math.isinf(backward["theory"])
 
 
-def test_limits_follow_the_viscosity_and_the_ratio_of_moduli():
-    result = stability(
-        SMALL, ["euler"], {"drag.viscosity": [0.05, 5.0], RATIO: [1.0, 30.0]}, threads=1
+def test_limits_follow_the_viscosity():
+    thin, thick = (
+        stability(SMALL.with_changes({"drag.viscosity": eta}), ["euler"], threads=1).limit("euler")
+        for eta in (0.05, 5.0)
     )
-    thin, thick = result.limits("drag.viscosity")
     assert thick["limit"] == pytest.approx(100.0 * thin["limit"], rel=0.05)
-    even, stiff = result.limits(RATIO)
-    assert even["limit"] == pytest.approx(result.limit("euler")["limit"], rel=0.05)
-    assert stiff["limit"] < 0.8 * even["limit"]
-    for row in result.all_limits():
+    for row in (thin, thick):
         assert row["of_theory"] == pytest.approx(1.0, abs=0.05)
 
 
@@ -415,24 +397,6 @@ def test_bisection_ends_within_three_per_cent_below_the_limit(true):
     assert 2.0 / 1.01 <= bisect(lambda s: s <= 2.0, 1.0, 8.0, 0.01) <= 2.0
 
 
-@pytest.mark.parametrize("ratio", [30.0, 1000.0])
-def test_the_push_stays_within_a_contact_that_hardly_overlaps(ratio):
-    """The overlap of two stiff cells is small: beyond it the motion is not linear any more."""
-    result = stability(SMALL, ["euler", "ab2"], {RATIO: [ratio]}, threads=1)
-    for row in result.limits(RATIO):
-        assert row["of_theory"] == pytest.approx(1.0, abs=0.05)
-
-
-def test_after_a_division_the_true_course_is_no_failure_whichever_pocket_it_takes():
-    state = divided_state(CLUSTER, 0.5, 1)
-    twin = state.twins[0]
-    method = planted("true", None, 0.0)
-    trace = run_trial(replace(twin, twins=state.twins, known=[]), method, 0.5 * state.stiff_limit)
-    assert judge(state, trace).kind == STABLE
-    shift = np.linalg.norm(trace.positions[0] - state.start, axis=1).max()
-    assert shift > state.noticed
-
-
 def test_theory_of_methods():
     def method(name):
         return Method(name, "step", lambda s: Planted())
@@ -444,17 +408,6 @@ def test_theory_of_methods():
     assert math.isnan(limit_in_theory(method("planted"), 1.0))
 
 
-def test_default_sweeps_leave_out_what_collapses():
-    sweeps = default_sweeps(load_scene("settle"))
-    assert list(sweeps) == [
-        "cells.young", "contact.surface_energy", "drag.viscosity", OVERLAP, RATIO,
-    ]  # fmt: skip
-    assert all(len(values) == 5 for values in sweeps.values())
-    assert min(sweeps["cells.young"]) == 1.0
-    hertz = default_sweeps(Scene.from_dict({"duration": "1 h", "contact": {"law": "hertz"}}))
-    assert "contact.surface_energy" not in hertz
-
-
 def test_files_hold_what_was_found(tmp_path):
     folder = tmp_path / "out"
     told = []
@@ -462,7 +415,6 @@ def test_files_hold_what_was_found(tmp_path):
     result = stability(
         scene,
         ["euler", "dopri5"],
-        {OVERLAP: [0.3, 0.7]},
         folder,
         progress=told.append,
         threads=1,
@@ -474,61 +426,43 @@ def test_files_hold_what_was_found(tmp_path):
     assert len(rows) == len(result.table)
     assert float(rows[3]["setting"]) == result.table[3]["setting"]
     with (folder / "limits.csv").open() as file:
-        assert len(list(csv.DictReader(file))) == len(result.all_limits()) == 4
+        assert len(list(csv.DictReader(file))) == len(result.limits()) == 2
     text = (folder / "report.html").read_text()
     assert "A &lt;b&gt;title&lt;/b&gt;" in text
     assert "<b>title</b>" not in text
-    assert text.count("data:image/png;base64,") == 2
+    assert text.count("data:image/png;base64,") == 1
     assert "http" not in text.replace("http-equiv", "")
     assert any("euler" in line for line in told)
-    assert len(result.sweeps_figure().axes) == 1
-    with pytest.raises(OutputError, match="not empty"):
-        stability("settle", ["euler"], {}, folder)
-
-
-@pytest.mark.parametrize("viscosity", [5.5, 50.0], ids=["little", "much"])
-def test_no_text_of_the_pictures_leaves_them_or_covers_another(viscosity):
-    """Also where limits span less than a decade, or several."""
-    swept = {
-        "cells.young": [1.0, 1.5], "contact.surface_energy": [1e-3, 0.1],
-        "drag.viscosity": [5.0, viscosity], OVERLAP: [0.3, 0.7], RATIO: [1.0, 1e3],
-    }  # fmt: skip
-    scene = load_scene("settle").with_changes({"initial.count": 4})
-    result = stability(scene, ["euler"], swept, threads=1)
-    check_texts(result.sweeps_figure())
     check_texts(result.figure())
+    with pytest.raises(OutputError, match="not empty"):
+        stability("settle", ["euler"], folder)
 
 
 @pytest.mark.parametrize(
     ("scene", "options", "words"),
     [
         (SMALL, {"methods": ["eluer"]}, "euler"),
-        (SMALL, {"methods": ["euler"], "sweeps": {"drag.viscosty": [1.0]}}, "viscosity"),
-        (SMALL, {"methods": ["euler"], "sweeps": {OVERLAP: [1.2]}}, "below 1"),
-        (SMALL, {"methods": ["euler"], "sweeps": {RATIO: [math.nan]}}, "must be a number"),
-        (SMALL, {"methods": ["euler"], "sweep_methods": ["heun"]}, "heun"),
         (SMALL.with_changes({"initial.count": 1}), {"methods": ["euler"]}, "two cells"),
         (SMALL.with_changes({"initial.spacing": 3.0}), {"methods": ["euler"]}, "touch"),
     ],
 )
 def test_bad_input_is_refused_with_words(scene, options, words):
     with pytest.raises(SceneError, match=words):
-        stability(scene, **{"sweeps": {}, **options})
-
-
-def test_a_point_that_cannot_be_settled_is_left_out_with_words():
-    result = stability(SMALL, ["euler"], {"initial.spacing": [0.86, 3.0]}, threads=1)
-    assert [row["value"] for row in result.limits("initial.spacing")] == [0.86]
-    assert "touch" in result.facts["skipped"]["initial.spacing = 3"]
+        stability(scene, **options)
 
 
 @pytest.mark.parametrize("law", ["jkr", "exact-jkr"])
 def test_a_fixed_step_is_watched_step_by_step_also_for_a_method_that_looks_back(law):
     """Seen one by one, the states of AB2 are those of one integration in a single go.
 
-    The daughters push: contacts break on the way, which exact JKR remembers from the start.
+    The innermost cell starts away from rest: contacts form and break on the way, and exact JKR
+    remembers those of the start.
     """
-    state = divided_state(SMALL.with_changes({"contact.law": law}), 0.6, 1)
+    state = settled_state(SMALL.with_changes({"contact.law": law}), 1)
+    start = state.start.copy()
+    inner = np.linalg.norm(start - start.mean(axis=0), axis=1).argmin()
+    start[inner] += 0.8 * state.radius * np.array([0.48, 0.64, 0.6])
+    state = replace(state, start=start, known=[])
     method = find_method("ab2", SMALL, state.radius)
     step = 0.2 * state.stiff_limit
     trace = run_trial(state, method, step)

@@ -21,7 +21,7 @@ from multicell.comparison.stability_limits.moving_states import (
     complete_state,
     state_of,
 )
-from multicell.comparison.stability_limits.search import OVERLAP, stability
+from multicell.comparison.stability_limits.search import stability
 from multicell.comparison.stability_limits.state import MAX_UNNOTICED, State
 from multicell.comparison.stability_limits.trial import (
     DAMPED,
@@ -167,7 +167,7 @@ def test_an_end_that_is_wrong_in_spite_of_growth_is_a_wrong_state(chain):
 @pytest.fixture(scope="module")
 def pressed():
     methods = ["euler", "ab2", "backward-euler"]
-    return stability(EVEN, methods, {}, threads=1, state="compressed")
+    return stability(EVEN, methods, threads=1, state="compressed")
 
 
 def test_backward_euler_is_bounded_by_how_far_cells_may_move_and_not_by_eulers_limit(pressed):
@@ -238,17 +238,15 @@ def test_at_the_snap_one_contact_is_as_far_from_its_turning_point_as_said(count)
 
 def test_bad_states_are_refused_with_words():
     with pytest.raises(SceneError, match=r"compresed.*compressed"):
-        stability(SMALL, ["euler"], {}, state="compresed")
+        stability(SMALL, ["euler"], state="compresed")
     with pytest.raises(SceneError, match="exact-jkr"):
-        stability(SMALL, ["euler"], {}, state="snap")
+        stability(SMALL, ["euler"], state="snap")
     with pytest.raises(SceneError, match="growth"):
-        stability("settle", ["euler"], {}, state="growing")
-    with pytest.raises(SceneError, match="divided"):
-        stability(SMALL, ["euler"], {OVERLAP: [0.5]}, state="divided")
+        stability("settle", ["euler"], state="growing")
 
 
 def test_the_command_takes_a_state_and_the_page_names_it(tmp_path):
-    asked = ["stability", "settle", "-o", str(tmp_path / "o"), "--methods", "euler", "--no-sweeps",
+    asked = ["stability", "settle", "-o", str(tmp_path / "o"), "--methods", "euler",
              "--set", "initial.count=12", "--state", "compressed", "--json"]  # fmt: skip
     done = CliRunner().invoke(main, asked)
     assert done.exit_code == 0, done.output

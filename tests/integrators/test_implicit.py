@@ -25,7 +25,7 @@ from multicell.mechanics.binning import spatial_order
 from multicell.mechanics.jacobian import Pattern, limited, sparse_jacobian
 from multicell.mechanics.preconditioners import PRECONDITIONERS, preconditioner
 from multicell.mechanics.system import Linearisation
-from multicell.report.explain.integrator import explained
+from multicell.report.explain.integrator import explain_choice
 from multicell.report.explain.scene import explain
 from multicell.scene.parts import IntegratorOptions
 from multicell.scene.scene import load_scene
@@ -507,7 +507,7 @@ def test_explain_tells_what_auto_chooses_and_why(viscosity, choice):
         for part in explain(scene, first_step=True)["parts"]
         if part["part"] == "integrator"
     ]
-    assert told.endswith(explained(scene))
+    assert told.endswith(explain_choice(scene))
     assert f"with 200 cell(s), {choice}" in told
     assert "stiffness λΔt is" in told
     simulation = Simulation(scene, threads=1)

@@ -191,7 +191,7 @@ def test_own_methods_say_what_they_cannot_hold(mine):
 
 
 def test_the_stability_of_an_own_method_is_that_of_its_theory(mine):
-    found = mc.stability(scene(**{"initial.count": 12}), [f"{mine}:Midpoint"], {}, threads=1)
+    found = mc.stability(scene(**{"initial.count": 12}), [f"{mine}:Midpoint"], threads=1)
     row = found.limit("midpoint")
     assert row["of_theory"] == pytest.approx(1.0, abs=0.1)
 

@@ -100,7 +100,6 @@ sys.modules["multicell.integrators.added"] = room.added = added
 exec(compile(source, module.__file__, "exec"), module.__dict__)
 
 import multicell as mc
-from multicell.comparison.styles import preferred_style
 from multicell.comparison.ladders import capable_methods, find_method
 from multicell.report.explain.scene import explain
 scene = mc.load_scene("settle").with_changes({"integrator": "added"})
@@ -108,7 +107,7 @@ assert scene.integrator.method == "added"
 assert "a method that was added" in str(explain(scene))
 assert "added" in capable_methods(scene)
 assert find_method("added", scene, 5.0).control == "step"
-assert preferred_style("added", {}).colour == "#123456"
+assert registry.find("added").colour == "#123456"
 assert type(registry.from_options(scene.integrator)) is Added
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)

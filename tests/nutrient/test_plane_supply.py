@@ -5,11 +5,12 @@ import pytest
 from scipy.optimize import brentq
 
 import multicell as mc
-from multicell.biology.initial import initial_cells
-from multicell.cells import State
-from multicell.report.explain.cost import grid_sizes
-from multicell.report.explain.reach import reach_numbers, start_radius
+from multicell.cells import SPHERE, State
+from multicell.report.explain.course import SHELLS, Profile
 from multicell.report.explain.scene import explain
+from multicell.results.observables import diameter
+from multicell.scene.scales import height
+from multicell.scene.sizes import typical_radius
 
 AIR = {"boundary": "0.2 mM", "uptake": "20 amol/s", "necrosis": "0.008 mM"}
 PLANE = mc.load_scene("settle").with_changes({
@@ -21,8 +22,23 @@ def plane(**keys):
     return PLANE.with_changes({"nutrients": {"oxygen": {**AIR, **keys}}})
 
 
-def numbers(scene):
-    return {number.name: number.value for number in reach_numbers(scene, "oxygen")}
+def levels(scene, radius, **others):
+    """Return the concentrations in the shells of the forecast, in tissue of a radius, µm."""
+    d, oxygen = scene.dimensions, scene.nutrients["oxygen"]
+    profile = Profile(oxygen, d, oxygen.height or 1.0)
+    each = radius / scene.initial.count ** (1.0 / d)
+    found = {name: np.full(SHELLS, level) for name, level in others.items()}
+    shells = np.linspace(0.0, radius, SHELLS + 1)
+    return shells, profile.solve(shells, 0.0, 0.0, SPHERE * each**3, found)
+
+
+def part_below(scene, radius, threshold):
+    """Return the part of the tissue below a threshold, between shells by interpolation."""
+    shells, found = levels(scene, radius)
+    fine = radius * (np.arange(4000) + 0.5) / 4000
+    low = np.interp(fine, 0.5 * (shells[1:] + shells[:-1]), found) < threshold
+    volumes = fine ** (scene.dimensions - 1)
+    return volumes[low].sum() / volumes.sum()
 
 
 # --- what a plane needs --------------------------------------------------------------------------
@@ -48,15 +64,20 @@ def test_a_monolayer_under_two_millimetres_of_air_saturated_medium_lives():
     simulation.step()
     assert (simulation.cells.state != State.NECROTIC).all()
     assert simulation.concentrations["oxygen"].min() > 0.19
-    assert numbers(scene)["oxygen: below necrosis"] == 0.0
 
 
 @pytest.mark.parametrize("perfusion", [0.05, 0.1, 0.2])
 def test_supply_from_above_is_that_of_a_layer_of_still_medium(perfusion):
     """The flux D (c0 - c) / depth feeds what is below; far from the rim nothing else does."""
     scene = plane(perfusion=perfusion, necrosis=None).with_changes({"initial.count": 6000})
-    stated = numbers(scene)["oxygen: supply by perfusion"]
-    found = mc.Simulation(scene).concentrations["oxygen"].min()
+    oxygen, simulation = scene.nutrients["oxygen"], mc.Simulation(scene)
+    high = height(scene, "oxygen")
+    radius = 0.5 * diameter(simulation.cells, 2)
+    each = oxygen.largest_uptake(SPHERE * typical_radius(scene) ** 3)
+    q = 6000 * each / (np.pi * radius**2 * high)
+    c0, half = oxygen.boundary, oxygen.half_saturation
+    stated = brentq(lambda c: perfusion * (c0 - c) - q * c / (half + c), 0.0, c0)
+    found = simulation.concentrations["oxygen"].min()
     assert found == pytest.approx(stated, abs=0.02 * 0.2)
 
 
@@ -75,7 +96,7 @@ def test_what_a_field_does_not_reach_is_that_of_the_closed_form(boundary):
         "nutrients": {"oxygen": {**AIR, "boundary": boundary, "half_saturation": 1e-6,
                                  "geometry": "radial", "layer": layer}},
     })  # fmt: skip
-    oxygen, radius = scene.nutrients["oxygen"], start_radius(scene, "oxygen")
+    oxygen, radius = scene.nutrients["oxygen"], 50.0
     d, outside = oxygen.diffusion, oxygen.diffusion_medium or oxygen.diffusion
     q = count * oxygen.uptake / (4.0 / 3.0 * np.pi * radius**3)
 
@@ -88,21 +109,8 @@ def test_what_a_field_does_not_reach_is_that_of_the_closed_form(boundary):
 
     core = brentq(lacking, 0.0, radius)
     reached = brentq(lambda r: level(r, core) - oxygen.necrosis, core, radius)
-    stated = numbers(scene)["oxygen: below necrosis"]
+    stated = part_below(scene, radius, oxygen.necrosis)
     assert stated == pytest.approx((reached / radius) ** 3, abs=0.02)
-
-
-@pytest.mark.parametrize("count", [400, 6000])
-def test_what_explain_states_is_what_cells_of_a_ball_find(count):
-    """With hardly any saturation the part below a threshold is that of the run's first field."""
-    scene = mc.load_scene("settle").with_changes({
-        "initial.count": count,
-        "nutrients": {"oxygen": {**AIR, "boundary": "0.05 mM", "half_saturation": 1e-6}},
-    })  # fmt: skip
-    stated = numbers(scene)["oxygen: below necrosis"]
-    everybody = initial_cells(scene)  # states that are given: all take up at the full rate
-    found = np.mean(mc.Simulation(scene, cells=everybody).concentrations["oxygen"] < 0.008)
-    assert stated == pytest.approx(found, abs=0.04)
 
 
 def test_explain_notes_tissue_that_would_starve_at_once():
@@ -113,8 +121,8 @@ def test_explain_notes_tissue_that_would_starve_at_once():
 
 @pytest.mark.parametrize("perfusion", [0.0, 0.05])
 @pytest.mark.parametrize("dimensions", [2, 3])
-def test_reach_is_stated_where_uptake_depends_on_another_field(dimensions, perfusion):
-    """With plenty of the other field, uptake that needs it is as large as without the need."""
+def test_uptake_in_the_forecast_depends_on_another_field(dimensions, perfusion):
+    """With an effect of 1 uptake is as without the other field where that is plenty, else twice."""
     own = {**AIR, "perfusion": perfusion, "height": "0.1 mm"}
     alone = plane(**own).with_changes({"dimensions": dimensions})
     paired = alone.with_changes({
@@ -123,26 +131,8 @@ def test_reach_is_stated_where_uptake_depends_on_another_field(dimensions, perfu
             "oxygen": {**own, "uptake_on": {"glucose": {"effect": 1.0, "half": "1e-6 mM"}}},
         },
     })  # fmt: skip
-    single = alone.with_changes({"nutrients.oxygen.uptake": "40 amol/s"})
-    stated = numbers(paired)["oxygen: below necrosis"]
-    assert stated == pytest.approx(numbers(single)["oxygen: below necrosis"], abs=1e-4)
-    assert 0.0 <= stated <= 1.0
-
-
-# --- the grid that explain announces -------------------------------------------------------------
-
-
-@pytest.mark.parametrize("keys", [{}, {"geometry": "radial"}])
-def test_the_grid_that_is_announced_for_the_start_is_the_runs(keys):
-    scene = mc.load_scene("settle").with_changes({
-        "initial.count": 3000, "nutrients": {"oxygen": {**AIR, **keys}},
-    })  # fmt: skip
-    values = mc.Simulation(scene).fields["oxygen"].values
-    assert grid_sizes(scene, "oxygen") == (values.size, values.size)
-
-
-def test_the_grid_at_the_expected_end_is_that_of_the_tissue_then():
-    """The spheroid of the package ends on 27,000 nodes, beyond the starving radius."""
-    first, last = grid_sizes(mc.load_scene("spheroid"), "oxygen")
-    assert first == 1000.0
-    assert 27_000 / 1.5 < last < 27_000 * 1.5
+    _, plenty = levels(paired, 150.0, glucose=5.0)
+    np.testing.assert_allclose(plenty, levels(alone, 150.0)[1], atol=1e-6)
+    _, short = levels(paired, 150.0, glucose=0.0)
+    doubled = alone.with_changes({"nutrients.oxygen.uptake": "40 amol/s"})
+    np.testing.assert_allclose(short, levels(doubled, 150.0)[1], atol=1e-6)

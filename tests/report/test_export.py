@@ -4,13 +4,10 @@ import csv
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from scipy.spatial.distance import pdist, squareform
 
 import multicell as mc
 from multicell.cells import State
-from multicell.cli.main import main
-from multicell.report.exports import TABLES
 from multicell.results.frame import Frame
 
 
@@ -91,18 +88,6 @@ def test_bad_input(run, tmp_path):
         mc.export(run, tmp_path)
     assert not (tmp_path / "cells.csv").exists()
     mc.export(run, tmp_path, overwrite=True)
-
-
-def test_command(run, tmp_path):
-    done = CliRunner().invoke(main, ["export", str(run.folder), "-o", str(tmp_path / "new")])
-    assert done.exit_code == 0, done.output
-    assert {entry.stem for entry in (tmp_path / "new").iterdir()} == set(TABLES)
-    assert len(done.output.splitlines()) == len(TABLES)
-    wrong = CliRunner().invoke(
-        main, ["export", str(run.folder), "-o", str(tmp_path / "new"), "--json"]
-    )
-    assert wrong.exit_code == 2
-    assert "exists already" in wrong.output
 
 
 def test_contacts_are_between_cells_that_are_there(tmp_path):

@@ -14,7 +14,7 @@ from scipy.spatial.distance import pdist, squareform
 import multicell as mc
 from multicell.cells import Cells, State
 from multicell.cli.main import main
-from multicell.report.exports import FORMATS
+from multicell.report.exports import FORMATS, TABLES
 from multicell.results.frame import Field
 from multicell.results.quantities import unit_of
 from multicell.results.vtk_grids import field_grid
@@ -170,3 +170,8 @@ def test_command(run, tmp_path, format):
     files = {entry.name for entry in tmp_path.iterdir()}
     assert files == {line.rpartition("/")[2] for line in done.output.split()}
     assert files
+    if FORMATS[format].tables:
+        assert {name.partition(".")[0] for name in files} == set(TABLES)
+    wrong = CliRunner().invoke(main, [*given, "--json"])
+    assert wrong.exit_code == 2
+    assert "exists already" in wrong.output

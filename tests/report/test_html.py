@@ -63,17 +63,9 @@ def test_a_template_that_lacks_a_value_is_refused(tmp_path):
     with pytest.raises(UndefinedError, match="styles"):
         write_page(
             tmp_path / "page.html", "compare.html", scene=BARE, title="", subtitle="", tiles={},
-            pictures={}, judge="", verdicts={}, looks={}, pale="",
+            pictures={}, judge="", verdicts={}, pale="",
         )  # fmt: skip
     assert not (tmp_path / "page.html").exists()
-
-
-@pytest.mark.parametrize(
-    ("seconds", "words"),
-    [(0.5, "0.5 s"), (12.3, "12 s"), (134.0, "2 min 14 s"), (7260.0, "2 h 1 min")],
-)
-def test_wall_times_are_told_in_words(seconds, words):
-    assert clock(seconds) == words
 
 
 SCENES = sorted(path.name for path in files("multicell.scenes").iterdir() if "toml" in path.name)

@@ -1,4 +1,4 @@
-"""Pictures in pages: without their titles, with their marks, and to be seen in dark mode too."""
+"""Pictures in pages: without their titles, and to be seen in dark mode too."""
 
 import base64
 import io
@@ -13,7 +13,6 @@ from synthetic import SCENE, growing_frames, history_of
 
 from multicell.report.plots.colour_vision import PALE, luminance
 from multicell.report.plots.inline import inline_picture
-from multicell.report.plots.marks import NAMED
 from multicell.report.plots.style import (
     BLUE,
     COLOURS,
@@ -71,10 +70,10 @@ def test_the_view_turns_its_colours_as_the_style_sheet_turns_pictures():
 
 
 @styled
-def marked():
+def titled():
     figure = blank("A title that the page has", "what is shown", (6.0, 4.0))
     axes = figure.add_axes((0.2, 0.2, 0.7, 0.6))
-    axes.plot([1.0, 2.0], [1.0, 2.0], "o", color="#f04040", ms=12, gid=f"{NAMED}a")
+    axes.plot([1.0, 2.0], [1.0, 2.0], "o", color="#f04040", ms=12)
     axes.set(xlim=(0, 3), ylim=(0, 3))
     return figure
 
@@ -85,16 +84,12 @@ def pixels(text):
     return np.asarray(Image.open(io.BytesIO(base64.b64decode(text))).convert("RGB")).astype(int)
 
 
-def test_a_page_holds_a_picture_without_its_title_and_its_marks_lie_where_they_did():
-    shown = inline_picture(marked())
+def test_a_page_holds_a_picture_without_its_title():
+    shown = inline_picture(titled())
     drawn = pixels(shown.png)
     assert drawn.shape == (shown.high, shown.wide, 3)
     assert (shown.wide, shown.high) == (960, 576)
     assert shown.subtitle == "what is shown"
-    for mark in shown.marks:
-        at = drawn[round(mark.y * shown.high), round(mark.x * shown.wide)]
-        np.testing.assert_allclose(at, (0xF0, 0x40, 0x40), atol=40)
-    assert len(shown.marks) == 2
     assert drawn[0, 0].tolist() == [255, 255, 255]
 
 

@@ -301,19 +301,6 @@ def test_report_of_the_mixture_has_the_fraction_first_and_last(mixture):
     assert summary["heterotypic_fraction"] == mixture.history["heterotypic_fraction"][-1]
 
 
-def test_report_writes_courses_of_receptors_in_words(tmp_path):
-    scene = BARE.with_changes(
-        {
-            "initial.count": 2,
-            "duration": "60 s",
-            "adhesion": {},
-            "types": {"a": {"receptor": [[0, 1.0], ["30 s", 0.25]], "ligand": 1.0}},
-        }
-    )
-    text = " ".join(read(mc.run(scene, output=tmp_path / "out").folder / "report.html").text)
-    assert "1 at 0 s, 0.25 at 30 s" in text
-
-
 def test_overwriting_removes_the_pictures_of_an_earlier_run(tmp_path):
     assert {"contacts.png", "pull.png"} <= set(folder.FILES)
     for name in ("contacts.png", "pull.png", "mine.png"):

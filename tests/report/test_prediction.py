@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_bvp
 
 import multicell as mc
-from multicell.report.explain.cost import predicted
+from multicell.report.explain.cost import predict
 from multicell.report.explain.course import Profile, course
 from multicell.report.explain.scene import explain
 
@@ -33,7 +33,7 @@ MEASURED = {
 @pytest.mark.parametrize("case", MEASURED)
 def test_cells_memory_and_files_are_foretold_within_a_factor_of_two(case):
     name, changes, cells, memory, file = MEASURED[case]
-    found = predicted(mc.load_scene(name).with_changes(changes))
+    found = predict(mc.load_scene(name).with_changes(changes))
     assert found.course.cells[-1] == pytest.approx(cells, rel=1.0)
     assert found.course.cells[-1] > 0.5 * cells
     assert 0.5 < found.memory / (1e6 * memory) < 2.0
@@ -98,7 +98,7 @@ def test_time_grows_with_cells_steps_and_stiffness():
 
     def seconds(**changes):
         changes = {name.replace("__", "."): value for name, value in changes.items()}
-        return predicted(scene.with_changes(changes)).seconds
+        return predict(scene.with_changes(changes)).seconds
 
     many = seconds(initial__count=100_000)
     assert many > 20.0 * seconds(initial__count=1000)

@@ -3,7 +3,7 @@
 import pytest
 
 import multicell as mc
-from multicell.report.explain.cost import predicted
+from multicell.report.explain.cost import predict
 from multicell.results.documents import read_table
 from multicell.studies.cost import NAME, Cost, cost_of, costs_of, total_cost
 from multicell.studies.plan import make_plan
@@ -12,7 +12,7 @@ EMT6 = mc.load_scene("emt6")
 
 
 def test_it_is_what_explain_tells_of_each_run():
-    expected = predicted(EMT6)
+    expected = predict(EMT6)
     assert cost_of(EMT6) == Cost(expected.seconds, expected.memory, expected.file)
 
 

@@ -134,7 +134,7 @@ def compressed_state(scene: Scene, threads: int | None = None) -> State:
     middle = rest.start.mean(axis=0)
     start = middle + COMPRESSED * (rest.start - middle)
     return complete_state(
-        _touching(replace(rest, start=start, kind="compressed")), usual_step(scene)
+        _with_contacts(replace(rest, start=start, kind="compressed")), usual_step(scene)
     )
 
 
@@ -156,7 +156,7 @@ def freshly_divided_state(scene: Scene, threads: int | None = None) -> State:
         start[daughters] += sign * offset
     motion = select_cells(rest.motion, source, radius)
     state = replace(rest, motion=motion, start=start, kind="divided")
-    return complete_state(_touching(state), usual_step(scene))
+    return complete_state(_with_contacts(state), usual_step(scene))
 
 
 def snapping_state(scene: Scene, threads: int | None = None) -> State:
@@ -232,10 +232,10 @@ def _rest(scene: Scene, threads: int | None) -> State:
     """Return the first cells of a scene where they come to rest."""
     template, motion, position = first_cells(scene, threads)
     state = State(scene, template, motion, position, math.nan, math.nan, MAX_UNNOTICED)
-    return _touching(replace(state, start=rest_positions(state), known=[]))
+    return _with_contacts(replace(state, start=rest_positions(state), known=[]))
 
 
-def _touching(state: State) -> State:
+def _with_contacts(state: State) -> State:
     """Return a state whose law remembers the contacts of its start, if it remembers any."""
     if state.motion.touching is None:
         return state

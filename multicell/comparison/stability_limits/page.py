@@ -13,19 +13,15 @@ if TYPE_CHECKING:
     from multicell.comparison.files import Row
     from multicell.comparison.stability_limits.result import StabilityMap
 
-CAPTIONS: Final = {
-    "stability.png": "What happens at each step or tolerance. Each dot is one trial; a bar is the "
-    "limit in theory.",
-    "sweeps.png": "The largest stable step as one parameter changes. Lines are the theory, from "
-    "the largest decay rate of each state.",
-}
+CAPTION: Final = (
+    "What happens at each step or tolerance. Each dot is one trial; a bar is the limit in theory."
+)
 
 
 def context(result: StabilityMap) -> dict[str, Any]:
     """Return what ``stability.html`` asks for."""
     first = result.table[0]
     failures = sum(row["kind"] != STABLE for row in result.table)
-    own = [row for method in result.methods for row in result.rows(method)]
     return {
         "title": f"{result.title}: stability",
         "subtitle": STATES[first["state"]],
@@ -41,7 +37,7 @@ def context(result: StabilityMap) -> dict[str, Any]:
         },
         "colours": COLOURS,
         "kinds": KINDS,
-        "failed": [row for row in own if row["kind"] != STABLE],
+        "failed": [row for row in result.table if row["kind"] != STABLE],
     }
 
 

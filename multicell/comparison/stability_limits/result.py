@@ -23,7 +23,7 @@ _CALLED: Final = {
     "snap": "at the snap",
 }
 
-FILES: Final = ("stability.csv", "limits.csv", "stability.png", "sweeps.png", "report.html")
+FILES: Final = ("stability.csv", "limits.csv", "stability.png", "report.html")
 """What a study of stability writes into its folder."""
 
 
@@ -36,21 +36,19 @@ class StabilityMap(Comparison):
     ----------
     scene : Scene
     table : list of dict
-        One row for each trial: ``sweep`` (empty for the scene itself) and ``value``, ``state`` (a
-        key of :data:`multicell.comparison.stability_limits.moving_states.STATES`), ``cells``,
-        ``rate`` (λ_max, 1/s; of a moving state the largest on the way), ``end_rate`` (λ_max at
-        the end), ``growth_rate`` (μ at the start, 1/s; NaN from a settled state), ``length`` (of a
-        trial, s; NaN from a settled state), ``method``, ``control`` (``"tolerance"`` in mean
-        radii or ``"step"`` in s), ``setting``, ``theory`` (largest stable step, s; infinite for
-        implicit methods, NaN
-        where there is none), ``of_theory``, ``of_euler`` (mean step over 2/λ_max), ``kind`` (a key
-        of :data:`multicell.comparison.stability_limits.trial.KINDS`), ``words`` (what was seen),
-        ``also`` (what else), ``climb`` (largest rise of the energy over what is noticed),
-        ``deviation`` (largest error of a pair distance at the end, mean radii), ``steps``,
-        ``wall`` (s).
+        One row for each trial: ``state`` (a key of
+        :data:`multicell.comparison.stability_limits.moving_states.STATES`), ``cells``, ``rate``
+        (λ_max, 1/s; of a moving state the largest on the way), ``end_rate`` (λ_max at the end),
+        ``growth_rate`` (μ at the start, 1/s; NaN from a settled state), ``length`` (of a trial, s;
+        NaN from a settled state), ``method``, ``control`` (``"tolerance"`` in mean radii or
+        ``"step"`` in s), ``setting``, ``theory`` (largest stable step, s; infinite for implicit
+        methods, NaN where there is none), ``of_theory``, ``of_euler`` (mean step over 2/λ_max),
+        ``kind`` (a key of :data:`multicell.comparison.stability_limits.trial.KINDS`), ``words``
+        (what was seen), ``also`` (what else), ``climb`` (largest rise of the energy over what is
+        noticed), ``deviation`` (largest error of a pair distance at the end, mean radii),
+        ``steps``, ``wall`` (s).
     facts : dict
-        ``state``, ``precision`` of the bisection, ``wall`` (s), ``skipped`` (points of a sweep
-        that could not be settled, with words), ``versions``.
+        ``state``, ``precision`` of the bisection, ``wall`` (s), ``versions``.
     """
 
     scene: Scene
@@ -75,42 +73,26 @@ class StabilityMap(Comparison):
         """The kinds that were seen, in the order of :data:`KINDS`."""
         return [kind for kind in KINDS if kind in self.column("kind")]
 
-    def sweeps(self) -> dict[str, list[float]]:
-        """Return the values of each sweep."""
-        found: dict[str, dict[float, None]] = {}
-        for row in self.table:
-            if row["sweep"]:
-                found.setdefault(row["sweep"], {})[row["value"]] = None
-        return {sweep: list(values) for sweep, values in found.items()}
+    def rows(self, method: str) -> list[Row]:
+        """Return the trials of a method, from small to large settings."""
+        return self.with_values(method=method)
 
-    def rows(self, method: str, sweep: str = "", value: float = math.nan) -> list[Row]:
-        """Return the trials of a method at one state, from small to large settings."""
-        return [
-            row
-            for row in self.table
-            if (row["method"], row["sweep"]) == (method, sweep)
-            and (not sweep or row["value"] == value)
-        ]
-
-    def limits(self, sweep: str = "") -> list[Row]:
-        """Return the limit of each method, at the scene itself or along a sweep.
+    def limits(self) -> list[Row]:
+        """Return the limit of each method.
 
         Returns
         -------
         list of dict
-            ``sweep``, ``value``, ``state``, ``rate``, ``method``, ``control``, ``limit`` (largest
-            setting that is stable with all smaller ones that were tried; NaN if none is),
-            ``beyond`` (smallest that is not; infinite if all are stable), ``theory``,
-            ``of_theory``, ``of_euler`` (mean step at the limit over 2/λ_max), ``kind`` (of the
-            failure at ``beyond``, or ``"stable"``), ``kinds`` (of all failures, from small to
-            large settings).
+            ``state``, ``rate``, ``method``, ``control``, ``limit`` (largest setting that is stable
+            with all smaller ones that were tried; NaN if none is), ``beyond`` (smallest that is
+            not; infinite if all are stable), ``theory``, ``of_theory``, ``of_euler`` (mean step at
+            the limit over 2/λ_max), ``kind`` (of the failure at ``beyond``, or ``"stable"``),
+            ``kinds`` (of all failures, from small to large settings).
         """
-        values = self.sweeps()[sweep] if sweep else [math.nan]
-        found = (self.rows(method, sweep, value) for value in values for method in self.methods)
-        return [_limit(rows) for rows in found if rows]
+        return [self.limit(method) for method in self.methods]
 
     def limit(self, method: str) -> Row:
-        """Return the limit of one method at the scene itself."""
+        """Return the limit of one method."""
         return _limit(self.rows(method))
 
     def figure(self) -> Figure:
@@ -119,28 +101,15 @@ class StabilityMap(Comparison):
 
         return stability_map(self)
 
-    def sweeps_figure(self) -> Figure:
-        """Draw the largest stable steps along the sweeps, beside the theory."""
-        from multicell.comparison.stability_limits.charts import sweeps
-
-        return sweeps(self)
-
-    def all_limits(self) -> list[Row]:
-        """Return the limits at the scene itself and along all sweeps."""
-        return [row for sweep in ("", *self.sweeps()) for row in self.limits(sweep)]
-
     def tables(self) -> Mapping[str, Sequence[Row]]:
         """Return all trials, and the limits."""
-        return {"stability.csv": self.table, "limits.csv": self.all_limits()}
+        return {"stability.csv": self.table, "limits.csv": self.limits()}
 
     def pictures(self) -> Pictures:
-        """Return the map, and the limits along sweeps."""
-        from multicell.comparison.stability_limits.page import CAPTIONS
+        """Return the map."""
+        from multicell.comparison.stability_limits.page import CAPTION
 
-        draw = {"stability.png": self.figure}
-        if self.sweeps():
-            draw["sweeps.png"] = self.sweeps_figure
-        return {name: (drawn, CAPTIONS[name]) for name, drawn in draw.items()}
+        return {"stability.png": (self.figure, CAPTION)}
 
     def page(self) -> dict[str, Any]:
         """Return what the template of the page asks for."""
@@ -150,14 +119,12 @@ class StabilityMap(Comparison):
 
 
 def _limit(rows: Sequence[Row]) -> Row:
-    """Return what the trials of one method at one state say of its limit."""
+    """Return what the trials of one method say of its limit."""
     first = next((k for k, row in enumerate(rows) if row["kind"] != STABLE), len(rows))
     failed = first < len(rows)
     last = rows[first - 1] if first else None
     return {
-        **{
-            name: rows[0][name] for name in ("sweep", "value", "state", "rate", "method", "control")
-        },
+        **{name: rows[0][name] for name in ("state", "rate", "method", "control")},
         "limit": last["setting"] if last else math.nan,
         "beyond": rows[first]["setting"] if failed else math.inf,
         "theory": rows[0]["theory"],

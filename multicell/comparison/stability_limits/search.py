@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import time as clock
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import partial
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,20 +13,11 @@ from multicell.comparison.ladders import Method, capable_methods, select_methods
 from multicell.comparison.replay import solve_compiled
 from multicell.comparison.stability_limits.moving_states import check, state_of
 from multicell.comparison.stability_limits.result import FILES, StabilityMap
-from multicell.comparison.stability_limits.state import State, divided_state, settled_state
+from multicell.comparison.stability_limits.state import State
 from multicell.comparison.stability_limits.trial import STABLE, judge, run_trial
-from multicell.comparison.styles import unregistered_styles
-from multicell.contact.law import effective_modulus
-from multicell.errors import SceneError, StepFailed
 from multicell.integrators.base import Integrator
-from multicell.integrators.registry import METHODS
 from multicell.results.folder import versions
 from multicell.scene.scene import Scene, load_scene
-from multicell.schema import near_miss
-
-OVERLAP: Final = "overlap at division"
-RATIO: Final = "ratio of moduli"
-"""Sweeps that are no parameters of a scene, see :func:`default_sweeps`."""
 
 LOOSEST_TOLERANCE: Final = 0.1
 """Loosest tolerance that is tried, in mean radii; one that loose asks for hardly anything."""
@@ -37,9 +27,6 @@ _EXTRA = ("rkc2-5", "rkc2-10")
 _FIRST, _MAX_STEP = 0.45, 1000.0  # first and longest step that are tried, over Euler's limit
 _BEYOND = (0.25, 0.5, 0.8, 1.25, 1.6, 2.5, 4.0, 8.0, 20.0)
 _TOLERANCES = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.03, LOOSEST_TOLERANCE)
-_FACTORS = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
-_POINTS = 5
-_MAX_OVERLAP = 0.35  # overlap at rest over the sum of radii, beyond which second neighbours touch
 
 Trial = Callable[[float], bool]
 
@@ -47,11 +34,9 @@ Trial = Callable[[float], bool]
 def stability(
     scene: Scene | str | Path,
     methods: Sequence[str | Method | type[Integrator] | Integrator] | None = None,
-    sweeps: Mapping[str, Sequence[float]] | None = None,
     output: str | Path | None = None,
     progress: Callable[[str], None] | None = None,
     *,
-    sweep_methods: Sequence[str] | None = None,
     precision: float = 0.03,
     patience: float = 20.0,
     threads: int | None = None,
@@ -76,19 +61,10 @@ def stability(
         Names (:data:`multicell.integrators.registry.METHODS`, or ``"rkc2-8"`` for RKC2 of eight
         stages with a fixed step), methods of the user's own (an object, a class or
         ``"file.py:Name"``) or :class:`Method` objects; by default all that can hold the scene.
-    sweeps
-        Dotted key -> values that it takes one after the other, the other parameters being those
-        of the scene; ``"overlap at division"`` (overlap of the daughters over the sum of their
-        radii, just after the innermost cell has divided) and ``"ratio of moduli"`` (factor on the
-        moduli of two neighbours) count as keys, of the settled state only. Empty for none; by
-        default :func:`default_sweeps`.
     output
         Folder for the files of :meth:`StabilityMap.save`.
     progress
         Called with a line of words for everything that is begun.
-    sweep_methods
-        Names of the methods that take part in the sweeps, by default those with a fixed step,
-        ``rkc2`` and ``cvode``, and all that are given as objects.
     precision
         Relative distance at which bisection ends.
     patience
@@ -110,82 +86,30 @@ def stability(
     SceneError, OutputError
         For input that cannot be used, before anything is computed.
     StepFailed
-        If the scene's cells cannot be settled. A point of a sweep whose cells cannot is left
-        out, with words in ``facts["skipped"]``.
+        If the scene's cells cannot be settled.
     """
     described = scene if isinstance(scene, Scene) else load_scene(scene)
     tell = progress or (lambda _: None)
     chosen = _chosen(methods, described)
-    taking_part = _taking_part(sweep_methods, chosen)
     check(state, described)
-    asked = _default_sweeps(described, state) if sweeps is None else sweeps
-    points = list(_points(described, asked, threads, state))
     prepare(output, FILES, overwrite)
     begin = clock.perf_counter()
+    tell("settling")
+    begun = state_of(state, described, threads)
     table: list[Row] = []
-    skipped: dict[str, str] = {}
-    for sweep, value, make in points:
-        tell(f"{sweep} = {value:.4g}: settling" if sweep else "settling")
-        try:
-            begun = make()
-        except (StepFailed, SceneError) as error:
-            if not sweep:
-                raise
-            skipped[f"{sweep} = {value:.4g}"] = str(error)
-            continue
-        for method in taking_part if sweep else chosen:
-            tell(f"{sweep} = {value:.4g}: {method.name}" if sweep else method.name)
-            table += _measured(begun, method, sweep, value, precision, patience)
+    for method in chosen:
+        tell(method.name)
+        table += _rows(begun, method, precision, patience)
     facts = {
         "state": state,
         "precision": precision,
         "wall": clock.perf_counter() - begin,
-        "skipped": skipped,
-        "looks": unregistered_styles(chosen),
         "versions": versions(),
     }
     result = StabilityMap(described, table, facts)
     if output is not None:
         result.save(output)
     return result
-
-
-def default_sweeps(scene: Scene) -> dict[str, list[float]]:
-    """Return the sweeps that suit a scene: moduli, adhesion, viscosity, division, ratio.
-
-    Moduli rise, and adhesion falls, from the values at which cells would collapse onto each
-    other.
-    """
-    young, energy = scene.cells.young, getattr(scene.contact, "surface_energy", 0.0)
-    hold = [f for f in _FACTORS if _holds(scene, {"cells.young": f * young})]
-    sweeps = {"cells.young": [f * young for f in hold[:_POINTS]]}
-    if energy > 0.0:
-        adhesion = [energy / f for f in _FACTORS]
-        kept = [v for v in adhesion if _holds(scene, {"contact.surface_energy": v})]
-        sweeps["contact.surface_energy"] = kept[:_POINTS]
-    sweeps["drag.viscosity"] = [f * scene.drag.viscosity for f in (0.001, 0.01, 0.1, 1.0, 10.0)]
-    # 0.74: daughters that touch their mother's surface from inside
-    sweeps[OVERLAP] = [0.2, 0.4, 0.6, 0.74, 0.9]
-    sweeps[RATIO] = [1.0, 3.0, 10.0, 100.0, 1000.0]
-    return {name: values for name, values in sweeps.items() if values}
-
-
-def _default_sweeps(scene: Scene, state: str) -> dict[str, list[float]]:
-    """Return the default sweeps, from a moving state those over parameters of the scene."""
-    own = () if state == "settled" else (OVERLAP, RATIO)
-    return {name: values for name, values in default_sweeps(scene).items() if name not in own}
-
-
-def _holds(scene: Scene, changes: Mapping[str, float]) -> bool:
-    """Return whether only neighbours of a packing touch at rest."""
-    try:
-        changed = scene.with_changes(changes)
-    except SceneError:
-        return False  # refused at the door: centre upon centre
-    radius, cells = 0.9 * changed.cells.division_radius, changed.cells
-    modulus = effective_modulus(cells.young, cells.poisson, cells.young, cells.poisson)
-    rest = changed.contact.equilibrium_overlap(modulus, 0.5 * radius)
-    return float(rest) <= _MAX_OVERLAP * 2.0 * radius
 
 
 def limit_in_theory(method: Method, rate: float) -> float:
@@ -197,10 +121,8 @@ def limit_in_theory(method: Method, rate: float) -> float:
     return method.info.stable / rate
 
 
-def _measured(
-    state: State, method: Method, sweep: str, value: float, precision: float, patience: float
-) -> list[Row]:
-    """Return the rows of one method at one state: those of the search, and those around it."""
+def _rows(state: State, method: Method, precision: float, patience: float) -> list[Row]:
+    """Return the rows of one method: those of the search, and those around it."""
     rows: dict[float, Row] = {}
     theory = limit_in_theory(method, state.rate)
 
@@ -222,15 +144,12 @@ def _measured(
             ceiling = min(ceiling, state.length)
         limit = bracket(stable, _FIRST * state.stiff_limit, ceiling, precision)
         more = [f * limit for f in _BEYOND if f * limit <= ceiling]
-    if not sweep:
-        for setting in more:
-            # next to a setting of the search there is nothing new
-            if not any(abs(math.log(setting / tried)) < 0.1 for tried in rows):
-                stable(setting)
+    for setting in more:
+        # next to a setting of the search there is nothing new
+        if not any(abs(math.log(setting / tried)) < 0.1 for tried in rows):
+            stable(setting)
     unstable = state.unstable
     place = {
-        "sweep": sweep,
-        "value": value,
         "state": state.kind,
         "cells": len(state.start),
         "rate": state.rate,
@@ -301,44 +220,8 @@ def _row(state: State, method: Method, setting: float, theory: float, patience: 
     }
 
 
-def _points(
-    scene: Scene, sweeps: Mapping[str, Sequence[float]], threads: int | None, state: str
-) -> Iterator[tuple[str, float, Callable[[], State]]]:
-    """Yield name, value and maker of the state of each point, the scene itself first."""
-    yield "", math.nan, partial(state_of, state, scene, threads)
-    for sweep, values in sweeps.items():
-        if sweep in (OVERLAP, RATIO) and state != "settled":
-            raise SceneError(f"sweeps.{sweep}", f"makes a state of its own, not {state!r}")
-        for value in map(float, values):
-            if not (math.isfinite(value) and value >= 0.0):
-                raise SceneError(f"sweeps.{sweep}", f"is {value!r}, must be a number from 0 on")
-            if sweep == OVERLAP and value >= 1.0:
-                raise SceneError(f"sweeps.{sweep}", f"is {value:g}, must be below 1")
-            if sweep == OVERLAP:
-                make = partial(divided_state, scene, value, threads)
-            elif sweep == RATIO:
-                make = partial(settled_state, scene, threads, value)
-            else:
-                changed = scene.with_changes({sweep: value})
-                check(state, changed)
-                make = partial(state_of, state, changed, threads)
-            yield sweep, value, make
-
-
 def _chosen(methods: Sequence[Any] | None, scene: Scene) -> list[Method]:
     """Return methods for names; by default all that can hold the scene."""
     if methods is None:
         methods = [*capable_methods(scene), *_EXTRA]
     return select_methods(methods, scene, 0.9 * scene.cells.division_radius)
-
-
-def _taking_part(names: Sequence[str] | None, chosen: Sequence[Method]) -> list[Method]:
-    """Return the methods that take part in the sweeps."""
-    if names is None:
-        few = {"rkc2", "cvode"}
-        return [m for m in chosen if m.control == "step" or m.name in few or m.name not in METHODS]
-    known = {method.name: method for method in chosen}
-    for name in names:
-        if name not in known:
-            raise SceneError("sweep_methods", f"{name!r} is not tried", near_miss(name, known))
-    return [known[name] for name in names]

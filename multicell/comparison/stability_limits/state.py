@@ -13,7 +13,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from multicell.cells import HALF, FloatArray, IntArray
+from multicell.cells import FloatArray, IntArray
 from multicell.comparison.stability_limits.decay import largest_decay
 from multicell.comparison.stability_limits.instability import Unstable
 from multicell.errors import SceneError, StepFailed
@@ -163,12 +163,12 @@ class State:
             system = self.system(before, time)
             if self.motion.touching is not None:
                 self.ready(system, before, time, system.contacts(before, position))
-            position = _carried(system, position)
+            position = _advance(system, position)
             self.known.insert(place + 1, (time, position))
         return position
 
 
-def settled_state(scene: Scene, threads: int | None = None, ratio: float = 1.0) -> State:
+def settled_state(scene: Scene, threads: int | None = None) -> State:
     """Return a scene's first cells at rest, pushed a little along the mode that decays fastest.
 
     Parameters
@@ -177,9 +177,6 @@ def settled_state(scene: Scene, threads: int | None = None, ratio: float = 1.0) 
         External forces, prescribed motion and motility are left out, growth stands still.
     threads
         See :class:`multicell.simulation.Simulation`.
-    ratio
-        Factor on the moduli of the innermost cell and its nearest neighbour. A contact is as
-        soft as its softer partner: it takes two stiff cells to make the motion stiff.
 
     Raises
     ------
@@ -189,45 +186,13 @@ def settled_state(scene: Scene, threads: int | None = None, ratio: float = 1.0) 
         If the reference method cannot settle them.
     """
     template, motion, position = first_cells(scene, threads)
-    if ratio != 1.0:
-        young = motion.young.copy()
-        young[innermost(position)[:2]] *= ratio
-        motion = replace(motion, young=young)
     share = (MIN_NOTICED / PUSH) ** 2
     blank = State(scene, template, motion, position, math.nan, math.nan, share)
     rest = rest_positions(blank)
     rate, mode = largest_decay(blank.system(0.0, 1.0), rest, scene.dimensions == 2)
-    overlap = _strained(blank, rest, mode)
+    overlap = _strained_overlap(blank, rest, mode)
     mode *= PUSH * overlap / np.sqrt(np.square(mode).sum(axis=1)).max()
     return replace(blank, start=rest + mode, rate=rate, noticed=MIN_NOTICED * overlap, known=[])
-
-
-def divided_state(scene: Scene, overlap: float, threads: int | None = None) -> State:
-    """Return the settled first cells of a scene just after the innermost one has divided.
-
-    Parameters
-    ----------
-    scene, threads
-        As for :func:`settled_state`.
-    overlap
-        Overlap of the two daughters over the sum of their radii.
-    """
-    template, motion, position = first_cells(scene, threads)
-    rest = rest_positions(State(scene, template, motion, position, math.nan, math.nan, math.nan))
-    inner = int(innermost(rest)[0])
-    source = np.append(np.arange(len(rest)), inner)
-    radius = motion.radius[source]
-    radius[[inner, -1]] *= HALF
-    start = rest[source]
-    # an axis that no row of a packing lies on
-    axis = np.array([0.8, 0.6, 0.0]) if scene.dimensions == 2 else np.array([0.48, 0.64, 0.6])
-    start[inner] += (1.0 - overlap) * radius[inner] * axis
-    start[-1] -= (1.0 - overlap) * radius[inner] * axis
-    motion = select_cells(motion, source, radius)
-    state = State(scene, template, motion, start, math.nan, math.nan, MAX_UNNOTICED)
-    rate, _ = largest_decay(state.system(0.0, 1.0), start, scene.dimensions == 2)
-    state = replace(state, rate=rate, noticed=MAX_UNNOTICED * state.radius, known=[])
-    return replace(state, twins=twins_of(state), known=[])
 
 
 def twins_of(state: State, shift: float | None = None) -> tuple[State, ...]:
@@ -242,7 +207,7 @@ def twins_of(state: State, shift: float | None = None) -> tuple[State, ...]:
     return tuple(replace(state, start=state.start + size * shift, known=[]) for shift in shifts)
 
 
-def _strained(state: State, position: FloatArray, mode: FloatArray) -> float:
+def _strained_overlap(state: State, position: FloatArray, mode: FloatArray) -> float:
     """Return the overlap in µm of the pair in contact that a mode strains most."""
     pairs = state.system(0.0, 1.0).contacts(0.0, position)
     line = position[pairs[:, 1]] - position[pairs[:, 0]]
@@ -282,7 +247,7 @@ def rest_positions(state: State) -> FloatArray:
     velocity = np.empty_like(position)
     time = 0.0
     for _ in range(_DOUBLINGS):
-        position = _carried(state.system(time, time + length), position)
+        position = _advance(state.system(time, time + length), position)
         time += length
         system = state.system(time, time + 1.0)
         system.velocity(time, position, velocity)
@@ -300,7 +265,7 @@ def _bound(state: State, position: FloatArray) -> float:
     return bound
 
 
-def _carried(system: Mechanics, position: FloatArray) -> FloatArray:
+def _advance(system: Mechanics, position: FloatArray) -> FloatArray:
     """Return the positions at the end of a step by the reference method."""
     atol = _ATOL * float(system.motion.radius.mean())
     outcome = Cvode(_RTOL, atol, _MAX_STEPS).integrate(system, position)

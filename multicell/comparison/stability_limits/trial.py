@@ -43,9 +43,8 @@ KINDS: Final = {
 }
 """How a trial ends -> what that means.
 
-Where several apply, blow-up or stall counts first, then damping. After a division cells may take
-another pocket than in the reference: only a higher energy at the end is wrong there. In other
-moving states they may where a small shift of the start has them take another pocket too.
+Where several apply, blow-up or stall counts first, then damping. In moving states cells may take
+another pocket than in the reference where a small shift of the start has them do so too.
 """
 
 DEPARTURE_RADII: Final = 0.05
@@ -258,7 +257,7 @@ def _turns(
 def judge(state: State, trace: Trace) -> Verdict:
     """Say how a trial went, by comparing it with the reference."""
     problem = trace.problem
-    noticed, true_end, rest = _expected(state, trace)
+    noticed, true_end, rest = _true_end(state, trace)
     climb = max(_climb(trace.energy) - state.rise, 0.0) / noticed if trace.late else 0.0
     if trace.out_of_bounds or _THROWN.search(problem):
         found = [(BLOW_UP, problem or "positions or energy left all bounds")]
@@ -289,7 +288,7 @@ def pair_deviation(state: State, position: FloatArray, true: FloatArray, time: f
     return float(error.max()) / state.radius
 
 
-def _expected(state: State, trace: Trace) -> tuple[float, FloatArray, float]:
+def _true_end(state: State, trace: Trace) -> tuple[float, FloatArray, float]:
     """Return the rise of energy that is noticed, fJ, and true positions and energy at the end."""
     true_end = state.at(trace.end)
     rest = state.energy(trace.end, true_end)
@@ -322,7 +321,7 @@ def _wrong(
     alternates, size = _alternation(state, trace)
     if alternates:
         yield f"displacements of {size:.2g} radii alternate"
-    if excess > 1.0 or deviation > _tolerated(state, trace.end):
+    if excess > 1.0 or deviation > _max_deviation(state, trace.end):
         side = "above" if excess > 0.0 else "below"
         yield (
             f"the energy ends {abs(excess):.3g} times what is noticed {side} the reference; "
@@ -332,14 +331,11 @@ def _wrong(
         yield "the energy rose"
 
 
-def _tolerated(state: State, end: float) -> float:
+def _max_deviation(state: State, end: float) -> float:
     """Return the error of pair distances at the end that is not wrong, in mean radii.
 
-    Just after a division a pocket of no higher energy is as good. Elsewhere the true courses of
-    twins tell what a small shift of the start changes.
+    The true courses of twins tell what a small shift of the start changes.
     """
-    if state.settled:
-        return math.inf if state.twins else _MAX_PAIR_ERROR
     true = state.at(end)
     apart = (pair_deviation(state, twin.at(end), true, end) for twin in state.twins)
     return max(_MAX_PAIR_ERROR, _SAFETY * max(apart, default=0.0))

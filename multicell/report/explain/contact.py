@@ -11,7 +11,7 @@ from multicell.contact.exact_jkr import ExactJKR
 from multicell.contact.jkr import JKR
 from multicell.contact.pair import Pair
 from multicell.report.explain.driven import drift, driven_parts
-from multicell.report.explain.items import Number, Part, hours, named, part
+from multicell.report.explain.items import Number, Part, hours, pair_label, part
 from multicell.scene.coupling import longest_step
 from multicell.scene.packing import collapse_notes, strongest_attraction
 from multicell.scene.pairs import daughters_stiffness, drag, pairs
@@ -84,7 +84,7 @@ def contact_notes(scene: Scene) -> Iterator[str]:
     if isinstance(scene.contact, JKR) and all(_surface_energy(pair) == 0.0 for _, pair in own):
         yield "A surface energy of zero makes JKR the same as Hertz."
     elif isinstance(scene.contact, JKR):
-        rest = min(_unsmoothed(pair) for _, pair in own if _surface_energy(pair) > 0.0)
+        rest = min(_jkr_overlap(pair) for _, pair in own if _surface_energy(pair) > 0.0)
         if scene.contact.smoothing > rest:
             yield (
                 f"The smoothing of {scene.contact.smoothing:g} um is longer than the equilibrium "
@@ -168,7 +168,7 @@ def _pair_numbers(scene: Scene, label: str, pair: Pair) -> list[Number]:
         breaking = pair.rest - float(pair.law.breaking_overlap(pair.modulus, pair.radius))
         numbers.append(Number("breaking distance", breaking, "um", f"{whom}, held there"))
     numbers += [*_smoothing(pair), *_friction(scene, area, friction)]
-    return [replace(number, name=named(number.name, label)) for number in numbers]
+    return [replace(number, name=pair_label(number.name, label)) for number in numbers]
 
 
 def _smoothing(pair: Pair) -> list[Number]:
@@ -176,7 +176,7 @@ def _smoothing(pair: Pair) -> list[Number]:
     length = getattr(pair.law, "smoothing", 0.0)
     if length == 0.0 or _surface_energy(pair) == 0.0:
         return []
-    ratio = length / _unsmoothed(pair)
+    ratio = length / _jkr_overlap(pair)
     numbers = [Number("smoothing / equilibrium overlap", ratio, "", "h_s / h0")]
     if ratio <= 1.0:
         lost = 100.0 * 25.0 / 144.0 * ratio**1.75
@@ -200,7 +200,7 @@ def _packing(scene: Scene) -> list[Number]:
     """Return how strongly cells attract each other against collapse; nothing where none does."""
     meaning = "of newborn cells, integrated over space: tissue collapses above 1"
     return [
-        Number(named("attraction / repulsion", label), ratio, "", meaning)
+        Number(pair_label("attraction / repulsion", label), ratio, "", meaning)
         for label, (ratio, _, _) in strongest_attraction(scene).items()
         if 0.0 < ratio < math.inf
     ]
@@ -243,7 +243,7 @@ def _pull(scene: Scene) -> list[Number]:
         return []
     numbers = []
     for label, load in _loads(scene):
-        name = named("critical load", label)
+        name = pair_label("critical load", label)
         numbers.append(Number(name, load, "nN", "that separates two cells"))
         if scene.pull.rate > 0.0 and load > scene.pull.force:
             when = (load - scene.pull.force) / scene.pull.rate
@@ -256,7 +256,7 @@ def _surface_energy(pair: Pair) -> float:
     return float(getattr(pair.law, "surface_energy", 0.0))
 
 
-def _unsmoothed(pair: Pair) -> float:
+def _jkr_overlap(pair: Pair) -> float:
     """Return h₀ of eq. 3.6 in µm."""
     law = JKR(surface_energy=_surface_energy(pair))
     return float(law.equilibrium_overlap(pair.modulus, pair.radius))

@@ -9,13 +9,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import TYPE_CHECKING, Final, final
 
 import numpy as np
 
 from multicell.cells import FloatArray
-from multicell.errors import NutrientFailed, SceneError
+from multicell.errors import NutrientFailed
 from multicell.integrators import runge_kutta
 from multicell.integrators.base import MethodInfo
 from multicell.nutrient.parameters import FieldParameters
@@ -24,17 +23,19 @@ from multicell.report.explain.items import Number, hours
 from multicell.scene import domain as box
 from multicell.scene.coupling import longest_step
 from multicell.scene.pairs import daughters_stiffness, drag
+from multicell.scene.reactions import group_of
 from multicell.scene.scales import MAX_NODES
 from multicell.scene.sizes import birth_radius, typical_radius
 
 if TYPE_CHECKING:
-    from multicell.cells import Cells
     from multicell.scene.scene import Scene
 
 _PROCESS: Final = 190e6  # bytes that Python, its packages and compiled code take
 _FIELD_PACKAGES: Final = 40e6  # and more where there are fields
 _CELL: Final = 850.0  # bytes of a cell: state, lists, vectors, lineage, and gaps between them
 _NODE: Final = 100.0  # bytes of a node of a field on cubes
+_REACTING: Final = 170.0  # and more of one that takes part in reactions: bases of Krylov spaces
+_TOGETHER: Final = 24.0  # and more for each field with which it is solved
 
 _CELL_FRAME: Final = 62.0  # bytes of a cell in a frame on the disk
 _NODE_FRAME: Final = 2.5
@@ -52,7 +53,7 @@ _NODE_STEP: Final = 1.7e-7  # and for each node
 _TRIED: Final = 8e-3  # s of one with a tolerance, whose grid is tried now and then
 _TRIED_SHELLS: Final = 9e-3  # where it can only be shells
 
-_PLACED: Final = 200_000  # cells up to which they are placed to see how large a grid they need
+_NOTED_SHARE: Final = 0.01  # part of the tissue whose death at the start is worth a note
 
 
 @final
@@ -76,7 +77,7 @@ class Prediction:
     file: float
 
 
-def predicted(scene: Scene) -> Prediction:
+def predict(scene: Scene) -> Prediction:
     """Return what a run of a scene with an output folder is expected to take."""
     found = course(scene)
     end = float(found.times[-1])
@@ -132,11 +133,14 @@ def _fields(scene: Scene, found: Course, steps: float, frames: float) -> tuple[f
     most = mean = each = 0.0
     for name, nutrient in scene.nutrients.items():
         nodes = _nodes(scene, name, found.radius)
-        most, mean = most + float(nodes.max()), mean + _mean(found, nodes)
+        size = _NODE
+        if together := len(group_of(name, scene.reactions)):
+            size += _REACTING + _TOGETHER * together
+        most, mean = most + size * float(nodes.max()), mean + _mean(found, nodes)
         tried = _TRIED_SHELLS if nutrient.layout == "radial" else _TRIED
         each += _FIELD if nutrient.tolerance is None else tried
     packages = _FIELD_PACKAGES if scene.nutrients else 0.0
-    return steps * (each + _NODE_STEP * mean), packages + _NODE * most, _NODE_FRAME * frames * mean
+    return steps * (each + _NODE_STEP * mean), packages + most, _NODE_FRAME * frames * mean
 
 
 def _nodes(scene: Scene, name: str, radius: FloatArray) -> FloatArray:
@@ -168,45 +172,8 @@ def _nodes(scene: Scene, name: str, radius: FloatArray) -> FloatArray:
     return np.array(found)
 
 
-def grid_sizes(scene: Scene, name: str) -> tuple[float, float]:
-    """Return the number of nodes of a field at the start of a run and at its expected end.
-
-    The start is that of the scene's own cells where there are up to 200,000 of them.
-    """
-    from multicell.nutrient.field import NutrientField
-
-    nodes = _nodes(scene, name, course(scene).radius)
-    cells = None if scene.domain is not None else placed(scene)
-    if cells is None:
-        return float(nodes[0]), float(nodes[-1])
-    field = NutrientField(name, FieldParameters.of(scene, name))
-    try:
-        layout = field.lay(cells.position, cells.radius)[0]
-    except NutrientFailed:
-        return float(MAX_NODES), float(nodes[-1])
-    first = float(layout.filled(0.0).size)
-    # what neither grows nor dies stays as it starts
-    grows = scene.growth is not None or scene.death is not None
-    return first, float(nodes[-1]) if grows else first
-
-
-@lru_cache(maxsize=1)
-def placed(scene: Scene) -> Cells | None:
-    """Return the cells of a scene's start; None where they cannot be placed, or not at once."""
-    from multicell.biology.initial import initial_cells
-    from multicell.scene.start import separate
-
-    if scene.initial.count > _PLACED:
-        return None
-    try:
-        return separate(scene, initial_cells(scene))
-    except SceneError:  # which the run will report
-        return None
-
-
-def cost_numbers(scene: Scene) -> list[Number]:
-    """Return what is told of it."""
-    expected = predicted(scene)
+def cost_numbers(scene: Scene, expected: Prediction) -> list[Number]:
+    """Return what is reported of it."""
     end, cells = float(expected.course.times[-1]), expected.course.cells
     ends = "at the end" if end >= scene.duration else f"after {hours(end)}, where the run stops"
     most = "" if cells[-1] >= cells.max() else f"; {cells.max():.3g} at most"
@@ -218,3 +185,14 @@ def cost_numbers(scene: Scene) -> list[Number]:
         Number("expected memory", expected.memory / 1e6, "MB", "of the process at its largest"),
         Number("expected file", expected.file / 1e6, "MB", "all frames and the history"),
     ]  # fmt: skip
+
+
+def cost_notes(expected: Prediction) -> list[str]:
+    """Return a remark on tissue that starves as soon as a run starts."""
+    lost = expected.course.starved
+    if not lost > _NOTED_SHARE:
+        return []
+    return [
+        f"About {100.0 * lost:.2g} % of the tissue of the start finds too little to live and would "
+        "die at once."
+    ]

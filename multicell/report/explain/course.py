@@ -56,11 +56,14 @@ class Course:
     cells : (k,)
         Dead ones included until they are removed.
     radius : (k,), µm
+    starved : float
+        Part of the tissue of the start that finds so little that it dies.
     """
 
     times: FloatArray
     cells: FloatArray
     radius: FloatArray
+    starved: float = 0.0
 
 
 def course(scene: Scene) -> Course:
@@ -76,7 +79,7 @@ def course(scene: Scene) -> Course:
         if full or state.cells > _MAX_CELLS:
             break
     k = len(cells)
-    return Course(times[:k], np.array(cells), np.array(radius))
+    return Course(times[:k], np.array(cells), np.array(radius), state.starved)
 
 
 def _times(scene: Scene) -> FloatArray:
@@ -101,6 +104,7 @@ class _Tissue:
         self._living = float(scene.initial.count)
         self._dead: list[tuple[float, float]] = []
         self._now = 0.0
+        self.starved = math.nan  # part of the tissue of the start
         self._factor = np.ones(SHELLS)
         size = typical_radius(scene)
         self._rate = 0.0  # of an unlimited population, 1/s
@@ -110,7 +114,7 @@ class _Tissue:
             size = birth_radius(scene) / math.log(2.0) ** (1.0 / 3.0)
         own = SPHERE * size**3 if scene.dimensions == 3 else math.pi * size**2
         self._volume, self._cell_volume = own / _PACKING, SPHERE * size**3 / _PACKING
-        needed = _needed(scene)
+        needed = _effective_fields(scene)
         self._fields = {
             name: Profile(scene.nutrients[name], self._dimensions, height(scene, name))
             for name in (solving_order(scene.nutrients, scene.reactions) if needed else ())
@@ -148,13 +152,15 @@ class _Tissue:
         shells = np.linspace(self._radius(self._core()), self.radius, SHELLS + 1)
         share = np.diff(shells**self._dimensions)
         share /= share.sum()
-        growth, starved = self._supplied(shells, begin, end)
-        growth *= self._pressed(shells, growth)
+        growth, starved = self._supply(shells, begin, end)
+        growth *= self._pressure_factor(shells, growth)
+        lost = min(float(share[starved].sum()), 1.0)  # rounding may exceed 1
+        self.starved = lost if math.isnan(self.starved) else self.starved
         self._grow(float((share * growth).sum()), dt)
-        self._die(min(float(share[starved].sum()), 1.0), begin, dt)  # rounding may exceed 1
+        self._die(lost, begin, dt)
         self._clear(end)
 
-    def _supplied(
+    def _supply(
         self, shells: FloatArray, begin: float, end: float
     ) -> tuple[FloatArray, NDArray[np.bool_]]:
         """Solve the fields; return the factor on growth in each shell, and where cells starve."""
@@ -186,7 +192,7 @@ class _Tissue:
         """Return the volume of a cell that dies over that at birth."""
         return 1.0 / math.log(2.0) if self._scene.growth is not None else 1.0
 
-    def _pressed(self, shells: FloatArray, growth: FloatArray) -> FloatArray:
+    def _pressure_factor(self, shells: FloatArray, growth: FloatArray) -> FloatArray:
         """Return the factor of pressure on growth in each shell.
 
         Tissue that grows at a rate k moves outwards at v = ∫ k r^(d-1) dr / r^(d-1), and the drag
@@ -234,7 +240,7 @@ def _limits(field: Nutrient) -> bool:
     return any(effect is not None for effect in effects)
 
 
-def _needed(scene: Scene) -> set[str]:
+def _effective_fields(scene: Scene) -> set[str]:
     """Return the fields that have an effect on how many cells there are, directly or over others.
 
     What a field depends on that takes part in reactions is left out, as reactions are.

@@ -19,7 +19,7 @@ def driven_parts(scene: Scene) -> list[Part]:
         for name, law in scene.forces.items()
     ]
     motions = [
-        f"{name}: {_whom(law)} {_moved(law.velocity)}{_when(law)}"
+        f"{name}: {_whom(law)} {_motion_words(law.velocity)}{_when(law)}"
         for name, law in scene.motions.items()
     ]
     return [part("forces", "; ".join(forces)), part("motions", "; ".join(motions))]
@@ -65,6 +65,6 @@ def _when(driver: Driver) -> str:
     return f", from {hours(driver.begin)} to {end}"
 
 
-def _moved(velocity: tuple[float, float, float]) -> str:
+def _motion_words(velocity: tuple[float, float, float]) -> str:
     speed = math.hypot(*velocity)
     return f"moved at {speed:.3g} um/s" if speed else "held where they are"

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 
-def explained(scene: Scene) -> str:
+def explain_choice(scene: Scene) -> str:
     """Return, for a person, what is chosen for the first coupling step of a scene, and why.
 
     The cells are put in place and what they feel is computed; the coupling step is tried as far

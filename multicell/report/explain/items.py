@@ -47,7 +47,7 @@ def part(name: str, what: object) -> Part:
     return Part(name, bool(what), str(what or "") or f"absent: {_ABSENT[name]}")
 
 
-def named(text: str, label: str) -> str:
+def pair_label(text: str, label: str) -> str:
     """Return the name of a number, with the pair of types that it is of."""
     return f"{text}, {label}" if label else text
 

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from multicell.cells import SPHERE
-from multicell.report.explain.cost import grid_sizes
 from multicell.report.explain.items import Number, Part, hours, part
-from multicell.report.explain.reach import reach_notes, reach_numbers
 from multicell.scene import checks, scales
 from multicell.scene import domain as box
 from multicell.scene.coupling import fixed_step, usual_step
@@ -21,10 +19,6 @@ if TYPE_CHECKING:
     from multicell.scene.nutrient import Nutrient
     from multicell.scene.reactions import Reaction
     from multicell.scene.scene import Scene
-
-
-_GRID_ARRAYS: Final = 12  # arrays of the size of the grid that a solve holds at once
-_BASIS: Final = 21  # and more of each of the fields that are solved for together
 
 
 def nutrient_parts(scene: Scene) -> list[Part]:
@@ -81,9 +75,9 @@ def _what(scene: Scene, name: str) -> str:
         regime = f"{scales.regime(scene, name)} ({_regime_reason(scene, name)})"
         parts = [regime, _geometry(scene, nutrient, scales.spacing(scene, name))]
     else:
-        from multicell.report.explain.tolerance import chosen_words
+        from multicell.report.explain.tolerance import choice_words
 
-        parts = chosen_words(scene, name)
+        parts = choice_words(scene, name)
     if nutrient.solver is not None:
         parts.append(_solver_words(scene, name, nutrient))
     parts.append(_medium(nutrient))
@@ -134,7 +128,7 @@ def _regime_reason(scene: Scene, name: str) -> str:
 def _geometry(scene: Scene, nutrient: Nutrient, spacing: float) -> str:
     """Return the words for a field's grid."""
     if scene.domain is not None:
-        return _standing(scene, spacing)
+        return _domain_words(scene, spacing)
     if scene.dimensions == 2:
         return f"squares of {spacing:g} um that follow the cells, since the scene is flat"
     if nutrient.layout == "radial":
@@ -150,7 +144,7 @@ def _geometry(scene: Scene, nutrient: Nutrient, spacing: float) -> str:
     return f"a grid of cubes of {spacing:g} um that follows the cells"
 
 
-def _standing(scene: Scene, spacing: float) -> str:
+def _domain_words(scene: Scene, spacing: float) -> str:
     """Return the words for the grid of a field on a fixed domain."""
     assert scene.domain is not None
     lengths = box.sides(scene.domain)
@@ -210,7 +204,8 @@ def _numbers(scene: Scene, name: str) -> list[Number]:
     if not (math.isfinite(found.depth) and found.depth > 0.0):
         return numbers
     critical = math.sqrt(3.0) * found.depth
-    numbers += [
+    return [
+        *numbers,
         Number(
             f"{name}: largest uptake", found.demand, "mM/s",
             "of tissue without gaps" if scene.dimensions == 3 else
@@ -223,15 +218,6 @@ def _numbers(scene: Scene, name: str) -> list[Number]:
             "uptake over diffusion at the largest size; above 6 a ball starves inside",
         ),
     ]  # fmt: skip
-    numbers += reach_numbers(scene, name)
-    if nutrient.tolerance is None and (nutrient.layout == "box" or scene.dimensions == 2):
-        reacting = len(group_of(name, scene.reactions))
-        arrays = _GRID_ARRAYS + (_BASIS + 3 * reacting if reacting else 0)
-        first, last = grid_sizes(scene, name)
-        memory = 8e-6 * arrays * max(first, last)
-        meaning = f"for {first:,.0f} nodes at the start, about {last:,.0f} at the expected end"
-        numbers.append(Number(f"{name}: grid memory", memory, "MB", meaning))
-    return numbers
 
 
 def _step_words(scene: Scene) -> str:
@@ -244,7 +230,7 @@ def _step_words(scene: Scene) -> str:
 
 def nutrient_notes(scene: Scene) -> list[str]:
     """Return remarks on settings of fields that are allowed but may not be meant."""
-    notes = reach_notes(scene)
+    notes = []
     for name, nutrient in scene.nutrients.items():
         if nutrient.quiescence is not None and nutrient.highest < nutrient.quiescence:
             notes.append(f"The medium has too little {name} for growth: all cells are quiescent.")

@@ -13,7 +13,7 @@ from multicell.errors import MulticellError
 from multicell.integrators.base import MethodInfo
 from multicell.integrators.registry import METHODS
 from multicell.report.explain.contact import contact_notes, contact_numbers, contact_parts
-from multicell.report.explain.cost import cost_numbers
+from multicell.report.explain.cost import cost_notes, cost_numbers, predict
 from multicell.report.explain.items import Number, Part, hours, part
 from multicell.report.explain.nutrient import nutrient_notes, nutrient_numbers, nutrient_parts
 from multicell.scene.coupling import fixed_step, longest_step, shortest_step, tolerance
@@ -43,13 +43,14 @@ def explain(scene: Scene, *, first_step: bool = False) -> dict[str, Any]:
         ``name``, ``value``, ``unit``, ``meaning``; ``notes``: list of remarks on settings that
         do not fit together. Only plain values, so that it can be written as JSON.
     """
-    numbers = [*_run(scene), *contact_numbers(scene), *_growth(scene), *cost_numbers(scene)]
-    numbers += nutrient_numbers(scene)
+    expected = predict(scene)
+    numbers = [*_run(scene), *contact_numbers(scene), *_growth(scene)]
+    numbers += [*cost_numbers(scene, expected), *nutrient_numbers(scene)]
     return {
         "title": scene.title,
         "parts": [asdict(part) for part in _parts(scene, first_step)],
         "numbers": [asdict(number) for number in numbers],
-        "notes": _notes(scene),
+        "notes": [*_notes(scene), *cost_notes(expected), *nutrient_notes(scene)],
     }
 
 
@@ -180,10 +181,10 @@ def _integrator_words(scene: Scene, first_step: bool) -> str:
         return words
     if scene.initial.count > _MAX_TRIED:
         return f"{words}; not tried here with so many cells"
-    from multicell.report.explain.integrator import explained
+    from multicell.report.explain.integrator import explain_choice
 
     try:
-        return f"{words}; {explained(scene)}"
+        return f"{words}; {explain_choice(scene)}"
     except MulticellError as error:
         return f"{words}; the first coupling step cannot be taken: {error}"
 
@@ -263,5 +264,4 @@ def _notes(scene: Scene) -> list[str]:
             f"The step of {inner:g} s of {method.name} is near or above its limit of stability "
             f"(about {limit:.2g} s in tissue). Take a smaller integrator.step or cvode."
         )
-    notes += nutrient_notes(scene)
     return notes

@@ -47,7 +47,7 @@ def _nodes(scene: Scene) -> float:
 
 
 @lru_cache(maxsize=1)
-def _started(scene: Scene) -> Grids:
+def _start_grids(scene: Scene) -> Grids:
     """Return the choices at the start of a scene: its fields are solved for as in a run."""
     feeding, cells = Feeding(scene), separate(scene, initial_cells(scene))
     box.check_start(scene, cells)
@@ -55,7 +55,7 @@ def _started(scene: Scene) -> Grids:
     return feeding.grids
 
 
-def chosen_words(scene: Scene, name: str) -> list[str]:
+def choice_words(scene: Scene, name: str) -> list[str]:
     """Return what a field is solved as and on, why, and what other grids would take.
 
     Where that takes long, or no grid reaches the tolerance, they say so.
@@ -65,7 +65,7 @@ def chosen_words(scene: Scene, name: str) -> list[str]:
         words = f"regime and grid chosen by the tolerance of {tolerance:g} mM at the start of a run"
         return [f"{words}: to try that for cells and margin of this size takes longer than a look"]
     try:
-        grids = _started(scene)
+        grids = _start_grids(scene)
     except (SceneError, NutrientFailed) as trouble:
         return [f"regime and grid by the tolerance of {tolerance:g} mM cannot be chosen: {trouble}"]
     chooser, choice = grids.choosers[name], grids.choices[name]

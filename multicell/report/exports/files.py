@@ -28,9 +28,10 @@ class Format:
 
     Attributes
     ----------
-    module
-        Of this room; its function ``write(run, frames, folder, tables)`` writes into a folder
-        and returns the names; ``frames()`` gives the chosen frames with their numbers.
+    function
+        ``module.name`` in this room: called as ``write(run, frames, folder, tables)`` it writes
+        into a folder and returns the names; ``frames()`` gives the chosen frames with their
+        numbers.
     files
         Names of the files that are written in any case, ``{table}`` stands for each table.
     packages
@@ -39,7 +40,7 @@ class Format:
         Whether the format has one file for each table, out of which a user may choose.
     """
 
-    module: str
+    function: str
     files: Sequence[str]
     packages: Sequence[str] = ()
     tables: bool = False
@@ -59,16 +60,17 @@ class Format:
             If a package is not installed.
         """
         needs(*self.packages)
-        loaded = import_module(f"multicell.report.exports.{self.module}")
-        return loaded.write  # type: ignore[no-any-return]
+        module, _, name = self.function.partition(".")
+        loaded = import_module(f"multicell.report.exports.{module}")
+        return getattr(loaded, name)  # type: ignore[no-any-return]
 
 
 FORMATS: Final = {
-    "csv": Format("csv_files", ["{table}.csv"], tables=True),
-    "parquet": Format("parquet", ["{table}.parquet"], ["pyarrow"], tables=True),
-    "vtk": Format("vtk", ["run.pvd"], ["pyvista"]),
-    "anndata": Format("annotated", ["cells.h5ad"], ["anndata"]),
-    "netcdf": Format("netcdf", ["history.nc"], ["xarray", "h5netcdf"]),
+    "csv": Format("table_files.write_csv", ["{table}.csv"], tables=True),
+    "parquet": Format("table_files.write_parquet", ["{table}.parquet"], ["pyarrow"], tables=True),
+    "vtk": Format("vtk.write", ["run.pvd"], ["pyvista"]),
+    "anndata": Format("annotated.write", ["cells.h5ad"], ["anndata"]),
+    "netcdf": Format("netcdf.write", ["history.nc"], ["xarray", "h5netcdf"]),
 }
 """Formats by name."""
 

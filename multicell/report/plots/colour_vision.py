@@ -72,7 +72,7 @@ def distance(first: str, second: str) -> float:
     )
 
 
-def told_apart(wanted: Mapping[str, str]) -> dict[str, str]:
+def distinguishable_colours(wanted: Mapping[str, str]) -> dict[str, str]:
     """Return a colour for each name: its own, or a spare one where that is like another's.
 
     Parameters

@@ -11,10 +11,11 @@ import numpy as np
 from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 
-from multicell.cells import Cells, FloatArray, IntArray, Phase, State
+from multicell.cells import Cells, FloatArray, IntArray, State
 from multicell.errors import OutputError
 from multicell.report.plots.style import COLOURS, type_colours
 from multicell.results.quantities import unit_of
+from multicell.results.tables import NAMED
 from multicell.schema import near_miss
 
 if TYPE_CHECKING:
@@ -97,13 +98,12 @@ def colouring(
     if name is None:
         name = "type" if len(scene.types) > 1 else "state"
     if name == "state":
-        words = [state.name.lower() for state in State]
-        return _by_group("state", frame.cells.state, {word: COLOURS[word] for word in words})
+        colours = {word: COLOURS[word] for word in NAMED["state"]}
+        return _by_group("state", frame.cells.state, colours)
     if name == "type":
         return _by_type(frame.cells, list(scene.types) or ["cells"])
     if name == "phase":
-        words = [phase.name for phase in Phase]
-        return _by_group("phase", frame.cells.phase, type_colours(words))
+        return _by_group("phase", frame.cells.phase, type_colours(NAMED["phase"]))
     if name == "clone":
         return _by_clone(frame.cells, lineage)
     known = colourings(frame)
@@ -136,13 +136,20 @@ def _by_clone(cells: Cells, lineage: Mapping[str, NDArray[Any]]) -> Colouring:
         raise OutputError("the run has no lineage, by which clones are told apart")
     founders, group = np.unique(founder(cells.id, lineage), return_inverse=True)
     count = len(founders)
-    # neighbours in number are sisters: colours far apart tell them from each other
-    turns = 0.05 + 0.9 * (np.arange(count) * 0.618034 % 1.0)
-    rgb = mpl.colormaps["turbo"](turns)[:, :3]
+    rgb = clone_colours(count)
     names = [f"from cell {number}" for number in founders] if count <= _MAX_NAMED_CLONES else []
     palette = dict(zip(names, map(mpl.colors.to_hex, rgb), strict=False))
     title = "clone" if palette else f"{count:,} clones"
     return Colouring(title, rgb[group], group.astype(np.int64), palette)
+
+
+def clone_colours(count: int) -> FloatArray:
+    """Return colours of clones, (count, 3).
+
+    Neighbours in number are sisters: colours far apart tell them from each other.
+    """
+    turns = 0.05 + 0.9 * (np.arange(count) * 0.618034 % 1.0)
+    return np.asarray(mpl.colormaps["turbo"](turns)[:, :3])
 
 
 def founder(ids: IntArray, lineage: Mapping[str, NDArray[Any]]) -> IntArray:

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, final
 
 from matplotlib.transforms import Bbox
 
-from multicell.report.plots.marks import Mark, marks
 from multicell.report.plots.style import DPI, SUBTITLE, TITLE
 
 if TYPE_CHECKING:
@@ -29,8 +27,6 @@ class InlinePicture:
     ----------
     png
         The picture in base64.
-    marks
-        Its places that have a name.
     wide, high
         Pixels.
     subtitle
@@ -38,7 +34,6 @@ class InlinePicture:
     """
 
     png: str
-    marks: Sequence[Mark]
     wide: int
     high: int
     subtitle: str
@@ -52,13 +47,8 @@ def inline_picture(figure: Figure) -> InlinePicture:
         text.set_visible(False)
     shown_height = high - _TITLE_HEIGHT if titles else high
     png, size = _png(figure, Bbox([[0.0, 0.0], [wide, shown_height]]))
-    share = high / shown_height
-    places = [
-        mark._replace(y=1.0 - (1.0 - mark.y) * share, high=mark.high * share)
-        for mark in marks(figure)
-    ]
     subtitles = [text.get_text() for text in figure.texts if text.get_gid() == SUBTITLE]
-    return InlinePicture(png, places, *size, subtitle="".join(subtitles))
+    return InlinePicture(png, *size, subtitle="".join(subtitles))
 
 
 def _png(figure: Figure, shown: Bbox) -> tuple[str, tuple[int, int]]:

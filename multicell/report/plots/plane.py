@@ -85,11 +85,11 @@ def turn_frame(frame: Frame, plane: Plane) -> Frame:
     order = list(_ORDERS[plane.axis])
     cells = frame.cells.shared()
     cells.position = np.ascontiguousarray(frame.cells.position[:, order])
-    fields = {name: _turned_field(field, order) for name, field in frame.fields.items()}
+    fields = {name: _turn_field(field, order) for name, field in frame.fields.items()}
     return replace(frame, cells=cells, fields=fields)
 
 
-def _turned_field(field: Field, order: list[int]) -> Field:
+def _turn_field(field: Field, order: list[int]) -> Field:
     values = field.values if field.kind == "radial" else field.values.transpose(order)
     return replace(field, origin=field.origin[order], values=values)
 

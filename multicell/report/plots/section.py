@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
 
-import matplotlib as mpl
 import numpy as np
+from matplotlib.cm import ScalarMappable
 from matplotlib.collections import EllipseCollection
 from matplotlib.colors import Colormap, LinearSegmentedColormap, Normalize, to_rgb
 from matplotlib.figure import Figure
@@ -184,51 +184,11 @@ def scale_legend(figure: Figure, shade: Colouring) -> None:
     assert shade.range is not None
     assert shade.values is not None
     low, high = shade.range
-    shades = mpl.cm.ScalarMappable(Normalize(low, high), SCALE)
+    shades = ScalarMappable(Normalize(low, high), SCALE)
     below, above = bool((shade.values < low).any()), bool((shade.values > high).any())
     beyond = {(False, False): "neither", (True, False): "min", (False, True): "max"}
-    bar = figure.colorbar(
-        shades,
-        cax=figure.add_axes((0.73, 0.28, 0.018, 0.5)),
-        extend=beyond.get((below, above), "both"),
-    )
-    bar.outline.set_visible(False)
-    bar.ax.grid(False)
-    figure.text(0.725, 0.815, shade.title[0].upper() + shade.title[1:], **HEADING)
-
-
-class Cut(NamedTuple):
-    """The cells that the plane z = centre cuts.
-
-    Attributes
-    ----------
-    middle : (3,) µm
-        Centre of the population.
-    position : (k, 2) µm
-    radius : (k,) µm
-        Of the circles that the plane cuts out of the cells.
-    group : (k,) int
-        Place of each cell's group in the palette.
-    palette
-        Name of each group (state or type) and its colour.
-    """
-
-    middle: FloatArray
-    position: FloatArray
-    radius: FloatArray
-    group: IntArray
-    palette: dict[str, str]
-
-
-def cut(frame: Frame, scene: Scene) -> Cut:
-    """Return the cells of a section; see :func:`section` for plane and groups."""
-    middle, place, level = _set_up(frame, scene, None)
-    square = frame.cells.radius**2 - (place[:, 2] - level) ** 2
-    inside = square > 0.0
-    shade = colouring(frame, scene, None, {})
-    assert shade.group is not None
-    palette = dict(shade.palette or {})
-    return Cut(middle, place[inside, :2], np.sqrt(square[inside]), shade.group[inside], palette)
+    title = shade.title[0].upper() + shade.title[1:]
+    _draw_bar(figure, shades, title, 0.5, extend=beyond.get((below, above), "both"))
 
 
 def _in_plane(position: FloatArray, middle: FloatArray) -> FloatArray:
@@ -367,7 +327,7 @@ def _draw_behind(
     handles = [Line2D([], [], ls=STYLE, label=LABEL, **line)] if dead else []
     if field is not None and nutrient is not None and _is_there(field, nutrient):
         shades, resting = draw_field(axes, field, z, nutrient, nutrient.boundary, 0.0, _WATER)
-        bar = _name_shades(figure, shades, f"{field.name.capitalize()} ({field.unit})")
+        bar = _draw_bar(figure, shades, f"{field.name.capitalize()} ({field.unit})", 0.27)
         if resting is not None:
             bar.ax.axhline(resting, **line)
             label = f"below {resting:.3g}: cells rest"
@@ -380,12 +340,15 @@ def _is_there(field: Field, nutrient: Nutrient) -> bool:
     return max(float(field.values.max()), nutrient.boundary) > _MIN_LEVEL * nutrient.highest
 
 
-def _name_shades(figure: Figure, shades: AxesImage, title: str) -> Colorbar:
-    """Explain the shades of a field beside a section."""
-    bar = figure.colorbar(shades, cax=figure.add_axes((0.73, 0.28, 0.018, 0.27)))
+def _draw_bar(
+    figure: Figure, shades: ScalarMappable, title: str, high: float, **options: Any
+) -> Colorbar:
+    """Explain shades by a bar beside a section, so high in parts of the figure."""
+    place = figure.add_axes((0.73, 0.28, 0.018, high))
+    bar = figure.colorbar(shades, cax=place, **options)
     bar.outline.set_visible(False)
     bar.ax.grid(False)
-    figure.text(0.725, 0.585, title, **HEADING)
+    figure.text(0.725, 0.28 + high + 0.035, title, **HEADING)
     return bar
 
 

@@ -21,14 +21,21 @@ from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 
 from multicell import random
-from multicell.cells import FloatArray, IntArray, Phase, State
+from multicell.cells import FloatArray, IntArray
 from multicell.random import Purpose
-from multicell.report.plots.colouring import SCALE, founder, limits_of, written
+from multicell.report.plots.colouring import (
+    SCALE,
+    clone_colours,
+    founder,
+    limits_of,
+    written,
+)
 from multicell.report.plots.style import COLOURS, type_colours
 from multicell.report.wording import cell_count, time_unit
 from multicell.results.frame import Frame
 from multicell.results.observables import centre
 from multicell.results.quantities import known_unit, title_of, unit_of
+from multicell.results.tables import NAMED
 
 if TYPE_CHECKING:
     from multicell.report.result import Result
@@ -147,7 +154,7 @@ def _frame_numbers(result: Result) -> list[int]:
 
 def _thin(frame: Frame, most: int) -> Frame:
     """Return a frame with at most so many cells, in the order of their identities, no fields."""
-    rows = _rows_shown(frame.cells.id, most)
+    rows = _visible_rows(frame.cells.id, most)
     values = {name: column[rows] for name, column in frame.concentrations.items()}
     return Frame(frame.time, frame.step, frame.cells.take(rows), values)
 
@@ -173,15 +180,15 @@ def _columns(result: Result, frames: Sequence[Frame]) -> list[Column]:
             for k, axis in enumerate("xyz")
         ),
         Column("radius", "radius", "µm", "u1", lambda f: f.cells.radius),
-        Column("state", "state", "", "u1", lambda f: f.cells.state,
-               [s.name.lower() for s in sorted(State)]),
+        Column("state", "state", "", "u1", lambda f: f.cells.state, NAMED["state"]),
     ]  # fmt: skip
     if len(scene.types) > 1:
         columns.append(Column("type", "type", "", "u1", lambda f: f.cells.kind, list(scene.types)))
     if scene.growth is not None:
         if scene.growth.phases:
-            names = [phase.name for phase in sorted(Phase)]
-            columns.append(Column("phase", "phase", "", "u1", lambda f: f.cells.phase, names))
+            columns.append(
+                Column("phase", "phase", "", "u1", lambda f: f.cells.phase, NAMED["phase"])
+            )
         columns.append(_quantity("age", "h", lambda f: f.cells.age / 3600.0))
         clones = _clone_numbers(frames, lineage)
         if clones is not None:
@@ -277,7 +284,7 @@ def _body(
     return b"".join(parts), contents
 
 
-def _rows_shown(ids: IntArray, most: int) -> IntArray:
+def _visible_rows(ids: IntArray, most: int) -> IntArray:
     """Return the rows of the cells to show in the order of their identities."""
     rows = np.argsort(ids, kind="stable")
     if len(rows) <= most:
@@ -329,8 +336,7 @@ def _palette(column: Column) -> list[list[float]]:
     if column.name == "state":
         colours = [COLOURS[word] for word in column.words]
     elif column.name == "clone":
-        turns = 0.05 + 0.9 * (np.arange(len(column.words)) * 0.618034 % 1.0)
-        return [[round(float(c), 3) for c in rgb[:3]] for rgb in mpl.colormaps["turbo"](turns)]
+        return [[round(float(c), 3) for c in rgb] for rgb in clone_colours(len(column.words))]
     else:
         colours = list(type_colours(column.words).values())
     return [[round(c, 3) for c in to_rgb(colour)] for colour in colours]
@@ -365,7 +371,7 @@ def _curves(result: Result, frames: Sequence[Frame]) -> tuple[dict[str, Any], li
     for name in _CURVES:
         values = history.get(name)
         if values is not None and np.isfinite(values).any():
-            shown = [_rounded(float(v)) for v in values[rows]]
+            shown = [_round(float(v)) for v in values[rows]]
             label, unit = title_of(name).capitalize(), written(known_unit(name))
             curves.append({"name": name, "label": label, "unit": unit, "values": shown})
     end = float(time[-1])
@@ -376,7 +382,7 @@ def _curves(result: Result, frames: Sequence[Frame]) -> tuple[dict[str, Any], li
     return about, points
 
 
-def _rounded(value: float) -> float | None:
+def _round(value: float) -> float | None:
     """Return a value of a curve to six digits, a count as it is, and None for no number."""
     if not math.isfinite(value):
         return None
