@@ -3,6 +3,7 @@
 ``pytest -m harness tests/test_interrupts.py --interrupts 200`` tries as many as asked.
 """
 
+import contextlib
 import json
 import os
 import random
@@ -15,6 +16,7 @@ import traceback
 
 import numpy as np
 import pytest
+from forks import Patience
 from signals import listening
 
 import multicell as mc
@@ -237,13 +239,14 @@ def _interrupted(command, environment, moments, cwd):
         time.sleep(moment)
         if process.poll() is None:
             process.send_signal(signal.SIGINT)
-    try:
-        output, errors = process.communicate(timeout=180)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        output, errors = process.communicate()
-        return "hung", output, errors
-    return process.returncode, output, errors
+    patience = Patience(process.pid, 180.0, time.monotonic())
+    while not patience.ended(time.monotonic()):
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            output, errors = process.communicate(timeout=5)
+            return process.returncode, output, errors
+    process.send_signal(signal.SIGABRT)  # with PYTHONFAULTHANDLER it says where it is
+    output, errors = process.communicate()
+    return "hung", output, errors
 
 
 @pytest.mark.harness

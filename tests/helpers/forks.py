@@ -16,10 +16,37 @@ import tempfile
 import time
 from pathlib import Path
 
+import psutil
+
 import multicell
 
 SERVER = "import sys, forks; sys.exit(forks.serve())"
 WARM = {"duration": "20 min", "initial.count": 30}
+
+
+class Patience:
+    """How long to wait for a process: on a busy machine one that computes is slow and not hung."""
+
+    def __init__(self, pid, limit, begin):
+        self._process, self._limit, self._look = psutil.Process(pid), limit, begin + limit
+        self._spent = -1.0
+
+    def ended(self, now):
+        """Return whether it had its time, s, of the processor or has stopped to use it."""
+        if now < self._look:
+            return False
+        spent, self._look = processor_time(self._process), now + 20.0
+        before, self._spent = self._spent, spent
+        return spent > self._limit or spent < before + 0.1
+
+
+def processor_time(process):
+    """Return what a process and those that it has started have used, s."""
+    found = 0.0
+    for one in [process, *process.children(recursive=True)]:
+        with contextlib.suppress(psutil.NoSuchProcess):
+            found += sum(one.cpu_times()[:4])
+    return found
 
 
 class Forks:
@@ -124,7 +151,7 @@ def _work(task):
 
 def _watch(child, task, begin):
     """Wait for a child, or kill it where the task says so; return its exit code."""
-    limit = begin + task.get("limit", 120.0)
+    patience = Patience(child, task.get("limit", 120.0), begin)
     kill_at = begin + task["kill_after"] if "kill_after" in task else None
     appears = task.get("kill_when")
     while True:
@@ -134,11 +161,12 @@ def _watch(child, task, begin):
         now = time.monotonic()
         if appears is not None and kill_at is None and os.path.lexists(appears):
             kill_at = now + task.get("delay", 0.0)
-        if now > limit or (kill_at is not None and now > kill_at):
-            if now > limit:  # it says where it stands
+        hung = patience.ended(now)
+        if hung or (kill_at is not None and now > kill_at):
+            if hung:  # it says where it stands
                 os.kill(child, signal.SIGABRT)
                 time.sleep(1.0)
             os.kill(child, signal.SIGKILL)
             os.waitpid(child, 0)
-            return "hung" if now > limit else -int(signal.SIGKILL)
+            return "hung" if hung else -int(signal.SIGKILL)
         time.sleep(0.0005 if appears is not None and kill_at is None else 0.001)
