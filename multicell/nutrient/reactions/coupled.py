@@ -117,14 +117,6 @@ class Coupled:
         faces = np.array([brought(op).ravel() for op in self.operators])
         return faces + self.supplies
 
-    def local_slopes(self, c: FloatArray) -> FloatArray:
-        """Return the derivative of all that is local with opposite sign, (m, m, nodes) 1/s."""
-        _, blocks = self.kinetics.evaluate(c, self.tissue)
-        np.negative(blocks, out=blocks)
-        for i in range(self.m):
-            _, slope = uptake_and_slope(self.sinks[i], c[i], self.half[i])
-            blocks[i, i] += slope + self.linear[i]
-        return blocks
 
     def rates(self, c: FloatArray) -> FloatArray:
         """Return ∂c/∂t, (m, nodes) mM/s."""
