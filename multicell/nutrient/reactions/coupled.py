@@ -117,7 +117,6 @@ class Coupled:
         faces = np.array([brought(op).ravel() for op in self.operators])
         return faces + self.supplies
 
-
     def rates(self, c: FloatArray) -> FloatArray:
         """Return ∂c/∂t, (m, nodes) mM/s."""
         return self._balance(c, self.sources())[0]
