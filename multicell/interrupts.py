@@ -141,7 +141,8 @@ _pressed: list[int] = []
 def watch_command() -> None:
     """Note every Ctrl-C of a command, and raise it again where Python can only print it.
 
-    Python prints an exception that comes while it deletes an object, and continues.
+    Python prints an exception that comes while it deletes an object, and continues. So does the
+    compiled code of others where it calls Python: SciPy's Sobol' sequences read a file so.
     """
     if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         return
@@ -158,8 +159,12 @@ def watch_command() -> None:
         else:
             sys.__unraisablehook__(found)
 
+    def uncaught(kind: type[BaseException], error: BaseException, trace: Any) -> None:
+        if not issubclass(kind, KeyboardInterrupt):  # that is raised again, and told in one word
+            sys.__excepthook__(kind, error, trace)
+
     signal.signal(signal.SIGINT, press)
-    sys.unraisablehook = unraisable
+    sys.unraisablehook, sys.excepthook = unraisable, uncaught
 
 
 def end_command() -> None:

@@ -228,6 +228,37 @@ def _prepare(name, folder):
                    "--vary", "growth.cycle_time=18,24,30 h")  # fmt: skip
 
 
+SWALLOWED = """
+import os, signal, time
+from multicell import interrupts
+interrupts.watch_command()
+import numpy as np
+from scipy.stats import qmc
+real = np.load
+def load(*arguments, **options):
+    os.kill(os.getpid(), signal.SIGINT)
+    time.sleep(0.1)
+    return real(*arguments, **options)
+np.load = load
+try:
+    qmc.Sobol(2)
+    time.sleep(5.0)
+    print("swallowed")
+except KeyboardInterrupt:
+    print("raised", interrupts.interrupted())
+"""
+
+
+def test_compiled_code_of_others_that_swallows_an_interrupt_neither_prints_nor_keeps_it():
+    """SciPy's reads the numbers of Sobol' sequences once, and prints what is raised in that."""
+    done = subprocess.run(
+        [sys.executable, "-c", SWALLOWED], capture_output=True, text=True, timeout=60,
+        preexec_fn=listening,
+    )  # fmt: skip
+    assert done.stdout == "raised True\n"
+    assert done.stderr == ""
+
+
 def _interrupted(command, environment, moments, cwd):
     """Return exit code and output of a process with a Ctrl-C at each moment, s after the last."""
     process = subprocess.Popen(

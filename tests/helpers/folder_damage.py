@@ -122,9 +122,11 @@ def study(place):
     made.expected(2)
     states = [state.state for state in made.status()]
     table = made.to_xarray()
+    # where no run is done there is nothing to tabulate
+    diameter = table["diameter"].values if "diameter" in table else np.full(len(states), np.nan)
     return {
         "states": states,
-        "diameter": np.asarray(table["diameter"].values).reshape(len(states), -1).tolist(),
+        "diameter": np.asarray(diameter).reshape(len(states), -1).tolist(),
         "points": [dict(point.coordinates) for point in made.plan.points],
     }
 
