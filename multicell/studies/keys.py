@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, is_dataclass, replace
 from typing import TYPE_CHECKING, Any, Final, final
 
@@ -107,11 +107,20 @@ def key_of(scene: Scene, name: str) -> Key:
         raise SceneError(name, f"cannot be varied: it {_NO_AXES[name]}")
     absent: list[str] = []
     known = {key.name: key for key in _keys_of(scene, scene, "", absent)}
-    top = specs(scene).get(name)
-    full = f"{name}.{top.shorthand}" if top is not None and top.shorthand else name
+    full = _spelled_out(scene, name)
     if full not in known:
         raise _refusal(name, list(known), absent)
     return known[full]
+
+
+def _spelled_out(part: Any, name: str) -> str:
+    """Return a key, in place of the name of a table the one that a bare text there stands for."""
+    first, _, rest = name.partition(".")
+    spec = specs(part).get(first) if is_dataclass(part) else None
+    value = part.get(first) if isinstance(part, Mapping) else getattr(part, first, None)
+    if rest:
+        return f"{first}.{_spelled_out(value, rest)}"
+    return f"{name}.{spec.shorthand}" if spec is not None and spec.shorthand else name
 
 
 def all_keys(scene: Scene) -> list[str]:

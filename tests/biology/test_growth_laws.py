@@ -213,13 +213,6 @@ def test_a_law_that_never_comes_to_division_is_refused(entries, path, words):
     assert words in caught.value.problem
 
 
-def test_a_study_does_not_vary_a_target_that_nothing_goes_to():
-    from multicell.studies.ineffective import no_effect
-
-    assert "law" in no_effect(scene_of("linear"), "growth.target")
-    assert no_effect(scene_of("logistic"), "growth.target") == ""
-
-
 def test_volumes_stay_those_of_spheres():
     scene = scene_of("logistic", 3)
     result = mc.run(scene.with_changes({"duration": "1 h"}))

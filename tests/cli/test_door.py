@@ -241,8 +241,8 @@ def test_what_never_ends_is_no_scene(command, tmp_path):
     output = ["-o", tmp_path / "o"] if command == "run" else []
     begin = time.monotonic()
     for source, words in (
-        ("/dev/zero", "a device"),
-        ("/dev/null", "a device"),
+        ("/dev/zero", "no regular file"),
+        ("/dev/null", "no regular file"),
         ("/dev/stdin", "scene"),
         (tmp_path / "pipe", "no regular file"),
         (tmp_path / "huge.toml", "larger than 10 MB"),

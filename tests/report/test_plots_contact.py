@@ -294,8 +294,8 @@ def test_report_of_the_mixture_has_the_fraction_first_and_last(mixture):
     text = " ".join(read(mixture.folder / "report.html").text)
     fraction = 100.0 * mixture.history["heterotypic_fraction"]
     assert f"{fraction[0]:.1f} % → {fraction[-1]:.1f} %" in text
-    assert "types.cohesive" in text
-    assert "cohesive 0.2, loose 0.1" in text
+    assert "[types.cohesive.surface_energy]" in text
+    assert "cohesive = 0.2" in text
     assert (mixture.folder / "contacts.png").is_file()
     summary = json.loads((mixture.folder / "summary.json").read_text())
     assert summary["heterotypic_fraction"] == mixture.history["heterotypic_fraction"][-1]

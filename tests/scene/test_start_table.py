@@ -430,11 +430,6 @@ def test_a_study_keeps_the_table_and_varies_it(tmp_path):
         mc.load_study(folder).plan.scene, vary={"initial.cells": files}, output=tmp_path / "varied"
     )
     assert [run.scene.initial.count for run in varied.runs] == [4, 2]
-    with pytest.raises(SceneError, match="the table gives the radius of each cell"):
-        mc.study(
-            with_cells(scene, {"x_um": [0], "y_um": [0], "z_um": [0], "radius_um": [4]}),
-            vary={"initial.stage": ["birth", "uniform"]}, output=tmp_path / "needless",
-        )  # fmt: skip
 
 
 def test_schema_and_the_printed_scene_know_the_table(tmp_path):

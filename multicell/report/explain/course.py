@@ -57,7 +57,7 @@ class Course:
         Dead ones included until they are removed.
     radius : (k,), µm
     starved : float
-        Part of the tissue of the start that finds so little that it dies.
+        Part of the tissue of the start that finds so little that it dies at once.
     """
 
     times: FloatArray
@@ -155,7 +155,9 @@ class _Tissue:
         growth, starved = self._supply(shells, begin, end)
         growth *= self._pressure_factor(shells, growth)
         lost = min(float(share[starved].sum()), 1.0)  # rounding may exceed 1
-        self.starved = lost if math.isnan(self.starved) else self.starved
+        if math.isnan(self.starved):  # cells that die at a rate do not at once
+            at_a_rate = self._plan.death is not None and self._plan.death.necrosis_rate is not None
+            self.starved = 0.0 if at_a_rate else lost
         self._grow(float((share * growth).sum()), dt)
         self._die(lost, begin, dt)
         self._clear(end)
