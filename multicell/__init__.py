@@ -19,7 +19,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from multicell.errors import MulticellError, OutputError, SceneError, StepFailed
-from multicell.surroundings import ignore_settings_of_working_folder
+from multicell.host.surroundings import ignore_settings_of_working_folder
 
 ignore_settings_of_working_folder()
 

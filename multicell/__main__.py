@@ -6,7 +6,7 @@ import gc
 import os
 import sys
 
-from multicell.interrupts import end_command, watch_command
+from multicell.host.interrupts import end_command, watch_command
 
 _RARELY = 100_000
 """New objects after which the command's process looks for cyclic garbage. Python's own 700 suit

@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
+from multicell.compiling.threads import thread_count
 from multicell.errors import OutputError, SceneError
+from multicell.host.interrupts import STEP
+from multicell.host.memory import Returns
 from multicell.integrators.base import info_of
 from multicell.integrators.own import own_integrator
-from multicell.interrupts import STEP
-from multicell.memory import Returns
 from multicell.precompile import Precompilation
 from multicell.report.result import (
     Result,
@@ -33,7 +34,6 @@ from multicell.results.quantities import units_of
 from multicell.results.records import resume_obstacle
 from multicell.scene.scene import load_scene
 from multicell.simulation import Simulation
-from multicell.threads import thread_count
 from multicell.units import shown
 
 if TYPE_CHECKING:

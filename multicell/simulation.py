@@ -24,12 +24,13 @@ from multicell.biology.splitting import columns, freeze, step_error
 from multicell.biology.start_states import StartStates
 from multicell.biology.step import age_cells, bind, decide, divide_and_remove, grow
 from multicell.cells import Cells, FloatArray
+from multicell.compiling.threads import thread_count
 from multicell.contact.custom import Compiling
 from multicell.coupling.fields import SceneFields
 from multicell.coupling.mover import Mover
 from multicell.coupling.state import RunState
 from multicell.errors import NutrientFailed, StepFailed
-from multicell.interrupts import STEP
+from multicell.host.interrupts import STEP
 from multicell.mechanics import binning
 from multicell.results import summary
 from multicell.results.frame import Frame
@@ -38,7 +39,6 @@ from multicell.results.observables import contact_rows
 from multicell.scene import start
 from multicell.scene.domain import check_start
 from multicell.scene.ranges import check_memory
-from multicell.threads import thread_count
 
 if TYPE_CHECKING:
     from multicell.biology.splitting import FrozenRates

@@ -20,8 +20,8 @@ from forks import Patience
 from signals import listening
 
 import multicell as mc
-from multicell import interrupts
-from multicell.interrupts import STEP, UNCUT
+from multicell.host import interrupts
+from multicell.host.interrupts import STEP, UNCUT
 from multicell.simulation import Simulation
 
 SCENE = mc.load_scene("growth").with_changes({"initial.count": 60, "duration": "9 d"})
@@ -230,7 +230,7 @@ def _prepare(name, folder):
 
 SWALLOWED = """
 import os, signal, time
-from multicell import interrupts
+from multicell.host import interrupts
 interrupts.watch_command()
 import numpy as np
 from scipy.stats import qmc

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from multicell.errors import SceneError
-from multicell.plugins import is_recorded_object, load_object, origin
+from multicell.plugins.named import is_recorded_object, load_object, origin
 
 
 def written(folder, text, name="mine.py"):

@@ -225,7 +225,7 @@ def test_ctrl_c_leaves_a_readable_store(tmp_path):
 def test_a_second_ctrl_c_does_not_wait_for_the_step():
     program = (
         "import os, signal, time\n"
-        "from multicell.interrupts import STEP\n"
+        "from multicell.host.interrupts import STEP\n"
         "with STEP:\n"
         "    os.kill(os.getpid(), signal.SIGINT)\n"
         "    print('held back', flush=True)\n"

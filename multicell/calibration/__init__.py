@@ -2,5 +2,5 @@
 
 Fits, posteriors and sensitivity stand above studies: they vary scenes by the same ranges, and their
 runs are those of studies. Optuna, pyABC, SALib and scikit-learn are loaded where they are used
-(:mod:`multicell.extras`).
+(:mod:`multicell.host.extras`).
 """

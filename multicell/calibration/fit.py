@@ -18,7 +18,7 @@ from multicell.calibration.likelihood import MIN_REPEATS
 from multicell.calibration.pool import Pool, open_pool
 from multicell.calibration.problem import Problem, problem_of, ranges_of
 from multicell.errors import SceneError
-from multicell.extras import needs
+from multicell.host.extras import needs
 from multicell.schema import chosen
 from multicell.studies.limits import MAX_POINTS, MAX_RUNS, check_runs, check_seeds, whole
 from multicell.tables.fields import Table, read_table

@@ -25,7 +25,7 @@ from multicell.calibration.verdict import (
     quantiles,
     undetermined,
 )
-from multicell.extras import needs
+from multicell.host.extras import needs
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -24,7 +24,7 @@ from multicell.calibration.distance import Array
 from multicell.calibration.pool import Pool
 from multicell.calibration.problem import Problem
 from multicell.errors import FitFailed, OutputError
-from multicell.extras import needs, quiet
+from multicell.host.extras import needs, quiet
 
 
 @final

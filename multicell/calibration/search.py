@@ -29,7 +29,7 @@ from multicell.calibration.pool import Call, Pool
 from multicell.calibration.problem import Problem
 from multicell.calibration.simulator import Reading
 from multicell.errors import FitFailed, OutputError
-from multicell.extras import needs, quiet
+from multicell.host.extras import needs, quiet
 from multicell.results.documents import Lines
 
 Point = tuple[float, ...]

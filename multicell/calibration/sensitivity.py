@@ -22,7 +22,7 @@ from multicell.calibration.indices import (
 )
 from multicell.calibration.sensitivity_result import COLUMNS, Row, Sensitivity
 from multicell.errors import MulticellError, SceneError
-from multicell.extras import needs
+from multicell.host.extras import needs
 from multicell.results.documents import read_table
 from multicell.results.quantities import known_unit
 from multicell.studies.axes import Range, check_ranges, parse_ranges

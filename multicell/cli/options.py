@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from multicell.errors import OutputError, SceneError
-from multicell.files import parse_toml
+from multicell.host.files import parse_toml
 from multicell.units import shown
 
 if TYPE_CHECKING:

@@ -20,8 +20,8 @@ from typing import Any, NoReturn, final
 import click
 
 from multicell.errors import MulticellError
-from multicell.interrupts import end_command, interrupted
-from multicell.plugins import own_fault
+from multicell.host.interrupts import end_command, interrupted
+from multicell.plugins.named import own_fault
 
 
 def print_json(document: Any) -> None:

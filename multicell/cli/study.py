@@ -261,7 +261,7 @@ def run(
     reason, and the others continue.
     """
     made = _open_study(folder, law, integrator)
-    from multicell.extras import needs
+    from multicell.host.extras import needs
 
     needs("dask", "distributed", *(() if no_report else ("xarray", "h5netcdf", "pandas")))
     count = None

@@ -26,8 +26,8 @@ from multicell.contact.derived import Scalar, force_alone, whole_law, with_argum
 from multicell.contact.law import PairLaw
 from multicell.contact.registry import LAWS
 from multicell.errors import SceneError
-from multicell.laws import OwnLaw
-from multicell.plugins import load_object, own_code
+from multicell.plugins.laws import OwnLaw
+from multicell.plugins.named import load_object, own_code
 from multicell.schema import number, quantity, specs
 from multicell.schema import parameters as declare
 from multicell.units import shown

@@ -9,7 +9,7 @@ from multicell.contact.hertz import Hertz
 from multicell.contact.jkr import JKR
 from multicell.contact.physicell import PhysiCell
 from multicell.contact.springs import Cubic, GeneralisedLinear, Linear
-from multicell.laws import Laws
+from multicell.plugins.laws import Laws
 
 if TYPE_CHECKING:
     from multicell.contact.law import PairLaw

@@ -14,9 +14,9 @@ from multicell.biology.splitting import StepError
 from multicell.coupling.timeline import Timeline
 from multicell.coupling.wall import PHASES, Phase
 from multicell.errors import SceneError
+from multicell.host.interrupts import UNCUT
 from multicell.integrators.shift import Replays
 from multicell.integrators.stability import Stability
-from multicell.interrupts import UNCUT
 from multicell.results.frame import Frame, Progress
 from multicell.results.lineage import Lineage
 from multicell.scene.domain import check_start

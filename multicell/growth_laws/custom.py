@@ -22,8 +22,8 @@ from multicell.contact.custom import declaration, mark_of
 from multicell.errors import SceneError
 from multicell.growth_laws.law import GrowthLaw
 from multicell.growth_laws.registry import LAWS
-from multicell.laws import OwnLaw
-from multicell.plugins import own_code
+from multicell.plugins.laws import OwnLaw
+from multicell.plugins.named import own_code
 from multicell.schema import parameters as declare
 
 if TYPE_CHECKING:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from multicell.growth_laws.law import GrowthLaw
 from multicell.growth_laws.laws import Exponential, Gompertz, Linear, Logistic, Relaxation
-from multicell.laws import Laws
+from multicell.plugins.laws import Laws
 
 LAWS: Laws[GrowthLaw] = Laws(
     {

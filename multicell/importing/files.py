@@ -5,8 +5,8 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 
-from multicell import files
 from multicell.errors import SceneError
+from multicell.host import files
 
 _MAX_BYTES = 100_000_000
 

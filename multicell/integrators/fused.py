@@ -18,7 +18,7 @@ from numba import prange, types
 from numba.extending import intrinsic, overload
 
 from multicell.compiling import address_of, arithmetic, call_at
-from multicell.threads import two_drivers
+from multicell.compiling.threads import two_drivers
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from multicell.errors import SceneError
 from multicell.integrators.base import Integrator, MethodInfo, info_of
 from multicell.integrators.registry import METHODS, find, instantiate
-from multicell.plugins import load_object, origin
+from multicell.plugins.named import load_object, origin
 from multicell.schema import near_miss
 
 if TYPE_CHECKING:

@@ -27,8 +27,8 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from multicell.compiling import INLINED, INNER, KERNEL
+from multicell.compiling.threads import two_drivers
 from multicell.mechanics.pairs import pair_law
-from multicell.threads import two_drivers
 
 BLOCK = 256
 """Pairs that are gathered before the law is evaluated on them."""

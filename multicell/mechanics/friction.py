@@ -31,8 +31,8 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from multicell.compiling import KERNEL
+from multicell.compiling.threads import two_drivers
 from multicell.mechanics.neighbours import PairList
-from multicell.threads import two_drivers
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray

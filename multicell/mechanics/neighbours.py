@@ -23,7 +23,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from multicell.compiling import INLINED, INNER
-from multicell.threads import two_drivers
+from multicell.compiling.threads import two_drivers
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray

@@ -26,8 +26,8 @@ import numpy as np
 from numba import njit, prange
 
 from multicell.compiling import KERNEL
+from multicell.compiling.threads import two_drivers
 from multicell.mechanics.blocks import NEARLY_SINGULAR, add_block, invert_by_pivots
-from multicell.threads import two_drivers
 
 if TYPE_CHECKING:
     from multicell.cells import FloatArray

@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.cells import SPHERE, FloatArray, stokes_drag
+from multicell.compiling.threads import launch
 from multicell.contact.law import PairLaw, compliance, effective_radius
 from multicell.contact.springs import Spring
 from multicell.mechanics import blocks, forces, margins, neighbours, optional
 from multicell.mechanics.division_offset import Offsets, PairValues
 from multicell.mechanics.listed import are_listed, listed
 from multicell.mechanics.motion import Motion, StateRejected, Work
-from multicell.threads import launch
 
 if TYPE_CHECKING:
     from multicell.mechanics.friction import PairFriction

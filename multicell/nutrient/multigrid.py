@@ -35,10 +35,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
+from multicell.compiling.threads import Team
 from multicell.nutrient import multigrid_kernels as kernels
 from multicell.nutrient import stencil
 from multicell.nutrient.stencil import Floats, face_means
-from multicell.threads import Team
 
 if TYPE_CHECKING:
     from multicell.nutrient.diffusion import Diffusion

@@ -9,8 +9,8 @@ the loops have no branches. Where the coefficient of diffusion differs from plac
 what it needs is not compiled. All arrays of nodes are (nx, ny, nz) float32.
 
 Each loop runs over the planes from ``begin`` to ``end`` of what it writes, without the lock of
-the interpreter, so that threads can share it (:class:`multicell.threads.Team`). Products are
-summed plane by plane: the same bits for any number of threads.
+the interpreter, so that threads can share it (:class:`multicell.compiling.threads.Team`).
+Products are summed plane by plane: the same bits for any number of threads.
 """
 
 from __future__ import annotations

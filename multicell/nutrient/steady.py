@@ -40,9 +40,9 @@ from typing import TYPE_CHECKING, Protocol, final
 import numpy as np
 
 from multicell.cells import FloatArray
+from multicell.compiling.threads import Team
 from multicell.errors import NutrientFailed
 from multicell.nutrient import stencil
-from multicell.threads import Team
 
 if TYPE_CHECKING:
     from multicell.nutrient.diffusion import Diffusion

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
 from multicell.compiling import INNER, KERNEL
+from multicell.compiling.threads import Team
 from multicell.nutrient.uptake import balanced, uptake, uptake_and_slope
-from multicell.threads import Team
 
 Weights = tuple[FloatArray, FloatArray, FloatArray] | None
 Faces = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]

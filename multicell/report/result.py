@@ -177,7 +177,7 @@ def recorded_scene(contents: Contents) -> Scene:
     SceneError
         If it cannot be read.
     """
-    from multicell.files import parse_toml
+    from multicell.host.files import parse_toml
     from multicell.scene.scene import Scene, beside, load_scene
 
     path = contents.folder / "scene.toml"

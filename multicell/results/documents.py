@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Final, final
 
 from multicell.errors import OutputError
-from multicell.files import read_regular
+from multicell.host.files import read_regular
 from multicell.results.folder import file_errors, to_json, write_bytes, write_text
 from multicell.results.records import parse_table
 

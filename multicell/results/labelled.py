@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.extras import needs
+from multicell.host.extras import needs
 from multicell.results.folder import versions
 from multicell.results.quantities import known_unit
 from multicell.results.tables import NAMED, cell_columns

@@ -20,7 +20,7 @@ from typing import Any
 
 from multicell.contact.constants import fingerprint
 from multicell.errors import SceneError
-from multicell.plugins import load_object, origin, own_code
+from multicell.plugins.named import load_object, origin, own_code
 from multicell.results.observable import OWN, Observable, TissueState
 from multicell.results.quantities import is_taken
 from multicell.scene.scene import Scene

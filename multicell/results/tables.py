@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.cells import Cells, Phase, State
-from multicell.extras import needs
+from multicell.host.extras import needs
 from multicell.results.quantities import unit_of
 from multicell.tables.titles import titled
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.extras import needs
+from multicell.host.extras import needs
 from multicell.results.tables import NAMED, cell_columns
 from multicell.tables.titles import titled
 

@@ -13,7 +13,7 @@ from multicell.growth_laws.law import GrowthLaw
 from multicell.growth_laws.registry import LAWS
 from multicell.integrators.base import MethodInfo
 from multicell.integrators.registry import METHODS
-from multicell.plugins import OWN_OBJECT, is_recorded_object
+from multicell.plugins.named import OWN_OBJECT, is_recorded_object
 from multicell.schema import (
     Tables,
     build,

@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, Any, final
 from multicell.contact.law import PairLaw
 from multicell.contact.registry import LAWS
 from multicell.errors import SceneError
-from multicell.files import DEEPEST, parse_toml, read_text
-from multicell.laws import OwnLaw
-from multicell.plugins import OWN_OBJECT
+from multicell.host.files import DEEPEST, parse_toml, read_text
+from multicell.plugins.laws import OwnLaw
+from multicell.plugins.named import OWN_OBJECT
 from multicell.scene.checks import (
     check_integrator,
     check_motility,

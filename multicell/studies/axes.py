@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.errors import SceneError
-from multicell.files import parse_toml
+from multicell.host.files import parse_toml
 from multicell.studies.keys import Key, key_of
 from multicell.studies.limits import MAX_POINTS
 from multicell.units import shown

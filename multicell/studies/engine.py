@@ -17,7 +17,7 @@ from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.errors import ClusterError, OutputError
-from multicell.interrupts import STEP
+from multicell.host.interrupts import STEP
 from multicell.results.folder import file_errors, in_use
 from multicell.studies.limits import check_cores
 from multicell.studies.status import RunStatus, run_folder, status, write_note

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.errors import SceneError
-from multicell.files import parse_toml, read_regular
+from multicell.host.files import parse_toml, read_regular
 from multicell.schema import near_miss
 from multicell.studies.axes import Axis, Range, change
 from multicell.studies.design import (

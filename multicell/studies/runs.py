@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.errors import SceneError
-from multicell.files import read_regular
-from multicell.laws import OwnLaw
-from multicell.plugins import origin
+from multicell.host.files import read_regular
+from multicell.plugins.laws import OwnLaw
+from multicell.plugins.named import origin
 from multicell.results.observable import OWN, find_own
 from multicell.schema import Tables, specs
 

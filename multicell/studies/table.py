@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.errors import OutputError
-from multicell.extras import needs
+from multicell.host.extras import needs
 from multicell.results.documents import read_table
 from multicell.results.folder import file_errors, put_in_place, sync_file, versions
 from multicell.results.hdf5 import check_contained

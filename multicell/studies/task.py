@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, final
 
 from multicell.errors import MulticellError, OutputError
-from multicell.plugins import own_fault
+from multicell.plugins.named import own_fault
 from multicell.results.folder import FILES, PASSING, lock_folder, remove
 from multicell.studies.runs import PlainScene
 from multicell.studies.status import NOTE, Kind, RunStatus, run_folder, status, write_note

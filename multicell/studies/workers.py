@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from multicell import __version__
 from multicell.errors import ClusterError
-from multicell.extras import needs, quiet
+from multicell.host.extras import needs, quiet
 from multicell.results.folder import file_errors, versions
 from multicell.studies.limits import check_cores
 

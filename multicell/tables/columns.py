@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.errors import DataError
-from multicell.extras import needs
+from multicell.host.extras import needs
 from multicell.tables.text import lines_of, rows_of
 
 PARQUET: Final = b"PAR1"

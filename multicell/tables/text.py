@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from multicell.errors import DataError
-from multicell.files import read_regular
+from multicell.host.files import read_regular
 
 Row = tuple[int, list[str]]
 """Number of a row's (last) line in the file, and its fields without blanks around them."""

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import multicell as mc
-from multicell.files import parse_toml
+from multicell.host.files import parse_toml
 
 MEMORY = 3 << 30  # bytes of address space; a command that does nothing has 1.3 GB with numba
 DEEP = ".".join("a" * 35_000)

@@ -11,6 +11,7 @@ from strategies import cluster, mechanics
 
 from multicell import JKR, Hertz
 from multicell.compiling import fingerprint_of
+from multicell.compiling.threads import launch
 from multicell.contact.exact_jkr import ExactJKR
 from multicell.integrators import driver as explicit
 from multicell.integrators import fused
@@ -23,7 +24,6 @@ from multicell.mechanics import forces as kernels
 from multicell.mechanics import margins, neighbours
 from multicell.mechanics.motion import Motion
 from multicell.mechanics.system import Mechanics
-from multicell.threads import launch
 
 ALL = [
     Euler(2.0),

@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial import cKDTree
 from strategies import cluster
 
+from multicell.compiling.threads import launch
 from multicell.mechanics import neighbours
-from multicell.threads import launch
 
 NONE = np.empty(0, dtype=np.int32)
 

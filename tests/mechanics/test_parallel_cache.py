@@ -36,7 +36,7 @@ def test_what_was_compiled_beside_cached_kernels_runs_in_later_processes(tmp_pat
 def test_idle_threads_wait_asleep_unless_the_environment_says_otherwise(tmp_path, own):
     keep = {name: value for name, value in os.environ.items() if name != "OMP_WAIT_POLICY"}
     given = {} if own is None else {"OMP_WAIT_POLICY": own}
-    code = "import os; from multicell.threads import launch; launch(); "
+    code = "import os; from multicell.compiling.threads import launch; launch(); "
     done = subprocess.run(
         [sys.executable, "-c", code + "print(os.environ['OMP_WAIT_POLICY'])"],
         env=keep | given,

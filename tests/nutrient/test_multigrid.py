@@ -9,12 +9,12 @@ from scipy.sparse import coo_array
 from scipy.sparse.linalg import spsolve
 
 import multicell as mc
+from multicell.compiling.threads import Team
 from multicell.nutrient import steady, stencil
 from multicell.nutrient.cartesian import Box, gather, mesh, moved
 from multicell.nutrient.diffusion import Diffusion
 from multicell.nutrient.multigrid import Hierarchy, MultigridSolver
 from multicell.nutrient.steady import solve_steady
-from multicell.threads import Team
 
 D = 2000.0
 VALUE, WALL = {"value": 0.07}, {"derivative": 0.0}

@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from multicell.errors import MissingPackage
-from multicell.extras import needs
+from multicell.host.extras import needs
 
 HEAVY = ("dask", "distributed", "xarray", "pandas", "pyabc", "optuna", "SALib", "h5netcdf")
 

@@ -21,7 +21,7 @@ import numpy as np
 from multicell.cells import FloatArray
 from multicell.errors import SceneError
 from multicell.nutrient.reactions.own_kernels import Cell, Rate, all_nodes, type_of
-from multicell.plugins import own_fault
+from multicell.plugins.named import own_fault
 
 _ARGUMENTS = ("concentrations", "cell")
 

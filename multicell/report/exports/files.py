@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.errors import OutputError
-from multicell.extras import needs
+from multicell.host.extras import needs
 from multicell.report.result import Result, load_result
 from multicell.report.tables import TABLES
 from multicell.results.folder import file_errors, put_in_place, sync_file

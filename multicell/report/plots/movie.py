@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.errors import OutputError
-from multicell.extras import needs
+from multicell.host.extras import needs
 from multicell.report.plots.colouring import colourings, limits_of, quantity
 from multicell.report.plots.plane import Plane
 from multicell.report.plots.section import section, window

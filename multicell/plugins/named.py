@@ -26,7 +26,7 @@ from types import ModuleType
 from typing import Any
 
 from multicell.errors import MulticellError, SceneError
-from multicell.files import read_regular
+from multicell.host.files import read_regular
 from multicell.schema import near_miss
 
 _MAX_BYTES = 10_000_000
@@ -202,7 +202,7 @@ def _lines(error: BaseException) -> Iterator[tuple[str, int]]:
 
 def _is_installed(file: str) -> bool:
     """Return whether a file belongs to this package, to Python or to another package."""
-    places = [Path(__file__).parent, *map(Path, sysconfig.get_paths().values())]
+    places = [Path(__file__).parents[1], *map(Path, sysconfig.get_paths().values())]
     path = os.path.realpath(file)
     return file.startswith("<frozen") or any(Path(path).is_relative_to(p.resolve()) for p in places)
 

@@ -25,7 +25,7 @@ from numba.core.compiler import Compiler
 from numba.core.pythonapi import _boxers
 from numba.np.numpy_support import as_dtype
 
-from multicell.interrupts import UNCUT
+from multicell.host.interrupts import UNCUT
 
 
 @final

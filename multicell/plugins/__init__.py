@@ -1,0 +1,1 @@
+"""What users add: laws by their names in a scene, and objects named as `file.py:Name`."""
