@@ -45,6 +45,11 @@ class Purpose(IntEnum):
     EIGENVECTOR = 13
     VIEW = 14
     RENEWAL = 15
+    REST = 16
+    CHANGE = 17
+    MUTATION = 18
+    RADIATION = 19
+    DRIFT = 20
 
 
 def philox(counter: UIntArray, key: tuple[int, int]) -> UIntArray:

@@ -16,10 +16,13 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from multicell.biology import driven
+from multicell.biology.changes import change_types
 from multicell.biology.growth import growth_factor
 from multicell.biology.initial import initial_cells
 from multicell.biology.motion import motion_of
 from multicell.biology.pace import first_pace, next_pace
+from multicell.biology.plan import biology_plan
+from multicell.biology.signals import other_signals
 from multicell.biology.splitting import columns, freeze, step_error
 from multicell.biology.start_states import StartStates
 from multicell.biology.step import age_cells, bind, decide, divide_and_remove, grow
@@ -103,13 +106,15 @@ class Simulation(RunState):
         if cells is None and frame is None:
             check_memory(scene)
         self._compiling = Compiling(scene.contact)
+        plan = biology_plan(scene)
         super().__init__(
             scene,
+            plan=plan,
             mover=Mover(scene, thread_count(threads), integrator),
-            fields=SceneFields(scene, reactions, thread_count(threads)),
+            fields=SceneFields(scene, reactions, thread_count(threads), plan),
             lineage=lineage,
         )
-        self._known_factor: tuple[tuple[FloatArray, ...], FloatArray] = ((), np.empty(0))
+        self._known_factor: tuple[tuple[Any, ...], FloatArray] = ((), np.empty(0))
         if frame is None:
             table = scene.initial.cells
             given = cells is not None or (table is not None and "state" in table.given.columns)
@@ -141,7 +146,7 @@ class Simulation(RunState):
             except NutrientFailed as failure:
                 raise StepFailed(self.time, failure.problem, failure.hint) from failure
             if self.scene.nutrients:
-                bind(self.plan, self.cells, self.cells, self.concentrations, self.time)
+                bind(self.plan, self.cells, self.cells, self.signals, self.time)
         if given_states or not self.scene.nutrients:
             with self.phase("biology"):
                 self._decide(0.0)
@@ -191,13 +196,13 @@ class Simulation(RunState):
         plan, begin, end = self.plan, self.time, self.timeline.next_time
         with self.phase("biology"):
             factor = self._growth_factor()
-            grown = grow(plan, self.cells, self.concentrations, factor, end - begin)
+            grown = grow(plan, self.cells, self.signals, factor, end - begin)
             before = None if plan.growth is None else freeze(self.cells, factor)
             first, began = self.next_id, self.cells
         with self.phase("mechanics"):
             position, pressure = self._move(begin, end, grown.radius)
         with self.phase("events"):
-            self.cells, lost = age_cells(plan, self.cells, grown, self.concentrations, begin, end)
+            self.cells, lost = age_cells(plan, self.cells, grown, self.signals, begin, end)
             self.cells.position, self.cells.pressure = position, pressure
             self.released += lost
             self.timeline = self.timeline.after_step()
@@ -225,12 +230,28 @@ class Simulation(RunState):
     def _growth_factor(self) -> FloatArray:
         """Return how fast cells would grow where they are now, (n,)."""
         # that of a step's end is that of the next one's beginning
-        surroundings = (self.cells.pressure, *self.concentrations.values())
+        cells = self.cells
+        surroundings = (cells.pressure, cells.kind, *self.concentrations.values())
         known, factor = self._known_factor
-        if len(known) != len(surroundings) or any(map(operator.is_not, known, surroundings)):
-            factor = growth_factor(self.plan, self.concentrations, self.cells.pressure)
+        if (
+            self.plan.growth_follows_state
+            or len(known) != len(surroundings)
+            or any(map(operator.is_not, known, surroundings))
+        ):
+            factor = growth_factor(self.plan, self.signals, cells.pressure, cells)
             self._known_factor = surroundings, factor
         return factor
+
+    @property
+    def signals(self) -> dict[str, FloatArray]:
+        """All that cells find and do not carry themselves: fields, time, neighbours; name -> (n,).
+
+        Fields are in mM; there are no more than responses need.
+        """
+        if not self.plan.elsewhere:
+            return self.concentrations
+        others = other_signals(self.plan, self.cells, self.contacts, self.time)
+        return {**self.concentrations, **others}
 
     def history_row(self) -> dict[str, float]:
         """Return the observables of the state (:func:`multicell.results.summary.history_row`)."""
@@ -269,7 +290,7 @@ class Simulation(RunState):
     def _motion(self, begin: float, end: float, radius: FloatArray) -> Motion:
         """Return what mechanics must know of the cells between two times."""
         return motion_of(
-            self.plan, self.cells, radius, begin, end, concentrations=self.concentrations,
+            self.plan, self.cells, radius, begin, end, concentrations=self.signals,
             gradients=self._fields.gradients(self.cells), contacts=self.contacts, named=self.named,
         )  # fmt: skip
 
@@ -277,7 +298,7 @@ class Simulation(RunState):
         """Return the mechanics made ready for the next coupling step, which is not taken."""
         begin, end = self.time, self.timeline.next_time
         factor = self._growth_factor()
-        radius = grow(self.plan, self.cells, self.concentrations, factor, end - begin).radius
+        radius = grow(self.plan, self.cells, self.signals, factor, end - begin).radius
         self.mechanics.begin(self._motion(begin, end, radius))
         return self.mechanics
 
@@ -300,7 +321,9 @@ class Simulation(RunState):
     def _divide_and_remove(self) -> None:
         """Change the number of cells, and all that is noted of single ones."""
         before, first = self.cells, self.next_id
-        after = divide_and_remove(self.plan, before, self.step_index, first, self.time)
+        after = divide_and_remove(
+            self.plan, before, self.step_index, first, self.time, self.signals
+        )
         born = after.next_id - first
         self.cells, self.next_id = after.cells, after.next_id
         self.divisions += born // 2
@@ -322,7 +345,9 @@ class Simulation(RunState):
 
     def _decide(self, dt: float) -> None:
         """Let cells turn to another state by what they find, and note those that die."""
-        cells = self.cells
-        dead = decide(self.plan, cells, self.concentrations, self.step_index, dt, self.time)
+        cells, found = self.cells, self.signals
+        dead = decide(self.plan, cells, found, self.step_index, dt, self.time)
         if dead.any():
             self.lineage.died(np.sort(cells.id[dead]), self.time)
+        if self.plan.changing and dt > 0.0:
+            self.cells = change_types(self.plan, cells, found, self.step_index, dt)

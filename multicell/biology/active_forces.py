@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from multicell import random
 from multicell.biology.driven import Named, add_forces
+from multicell.biology.responding import value_of
 from multicell.cells import Cells, FloatArray
 from multicell.random import Purpose
 
@@ -22,7 +23,11 @@ _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
 
 def active_force(
-    plan: BiologyPlan, cells: Cells, time: float, gradients: Mapping[str, FloatArray] = _NONE
+    plan: BiologyPlan,
+    cells: Cells,
+    time: float,
+    gradients: Mapping[str, FloatArray] = _NONE,
+    found: Mapping[str, FloatArray] = _NONE,
 ) -> FloatArray:
     """Return the active force of each cell at a time, (n, 3) nN.
 
@@ -41,6 +46,8 @@ def active_force(
         Simulated time, s.
     gradients : name -> (n, 3), mM/µm
         At the cells; of the field that a bias is towards.
+    found : name -> (n,)
+        Signals at the cells, to which the bias may respond.
     """
     law = plan.motility
     assert law is not None
@@ -50,8 +57,11 @@ def active_force(
         from multicell.biology.renewal import directions_at
 
         random_part = directions_at(plan, cells.id, time / law.persistence)
+    bias = value_of(plan, "bias", law.bias, found, cells, early=True)
+    if bias is not None:
+        return law.force * _biased(law, np.clip(bias, -1.0, 1.0)[:, None], random_part, gradients)
     if law.bias:
-        return law.force * _biased(law, random_part, gradients)
+        return law.force * _biased(law, law.bias, random_part, gradients)
     return random_part * law.force
 
 
@@ -69,13 +79,13 @@ def _regular(plan: BiologyPlan, law: Motility, cells: Cells, time: float) -> Flo
 
 
 def _biased(
-    law: Motility, random_part: FloatArray, gradients: Mapping[str, FloatArray]
+    law: Motility, bias: Any, random_part: FloatArray, gradients: Mapping[str, FloatArray]
 ) -> FloatArray:
     """Return the directions of b u + (1 - |b|) e, (n, 3); u is zero where there is no gradient."""
     along = np.array(law.direction) if law.direction else gradients.get(law.towards, np.zeros(3))
     length = np.linalg.norm(along, axis=-1, keepdims=True)
     unit = along / np.where(length > 0.0, length, 1.0)
-    total = law.bias * unit + (1.0 - abs(law.bias)) * random_part
+    total = bias * unit + (1.0 - abs(bias)) * random_part
     size = np.linalg.norm(total, axis=1, keepdims=True)
     return np.asarray(total / np.where(size > 0.0, size, 1.0))
 
@@ -141,10 +151,12 @@ def push(
     gradients: Mapping[str, FloatArray],
     end: float | None = None,
     named: Named | None = None,
+    found: Mapping[str, FloatArray] = _NONE,
 ) -> FloatArray | None:
     """Return all forces that are no contact forces, with their rates, (n, 6), or None.
 
-    Only living cells move by themselves, each type as actively as its ``motility_scale`` says.
+    Only living cells move by themselves, each type as actively as its ``motility_scale`` and the
+    responses of its ``speed`` to the signals ``found`` say.
     Forces from outside act on the cells that ``named`` says, from ``time`` to ``end``.
     """
     active = plan.motility is not None or bool(plan.chemotaxis) or plan.haptotaxis is not None
@@ -152,13 +164,16 @@ def push(
         return None
     total = np.zeros((len(cells), 6))
     if plan.motility is not None:
-        total[:, :3] += active_force(plan, cells, time, gradients)
+        total[:, :3] += active_force(plan, cells, time, gradients, found)
     if plan.chemotaxis:
         total[:, :3] += chemotactic_force(plan, cells, gradients)
     if plan.haptotaxis is not None:
         total[:, :3] += haptotactic_force(plan, cells)
     if plan.motility_scale is not None:
         total *= plan.motility_scale[cells.kind, None]
+    speed = value_of(plan, "speed", 1.0, found, cells, early=True)
+    if speed is not None:
+        total *= speed[:, None]
     total[cells.dead] = 0.0
     if plan.pull is not None:
         total += pulling_force(plan, cells, time)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from multicell.biology.responding import value_of
 from multicell.cells import Cells, Phase
 
 if TYPE_CHECKING:
@@ -45,15 +46,13 @@ def bond_levels(
     """
     levels = np.array([part.bonds(time) for part in plan.types.values()])[cells.kind]
     for number, part in enumerate(plan.types.values()):
-        if not part.responds:
-            continue
-        own = np.flatnonzero(cells.kind == number)
-        by = ((part.receptor_by_phase, part.receptor_by), (part.ligand_by_phase, part.ligand_by))
-        for column, (by_phase, by_field) in enumerate(by):
-            factor = np.array([(by_phase or {}).get(phase.name, 1.0) for phase in Phase])
-            levels[own, column] *= factor[cells.phase[own]]
-            for name, curve in (by_field or {}).items():
-                if name in concentrations:
-                    x, y = np.array(curve).T
-                    levels[own, column] *= np.interp(concentrations[name][own], x, y)
+        for column, by_phase in enumerate((part.receptor_by_phase, part.ligand_by_phase)):
+            if by_phase:
+                own = np.flatnonzero(cells.kind == number)
+                factor = np.array([by_phase.get(phase.name, 1.0) for phase in Phase])
+                levels[own, column] *= factor[cells.phase[own]]
+    for column, behaviour in enumerate(("receptors", "ligands")):
+        response = value_of(plan, behaviour, 1.0, concentrations, cells, early=True)
+        if response is not None:
+            levels[:, column] *= response
     return np.asarray(levels)

@@ -17,6 +17,7 @@ in M are one dividing cell.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, final
 
@@ -24,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.biology.durations import draw_lengths, newborn_lengths
+from multicell.biology.responding import value_of
 from multicell.cells import HALF, Cells, FloatArray, IntArray, Phase, State
 from multicell.contact.law import effective_modulus, effective_radius
 from multicell.contact.pair import rest_overlap
@@ -51,7 +53,12 @@ def growing_time(plan: BiologyPlan, lengths: FloatArray) -> FloatArray:
 
 
 def advance(
-    plan: BiologyPlan, cells: Cells, factor: FloatArray, unfavourable: NDArray[np.bool_], dt: float
+    plan: BiologyPlan,
+    cells: Cells,
+    factor: FloatArray,
+    unfavourable: NDArray[np.bool_],
+    dt: float,
+    pace: FloatArray | None = None,
 ) -> Cycling:
     """Return where the cells are after a time ``dt`` (s).
 
@@ -61,6 +68,8 @@ def advance(
         How fast cells grow here; see :func:`multicell.biology.growth.growth_factor`.
     unfavourable : (n,) bool
         Whether a cell would rest here.
+    pace : (n, 5) or None
+        Factor of each phase's clock, from :func:`phase_pace`.
     """
     now = Cycling(
         cells.volume, cells.state.copy(), cells.phase.copy(), cells.progress.copy(),
@@ -80,6 +89,8 @@ def advance(
     while active.size:
         in_growth = grows[now.phase[active]]
         rate = np.where(in_growth, factor[active], 1.0)
+        if pace is not None:
+            rate *= pace[active, now.phase[active]]
         needed = np.full(active.size, np.inf)
         to_go = now.phase_length[active] - now.progress[active]
         np.divide(to_go, rate, out=needed, where=rate > 0.0)
@@ -91,6 +102,23 @@ def advance(
         _change(plan, cells, now, active[needed <= spent], factor, unfavourable, left)
         active = active[(left[active] > 0.0) & (needed <= spent)]
     return now
+
+
+def phase_pace(
+    plan: BiologyPlan, found: Mapping[str, FloatArray], cells: Cells
+) -> FloatArray | None:
+    """Return the factor of the clock in each phase, (n, 5), or None where nothing responds.
+
+    The response of the entry into a phase sets the pace of the phase before it. Cells grow at
+    their own rate all the while: where a phase takes longer, they come out of it larger.
+    """
+    pace = None
+    for phase in (Phase.G1, Phase.S, Phase.G2, Phase.M):
+        value = value_of(plan, f"entry into {phase.name}", 1.0, found, cells)
+        if value is not None:
+            pace = np.ones((len(cells), len(Phase))) if pace is None else pace
+            pace[:, Phase.M if phase == Phase.G1 else phase - 1] = value
+    return pace
 
 
 def _grow(

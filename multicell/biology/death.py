@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from multicell import random
-from multicell.cells import Cells
+from multicell.biology.responding import value_of
+from multicell.cells import Cells, FloatArray
 from multicell.random import Purpose
 
 if TYPE_CHECKING:
     from multicell.biology.plan import BiologyPlan
 
 
-def apoptotic(plan: BiologyPlan, cells: Cells, time: float) -> NDArray[np.bool_]:
+def apoptotic(
+    plan: BiologyPlan,
+    cells: Cells,
+    found: Mapping[str, FloatArray],
+    step: int,
+    dt: float,
+    time: float,
+) -> NDArray[np.bool_]:
     """Return which cells have reached the end of their life by apoptosis, (n,).
 
     With a constant rate k lives are distributed exponentially. Each cell draws its own once, keyed
@@ -23,7 +32,8 @@ def apoptotic(plan: BiologyPlan, cells: Cells, time: float) -> NDArray[np.bool_]
     or since the start for a cell that was there then. An exponential life has no memory, so the age
     of a cell at the start says nothing about what remains. Survivors are N exp(-kt) from t = 0 on,
     and the outcome knows nothing of the coupling step but for the moment at which the death is
-    noticed.
+    noticed. With a rate that responds to signals each cell dies in a step with the probability
+    1 - exp(-k dt).
 
     Parameters
     ----------
@@ -31,12 +41,18 @@ def apoptotic(plan: BiologyPlan, cells: Cells, time: float) -> NDArray[np.bool_]
         Gives the rate.
     cells
         The population; identities and ages are read.
+    found : name -> (n,)
+        Signals at the cells.
+    step, dt
+        Number of the coupling step that ends, and its length, s.
     time
         Since the start of the run, s.
     """
-    rate = 0.0 if plan.death is None else plan.death.apoptosis_rate
-    if rate == 0.0:
-        return np.zeros(len(cells), dtype=bool)
+    rate = plan.base_rates["apoptosis rate"]
+    hazard = value_of(plan, "apoptosis rate", rate, found, cells)
+    if hazard is not None:
+        u = random.uniform(plan.seed, Purpose.APOPTOSIS, step + 1, cells.id)[:, 0]
+        return np.asarray(u < -np.expm1(-hazard * dt))
     u = random.uniform(plan.seed, Purpose.APOPTOSIS, 0, cells.id)[:, 0]
     # who was there at the start is older than the run, who was born in it is younger
     lived = np.minimum(cells.age, time)
@@ -44,32 +60,31 @@ def apoptotic(plan: BiologyPlan, cells: Cells, time: float) -> NDArray[np.bool_]
 
 
 def necrotic(
-    plan: BiologyPlan, cells: Cells, beyond: NDArray[np.bool_], step: int, dt: float
+    plan: BiologyPlan, cells: Cells, hazard: FloatArray, step: int, dt: float
 ) -> NDArray[np.bool_]:
-    """Return which of the cells beyond a threshold of necrosis die of it, (n,).
+    """Return which of the cells die by necrosis, (n,).
 
-    All, unless the scene gives a rate k: then each cell dies in a time dt with the probability
+    All with an infinite rate; with another rate k each cell dies in a time dt with the probability
     1 - exp(-k dt). Times until death are distributed exponentially whatever the coupling step.
 
     Parameters
     ----------
     plan
-        Gives the rate.
+        Gives the seed.
     cells
         The population; the identities are read.
-    beyond : (n,) bool
-        Cells that find too little or too much of a nutrient.
+    hazard : (n,), 1/s
+        From :func:`multicell.biology.responding.necrosis_hazard`.
     step
         Number of the coupling step, which the random numbers depend on.
     dt
         Time since the last decision, s.
     """
-    rate = None if plan.death is None else plan.death.necrosis_rate
-    if rate is None:
-        return beyond
-    dies = beyond.copy()
-    u = random.uniform(plan.seed, Purpose.NECROSIS, step, cells.id[beyond])[:, 0]
-    dies[beyond] = u < -np.expm1(-rate * dt)
+    dies = np.isinf(hazard)
+    at_rate = (hazard > 0.0) & ~dies
+    if at_rate.any():
+        u = random.uniform(plan.seed, Purpose.NECROSIS, step, cells.id[at_rate])[:, 0]
+        dies[at_rate] = u < -np.expm1(-hazard[at_rate] * dt)
     return dies
 
 

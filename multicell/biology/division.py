@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from multicell import random
+from multicell.biology.changes import mutant_chances, mutate
 from multicell.biology.cycle import enter_cycle
 from multicell.biology.durations import draw_cycle_times
-from multicell.biology.traits import draw_moduli
-from multicell.cells import HALF, Cells, State
+from multicell.biology.responding import value_of
+from multicell.biology.traits import draw_moduli, drift
+from multicell.cells import HALF, Cells, FloatArray, State
 from multicell.random import Purpose
 
 if TYPE_CHECKING:
@@ -22,8 +25,16 @@ if TYPE_CHECKING:
 # the coupling times would divide in this step or the next at the whim of the last bit.
 _ROUNDING = 1e-12
 
+_NONE: Mapping[str, FloatArray] = {}
 
-def divide(plan: BiologyPlan, cells: Cells, step: int, next_id: int) -> tuple[Cells, int]:
+
+def divide(
+    plan: BiologyPlan,
+    cells: Cells,
+    step: int,
+    next_id: int,
+    found: Mapping[str, FloatArray] = _NONE,
+) -> tuple[Cells, int]:
     """Divide all proliferating cells at the end of M, or at the division volume without phases.
 
     Each mother is replaced by two daughters of half her volume (what she grew beyond the division
@@ -40,6 +51,8 @@ def divide(plan: BiologyPlan, cells: Cells, step: int, next_id: int) -> tuple[Ce
         Index of the coupling step, part of the key of the random numbers.
     next_id
         First identity that is free.
+    found : name -> (n,)
+        Signals at the cells, for what responds to them.
 
     Returns
     -------
@@ -55,19 +68,37 @@ def divide(plan: BiologyPlan, cells: Cells, step: int, next_id: int) -> tuple[Ce
     if plan.order:
         ripe = (cells.phase == plan.order[-1]) & (cells.progress >= cells.phase_length)
     else:
-        ripe = cells.volume >= plan.division_volume * (1.0 - _ROUNDING)
+        least: Any = plan.division_volume
+        scale = value_of(plan, "division radius", 1.0, found, cells)
+        if scale is not None:
+            least = least * scale**3
+        ripe = cells.volume >= least * (1.0 - _ROUNDING)
     ripe &= cells.state == State.PROLIFERATING
     if not ripe.any():
         return cells, next_id
     mothers = cells.take(ripe)
     # identities follow those of the mothers, so that the order of the arrays does not matter
-    mothers = mothers.take(np.argsort(mothers.id))
+    order = np.argsort(mothers.id)
+    mothers = mothers.take(order)
     ids = np.arange(next_id, next_id + 2 * len(mothers), dtype=np.int64)
-    return cells.replaced(~ripe, _daughters(plan, mothers, step, ids)), int(ids[-1]) + 1
+    chances = mutant_chances(plan, cells, found)
+    if chances is not None:
+        chances = np.repeat(chances[ripe][order], 2, axis=0)
+    daughters = _daughters(plan, mothers, step, ids, chances)
+    return cells.replaced(~ripe, daughters), int(ids[-1]) + 1
 
 
-def _daughters(plan: BiologyPlan, mothers: Cells, step: int, ids: NDArray[np.int64]) -> Cells:
-    """Return two daughters for each of the ``mothers``, side by side, named ``ids``."""
+def _daughters(
+    plan: BiologyPlan,
+    mothers: Cells,
+    step: int,
+    ids: NDArray[np.int64],
+    mutant: FloatArray | None,
+) -> Cells:
+    """Return two daughters for each of the ``mothers``, side by side, named ``ids``.
+
+    ``mutant`` are the chances of each daughter to be of each type, or None.
+    """
     axis = random.directions(plan.seed, Purpose.AXIS, step, mothers.id, plan.dimensions)
     offset = (mothers.radius * (1.0 - HALF))[:, None] * axis
     daughters = mothers.take(np.repeat(np.arange(len(mothers)), 2))
@@ -77,6 +108,9 @@ def _daughters(plan: BiologyPlan, mothers: Cells, step: int, ids: NDArray[np.int
     daughters.id = ids
     daughters.radius = daughters.radius * HALF
     daughters.age = np.zeros(len(ids))
+    if mutant is not None:
+        mutate(plan, daughters, mutant, step)
+    drift(plan, daughters, step)
     if "young" not in plan.heritable:
         daughters.young = draw_moduli(plan, step, ids, daughters.kind)
     if plan.order:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from multicell.biology.responding import combine
 from multicell.cells import Cells, FloatArray, State
 
 if TYPE_CHECKING:
@@ -18,13 +19,17 @@ _GROWING = int(State.PROLIFERATING)  # numbers compare with arrays faster than n
 
 
 def growth_factor(
-    plan: BiologyPlan, concentrations: Mapping[str, FloatArray], pressure: FloatArray
+    plan: BiologyPlan,
+    concentrations: Mapping[str, FloatArray],
+    pressure: FloatArray,
+    cells: Cells | None = None,
 ) -> FloatArray:
     """Return how fast cells would grow here, as a fraction of unlimited growth.
 
-    The factor is the product of Monod's c / (K + c) over all nutrients that growth needs, and of
-    the ATP made in place of c where the scene has ``energy`` limit it, of
-    I / (I + c) over those that inhibit it, and of min(1, max(0, 1 - p / p_crit)): pressure slows
+    The factor combines all responses of the growth rate (:mod:`multicell.biology.responding`).
+    Those of the short forms: Monod's c / (K + c) of nutrients that growth needs, and of
+    the ATP made in place of c where the scene has ``energy`` limit it,
+    I / (I + c) of those that inhibit it, and min(1, max(0, 1 - p / p_crit)): pressure slows
     growth linearly and stops it at the critical pressure, tension does not speed it up. It
     describes the surroundings only; which cells do grow is decided by their state in
     :func:`volumes_after`.
@@ -37,11 +42,14 @@ def growth_factor(
         Concentration at the cells, for every nutrient of the scene.
     pressure : (n,), kPa
         Compression by the neighbours, tension negative.
+    cells
+        Whose growth it is; without them responses of single types, or to the age or size of a
+        cell, are left out.
 
     Returns
     -------
     (n,) float64
-        In [0, 1].
+        In [0, 1] unless a response stimulates growth.
 
     Raises
     ------
@@ -56,20 +64,10 @@ def growth_factor(
     pressure = np.asarray(pressure, dtype=np.float64)
     if plan.growth is None:
         return np.zeros_like(pressure)
-    factor = np.ones(pressure.shape)
-    for need in plan.needs:
-        half, inhibition = need.half_saturation, need.inhibition
-        if half is None and inhibition is None:
-            continue
-        level = need.level(concentrations)
-        if half is not None:
-            factor *= level / (half + level)
-        if inhibition is not None:
-            factor *= inhibition / (inhibition + level)
-    critical = plan.growth.critical_pressure
-    if critical is not None:
-        factor *= np.minimum(1.0, np.maximum(0.0, 1.0 - pressure / critical))
-    return factor
+    known = plan.responses.get("growth rate", ())
+    if cells is None:
+        known = tuple(part for part in known if part.is_local(concentrations))
+    return combine(known, 1.0, concentrations, cells, pressure)
 
 
 def volumes_after(plan: BiologyPlan, cells: Cells, factor: FloatArray, dt: float) -> FloatArray:

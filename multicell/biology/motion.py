@@ -11,6 +11,7 @@ from multicell.biology import adhesion
 from multicell.biology.active_forces import push
 from multicell.biology.cycle import parting
 from multicell.biology.driven import Named, prescribed
+from multicell.biology.responding import value_of
 from multicell.cells import Cells, FloatArray
 from multicell.mechanics.motion import Motion
 from multicell.results.observables import contact_rows
@@ -44,7 +45,7 @@ def motion_of(
     begin, end
         Time, s.
     concentrations : name -> (n,), mM
-        At the cells; none before there are fields.
+        At the cells, and other signals; none before there are fields.
     gradients : name -> (n, 3), mM/µm
         Of the fields that chemotaxis follows, at the cells.
     contacts : (m, 2)
@@ -58,10 +59,14 @@ def motion_of(
     given = prescribed(plan, cells, named or {}, begin, end) if plan.motions else None
     held, velocity = given or (None, None)
     touching = contact_rows(cells, contacts) if plan.contact.remembers else None
+    young = cells.young
+    stiffness = value_of(plan, "Young's modulus", 1.0, concentrations, cells, early=True)
+    if stiffness is not None:
+        young = young * stiffness
     return Motion(
-        cells.radius, rate, cells.young, cells.poisson, begin, end,
+        cells.radius, rate, young, cells.poisson, begin, end,
         bonds=adhesion.bonds(plan, cells, concentrations, begin, end),
-        push=push(plan, cells, begin, gradients, end, named),
+        push=push(plan, cells, begin, gradients, end, named, concentrations),
         kind=cells.kind if plan.types else None,
         touching=None if touching is None else np.sort(touching, axis=1),
         offset_pairs=None if apart is None else apart[0],

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from multicell.biology.responding import bind_responses, missing_signals
 from multicell.cells import Phase
 from multicell.scene.coupling import fixed_step
 from multicell.scene.pairs import surface_energies
 from multicell.scene.sizes import birth_volume, division_volume
 
 if TYPE_CHECKING:
+    from multicell.biology.responding import BoundResponse
     from multicell.cells import FloatArray
     from multicell.contact.law import PairLaw
     from multicell.growth_laws.law import GrowthLaw
@@ -32,31 +33,6 @@ if TYPE_CHECKING:
         Pull,
     )
     from multicell.scene.scene import Scene
-
-    Concentrations = Mapping[str, FloatArray]
-
-
-@final
-@dataclass(frozen=True)
-class Need:
-    """What cells ask of a field, or of the ATP that they make from several.
-
-    Attributes
-    ----------
-    level
-        Returns what they find, (n,), from the concentrations of all fields.
-    half_saturation, inhibition : float or None
-        At which growth is half of its largest, as it rises and as it falls.
-    quiescence, necrosis, necrosis_above : float or None
-        Below which cells rest and die, and above which they die.
-    """
-
-    level: Callable[[Concentrations], FloatArray]
-    half_saturation: float | None
-    inhibition: float | None
-    quiescence: float | None
-    necrosis: float | None
-    necrosis_above: float | None
 
 
 @final
@@ -81,9 +57,18 @@ class BiologyPlan:
         Where in their cycle cells start, whether newborn ones draw durations that differ, and
         below which identity they are founders of a stable population: zero where the cycle does
         not vary or is inherited.
-    needs
-        Of all fields in the scene's order, then of ATP.
-    young, young_variation, heritable, reaction_time
+    responses
+        Of each behaviour that responds to anything, by its name.
+    may_rest
+        Whether anything lets cells rest, or makes a field that they may wake up in.
+    base_rates : name -> 1/s
+        The rate of apoptosis without responses, where cells die so at all.
+    changing, growth_follows_state
+        Whether cells change their types, and whether growth depends on more than fields and
+        pressure at a cell of a type.
+    elsewhere
+        Signals that neither fields nor cells carry: time, and numbers of neighbours.
+    young, young_variation, heritable, drift, reaction_time
         Of the cells, in kPa and s.
     types
         By name; empty where all cells are alike.
@@ -108,10 +93,16 @@ motions
     stage: str
     varies: bool
     founders: int
-    needs: tuple[Need, ...]
+    responses: Mapping[str, tuple[BoundResponse, ...]]
+    may_rest: bool
+    base_rates: Mapping[str, float]
+    changing: bool
+    growth_follows_state: bool
+    elsewhere: frozenset[str]
     young: float
     young_variation: float
     heritable: tuple[str, ...]
+    drift: Mapping[str, float]
     reaction_time: float
     types: Mapping[str, CellType]
     cycle_scale: FloatArray | None
@@ -136,6 +127,9 @@ def biology_plan(scene: Scene) -> BiologyPlan:
     growth, cells, kinds = scene.growth, scene.cells, list(scene.types.values())
     phases = growth is not None and bool(growth.phases)
     own = [kind.young for kind in kinds]
+    known = bind_responses(scene)
+    growth_signals = {name for part in known.get("growth rate", ()) for name in part.signals}
+    rate = 0.0 if scene.death is None else scene.death.apoptosis_rate
     ratio = [1.0 if young is None else young / cells.young for young in own]
     return BiologyPlan(
         seed=scene.seed,
@@ -150,10 +144,16 @@ def biology_plan(scene: Scene) -> BiologyPlan:
         stage=scene.initial.stage,
         varies=_varies(scene),
         founders=founders(scene),
-        needs=_needs(scene),
+        responses=known,
+        may_rest=bool(scene.nutrients) or "rest" in known,
+        base_rates={"apoptosis rate": rate} if rate or "apoptosis rate" in known else {},
+        changing=any(name.startswith("change to") for name in known),
+        growth_follows_state=not growth_signals <= {"pressure", *scene.nutrients},
+        elsewhere=missing_signals(known),
         young=cells.young,
         young_variation=cells.young_variation,
         heritable=cells.heritable,
+        drift=cells.drift or {},
         reaction_time=cells.reaction_time,
         types=scene.types,
         cycle_scale=np.array([kind.cycle_scale for kind in kinds]) if kinds else None,
@@ -204,27 +204,3 @@ def _order(growth: Growth) -> tuple[Phase, ...]:
 def _grows(growth: Growth | None, phase: Phase) -> bool:
     known = {} if growth is None else growth.phases
     return phase.name in known and known[phase.name].grows
-
-
-def _needs(scene: Scene) -> tuple[Need, ...]:
-    """Return what cells ask of each field, and of the ATP that they make."""
-    needs = [
-        Need(
-            partial(_found, name),
-            field.growth_half_saturation,
-            field.growth_inhibition,
-            field.quiescence,
-            field.necrosis,
-            field.necrosis_above,
-        )
-        for name, field in scene.nutrients.items()
-    ]
-    energy = scene.energy
-    if energy is not None:
-        half, supply = energy.growth_half_saturation, partial(energy.supply, scene.nutrients)
-        needs.append(Need(supply, half, None, energy.quiescence, energy.necrosis, None))
-    return tuple(needs)
-
-
-def _found(name: str, concentrations: Concentrations) -> FloatArray:
-    return np.asarray(concentrations[name])

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.biology.cycle import time_before_phase, volume_in_phase
-from multicell.biology.states import beyond, unfavourable
+from multicell.biology.responding import necrosis_hazard, wants_rest
 from multicell.cells import SPHERE, Cells, FloatArray, Phase, State
 
 if TYPE_CHECKING:
@@ -70,8 +70,6 @@ class StartStates:
         if plan.restricted and tabled:
             self._may_rest[:] = False  # the table gives their places in the cycle
         self._may_die = ~cells.dead
-        if plan.death is not None and plan.death.necrosis_rate is not None:
-            self._may_die[:] = False
         self.rests = np.zeros(len(cells), dtype=bool)
         self.dead = np.zeros(len(cells), dtype=bool)
         self._few = int(_PART_OF_LAYER * len(cells) ** (2.0 / 3.0))
@@ -88,16 +86,16 @@ class StartStates:
             if all(map(np.array_equal, before, (self.rests, self.dead))):
                 break
         now = self._cells()
-        left = ~self.dead & self._may_die & beyond(self._plan, found, len(self.dead))
+        left = ~self.dead & self._may_die & self._starve(found)
         awake = ~self.dead & ~self.rests & self._may_rest
-        left |= awake & unfavourable(self._plan, now, found)
+        left |= awake & wants_rest(self._plan, now, found)
         return now, int(left.sum())
 
     def _let_rest(self, found: Concentrations) -> Concentrations:
         """Let cells rest that find too little, and wake those that find enough."""
 
         def poor(found: Concentrations) -> Mask:
-            lacking = unfavourable(self._plan, self._first, found)
+            lacking = wants_rest(self._plan, self._first, found)
             return np.asarray(self._may_rest & ~self.dead & lacking)
 
         here = poor(found)
@@ -111,12 +109,15 @@ class StartStates:
         """Let the cells die that cannot live with what they find."""
 
         def starved(found: Concentrations) -> Mask:
-            return np.asarray(
-                self._may_die & ~self.dead & beyond(self._plan, found, len(self.dead))
-            )
+            return np.asarray(self._may_die & ~self.dead & self._starve(found))
 
         pool = np.flatnonzero(starved(found))
         return self._turn(self.dead, pool, starved, found, resting=False) if pool.size else found
+
+    def _starve(self, found: Concentrations) -> Mask:
+        """Return which cells would die at once of what they find, (n,)."""
+        hazard = necrosis_hazard(self._plan, found, self._first)
+        return np.zeros(len(self.dead), dtype=bool) if hazard is None else np.isinf(hazard)
 
     def _turn(
         self,
@@ -193,16 +194,20 @@ def _plenty(plan: BiologyPlan, cells: Cells, found: Concentrations, resting: boo
 
     Those that rest because of pressure have less than none.
     """
-    ratios = [np.full(len(cells), np.inf)]
-    if resting and plan.growth is not None and plan.growth.critical_pressure is not None:
-        ratios[0][cells.pressure >= plan.growth.critical_pressure] = -1.0
+    least = np.full(len(cells), np.inf)
     # over a threshold next to nothing a ratio may be infinite; one of zero excludes nobody
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-        for need in plan.needs:
-            least = need.quiescence if resting else need.necrosis
-            if least:
-                ratios.append(need.level(found) / least)
-            if not resting and need.necrosis_above is not None:
-                level = need.level(found)
-                ratios.append(np.where(level > 0.0, need.necrosis_above / level, np.inf))
-    return np.asarray(np.min(ratios, axis=0))
+        for part in plan.responses.get("rest" if resting else "necrosis rate", ()):
+            level, middle = part.level(found, cells, None), part.law.middle
+            if part.signals == {"pressure"}:
+                ratio = np.where(part.share(found, cells) > 0.0, -1.0, np.inf)
+            elif middle == 0.0:
+                continue
+            elif part.falls == (part.high > part.low):
+                ratio = level / middle
+            else:
+                ratio = np.where(level > 0.0, middle / level, np.inf)
+            if part.mask is not None:
+                ratio = np.where(part.mask[cells.kind], ratio, np.inf)
+            least = np.minimum(least, ratio)
+    return least

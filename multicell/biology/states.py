@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.biology.death import apoptotic, necrotic
+from multicell.biology.responding import necrosis_hazard, wants_rest
 from multicell.cells import Cells, FloatArray, State
 
 if TYPE_CHECKING:
@@ -37,14 +38,11 @@ def update_states(
 ) -> NDArray[np.int8]:
     """Return the new state of each cell.
 
-    A cell turns necrotic where a nutrient is below its ``necrosis`` threshold, or above
-    ``necrosis_above``, or where too little ATP is made (``energy``), at once or at a rate
-    (:func:`multicell.biology.death.necrotic`), and stays so for ever; one whose life by
+    A cell turns necrotic at the rate that its responses give (a threshold: at once;
+    :func:`multicell.biology.death.necrotic`), and stays so for ever; one whose life by
     apoptosis has run out turns apoptotic. Another cell that is due to decide (:func:`deciding`)
-    rests (quiescent) if a nutrient is below its ``quiescence`` threshold, if too little ATP is
-    made, or if its pressure reaches the critical pressure, and proliferates if none of them
-    holds. A scene that has neither nutrients nor a critical pressure leaves all states as they
-    are.
+    rests (quiescent) if a response lets it (:func:`multicell.biology.responding.wants_rest`), and
+    proliferates if none does. Where nothing lets cells rest, their states stay as they are.
 
     Parameters
     ----------
@@ -72,9 +70,8 @@ def update_states(
         If a nutrient with a threshold has no concentrations.
     """
     state = cells.state
-    limited = plan.growth is not None and plan.growth.critical_pressure is not None
-    if (plan.needs or limited) and not plan.restricted:
-        resting = unfavourable(plan, cells, concentrations)
+    if plan.may_rest and not plan.restricted:
+        resting = wants_rest(plan, cells, concentrations)
         due = deciding(cells, plan.step or dt, plan.reaction_time)
         state = np.where(due, np.where(resting, _RESTING, _GROWING), state)
     return _with_deaths(plan, cells, concentrations, state, step, dt, time)
@@ -90,44 +87,20 @@ def _with_deaths(
     time: float,
 ) -> NDArray[np.int8]:
     """Return the states that cells have if they live, but for those that are dead or die now."""
-    lacking = beyond(plan, concentrations, len(cells))
-    by_clock = plan.death is not None and plan.death.apoptosis_rate > 0.0
-    if not (by_clock or lacking.any() or cells.dead.any()):
+    hazard = necrosis_hazard(plan, concentrations, cells)
+    dies_by_clock = "apoptosis rate" in plan.base_rates
+    if not (dies_by_clock or (hazard is not None and hazard.any()) or cells.dead.any()):
         return living.copy()
     apoptosis = cells.state == State.APOPTOTIC
-    if by_clock:
-        apoptosis |= apoptotic(plan, cells, time) & ~cells.dead
-    necrosis = (cells.state == State.NECROTIC) | necrotic(plan, cells, lacking, step, dt)
+    if dies_by_clock:
+        apoptosis |= apoptotic(plan, cells, concentrations, step, dt, time) & ~cells.dead
+    necrosis = cells.state == State.NECROTIC
+    if hazard is not None:
+        necrosis |= necrotic(plan, cells, hazard, step, dt)
     state = living.copy()
     state[necrosis] = State.NECROTIC
     state[apoptosis] = State.APOPTOTIC
     return state
-
-
-def beyond(
-    plan: BiologyPlan, concentrations: Mapping[str, FloatArray], count: int
-) -> NDArray[np.bool_]:
-    """Return which of a number of cells find less or more of a nutrient than they can live with."""
-    found = np.zeros(count, dtype=bool)
-    for need in plan.needs:
-        if need.necrosis is not None:
-            found |= need.level(concentrations) < need.necrosis
-        if need.necrosis_above is not None:
-            found |= need.level(concentrations) > need.necrosis_above
-    return found
-
-
-def unfavourable(
-    plan: BiologyPlan, cells: Cells, concentrations: Mapping[str, FloatArray]
-) -> NDArray[np.bool_]:
-    """Return which cells find too little nutrient or too much pressure to proliferate, (n,)."""
-    resting = np.zeros(len(cells), dtype=bool)
-    if plan.growth is not None and plan.growth.critical_pressure is not None:
-        resting |= cells.pressure >= plan.growth.critical_pressure
-    for need in plan.needs:
-        if need.quiescence is not None:
-            resting |= need.level(concentrations) < need.quiescence
-    return resting
 
 
 def deciding(cells: Cells, dt: float, reaction_time: float) -> NDArray[np.bool_]:

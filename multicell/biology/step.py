@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from multicell.biology.adhesion import bond_levels
-from multicell.biology.cycle import Cycling, advance, leave_rest
+from multicell.biology.cycle import Cycling, advance, leave_rest, phase_pace
 from multicell.biology.death import remove_lysed
 from multicell.biology.division import divide
 from multicell.biology.growth import volumes_after
-from multicell.biology.states import deciding, unfavourable, update_states
+from multicell.biology.responding import wants_rest
+from multicell.biology.states import deciding, update_states
 from multicell.cells import SPHERE, Cells, FloatArray
 from multicell.scene.domain import check_inside
 
@@ -61,8 +62,9 @@ def grow(
     volume = volumes_after(plan, cells, factor, dt)
     cycling = None
     if plan.order:
-        resting = unfavourable(plan, cells, concentrations)
-        cycling = advance(plan, cells, factor, resting, dt)
+        resting = wants_rest(plan, cells, concentrations)
+        pace = phase_pace(plan, concentrations, cells)
+        cycling = advance(plan, cells, factor, resting, dt, pace)
         volume += cycling.volume - cells.volume
     return Grown(np.asarray(np.cbrt(volume / SPHERE)), cycling)
 
@@ -97,7 +99,12 @@ def bind(
 
 
 def divide_and_remove(
-    plan: BiologyPlan, cells: Cells, step: int, next_id: int, time: float
+    plan: BiologyPlan,
+    cells: Cells,
+    step: int,
+    next_id: int,
+    time: float,
+    found: Concentrations,
 ) -> Events:
     """Return the cells after all that changes their number at a time in s.
 
@@ -106,7 +113,7 @@ def divide_and_remove(
     StepFailed
         If a daughter lies outside the scene's domain.
     """
-    divided, free = divide(plan, cells, step, next_id)
+    divided, free = divide(plan, cells, step, next_id, found)
     if free > next_id:
         # daughters lie within their mother: only one that is pressed nearly flat, or that no
         # wall holds, can have one outside
@@ -129,7 +136,7 @@ def decide(
     cells.state = update_states(plan, cells, concentrations, step, dt, time)
     if plan.restricted:
         due = deciding(cells, plan.step or dt, plan.reaction_time)
-        well = ~unfavourable(plan, cells, concentrations)
+        well = ~wants_rest(plan, cells, concentrations)
         leave_rest(plan, cells, due & well)
     dead = (cells.state != before) & cells.dead
     if dead.any():

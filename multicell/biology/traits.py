@@ -14,6 +14,7 @@ from multicell.random import Purpose
 
 if TYPE_CHECKING:
     from multicell.biology.plan import BiologyPlan
+    from multicell.cells import Cells
 
 
 def draw_kinds(plan: BiologyPlan, ids: NDArray[np.int64]) -> NDArray[np.int16]:
@@ -36,3 +37,16 @@ def draw_moduli(
     """Return Young's moduli of new cells, (n,), kPa: ``durations.scattered``."""
     drawn = scatter_about(plan.seed, Purpose.MODULI, step, ids, plan.young, plan.young_variation)
     return drawn if plan.young_ratio is None else np.asarray(drawn * plan.young_ratio[kind])
+
+
+def drift(plan: BiologyPlan, daughters: Cells, step: int) -> None:
+    """Let traits that daughters inherit drift: ln x changes by a normal number of the scene's sd.
+
+    The mean of ln x stays, so that its variance grows by sd² in each generation. The normal
+    distribution is cut at three standard deviations.
+    """
+    for place, (name, sd) in enumerate(plan.drift.items()):
+        z = random.truncated_normal(
+            plan.seed, Purpose.DRIFT, step * len(plan.drift) + place, daughters.id, 3.0
+        )
+        setattr(daughters, name, getattr(daughters, name) * np.exp(sd * z))

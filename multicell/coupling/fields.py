@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
+from multicell.biology.responding import value_of
 from multicell.errors import SceneError
 from multicell.scene.checks import followed
 
 if TYPE_CHECKING:
+    from multicell.biology.plan import BiologyPlan
     from multicell.cells import Cells, FloatArray
     from multicell.nutrient.balance import Ledger
     from multicell.nutrient.fields import Feeding
@@ -38,14 +40,23 @@ class SceneFields:
     """
 
     def __init__(
-        self, scene: Scene, reactions: Mapping[str, OwnReaction] | None, threads: int
+        self,
+        scene: Scene,
+        reactions: Mapping[str, OwnReaction] | None,
+        threads: int,
+        plan: BiologyPlan,
     ) -> None:
         self._scene, self._followed = scene, followed(scene)
         self.system: Feeding | None = None
         if scene.nutrients:
             from multicell.nutrient.fields import Feeding
 
-            self.system = Feeding(scene, reactions, threads)
+            def respond(
+                behaviour: str, cells: Cells, found: Mapping[str, FloatArray]
+            ) -> FloatArray | None:
+                return value_of(plan, behaviour, 1.0, found, cells, early=True)
+
+            self.system = Feeding(scene, reactions, threads, respond)
         elif reactions:
             raise SceneError("reactions", "are given, but the scene has no fields that could react")
 

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from multicell.biology.plan import biology_plan
 from multicell.biology.splitting import StepError
 from multicell.coupling.timeline import Timeline
 from multicell.coupling.wall import PHASES, Phase
@@ -24,6 +23,7 @@ from multicell.scene.steps import step_plan
 
 if TYPE_CHECKING:
     from multicell.biology.pace import Pace
+    from multicell.biology.plan import BiologyPlan
     from multicell.cells import Cells, FloatArray, IntArray
     from multicell.coupling.fields import SceneFields
     from multicell.coupling.mover import Mover
@@ -89,10 +89,16 @@ class RunState(ABC):
     unsorted: int
 
     def __init__(
-        self, scene: Scene, *, mover: Mover, fields: SceneFields, lineage: Lineage | None
+        self,
+        scene: Scene,
+        *,
+        plan: BiologyPlan,
+        mover: Mover,
+        fields: SceneFields,
+        lineage: Lineage | None,
     ) -> None:
         self.scene, self.mover, self._fields = scene, mover, fields
-        self.plan = biology_plan(scene)
+        self.plan = plan
         self.wall = dict.fromkeys(PHASES, 0.0)
         self.timeline = Timeline.at_start(step_plan(scene))
         self.divisions = self.removals = 0

@@ -8,7 +8,7 @@ the cells: each field may have a grid and a geometry of its own.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, final
 
@@ -28,6 +28,16 @@ if TYPE_CHECKING:
     from multicell.results.frame import Field, Frame
     from multicell.scene.nutrient import Nutrient
     from multicell.scene.scene import Scene
+
+
+Respond = Callable[[str, Cells, Mapping[str, FloatArray]], FloatArray | None]
+"""Returns the factor that responses give a behaviour of each cell, (n,), or None for one."""
+
+
+def _no_response(
+    behaviour: str, cells: Cells, found: Mapping[str, FloatArray]
+) -> FloatArray | None:
+    return None
 
 
 @final
@@ -58,16 +68,21 @@ class Feeding:
     """
 
     def __init__(
-        self, scene: Scene, reactions: Mapping[str, Any] | None = None, threads: int = 1
+        self,
+        scene: Scene,
+        reactions: Mapping[str, Any] | None = None,
+        threads: int = 1,
+        respond: Respond = _no_response,
     ) -> None:
         known: dict[str, Any] = {**scene.reactions, **(reactions or {})}
+        self._respond = respond
         self._nutrients = scene.nutrients
         self._factors = {
             (what, name): factors(scene, what, name)
             for name in scene.nutrients
             for what in ("uptake", "secretion")
         }
-        self.order = solving_order(scene.nutrients, known)
+        self.order = solving_order(scene.nutrients, known, scene.responses)
         parameters = {name: FieldParameters.of(scene, name) for name in self.order}
         if reactions:
             from multicell.nutrient.reacting import joined
@@ -302,7 +317,10 @@ class Feeding:
         active = by_state[cells.state]
         if by_kind is not None:
             active = active * by_kind[cells.kind]
-        return active if by_phase is None else active * by_phase[cells.phase]
+        if by_phase is not None:
+            active = active * by_phase[cells.phase]
+        response = self._respond(f"{what} of {name}", cells, self.concentrations)
+        return active if response is None else active * response
 
     def _capacity(self, name: str, cells: Cells) -> FloatArray:
         """Return each cell's largest uptake, (n,) amol/s."""

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from multicell.behaviours.catalogue import needs_contacts
 from multicell.cells import Cells
 from multicell.results.observables import contact_rows
 
@@ -17,7 +18,11 @@ if TYPE_CHECKING:
 
 def counts_contacts(scene: Scene) -> bool:
     """Return whether anything asks for the pairs in contact; to find them costs a little."""
-    return remembers_contacts(scene) or len(scene.types) > 1 or scene.pull is not None
+    if remembers_contacts(scene) or len(scene.types) > 1 or scene.pull is not None:
+        return True
+    named = {name for part in scene.responses.values() for name in part.signals}
+    named |= {name for part in scene.signals.values() for name in part.of}
+    return any(map(needs_contacts, named))
 
 
 def remembers_contacts(scene: Scene) -> bool:

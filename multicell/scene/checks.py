@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from multicell.scene.nutrient import Nutrient
     from multicell.scene.parts import CellType
     from multicell.scene.reactions import Joining
+    from multicell.scene.responses import Response
     from multicell.scene.scene import Scene
 
 
@@ -135,7 +136,7 @@ def check_nutrients(scene: Scene) -> None:
         _check_layer(path, nutrient)
         if scene.domain is not None:
             _check_in_domain(scene, name)
-    solving_order(scene.nutrients, scene.reactions)
+    solving_order(scene.nutrients, scene.reactions, scene.responses)
     if scene.dimensions == 2:
         for name in scene.nutrients:
             _check_plane(scene, name)
@@ -329,7 +330,9 @@ def _check_in_domain(scene: Scene, name: str) -> None:
 
 
 def solving_order(
-    nutrients: Mapping[str, Nutrient], reactions: Mapping[str, Joining] | None = None
+    nutrients: Mapping[str, Nutrient],
+    reactions: Mapping[str, Joining] | None = None,
+    responses: Mapping[str, Response] | None = None,
 ) -> list[str]:
     """Return the names of the fields so that each comes after those that it depends on.
 
@@ -346,6 +349,10 @@ def solving_order(
         name: [*nutrient.uptake_on, *(nutrient.secretion_from or ())]
         for name, nutrient in nutrients.items()
     }
+    for part in (responses or {}).values():
+        what, _, name = part.behaviour.partition(" of ")
+        if what in ("uptake", "secretion") and name in needs:
+            needs[name] += [signal for signal in part.signals if signal in nutrients]
     try:
         if reactions:
             return _order_of_groups(needs, reactions)

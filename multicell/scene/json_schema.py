@@ -19,6 +19,7 @@ Schema = dict[str, Any]
 
 _DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
 _QUANTITY: Final = r"^\s*[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?\s*[A-Za-zµμ(1].*$"
+_MEASURE: Final = {"anyOf": [{"type": "number"}, {"type": "string", "pattern": _QUANTITY}]}
 _IDENTIFIER: Final = "^[A-Za-z_][A-Za-z0-9_]*$"
 _LIMITS: Final[Mapping[str, str]] = {
     "above": "exclusiveMinimum",
@@ -127,7 +128,8 @@ def _tables(spec: Parameter, parts: dict[str, Schema]) -> Schema:
             "additionalProperties": False,
         }
     names = {"pattern": _IDENTIFIER}
-    return {"type": "object", "additionalProperties": one, "propertyNames": names}
+    named = {"type": "object", "additionalProperties": one, "propertyNames": names}
+    return {"anyOf": [named, {"type": "array", "items": one}]} if spec.listed else named
 
 
 def _variant(spec: Parameter, parts: dict[str, Schema]) -> Schema:
@@ -155,8 +157,11 @@ def _choice(spec: Parameter) -> Schema:
 
 _KINDS: Final[Mapping[str, Callable[[Parameter, dict[str, Schema]], Schema]]] = {
     "quantity": lambda spec, _: _amount(spec.unit, spec.bounds, spec.options),
-    "rate_constant": lambda spec, _: {
-        "anyOf": [{"type": "number"}, {"type": "string", "pattern": _QUANTITY}],
+    "measure": lambda spec, _: _MEASURE,
+    "measures": lambda spec, _: {"type": "object", "additionalProperties": _MEASURE},
+    "measure_points": lambda spec, _: {
+        "type": "array", "minItems": 2,
+        "items": {"type": "array", "items": _MEASURE, "minItems": 2, "maxItems": 2},
     },
     "number": lambda spec, _: _number(spec.bounds),
     "count": lambda spec, _: _number(spec.bounds, "integer"),

@@ -23,6 +23,7 @@ from multicell.schema import (
     flag,
     interval,
     names,
+    near_miss,
     number,
     parameters,
     quantities,
@@ -68,9 +69,23 @@ class CellParameters:
     heritable: tuple[str, ...] = names(
         ["young", "cycle_time"], doc="traits that daughters take from their mother"
     )
+    drift: Mapping[str, float] | None = quantities(
+        "",
+        at_least=0,
+        at_most=1,
+        doc="of heritable traits by name: standard deviation of ln(trait) in one division",
+    )
 
     def check(self) -> None:
-        """Raise ``SceneError`` for a Poisson ratio that no solid has, unless it is permitted."""
+        """Raise ``SceneError`` for drift of what is not inherited and for no solid's Poisson ratio.
+
+        A Poisson ratio above 0.5 may be permitted.
+        """
+        for name in self.drift or ():
+            if name not in self.heritable:
+                known = ", ".join(map(repr, self.heritable)) or "none"
+                problem = f"is no trait that daughters inherit (cells.heritable: {known})"
+                raise SceneError(f"drift.{name}", problem, near_miss(name, ["young", "cycle_time"]))
         if self.poisson > 0.5 and not self.allow_unphysical_poisson:
             problem = f"is {self.poisson:g}, must be above -1 and at most 0.5"
             hint = (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import MISSING
 from typing import Any, Protocol, final
 
 from multicell.errors import SceneError
@@ -10,11 +11,11 @@ from multicell.scene.nutrient import MOST
 from multicell.schema import (
     Tables,
     choice,
+    measure,
     number,
     parameters,
     quantities,
     quantity,
-    rate_constant,
     tables,
 )
 from multicell.units import to_base
@@ -52,8 +53,9 @@ class Reaction:
     """
 
     kind: str = choice(["mass-action", "hill"], default="mass-action", doc="form of the rate")
-    rate: float = rate_constant(
-        doc="mass-action: rate constant, mM^(1 - n)/s at order n; hill: largest rate, mM/s"
+    rate: float = measure(
+        default=MISSING,
+        doc="mass-action: rate constant, mM^(1 - n)/s at order n; hill: largest rate, mM/s",
     )
     consumes: Mapping[str, float] | None = quantities(
         "", at_least=1, at_most=4, doc="how many of each field are used up, whole numbers"

@@ -52,6 +52,7 @@ from multicell.scene.parts import (
 )
 from multicell.scene.ranges import check_sizes
 from multicell.scene.reactions import Reaction
+from multicell.scene.responses import Response, Signal, check_responses
 from multicell.schema import (
     Tables,
     build,
@@ -104,6 +105,8 @@ class Scene:
         Empty where all cells are alike.
     nutrients : mapping of name to Nutrient, read-only
     reactions : mapping of name to Reaction, read-only
+    responses : mapping of name to Response, read-only
+    signals : mapping of name to Signal, read-only
 
     Raises
     ------
@@ -161,6 +164,13 @@ class Scene:
     reactions: Mapping[str, Reaction] = tables(
         Reaction, default_factory=Tables, doc="between fields; absent: none"
     )
+    responses: Mapping[str, Response] = tables(
+        Response, default_factory=Tables, listed="response",
+        doc="of what cells do to what they find; absent: none but those of single keys",
+    )  # fmt: skip
+    signals: Mapping[str, Signal] = tables(
+        Signal, default_factory=Tables, doc="derived from others, by name; absent: none"
+    )
     integrator: IntegratorOptions = table(
         IntegratorOptions, default_factory=IntegratorOptions, shorthand="method", doc="the method"
     )
@@ -189,6 +199,8 @@ class Scene:
             from multicell.scene.reaction_checks import check_reactions
 
             check_reactions(self)
+        if self.responses or self.signals:
+            check_responses(self)
         if self.dimensions == 2 and self.haptotaxis is not None and self.haptotaxis.axis == "z":
             raise SceneError("haptotaxis.axis", "is 'z' in a scene of 2 dimensions")
 

@@ -20,12 +20,14 @@ from multicell.schema.declarations import (
     file_path,
     flag,
     interval,
+    measure,
+    measure_points,
+    measures,
     names,
     number,
     parameters,
     quantities,
     quantity,
-    rate_constant,
     responses,
     schedule,
     table,
@@ -49,7 +51,8 @@ from multicell.schema.part import (
 
 __all__ = [
     "Bounds", "Parameter", "Tables", "build", "choice", "chosen", "count", "course", "file_path",
-    "flag", "interval", "leaves", "names", "near_miss", "number", "parameters", "plain",
-    "quantities", "quantity", "rate_constant", "responses", "schedule",
+    "flag", "interval", "leaves", "measure", "measure_points", "measures", "names", "near_miss",
+    "number", "parameters", "plain",
+    "quantities", "quantity", "responses", "schedule",
     "specs", "table", "tables", "text", "variant", "vector", "whole", "whole_numbers",
 ]  # fmt: skip

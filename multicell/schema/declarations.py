@@ -62,17 +62,38 @@ def quantity(
     )  # fmt: skip
 
 
-def rate_constant(*, doc: str = "") -> Any:
-    """Declare a rate constant, whose unit other keys of its part decide: a number or text.
+def measure(*, default: Any = None, doc: str = "") -> Any:
+    """Declare a number whose unit other keys decide: a number or text with a unit.
 
-    The part itself must turn text into a number where it checks its fields.
+    Those who know the unit must turn text into a number.
     """
+    return declare("measure", _measure, default, doc=doc)
 
-    def convert(value: object, path: str) -> float | str:
-        wanted = "a number or a string with a unit"
-        return value if isinstance(value, str) else finite(value, path, wanted)
 
-    return declare("rate_constant", convert, MISSING, doc=doc)
+def _measure(value: object, path: str) -> float | str:
+    wanted = "a number or a string with a unit"
+    return value if isinstance(value, str) else finite(value, path, wanted)
+
+
+def measures(*, doc: str = "") -> Any:
+    """Declare a table of names to numbers as :func:`measure` has them."""
+    return declare(
+        "measures", lambda value, path: read_named(value, path, _measure), MISSING, plain=dict,
+        doc=doc,
+    )  # fmt: skip
+
+
+def measure_points(*, doc: str = "") -> Any:
+    """Declare an optional list of pairs of numbers as :func:`measure` has them."""
+
+    def convert(value: object, path: str) -> tuple[tuple[float | str, float | str], ...]:
+        points = list(value) if isinstance(value, list | tuple) else []
+        if len(points) < 2 or not all(isinstance(p, list | tuple) and len(p) == 2 for p in points):
+            hint = "For example [['0 mM', 1], ['0.1 mM', 0.2]]."
+            raise SceneError(path, f"is {shown(value)}, must be a list of pairs", hint)
+        return tuple((_measure(x, path), _measure(y, path)) for x, y in points)
+
+    return declare("measure_points", convert, None, plain=lists, doc=doc)
 
 
 def number(
@@ -407,14 +428,18 @@ def tables(
     names: Iterable[str] | None = None,
     doc: str = "",
     prepare: Callable[[str, Mapping[str, Any], str], Mapping[str, Any]] | None = None,
+    listed: str = "",
 ) -> Any:
     """Declare a table of named tables, each of them a ``part``; ``names`` are all that may be.
 
-    ``prepare`` is given name, table and path of each, and returns the table that is read.
+    ``prepare`` is given name, table and path of each, and returns the table that is read. With
+    ``listed`` a list of tables is read too: they are named by it and their number from 1 on.
     """
     known = tuple(names or ())
 
     def convert(value: object, path: str) -> Tables[Any]:
+        if listed and isinstance(value, list | tuple):
+            value = {f"{listed}_{k}": entry for k, entry in enumerate(value, start=1)}
         entries = mapping(value, path)
         for name in entries:
             if known and name not in known:
@@ -435,7 +460,7 @@ def tables(
     return declare(
         "tables", convert, MISSING, default_factory,
         plain=lambda value: {name: plain(entry) for name, entry in value.items()},
-        doc=doc, table=part, options=known,
+        doc=doc, table=part, options=known, listed=listed,
     )  # fmt: skip
 
 
@@ -443,7 +468,7 @@ def tables(
     frozen_default=True,
     kw_only_default=True,
     field_specifiers=(
-        quantity, rate_constant, number, count, choice, text, file_path, flag,
+        quantity, measure, measures, measure_points, number, count, choice, text, file_path, flag,
         names, interval, vector, whole_numbers, course, schedule, responses, quantities,
         table, variant, tables,
     ),

@@ -53,6 +53,8 @@ class Parameter:
         The key of a variant that says which part it is, and what it is without the key.
     further
         A regular expression for names beyond the options, else empty.
+    listed
+        How the tables of a list are named that may stand for named tables, else empty.
     """
 
     convert: Callable[[Any, str], Any]
@@ -69,6 +71,7 @@ class Parameter:
     key: str = ""
     usual: str = ""
     further: str = ""
+    listed: str = ""
 
     @property
     def units(self) -> str:

@@ -30,7 +30,7 @@ _SPACED: Final = re.compile(rf"(log\s+)?({_NUMBER}):({_NUMBER}):(\d+)\s*(.*)")
 _RANGE: Final = re.compile(rf"(log\s+)?({_NUMBER}):({_NUMBER})\s*(.*)")
 _FIRST: Final = ("contact.law",)
 """Keys that are set before others: those that decide which others there are."""
-_NUMERIC: Final = ("quantity", "number", "count", "rate_constant")
+_NUMERIC: Final = ("quantity", "number", "count", "measure")
 _RANGES: Final = (*_NUMERIC, "quantities", "course")
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 from multicell.errors import SceneError
 from multicell.scene.oxygen import in_concentrations
+from multicell.scene.responses import Response, in_base_units, unit_of
 from multicell.scene.scene import check_dotted
 from multicell.schema import Parameter, near_miss, specs
 
@@ -55,9 +56,13 @@ class Key:
         SceneError
             If the declaration refuses it.
         """
-        if self.spec.kind == "rate_constant":  # other keys of its part decide its unit
+        if self.spec.kind == "measure":  # other keys of its part decide its unit
+            last = self.name.rpartition(".")[2]
             try:
-                return replace(self.part, rate=value).rate
+                part = replace(self.part, **{last: value})
+                if isinstance(part, Response):
+                    part = in_base_units(self.scene, part)
+                return getattr(part, last)
             except SceneError as error:
                 raise SceneError(self.name, error.problem, error.hint) from None
         if self.spec.kind == "variant":
@@ -145,9 +150,16 @@ def _keys_of(scene: Scene, part: Any, path: str, absent: list[str]) -> Iterator[
         elif spec.kind in (*_TABLES, "quantities"):
             absent.append(where)
         elif where not in _NO_AXES:
-            unit = part.unit if spec.kind == "rate_constant" else spec.unit
+            unit = _unit_of_measure(scene, part, name) if spec.kind == "measure" else spec.unit
             unitless = spec.kind in ("count", "choice", "text", "flag", "names")
             yield Key(where, spec, "" if unitless else unit, part, scene)
+
+
+def _unit_of_measure(scene: Scene, part: Any, name: str) -> str:
+    if not isinstance(part, Response):
+        return str(part.unit)
+    needs_signal = name in ("half", "begin", "end")
+    return unit_of(scene, part, name) if part.signals or not needs_signal else ""
 
 
 def _refusal(name: str, known: Sequence[str], absent: Sequence[str]) -> SceneError:

@@ -4,7 +4,8 @@ Cells fill a ball (in a plane a disc). Every field that holds back growth or kil
 solved along the radius, steady, with the uptake of living cells; living cells grow where they are
 fed, the starved die, and dead ones take room in the middle until they are removed. Where pressure
 holds back growth it is the one that drives the tissue outwards against the drag of its cells. Left
-out are walls, motion, and whatever is not round.
+out are walls, motion, whatever is not round, and responses of single types or to what cells
+themselves are.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 from multicell.biology.durations import malthusian_rate
 from multicell.biology.growth import growth_factor
 from multicell.biology.plan import biology_plan
-from multicell.biology.states import beyond
+from multicell.biology.responding import necrosis_hazard
 from multicell.cells import SPHERE, FloatArray
 from multicell.scene.checks import solving_order
 from multicell.scene.pairs import drag
@@ -117,7 +118,9 @@ class _Tissue:
         needed = _effective_fields(scene)
         self._fields = {
             name: Profile(scene.nutrients[name], self._dimensions, height(scene, name))
-            for name in (solving_order(scene.nutrients, scene.reactions) if needed else ())
+            for name in (
+                solving_order(scene.nutrients, scene.reactions, scene.responses) if needed else ()
+            )
             if name in needed
         }
 
@@ -172,7 +175,8 @@ class _Tissue:
         for name, field in self._fields.items():
             levels[name] = field.solve(shells, begin, end, self._cell_volume, levels)
         growth = growth_factor(self._plan, levels, np.zeros(SHELLS))
-        starved = beyond(self._plan, levels, SHELLS)
+        hazard = necrosis_hazard(self._plan, levels, None)
+        starved = np.zeros(SHELLS, dtype=bool) if hazard is None else hazard > 0.0
         for name, field in self._fields.items():
             growth *= _active(field.nutrient, levels[name])
         if scene.energy is not None and scene.energy.quiescence is not None:

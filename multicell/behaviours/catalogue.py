@@ -1,0 +1,136 @@
+"""The behaviours of cells that respond to signals, and the signals, by their names in a scene."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Final, final
+
+from multicell.errors import SceneError
+from multicell.schema import near_miss
+
+
+@final
+@dataclass(frozen=True)
+class Behaviour:
+    """What responses may change.
+
+    Attributes
+    ----------
+    name
+        In a scene; of those that concern a field, a type or a phase up to its name.
+    of
+        ``"field"``, ``"type"`` or ``"phase"`` if the name ends in that of one, else empty.
+    unit
+        Base unit of its values. Those without are factors on what the scene gives, or chances.
+    combine
+        How several responses are combined, unless they state it.
+    at_most
+        The largest value.
+    doc
+        What it is.
+    """
+
+    name: str
+    doc: str
+    of: str = ""
+    unit: str = ""
+    combine: str = "product"
+    at_most: float = 1e3
+
+    @property
+    def is_factor(self) -> bool:
+        """Whether its values multiply what the scene gives, so that one changes nothing."""
+        return self.combine == "product"
+
+
+def _rate(name: str, doc: str, of: str = "") -> Behaviour:
+    return Behaviour(name, doc, of, "1/s", "sum", 1.0)
+
+
+BEHAVIOURS: Final = (
+    Behaviour("growth rate", "factor on growth, and on the cycle in the phases in which it grows"),
+    Behaviour("entry into", "factor on the pace of the phase before", "phase"),
+    Behaviour("rest", "chance that a cell rests", combine="maximum", at_most=1.0),
+    _rate("apoptosis rate", "rate of death by apoptosis"),
+    _rate("necrosis rate", "rate of death by necrosis"),
+    _rate("change to", "rate of becoming another type", "type"),
+    Behaviour("mutation to", "chance of a daughter to be of another type", "type", "", "sum", 1.0),
+    Behaviour("division radius", "factor on the radius at which a cell divides", at_most=4.0),
+    Behaviour("speed", "factor on the active forces"),
+    Behaviour("bias", "bias of random motion, from -1 to 1", combine="sum", at_most=1.0),
+    Behaviour("uptake of", "factor on the uptake of a field", "field"),
+    Behaviour("secretion of", "factor on the secretion of a field", "field"),
+    Behaviour("receptors", "factor on the receptors"),
+    Behaviour("ligands", "factor on the ligands"),
+    Behaviour("Young's modulus", "factor on Young's modulus"),
+)
+"""All behaviours."""
+
+_ALSO: Final = {"death rate": "apoptosis rate", "growth": "growth rate"}
+"""Other names -> the behaviour that is meant."""
+
+COMBINE: Final = ("product", "minimum", "maximum", "sum", "physicell")
+"""How several responses of one behaviour are combined; see :mod:`multicell.biology.responding`."""
+
+SIGNALS: Final = {
+    "pressure": "kPa",
+    "ATP": "mM/s",
+    "age": "s",
+    "volume": "um^3",
+    "radius": "um",
+    "time": "s",
+    "neighbours": "",
+    "dead neighbours": "",
+}
+"""Signals besides fields and those that a scene derives -> base unit."""
+
+CONTACTS: Final = "contacts with "
+"""Signals that begin so count the neighbours of a type."""
+
+
+def behaviour_named(name: str, path: str) -> tuple[Behaviour, str]:
+    """Return a behaviour and the name of the field, type or phase that it concerns, if any.
+
+    Raises
+    ------
+    SceneError
+        For an unknown name, with the likely one.
+    """
+    name = _ALSO.get(name, name)
+    for known in BEHAVIOURS:
+        if known.of and name.startswith(known.name + " "):
+            return known, name[len(known.name) + 1 :]
+        if not known.of and name == known.name:
+            return known, ""
+    raise SceneError(
+        path, f"is {name!r}, which is no behaviour", near_miss(name, behaviour_names())
+    )
+
+
+def behaviour_names() -> list[str]:
+    """Return all names, with FIELD, TYPE or PHASE where one of the scene's stands."""
+    return [f"{b.name} {b.of.upper()}" if b.of else b.name for b in BEHAVIOURS]
+
+
+def signal_unit(name: str, fields: Iterable[str], derived: Iterable[str], path: str) -> str:
+    """Return the base unit of a signal; the caller checks the types that contacts are counted with.
+
+    Raises
+    ------
+    SceneError
+        For an unknown name, with the likely one.
+    """
+    if name in SIGNALS:
+        return SIGNALS[name]
+    if name.startswith(CONTACTS) or name in derived:
+        return ""
+    if name in fields:
+        return "mM"
+    known = [*fields, *derived, *SIGNALS, f"{CONTACTS}TYPE"]
+    raise SceneError(path, f"is {name!r}, which is no signal here", near_miss(name, known))
+
+
+def needs_contacts(signal: str) -> bool:
+    """Return whether a signal counts neighbours."""
+    return signal in ("neighbours", "dead neighbours") or signal.startswith(CONTACTS)

@@ -1,0 +1,161 @@
+"""The laws by which a behaviour responds to a signal: the share of the full effect.
+
+A law gives a share between 0 and 1 that rises with the signal s, or falls with it.
+
+References
+----------
+A. V. Hill, J. Physiol. 40 (1910) iv; J. Monod, Annu. Rev. Microbiol. 3 (1949) 371.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, final
+
+import numpy as np
+
+from multicell.plugins.laws import Laws
+
+if TYPE_CHECKING:
+    from multicell.cells import FloatArray
+    from multicell.schema.bounds import Curve
+
+
+class ResponseLaw(ABC):
+    """A law of response."""
+
+    @abstractmethod
+    def share(self, signal: FloatArray, *, falls: bool) -> Any:
+        """Return the share of the full effect at a signal, (n,)."""
+
+    @property
+    @abstractmethod
+    def middle(self) -> float:
+        """Signal in the middle of the response, by which cells are ranked at the start of a run."""
+
+
+@final
+@dataclass(frozen=True)
+class Monod(ResponseLaw):
+    """s / (half + s); falling half / (half + s)."""
+
+    half: float
+
+    def share(self, signal: FloatArray, *, falls: bool) -> Any:
+        """Return the share."""
+        return (self.half if falls else signal) / (self.half + signal)
+
+    @property
+    def middle(self) -> float:
+        """Half the effect is at ``half``."""
+        return self.half
+
+
+@final
+@dataclass(frozen=True)
+class Hill(ResponseLaw):
+    """sⁿ / (halfⁿ + sⁿ), n = ``power``; what is below zero (tension) counts as zero."""
+
+    half: float
+    power: float
+
+    def share(self, signal: FloatArray, *, falls: bool) -> Any:
+        """Return the share."""
+        with np.errstate(over="ignore", divide="ignore"):
+            ratio = np.maximum(signal, 0.0) / self.half
+            return 1.0 / (1.0 + ratio ** (self.power if falls else -self.power))
+
+    @property
+    def middle(self) -> float:
+        """Half the effect is at ``half``."""
+        return self.half
+
+
+@final
+@dataclass(frozen=True)
+class Threshold(ResponseLaw):
+    """All from ``half`` on (if ``strict`` only above it), nothing below; falling the other way."""
+
+    half: float
+    strict: bool = False
+
+    def share(self, signal: FloatArray, *, falls: bool) -> Any:
+        """Return the share, as booleans."""
+        if falls:
+            return signal < self.half
+        return signal > self.half if self.strict else signal >= self.half
+
+    @property
+    def middle(self) -> float:
+        """The threshold."""
+        return self.half
+
+
+@final
+@dataclass(frozen=True)
+class Linear(ResponseLaw):
+    """A straight line between ``begin`` and ``end``, constant outside."""
+
+    begin: float
+    end: float
+
+    def share(self, signal: FloatArray, *, falls: bool) -> Any:
+        """Return the share."""
+        above = signal if self.begin == 0.0 else signal - self.begin
+        part = above / (self.end - self.begin)
+        return np.minimum(1.0, np.maximum(0.0, 1.0 - part if falls else part))
+
+    @property
+    def middle(self) -> float:
+        """Half way."""
+        return 0.5 * (self.begin + self.end)
+
+
+@final
+@dataclass(frozen=True)
+class Table(ResponseLaw):
+    """Straight lines between points (signal, value), constant outside; the values themselves."""
+
+    points: Curve
+
+    def share(self, signal: FloatArray, *, falls: bool) -> Any:
+        """Return the value."""
+        assert not falls
+        x, y = np.array(self.points).T
+        return np.interp(signal, x, y)
+
+    @property
+    def middle(self) -> float:
+        """The signal half way between the first and the last point."""
+        return 0.5 * (self.points[0][0] + self.points[-1][0])
+
+
+@final
+@dataclass(frozen=True)
+class Constant(ResponseLaw):
+    """All, whatever the signal."""
+
+    def share(self, signal: FloatArray, *, falls: bool) -> Any:
+        """Return ones."""
+        return np.ones(np.shape(signal))
+
+    @property
+    def middle(self) -> float:
+        """There is none."""
+        return 0.0
+
+
+KEYS: Final = {
+    "hill": ("half", "power"),
+    "monod": ("half",),
+    "inhibition": ("half",),
+    "threshold": ("half",),
+    "linear": ("begin", "end"),
+    "table": ("points",),
+    "constant": (),
+}
+"""Laws by their names in a scene -> the keys that they need."""
+
+OWN: Final[Laws[Any]] = Laws({})
+"""Laws of the user's own, made by :func:`multicell.response`."""

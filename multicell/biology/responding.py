@@ -1,0 +1,329 @@
+"""What cells do about what they find: the values of behaviours that respond to signals.
+
+Several responses of one behaviour combine by a rule. With v the value without any, v_k that of
+response k alone, all of them of the same cell:
+
+- ``product``: v Π v_k/v, the rule of factors;
+- ``sum``: max(0, v + Σ (v_k - v)), the rule of rates: causes of death compete;
+- ``minimum`` and ``maximum``: of v_k;
+- ``physicell``: with X_k = h_k / (1 - h_k) for the share h_k of the full effect, and
+  U = Σ X / (1 + Σ X) over the responses that raise the value and D over those that lower it,
+  (1 - D) ((1 - U) v + U v_up) + D v_down, v_up the largest and v_down the least of their values.
+
+A response of some types takes the place of one of all types with the same behaviour and signal.
+
+References
+----------
+J. A. I. Johnson et al., "Human interpretable grammar encodes multicellular systems biology models
+to democratize virtual cell laboratories", Cell 188 (2025), for the rule of PhysiCell.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final, cast, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from multicell import random
+from multicell.behaviours.catalogue import needs_contacts
+from multicell.behaviours.laws import ResponseLaw, Threshold
+from multicell.random import Purpose
+from multicell.scene.responses import Effect, effects
+
+if TYPE_CHECKING:
+    from multicell.biology.plan import BiologyPlan
+    from multicell.cells import Cells, FloatArray
+    from multicell.scene.scene import Scene
+
+    Found = Mapping[str, FloatArray]
+
+_OF_CELLS: Final = ("age", "volume", "radius")
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class BoundResponse:
+    """A response ready for arrays of cells.
+
+    Attributes
+    ----------
+    level
+        Returns the signal, (n,), from what cells find, the cells and their pressure.
+    law, falls, low, high, combine, short
+        As in :class:`multicell.scene.responses.Effect`.
+    mask : (types,) bool, or None
+        Which types respond; None for all.
+    signals
+        Names of all signals that it is made from.
+    """
+
+    level: Callable[[Found, Cells | None, FloatArray | None], Any]
+    law: ResponseLaw
+    falls: bool
+    low: float
+    high: float
+    combine: str
+    short: bool
+    mask: NDArray[np.bool_] | None
+    signals: frozenset[str]
+
+    @property
+    def is_sharp(self) -> bool:
+        """Whether it has two values only."""
+        return isinstance(self.law, Threshold)
+
+    def is_local(self, found: Found) -> bool:
+        """Return whether fields and pressure at a place are all that it depends on."""
+        return self.mask is None and self.signals <= {*found, "pressure"}
+
+    def share(self, found: Found, cells: Cells | None, pressure: FloatArray | None = None) -> Any:
+        """Return the share of the full effect, (n,); booleans for a threshold."""
+        return self.law.share(self.level(found, cells, pressure), falls=self.falls)
+
+    def value(self, found: Found, cells: Cells | None, pressure: FloatArray | None = None) -> Any:
+        """Return the value of the behaviour under this response alone, (n,)."""
+        share = self.share(found, cells, pressure)
+        if self.low == 0.0 and self.high == 1.0:
+            return share
+        if math.isinf(self.high):
+            return np.where(share, self.high, self.low)
+        return self.low + (self.high - self.low) * share
+
+
+def bind_responses(scene: Scene) -> dict[str, tuple[BoundResponse, ...]]:
+    """Return the responses of each behaviour that has any, in the order of the scene."""
+    kinds, known = list(scene.types), effects(scene)
+    special: dict[tuple[str, tuple[str, ...]], set[str]] = {}
+    for effect in known:
+        special.setdefault((effect.behaviour, effect.signals), set()).update(effect.types)
+    made: dict[str, list[BoundResponse]] = {}
+    for effect in known:
+        mask = None
+        others = special[effect.behaviour, effect.signals]
+        if effect.types or others:
+            who = effect.types or [kind for kind in kinds if kind not in others]
+            mask = np.array([kind in who for kind in kinds])
+        made.setdefault(effect.behaviour, []).append(_bound(scene, effect, mask))
+    return {name: tuple(bound) for name, bound in made.items()}
+
+
+def _bound(scene: Scene, effect: Effect, mask: NDArray[np.bool_] | None) -> BoundResponse:
+    level, names = _level(scene, effect.signals)
+    return BoundResponse(
+        level, effect.law, effect.falls, effect.low, effect.high, effect.combine, effect.short,
+        mask, frozenset(names),
+    )  # fmt: skip
+
+
+def _level(scene: Scene, signals: tuple[str, ...]) -> tuple[Callable[..., Any], set[str]]:
+    """Return what finds signals, and the names of all that they are made from."""
+    if not signals:
+        return _count, set()
+    parts = [_one_level(scene, name) for name in signals]
+    names = set().union(*(found for _, found in parts))
+    if len(parts) == 1:
+        return parts[0][0], names
+    return partial(_together, tuple(level for level, _ in parts)), names
+
+
+def _one_level(scene: Scene, name: str) -> tuple[Callable[..., Any], set[str]]:
+    if name == "ATP":
+        assert scene.energy is not None
+        supply = partial(scene.energy.supply, scene.nutrients)
+        return partial(_of_fields, supply), set(scene.energy.yields or ())
+    if name == "pressure":
+        return _pressure, {name}
+    if name in _OF_CELLS:
+        return partial(_column, name), {name}
+    if name in scene.signals:
+        part = scene.signals[name]
+        inner = [_one_level(scene, other) for other in part.of]
+        levels = tuple(level for level, _ in inner)
+        scales = tuple(float(scale) for scale in part.of.values())
+        made = partial(_derived, levels, scales, part.combine)
+        return made, set().union(*(names for _, names in inner))
+    return partial(_found, name), {name}
+
+
+def _count(found: Found, cells: Cells | None, pressure: FloatArray | None) -> FloatArray:
+    """Return zeros in the number of the cells."""
+    like = cells.id if cells is not None else next(iter(found.values()), pressure)
+    return np.zeros(0 if like is None else len(like))
+
+
+def _found(name: str, found: Found, cells: Any, pressure: Any) -> FloatArray:
+    return found[name]
+
+
+def _of_fields(supply: Callable[[Found], FloatArray], found: Found, *_: Any) -> FloatArray:
+    return supply(found)
+
+
+def _pressure(found: Found, cells: Cells | None, pressure: FloatArray | None) -> FloatArray:
+    return cast("Cells", cells).pressure if pressure is None else pressure
+
+
+def _column(name: str, found: Found, cells: Cells, pressure: Any) -> FloatArray:
+    return cast("FloatArray", getattr(cells, name))
+
+
+def _together(levels: tuple[Callable[..., Any], ...], *at: Any) -> tuple[Any, ...]:
+    return tuple(level(*at) for level in levels)
+
+
+_DERIVED: Final[Mapping[str, Callable[..., Any]]] = {
+    "sum": np.add.reduce,
+    "product": np.multiply.reduce,
+    "minimum": np.minimum.reduce,
+    "maximum": np.maximum.reduce,
+}
+
+
+def _derived(
+    levels: tuple[Callable[..., Any], ...], scales: tuple[float, ...], combine: str, *at: Any
+) -> FloatArray:
+    parts = [level(*at) / scale for level, scale in zip(levels, scales, strict=True)]
+    return np.asarray(_DERIVED[combine](np.stack(np.broadcast_arrays(*parts))))
+
+
+def value_of(
+    plan: BiologyPlan,
+    behaviour: str,
+    own: float,
+    found: Found,
+    cells: Cells,
+    *,
+    early: bool = False,
+) -> FloatArray | None:
+    """Return the value of a behaviour of each cell, (n,), or None where nothing changes it.
+
+    Parameters
+    ----------
+    behaviour
+        Its full name, such as ``"uptake of oxygen"``.
+    own
+        Its value without responses.
+    found : name -> (n,)
+        Fields at the cells, and other signals that cells do not carry themselves.
+    early
+        Whether fields may not be there yet: what responds to them then has no effect.
+
+    Raises
+    ------
+    KeyError
+        If a signal is missing.
+    """
+    known = plan.responses.get(behaviour)
+    if known is None:
+        return None
+    if early:
+        known = tuple(part for part in known if part.signals <= {*found, *_OF_CELLS, "pressure"})
+        if not known:
+            return None
+    out = combine(known, own, found, cells, cells.pressure)
+    return np.maximum(out, 0.0) if known[-1].combine == "sum" and behaviour != "bias" else out
+
+
+def combine(
+    known: tuple[BoundResponse, ...],
+    own: float,
+    found: Found,
+    cells: Cells | None,
+    pressure: FloatArray,
+) -> FloatArray:
+    """Return the value that responses of one behaviour make of its own one, (n,)."""
+    out = np.full(len(pressure), own)
+    rule = known[-1].combine if known else ""
+    if rule == "physicell":
+        return _physicell(known, own, found, cells, pressure)
+    for place, part in enumerate(known):
+        value = part.value(found, cells, pressure)
+        if rule == "product":
+            new = out * value if own == 1.0 else out * (value / own)
+        elif rule == "sum":
+            new = out + (value - own)
+        elif place == 0:  # what the scene gives counts only where no response applies
+            new = value
+        else:
+            new = (np.minimum if rule == "minimum" else np.maximum)(out, value)
+        out = new if part.mask is None else np.where(part.mask[_kind(cells)], new, out)
+    return out
+
+
+def _kind(cells: Cells | None) -> NDArray[np.int16]:
+    assert cells is not None
+    return cells.kind
+
+
+def _physicell(
+    known: tuple[BoundResponse, ...],
+    own: float,
+    found: Found,
+    cells: Cells | None,
+    pressure: FloatArray,
+) -> FloatArray:
+    """Return the values under PhysiCell's rule, (n,)."""
+    none = np.zeros(len(pressure))
+    sums, ends = {True: none, False: none}, {True: own, False: own}
+    for part in known:
+        # the value at a high signal decides whether the signal raises or lowers the behaviour
+        end = part.low if part.falls else part.high
+        rises, share = end > own, np.asarray(part.share(found, cells, pressure), dtype=float)
+        share = 1.0 - share if part.falls else share
+        with np.errstate(divide="ignore"):
+            odds = share / (1.0 - share)
+        here = odds if part.mask is None else np.where(part.mask[_kind(cells)], odds, 0.0)
+        sums[rises] = sums[rises] + here
+        ends[rises] = (max if rises else min)(ends[rises], end)
+    up, down = (1.0 - 1.0 / (1.0 + sums[rises]) for rises in (True, False))
+    return np.asarray((1.0 - down) * ((1.0 - up) * own + up * ends[True]) + down * ends[False])
+
+
+def wants_rest(plan: BiologyPlan, cells: Cells, found: Found) -> NDArray[np.bool_]:
+    """Return which cells would rest here, (n,).
+
+    A chance p is the part of cells that rest: each has its own level, drawn once for its life, and
+    rests where p is above it. A threshold is p = 0 or 1.
+    """
+    resting = np.zeros(len(cells), dtype=bool)
+    known = plan.responses.get("rest", ())
+    for part in known:
+        if part.is_sharp and part.low == 0.0 and part.high == 1.0:
+            share = part.share(found, cells)
+            resting |= share if part.mask is None else share & part.mask[cells.kind]
+    graded = tuple(p for p in known if not (p.is_sharp and p.low == 0.0 and p.high == 1.0))
+    if graded:
+        own = random.uniform(plan.seed, Purpose.REST, 0, cells.id)[:, 0]
+        for part in graded:
+            rests = part.value(found, cells) > own
+            resting |= rests if part.mask is None else rests & part.mask[cells.kind]
+    return resting
+
+
+def necrosis_hazard(plan: BiologyPlan, found: Found, cells: Cells | None) -> FloatArray | None:
+    """Return the rate at which each cell dies by necrosis, (n,) 1/s; infinite: at once.
+
+    Short forms (thresholds of fields and ATP) have one rate in common, however many of them hold.
+    None where nothing makes cells necrotic. Without ``cells`` only what fields do to all types.
+    """
+    known = plan.responses.get("necrosis rate", ())
+    if cells is None:
+        known = tuple(part for part in known if part.is_local(found))
+    hazard = None
+    for part in known:
+        value = part.value(found, cells)
+        before = np.zeros(len(value)) if hazard is None else hazard
+        new = np.maximum(before, value) if part.short else before + value
+        hazard = new if part.mask is None else np.where(part.mask[_kind(cells)], new, before)
+    return hazard
+
+
+def missing_signals(responses: Mapping[str, tuple[BoundResponse, ...]]) -> frozenset[str]:
+    """Return the signals that neither fields nor cells carry: time and counts of neighbours."""
+    named = {name for known in responses.values() for part in known for name in part.signals}
+    return frozenset(name for name in named if name == "time" or needs_contacts(name))

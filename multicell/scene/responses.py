@@ -1,0 +1,475 @@
+"""Responses of a scene: what changes what cells do, per type, and keys that stand for some.
+
+A response lets one behaviour go from one value to another as a signal rises. Older keys of fields,
+growth, death and energy (``growth_half_saturation``, ``necrosis`` ...) are short forms of
+responses; both become :class:`Effect` here, and nothing else is evaluated in a run.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING, Any, final
+
+from multicell.behaviours.catalogue import (
+    COMBINE,
+    CONTACTS,
+    SIGNALS,
+    Behaviour,
+    behaviour_named,
+    signal_unit,
+)
+from multicell.behaviours.laws import (
+    KEYS,
+    OWN,
+    Constant,
+    Hill,
+    Linear,
+    Monod,
+    ResponseLaw,
+    Table,
+    Threshold,
+)
+from multicell.cells import Phase
+from multicell.errors import SceneError
+from multicell.plugins.named import OWN_OBJECT
+from multicell.scene.reactions import group_of
+from multicell.schema import (
+    Bounds,
+    Tables,
+    choice,
+    flag,
+    measure,
+    measure_points,
+    measures,
+    near_miss,
+    number,
+    parameters,
+    quantities,
+    text,
+)
+from multicell.schema.bounds import reader, rises
+from multicell.units import oxygen_solubility, shown, to_base
+
+if TYPE_CHECKING:
+    from multicell.scene.scene import Scene
+
+
+@final
+@parameters
+class Response:
+    """How a behaviour of cells responds to a signal.
+
+    The value goes from ``base`` to ``largest`` as the signal rises, or with ``falls`` from
+    ``largest`` to ``base``. What is absent of the two is what the scene gives without responses (1
+    for a factor), or zero for the ``base`` of a response that falls.
+    """
+
+    behaviour: str = text(doc="what is changed, for example 'growth rate' or 'uptake of oxygen'")
+    signal: str | None = text(
+        default=None, doc="what is found: a field, pressure, ATP, age ...; of a law of the user's "
+        "own several, separated by commas; absent for the law 'constant'",
+    )  # fmt: skip
+    cells: str | None = text(default=None, doc="types, separated by commas; absent: all cells")
+    law: str = choice(
+        KEYS, default="hill", doc="by which it responds", other=lambda name: name in OWN,
+        further=OWN_OBJECT,
+    )  # fmt: skip
+    falls: bool = flag(default=False, doc="whether the effect falls as the signal rises")
+    half: float | str | None = measure(doc="signal of half the effect, or the threshold")
+    power: float = number(default=1.0, above=0, at_most=32, doc="Hill's exponent")
+    begin: float | str | None = measure(doc="of the law 'linear': signal at which it begins")
+    end: float | str | None = measure(doc="of the law 'linear': signal at which it ends")
+    points: tuple[tuple[float | str, float | str], ...] | None = measure_points(
+        doc="of the law 'table': [signal, value] of the behaviour"
+    )
+    base: float | str | None = measure(doc="value without the effect")
+    largest: float | str | None = measure(doc="value at the full effect")
+    combine: str | None = choice(
+        COMBINE, default=None, doc="with other responses of the behaviour; absent: factors by "
+        "product, rates by sum, rest by maximum",
+    )  # fmt: skip
+    parameters: Mapping[str, float] | None = quantities("", doc="of a law of the user's own")
+
+    def check(self) -> None:
+        """Raise ``SceneError`` for a law without its keys, or with those of another one."""
+        needed = KEYS.get(self.law, ())
+        for name in ("half", "begin", "end", "points"):
+            given = getattr(self, name) is not None
+            if name in needed and not given:
+                raise SceneError(name, f"is missing: the law is {self.law!r}")
+            if given and name not in needed:
+                raise SceneError(name, f"has no effect: the law is {self.law!r}")
+        if self.power != 1.0 and self.law != "hill":
+            raise SceneError("power", f"has no effect: the law is {self.law!r}")
+        if self.parameters and self.law not in OWN:
+            raise SceneError("parameters", f"have no effect: the law is {self.law!r}")
+        if self.falls and self.law in ("table", "constant", "inhibition"):
+            raise SceneError("falls", f"has no effect: the law is {self.law!r}")
+        if (self.law == "constant") != (not self.signal):
+            hint = "The law 'constant' needs no signal, all others do."
+            raise SceneError("signal", "is missing" if not self.signal else "has no effect", hint)
+        if self.law == "constant" and self.largest is None:
+            raise SceneError("largest", "is missing: the law is 'constant'", "Give the value.")
+        for name in ("base", "largest") if self.law == "table" else ():
+            if getattr(self, name) is not None:
+                raise SceneError(name, "has no effect: points give the values")
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """The signals by name."""
+        return tuple(name.strip() for name in (self.signal or "").split(",") if name.strip())
+
+    @property
+    def types(self) -> tuple[str, ...]:
+        """The types that respond; empty for all cells."""
+        return tuple(name.strip() for name in (self.cells or "").split(",") if name.strip())
+
+
+@final
+@parameters
+class Signal:
+    """A signal that is derived from others: each over its scale, combined."""
+
+    of: Mapping[str, float | str] = measures(
+        doc="scale of each signal by its name, for example { drug = '2 uM' }"
+    )
+    combine: str = choice(
+        ["sum", "product", "minimum", "maximum"], default="sum", doc="of the ratios"
+    )
+
+
+@final
+@dataclass(frozen=True)
+class Effect:
+    """A response with all that it needs, in base units.
+
+    Attributes
+    ----------
+    behaviour
+        Full name.
+    signals
+        By name; empty for a constant.
+    law
+    falls
+        Whether the effect falls as the signal rises.
+    low, high
+        Values of the behaviour where the share of the effect is zero and one. ``high`` is infinite
+        for a death at once.
+    types
+        That respond; empty for all.
+    combine
+        The rule.
+    key
+        Dotted key of the scene that says so.
+    short
+        Whether that key is a short form.
+    """
+
+    behaviour: str
+    signals: tuple[str, ...]
+    law: ResponseLaw
+    falls: bool
+    low: float
+    high: float
+    types: tuple[str, ...]
+    combine: str
+    key: str
+    short: bool = False
+
+
+def effects(scene: Scene) -> tuple[Effect, ...]:
+    """Return all responses of a scene, short forms first."""
+    named = (_effect(scene, name, part) for name, part in scene.responses.items())
+    return (*_short_forms(scene), *named)
+
+
+def own_value(scene: Scene, behaviour: Behaviour) -> float:
+    """Return the value of a behaviour without responses, in its unit."""
+    if behaviour.is_factor:
+        return 1.0
+    if behaviour.name == "apoptosis rate" and scene.death is not None:
+        return scene.death.apoptosis_rate
+    if behaviour.name == "bias" and scene.motility is not None:
+        return scene.motility.bias
+    return 0.0
+
+
+def _short_forms(scene: Scene) -> Iterator[Effect]:
+    """Yield the effects that keys of fields, energy, growth and adhesion stand for, in order."""
+    rate = scene.death.necrosis_rate if scene.death is not None else None
+    dying = math.inf if rate is None else rate
+
+    def short(what: str, signal: str, law: ResponseLaw, key: str, falls: bool, high: float = 1.0,
+              types: tuple[str, ...] = ()) -> Effect:  # fmt: skip
+        combine = behaviour_named(what, key)[0].combine
+        return Effect(what, (signal,), law, falls, 0.0, high, types, combine, key, short=True)
+
+    def needs(part: Any, signal: str, path: str) -> Iterator[Effect]:
+        """Yield what cells need of a field or of ATP."""
+        laws: dict[str, tuple[str, Any, bool, float]] = {
+            "growth_half_saturation": ("growth rate", Monod, False, 1.0),
+            "growth_inhibition": ("growth rate", Monod, True, 1.0),
+            "quiescence": ("rest", Threshold, True, 1.0),
+            "necrosis": ("necrosis rate", Threshold, True, dying),
+            "necrosis_above": ("necrosis rate", partial(Threshold, strict=True), False, dying),
+        }
+        for key, (what, law, falls, high) in laws.items():
+            level = getattr(part, key, None)
+            if level is not None:
+                yield short(what, signal, law(level), f"{path}.{key}", falls, high)
+
+    for name, field in scene.nutrients.items():
+        yield from needs(field, name, f"nutrients.{name}")
+    if scene.energy is not None:
+        yield from needs(scene.energy, "ATP", "energy")
+    if scene.growth is not None and scene.growth.critical_pressure is not None:
+        key, critical = "growth.critical_pressure", scene.growth.critical_pressure
+        yield short("growth rate", "pressure", Linear(0.0, critical), key, falls=True)
+        yield short("rest", "pressure", Threshold(critical), key, falls=False)
+    for name, kind in scene.types.items():
+        for what in ("receptor", "ligand"):
+            for field_name, curve in (getattr(kind, f"{what}_by") or {}).items():
+                key = f"types.{name}.{what}_by.{field_name}"
+                yield short(f"{what}s", field_name, Table(curve), key, falls=False, types=(name,))
+
+
+def _effect(scene: Scene, name: str, part: Response) -> Effect:
+    """Return what a response says; it has been checked."""
+    behaviour, _ = behaviour_named(part.behaviour, "behaviour")
+    full = part.behaviour if behaviour.of else behaviour.name
+    falls = part.falls or part.law == "inhibition"
+    low, high = _ends(scene, behaviour, part, falls=falls)
+    combine = part.combine or behaviour.combine
+    law, key = _law(part), f"responses.{name}"
+    return Effect(full, part.signals, law, falls, low, high, part.types, combine, key)
+
+
+def _ends(
+    scene: Scene, behaviour: Behaviour, part: Response, *, falls: bool
+) -> tuple[float, float]:
+    """Return the values of a behaviour at no effect and at the full one.
+
+    Raises
+    ------
+    SceneError
+        Where they are the same.
+    """
+    if part.law == "table":
+        return 0.0, 1.0
+    own, base, largest = own_value(scene, behaviour), part.base, part.largest
+    assert not isinstance(base, str)
+    assert not isinstance(largest, str)
+    if largest is None and behaviour.name == "necrosis rate" and part.law == "threshold":
+        return 0.0, math.inf
+    # a response that rises from nothing to what the scene gives, such as Monod's
+    at_rest = 0.0 if falls or largest is None else own
+    low = at_rest if base is None else base
+    high = own if largest is None else largest
+    if low == high and part.law != "constant":
+        hint = f"Without responses the {behaviour.name} is {own:g}: give another one."
+        raise SceneError("largest", f"is missing, or the same as base ({low:g})", hint)
+    return low, high
+
+
+def _law(part: Response) -> ResponseLaw:
+    """Return the law of a response in base units."""
+    half: Any = part.half
+    if part.law in OWN:
+        made: ResponseLaw = OWN[part.law](**(part.parameters or {}))
+        return made
+    if part.law == "hill":
+        return Hill(half, part.power)
+    if part.law in ("monod", "inhibition"):
+        return Monod(half)
+    if part.law == "threshold":
+        return Threshold(half)
+    if part.law == "linear":
+        begin, end = float(part.begin or 0.0), float(part.end or 0.0)
+        return Linear(begin, end)
+    if part.law == "table":
+        points: Any = part.points
+        return Table(points)
+    return Constant()
+
+
+def check_responses(scene: Scene) -> None:
+    """Turn responses into base units; raise ``SceneError`` for those that do not fit the scene."""
+    _check_signals(scene)
+    made = {}
+    for name, part in scene.responses.items():
+        path = f"responses.{name}"
+        try:
+            made[name] = in_base_units(scene, part)
+            _effect(scene, name, made[name])
+        except SceneError as error:
+            raise SceneError(f"{path}.{error.path}", error.problem, error.hint) from None
+    object.__setattr__(scene, "responses", Tables(made))
+    rules: dict[str, tuple[str, str]] = {}
+    for effect in effects(scene):
+        if effect.short:
+            continue
+        first, rule = rules.setdefault(effect.behaviour, (effect.key, effect.combine))
+        if rule != effect.combine:
+            problem = f"is {effect.combine!r}, but of {first} it is {rule!r}"
+            hint = "All responses of one behaviour combine by one rule."
+            raise SceneError(f"{effect.key}.combine", problem, hint)
+
+
+def unit_of(scene: Scene, part: Response, key: str) -> str:
+    """Return the base unit of one of a response's numbers."""
+    if key in ("base", "largest"):
+        return behaviour_named(part.behaviour, "behaviour")[0].unit
+    return signal_unit(part.signals[0], scene.nutrients, scene.signals, "signal")
+
+
+def in_base_units(scene: Scene, part: Response) -> Response:
+    """Return a response in base units.
+
+    Raises
+    ------
+    SceneError
+        For one that does not fit the scene; the path is that within the response.
+    """
+    behaviour, of = behaviour_named(part.behaviour, "behaviour")
+    _check_behaviour(scene, behaviour, of)
+    for kind in part.types:
+        if kind not in scene.types:
+            problem = f"names {kind!r}, which is no type of this scene"
+            raise SceneError("cells", problem, near_miss(kind, scene.types))
+    if len(part.signals) > 1 and part.law not in OWN:
+        hint = "Give each a response of its own, or derive one from them in [signals]."
+        raise SceneError("signal", "names several, as only laws of the user's own have", hint)
+    for signal in part.signals:
+        check_signal(scene, signal, "signal")
+        if behaviour.of == "field" and signal in (of, *group_of(of, scene.reactions)):
+            problem = f"is {signal!r}, which is solved for together with {of}"
+            hint = "The law of uptake itself is half_saturation; reactions have laws of their own."
+            raise SceneError("signal", problem, hint)
+        if behaviour.of == "field" and signal not in (*scene.nutrients, "age", "volume", "radius",
+                                                     "pressure"):  # fmt: skip
+            hint = "Uptake and secretion respond to fields, pressure, age and size."
+            raise SceneError("signal", f"is {signal!r}", hint)
+    changed: dict[str, Any] = {}
+    if len(part.signals) == 1:
+        read = _signal_reader(scene, part.signals[0])
+        for key in ("half", "begin", "end"):
+            if (value := getattr(part, key)) is not None:
+                changed[key] = read(value, key)
+    value_of = reader(behaviour.unit, _bounds(behaviour))
+    for key in ("base", "largest"):
+        if (value := getattr(part, key)) is not None:
+            changed[key] = value_of(value, key)
+    if part.points is not None:
+        read = _signal_reader(scene, part.signals[0])
+        points = tuple((read(x, "points"), value_of(y, "points")) for x, y in part.points)
+        if not rises(points):
+            raise SceneError("points", "must have signals that rise")
+        changed["points"] = points
+    if part.half is not None and not changed["half"] > 0.0:
+        raise SceneError("half", f"is {changed['half']:g}, must be above 0")
+    if part.law == "linear" and not changed["begin"] < changed["end"]:
+        problem = f"is {changed['end']:g}, must be above begin ({changed['begin']:g})"
+        raise SceneError("end", problem, "With falls = true the effect is full below begin.")
+    return replace(part, **changed)
+
+
+def _bounds(behaviour: Behaviour) -> Bounds:
+    least = -1.0 if behaviour.name == "bias" else 0.0
+    return Bounds(at_least=least, at_most=behaviour.at_most)
+
+
+def check_signal(scene: Scene, name: str, path: str) -> None:
+    """Raise ``SceneError`` for a signal that the scene does not have."""
+    signal_unit(name, scene.nutrients, scene.signals, path)
+    if name == "ATP" and scene.energy is None:
+        raise SceneError(
+            path, "is 'ATP', but the scene has no energy", "[energy] says who makes it."
+        )
+    kind = name.removeprefix(CONTACTS)
+    if name.startswith(CONTACTS) and kind not in scene.types:
+        problem = f"is {name!r}, but {kind!r} is no type of this scene"
+        raise SceneError(path, problem, near_miss(kind, scene.types))
+
+
+def _signal_reader(scene: Scene, name: str) -> Any:
+    """Return what reads a value of a signal; of oxygen also as a partial pressure."""
+    unit = signal_unit(name, scene.nutrients, scene.signals, "signal")
+    read = reader(unit, Bounds())
+
+    def oxygen(value: Any, path: str) -> float:
+        try:
+            return read(value, path)
+        except SceneError:
+            if not isinstance(value, str):
+                raise
+            pressure = to_base(value, "kPa", path)
+        return pressure * oxygen_solubility(scene.nutrients["oxygen"].temperature)
+
+    return oxygen if name == "oxygen" and name in scene.nutrients else read
+
+
+def _check_behaviour(scene: Scene, behaviour: Behaviour, of: str) -> None:
+    """Raise ``SceneError`` for a behaviour that the scene's cells do not have."""
+    known = {"field": list(scene.nutrients), "type": list(scene.types),
+             "phase": [phase.name for phase in Phase][1:]}.get(behaviour.of)  # fmt: skip
+    if known is not None and of not in known:
+        problem = f"is '{behaviour.name} {of}', but {of!r} is no {behaviour.of} of this scene"
+        raise SceneError("behaviour", problem, near_miss(of, known))
+    growth, name = scene.growth, behaviour.name
+    phases = growth is not None and bool(growth.phases)
+    grows = ("growth rate", "rest", "mutation to", "division radius", "entry into")
+    lacking = {
+        "[growth]": name in grows and growth is None,
+        "[growth.phases]": name == "entry into" and not phases,
+        "[motility]": name == "bias" and scene.motility is None,
+        "[adhesion]": name in ("receptors", "ligands") and scene.adhesion is None,
+    }
+    active = scene.motility is not None or bool(scene.chemotaxis) or scene.haptotaxis is not None
+    lacking["[motility]"] |= name == "speed" and not active
+    for table, missing in lacking.items():
+        if missing:
+            problem = f"is {name!r}, which has no effect without {table}"
+            raise SceneError("behaviour", problem, "Give the scene that table.")
+    if name == "division radius" and phases:
+        problem = "is 'division radius', but cells divide at the end of M"
+        raise SceneError("behaviour", problem, "Use 'entry into M', or leave phases out.")
+    if name == "uptake of" and not scene.nutrients[of].takes_up:
+        raise SceneError("behaviour", f"has no effect: the uptake of {of} is zero")
+    made = name == "secretion of" and scene.nutrients[of]
+    if made and made.secretion == 0.0 and not made.secretion_from:
+        raise SceneError("behaviour", f"has no effect: the secretion of {of} is zero")
+
+
+def _check_signals(scene: Scene) -> None:
+    """Check derived signals: names, scales, and that none depends on itself."""
+    from graphlib import CycleError, TopologicalSorter
+
+    for name in (*scene.signals, *(scene.nutrients if scene.responses else ())):
+        if name in SIGNALS or (name in scene.signals and name in scene.nutrients):
+            kind = "nutrients" if name in scene.nutrients else "signals"
+            raise SceneError(
+                f"{kind}.{name}", "is the name of another signal", "Name it otherwise."
+            )
+    made = {}
+    for name, part in scene.signals.items():
+        scales = {}
+        for signal, scale in part.of.items():
+            path = f"signals.{name}.of.{signal}"
+            check_signal(scene, signal, path)
+            scales[signal] = _signal_reader(scene, signal)(scale, path)
+            if not scales[signal] > 0.0:
+                raise SceneError(path, f"is {shown(scale)}, must be above 0")
+        if not scales:
+            raise SceneError(f"signals.{name}.of", "names no signal")
+        made[name] = replace(part, of=scales)
+    object.__setattr__(scene, "signals", Tables(made))
+    graph = {name: [x for x in part.of if x in made] for name, part in made.items()}
+    try:
+        tuple(TopologicalSorter(graph).static_order())
+    except CycleError as error:
+        circle = list(reversed(error.args[1]))
+        problem = f"depends on itself: {' needs '.join(circle)}"
+        raise SceneError(f"signals.{circle[0]}", problem) from None
