@@ -25,6 +25,7 @@ ignore_settings_of_working_folder()
 
 if TYPE_CHECKING:
     from multicell import testing
+    from multicell.behaviours.custom import response
     from multicell.calibration.fit import fit
     from multicell.calibration.fitted import Fit
     from multicell.calibration.sensitivity import sensitivity
@@ -109,6 +110,7 @@ __all__ = [
     "ode_problem",
     "pair_law",
     "reaction",
+    "response",
     "resume",
     "run",
     "scene_names",
@@ -122,6 +124,7 @@ _LAZY = {
     "load_law": "multicell.contact.custom",
     "pair_law": "multicell.contact.custom",
     "growth_law": "multicell.growth_laws.custom",
+    "response": "multicell.behaviours.custom",
     "Cells": "multicell.cells",
     "Hertz": "multicell.contact.hertz",
     "FieldEquation": "multicell.nutrient.equations.equation",

@@ -9,6 +9,7 @@ on (:class:`multicell.Integrator`). It fits into any test suite:
 
 :func:`check_pair_law` does the same for a pair law (:func:`multicell.pair_law`),
 :func:`check_growth_law` for a law of growth (:func:`multicell.growth_law`),
+:func:`check_response` for a law of response (:func:`multicell.response`),
 :func:`check_reaction` for a reaction between fields (:func:`multicell.reaction`), and
 :func:`check_observable` for an observable (:func:`multicell.observable`).
 """
@@ -23,6 +24,7 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
+from multicell.behaviours.laws import ResponseLaw
 from multicell.cells import FloatArray, IntArray, State
 from multicell.contact.hertz import Hertz
 from multicell.contact.law import PairLaw, effective_modulus
@@ -159,6 +161,48 @@ def _check_rate(law: GrowthLaw) -> None:
     birth = 261.8
     after = law.volume_after(volume * birth, np.full(21, 0.1), birth) / birth
     _same(after, law.volume_after(volume, np.full(21, 0.1)), "it depends on the unit of volume")
+
+
+def check_response(law: ResponseLaw, *signals: FloatArray, monotone: bool = False) -> None:
+    """Raise ``AssertionError``, with all that is wrong, unless a response keeps its promises.
+
+    - shares are numbers from 0 to 1, one for each cell, in any order of the cells;
+    - they are the same if asked twice, and signals are left as they were;
+    - with ``monotone`` they do not fall where all signals rise.
+
+    Parameters
+    ----------
+    law
+        A law with its parameters (:func:`multicell.response`).
+    *signals : (n,)
+        Signals that runs may meet, in base units and rising; by default from 0 to 10.
+    """
+    count = getattr(law, "signals", 1)
+    given = signals or (np.linspace(0.0, 10.0, 201),) * count
+
+    def share(*at: FloatArray) -> FloatArray:
+        signal: Any = at if count > 1 else at[0]
+        return np.asarray(law.share(signal, falls=False))
+
+    def numbers(law: ResponseLaw) -> None:
+        before = [one.copy() for one in given]
+        found = share(*given)
+        _require(np.shape(found) == given[0].shape, "it does not return one share for each cell")
+        _require(np.isfinite(found).all(), "it returns something that is no number")
+        _require(bool(((found >= 0.0) & (found <= 1.0)).all()), "its shares are not from 0 to 1")
+        _require(np.array_equal(found, share(*given)), "it does not give the same bits again")
+        same = all(map(np.array_equal, before, given))
+        _require(same, "it writes into its signals")
+
+    def order(law: ResponseLaw) -> None:
+        back = share(*(one[::-1].copy() for one in given))[::-1]
+        _require(np.array_equal(back, share(*given)), "a share depends on the other cells")
+
+    def rises(law: ResponseLaw) -> None:
+        steps = np.diff(share(*given))
+        _require(not monotone or bool((steps >= 0.0).all()), "it falls where its signals rise")
+
+    _carry_out((numbers, order, rises), law, type(law).__name__)
 
 
 def check_integrator(method: Any) -> None:

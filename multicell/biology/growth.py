@@ -66,7 +66,7 @@ def growth_factor(
         return np.zeros_like(pressure)
     known = plan.responses.get("growth rate", ())
     if cells is None:
-        known = tuple(part for part in known if part.is_local(concentrations))
+        known = tuple(part for part in known if part.is_local)
     return combine(known, 1.0, concentrations, cells, pressure)
 
 

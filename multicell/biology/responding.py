@@ -77,9 +77,12 @@ class BoundResponse:
         """Whether it has two values only."""
         return isinstance(self.law, Threshold)
 
-    def is_local(self, found: Found) -> bool:
-        """Return whether fields and pressure at a place are all that it depends on."""
-        return self.mask is None and self.signals <= {*found, "pressure"}
+    @property
+    def is_local(self) -> bool:
+        """Whether fields and pressure at a place are all that it depends on."""
+        others = [name in _OF_CELLS or name == "time" or needs_contacts(name)
+                  for name in self.signals]  # fmt: skip
+        return self.mask is None and not any(others)
 
     def share(self, found: Found, cells: Cells | None, pressure: FloatArray | None = None) -> Any:
         """Return the share of the full effect, (n,); booleans for a threshold."""
@@ -313,7 +316,7 @@ def necrosis_hazard(plan: BiologyPlan, found: Found, cells: Cells | None) -> Flo
     """
     known = plan.responses.get("necrosis rate", ())
     if cells is None:
-        known = tuple(part for part in known if part.is_local(found))
+        known = tuple(part for part in known if part.is_local)
     hazard = None
     for part in known:
         value = part.value(found, cells)

@@ -39,6 +39,7 @@ from multicell.scene.reactions import group_of
 from multicell.schema import (
     Bounds,
     Tables,
+    build,
     choice,
     flag,
     measure,
@@ -55,6 +56,18 @@ from multicell.units import oxygen_solubility, shown, to_base
 
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
+
+
+def _is_own_law(name: str) -> bool:
+    """Return whether a scene names a law of the user's own that is loaded; refuse one that is not.
+
+    Raises
+    ------
+    SceneError
+    """
+    if ":" in name and name not in OWN:
+        raise SceneError("law", f"is {shown(name)}, which is not loaded", OWN.hint(name))
+    return name in OWN
 
 
 @final
@@ -74,7 +87,7 @@ class Response:
     )  # fmt: skip
     cells: str | None = text(default=None, doc="types, separated by commas; absent: all cells")
     law: str = choice(
-        KEYS, default="hill", doc="by which it responds", other=lambda name: name in OWN,
+        KEYS, default="hill", doc="by which it responds", other=_is_own_law,
         further=OWN_OBJECT,
     )  # fmt: skip
     falls: bool = flag(default=False, doc="whether the effect falls as the signal rises")
@@ -278,7 +291,11 @@ def _law(part: Response) -> ResponseLaw:
     """Return the law of a response in base units."""
     half: Any = part.half
     if part.law in OWN:
-        made: ResponseLaw = OWN[part.law](**(part.parameters or {}))
+        law = OWN[part.law]
+        made: ResponseLaw = build(law, part.parameters or {}, "parameters")
+        if law.signals != len(part.signals):
+            problem = f"names {len(part.signals)}, but the law takes {law.signals}"
+            raise SceneError("signal", problem)
         return made
     if part.law == "hill":
         return Hill(half, part.power)

@@ -186,6 +186,8 @@ class Scene:
         check_types(self)
         check_integrator(self)
         check_motility(self)
+        if self.responses or self.signals:
+            check_responses(self)
         smallest = 0.5 ** (1.0 / 3.0) * self.cells.division_radius
         smoothing = getattr(self.contact, "smoothing", 0.0)
         if smoothing > smallest:
@@ -199,8 +201,6 @@ class Scene:
             from multicell.scene.reaction_checks import check_reactions
 
             check_reactions(self)
-        if self.responses or self.signals:
-            check_responses(self)
         if self.dimensions == 2 and self.haptotaxis is not None and self.haptotaxis.axis == "z":
             raise SceneError("haptotaxis.axis", "is 'z' in a scene of 2 dimensions")
 

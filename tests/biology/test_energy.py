@@ -6,7 +6,8 @@ import pytest
 import multicell as mc
 from multicell.biology.growth import growth_factor
 from multicell.biology.plan import biology_plan
-from multicell.biology.states import unfavourable, update_states
+from multicell.biology.responding import wants_rest
+from multicell.biology.states import update_states
 from multicell.cells import State
 from multicell.errors import SceneError
 from multicell.nutrient.uptake import uptake
@@ -59,7 +60,7 @@ def test_states_and_growth_follow_the_supply():
     supply = made(**found)
     states = update_states(biology_plan(described), cells, found)
     np.testing.assert_array_equal(states == State.NECROTIC, supply < 0.02)
-    np.testing.assert_array_equal(unfavourable(biology_plan(described), cells, found), supply < 0.1)
+    np.testing.assert_array_equal(wants_rest(biology_plan(described), cells, found), supply < 0.1)
     factor = growth_factor(biology_plan(described), found, np.zeros(len(cells)))
     np.testing.assert_allclose(factor, supply / (0.05 + supply), rtol=1e-14)
     assert len(set(states.tolist())) == 3

@@ -58,6 +58,10 @@ NAMES = {
     "forces": ("tug", "weight"),
     "motions": ("base", "tip"),
     "observables": ("first", "second"),
+    "responses": ("kill", "slow", "switch"),
+    "signals": ("stress", "food"),
+    "drift": ("young", "cycle_time"),
+    "of": (*FIELDS, "pressure", "age", "neighbours"),
 }
 """Names of the entries of the tables that have named entries."""
 
@@ -194,7 +198,7 @@ class Drawer:
     def _number(self, spec, field, path):
         return self.size(spec, "", field.default)
 
-    def _rate_constant(self, spec, field, path):
+    def _measure(self, spec, field, path):
         return float(f"{10.0 ** self.draw(st.floats(-8.0, -3.0)):.4g}")
 
     def _count(self, spec, field, path):
@@ -360,6 +364,7 @@ def fitted(entries):
     scene["chemotaxis"] = {n: x for n, x in scene.get("chemotaxis", {}).items() if n in fields}
     if flat and scene.get("haptotaxis", {}).get("axis") == "z":
         scene["haptotaxis"]["axis"] = "y"
+    _fit_responses(scene, list(fields), list(types))
     # functions of this process, which no scene brings along
     scene.get("output", {}).pop("observables", None)
     return scene
@@ -695,6 +700,56 @@ def _fit_energy(scene, fields):
     if "necrosis" in energy and "quiescence" in energy:
         low, high = sorted((base(energy["necrosis"]), base(energy["quiescence"])))
         energy["necrosis"], energy["quiescence"] = low, high if high > low else 2.0 * low + 1e-6
+
+
+BEHAVIOURS = {
+    "growth rate": ("growth", 1.0), "rest": ("growth", 1.0), "apoptosis rate": ("", 1e-5),
+    "necrosis rate": ("", 1e-5), "division radius": ("growth", 1.1), "speed": ("motility", 2.0),
+    "receptors": ("adhesion", 0.5), "Young's modulus": ("", 2.0),
+}  # fmt: skip
+"""Behaviours -> the table that they need, and a value that responses may lead to."""
+
+
+def _fit_responses(scene, fields, types):
+    """Let responses name behaviours and signals that there are, with the keys of their laws."""
+    young = scene.get("cells", {})
+    drift = {n: x for n, x in young.get("drift", {}).items() if n in young.get("heritable", ())}
+    young.pop("drift", None)
+    if drift:
+        young["drift"] = drift
+    for part in scene.get("signals", {}).values():
+        part["of"] = {
+            n: 0.1 + abs(base(x)) for n, x in part.get("of", {}).items()
+            if n in (*fields, "pressure", "age", "neighbours")
+        } or {"age": 3600.0}  # fmt: skip
+    signals = [*fields, *scene.get("signals", {}), "pressure", "age", "volume", "time",
+               "neighbours", *(f"contacts with {name}" for name in types)]  # fmt: skip
+    phases = bool(scene.get("growth", {}).get("phases"))
+    known = {n: x for n, (needs, x) in BEHAVIOURS.items() if not needs or needs in scene}
+    if phases:
+        known["entry into S"] = known.pop("division radius")
+    known |= {f"change to {name}": 1e-5 for name in types}
+    for place, (name, part) in enumerate(scene.get("responses", {}).items()):
+        seed = sum(map(ord, name + str(part.get("behaviour", "")))) + 7 * place
+        behaviour = list(known)[seed % len(known)]
+        law = part.get("law", "hill")
+        made = {"behaviour": behaviour, "law": law, "largest": known[behaviour]}
+        if law != "constant":
+            made["signal"] = signals[seed % len(signals)]
+        if law in ("hill", "monod", "inhibition", "threshold"):
+            made["half"] = 0.01 + abs(base(part.get("half", 1.0)))
+        if law == "linear":
+            made |= {"begin": 0.0, "end": 1.0}
+        if law == "table":
+            del made["largest"]
+            made["points"] = [[0.0, 0.0], [1.0, known[behaviour]]]
+        if law == "hill":
+            made["power"] = 2.0
+        if made.get("largest") == 1.0:
+            made["base"] = 0.1
+        if types and part.get("cells"):
+            made["cells"] = types[seed % len(types)]
+        scene["responses"][name] = made
 
 
 def _fit_secretion(scene, field):

@@ -16,6 +16,7 @@ from multicell.report.explain.contact import contact_notes, contact_numbers, con
 from multicell.report.explain.cost import cost_notes, cost_numbers, predict
 from multicell.report.explain.items import Number, Part, hours, part
 from multicell.report.explain.nutrient import nutrient_notes, nutrient_numbers, nutrient_parts
+from multicell.report.explain.responses import response_parts
 from multicell.scene.coupling import fixed_step, longest_step, shortest_step, tolerance
 from multicell.scene.domain import sides
 from multicell.scene.pairs import daughters_stiffness, drag
@@ -61,6 +62,7 @@ def _parts(scene: Scene, first_step: bool) -> list[Part]:
         *contact_parts(scene),
         part("growth", _growth_words(scene)),
         part("death", _death_words(scene)),
+        *response_parts(scene),
         *_taxis(scene),
         Part("domain", scene.domain is not None, _domain_words(scene)),
         *nutrient_parts(scene),

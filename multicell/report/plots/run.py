@@ -221,6 +221,16 @@ class Plots:
         return contacts(self._frames, self._history, self._scene)
 
     @_picture(
+        "What cells do about what they find: each behaviour over its signals.",
+        on_page=lambda run: len(run._scene.responses) > 0,
+    )
+    def responses(self) -> Figure:
+        """Draw each behaviour over the signals that it responds to, short forms included."""
+        from multicell.report.plots.responses import response_curves
+
+        return response_curves(self._scene)
+
+    @_picture(
         "Force that pulls the cells apart, beside what their contact can bear.",
         on_page=lambda run: run._crowd(0) and run._has("pull"),
     )

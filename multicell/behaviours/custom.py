@@ -1,0 +1,118 @@
+"""Laws of response of the user's own: a Python function of signals becomes a law.
+
+>>> import multicell as mc
+>>> @mc.response(parameters={"half": ""})
+... def saturating(drug, p):
+...     return drug / (p.half + drug)
+>>> law = saturating(half=0.5)
+>>> float(law.share(1.5, falls=False))
+0.75
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from inspect import signature
+from typing import TYPE_CHECKING, Any, ClassVar, cast
+
+import numpy as np
+
+from multicell.behaviours.laws import OWN, ResponseLaw
+from multicell.contact.custom import declaration, mark_of
+from multicell.plugins.laws import OwnLaw
+from multicell.plugins.named import own_code
+from multicell.schema import parameters as declare
+
+if TYPE_CHECKING:
+    from multicell.cells import FloatArray
+
+
+class UserResponse(OwnLaw, ResponseLaw):
+    """A law made by :func:`response`; its parameters are the fields of the dataclass.
+
+    Attributes
+    ----------
+    signals
+        How many signals its function takes.
+    """
+
+    signals: ClassVar[int]
+    _function: ClassVar[Callable[..., Any]]
+
+    def share(self, signal: Any, *, falls: bool) -> FloatArray:
+        """Return the share of the full effect, (n,); of several signals ``signal`` is a tuple.
+
+        Raises
+        ------
+        SceneError
+            With file and line, where the user's function fails.
+        """
+        given = signal if isinstance(signal, tuple) else (signal,)
+        arrays = np.broadcast_arrays(*(np.asarray(one, dtype=float) for one in given))
+        with own_code("responses"):
+            found = type(self)._function(*arrays, self)
+            share = np.broadcast_to(np.asarray(found, dtype=float), arrays[0].shape)
+        return 1.0 - share if falls else share
+
+    @property
+    def middle(self) -> float:
+        """Not known: cells at the start are not ranked by it."""
+        return 0.0
+
+
+def response(*, parameters: Mapping[str, Any]) -> Callable[[Callable[..., Any]], type[Any]]:
+    """Make a law of response of a function that returns the share of the full effect.
+
+    The function is called as ``share(signal, ..., p)``: each signal is an array with a number for
+    each cell, in base units, and ``p`` has the parameters as attributes. It returns an array of
+    shares from 0 to 1. A scene names it ``law = "file.py:name"``, with its signals in order,
+    ``signal = "drug, oxygen"``, and its ``parameters``.
+
+    Parameters
+    ----------
+    parameters
+        Name -> ``""`` for each parameter, all numbers without unit; or a declaration of
+        :mod:`multicell.schema` such as ``number(default=0.5, above=0.0)``.
+
+    Returns
+    -------
+    A class of laws. :func:`multicell.testing.check_response` reports what does not hold.
+
+    Raises
+    ------
+    TypeError
+        For a function whose last argument is not ``p``, or that has no signal; for a parameter
+        whose name is taken.
+    SceneError
+        When a law is made with a value that is refused.
+    """
+
+    def make(function: Callable[..., Any]) -> type[Any]:
+        taken = [name for name in parameters if hasattr(UserResponse, name)]
+        if taken:
+            raise TypeError(f"{taken[0]!r} cannot be the name of a parameter of a law")
+        *signals, last = list(signature(function).parameters) or [""]
+        if last != "p" or not signals:
+            raise TypeError(f"{function.__qualname__!r} must have signals and then p as arguments")
+        declared = {name: declaration(entry) for name, entry in parameters.items()}
+        source = f"{os.path.basename(function.__code__.co_filename)}:{function.__qualname__}"
+        mark = mark_of([function], declared)
+        if f"{source}@{mark}" in OWN:
+            return cast("type[UserResponse]", OWN[f"{source}@{mark}"])
+        attributes = {
+            "__doc__": function.__doc__,
+            "__module__": function.__module__,
+            "__qualname__": function.__qualname__,
+            **declared,
+            "__annotations__": dict.fromkeys(parameters, float),
+            "source": source,
+            "fingerprint": mark,
+            "signals": len(signals),
+            "_function": staticmethod(function),
+        }
+        law: type[UserResponse] = declare(type(function.__name__, (UserResponse,), attributes))
+        OWN.add(source, mark, law)
+        return law
+
+    return make

@@ -1,0 +1,96 @@
+"""What cells do about what they find: each behaviour over its signals."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from multicell.behaviours.catalogue import behaviour_named, signal_unit
+from multicell.behaviours.laws import Constant, Linear, Table, Threshold
+from multicell.report.plots.style import INK, headed, styled, type_colours
+from multicell.scene.responses import Effect, effects
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from multicell.scene.scene import Scene
+
+_MAX_PANELS: Final = 9
+_POINTS: Final = 400
+_REACH: Final = 4.0
+"""Signals that are drawn, up to so many times the middle of the response."""
+
+
+@styled
+def response_curves(scene: Scene) -> Figure:
+    """Draw a panel for each behaviour and signal, with a curve for each response.
+
+    Raises
+    ------
+    ValueError
+        If nothing responds to a single signal, or there are too many to draw.
+    """
+    panels: dict[tuple[str, str], list[Effect]] = {}
+    for effect in effects(scene):
+        if len(effect.signals) == 1 and not isinstance(effect.law, Constant):
+            panels.setdefault((effect.behaviour, effect.signals[0]), []).append(effect)
+    if not panels:
+        raise ValueError("nothing in this scene responds to a signal: there is nothing to draw")
+    shown = list(panels.items())[:_MAX_PANELS]
+    title = "What cells do about what they find"
+    if len(panels) > len(shown):
+        title += f" ({len(shown)} of {len(panels)})"
+    figure = headed(scene, title)
+    columns = min(len(shown), 3)
+    rows = -(-len(shown) // columns)
+    grid = figure.add_gridspec(
+        rows, columns, left=0.06, right=0.97, top=0.84, bottom=0.1, wspace=0.24, hspace=0.85
+    )
+    for place, ((behaviour, signal), parts) in enumerate(shown):
+        axes = figure.add_subplot(grid[place // columns, place % columns])
+        _draw(axes, scene, behaviour, signal, parts)
+    return figure
+
+
+def _draw(axes: Axes, scene: Scene, behaviour: str, signal: str, parts: list[Effect]) -> None:
+    """Draw the curves of one behaviour over one signal."""
+    unit = signal_unit(signal, scene.nutrients, scene.signals, "")
+    rate = behaviour_named(behaviour, "")[0].unit == "1/s"
+    scale, of = (3600.0, ", 1/h") if rate else (1.0, "")
+    reach = max(_reach(part) for part in parts)
+    at = np.linspace(0.0, reach, _POINTS)
+    colours = type_colours(scene.types)
+    for part in parts:
+        share = np.asarray(part.law.share(at, falls=part.falls), dtype=float)
+        sudden = math.isinf(part.high)
+        value = share if sudden else scale * (part.low + (part.high - part.low) * share)
+        name = " and ".join(part.types) or "all cells"
+        axes.plot(
+            at,
+            value,
+            color=colours.get(part.types[0], INK) if part.types else INK,
+            drawstyle="steps-post" if isinstance(part.law, Threshold) else "default",
+            label=f"{name}: at once" if sudden else name,
+        )
+        if sudden:
+            axes.set_yticks([0.0, 1.0], ["lives", "dies"])
+    axes.set_xlim(0.0, reach)
+    axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
+    axes.set_xlabel(f"{signal}, {unit}" if unit else signal)
+    unit_shown = "" if any(math.isinf(part.high) for part in parts) else of
+    axes.set_title(behaviour + unit_shown, loc="left", fontsize="medium")
+    axes.locator_params(axis="x", nbins=4)
+    if len(parts) > 1 or parts[0].types:
+        axes.legend(frameon=False)
+
+
+def _reach(part: Effect) -> float:
+    """Return the largest signal that is drawn."""
+    if isinstance(part.law, Linear):
+        return 1.3 * part.law.end
+    if isinstance(part.law, Table):
+        return part.law.points[-1][0]
+    return _REACH * part.law.middle or 1.0
