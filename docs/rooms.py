@@ -23,7 +23,7 @@ WHAT = {
     "calibration": "fits, sensitivity",
     "testing": "conformance",
     "ode": "for outside solvers", "runner": "run, resume", "report": "result, pages, pictures",
-    "simulation": "the coupling step", "coupling": "its parts", "growth_laws": "volume in time",
+    "simulation": "the coupling step", "coupling": "its parts", "growth_laws": "volume in time", "behaviours": "what responds",
     "host": "files, signals, memory",
     "nutrient": "fields", "biology": "what cells do",
     "results": "frames, history, journal", "scene": "what there is", "integrators": "methods",

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from multicell.errors import SceneError
 from multicell.integrators.registry import METHODS
+from multicell.scene.responses import effects
 
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
@@ -90,17 +91,18 @@ def _integrator_setting(scene: Scene, name: str) -> str:
 
 def _necrosis(scene: Scene) -> str:
     """Say that no cell starves."""
-    starve = any(
-        field.necrosis is not None or field.necrosis_above is not None
-        for field in scene.nutrients.values()
-    )
-    starve |= scene.energy is not None and scene.energy.necrosis is not None
+    starve = _responds(scene, "necrosis rate")
     return _if(not starve, "neither a nutrient nor ATP has a threshold of necrosis")
+
+
+def _responds(scene: Scene, behaviour: str) -> bool:
+    return any(effect.behaviour == behaviour for effect in effects(scene))
 
 
 def _apoptosis(scene: Scene) -> str:
     assert scene.death is not None
-    return _if(scene.death.apoptosis_rate == 0.0, "death.apoptosis_rate is 0")
+    none = scene.death.apoptosis_rate == 0.0 and not _responds(scene, "apoptosis rate")
+    return _if(none, "death.apoptosis_rate is 0")
 
 
 def _swelling(scene: Scene) -> str:

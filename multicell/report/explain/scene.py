@@ -21,6 +21,7 @@ from multicell.scene.coupling import fixed_step, longest_step, shortest_step, to
 from multicell.scene.domain import sides
 from multicell.scene.pairs import daughters_stiffness, drag
 from multicell.scene.parts import PHASES
+from multicell.scene.responses import effects
 from multicell.scene.sizes import birth_radius
 from multicell.scene.start_checks import deep_overlaps
 
@@ -103,11 +104,13 @@ def _stage(scene: Scene) -> str:
 
 def _may_lack(scene: Scene) -> bool:
     """Return whether cells rest or die by what they find."""
-    limits = [limit for n in scene.nutrients.values()
-              for limit in (n.quiescence, n.necrosis, n.necrosis_above)]  # fmt: skip
-    if scene.energy is not None:
-        limits += [scene.energy.quiescence, scene.energy.necrosis]
-    return any(limit is not None for limit in limits)
+    signals = {
+        name
+        for effect in effects(scene)
+        if effect.behaviour in ("rest", "necrosis rate")
+        for name in effect.signals
+    }
+    return bool(signals - {"pressure"})
 
 
 def _growth_words(scene: Scene) -> str:
