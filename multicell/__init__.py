@@ -26,6 +26,7 @@ ignore_settings_of_working_folder()
 if TYPE_CHECKING:
     from multicell import testing
     from multicell.behaviours.custom import response
+    from multicell.behaviours.growth_laws.custom import growth_law
     from multicell.calibration.fit import fit
     from multicell.calibration.fitted import Fit
     from multicell.calibration.sensitivity import sensitivity
@@ -38,7 +39,6 @@ if TYPE_CHECKING:
     from multicell.contact.custom import load_law, pair_law
     from multicell.contact.hertz import Hertz
     from multicell.contact.jkr import JKR
-    from multicell.growth_laws.custom import growth_law
     from multicell.importing.imported import Imported
     from multicell.importing.physicell.reader import import_physicell
     from multicell.integrators.base import Integrator, MethodInfo, Outcome
@@ -123,7 +123,7 @@ __all__ = [
 _LAZY = {
     "load_law": "multicell.contact.custom",
     "pair_law": "multicell.contact.custom",
-    "growth_law": "multicell.growth_laws.custom",
+    "growth_law": "multicell.behaviours.growth_laws.custom",
     "response": "multicell.behaviours.custom",
     "Cells": "multicell.cells",
     "Hertz": "multicell.contact.hertz",

@@ -24,12 +24,12 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
+from multicell.behaviours.growth_laws.law import GrowthLaw
 from multicell.behaviours.laws import ResponseLaw
 from multicell.cells import FloatArray, IntArray, State
 from multicell.contact.hertz import Hertz
 from multicell.contact.law import PairLaw, effective_modulus
 from multicell.errors import SceneError
-from multicell.growth_laws.law import GrowthLaw
 from multicell.integrators.base import Integrator, MethodInfo, Outcome, build
 from multicell.integrators.own import method_info
 from multicell.mechanics.motion import Motion

@@ -16,10 +16,10 @@ from multicell.scene.pairs import surface_energies
 from multicell.scene.sizes import birth_volume, division_volume
 
 if TYPE_CHECKING:
+    from multicell.behaviours.growth_laws.law import GrowthLaw
     from multicell.biology.responding import BoundResponse
     from multicell.cells import FloatArray
     from multicell.contact.law import PairLaw
-    from multicell.growth_laws.law import GrowthLaw
     from multicell.scene.driven import Force, PrescribedMotion
     from multicell.scene.parts import (
         Adhesion,

@@ -167,9 +167,9 @@ def scene_of(source: str, changes: Sequence[str], law: str | None = None) -> Sce
 
 def name_law(spec: str) -> dict[str, str]:
     """Load a law of the user's own; return the key that takes it and the name in scenes."""
+    from multicell.behaviours.growth_laws.law import GrowthLaw
     from multicell.behaviours.laws import ResponseLaw
     from multicell.contact.custom import load_law
-    from multicell.growth_laws.law import GrowthLaw
 
     law = load_law(spec)
     if issubclass(law, ResponseLaw):

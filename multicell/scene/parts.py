@@ -8,9 +8,9 @@ from typing import final
 
 import numpy as np
 
+from multicell.behaviours.growth_laws.law import GrowthLaw
+from multicell.behaviours.growth_laws.registry import LAWS
 from multicell.errors import SceneError
-from multicell.growth_laws.law import GrowthLaw
-from multicell.growth_laws.registry import LAWS
 from multicell.integrators.base import MethodInfo
 from multicell.integrators.registry import METHODS
 from multicell.plugins.named import OWN_OBJECT, is_recorded_object

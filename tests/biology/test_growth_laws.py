@@ -5,6 +5,7 @@ import pytest
 from scipy import integrate, stats
 
 import multicell as mc
+from multicell.behaviours.growth_laws.registry import LAWS
 from multicell.biology.division import divide
 from multicell.biology.growth import volumes_after
 from multicell.biology.initial import initial_cells
@@ -12,7 +13,6 @@ from multicell.biology.plan import biology_plan
 from multicell.biology.splitting import freeze, step_error
 from multicell.cells import SPHERE, State
 from multicell.errors import SceneError
-from multicell.growth_laws.registry import LAWS
 from multicell.scene.parts import Growth
 from multicell.scene.scene import Scene
 from multicell.scene.sizes import birth_volume

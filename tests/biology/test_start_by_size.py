@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from multicell.behaviours.growth_laws.registry import LAWS
 from multicell.cells import SPHERE
-from multicell.growth_laws.registry import LAWS
 from multicell.scene.parts import Growth
 from multicell.scene.scene import Scene
 from multicell.scene.sizes import birth_volume

@@ -18,10 +18,10 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, cast
 
 import numpy as np
 
+from multicell.behaviours.growth_laws.law import GrowthLaw
+from multicell.behaviours.growth_laws.registry import LAWS
 from multicell.contact.custom import declaration, mark_of
 from multicell.errors import SceneError
-from multicell.growth_laws.law import GrowthLaw
-from multicell.growth_laws.registry import LAWS
 from multicell.plugins.laws import OwnLaw
 from multicell.plugins.named import own_code
 from multicell.schema import parameters as declare

@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, ClassVar, final
 
 import numpy as np
 
-from multicell.growth_laws.law import GrowthLaw
+from multicell.behaviours.growth_laws.law import GrowthLaw
 from multicell.schema import number, parameters
 
 if TYPE_CHECKING:

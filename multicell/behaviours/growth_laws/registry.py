@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
-from multicell.growth_laws.law import GrowthLaw
-from multicell.growth_laws.laws import Exponential, Gompertz, Linear, Logistic, Relaxation
+from multicell.behaviours.growth_laws.law import GrowthLaw
+from multicell.behaviours.growth_laws.laws import (
+    Exponential,
+    Gompertz,
+    Linear,
+    Logistic,
+    Relaxation,
+)
 from multicell.plugins.laws import Laws
 
 LAWS: Laws[GrowthLaw] = Laws(
