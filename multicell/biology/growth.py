@@ -73,9 +73,9 @@ def growth_factor(
 def volumes_after(plan: BiologyPlan, cells: Cells, factor: FloatArray, dt: float) -> FloatArray:
     """Return the volume of each cell after a time ``dt``.
 
-    Proliferating cells grow by the scene's law (:mod:`multicell.behaviours.growth_laws`), so that one
-    that nothing limits doubles in its cycle time; quiescent cells keep their volume; necrotic cells
-    shrink as V' = -V / lysis_time, after they have swollen as V' = V ln(swelling) / swelling_time
+    Proliferating cells grow by the scene's law (:mod:`multicell.behaviours.growth_laws`), so that
+    one that nothing limits doubles in its cycle time; quiescent cells keep their volume; necrotic
+    cells shrink as V' = -V / lysis_time, after they have swollen as V' = V ln(swelling) / swelling_time
     where the scene has them swell; apoptotic ones shrink as V' = -V / apoptosis_time. All is
     integrated exactly for the given factor. Growth may pass the division volume within the step:
     the excess goes to the daughters.
