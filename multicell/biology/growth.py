@@ -74,9 +74,9 @@ def volumes_after(plan: BiologyPlan, cells: Cells, factor: FloatArray, dt: float
     """Return the volume of each cell after a time ``dt``.
 
     Proliferating cells grow by the scene's law (:mod:`multicell.behaviours.growth_laws`), so that
-    one that nothing limits doubles in its cycle time; quiescent cells keep their volume; necrotic
-    cells shrink as V' = -V / lysis_time, after they have swollen as V' = V ln(swelling) / swelling_time
-    where the scene has them swell; apoptotic ones shrink as V' = -V / apoptosis_time. All is
+    one that nothing limits doubles in its cycle time; quiescent cells keep their volume. Necrotic
+    cells shrink as V' = -V / lysis_time, after they have swollen, where the scene has them swell,
+    as V' = V ln(swelling) / swelling_time; apoptotic ones as V' = -V / apoptosis_time. All is
     integrated exactly for the given factor. Growth may pass the division volume within the step:
     the excess goes to the daughters.
 

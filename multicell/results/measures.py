@@ -9,6 +9,8 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Final
 from weakref import ref
 
+import numpy as np
+
 from multicell.results import observables as of
 from multicell.results.contacts import counts_contacts
 from multicell.results.observable import Observable, TissueState, find_own
@@ -63,6 +65,11 @@ def _load(state: TissueState) -> float:
 def _count_in(name: str) -> Callable[[TissueState], int]:
     """Return what counts the cells in a state."""
     return lambda state: state.state_counts[name]
+
+
+def _living_of(state: TissueState, kind: str) -> int:
+    number = list(state.scene.types).index(kind)
+    return int(np.count_nonzero((state.cells.kind == number) & ~state.cells.dead))
 
 
 def _hypoxic_radius(state: TissueState, field: str) -> float:
@@ -174,6 +181,14 @@ OBSERVABLES: Final = (
         exists=lambda scene: [n for n, f in scene.nutrients.items() if f.quiescence is not None],
         entry="hypoxic_radius.*",
         doc="the same formula over cells below the `quiescence` of a field; 0 without any",
+    ),
+    Observable(
+        "living_*",
+        _living_of,
+        title="living cells of a type",
+        exists=lambda scene: list(scene.types) if _has_types(scene) else [],
+        entry="living.*",
+        doc="number of living cells of a type, where there are several",
     ),
     Observable("pull", _load, unit="nN", exists=_is_pulled, entry=None),
     # found by the coupling step
