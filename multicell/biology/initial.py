@@ -83,8 +83,8 @@ def initial_cells(scene: Scene) -> Cells:
     Returns
     -------
     Cells
-        Identities 0 ... n - 1 from the centre outwards, in a row along x, parent -1, all proliferating, centroid of
-        the sites at the origin, pressure zero; with a table what it says
+        Identities 0 ... n - 1 from the centre outwards, in a row along x; parent -1, all
+        proliferating, centroid of the sites at the origin, pressure zero; with a table what it says
         (:func:`multicell.biology.tabled.tabled_cells`).
     """
     initial = scene.initial
