@@ -63,6 +63,13 @@ def packed_disc(count: int) -> FloatArray:
     return np.asarray(sites[order] - sites[order].mean(axis=0))
 
 
+def row(count: int) -> FloatArray:
+    """Return ``count`` sites along x at distance 1, their centroid at the origin: (count, 3)."""
+    sites = np.zeros((count, 3))
+    sites[:, 0] = np.arange(count) - 0.5 * (count - 1)
+    return sites
+
+
 def initial_cells(scene: Scene) -> Cells:
     """Return the cells that a run starts with.
 
@@ -76,8 +83,8 @@ def initial_cells(scene: Scene) -> Cells:
     Returns
     -------
     Cells
-        Identities 0 ... n - 1 from the centre outwards, parent -1, all proliferating, centroid of
-        the sites at the origin, pressure zero; with a table what it says
+        Identities 0 ... n - 1 from the centre outwards, in a row along x; parent -1, all
+        proliferating, centroid of the sites at the origin, pressure zero; with a table what it says
         (:func:`multicell.biology.tabled.tabled_cells`).
     """
     initial = scene.initial
@@ -119,6 +126,8 @@ def _positions(scene: Scene, ids: NDArray[np.int64], radius: FloatArray) -> Floa
     diameter = 2.0 * float(radius.mean())
     flat = scene.dimensions == 2
     packed = packed_disc if flat else packed_ball
+    if scene.initial.shape == "row":
+        packed = row
     position = packed(len(ids)) * (scene.initial.spacing * diameter)
     if scene.initial.jitter > 0.0:
         z = random.normal(scene.seed, Purpose.PLACEMENT, 0, ids, 3)

@@ -168,7 +168,8 @@ def resume(
     "--format",
     default="csv",
     show_default=True,
-    help="Of the files: csv or parquet tables, vtk for ParaView, anndata for scverse, netcdf.",
+    help="Of the files: csv or parquet tables, vtk for ParaView, anndata for scverse, netcdf, "
+    "simularium for its viewer, openvt.",
 )
 @click.option(
     "--tables",

@@ -8,7 +8,7 @@ from multicell.errors import SceneError
 from multicell.scene.start_table import StartTable
 from multicell.schema import choice, count, number, parameters, table
 
-_PACKED: Final = {"spacing": 1.0, "jitter": 0.0}
+_PACKED: Final = {"shape": "ball", "spacing": 1.0, "jitter": 0.0}
 """Keys that say where cells are if no table does, with their defaults."""
 
 
@@ -29,6 +29,9 @@ class Initial:
         default=None,
         shorthand="file",
         doc="table of positions, types, radii, ages ...; absent: a close packing, cut to a ball",
+    )
+    shape: str = choice(
+        ["ball", "row"], default="ball", doc="of a close packing (in a plane a disc), or along x"
     )
     spacing: float = number(
         default=1.0,

@@ -152,6 +152,7 @@ _KEYS: Final[Mapping[str, Reason]] = {
         any(kind.surface_energy for kind in s.types.values()),
         "every pair of types has a surface energy of its own",
     ),
+    "initial.shape": _one_cell,
     "initial.spacing": _one_cell,
     "initial.jitter": _one_cell,
     "death.necrosis_rate": _necrosis,

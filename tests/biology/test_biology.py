@@ -128,6 +128,14 @@ def test_initial_spacing_and_jitter_are_relative_to_the_diameter() -> None:
     assert stats.kstest(shift.ravel(), stats.norm(scale=0.05).cdf).pvalue > 1e-3
 
 
+def test_cells_in_a_row_lie_along_x() -> None:
+    cells = initial_cells(make_scene(initial=initial(count=4, spacing=0.5, shape="row")))
+    expected = np.array([-0.75, -0.25, 0.25, 0.75]) * 2 * cells.radius
+    np.testing.assert_allclose(cells.position[:, 0], expected, rtol=1e-14)
+    assert (cells.position[:, 1:] == 0).all()
+    assert (np.diff(cells.id) == 1).all()
+
+
 def test_moduli_and_cycle_times_are_truncated_normal_and_independent() -> None:
     cells = initial_cells(make_scene(initial=initial(count=20_000)))
     law = stats.truncnorm(-3, 3)

@@ -505,7 +505,7 @@ def _fit_motility(scene, flat):
 
 
 _TABLES = Path(tempfile.mkdtemp(prefix="multicell-starts-"))
-_ARRANGED = ("count", "spacing", "jitter")
+_ARRANGED = ("count", "shape", "spacing", "jitter")
 
 
 def _fit_start(scene):

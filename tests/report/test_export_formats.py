@@ -1,6 +1,8 @@
 """Exports read back by the programs that they are for, and held against the store bit by bit."""
 
+import json
 import sys
+import weakref
 
 import anndata
 import numpy as np
@@ -14,7 +16,7 @@ from scipy.spatial.distance import pdist, squareform
 import multicell as mc
 from multicell.cells import Cells, State
 from multicell.cli.main import main
-from multicell.report.exports import FORMATS, TABLES
+from multicell.report.exports import FORMATS, TABLES, simularium
 from multicell.results.frame import Field
 from multicell.results.quantities import unit_of
 from multicell.results.vtk_grids import field_grid
@@ -133,6 +135,103 @@ def test_netcdf_history_and_frames(run, tmp_path):
                 np.testing.assert_array_equal(data[name], np.squeeze(field.values))
             oxygen = frame.fields["oxygen"]
             np.testing.assert_array_equal(data["x_oxygen"], oxygen.axis(0))
+
+
+def test_simularium_file_has_every_sphere(run, tmp_path):
+    (path,) = mc.export(run, tmp_path, format="simularium")
+    read = json.loads(path.read_text())
+    info, spatial = read["trajectoryInfo"], read["spatialData"]
+    assert (info["version"], info["totalSteps"], spatial["bundleSize"]) == (3, 3, 3)
+    assert (spatial["version"], spatial["msgType"], spatial["bundleStart"]) == (1, 1, 0)
+    assert info["timeUnits"] == {"magnitude": 1.0, "name": "s"}
+    assert info["spatialUnits"] == {"magnitude": 1.0, "name": "um"}
+    assert info["timeStepSize"] == 6 * 3600
+    assert read["plotData"] == {"version": 1, "data": []}
+    names = {int(number): kind["name"] for number, kind in info["typeMapping"].items()}
+    assert {name.partition("#")[0] for name in names.values()} == {"soft", "hard"}
+    size = np.array([info["size"][axis] for axis in "xyz"])
+    for k, (frame, one) in enumerate(zip(run.frames, spatial["bundleData"], strict=True)):
+        cells = frame.cells
+        assert (one["frameNumber"], one["time"]) == (k, frame.time)
+        agents = np.array(one["data"]).reshape(len(cells), 11)
+        np.testing.assert_array_equal(agents[:, 0], 1000.0)
+        np.testing.assert_array_equal(agents[:, 1], cells.id)
+        np.testing.assert_array_equal(agents[:, 3:6], cells.position)
+        np.testing.assert_array_equal(agents[:, [6, 7, 8, 10]], 0.0)
+        np.testing.assert_array_equal(agents[:, 9], cells.radius)
+        assert [names[int(sort)] for sort in agents[:, 2]] == [
+            f"{('soft', 'hard')[kind]}#{State(state).name.lower()}"
+            for kind, state in zip(cells.kind, cells.state, strict=True)
+        ]
+        assert np.all(np.abs(cells.position) + cells.radius[:, None] <= 0.5 * size)
+
+
+def test_simularium_reads_the_file_itself(run, tmp_path):
+    theirs = pytest.importorskip("simulariumio")
+    (path,) = mc.export(run, tmp_path, format="simularium")
+    read = theirs.FileConverter(theirs.InputFileData(str(path)))._data
+    agents = read.agent_data
+    np.testing.assert_array_equal(agents.times, [frame.time for frame in run.frames])
+    for k, frame in enumerate(run.frames):
+        n = len(frame.cells)
+        assert agents.n_agents[k] == n
+        np.testing.assert_array_equal(agents.unique_ids[k, :n], frame.cells.id)
+        np.testing.assert_array_equal(agents.positions[k, :n], frame.cells.position)
+        np.testing.assert_array_equal(agents.radii[k, :n], frame.cells.radius)
+    assert (read.spatial_units.name, read.time_units.name) == ("µm", "s")
+    # what it writes of it passes its own check of identities and of types, and is the same
+    theirs.JsonWriter._validate_ids(read)
+    assert theirs.JsonWriter._check_types_match_subpoints(read) == ""
+    again = theirs.JsonWriter.format_trajectory_data(read)
+    assert theirs.JsonWriter._check_agent_ids_are_unique_per_frame(again)
+    assert len(again["spatialData"]["bundleData"]) == len(run.frames)
+
+
+def test_simularium_holds_one_frame_at_a_time(run, tmp_path, monkeypatch):
+    alive, most = weakref.WeakSet(), []
+
+    def frames():
+        for k in range(20):
+            frame = mc.load_result(run.folder).frames[k % len(run.frames)]
+            alive.add(frame)
+            most.append(len(alive))
+            yield k, frame
+            del frame
+
+    monkeypatch.setattr(simularium, "_ROWS", 7)  # rows in parts are the rows of the whole
+    simularium.write(run, frames, tmp_path, [])
+    read = json.loads((tmp_path / "run.simularium").read_text())["spatialData"]["bundleData"]
+    assert len(read) == 20
+    assert max(most) <= 2
+    again = np.array(read[19]["data"]).reshape(-1, 11)
+    np.testing.assert_array_equal(again[:, 3:6], run.frames[1].cells.position)
+
+
+def test_openvt_tables_have_columns_and_units_of_its_frameworks(run, tmp_path):
+    files = mc.export(run, tmp_path / "space", format="openvt")
+    assert {file.name for file in files} == {
+        "openvt.csv", "timeline.txt", "data000000.csv", "data000001.csv", "data000002.csv",
+    }  # fmt: skip
+    table = pd.read_csv(files[0], float_precision="round_trip")
+    assert list(table) == ["simID", "time", "cellID", "cellType", "x", "y", "z"]
+    born = run.scene.cells.division_radius / 2 ** (1 / 3)
+    for frame in run.frames:
+        rows = table[table["time"] == frame.time / 3600]
+        np.testing.assert_array_equal(rows["cellID"], frame.cells.id)
+        np.testing.assert_array_equal(rows["cellType"], frame.cells.kind)
+        place = rows[["x", "y", "z"]] * 2 * born
+        np.testing.assert_allclose(place, frame.cells.position, rtol=1e-14)
+    assert set(table["simID"]) == {run.scene.seed}
+    one = np.loadtxt(tmp_path / "space" / "data000002.csv", delimiter=",", skiprows=1)
+    np.testing.assert_allclose(one[:, 2] * born, run.frames[2].cells.radius, rtol=1e-14)
+    line = np.loadtxt(tmp_path / "space" / "timeline.txt", delimiter=",", skiprows=1)
+    np.testing.assert_allclose(line, [[0, 0], [1, 6 / 15], [2, 12 / 15]], rtol=1e-14)
+    # of a plane, and without growth: the columns of the workshop and nothing else
+    flat = mc.run(mc.load_scene("openvt-chain").with_changes({"duration": "12 min"}))
+    (file,) = mc.export(flat, tmp_path / "plane", format="openvt")
+    assert file.read_text().splitlines()[0] == "simID,time,cellID,cellType,x,y"
+    first = pd.read_csv(file, nrows=11)
+    np.testing.assert_allclose(first["x"], np.arange(-2.5, 2.6, 0.5), rtol=1e-9)
 
 
 def test_a_frame_by_itself(run):

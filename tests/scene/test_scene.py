@@ -37,7 +37,8 @@ def test_built_in_scenes_have_names_and_titles():
     assert scene_names() == [
         "chemotaxis", "compression", "division-shock", "dosing", "doublet", "doublet-settle",
         "emt6", "emt6-rim",
-        "grow-2000", "growth", "monolayer", "settle", "settle-1000", "sorting", "sorting-cams",
+        "grow-2000", "growth", "monolayer", "openvt-chain", "openvt-monolayer",
+        "openvt-sorting", "settle", "settle-1000", "sorting", "sorting-cams",
         "sorting-signal", "spheroid", "stiff-inclusions", "treatment",
     ]  # fmt: skip
     titles = {load_scene(name).title for name in scene_names()}

@@ -270,6 +270,7 @@ def test_keys_beside_a_table_are_refused_by_name(tmp_path):
         ("count", 5, "initial.count: is 5, but the table of initial.cells has 4 rows"),
         ("spacing", 2.0, "initial.spacing: has no effect: initial.cells gives the positions"),
         ("jitter", 0.1, "initial.jitter: has no effect"),
+        ("shape", "row", "initial.shape: has no effect"),
     ):
         with pytest.raises(SceneError, match=said):
             mc.Scene.from_dict({"duration": 1, "initial": {"cells": cells, key: value}})

@@ -79,7 +79,9 @@ def _start_words(scene: Scene) -> str:
         name = Path(start.cells.file).name or "cells given in memory"
         told = ", ".join(start.cells.given.columns)
         return f"{start.count:,} cell(s) of the table '{name}', which gives {told}{_stage(scene)}"
-    shape = "ball" if scene.dimensions == 3 else "plane, where they stay"
+    shape = "row along x" if start.shape == "row" else "ball"
+    if scene.dimensions == 2:
+        shape = "plane, where they stay" if shape == "ball" else f"{shape}, in a plane"
     return f"{start.count:,} cell(s) in a {shape}{_stage(scene)}"
 
 

@@ -32,7 +32,7 @@ def _nodes(scene: Scene) -> float:
         2.0
         * radius
         * max(scene.initial.spacing, 1.0)
-        * scene.initial.count ** (1.0 / scene.dimensions)
+        * scene.initial.count ** (1.0 if scene.initial.shape == "row" else 1.0 / scene.dimensions)
     )
     if scene.initial.cells is not None:
         places = positions(scene.initial.cells.given)

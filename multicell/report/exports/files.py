@@ -71,6 +71,8 @@ FORMATS: Final = {
     "vtk": Format("vtk.write", ["run.pvd"], ["pyvista"]),
     "anndata": Format("annotated.write", ["cells.h5ad"], ["anndata"]),
     "netcdf": Format("netcdf.write", ["history.nc"], ["xarray", "h5netcdf"]),
+    "simularium": Format("simularium.write", ["run.simularium"]),
+    "openvt": Format("openvt.write", ["openvt.csv"]),
 }
 """Formats by name."""
 
@@ -101,6 +103,13 @@ def export(
 
     ``"netcdf"`` has the history in ``history.nc`` and each frame, cells and fields, in
     ``frame-0000.nc``.
+
+    ``"simularium"`` is for the viewer at https://simularium.allencell.org: the cells of all frames
+    as spheres in ``run.simularium``, named and coloured by type and state.
+
+    ``"openvt"`` has the tables that OpenVT's frameworks exchange: ``openvt.csv`` with a row for
+    each cell in each frame, lengths in diameters of a newborn cell and time in h; and where cells
+    grow ``data000000.csv`` for each frame, in newborn radii, with the cycles in ``timeline.txt``.
 
     Parameters
     ----------
