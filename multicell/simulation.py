@@ -22,7 +22,6 @@ from multicell.biology.initial import initial_cells
 from multicell.biology.motion import motion_of
 from multicell.biology.pace import first_pace, next_pace
 from multicell.biology.plan import biology_plan
-from multicell.biology.signals import other_signals
 from multicell.biology.splitting import columns, freeze, step_error
 from multicell.biology.start_states import StartStates
 from multicell.biology.step import age_cells, bind, decide, divide_and_remove, grow
@@ -156,12 +155,12 @@ class Simulation(RunState):
 
         def field(cells: Cells) -> dict[str, FloatArray]:
             self._fields.begin(cells, self.time, again=True)
-            return self.concentrations
+            return self._signals_at(cells)
 
         search = StartStates(
             self.plan, self.cells, field, tabled=self.scene.initial.cells is not None
         )
-        self.cells, unfit = search.find(self.concentrations)
+        self.cells, unfit = search.find(self.signals)
         resting, dead = int((search.rests & ~search.dead).sum()), int(search.dead.sum())
         if resting or dead or unfit:
             self.first_states = {"quiescent": resting, "necrotic": dead, "unfit": unfit}
@@ -241,17 +240,6 @@ class Simulation(RunState):
             factor = growth_factor(self.plan, self.signals, cells.pressure, cells)
             self._known_factor = surroundings, factor
         return factor
-
-    @property
-    def signals(self) -> dict[str, FloatArray]:
-        """All that cells find and do not carry themselves: fields, time, neighbours; name -> (n,).
-
-        Fields are in mM; there are no more than responses need.
-        """
-        if not self.plan.elsewhere:
-            return self.concentrations
-        others = other_signals(self.plan, self.cells, self.contacts, self.time)
-        return {**self.concentrations, **others}
 
     def history_row(self) -> dict[str, float]:
         """Return the observables of the state (:func:`multicell.results.summary.history_row`)."""

@@ -261,7 +261,7 @@ def test_public_names():
         "stability", "Integrator", "MethodInfo", "OdeProblem", "Outcome", "StateRejected",
         "ode_problem", "testing", "load_law", "pair_law", "OwnReaction", "Imported",
         "import_physicell",
-        "Reaction", "reaction", "FieldEquation", "FieldProblem",
+        "Reaction", "reaction", "response", "FieldEquation", "FieldProblem",
         "ImplicitFieldSolver", "Schedule", "SteadyFieldSolver", "Substance",
         "field_problem", "Study", "study", "load_study", "Sensitivity", "sensitivity", "Fit", "fit",
         "growth_law", "Observable", "observable", "load_observable",

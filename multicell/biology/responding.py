@@ -60,6 +60,8 @@ class BoundResponse:
         Which types respond; None for all.
     signals
         Names of all signals that it is made from.
+    yes_or_no
+        Whether its value is zero or one, as booleans.
     """
 
     level: Callable[[Found, Cells | None, FloatArray | None], Any]
@@ -71,11 +73,7 @@ class BoundResponse:
     short: bool
     mask: NDArray[np.bool_] | None
     signals: frozenset[str]
-
-    @property
-    def is_sharp(self) -> bool:
-        """Whether it has two values only."""
-        return isinstance(self.law, Threshold)
+    yes_or_no: bool
 
     @property
     def is_local(self) -> bool:
@@ -120,6 +118,7 @@ def _bound(scene: Scene, effect: Effect, mask: NDArray[np.bool_] | None) -> Boun
     return BoundResponse(
         level, effect.law, effect.falls, effect.low, effect.high, effect.combine, effect.short,
         mask, frozenset(names),
+        isinstance(effect.law, Threshold) and (effect.low, effect.high) == (0.0, 1.0),
     )  # fmt: skip
 
 
@@ -296,10 +295,10 @@ def wants_rest(plan: BiologyPlan, cells: Cells, found: Found) -> NDArray[np.bool
     resting = np.zeros(len(cells), dtype=bool)
     known = plan.responses.get("rest", ())
     for part in known:
-        if part.is_sharp and part.low == 0.0 and part.high == 1.0:
+        if part.yes_or_no:
             share = part.share(found, cells)
             resting |= share if part.mask is None else share & part.mask[cells.kind]
-    graded = tuple(p for p in known if not (p.is_sharp and p.low == 0.0 and p.high == 1.0))
+    graded = [part for part in known if not part.yes_or_no]
     if graded:
         own = random.uniform(plan.seed, Purpose.REST, 0, cells.id)[:, 0]
         for part in graded:
@@ -316,7 +315,7 @@ def necrosis_hazard(plan: BiologyPlan, found: Found, cells: Cells | None) -> Flo
     """
     known = plan.responses.get("necrosis rate", ())
     if cells is None:
-        known = tuple(part for part in known if part.is_local)
+        known = tuple(part for part in known if part.is_local and "pressure" not in part.signals)
     hazard = None
     for part in known:
         value = part.value(found, cells)

@@ -6,6 +6,7 @@ Each function returns a new population, or what is needed to make one, and chang
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple, final
 
 import numpy as np
@@ -104,7 +105,7 @@ def divide_and_remove(
     step: int,
     next_id: int,
     time: float,
-    found: Concentrations,
+    found: Concentrations = MappingProxyType({}),
 ) -> Events:
     """Return the cells after all that changes their number at a time in s.
 

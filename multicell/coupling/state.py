@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from multicell.biology.signals import other_signals
 from multicell.biology.splitting import StepError
 from multicell.coupling.timeline import Timeline
 from multicell.coupling.wall import PHASES, Phase
@@ -172,6 +173,20 @@ class RunState(ABC):
     def concentrations(self) -> dict[str, FloatArray]:
         """Concentration of each nutrient at the cells, name -> (n,) mM."""
         return self._fields.concentrations
+
+    @property
+    def signals(self) -> dict[str, FloatArray]:
+        """All that cells find and do not carry themselves: fields, time, neighbours; name -> (n,).
+
+        Fields are in mM; there are no more than responses need.
+        """
+        return self._signals_at(self.cells) if self.plan.elsewhere else self.concentrations
+
+    def _signals_at(self, cells: Cells) -> dict[str, FloatArray]:
+        if not self.plan.elsewhere:
+            return self.concentrations
+        others = other_signals(self.plan, cells, self.contacts, self.time)
+        return {**self.concentrations, **others}
 
     @property
     def ledger(self) -> dict[str, Ledger]:

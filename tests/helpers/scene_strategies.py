@@ -124,7 +124,7 @@ WILD = (
 
 OF_OWN_CODE = {
     "growth.parameters", "output.observables", "output.observables.*.function",
-    "output.observables.*.unit",
+    "output.observables.*.unit", "responses.*.parameters",
 }  # fmt: skip
 """Keys that mean a user's own Python code, without which no scene with them is made."""
 
@@ -747,6 +747,10 @@ def _fit_responses(scene, fields, types):
             made["power"] = 2.0
         if made.get("largest") == 1.0:
             made["base"] = 0.1
+        if law in ("hill", "monod", "threshold", "linear") and seed % 2:
+            made |= {"falls": True, "base": 0.1 * known[behaviour]}
+        if behaviour in ("growth rate", "rest", "apoptosis rate"):
+            made["combine"] = {"growth rate": "minimum", "rest": "maximum"}.get(behaviour, "sum")
         if types and part.get("cells"):
             made["cells"] = types[seed % len(types)]
         scene["responses"][name] = made
