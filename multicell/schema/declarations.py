@@ -406,12 +406,8 @@ def tables(
     default_factory: Any,
     names: Iterable[str] | None = None,
     doc: str = "",
-    prepare: Callable[[str, Mapping[str, Any], str], Mapping[str, Any]] | None = None,
 ) -> Any:
-    """Declare a table of named tables, each of them a ``part``; ``names`` are all that may be.
-
-    ``prepare`` is given name, table and path of each, and returns the table that is read.
-    """
+    """Declare a table of named tables, each of them a ``part``; ``names`` are all that may be."""
     known = tuple(names or ())
 
     def convert(value: object, path: str) -> Tables[Any]:
@@ -426,11 +422,7 @@ def tables(
         return read_named(entries, path, one)
 
     def one(entry: object, path: str) -> Any:
-        if isinstance(entry, part):
-            return entry
-        if prepare is not None:
-            entry = prepare(path.rpartition(".")[2], mapping(entry, path), path)
-        return build(part, entry, path)
+        return entry if isinstance(entry, part) else build(part, entry, path)
 
     return declare(
         "tables", convert, MISSING, default_factory,
