@@ -25,6 +25,8 @@ ignore_settings_of_working_folder()
 
 if TYPE_CHECKING:
     from multicell import testing
+    from multicell.calibration.dose_response import dose_response
+    from multicell.calibration.dose_response_result import DoseResponse
     from multicell.calibration.fit import fit
     from multicell.calibration.fitted import Fit
     from multicell.calibration.sensitivity import sensitivity
@@ -65,6 +67,7 @@ __version__ = "0.1.0"
 __all__ = [
     "JKR",
     "Cells",
+    "DoseResponse",
     "FieldEquation",
     "FieldProblem",
     "Fit",
@@ -95,6 +98,7 @@ __all__ = [
     "Substance",
     "WorkPrecision",
     "compare",
+    "dose_response",
     "export",
     "field_problem",
     "fit",
@@ -160,6 +164,8 @@ _LAZY = {
     "run": "multicell.runner",
     "scene_names": "multicell.scene.scene",
     "stability": "multicell.comparison.stability_limits.search",
+    "DoseResponse": "multicell.calibration.dose_response_result",
+    "dose_response": "multicell.calibration.dose_response",
     "Sensitivity": "multicell.calibration.sensitivity_result",
     "sensitivity": "multicell.calibration.sensitivity",
     "Fit": "multicell.calibration.fitted",
