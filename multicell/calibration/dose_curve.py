@@ -167,10 +167,14 @@ def fit_curve(
     Raises
     ------
     FitFailed
-        For fewer than four doses above zero, a control without response, and a response that is
-        the same at all doses.
+        For fewer than four doses above zero, and a response that is the same at all of them.
     """
-    check_response(doses, means, name)
+    if len(doses) - 1 < LEAST:
+        problem = f"{len(doses) - 1} doses of {name} above zero have a response"
+        raise FitFailed(problem, f"A curve needs at least {LEAST}.")
+    if np.ptp(means) == 0.0:
+        problem = f"the response is {means[0]:g} at all doses of {name}"
+        raise FitFailed(problem, "There is no curve to fit: test larger doses, or for longer.")
     weights = np.sqrt(counts)
     places = _logs(doses)
     viability = means / means[0]
@@ -206,24 +210,6 @@ def fit_curve(
         plain[2], plain[0], plain[1], math.sqrt(np.mean((hill(doses, parameters) - viability)**2)),
         parameters, found,
     )  # fmt: skip
-
-
-def check_response(doses: FloatArray, means: FloatArray, name: str) -> None:
-    """Refuse responses without a curve.
-
-    Raises
-    ------
-    FitFailed
-    """
-    if len(doses) - 1 < LEAST:
-        problem = f"{len(doses) - 1} doses of {name} above zero have a response"
-        raise FitFailed(problem, f"A curve needs at least {LEAST}.")
-    if not means[0] > 0.0:
-        problem = f"the control has the response {means[0]:g}"
-        raise FitFailed(problem, "Viability is relative to it: it must be above 0.")
-    if np.ptp(means) == 0.0:
-        problem = f"the response is {means[0]:g} at all doses of {name}"
-        raise FitFailed(problem, "There is no curve to fit: test larger doses, or for longer.")
 
 
 def draw_means(

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
-from multicell.calibration.dose_curve import LEAST, check_response, combine, draw_means, fit_curve
+from multicell.calibration.dose_curve import LEAST, combine, draw_means, fit_curve
 from multicell.calibration.dose_response_result import DOSES, DoseResponse, Row
 from multicell.calibration.sensitivity import observables_of, read_final
-from multicell.errors import DataError, SceneError
+from multicell.errors import DataError, FitFailed, SceneError
 from multicell.host.extras import needs
 from multicell.schema import chosen, near_miss
 from multicell.studies.axes import QUANTITY, Axis, is_numeric, parse_axis
@@ -28,6 +28,9 @@ from multicell.tables.titles import split_title
 from multicell.units import shown
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from multicell.calibration.dose_curve import Estimate
     from multicell.cells import FloatArray
     from multicell.scene.scene import Scene
     from multicell.studies.task import Outcome
@@ -401,7 +404,13 @@ def analyse(
     ------
     FitFailed
     """
-    found, control = list(notes), float(np.nanmean(values[0])) if len(values) else math.nan
+    there: NDArray[np.bool_] = np.asarray(np.isfinite(values).any(axis=1))
+    means = np.array([np.mean(row[np.isfinite(row)]) for row in values[there]])
+    control = float(means[0]) if there[0] else math.nan
+    if not control > 0.0:
+        hint = "Viability is relative to it: it must be above 0."
+        raise FitFailed(f"the control has the response {control:g}", hint)
+    found = list(notes)
     table: list[Row] = []
     for place, about in enumerate(rows):
         point, column = divmod(place, values.shape[1])
@@ -412,11 +421,7 @@ def analyse(
         table.append({**doses, "replicate": about["replicate"], "response": value,
                       "viability": value / control, "run": about["run"],
                       "reason": about["reason"]})  # fmt: skip
-    there = np.isfinite(values).any(axis=1)
-    if not there[0]:
-        check_response(np.zeros(LEAST + 1), np.full(LEAST + 1, math.nan), names[0])
     points, values = points[there], values[there]
-    means = np.nanmean(values, axis=1)
     counts = np.isfinite(values).sum(axis=1).astype(float)
     draws = draw_means(values, shared, options.resamples, options.resample_seed)
     curves = []
@@ -430,7 +435,7 @@ def analyse(
         )  # fmt: skip
         curves.append(curve)
     pairs: list[Row] = []
-    totals = {}
+    totals: dict[str, Estimate] = {}
     if len(names) == 2:
         drawn = None
         if draws is not None:
