@@ -20,7 +20,7 @@ of the means about the curve.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, final
 
@@ -33,6 +33,10 @@ if TYPE_CHECKING:
 
 LEAST: Final = 4
 """Doses above zero that a curve needs."""
+DOSES: Final[Mapping[int, tuple[str, ...]]] = {1: ("dose",), 2: ("dose A", "dose B")}
+"""Titles of the columns of doses, by the number of drugs."""
+
+TOTALS: Final = {"bliss_excess": "mean Bliss excess", "loewe_index": "mean Loewe index"}
 _SLOPES: Final = (0.1, 20.0)
 _TAILS: Final = (0.025, 0.975)
 

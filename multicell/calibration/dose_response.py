@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
-from multicell.calibration.dose_curve import LEAST, combine, draw_means, fit_curve
-from multicell.calibration.dose_response_result import DOSES, DoseResponse, Row
+from multicell.calibration.dose_curve import DOSES, LEAST, combine, draw_means, fit_curve
+from multicell.calibration.dose_response_result import DoseResponse, Row
 from multicell.calibration.sensitivity import observables_of, read_final
 from multicell.errors import DataError, FitFailed, SceneError
 from multicell.host.extras import needs

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from multicell.calibration.dose_response_result import TOTALS
+from multicell.calibration.dose_curve import TOTALS
 from multicell.report.html import write_page
 from multicell.report.plots.style import save
 

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.colors import TwoSlopeNorm
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter
 
-from multicell.calibration.dose_response_result import DOSES
+from multicell.calibration.dose_curve import DOSES
 from multicell.report.plots.style import BLUE, INK, QUIET, RED, SIZE, styled
 from multicell.studies.pictures.layout import with_heading
 from multicell.studies.pictures.values import number_text, sentence

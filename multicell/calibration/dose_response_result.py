@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Any, final
 
-from multicell.calibration.dose_curve import DoseCurve, Estimate
+from multicell.calibration.dose_curve import DOSES, TOTALS, DoseCurve, Estimate
 from multicell.errors import OutputError
 from multicell.results.folder import file_errors, to_json, versions, write_text
 from multicell.tables.text import csv_text
@@ -19,11 +19,6 @@ if TYPE_CHECKING:
 
 Row = dict[str, Any]
 """One row of a table: column -> value."""
-
-DOSES: Final[Mapping[int, tuple[str, ...]]] = {1: ("dose",), 2: ("dose A", "dose B")}
-"""Titles of the columns of doses, by the number of drugs."""
-
-TOTALS: Final = {"bliss_excess": "mean Bliss excess", "loewe_index": "mean Loewe index"}
 
 
 @final

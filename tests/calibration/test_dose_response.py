@@ -300,6 +300,30 @@ def test_a_study_through_the_command(tmp_path, here):
     assert len(here) == 10
 
 
+def test_a_run_that_fails_is_told_and_left_out(tmp_path, monkeypatch):
+    """In place of runs their outcomes and final values: one run of one dose fails."""
+    from multicell.calibration import dose_response as room
+    from multicell.studies.study import Study
+
+    plan = plan_of(COLONY, DRUG, RISING, seeds=3)
+    values = (100.0 * hill(1e3 * plan.points[:, 0], KNOWN)[:, None] + [-2.0, 0.0, 2.0]).ravel()
+    lost = plan.study.names[7]
+    values[7] = math.nan
+    monkeypatch.setattr(Study, "run", lambda *_, **__: [])
+    final = {"proliferating": values, "quiescent": 0.0 * values}
+    monkeypatch.setattr(room, "read_final", lambda *_: (final, {lost: "step failed: no way"}))
+    found = mc.dose_response(COLONY, DRUG, RISING, seeds=3, output=tmp_path, report=False)
+    assert found.notes == ["1 runs failed and are left out, the first one: step failed: no way"]
+    (row,) = (row for row in found.table if row["reason"])
+    assert row["run"] == lost
+    assert math.isnan(row["viability"])
+    assert len(found.table) == 15
+    assert "NaN" not in found.to_json()
+    (tmp_path / "again.csv").write_text(found.tocsv_text())
+    again = mc.dose_response(data=tmp_path / "again.csv")
+    assert again.curve.viability == pytest.approx(found.curve.viability)
+
+
 def test_the_command_of_measured_data(tmp_path):
     table = mc.dose_response(data=grid(lambda a, b: hill(a + b, ONE), 0.02))
     (tmp_path / "data.csv").write_text(table.tocsv_text())
