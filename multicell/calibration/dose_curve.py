@@ -302,18 +302,18 @@ def _decoded(coded: FloatArray, signed: bool) -> tuple[float, float, float, floa
     return floor, top[0] if top else 1.0, place, low + (high - low) * part
 
 
-def _quantiles(draws: FloatArray) -> tuple[float, float]:
-    """Return the ends of the 95 % interval of draws; one without a fit may be anything."""
+def _quantiles(draws: FloatArray, least: float = -math.inf) -> tuple[float, float]:
+    """Return the ends of the 95 % interval of draws; one without a value may be any from least."""
     if not len(draws):
         return math.nan, math.nan
-    low, high = (np.where(np.isnan(draws), beyond, draws) for beyond in (-np.inf, np.inf))
+    low, high = (np.where(np.isnan(draws), beyond, draws) for beyond in (least, np.inf))
     first = np.quantile(low, _TAILS[0], method="inverted_cdf")
     return float(first), float(np.quantile(high, _TAILS[1], method="inverted_cdf"))
 
 
-def _estimate(value: float, draws: FloatArray) -> Estimate:
+def _estimate(value: float, draws: FloatArray, least: float = -math.inf) -> Estimate:
     """Return a number with its interval."""
-    low, high = _quantiles(draws)
+    low, high = _quantiles(draws, least)
     texts = [f"{round(number, 4) + 0.0:.3g}" for number in (value, low, high)]
     interval = "" if math.isnan(low) else f" (95 %: {texts[1]} to {texts[2]})"
     return Estimate(float(value), low, high, f"{texts[0]}{interval}")
@@ -385,7 +385,8 @@ def combine(
         }
         row: dict[str, float | bool] = {"dose A": a, "dose B": b}
         for name, (value, others) in numbers.items():
-            low, high = _quantiles(others) if math.isfinite(value) else (math.nan, math.nan)
+            least = 0.0 if name == "loewe_index" else -math.inf
+            low, high = _quantiles(others, least) if math.isfinite(value) else (math.nan, math.nan)
             row |= {name: value, f"{name}_low": low, f"{name}_high": high}
         index = numbers["loewe_index"][0]
         beyond = any(d > c.doses[-1] for d, c in zip(alone, curves, strict=True))
@@ -399,8 +400,9 @@ def combine(
             value = float(np.mean([entry[0] for entry in entries]))
             others = np.mean([entry[1] for entry in entries], axis=0)
             log = name == "loewe_index"
-            means[name] = _estimate(math.exp(value) if log else value,
-                                    np.exp(others) if log else others)  # fmt: skip
+            means[name] = (
+                _estimate(math.exp(value), np.exp(others), 0.0) if log else _estimate(value, others)
+            )
     return rows, means
 
 
