@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from multicell import testing
     from multicell.behaviours.custom import response
     from multicell.behaviours.growth_laws.custom import growth_law
+    from multicell.calibration.dose_response import dose_response
+    from multicell.calibration.dose_response_result import DoseResponse
     from multicell.calibration.fit import fit
     from multicell.calibration.fitted import Fit
     from multicell.calibration.sensitivity import sensitivity
@@ -66,6 +68,7 @@ __version__ = "0.1.0"
 __all__ = [
     "JKR",
     "Cells",
+    "DoseResponse",
     "FieldEquation",
     "FieldProblem",
     "Fit",
@@ -96,6 +99,7 @@ __all__ = [
     "Substance",
     "WorkPrecision",
     "compare",
+    "dose_response",
     "export",
     "field_problem",
     "fit",
@@ -163,6 +167,8 @@ _LAZY = {
     "run": "multicell.runner",
     "scene_names": "multicell.scene.scene",
     "stability": "multicell.comparison.stability_limits.search",
+    "DoseResponse": "multicell.calibration.dose_response_result",
+    "dose_response": "multicell.calibration.dose_response",
     "Sensitivity": "multicell.calibration.sensitivity_result",
     "sensitivity": "multicell.calibration.sensitivity",
     "Fit": "multicell.calibration.fitted",

@@ -164,6 +164,23 @@ def oxygen_solubility(temperature: float) -> float:
     return fraction * density / 0.0180153 / 101.325
 
 
+def vapour_pressure(temperature: float) -> float:
+    """Return the pressure of saturated water vapour, kPa.
+
+    Parameters
+    ----------
+    temperature : float, °C
+        From 0 to 60.
+
+    Notes
+    -----
+    ln (p / 101.325 kPa) = 11.8571 - 3840.70/T - 216961/T² (Benson & Krause 1984, Limnol. Oceanogr.
+    29, 620). At 37 °C: 6.27 kPa = 47 mmHg.
+    """
+    t = temperature + 273.15
+    return 101.325 * math.exp(11.8571 - 3840.70 / t - 216961.0 / t**2)
+
+
 def _from_text(text: str, unit: str, path: str) -> float:
     """Return the quantity that a string spells, in ``unit``."""
     match = _QUANTITY.fullmatch(text) if len(text) <= 100 else None

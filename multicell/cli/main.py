@@ -17,6 +17,7 @@ import click
 
 from multicell import __version__
 from multicell.cli.compare import compare, stability
+from multicell.cli.dose_response import dose_response
 from multicell.cli.fit import fit
 from multicell.cli.importing import importing
 from multicell.cli.movie import movie
@@ -202,7 +203,10 @@ def export(
         click.echo(path, file=sys.stdout)
 
 
-for added in (scenes, init, schema, plot, view, movie, compare, stability, study, sensitivity, fit):
+for added in (
+    scenes, init, schema, plot, view, movie, compare, stability, study, sensitivity,
+    dose_response, fit,
+):  # fmt: skip
     main.add_command(added)
 main.add_command(importing)
 

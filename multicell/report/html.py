@@ -29,7 +29,7 @@ def write_page(
     path: Path,
     template: str,
     *,
-    scene: Scene,
+    scene: Scene | None,
     title: str,
     subtitle: str,
     tiles: Mapping[str, str],
@@ -45,7 +45,7 @@ def write_page(
     template
         Name of a file in ``templates``.
     scene
-        Its TOML makes the last card.
+        Its TOML makes the last card; None: no such card.
     title, subtitle
         Heading of the page.
     tiles
@@ -72,7 +72,7 @@ def write_page(
             _inline(path.parent / name, draw(), caption)
             for name, (draw, caption) in pictures.items()
         ],
-        scene=scene.to_toml(),
+        scene="" if scene is None else scene.to_toml(),
         version=package_version(),
         **context,
     )

@@ -18,7 +18,7 @@ from multicell.schema import Bounds, Parameter, specs
 Schema = dict[str, Any]
 
 _DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
-_QUANTITY: Final = r"^\s*[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?\s*[A-Za-zµμ(1].*$"
+_QUANTITY: Final = r"^\s*[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?\s*[A-Za-zµμ%(1].*$"
 _MEASURE: Final = {"anyOf": [{"type": "number"}, {"type": "string", "pattern": _QUANTITY}]}
 _IDENTIFIER: Final = "^[A-Za-z_][A-Za-z0-9_]*$"
 _LIMITS: Final[Mapping[str, str]] = {

@@ -227,7 +227,7 @@ class Nutrient:
         default=37.0,
         at_least=0,
         at_most=60,
-        doc="°C, at which partial pressures of oxygen ('40 mmHg') become concentrations",
+        doc="°C, at which '40 mmHg' and '5 %' of oxygen become concentrations",
     )
     finite_medium: FiniteMedium | None = table(
         FiniteMedium, default=None, doc="absent: the cells do not change the medium"

@@ -1,76 +1,108 @@
-"""Partial pressures of oxygen in a scene, which become concentrations where it is read."""
+"""Oxygen in a scene as partial pressures and percentages of gas: concentrations once it is read."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import fields
-from typing import Any
+from typing import Any, Final
 
 from multicell.errors import SceneError
-from multicell.scene.nutrient import Nutrient, Side
+from multicell.scene.nutrient import Nutrient
 from multicell.schema import specs
-from multicell.units import oxygen_solubility, shown, to_base
+from multicell.units import oxygen_solubility, shown, to_base, vapour_pressure
 
-NAME = "oxygen"
+NAME: Final = "oxygen"
 """The field whose concentrations may be written as partial pressures."""
 
-_BODY = next(f.default for f in fields(Nutrient) if f.name == "temperature")
+_BODY: Final = next(f.default for f in fields(Nutrient) if f.name == "temperature")
+_LEVELS: Final = [name for name, spec in specs(Nutrient).items() if spec.unit == "mM"]
+_DEEPEST: Final = 6
+_PERCENT: Final = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*%\s*")
+_ATMOSPHERE: Final = 101.325  # kPa
 
 
-def in_concentrations(name: str, entries: Mapping[str, Any], path: str) -> Mapping[str, Any]:
-    """Return the table of a field with partial pressures replaced by concentrations in mM.
+def in_concentrations(value: Any, path: tuple[str | int, ...], nutrients: Any) -> Any:
+    """Return a part of a scene with oxygen's pressures and percentages as concentrations in mM.
 
-    What is not a pressure stays as it is, also what is wrong: those who read it say so.
+    What is neither stays as it is, also what is wrong: those who read it say so.
+
+    Parameters
+    ----------
+    value
+        The part: a value, or tables and lists of such.
+    path
+        Its keys, and the places in lists.
+    nutrients
+        The fields of the scene, of which oxygen has the temperature.
 
     Raises
     ------
     SceneError
-        For a pressure in a field that is not oxygen.
+        For a pressure or a percentage as a concentration of another field than oxygen.
     """
-    specified = specs(Nutrient)
-
-    def temperature() -> float:
-        spec = specified["temperature"]
-        given = entries.get("temperature", _BODY)
-        return float(spec.convert(given, f"{path}.temperature"))
-
-    made = dict(entries)
-    for key, value in entries.items():
-        spec = specified.get(key)
-        if spec is not None and spec.unit == "mM" and spec.kind == "quantity":
-            made[key] = _convert(name, value, temperature, f"{path}.{key}")
-        elif key == "media" and isinstance(value, list | tuple):
-            made[key] = [
-                [point[0], _convert(name, point[1], temperature, f"{path}.{key}")]
-                if isinstance(point, list | tuple) and len(point) == 2
-                else point
-                for point in value
-            ]
-        elif key == "sides" and isinstance(value, Mapping):
-            made[key] = {
-                face: {
-                    inner: _convert(name, x, temperature, f"{path}.sides.{face}.{inner}")
-                    if inner == "value"
-                    else x
-                    for inner, x in side.items()
-                }
-                if isinstance(side, Mapping) and not isinstance(side, Side)
-                else side
-                for face, side in value.items()
-            }
-    return made
-
-
-def _convert(name: str, value: Any, temperature: Callable[[], float], path: str) -> Any:
-    """Return a value, if it is a pressure as a concentration in mM."""
-    if not isinstance(value, str):
+    if isinstance(value, str):
+        field = _field(path)
+        where = ".".join(key for key in path if isinstance(key, str))
+        return value if field is None else concentration(value, field, where, nutrients)
+    if len(path) >= _DEEPEST:
         return value
-    try:
-        pressure = to_base(value, "kPa", path)
-    except SceneError:
-        return value
-    if name != NAME:
-        problem = f"is {shown(value)}, a partial pressure, must be a concentration"
+    if isinstance(value, Mapping):
+        return {k: in_concentrations(x, (*path, k), nutrients) for k, x in value.items()}
+    if isinstance(value, list | tuple):
+        return [in_concentrations(x, (*path, k), nutrients) for k, x in enumerate(value)]
+    return value
+
+
+def _field(path: tuple[str | int, ...]) -> str | None:
+    """Return the field that a text at a path is a concentration of; None if it is none."""
+    match path:
+        case (
+            ("nutrients", str(field), "media", int(), 1)
+            | ("nutrients", str(field), "sides", _, "value")
+            | ("nutrients", _, "uptake_on", str(field), "half")
+            | ("reactions", _, "activated_by" | "inhibited_by", str(field), "half")
+            | ("types", _, "receptor_by" | "ligand_by", str(field), int(), 0)
+        ):
+            return field
+        case ("nutrients", str(field), str(key)) if key in _LEVELS:
+            return field
+    return None
+
+
+def concentration(text: str, field: str, path: str, nutrients: Any) -> Any:
+    """Return a text, if it is a pressure or a percentage as a concentration in mM."""
+    percent = _PERCENT.fullmatch(text)
+    pressure: Callable[[float], float]
+    if percent is not None:
+        share = to_base(f"{percent[1]} mM", "mM", path) / 100.0
+        if share > 1.0:
+            raise SceneError(path, f"is {shown(text)}, must be at most 100 % of the gas")
+
+        def pressure(temperature: float) -> float:
+            return share * (_ATMOSPHERE - vapour_pressure(temperature))
+    else:
+        try:
+            known = to_base(text, "kPa", path)
+        except SceneError:
+            return text
+
+        def pressure(_: float) -> float:
+            return known
+
+    if field != NAME:
+        what = "a partial pressure" if percent is None else "a part of a gas"
         hint = f"Only of the field named '{NAME}' is known how much dissolves."
-        raise SceneError(path, problem, hint)
-    return pressure * oxygen_solubility(temperature())
+        raise SceneError(path, f"is {shown(text)}, {what}, must be a concentration", hint)
+    temperature = _temperature(nutrients)
+    return pressure(temperature) * oxygen_solubility(temperature)
+
+
+def _temperature(nutrients: Any) -> float:
+    """Return the temperature of the field of oxygen, °C; that of the body if there is none."""
+    table = nutrients.get(NAME) if isinstance(nutrients, Mapping) else None
+    if isinstance(table, Nutrient):
+        return table.temperature
+    given = table.get("temperature", _BODY) if isinstance(table, Mapping) else _BODY
+    spec = specs(Nutrient)["temperature"]
+    return float(spec.convert(given, f"nutrients.{NAME}.temperature"))

@@ -35,6 +35,7 @@ from multicell.behaviours.laws import (
 from multicell.cells import Phase
 from multicell.errors import SceneError
 from multicell.plugins.named import OWN_OBJECT
+from multicell.scene.oxygen import concentration
 from multicell.scene.reactions import group_of
 from multicell.schema import (
     Bounds,
@@ -52,7 +53,7 @@ from multicell.schema import (
     text,
 )
 from multicell.schema.bounds import reader, rises
-from multicell.units import oxygen_solubility, shown, to_base
+from multicell.units import shown
 
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
@@ -412,18 +413,15 @@ def check_signal(scene: Scene, name: str, path: str) -> None:
 
 
 def _signal_reader(scene: Scene, name: str) -> Any:
-    """Return what reads a value of a signal; of oxygen also as a partial pressure."""
+    """Return what reads a value of a signal; of oxygen also as a pressure or a percentage."""
     unit = signal_unit(name, scene.nutrients, scene.signals, "signal")
     read = reader(unit, Bounds())
 
     def oxygen(value: Any, path: str) -> float:
-        try:
-            return read(value, path)
-        except SceneError:
-            if not isinstance(value, str):
-                raise
-            pressure = to_base(value, "kPa", path)
-        return pressure * oxygen_solubility(scene.nutrients["oxygen"].temperature)
+        given = (
+            concentration(value, name, path, scene.nutrients) if isinstance(value, str) else value
+        )
+        return read(given, path)
 
     return oxygen if name == "oxygen" and name in scene.nutrients else read
 

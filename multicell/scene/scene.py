@@ -158,7 +158,6 @@ class Scene:
         Nutrient,
         default_factory=Tables,
         doc="absent: no cell ever starves",
-        prepare=in_concentrations,
     )
     energy: Energy | None = table(Energy, default=None, doc="absent: fields act each by itself")
     reactions: Mapping[str, Reaction] = tables(
@@ -175,6 +174,12 @@ class Scene:
         IntegratorOptions, default_factory=IntegratorOptions, shorthand="method", doc="the method"
     )
     output: OutputOptions = table(OutputOptions, default_factory=OutputOptions, doc="the record")
+
+    def prepare(self) -> None:
+        """Turn oxygen's partial pressures into concentrations, before the parts are read."""
+        for name in ("nutrients", "reactions", "types"):
+            value = in_concentrations(getattr(self, name), (name,), self.nutrients)
+            object.__setattr__(self, name, value)
 
     def check(self) -> None:
         """Raise ``SceneError`` for parts that do not fit together."""

@@ -427,13 +427,11 @@ def tables(
     default_factory: Any,
     names: Iterable[str] | None = None,
     doc: str = "",
-    prepare: Callable[[str, Mapping[str, Any], str], Mapping[str, Any]] | None = None,
     listed: str = "",
 ) -> Any:
     """Declare a table of named tables, each of them a ``part``; ``names`` are all that may be.
 
-    ``prepare`` is given name, table and path of each, and returns the table that is read. With
-    ``listed`` a list of tables is read too: they are named by it and their number from 1 on.
+    With ``listed`` a list of tables is read too: they are named by it and their number from 1 on.
     """
     known = tuple(names or ())
 
@@ -451,11 +449,7 @@ def tables(
         return read_named(entries, path, one)
 
     def one(entry: object, path: str) -> Any:
-        if isinstance(entry, part):
-            return entry
-        if prepare is not None:
-            entry = prepare(path.rpartition(".")[2], mapping(entry, path), path)
-        return build(part, entry, path)
+        return entry if isinstance(entry, part) else build(part, entry, path)
 
     return declare(
         "tables", convert, MISSING, default_factory,

@@ -207,7 +207,13 @@ def _listed(names: list[str]) -> str:
 
 
 def convert_fields(self: Any) -> None:
-    """Convert and check every field, then what concerns several of them."""
+    """Convert and check every field, then what concerns several of them.
+
+    A part may change what it is given beforehand, in ``prepare``.
+    """
+    prepare = getattr(self, "prepare", None)
+    if prepare is not None:
+        prepare()
     for spec in fields(self):
         value = getattr(self, spec.name)
         if value is None and spec.default is None:

@@ -2,8 +2,8 @@
 
 A text is read as it is typed behind ``--vary`` or ``--free``: ``"0.07,0.14,0.28 mM"`` (a unit at
 the end holds for all that have none), ``"0.05:0.30:6 mM"`` (six values, evenly spaced),
-``"log 0.01:1:5 mM"``, ``"jkr,hertz"``, or a TOML list of values; a range is ``"8:25 h"`` or
-``"log 1e-3:1 1/s"``.
+``"log 0.01:1:5 mM"``, ``"0, log 0.01:1:5 mM"`` (one more), ``"jkr,hertz"``, or a TOML list of
+values; a range is ``"8:25 h"`` or ``"log 1e-3:1 1/s"``.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 _NUMBER: Final = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
-_QUANTITY: Final = re.compile(rf"\s*({_NUMBER})\s*(.*?)\s*", re.DOTALL)
+QUANTITY: Final = re.compile(rf"\s*({_NUMBER})\s*(.*?)\s*", re.DOTALL)
+"""A number, and behind it a unit."""
 _SPACED: Final = re.compile(rf"(log\s+)?({_NUMBER}):({_NUMBER}):(\d+)\s*(.*)")
 _RANGE: Final = re.compile(rf"(log\s+)?({_NUMBER}):({_NUMBER})\s*(.*)")
 _FIRST: Final = ("contact.law",)
@@ -240,15 +241,12 @@ def _listed(key: Key, text: str) -> list[Any]:
     text = text.strip()
     if text.startswith("["):
         return _toml_list(key, text)
-    spaced = _SPACED.fullmatch(text) if is_numeric(key) else None
-    if spaced is not None:
-        return _evenly(key, spaced)
     items = [item.strip() for item in text.split(",")] if text else []
     if not all(items):
         problem = f"has an empty value in {shown(text)}"
         raise SceneError(key.name, problem, f"For example {_example(key)}.")
     if items and is_numeric(key):
-        return _with_unit(key, items)
+        return _with_unit(key, [one for item in items for one in _spaced(key, item)])
     return [bare(item) for item in items]
 
 
@@ -263,7 +261,7 @@ def _toml_list(key: Key, text: str) -> list[Any]:
 
 def _with_unit(key: Key, items: list[str]) -> list[Any]:
     """Return quantities as texts with units: that of the last one where they have none."""
-    matches = [_QUANTITY.fullmatch(item) for item in items]
+    matches = [QUANTITY.fullmatch(item) for item in items]
     units = [match[2] if match else None for match in matches]
     shared = units[-1]
     if not shared and any(units):
@@ -280,8 +278,11 @@ def _with_unit(key: Key, items: list[str]) -> list[Any]:
     return values
 
 
-def _evenly(key: Key, match: re.Match[str]) -> list[Any]:
-    """Return evenly spaced values, by ratio if ``log`` stands before them."""
+def _spaced(key: Key, item: str) -> list[str]:
+    """Return evenly spaced values, by ratio if ``log`` stands before them; else the item alone."""
+    match = _SPACED.fullmatch(item)
+    if match is None:
+        return [item]
     log, count, unit = bool(match[1]), int(match[4][:10]), match[5]
     low, high = float(match[2]), float(match[3])
     if len(match[4]) > 9 or count > MAX_POINTS:
@@ -294,11 +295,9 @@ def _evenly(key: Key, match: re.Match[str]) -> list[Any]:
     numbers = [_between(low, high, share, log) for share in shares]
     numbers[-1] = high
     short = [float(f"{number:.12g}") for number in numbers]
-    if unit:
-        return [f"{number!r} {unit}" for number in short]
-    if key.spec.kind == "count" and all(number.is_integer() for number in short):
-        return [int(number) for number in short]
-    return short
+    whole = key.spec.kind == "count" and all(number.is_integer() for number in short)
+    texts = [repr(int(number) if whole else number) for number in short]
+    return [f"{text} {unit}" if unit else text for text in texts]
 
 
 def is_numeric(key: Key) -> bool:

@@ -67,7 +67,7 @@ class Key:
                 raise SceneError(self.name, error.problem, error.hint) from None
         if self.spec.kind == "variant":
             return self._word(value)
-        given = self._concentration(value)
+        given = in_concentrations(value, tuple(self.name.split(".")), self.scene.nutrients)
         if self.spec.kind == "quantities":
             last = self.name.rpartition(".")[2]
             table = self.spec.convert({last: given}, self.name.rpartition(".")[0])
@@ -80,22 +80,6 @@ class Key:
 
         assert self.spec.parts is not None
         return chosen(value, self.spec.parts, self.name, getattr(self.spec.parts, "hint", None))
-
-    def _concentration(self, value: Any) -> Any:
-        """Return a value with a partial pressure of oxygen replaced by its concentration."""
-        room, *inner = self.name.split(".")
-        if room != "nutrients" or not isinstance(value, str):
-            return value
-        name, *below = inner
-        entries: Any = value
-        for step in reversed(below):
-            entries = {step: entries}
-        if below[0] != "temperature":
-            entries["temperature"] = self.scene.nutrients[name].temperature
-        found: Any = in_concentrations(name, entries, f"nutrients.{name}")
-        for step in below:
-            found = found[step]
-        return found
 
 
 def key_of(scene: Scene, name: str) -> Key:

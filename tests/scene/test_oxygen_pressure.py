@@ -4,7 +4,8 @@ import pytest
 
 from multicell.errors import SceneError
 from multicell.scene.scene import Scene, load_scene
-from multicell.units import oxygen_solubility, to_base
+from multicell.studies.axes import parse_axis
+from multicell.units import oxygen_solubility, to_base, vapour_pressure
 
 MMHG = 0.133322387  # kPa
 
@@ -41,6 +42,71 @@ def test_a_pressure_becomes_a_concentration(text):
     assert cool > 1.2 * found
 
 
+# mg/L in water in moist air of 101.325 kPa (Benson & Krause 1984)
+SATURATED = {0: 14.62, 5: 12.77, 10: 11.29, 15: 10.08, 20: 9.09, 25: 8.26, 30: 7.56, 35: 6.95,
+             40: 6.41}  # fmt: skip
+
+
+@pytest.mark.parametrize("temperature", SATURATED)
+def test_a_percentage_is_of_gas_at_sea_level_with_water_vapour(temperature):
+    """Dry air has 20.946 % of oxygen."""
+    found = scene(boundary="20.946 %", temperature=temperature).nutrients["oxygen"].boundary
+    assert found * 31.998 == pytest.approx(SATURATED[temperature], rel=5e-3)
+
+
+def test_the_pressure_of_water_vapour_is_that_of_steam_tables():
+    """Of IAPWS-95, kPa."""
+    known = {0.0: 0.6112, 20.0: 2.3393, 37.0: 6.2823, 50.0: 12.352, 60.0: 19.946}
+    for temperature, pressure in known.items():
+        assert vapour_pressure(temperature) == pytest.approx(pressure, rel=2e-3)
+
+
+@pytest.mark.parametrize(("text", "rel"), [("5 %", 1e-12), ("5%", 1e-12), ("35.65 mmHg", 1e-3),
+                                           ("0.05 mM", 1e-3)])  # fmt: skip
+def test_three_ways_to_say_five_percent(text, rel):
+    """5 % of (760 - 47) mmHg is 0.05 mM at 37 °C."""
+    wanted = 0.05 * (101.325 - vapour_pressure(37.0)) * oxygen_solubility(37.0)
+    assert scene(boundary=text).nutrients["oxygen"].boundary == pytest.approx(wanted, rel=rel)
+
+
+def test_as_a_level_of_other_parts_of_a_scene():
+    cool = 20.0
+    made = Scene.from_dict(
+        {
+            "duration": "1 h",
+            "nutrients": {
+                "oxygen": {"temperature": cool, "initial": "medium", "regime": "transient"},
+                "glucose": {"uptake_on": {"oxygen": {"effect": 1.0, "half": "5 %"}}},
+                "waste": {"uptake": 0, "regime": "transient"},
+            },
+            "types": {"a": {"receptor_by": {"oxygen": [["1 %", 0.2], ["40 mmHg", 1]]}}, "b": {}},
+            "reactions": {
+                "decay": {"kind": "hill", "rate": "1e-4 mM/s", "consumes": {"oxygen": 1},
+                          "activated_by": {"oxygen": {"half": "2 mmHg"}}}
+            },
+        }
+    )  # fmt: skip
+    share = (101.325 - vapour_pressure(cool)) * oxygen_solubility(cool)
+    pressure = MMHG * oxygen_solubility(cool)
+    assert made.nutrients["glucose"].uptake_on["oxygen"].half == pytest.approx(0.05 * share)
+    half = made.reactions["decay"].activated_by["oxygen"].half
+    assert half == pytest.approx(2 * pressure, rel=1e-6)
+    curve = made.types["a"].receptor_by["oxygen"]
+    assert curve[0][0] == pytest.approx(0.01 * share)
+    assert curve[1][0] == pytest.approx(40 * pressure, rel=1e-6)
+    changed = made.with_changes({"nutrients.glucose.uptake_on.oxygen.half": "10 %"})
+    assert changed.nutrients["glucose"].uptake_on["oxygen"].half == pytest.approx(0.1 * share)
+
+
+def test_along_an_axis_of_a_study():
+    made = scene(boundary=0.1, media=[["1 h", 0.1]])
+    axis = parse_axis("nutrients.oxygen.boundary", "1,5,20.946 %", made)
+    assert axis.numbers[2] / axis.numbers[0] == pytest.approx(20.946)
+    assert axis.numbers[1] == scene(boundary="5 %").nutrients["oxygen"].boundary
+    media = parse_axis("nutrients.oxygen.media", [[["1 h", "5 %"]], [["1 h", "40 mmHg"]]], made)
+    assert len(media.values) == 2
+
+
 def test_wherever_a_concentration_stands():
     half = MMHG * oxygen_solubility(37.0)
     made = scene(
@@ -65,6 +131,10 @@ def test_a_changed_and_a_written_scene(tmp_path):
 REFUSED = {
     "another field": (("glucose", {"boundary": "40 mmHg"}), "glucose.boundary", "partial pressure"),
     "of another one's medium": (("drug", {"media": [["1 h", "1 kPa"]]}), "drug.media", "pressure"),
+    "a part of a gas": (("glucose", {"boundary": "5 %"}), "glucose.boundary", "part of a gas"),
+    "more than all": (("oxygen", {"quiescence": "101 %"}), "oxygen.quiescence", "at most 100 %"),
+    "less than nothing": (("oxygen", {"boundary": "-1 %"}), "oxygen.boundary", "at least 0"),
+    "no part": (("oxygen", {"uptake": "3 %"}), "oxygen.uptake", "cannot be read"),
     "no pressure": (("oxygen", {"uptake": "3 mmHg"}), "oxygen.uptake", "an amount per time"),
     "below nothing": (("oxygen", {"boundary": "-3 mmHg"}), "oxygen.boundary", "at least 0"),
     "too warm": (("oxygen", {"boundary": "3 mmHg", "temperature": 90}), "oxygen.temperature",
