@@ -25,13 +25,13 @@ settings.load_profile("multicell")
 
 def pytest_addoption(parser):
     group = parser.getgroup("multicell", "how long the harnesses search")
-    group.addoption("--scenes", type=int, default=150, help="scenes drawn and loaded")
-    group.addoption("--runs", type=int, default=16, help="small scenes drawn and run")
+    group.addoption("--scenes", type=int, default=80, help="scenes drawn and loaded")
+    group.addoption("--runs", type=int, default=8, help="small scenes drawn and run")
     group.addoption("--first-seed", type=int, default=0, help="of the scenes; others each time")
     group.addoption("--kills", type=int, default=2, help="runs that are killed")
     group.addoption("--full-disks", type=int, default=2, help="runs on a disk that gets full")
-    group.addoption("--damages", type=int, default=15, help="folders of each kind that are damaged")
-    group.addoption("--interrupts", type=int, default=4, help="processes that are interrupted")
+    group.addoption("--damages", type=int, default=6, help="folders of each kind that are damaged")
+    group.addoption("--interrupts", type=int, default=3, help="processes that are interrupted")
     group.addoption("--calibrations", type=int, default=0, help="repeats of fits on known data")
     group.addoption(
         "--coupling-steps", type=int, default=1000, help="of each run that must not leak"

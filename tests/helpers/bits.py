@@ -39,10 +39,9 @@ PHYSICS = {
 }  # fmt: skip
 METHOD_CASES = {name: ("settle", {**TISSUE, "integrator": name}) for name in METHODS}
 GROUPS = {
-    "methods": METHOD_CASES,
-    "physics": PHYSICS,
-    "few": {key: PHYSICS[key] for key in ("exact JKR", "slack", "fields", "death")}
-    | {key: METHOD_CASES[key] for key in ("cvode", "dopri5")},
+    "all": METHOD_CASES | PHYSICS,
+    # a field, cells that divide, the default method, and a method that is compiled as a whole
+    "few": {"fields": PHYSICS["fields"], "dopri5": METHOD_CASES["dopri5"]},
 }
 
 

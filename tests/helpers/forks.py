@@ -137,13 +137,18 @@ def _work(task):
     if "function" in task:
         module, _, name = task["function"].partition(":")
         code = getattr(__import__(module), name)(**task["with"]) or 0
-        if "loads" in task:
-            Path(task["loads"]).write_text(json.dumps(sorted(sys.modules)))
-        return code
+    else:
+        code = _command(task["arguments"])
+    if "loads" in task:
+        Path(task["loads"]).write_text(json.dumps(sorted(sys.modules)))
+    return code
+
+
+def _command(arguments):
     from multicell.cli.main import main
 
     try:
-        main(task["arguments"])
+        main(arguments)
     except SystemExit as error:
         return error.code
     return 0

@@ -171,8 +171,11 @@ def test_every_declared_quantity_is_written_with_its_unit():
             scene = Scene.from_dict(entries)
         except SceneError:
             return
-        units.update(check_units(scene))
-        seen.update(drawn.keys_of(scene.to_dict()))
+        keys = set(drawn.keys_of(scene.to_dict())) & set(with_units)
+        written = set(quantities(scene.to_dict()))
+        if not (keys <= seen and written <= units):  # most scenes have nothing new
+            units.update(check_units(scene))
+            seen.update(keys)
 
     spelt = {spec.units for spec in with_units.values()}
     drawn.look_until(lambda: seen >= set(with_units) and units >= spelt, look)
