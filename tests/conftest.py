@@ -34,7 +34,7 @@ def pytest_addoption(parser):
     group.addoption("--interrupts", type=int, default=3, help="processes that are interrupted")
     group.addoption("--calibrations", type=int, default=0, help="repeats of fits on known data")
     group.addoption(
-        "--coupling-steps", type=int, default=1000, help="of each run that must not leak"
+        "--coupling-steps", type=int, default=500, help="of each run that must not leak"
     )
 
 
