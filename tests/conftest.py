@@ -19,7 +19,7 @@ ROOMS = ("contact", "mechanics", "integrators", "biology", "comparison", "calibr
 
 # the first example of a test may have to compile a kernel; the same examples every time,
 # so that a failure can be seen again
-settings.register_profile("multicell", deadline=None, derandomize=True)
+settings.register_profile("multicell", deadline=None, derandomize=True, max_examples=60)
 settings.load_profile("multicell")
 
 
