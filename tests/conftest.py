@@ -8,6 +8,8 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 os.environ.setdefault("NUMBA_NUM_THREADS", "2")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import subprocess
+
 import pytest
 from hypothesis import settings
 
@@ -63,3 +65,36 @@ def _memory():
         return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (AttributeError, ValueError, OSError):
         return 8 * 2**30
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """Give a function that makes a small disk, and one that gives it another size."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    mounted = []
+
+    def mount(kilobytes):
+        options = f"size={kilobytes}k"
+        again = [*(["remount"] if mounted else []), options]
+        done = subprocess.run(
+            ["mount", "-t", "tmpfs", "-o", ",".join(again), "tmpfs", str(place)],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        if done.returncode != 0 and not mounted:
+            pytest.skip(f"a small disk cannot be mounted here: {done.stderr.strip()}")
+        assert done.returncode == 0, done.stderr
+        mounted.append(kilobytes)
+        return place
+
+    def unmount():
+        if mounted:
+            subprocess.run(["umount", str(place)], check=True)
+            mounted.clear()
+
+    if os.name != "posix" or not hasattr(os, "geteuid") or os.geteuid() != 0:
+        pytest.skip("to mount a small disk one must be root")
+    yield mount, unmount
+    unmount()

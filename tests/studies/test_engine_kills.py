@@ -3,10 +3,8 @@
 ``pytest tests/studies/test_engine_kills.py --kills 100`` kills as many processes as asked.
 """
 
-import os
 import random
 import signal
-import subprocess
 import time
 
 import psutil
@@ -181,35 +179,12 @@ def test_a_run_that_kills_its_worker_again_and_again_is_a_row(tmp_path):
     assert (again.state, again.reused) == ("failed", True)
 
 
-@pytest.fixture
-def small_disk(tmp_path):
-    """Give a function that makes a small disk, or gives it another size."""
-    if not hasattr(os, "geteuid") or os.geteuid() != 0:
-        pytest.skip("to mount a small disk one must be root")
-    place = tmp_path / "disk"
-    place.mkdir()
-    mounted = []
-
-    def mount(kilobytes):
-        options = ",".join([*(["remount"] if mounted else []), f"size={kilobytes}k"])
-        command = ["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(place)]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        if done.returncode != 0 and not mounted:
-            pytest.skip(f"a small disk cannot be mounted here: {done.stderr.strip()}")
-        assert done.returncode == 0, done.stderr
-        mounted.append(kilobytes)
-        return place
-
-    yield mount
-    if mounted:
-        subprocess.run(["umount", str(place)], check=True)
-
-
 @pytest.mark.slow
 def test_a_full_disk_is_a_reason_in_a_row_and_loses_nothing(undisturbed, small_disk):
     whole, _ = undisturbed
     size = sum(path.stat().st_size for path in whole.rglob("*") if path.is_file()) // 1024
-    folder = small_disk(size // 2) / "study"
+    mount, _ = small_disk
+    folder = mount(size // 2) / "study"
     code, text = ended(started(folder, COUNT))
     assert code == 0, text
     rows = [line.split(maxsplit=3) for line in text.splitlines()]
@@ -217,7 +192,7 @@ def test_a_full_disk_is_a_reason_in_a_row_and_loses_nothing(undisturbed, small_d
     failed = [row for row in rows if row[1] == "failed"]
     assert failed
     assert [row for row in failed if "No space left on device" not in row[3]] == []
-    folder = small_disk(20 * size) / "study"
+    folder = mount(20 * size) / "study"
     code, text = ended(started(folder, COUNT))
     assert code == 0, text
     assert_complete(folder, whole)
