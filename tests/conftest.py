@@ -67,6 +67,15 @@ def _memory():
         return 8 * 2**30
 
 
+@pytest.fixture(scope="session")
+def forks():
+    """Return a process with multicell and its kernels, from which others are split off."""
+    from forks import Forks
+
+    with Forks() as made:
+        yield made
+
+
 @pytest.fixture
 def small_disk(tmp_path):
     """Give a function that makes a small disk, and one that gives it another size."""

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from cheap_fits import MATRIX, calls_of, linear, stopping
 from click.testing import CliRunner
-from forks import Forks
 
 import multicell as mc
 from multicell.calibration.data import Datum, read_data
@@ -369,7 +368,7 @@ def test_the_command_fits_and_says_what_is_open(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_command_that_is_killed_goes_on_to_the_same_bits(tmp_path):
+def test_a_command_that_is_killed_goes_on_to_the_same_bits(forks, tmp_path):
     """Killed (-9) three times while it runs: no run is made twice, and the result is the same."""
     (tmp_path / "growth.csv").write_text("time / h, cells\n10, 7\n20, 9\n")
 
@@ -381,14 +380,13 @@ def test_a_command_that_is_killed_goes_on_to_the_same_bits(tmp_path):
             "--quiet", "-o", str(tmp_path / folder),
         ]  # fmt: skip
 
-    with Forks() as forks:
-        forks.load(arguments=command("whole"))
-        for calls in (2, 9, 17):
-            task = {"arguments": command("killed"), "calls": calls}
-            done = forks.ask(function="cheap_fits:killed", **{"with": task})
-            assert done["code"] == -signal.SIGKILL, done["text"]
-        done = forks.multicell(*command("killed"))
-        assert done["code"] == 0, done["text"]
+    forks.load(arguments=command("whole"))
+    for calls in (2, 9, 17):
+        task = {"arguments": command("killed"), "calls": calls}
+        done = forks.ask(function="cheap_fits:killed", **{"with": task})
+        assert done["code"] == -signal.SIGKILL, done["text"]
+    done = forks.multicell(*command("killed"))
+    assert done["code"] == 0, done["text"]
     for name in ("best.toml", "posterior.csv", "residuals.csv"):
         assert (tmp_path / "killed" / name).read_text() == (tmp_path / "whole" / name).read_text()
     logs = [(tmp_path / name / "search.log").read_text() for name in ("killed", "whole")]

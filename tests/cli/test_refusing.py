@@ -3,7 +3,6 @@
 import sys
 
 import pytest
-from forks import Forks
 
 import multicell as mc
 from multicell.host.files import parse_toml
@@ -11,12 +10,6 @@ from multicell.host.files import parse_toml
 DEEP = ".".join("a" * 35_000)
 FREE = "growth.cycle_time=8:25 h"
 DATA = "time / h,diameter / um\n10,30\n20,40\n30,50\n40,60\n"
-
-
-@pytest.fixture(scope="module")
-def forks():
-    with Forks() as made:
-        yield made
 
 
 def refused(forks, folder, *arguments):

@@ -8,7 +8,6 @@ import random
 
 import numpy as np
 import pytest
-from forks import Forks
 from stored import assert_same_bits
 
 import multicell as mc
@@ -38,12 +37,6 @@ def command(verb, folder, *more):
     if verb == "run":
         return ["run", "spheroid", "-o", folder, *SETTINGS, "--quiet", "--threads", "1", *more]
     return ["resume", folder, "--quiet", "--threads", "1", *more]
-
-
-@pytest.fixture(scope="module")
-def forks():
-    with Forks() as made:
-        yield made
 
 
 @pytest.fixture(scope="module")

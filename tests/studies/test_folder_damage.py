@@ -10,7 +10,6 @@ import sys
 
 import folder_damage
 import pytest
-from forks import Forks
 from studied import SHORT
 
 import multicell as mc
@@ -21,8 +20,8 @@ DATA = "time / h,diameter / um\n4,20\n8,24\n12,28\n16,32\n"
 
 
 @pytest.fixture(scope="module")
-def folders(tmp_path_factory):
-    """Yield a finished folder of each kind, what it holds, and a process that has read each."""
+def folders(forks, tmp_path_factory):
+    """Return a finished folder of each kind, and what it holds."""
     place = tmp_path_factory.mktemp("damaged")
     scene = mc.load_scene("growth").with_changes({**SHORT, "initial.count": 6})
     (place / "scene.toml").write_text(scene.to_toml())
@@ -34,19 +33,18 @@ def folders(tmp_path_factory):
     study.run(cores=1)
     found = {kind: getattr(folder_damage, kind)(place / kind) for kind in KINDS}
     shutil.copytree(place, place.with_name("whole"))
-    with Forks() as forks:
-        for kind in KINDS:
-            whole = {"folder": str(place.with_name("whole") / kind)}
-            forks.load(function="folder_damage:read", **{"with": whole})
-        yield place, json.loads(json.dumps(found)), forks
+    for kind in KINDS:
+        whole = {"folder": str(place.with_name("whole") / kind)}
+        forks.load(function="folder_damage:read", **{"with": whole})
+    return place, json.loads(json.dumps(found))
 
 
 @pytest.mark.harness
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems do not limit address space")
 @pytest.mark.parametrize("kind", KINDS)
-def test_damaged_folders_are_read_right_or_refused(kind, folders, tmp_path, pytestconfig):
-    place, found, forks = folders
+def test_damaged_folders_are_read_right_or_refused(kind, folders, forks, tmp_path, pytestconfig):
+    place, found = folders
     wrong = []
     for case in range(pytestconfig.getoption("damages")):
         shutil.copytree(place, tmp_path / "case")
