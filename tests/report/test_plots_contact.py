@@ -6,7 +6,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.collections import EllipseCollection
-from picture_texts import check_texts, rendered
+from picture_texts import rendered
 from synthetic import BARE, ball, cells_at
 from test_plots import read, texts
 
@@ -323,4 +323,10 @@ def test_growth_picture_of_cells_that_only_move_has_no_panel_without_news(double
 
 @pytest.mark.parametrize("name", ["growth", "section", "profiles", "contacts"])
 def test_no_text_of_the_mixture_leaves_the_picture(mixture, name):
-    check_texts(getattr(mixture.plot, name)())
+    figure = getattr(mixture.plot, name)()
+    rendered(figure)
+    box = figure.get_tightbbox()
+    assert box.x0 >= 0
+    assert box.y0 >= 0
+    assert box.x1 <= drawing.SIZE[0]
+    assert box.y1 <= drawing.SIZE[1]
