@@ -8,6 +8,8 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 os.environ.setdefault("NUMBA_NUM_THREADS", "2")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import subprocess
+
 import pytest
 from hypothesis import settings
 
@@ -19,22 +21,22 @@ ROOMS = ("contact", "mechanics", "integrators", "biology", "comparison", "calibr
 
 # the first example of a test may have to compile a kernel; the same examples every time,
 # so that a failure can be seen again
-settings.register_profile("multicell", deadline=None, derandomize=True)
+settings.register_profile("multicell", deadline=None, derandomize=True, max_examples=60)
 settings.load_profile("multicell")
 
 
 def pytest_addoption(parser):
     group = parser.getgroup("multicell", "how long the harnesses search")
-    group.addoption("--scenes", type=int, default=150, help="scenes drawn and loaded")
-    group.addoption("--runs", type=int, default=16, help="small scenes drawn and run")
+    group.addoption("--scenes", type=int, default=80, help="scenes drawn and loaded")
+    group.addoption("--runs", type=int, default=8, help="small scenes drawn and run")
     group.addoption("--first-seed", type=int, default=0, help="of the scenes; others each time")
     group.addoption("--kills", type=int, default=2, help="runs that are killed")
     group.addoption("--full-disks", type=int, default=2, help="runs on a disk that gets full")
-    group.addoption("--damages", type=int, default=15, help="folders of each kind that are damaged")
-    group.addoption("--interrupts", type=int, default=4, help="processes that are interrupted")
+    group.addoption("--damages", type=int, default=6, help="folders of each kind that are damaged")
+    group.addoption("--interrupts", type=int, default=3, help="processes that are interrupted")
     group.addoption("--calibrations", type=int, default=0, help="repeats of fits on known data")
     group.addoption(
-        "--coupling-steps", type=int, default=1000, help="of each run that must not leak"
+        "--coupling-steps", type=int, default=500, help="of each run that must not leak"
     )
 
 
@@ -63,3 +65,45 @@ def _memory():
         return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (AttributeError, ValueError, OSError):
         return 8 * 2**30
+
+
+@pytest.fixture(scope="session")
+def forks():
+    """Return a process with multicell and its kernels, from which others are split off."""
+    from forks import Forks
+
+    with Forks() as made:
+        yield made
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """Give a function that makes a small disk, and one that gives it another size."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    mounted = []
+
+    def mount(kilobytes):
+        options = f"size={kilobytes}k"
+        again = [*(["remount"] if mounted else []), options]
+        done = subprocess.run(
+            ["mount", "-t", "tmpfs", "-o", ",".join(again), "tmpfs", str(place)],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        if done.returncode != 0 and not mounted:
+            pytest.skip(f"a small disk cannot be mounted here: {done.stderr.strip()}")
+        assert done.returncode == 0, done.stderr
+        mounted.append(kilobytes)
+        return place
+
+    def unmount():
+        if mounted:
+            subprocess.run(["umount", str(place)], check=True)
+            mounted.clear()
+
+    if os.name != "posix" or not hasattr(os, "geteuid") or os.geteuid() != 0:
+        pytest.skip("to mount a small disk one must be root")
+    yield mount, unmount
+    unmount()

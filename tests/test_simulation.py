@@ -9,7 +9,6 @@ import pytest
 import multicell as mc
 from multicell import Simulation, State
 from multicell.biology.initial import initial_cells
-from multicell.mechanics.system import Mechanics
 
 SMALL = {
     "duration": "30 h",
@@ -26,13 +25,6 @@ SMALL = {
 
 def small(**changes):
     return mc.load_scene("spheroid").with_changes(SMALL | changes)
-
-
-def state_of(simulation):
-    return dict(simulation.cells.columns()) | {
-        "oxygen": simulation.concentrations["oxygen"],
-        "field": simulation.fields["oxygen"].values,
-    }
 
 
 def run(scene, **options):
@@ -53,25 +45,6 @@ def test_small_spheroid_has_all_three_states(grown):
     assert len(grown.cells) > 100
     assert grown.divisions > 0
     assert grown.time == 30 * 3600.0
-
-
-def test_same_seed_same_bits_for_any_number_of_threads(grown, monkeypatch):
-    """Small chunks make even this population one that threads share."""
-    made = []
-
-    def in_small_chunks(*args, **options):
-        made.append(Mechanics(*args, **options, chunk=16, shared_chunks=2))
-        return made[-1]
-
-    monkeypatch.setattr("multicell.scene.start.Mechanics", in_small_chunks)
-    one, two = run(small(), threads=1), run(small(), threads=2)
-    assert [mechanics.threads for mechanics in made] == [1, 2]
-    for name, column in state_of(one).items():
-        assert np.array_equal(column, state_of(two)[name]), name
-    monkeypatch.undo()
-    again = run(small())
-    for name, column in state_of(grown).items():
-        assert np.array_equal(column, state_of(again)[name]), name
 
 
 def test_another_seed_differs(grown):

@@ -231,18 +231,6 @@ def test_friction_that_cannot_be_solved_for_rejects_the_state(monkeypatch):
         system.jacobian_product(position, out)
 
 
-@pytest.mark.parametrize("part", ["exact-jkr", "friction", "types"])
-def test_same_bits_twice(part):
-    changes = {
-        "exact-jkr": {"contact.law": "exact-jkr"},
-        "friction": {"friction.normal": 0.1},
-        "types": {"types": {"a": {"young": 2.0}, "b": {"fraction": 2.0}}},
-    }[part]
-    scene = mc.load_scene("settle").with_changes({"duration": "3 min"} | changes)
-    one, two = run(scene, threads=1), run(scene, threads=2)
-    assert np.array_equal(one.cells.position, two.cells.position)
-
-
 def test_types_share_the_cells_and_their_stiffness():
     scene = mc.load_scene("settle").with_changes(
         {

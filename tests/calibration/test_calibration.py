@@ -24,7 +24,7 @@ from multicell.calibration.problem import problem_of, ranges_of
 from multicell.calibration.search import Search
 from multicell.calibration.verdict import intervals
 
-QUICK = 8
+QUICK = 5
 CASES = {
     "independent": Growing("independent"),
     "shared over time": Growing("shared"),

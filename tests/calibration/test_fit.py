@@ -6,9 +6,6 @@ import importlib.util
 import json
 import math
 import signal
-import subprocess
-import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -371,30 +368,25 @@ def test_the_command_fits_and_says_what_is_open(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_command_that_is_killed_goes_on_to_the_same_bits(tmp_path):
+def test_a_command_that_is_killed_goes_on_to_the_same_bits(forks, tmp_path):
     """Killed (-9) three times while it runs: no run is made twice, and the result is the same."""
     (tmp_path / "growth.csv").write_text("time / h, cells\n10, 7\n20, 9\n")
 
     def command(folder):
         return [
-            sys.executable, "-m", "multicell", "fit", "growth", "--data",
-            str(tmp_path / "growth.csv"), "--free", "growth.cycle_time=8:30 h", "--set",
-            "duration=20 h", "--set", "initial.count=6", "--set", "coupling_step=1 h", "--budget",
-            "42", "--seeds", "1", "--cores", "1", "--quiet", "-o", str(folder),
+            "fit", "growth", "--data", str(tmp_path / "growth.csv"), "--free",
+            "growth.cycle_time=8:30 h", "--set", "duration=20 h", "--set", "initial.count=6",
+            "--set", "coupling_step=1 h", "--budget", "42", "--seeds", "1", "--cores", "1",
+            "--quiet", "-o", str(tmp_path / folder),
         ]  # fmt: skip
 
-    def lines():
-        log = tmp_path / "killed" / "search.log"
-        return len(log.read_bytes().splitlines()) if log.exists() else 0
-
-    subprocess.run(command(tmp_path / "whole"), check=True)
-    for more in (1, 9, 17):
-        begun, wanted = subprocess.Popen(command(tmp_path / "killed")), lines() + more
-        while lines() < wanted and begun.poll() is None:
-            time.sleep(0.002)
-        begun.kill()
-        assert begun.wait() == -signal.SIGKILL
-    subprocess.run(command(tmp_path / "killed"), check=True)
+    forks.load(arguments=command("whole"))
+    for calls in (2, 9, 17):
+        task = {"arguments": command("killed"), "calls": calls}
+        done = forks.ask(function="cheap_fits:killed", **{"with": task})
+        assert done["code"] == -signal.SIGKILL, done["text"]
+    done = forks.multicell(*command("killed"))
+    assert done["code"] == 0, done["text"]
     for name in ("best.toml", "posterior.csv", "residuals.csv"):
         assert (tmp_path / "killed" / name).read_text() == (tmp_path / "whole" / name).read_text()
     logs = [(tmp_path / name / "search.log").read_text() for name in ("killed", "whole")]

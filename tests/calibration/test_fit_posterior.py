@@ -64,7 +64,7 @@ def test_ranks_of_the_truth_are_uniform(request):
     each; the seeds are fixed. ``--calibrations N`` draws N truths.
     """
     rng = np.random.default_rng(11)
-    ranks, count = [], request.config.getoption("--calibrations") or 20
+    ranks, count = [], request.config.getoption("--calibrations") or 12
     for repeat in range(count):
         truth = rng.random(2)
         sigma, noise = 0.12, 0.05

@@ -126,16 +126,16 @@ COMMANDS = [
 ]
 
 
-@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
 @pytest.mark.parametrize("arguments", COMMANDS, ids=" ".join)
-def test_output_fits_a_narrow_encoding(arguments, encoding):
+def test_output_fits_a_narrow_encoding(arguments):
+    encoding = "latin-1" if "scenes" in arguments else "ascii"
     done = process(*arguments, env={"PYTHONIOENCODING": encoding, "NO_COLOR": "1", "COLUMNS": "60"})
     assert done.returncode == (2 if "nonsense" in arguments else 0), done.stderr
     assert b"Traceback" not in done.stderr
     text = done.stdout.decode(encoding)
     if "--json" in arguments:
         assert json.loads(text)["title"] == "µ→²"
-    if arguments == ["explain", "spheroid"] and encoding == "ascii":
+    if arguments == ["explain", "spheroid"]:
         assert "Damk?hler" in text
 
 
@@ -163,17 +163,14 @@ def test_runs_print_in_ascii(tmp_path):
 @pytest.mark.slow
 def test_compare_and_stability_print_in_ascii(tmp_path):
     env = {"PYTHONIOENCODING": "ascii"}
-    small = ("settle", "--set", "initial.count=4", "--set", "duration=1 min")
-    done = process("compare", *small, "-o", tmp_path / "µ", "--methods", "euler,rk4",
-                   "--repeats", "1", env=env)  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    done = process("stability", *small, "-o", tmp_path / "²", "--methods", "euler",
-                   env=env)  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    small = ("settle", "--set", "initial.count=4", "--set", "duration=1 min", "--methods", "euler")
+    for arguments in (("compare", "--repeats", "1", "--budget", "1"), ("stability",)):
+        done = process(*arguments, *small, "-o", tmp_path / "µ²" / arguments[0], env=env)
+        assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.skipif(not FULL.exists(), reason="there is no device that is always full")
-@pytest.mark.parametrize("arguments", COMMANDS, ids=" ".join)
+@pytest.mark.parametrize("arguments", [COMMANDS[0], *COMMANDS[-2:]], ids=" ".join)
 def test_full_output_ends_with_one_line(arguments):
     with FULL.open("wb") as full:
         done = process(*arguments, stdout=full)
@@ -196,7 +193,7 @@ def test_a_run_outlives_a_full_log(tmp_path):
     assert "interrupted" not in json.loads((tmp_path / "o" / "summary.json").read_text())
 
 
-@pytest.mark.parametrize("arguments", COMMANDS[:3], ids=" ".join)
+@pytest.mark.parametrize("arguments", COMMANDS[1:3], ids=" ".join)
 def test_a_pipe_that_nobody_reads_ends_quietly(arguments):
     reader, writer = os.pipe()
     os.close(reader)
@@ -222,7 +219,7 @@ def test_closed_streams_do_not_reach_the_results(closed, tmp_path):
     assert len(call("export", tmp_path / "o", "-o", tmp_path / "t").output.splitlines()) >= 3
 
 
-@pytest.mark.parametrize("columns", ["1", "20", "1000"])
+@pytest.mark.parametrize("columns", ["1", "1000"])
 def test_any_width_of_terminal(columns):
     done = process("explain", "spheroid", env={"COLUMNS": columns, "NO_COLOR": "1"})
     assert done.returncode == 0
@@ -346,7 +343,7 @@ def test_wrong_input_ends_with_2_and_one_line(arguments, folder, tmp_path, monke
 # interrupts and the last resort
 
 
-@pytest.mark.parametrize("delay", [0.05, 0.15, 0.3, 0.6, 1.0, 1.6, 2.4])
+@pytest.mark.parametrize("delay", [0.1, 0.3, 1.0, 2.4])
 def test_ctrl_c_at_any_moment(delay, tmp_path):
     # what happens before the first line of ours is the interpreter's own
     program = "print('on', flush=True); from multicell.__main__ import run; run()"

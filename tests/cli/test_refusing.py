@@ -1,33 +1,23 @@
 """What refusing costs: time and memory are bounded, whichever command is asked."""
 
-import os
-import resource
-import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
 import multicell as mc
 from multicell.host.files import parse_toml
 
-MEMORY = 3 << 30  # bytes of address space; a command that does nothing has 1.3 GB with numba
 DEEP = ".".join("a" * 35_000)
 FREE = "growth.cycle_time=8:25 h"
 DATA = "time / h,diameter / um\n10,30\n20,40\n30,50\n40,60\n"
 
 
-def refused(folder, *arguments, seconds=40):
+def refused(forks, folder, *arguments):
     """Run a command in little memory and time; return the only line that it says."""
-    environment = {**os.environ, "PYTHONPATH": str(Path(mc.__file__).parents[1])}
-    done = subprocess.run(
-        [sys.executable, "-m", "multicell", *map(str, arguments)],
-        cwd=folder, env=environment, capture_output=True, text=True, timeout=seconds, check=False,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY)),
-    )  # fmt: skip
-    assert done.returncode == 2, done.stderr[-2000:]
-    lines = done.stderr.strip().splitlines()
-    assert "Traceback" not in done.stderr
+    done = forks.multicell(*arguments, folder=str(folder), memory=3 << 29, limit=30.0)
+    assert done["code"] == 2, done["text"][-2000:]
+    lines = done["text"].strip().splitlines()
+    assert "Traceback" not in done["text"]
     assert len(lines[-1]) < 2000
     return lines[-1]
 
@@ -109,8 +99,8 @@ def folder(tmp_path):
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems do not limit address space")
 @pytest.mark.parametrize("name", KEYS)
-def test_deep_keys_cost_little(name, folder):
-    line = refused(folder, *KEYS[name])
+def test_deep_keys_cost_little(name, forks, folder):
+    line = refused(forks, folder, *KEYS[name])
     assert "more than 20 parts" in line
     assert not (folder / "o").exists()
 
@@ -118,7 +108,7 @@ def test_deep_keys_cost_little(name, folder):
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems do not limit address space")
 @pytest.mark.parametrize("name", COUNTS)
-def test_numbers_without_measure_cost_little(name, folder):
-    line = refused(folder, *COUNTS[name])
+def test_numbers_without_measure_cost_little(name, forks, folder):
+    line = refused(forks, folder, *COUNTS[name])
     assert any(words in line for words in ("20,000", "100,000", "cores: is 1000000"))
     assert not (folder / "o").exists()

@@ -1,4 +1,4 @@
-"""The pages as a browser shows them, where they have been built (``.ci/run`` does it before)."""
+"""The pages as a browser shows them, where they have been built (``.ci/run`` runs this then)."""
 
 import shutil
 

@@ -32,6 +32,10 @@ PHYSICS = {
     "slack": ("growth", {"initial.count": 150, "initial.stage": "uniform", "duration": "100 min",
                          "growth.phases": PHASES, "growth.division": "smooth"}),
     "plane": ("settle", {**TISSUE, "dimensions": 2}),
+    "walls": ("settle", {**TISSUE, "domain": {axis: [-28, 28] for axis in "xyz"}}),
+    "driven": ("settle", {**TISSUE, "friction": {},
+                          "motions": {"m": {"cells": [0, 1], "velocity": [0.001, 0, 0]}},
+                          "forces": {"f": {"cells": [2], "force": [0.1, 0, 0]}}}),
     "fields": ("spheroid", {"initial.count": 150, "initial.stage": "uniform",
                             "duration": "40 min", "nutrients.oxygen.regime": "transient"}),
     "death": ("spheroid", {"initial.count": 150, "initial.stage": "uniform", "duration": "2 h",
@@ -39,10 +43,9 @@ PHYSICS = {
 }  # fmt: skip
 METHOD_CASES = {name: ("settle", {**TISSUE, "integrator": name}) for name in METHODS}
 GROUPS = {
-    "methods": METHOD_CASES,
-    "physics": PHYSICS,
-    "few": {key: PHYSICS[key] for key in ("exact JKR", "slack", "fields", "death")}
-    | {key: METHOD_CASES[key] for key in ("cvode", "dopri5")},
+    "all": METHOD_CASES | PHYSICS,
+    # a field, cells that divide, the default method, and a method that is compiled as a whole
+    "few": {"fields": PHYSICS["fields"], "dopri5": METHOD_CASES["dopri5"]},
 }
 
 

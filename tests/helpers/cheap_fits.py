@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import signal
 from dataclasses import dataclass
+from threading import Timer
 
 import numpy as np
 
@@ -10,7 +13,7 @@ import multicell as mc
 from multicell.calibration.data import Condition, Datum, Measured
 from multicell.calibration.pool import InProcessExecutor, Pool
 from multicell.calibration.problem import Problem
-from multicell.calibration.simulator import Reading
+from multicell.calibration.simulator import Reading, SceneSimulator
 from multicell.studies.axes import Range
 
 MATRIX = [[1.0, 0.0], [0.0, 1.0], [1.0, 1.0], [1.0, -1.0]]
@@ -44,6 +47,21 @@ class _Stopping(InProcessExecutor):
 def stopping(calls):
     """Return a pool that stops after some calls, as a process does that is killed."""
     return Pool(_Stopping(calls))
+
+
+def killed(arguments, calls):
+    """Run a command line of ``multicell`` that is killed (-9) in a call of its simulator."""
+    from multicell.cli.main import main
+
+    usual, left = SceneSimulator.__call__, iter(range(calls - 1, -1, -1))
+
+    def called(self, *more):
+        if next(left) == 0:
+            Timer(0.01, os.kill, (os.getpid(), signal.SIGKILL)).start()
+        return usual(self, *more)
+
+    SceneSimulator.__call__ = called
+    main(arguments)
 
 
 SCENE = mc.load_scene("growth")

@@ -9,6 +9,7 @@ import faulthandler
 import importlib
 import json
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -103,7 +104,7 @@ def serve():
         child = os.fork()
         if child == 0:
             os.close(read)
-            _become(write)
+            _become(write, **task)
             return _work(task)
         os.close(write)
         code = _watch(child, task, begin)
@@ -122,14 +123,21 @@ def _load(names):
     return 0
 
 
-def _become(write):
-    """Send all output of this process to a pipe, and take no more tasks."""
+def _become(write, folder=".", memory=None, **_):
+    """Send all output of this process to a pipe, and take no more tasks.
+
+    It works in a folder, and with no more than some memory, bytes, beyond what it has.
+    """
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     os.dup2(write, 1)
     os.dup2(write, 2)
     # a stream remembers whether what it writes to can be wound back, and a pipe cannot
     sys.stdout, sys.stderr = (os.fdopen(number, "w", closefd=False) for number in (1, 2))
     faulthandler.enable()
+    os.chdir(folder)
+    if memory is not None:
+        used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+        resource.setrlimit(resource.RLIMIT_AS, (used + memory, used + memory))
 
 
 def _work(task):
@@ -137,13 +145,18 @@ def _work(task):
     if "function" in task:
         module, _, name = task["function"].partition(":")
         code = getattr(__import__(module), name)(**task["with"]) or 0
-        if "loads" in task:
-            Path(task["loads"]).write_text(json.dumps(sorted(sys.modules)))
-        return code
+    else:
+        code = _command(task["arguments"])
+    if "loads" in task:
+        Path(task["loads"]).write_text(json.dumps(sorted(sys.modules)))
+    return code
+
+
+def _command(arguments):
     from multicell.cli.main import main
 
     try:
-        main(task["arguments"])
+        main(arguments)
     except SystemExit as error:
         return error.code
     return 0

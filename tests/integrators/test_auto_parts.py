@@ -19,10 +19,10 @@ PARTS = {
     "friction and prescribed motion": {
         "friction": {"normal": 0.1}, "motions": {"m": {"cells": [0], "velocity": [0.001, 0, 0]}},
     },
-    "force": {"forces": {"f": {"cells": [2], "force": [0.1, 0, 0]}}},
     "motility": {"motility": {"force": "0.5 nN"}},
     "exact JKR": {"contact": {"law": "exact-jkr", "surface_energy": 0.1}},
-    "adhesion molecules": {
+    "adhesion molecules and a force": {
+        "forces": {"f": {"cells": [2], "force": [0.1, 0, 0]}},
         "adhesion": {"strength": 0.002},
         "types": {"a": {"receptor": 1.0, "ligand": 1.0}},
     },

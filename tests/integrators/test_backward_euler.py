@@ -96,18 +96,6 @@ def test_a_minimum_is_no_saddle():
     assert np.linalg.eigvals(hessian).real.min() > 0.0
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_any_number_of_threads_gives_the_same_bits(seed):
-    start, radius, young = just_divided(150, seed)
-    ends = []
-    for threads in (1, 2):
-        system = mechanics(
-            radius, young, duration=300.0, threads=threads, chunk=20, shared_chunks=2
-        )
-        ends.append(BackwardEuler(300.0, FREE).integrate(system, start).position.tobytes())
-    assert ends[0] == ends[1]
-
-
 def test_the_cost_of_a_hard_step_is_tens_of_evaluations():
     start, radius, young = just_divided(400, 2)
     system = mechanics(radius, young, duration=300.0)

@@ -15,7 +15,7 @@ from multicell.integrators.cvode import Cvode, CvodeAdams
 from multicell.integrators.cvode_sparse import CvodeSparse
 
 VISCOSITY, DURATION = 0.05, 60.0
-SEEDS = range(5)
+SEEDS = range(3)
 
 
 def divided(n, seed, share=0.1):

@@ -156,21 +156,6 @@ def test_compiled_and_python_paths_agree(method, monkeypatch):
     assert compiled.work.list_builds > 1
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("method", [ALL[0], ALL[2], ALL[5], ALL[6], ALL[8]], ids=name_of)
-def test_same_bits_with_two_threads(method):
-    position, radius, young = cluster(300, 7, spacing=0.75)
-    ends, counts = [], []
-    for threads in (1, 2):
-        system = mechanics(radius, young, duration=40.0, threads=threads, chunk=64, shared_chunks=2)
-        outcome = method.integrate(system, position)
-        assert outcome.done
-        ends.append(outcome.position.tobytes())
-        counts.append(system.work)
-    assert ends[0] == ends[1]
-    assert counts[0] == counts[1]
-
-
 def systems_that_need_python():
     position, radius, young = cluster(40, 8, spacing=0.85)
     n = len(radius)

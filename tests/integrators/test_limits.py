@@ -34,7 +34,9 @@ def method(name, **options):
 LONELY = [
     (name, law)
     for name, law in itertools.product(sorted(METHODS), sorted(LAWS))
-    if law == "jkr" or name in ("cvode", "backward-euler", "rk4", "scipy-rk45")
+    if law == "jkr"
+    or name in ("cvode", "backward-euler", "scipy-rk45")
+    or (name, law) == ("rk4", "physicell")
 ]
 
 

@@ -8,8 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 import multicell as mc
+from multicell.cli.main import main
 from multicell.integrators.registry import METHODS, from_options
 from multicell.integrators.runge_kutta import Heun
 from multicell.plugins.named import load_object
@@ -85,15 +87,12 @@ def test_a_run_is_resumed_when_the_method_is_given_again(mine, tmp_path):
     assert mc.load_result(tmp_path / "out").scene.integrator.method == f"{mine}:Midpoint"
 
 
-def test_the_command_line_runs_resumes_and_compares(mine, tmp_path):
+def test_the_command_line_runs_resumes_and_compares(mine, tmp_path, monkeypatch):
     settings = [word for key, value in SCENE.items() for word in ("--set", f"{key}={value}")]
     usual = ("run", "settle", *settings, "--integrator", "mine.py:Midpoint", "--no-report")
     done = command(*usual, "-o", "out", "--quiet", folder=tmp_path)
     assert done.returncode == 0, done.stderr
     assert f"{mine}:Midpoint" in (tmp_path / "out" / "scene.toml").read_text()
-    refused = command("resume", "out", "--frame", "1", "-o", "again", folder=tmp_path)
-    assert refused.returncode == 2
-    assert "hand it over" in refused.stderr.lower()
     done = command(
         "resume", "out", "--frame", "1", "-o", "again", "--integrator", "mine.py:Midpoint",
         "--no-report", "--quiet", folder=tmp_path,
@@ -101,11 +100,15 @@ def test_the_command_line_runs_resumes_and_compares(mine, tmp_path):
     assert done.returncode == 0, done.stderr
     results = [mc.load_result(tmp_path / name) for name in ("out", "again")]
     assert ends(results[0]).tobytes() == ends(results[1]).tobytes()
-    done = command(
+    monkeypatch.chdir(tmp_path)
+    refused = CliRunner().invoke(main, ["resume", "out", "--frame", "1", "-o", "new"])
+    assert refused.exit_code == 2
+    assert "hand it over" in refused.stderr.lower()
+    done = CliRunner().invoke(main, [
         "compare", "settle", *settings, "--methods", "cvode,mine.py:Midpoint", "-o", "chart",
-        "--budget", "4", "--patience", "1", "--repeats", "1", "--json", "--quiet", folder=tmp_path,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
+        "--budget", "2", "--patience", "1", "--repeats", "1", "--json", "--quiet",
+    ])  # fmt: skip
+    assert done.exit_code == 0, done.stderr
     rows = json.loads(done.stdout)
     assert {row["method"] for row in rows} == {"cvode", "midpoint"}
     errors = {r["setting"]: r["error_position"] for r in rows if r["method"] == "midpoint"}

@@ -176,21 +176,6 @@ def test_a_good_guess_saves_iterations():
     np.testing.assert_allclose(near, velocity * (1 + 1e-9), rtol=1e-8, atol=1e-12)
 
 
-@pytest.mark.parametrize(("normal", "tangential"), [(0.1, 0.1), (0.4, 0.05)])
-def test_threads_do_not_change_a_bit(normal, tangential):
-    position, radius, young = cluster(3000, 6)
-    results = []
-    for threads in (1, 2):
-        system, gamma, force = system_at(
-            position, radius, young, normal, tangential,
-            shared=threads > 1, threads=threads, chunk=256,
-        )  # fmt: skip
-        assert system._shared(system._pairs) == (threads > 1)
-        results.append(solved(gamma, force))
-    assert results[0][1] == results[1][1] > 5
-    assert np.array_equal(results[0][0], results[1][0])
-
-
 @pytest.mark.parametrize("coefficient", [0.0, 0.1, 2.0])
 @pytest.mark.parametrize("start", [0.75, 0.95])
 def test_two_cells_relax_as_the_quadrature_says(coefficient, start):

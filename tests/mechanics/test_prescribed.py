@@ -245,15 +245,3 @@ def test_nothing_is_loaded_or_given_where_no_motion_is_prescribed():
     assert system.at_end(position) is position
     assert system.weighed_rows is system.rows
     assert not outside_force(system, 0.0, position).any()
-
-
-@pytest.mark.parametrize("friction", [(0.0, 0.0), (0.1, 0.05)])
-def test_threads_give_the_same_bits(friction):
-    found = []
-    for threads in (1, 2):
-        system, position = driven(1500, threads=threads, chunk=64, friction=friction)
-        made = integrators.from_options(IntegratorOptions(method="heun", step=2.0))
-        system.motion.end = 4.0
-        system.begin(system.motion)
-        found.append(made.integrate(system, position).position)
-    np.testing.assert_array_equal(*found)

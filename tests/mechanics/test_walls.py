@@ -232,24 +232,6 @@ def test_all_methods_agree_with_scipy_on_a_right_hand_side_of_our_own(method, se
     np.testing.assert_allclose(outcome.position, settled, atol=bounds.get(method, 2e-4))
 
 
-def test_threads_give_the_same_bits():
-    n, half = 1500, 50.0
-    found = []
-    for threads in (1, 2):
-        system, position = pressed(n, 5, half=half, threads=threads, chunk=64)
-        out, product = np.empty_like(position), np.empty_like(position)
-        system.velocity(0.0, position, out)
-        system.linearise(0.0, position)
-        system.jacobian_product(out, product)
-        sweep, solved = preconditioner("gauss-seidel", system), np.empty_like(position)
-        sweep.setup(system, 10.0, system.linearisation)
-        sweep.solve(system, out, solved)
-        found.append([out, product, solved, system.pressure(0.0, position)])
-    assert np.abs(wall_force(position, system.motion.radius, system.motion.young, half)).max() > 0
-    for one, two in zip(*found, strict=True):
-        np.testing.assert_array_equal(one, two)
-
-
 def test_scenes_without_walls_use_the_same_kernels():
     """Absent walls cost nothing: the arguments of the kernels know nothing of them."""
     fields = kernels.CellData._fields + kernels.PairData._fields + Hertz().constants()._fields

@@ -179,7 +179,11 @@ def test_what_a_change_leaves_and_brings():
 # --- the account -------------------------------------------------------------------------------
 
 PLACES = {
-    "half a millimetre's well": {"domain": WELL, "coupling_step": "40 min"},
+    "half a millimetre's well": {
+        "domain": WELL,
+        "nutrients.glucose.spacing": 25.0,
+        "coupling_step": "40 min",
+    },
     "cubes that follow": {"growth": {"cycle_time": "8 h"}},
     "shells": {"nutrients.glucose.geometry": "radial", "growth": {"cycle_time": "8 h"}},
     "a plane": {

@@ -210,16 +210,6 @@ def test_shifted_cells_get_the_shifted_field():
     np.testing.assert_allclose(second.sample(there), first.sample(position), rtol=1e-9)
 
 
-def test_the_same_bits_every_time():
-    def history():
-        field = oxygen()
-        for radius in (50.0, 60.0, 110.0):
-            field.solve(*ball(radius))
-        return field.field().values
-
-    np.testing.assert_array_equal(history(), history())
-
-
 def test_no_cells_leave_the_medium():
     field = oxygen()
     report = field.solve(np.empty((0, 3)), np.empty(0))

@@ -179,7 +179,7 @@ def test_shells_against_an_outside_solver(tolerance):
 def test_a_transient_field_is_right_within_its_tolerance():
     """Against the same run on a grid of a quarter of the spacing; cells that do not move."""
     still = {
-        "growth": None, "duration": "3 min", "coupling_step": "5 s", "initial.count": 30,
+        "growth": None, "duration": "90 s", "coupling_step": "5 s", "initial.count": 30,
         "initial.jitter": 0.0,
     }  # fmt: skip
     fields = {"diffusion": "20 um^2/s", "boundary": "1 mM", "uptake": "5 amol/s"}
@@ -300,15 +300,14 @@ def test_a_growing_run_keeps_its_tolerance_and_its_account_and_can_be_resumed(ki
         assert summary["units"][f"fields.{name}.estimated_error"] == "mM"
         widest = result.history[f"spacing_{name}"][-1]
         assert last.fields[name].spacing <= widest * (1.0 + 1e-12)
-    for middle in result.frames[1:-1]:
-        again = mc.Simulation(result.scene, frame=middle)
-        while not again.finished:
-            again.step()
-        assert again.frame().progress.grids == last.progress.grids
-        for name in described.nutrients:
-            assert np.array_equal(again.concentrations[name], last.concentrations[name])
-            assert np.array_equal(again.fields[name].values, last.fields[name].values)
-            assert again.ledger[name].kept() == last.progress.ledger[name]
+    again = mc.Simulation(result.scene, frame=result.frames[-2])
+    while not again.finished:
+        again.step()
+    assert again.frame().progress.grids == last.progress.grids
+    for name in described.nutrients:
+        assert np.array_equal(again.concentrations[name], last.concentrations[name])
+        assert np.array_equal(again.fields[name].values, last.fields[name].values)
+        assert again.ledger[name].kept() == last.progress.ledger[name]
 
 
 def test_a_spacing_that_gives_way_does_so_rarely():
@@ -478,7 +477,7 @@ def test_fields_that_react_live_on_a_grid_that_does_for_all(regime):
 
 def test_fields_that_react_choose_again_and_are_resumed_bit_by_bit(tmp_path):
     fields = {name: {**table, "regime": "transient"} for name, table in REACTING.items()}
-    changes = {"duration": "8 h", "growth.cycle_time": "4 h", "output.every": "2 h"}
+    changes = {"duration": "6 h", "growth.cycle_time": "4 h", "output.every": "2 h"}
     whole = mc.run(scene(fields, reactions=BINDING, **changes), output=tmp_path / "a", report=False)
     looked = {frame.progress.grids["a"]["cells"] for frame in whole.frames}
     assert len(looked) > 2

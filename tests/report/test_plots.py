@@ -67,12 +67,6 @@ def test_no_text_leaves_the_picture_or_covers_another(result, name):
     check_texts(getattr(result.plot, name)())
 
 
-def test_pictures_leave_matplotlib_as_it_was(result):
-    before = dict(mpl.rcParams)
-    result.plot.growth()
-    assert dict(mpl.rcParams) == before
-
-
 def test_section_draws_the_cut_of_each_cell():
     position = [
         [0.0, 0, 0],

@@ -4,13 +4,10 @@
 many as asked.
 """
 
-import os
 import random
-import subprocess
 
 import numpy as np
 import pytest
-from forks import Forks
 from stored import assert_same_bits
 
 import multicell as mc
@@ -40,12 +37,6 @@ def command(verb, folder, *more):
     if verb == "run":
         return ["run", "spheroid", "-o", folder, *SETTINGS, "--quiet", "--threads", "1", *more]
     return ["resume", folder, "--quiet", "--threads", "1", *more]
-
-
-@pytest.fixture(scope="module")
-def forks():
-    with Forks() as made:
-        yield made
 
 
 @pytest.fixture(scope="module")
@@ -128,39 +119,6 @@ def _moment(rng, folder, seconds):
     if part is None:
         return {"kill_after": rng.uniform(0.0, 1.1 * seconds)}
     return {"kill_when": str(folder / part), "delay": rng.choice([0.0, rng.uniform(0.0, 0.02)])}
-
-
-@pytest.fixture
-def small_disk(tmp_path):
-    """Give a function that makes a small disk, and one that gives it another size."""
-    place = tmp_path / "disk"
-    place.mkdir()
-    mounted = []
-
-    def mount(kilobytes):
-        options = f"size={kilobytes}k"
-        again = [*(["remount"] if mounted else []), options]
-        done = subprocess.run(
-            ["mount", "-t", "tmpfs", "-o", ",".join(again), "tmpfs", str(place)],
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        if done.returncode != 0 and not mounted:
-            pytest.skip(f"a small disk cannot be mounted here: {done.stderr.strip()}")
-        assert done.returncode == 0, done.stderr
-        mounted.append(kilobytes)
-        return place
-
-    def unmount():
-        if mounted:
-            subprocess.run(["umount", str(place)], check=True)
-            mounted.clear()
-
-    if os.name != "posix" or not hasattr(os, "geteuid") or os.geteuid() != 0:
-        pytest.skip("to mount a small disk one must be root")
-    yield mount, unmount
-    unmount()
 
 
 @pytest.mark.harness

@@ -12,7 +12,6 @@ import sys
 from pathlib import Path
 
 import pytest
-from forks import Forks
 
 import multicell as mc
 
@@ -84,19 +83,18 @@ def folders(tmp_path_factory):
 
 @pytest.mark.harness
 @pytest.mark.slow
-def test_damaged_folders_are_read_right_or_refused(folders, tmp_path, pytestconfig):
+def test_damaged_folders_are_read_right_or_refused(folders, forks, tmp_path, pytestconfig):
     made, whole = folders
     wrong, refused = [], 0
-    with Forks() as forks:
-        for case in range(pytestconfig.getoption("damages")):
-            folder = tmp_path / "case" / "out"
-            shutil.copytree(made[KINDS[case % len(KINDS)]], folder)
-            task = {"number": case, "folder": str(folder), "whole": str(whole)}
-            done = forks.ask(function="damage:check", limit=60.0, **{"with": task})
-            refused += "refused" in done["text"]
-            if done["code"] != 0:
-                wrong.append((case, KINDS[case % len(KINDS)], done["code"], done["text"][-1500:]))
-            shutil.rmtree(tmp_path / "case")
+    for case in range(pytestconfig.getoption("damages")):
+        folder = tmp_path / "case" / "out"
+        shutil.copytree(made[KINDS[case % len(KINDS)]], folder)
+        task = {"number": case, "folder": str(folder), "whole": str(whole)}
+        done = forks.ask(function="damage:check", limit=60.0, **{"with": task})
+        refused += "refused" in done["text"]
+        if done["code"] != 0:
+            wrong.append((case, KINDS[case % len(KINDS)], done["code"], done["text"][-1500:]))
+        shutil.rmtree(tmp_path / "case")
     assert not wrong, "\n\n".join(
         f"case {k}, {kind}: {code}\n{text}" for k, kind, code, text in wrong
     )

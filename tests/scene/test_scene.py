@@ -10,13 +10,10 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from multicell.contact.hertz import Hertz
 from multicell.contact.jkr import JKR
 from multicell.errors import SceneError
-from multicell.integrators.registry import METHODS
 from multicell.scene.nutrient import Nutrient
 from multicell.scene.parts import Growth
 from multicell.scene.scene import Scene, load_scene, scene_names
@@ -181,47 +178,28 @@ def test_unreadable_file(tmp_path):
         ({"duration": 0}, "duration", "is 0 s, must be above 0 s"),
         ({"duration": "-1 d"}, "duration", "is -1 d, must be above 0 s"),
         ({"duration": "5"}, "duration", "without a unit"),
-        ({"duration": "5 um"}, "duration", "must be a time"),
         ({"duration": float("nan")}, "duration", "finite"),
-        ({"duration": float("inf")}, "duration", "finite"),
         ({"duration": True}, "duration", "is True, must be a number"),
-        ({"duration": [1]}, "duration", "is a list"),
-        ({"duration": {}}, "duration", "is a table"),
-        ({"coupling_step": 0}, "coupling_step", "above 0 s"),
         ({"seed": -1}, "seed", "at least 0"),
         ({"seed": 1.5}, "seed", "whole number"),
         ({"seed": 2**63}, "seed", "at most"),
-        ({"stop_cells": 0}, "stop_cells", "at least 1"),
         ({"title": 3}, "title", "one line of text"),
-        ({"initial": {"count": 0}}, "initial.count", "at least 1"),
-        ({"initial": {"spacing": 0}}, "initial.spacing", "above 0"),
-        ({"initial": {"jitter": -0.1}}, "initial.jitter", "at least 0"),
         ({"initial": {"stage": "old"}}, "initial.stage", "'birth', 'uniform'"),
-        ({"cells": {"division_radius": "-3 um"}}, "cells.division_radius", "is -3 um, must be ab"),
-        ({"cells": {"division_radius": "5"}}, "cells.division_radius", "without a unit"),
-        ({"cells": {"young": 0}}, "cells.young", "above 0 kPa"),
         ({"cells": {"young_variation": 0.6}}, "cells.young_variation", "at most 0.5"),
         ({"cells": {"poisson": 0.75}}, "cells.poisson", "is 0.75, must be above -1 and at most"),
-        ({"cells": {"poisson": -1}}, "cells.poisson", "above -1"),
         ({"cells": {"poisson": "0.5"}}, "cells.poisson", "without unit and quotes"),
         ({"cells": [1]}, "cells", "is a list, must be a table"),
         ({"contact": {"law": "yukawa"}}, "contact.law", "must be one of 'hertz', 'jkr'"),
-        ({"contact": {"surface_energy": -1}}, "contact.surface_energy", "at least 0 nN/um"),
         (
             {"contact": {"law": "hertz", "surface_energy": 0.1}},
             "contact.surface_energy",
             "is not a known key here",
         ),
-        ({"drag": {"viscosity": 0}}, "drag.viscosity", "is 0 kPa s, must be above 0 kPa s"),
         ({"drag": {"viscosity": "0 kPa s"}}, "drag.viscosity", "must be above 0 kPa s"),
         ({"drag": {"viscosity": "5 kPa"}}, "drag.viscosity", "must be a viscosity"),
-        ({"growth": {"cycle_time": 0}}, "growth.cycle_time", "above 0 s"),
         ({"growth": {"cycle_variation": 0.51}}, "growth.cycle_variation", "at most 0.5"),
-        ({"growth": {"critical_pressure": 0}}, "growth.critical_pressure", "above 0 kPa"),
         ({"growth": True}, "growth", "is True, must be a table"),
-        ({"death": {"lysis_time": "0 h"}}, "death.lysis_time", "above 0 s"),
         ({"death": {"removal_fraction": 1}}, "death.removal_fraction", "below 1"),
-        ({"death": {"removal_fraction": 0}}, "death.removal_fraction", "above 0"),
         ({"nutrients": 5}, "nutrients", "must be a table"),
         ({"nutrients": {"2,3-DPG": {}}}, "nutrients", "letters, digits"),
         (
@@ -244,28 +222,12 @@ def test_unreadable_file(tmp_path):
             "nutrients.o2.spacing",
             "must be at most 8 um",
         ),
-        (
-            {"nutrients": {"o2": {"diffusion": 0}}},
-            "nutrients.o2.diffusion",
-            "at least 1e-06 um^2/s",
-        ),
-        ({"nutrients": {"o2": {"boundary": -1}}}, "nutrients.o2.boundary", "at least 0 mM"),
         ({"nutrients": {"o2": {"uptake": "20 amol"}}}, "nutrients.o2.uptake", "amount per time"),
-        (
-            {"nutrients": {"o2": {"half_saturation": 0}}},
-            "nutrients.o2.half_saturation",
-            "at least 1e-12 mM",
-        ),
         ({"nutrients": {"o2": {"quiescent_uptake": 2}}}, "nutrients.o2.quiescent_uptake", "most 1"),
         ({"integrator": "rk99"}, "integrator.method", "is 'rk99', must be one of 'auto', 'cvode'"),
         ({"integrator": 3}, "integrator", "must be a table"),
-        ({"integrator": {"rtol": 1e-15}}, "integrator.rtol", "at least 1e-14"),
         ({"integrator": {"rtol": 0.2}}, "integrator.rtol", "at most 0.1"),
-        ({"integrator": {"atol": 0}}, "integrator.atol", "above 0 um"),
-        ({"integrator": {"max_steps": 0}}, "integrator.max_steps", "at least 1"),
-        ({"integrator": {"step": 0}}, "integrator.step", "above 0 s"),
         ({"integrator": {"max_displacement": 1.1}}, "integrator.max_displacement", "at most 1"),
-        ({"output": {"every": 0}}, "output.every", "above 0 s"),
     ],
 )
 def test_bad_value(entries, path, words):
@@ -426,76 +388,3 @@ def test_scene_survives_pickle_and_hash():
     scene = load_scene("spheroid")
     assert pickle.loads(pickle.dumps(scene)) == scene
     assert hash(scene) == hash(load_scene("spheroid"))
-
-
-def positive(top=1e6):
-    return st.floats(1e-6, top)
-
-
-def zero_or(least, most):
-    return st.just(0.0) | st.floats(least, most)
-
-
-NUTRIENTS = st.fixed_dictionaries(
-    {
-        "diffusion": positive(),
-        "necrosis": zero_or(1e-6, 0.01),
-        "quiescence": st.floats(0.011, 1),
-        "spacing": st.floats(0.1, 4.0),
-    },
-    optional={"uptake": zero_or(1e-6, 1e3), "margin": positive()},
-)
-SCENES = st.fixed_dictionaries(
-    {"duration": positive() | st.integers(1, 30).map("{} d".format)},
-    optional={
-        "title": st.text(max_size=30).filter(str.isprintable),
-        "seed": st.integers(0, 2**63 - 1),
-        "stop_cells": st.integers(1, 10**6),
-        "initial": st.fixed_dictionaries(
-            {}, optional={"count": st.integers(1, 10**5), "stage": st.sampled_from(["uniform"])}
-        ),
-        "cells": st.fixed_dictionaries(
-            {"division_radius": st.floats(1, 50)},
-            optional={"poisson": zero_or(0.01, 0.5), "young": st.floats(1, 1e6)},
-        ),
-        "contact": st.just({"law": "hertz"})
-        | st.builds(lambda energy: {"surface_energy": energy}, zero_or(1e-9, 0.01)),
-        "growth": st.fixed_dictionaries({}, optional={"critical_pressure": positive()}),
-        "death": st.fixed_dictionaries({}, optional={"removal_fraction": st.floats(0.01, 0.99)}),
-        "nutrients": st.dictionaries(
-            st.from_regex(r"[a-z]\w{0,8}", fullmatch=True).filter(str.isascii),
-            NUTRIENTS,
-            max_size=1,
-        ),
-        # those that hold any number of cells
-        "integrator": st.sampled_from(sorted(n for n, m in METHODS.items() if not m.most_cells)),
-    },
-)
-
-
-@given(entries=SCENES)
-def test_dict_round_trip(entries):
-    scene = Scene.from_dict(entries)
-    assert Scene.from_dict(scene.to_dict()) == scene
-    assert None not in scene.to_dict().values()
-
-
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(entries=SCENES)
-def test_toml_round_trip(tmp_path, entries):
-    scene = Scene.from_dict(entries)
-    file = tmp_path / "scene.toml"
-    file.write_text(scene.to_toml({"entries": entries}), encoding="utf-8")
-    assert load_scene(file) == scene
-
-
-@given(entries=SCENES, boundary=zero_or(1e-6, 10))
-def test_changes_touch_nothing_else(entries, boundary):
-    scene = Scene.from_dict(entries)
-    name = next(iter(scene.nutrients), "oxygen")
-    spacing = {f"nutrients.{name}.spacing": 1.0}
-    changed = scene.with_changes({f"nutrients.{name}.boundary": boundary, **spacing}).to_dict()
-    assert changed["nutrients"][name]["boundary"] == boundary
-    rest = {key: value for key, value in scene.to_dict().items() if key != "nutrients"}
-    del changed["nutrients"]
-    assert changed == rest

@@ -59,15 +59,6 @@ def test_small_scenes_run_to_finite_numbers_or_fail_by_name(request):
     assert counts["ran"] / counts.total() > 0.6, "the search runs too little"
 
 
-@pytest.mark.slow
-def test_every_declared_key_is_drawn():
-    """A key of a new kind needs a way to be drawn: ``Parameter.kind``, or ``examples``."""
-    seen = set()
-    declared = {key for key, _ in drawn.declared()} - drawn.OF_OWN_CODE
-    drawn.look_until(lambda: seen >= declared, lambda entries: seen.update(drawn.keys_of(entries)))
-    assert not declared - seen
-
-
 @settings(max_examples=60, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
 def test_broken_text_is_refused_by_name(tmp_path_factory, data):

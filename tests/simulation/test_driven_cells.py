@@ -220,19 +220,6 @@ def test_frames_of_other_scenes_say_nothing_of_drivers():
     assert "driven" not in json.loads(text)
 
 
-def test_threads_give_the_same_bits(monkeypatch):
-    scene = mc.load_scene("compression").with_changes({"duration": "2 min", "initial.count": 400})
-    found = []
-    for threads in (1, 2):
-        simulation = Simulation(scene, threads=threads)
-        simulation.mechanics.chunk, simulation.mechanics.shared_chunks = 32, 2
-        while not simulation.finished:
-            simulation.step()
-        found.append((simulation.cells.position, simulation.history_row()))
-    np.testing.assert_array_equal(found[0][0], found[1][0])
-    np.testing.assert_equal(found[0][1], found[1][1])
-
-
 def test_a_recorded_run_is_replayed_by_another_method():
     """Work-precision charts: driven cells are exact in both, the others differ by the tolerance."""
     scene = pressed(duration="1 min")

@@ -3,10 +3,8 @@
 ``pytest tests/studies/test_engine_kills.py --kills 100`` kills as many processes as asked.
 """
 
-import os
 import random
 import signal
-import subprocess
 import time
 
 import psutil
@@ -62,7 +60,7 @@ def assert_no_tracebacks(text):
 def test_killed_studies_go_on_to_the_same_bits(undisturbed, tmp_path, pytestconfig):
     """The process that holds the scheduler, or workers: whatever is killed, at any moment."""
     whole, seconds = undisturbed
-    kills = max(4, pytestconfig.getoption("kills"))
+    kills = max(3, pytestconfig.getoption("kills"))
     folder, done, case, times = tmp_path / "study0", 0, 0, 0
     process = started(folder, COUNT)
     while done < kills:
@@ -181,44 +179,20 @@ def test_a_run_that_kills_its_worker_again_and_again_is_a_row(tmp_path):
     assert (again.state, again.reused) == ("failed", True)
 
 
-@pytest.fixture
-def small_disk(tmp_path):
-    """Give a function that makes a small disk, or gives it another size."""
-    if not hasattr(os, "geteuid") or os.geteuid() != 0:
-        pytest.skip("to mount a small disk one must be root")
-    place = tmp_path / "disk"
-    place.mkdir()
-    mounted = []
-
-    def mount(kilobytes):
-        options = ",".join([*(["remount"] if mounted else []), f"size={kilobytes}k"])
-        command = ["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(place)]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        if done.returncode != 0 and not mounted:
-            pytest.skip(f"a small disk cannot be mounted here: {done.stderr.strip()}")
-        assert done.returncode == 0, done.stderr
-        mounted.append(kilobytes)
-        return place
-
-    yield mount
-    if mounted:
-        subprocess.run(["umount", str(place)], check=True)
-
-
 @pytest.mark.slow
 def test_a_full_disk_is_a_reason_in_a_row_and_loses_nothing(undisturbed, small_disk):
     whole, _ = undisturbed
     size = sum(path.stat().st_size for path in whole.rglob("*") if path.is_file()) // 1024
-    for share in (0.3, 0.8):
-        folder = small_disk(int(share * size)) / "study"
-        code, text = ended(started(folder, COUNT))
-        assert code == 0, text
-        rows = [line.split(maxsplit=3) for line in text.splitlines()]
-        assert len(rows) == COUNT
-        failed = [row for row in rows if row[1] == "failed"]
-        assert failed
-        assert [row for row in failed if "No space left on device" not in row[3]] == []
-    folder = small_disk(20 * size) / "study"
+    mount, _ = small_disk
+    folder = mount(size // 2) / "study"
+    code, text = ended(started(folder, COUNT))
+    assert code == 0, text
+    rows = [line.split(maxsplit=3) for line in text.splitlines()]
+    assert len(rows) == COUNT
+    failed = [row for row in rows if row[1] == "failed"]
+    assert failed
+    assert [row for row in failed if "No space left on device" not in row[3]] == []
+    folder = mount(20 * size) / "study"
     code, text = ended(started(folder, COUNT))
     assert code == 0, text
     assert_complete(folder, whole)

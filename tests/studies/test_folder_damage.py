@@ -10,7 +10,6 @@ import sys
 
 import folder_damage
 import pytest
-from forks import Forks
 from studied import SHORT
 
 import multicell as mc
@@ -21,7 +20,7 @@ DATA = "time / h,diameter / um\n4,20\n8,24\n12,28\n16,32\n"
 
 
 @pytest.fixture(scope="module")
-def folders(tmp_path_factory):
+def folders(forks, tmp_path_factory):
     """Return a finished folder of each kind, and what it holds."""
     place = tmp_path_factory.mktemp("damaged")
     scene = mc.load_scene("growth").with_changes({**SHORT, "initial.count": 6})
@@ -33,6 +32,10 @@ def folders(tmp_path_factory):
     study = mc.study(scene, {"cells.young": "1,2 kPa"}, seeds=2, output=place / "study")
     study.run(cores=1)
     found = {kind: getattr(folder_damage, kind)(place / kind) for kind in KINDS}
+    shutil.copytree(place, place.with_name("whole"))
+    for kind in KINDS:
+        whole = {"folder": str(place.with_name("whole") / kind)}
+        forks.load(function="folder_damage:read", **{"with": whole})
     return place, json.loads(json.dumps(found))
 
 
@@ -40,20 +43,15 @@ def folders(tmp_path_factory):
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems do not limit address space")
 @pytest.mark.parametrize("kind", KINDS)
-def test_damaged_folders_are_read_right_or_refused(kind, folders, tmp_path, pytestconfig):
+def test_damaged_folders_are_read_right_or_refused(kind, folders, forks, tmp_path, pytestconfig):
     place, found = folders
     wrong = []
-    with Forks() as forks:
-        shutil.copytree(place, tmp_path / "whole")
-        forks.load(
-            function="folder_damage:read", **{"with": {"folder": str(tmp_path / "whole" / kind)}}
-        )
-        for case in range(pytestconfig.getoption("damages")):
-            shutil.copytree(place, tmp_path / "case")
-            task = {"number": case, "kind": kind, "folder": str(tmp_path / "case" / kind),
-                    "whole": found[kind]}  # fmt: skip
-            done = forks.ask(function="folder_damage:check", limit=60.0, **{"with": task})
-            if done["code"] != 0:
-                wrong.append((case, done["code"], done["text"][-1500:]))
-            shutil.rmtree(tmp_path / "case")
+    for case in range(pytestconfig.getoption("damages")):
+        shutil.copytree(place, tmp_path / "case")
+        task = {"number": case, "kind": kind, "folder": str(tmp_path / "case" / kind),
+                "whole": found[kind]}  # fmt: skip
+        done = forks.ask(function="folder_damage:check", limit=60.0, **{"with": task})
+        if done["code"] != 0:
+            wrong.append((case, done["code"], done["text"][-1500:]))
+        shutil.rmtree(tmp_path / "case")
     assert not wrong, "\n\n".join(f"case {k}: {code}\n{text}" for k, code, text in wrong)

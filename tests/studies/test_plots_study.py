@@ -6,8 +6,8 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 import xarray as xr
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
+from picture_texts import check_texts
 from study_tables import AXES, UNITS, grid, sampled, with_states
 
 from multicell.errors import SceneError
@@ -253,26 +253,6 @@ PICTURES = {
     ),
 )
 def test_no_text_leaves_the_picture_or_covers_another(kind, names):
-    figure = PICTURES[kind](plots(grid(*names, seeds=2)))
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    box = figure.get_tightbbox()
-    wide, high = figure.get_size_inches()
-    assert box.x0 >= 0.0
-    assert box.y0 >= 0.0
-    assert box.x1 <= wide
-    assert box.y1 <= high
-    boxes = [
-        (text.get_text(), text.get_window_extent(canvas.get_renderer()))
-        for axes in figure.axes
-        for text in (axes.title, axes._left_title, *axes.texts, axes.xaxis.label, axes.yaxis.label)
-        if text.get_text() and text.get_visible()
-    ]
-    for (text, first), (other, second) in itertools.combinations(boxes, 2):
-        assert not first.overlaps(second), (text, other)
-
-
-def test_pictures_leave_matplotlib_as_it_was(two):
     before = dict(mpl.rcParams)
-    plots(two).heatmap("diameter")
+    check_texts(PICTURES[kind](plots(grid(*names, seeds=2))))
     assert dict(mpl.rcParams) == before
