@@ -115,10 +115,7 @@ class Result:
 def history_arrays(rows: Iterable[Mapping[str, float]]) -> dict[str, NDArray[np.float64]]:
     """Return rows of a history as one array per column.
 
-    Raises
-    ------
-    ValueError
-        If a row lacks a column of the first one, or has more.
+    Raises ValueError if a row lacks a column of the first one, or has more.
     """
     rows = list(rows)
     if any(set(row) != set(rows[0]) for row in rows):
@@ -169,13 +166,8 @@ def load_result(folder: str | Path, *, damaged: bool = False) -> Result:
 def recorded_scene(contents: Contents) -> Scene:
     """Return the scene of a result folder.
 
-    Raises
-    ------
-    OutputError
-        If ``scene.toml`` is not the scene that was run: its numbers would be given to frames
-        that were computed with others.
-    SceneError
-        If it cannot be read.
+    Raises OutputError if ``scene.toml`` is not the scene that was run: its numbers would be given
+    to frames that were computed with others; SceneError if it cannot be read.
     """
     from multicell.host.files import parse_toml
     from multicell.scene.scene import Scene, beside, load_scene

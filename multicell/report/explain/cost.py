@@ -61,14 +61,9 @@ _NOTED_SHARE: Final = 0.01  # part of the tissue whose death at the start is wor
 class Prediction:
     """What a run is expected to be.
 
-    Attributes
-    ----------
-    course
-        Of the population.
-    seconds
-        Wall time on one core, without compilation.
-    memory, file : bytes
-        Of the process at its largest; of ``frames.h5``.
+    - ``course``: of the population
+    - ``seconds``: wall time on one core, without compilation
+    - ``memory``, ``file``, bytes: of the process at its largest; of ``frames.h5``
     """
 
     course: Course

@@ -50,14 +50,10 @@ _FIELD_TOLERANCE: Final = 1e-3  # change of a field, relative to its medium, tha
 class Course:
     """The number of cells over simulated time, and the radius of the tissue.
 
-    Attributes
-    ----------
-    times : (k,), s
-    cells : (k,)
-        Dead ones included until they are removed.
-    radius : (k,), µm
-    starved : float
-        Part of the tissue of the start that finds so little that it dies at once.
+    - ``times``, (k,), s
+    - ``cells``, (k,): dead ones included until they are removed
+    - ``radius``, (k,), µm
+    - ``starved``, float: part of the tissue of the start that finds so little that it dies at once
     """
 
     times: FloatArray
@@ -285,16 +281,10 @@ class Profile:
     ) -> FloatArray:  # fmt: skip
         """Return the concentration in each shell, (n,) mM, and note what a finite medium loses.
 
-        Parameters
-        ----------
-        shells : (n + 1,), µm
-            Their boundaries; nothing flows through the innermost.
-        begin, end : s
-            The field is taken at the first, its medium lasts till the second.
-        volume : µm³
-            Of a cell.
-        others : name -> (n,), mM
-            Fields that are solved already, which uptake may depend on.
+        - ``shells``, (n + 1,), µm: their boundaries; nothing flows through the innermost
+        - ``begin``, ``end``, s: the field is taken at the first, its medium lasts till the second
+        - ``volume``, µm³: of a cell
+        - ``others``, name -> (n,), mM: fields that are solved already, which uptake may depend on
         """
         medium = self._now(begin)
         self._factor = 1.0

@@ -36,12 +36,9 @@ def explain(scene: Scene, *, first_step: bool = False) -> dict[str, Any]:
     With ``first_step`` the cells are put in place, and what ``auto`` chooses for the first coupling
     step is told with its reasons; that compiles and computes as much as the choice needs.
 
-    Returns
-    -------
-    dict
-        ``title``; ``parts``: list of ``part``, ``used``, ``what``; ``numbers``: list of
-        ``name``, ``value``, ``unit``, ``meaning``; ``notes``: list of remarks on settings that
-        do not fit together. Only plain values, so that it can be written as JSON.
+    Returns dict: ``title``; ``parts``: list of ``part``, ``used``, ``what``; ``numbers``: list of
+    ``name``, ``value``, ``unit``, ``meaning``; ``notes``: list of remarks on settings that do not
+    fit together. Only plain values, so that it can be written as JSON.
     """
     expected = predict(scene)
     numbers = [*_run(scene), *contact_numbers(scene), *_growth(scene)]

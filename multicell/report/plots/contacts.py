@@ -67,10 +67,7 @@ def mean_distances(cells: Cells, types: int, dimensions: int) -> FloatArray:
 def contacts(frames: Sequence[Frame], history: History, scene: Scene) -> Figure:
     """Draw heterotypic contacts, all contacts, and the distance of each type from the centre.
 
-    Raises
-    ------
-    ValueError
-        If the history does not tell contacts of types apart, or is empty.
+    Raises ValueError if the history does not tell contacts of types apart, or is empty.
     """
     if len(history.get("heterotypic_fraction", ())) == 0:
         raise ValueError("the history has no contacts of different types: nothing to draw")
@@ -175,10 +172,7 @@ def _pair(cells: Cells, scene: Scene, time: float) -> Pair:
 def pull(frames: Sequence[Frame], history: History, scene: Scene) -> Figure:
     """Draw the pull over the distance of two cells, or over the diameter of more.
 
-    Raises
-    ------
-    ValueError
-        If nothing pulls, or the history or the frames are empty.
+    Raises ValueError if nothing pulls, or the history or the frames are empty.
     """
     if len(history.get("pull", ())) == 0 or len(frames) == 0:
         raise ValueError("the run has no pull: nothing to draw")

@@ -42,10 +42,7 @@ def field_maps(frame: Frame, scene: Scene) -> Figure:
 
     A line shows where cells begin to rest, a dashed one where most are necrotic.
 
-    Raises
-    ------
-    ValueError
-        If the frame has no cells or no fields.
+    Raises ValueError if the frame has no cells or no fields.
     """
     shown = [name for name in scene.nutrients if name in frame.fields]
     if not shown:

@@ -34,10 +34,7 @@ if TYPE_CHECKING:
 def growth(history: History, scene: Scene) -> Figure:
     """Draw number of cells, diameter and states against time; switches of media are marked.
 
-    Raises
-    ------
-    ValueError
-        If the history is empty.
+    Raises ValueError if the history is empty.
     """
     unit, time, subtitle = _course(history)
     figure = headed(scene, subtitle)
@@ -66,10 +63,7 @@ def growth(history: History, scene: Scene) -> Figure:
 def motion(history: History, scene: Scene) -> Figure:
     """Draw diameter and largest pressure against time, for cells that only move.
 
-    Raises
-    ------
-    ValueError
-        If the history is empty.
+    Raises ValueError if the history is empty.
     """
     unit, time, subtitle = _course(history)
     figure = headed(scene, subtitle)

@@ -23,14 +23,9 @@ _COLOURS: Final = 256
 class InlinePicture:
     """A picture as a page shows it; ``style.css`` turns its colours in dark mode.
 
-    Attributes
-    ----------
-    png
-        The picture in base64.
-    wide, high
-        Pixels.
-    subtitle
-        What the picture says of itself.
+    - ``png``: the picture in base64
+    - ``wide``, ``high``: pixels
+    - ``subtitle``: what the picture says of itself
     """
 
     png: str

@@ -31,17 +31,10 @@ _LINES = ("-", "--", "-.", ":")
 def overlay(runs: Mapping[str, History], quantity: str) -> Figure:
     """Draw a column of the histories of runs against time.
 
-    Parameters
-    ----------
-    runs
-        Histories by the names that the legend gives them.
-    quantity
-        Name of the column.
+    - ``runs``: histories by the names that the legend gives them
+    - ``quantity``: name of the column
 
-    Raises
-    ------
-    OutputError
-        If a run has no such column, or no history yet.
+    Raises OutputError if a run has no such column, or no history yet.
     """
     for label, history in runs.items():
         if quantity not in history:

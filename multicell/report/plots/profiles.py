@@ -51,10 +51,7 @@ def profiles(frame: Frame, scene: Scene) -> Figure:
 
     Where there is more than one cell type the lower part shows types instead of states.
 
-    Raises
-    ------
-    ValueError
-        If the frame has no cells.
+    Raises ValueError if the frame has no cells.
     """
     middle = centre(frame.cells, scene.dimensions)
     # shells about a cell wide, but never so few that a profile cannot be seen

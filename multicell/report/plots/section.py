@@ -67,29 +67,14 @@ def section(
     goes round where most cells are necrotic, averaged over about a cell's diameter. Where colours
     show the values of a quantity, phases or clones there is neither.
 
-    Parameters
-    ----------
-    frame
-        What is drawn.
-    scene
-        Of the run.
-    plane
-        Absent: z = centre of the cells.
-    colour
-        One of :func:`multicell.report.plots.colouring.colourings`.
-    lineage
-        Table of all cells that ever were, for the colours of clones.
-    half
-        Half the height of the window, µm; absent: as the cells need it.
-    limits
-        Range of the colours of a quantity; absent: that of the cells.
+    - ``plane``: absent: z = centre of the cells
+    - ``colour``: one of :func:`multicell.report.plots.colouring.colourings`
+    - ``lineage``: table of all cells that ever were, for the colours of clones
+    - ``half``: half the height of the window, µm; absent: as the cells need it
+    - ``limits``: range of the colours of a quantity; absent: that of the cells
 
-    Raises
-    ------
-    ValueError
-        If the frame has no cells.
-    OutputError
-        If the plane cuts no cell, or the colour is none.
+    Raises ValueError if the frame has no cells; OutputError if the plane cuts no cell, or the
+    colour is none.
     """
     dimensions, where = scene.dimensions, plane or Plane()
     if dimensions == 2 and where.axis != "z":
@@ -241,10 +226,7 @@ def draw_discs(
 def slice_at(field: Field, z: float) -> FloatArray:
     """Return the field on the plane at height z (µm), interpolated linearly: (nx, ny).
 
-    Raises
-    ------
-    ValueError
-        If the plane lies outside the grid.
+    Raises ValueError if the plane lies outside the grid.
     """
     if field.kind == "radial":
         field = field.in_plane(z)

@@ -48,23 +48,12 @@ def space(
 ) -> Figure:
     """Draw the cells as spheres of true size, seen without perspective, with what is cut away.
 
-    Parameters
-    ----------
-    frame
-        What is drawn.
-    scene
-        Of the run.
-    view
-        Direction and cut; absent: a quarter is cut away and opens to the eye.
-    colour, lineage, half, limits
-        As for :func:`multicell.report.plots.section.section`.
+    - ``view``: direction and cut; absent: a quarter is cut away and opens to the eye
+    - ``colour``, ``lineage``, ``half``, ``limits``: as for
+      :func:`multicell.report.plots.section.section`
 
-    Raises
-    ------
-    ValueError
-        If the frame has no cells.
-    OutputError
-        If the cells lie in a plane, or the colour is none.
+    Raises ValueError if the frame has no cells; OutputError if the cells lie in a plane, or the
+    colour is none.
     """
     view = view or View()
     shade = _shades(frame, scene, colour, lineage, limits)

@@ -170,10 +170,7 @@ PICTURES: Final = {".png": "png", ".svg": "svg", ".pdf": "pdf"}
 def save(figure: Figure, path: Path) -> None:
     """Write a figure as PNG, SVG or PDF, as its file's name ends.
 
-    Raises
-    ------
-    OutputError
-        If the file cannot be written, or its name ends otherwise.
+    Raises OutputError if the file cannot be written, or its name ends otherwise.
     """
     format = PICTURES.get(path.suffix.lower())
     if format is None:

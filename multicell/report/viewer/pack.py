@@ -61,20 +61,12 @@ _MAX_CLONES: Final = 250
 class Column:
     """What is packed of each cell.
 
-    Attributes
-    ----------
-    name, label, unit
-        Of the quantity.
-    kind
-        ``"u1"``, ``"u2"`` or ``"u4"``: its integers.
-    values
-        Returns the column of a frame.
-    words
-        Names of its numbers, for groups.
-    plain
-        Whether the numbers are packed as they are, such as identities.
-    hidden
-        Whether the pointer leaves it out.
+    - ``name``, ``label``, ``unit``: of the quantity
+    - ``kind``: ``"u1"``, ``"u2"`` or ``"u4"``: its integers
+    - ``values``: returns the column of a frame
+    - ``words``: names of its numbers, for groups
+    - ``plain``: whether the numbers are packed as they are, such as identities
+    - ``hidden``: whether the pointer leaves it out
     """
 
     name: str
