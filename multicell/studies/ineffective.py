@@ -39,17 +39,11 @@ def refuse_ineffective(
 ) -> None:
     """Refuse keys that have no effect in a scene, or in some of several.
 
-    Parameters
-    ----------
-    scenes
-        What sets each of them apart (key -> value), and the scene.
-    keys
-        What is varied.
+    - ``scenes``: what sets each of them apart (key -> value), and the scene
+    - ``keys``: what is varied
 
-    Raises
-    ------
-    SceneError
-        With the key, the reason, and where only some of the scenes are concerned in which.
+    Raises SceneError with the key, the reason, and where only some of the scenes are concerned in
+    which.
     """
     found: dict[str, tuple[str, Mapping[str, Any]]] = {}
     effective = set()

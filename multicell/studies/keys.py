@@ -27,18 +27,10 @@ _NO_AXES: Final = {
 class Key:
     """A value of a scene that can be varied.
 
-    Attributes
-    ----------
-    name
-        Its dotted key.
-    spec
-        Its declaration.
-    unit
-        Base unit of its numbers, empty for counts and words.
-    part
-        The part of the scene that holds it; None for an entry of a table of numbers.
-    scene
-        The scene.
+    - ``name``: its dotted key
+    - ``spec``: its declaration
+    - ``unit``: base unit of its numbers, empty for counts and words
+    - ``part``: the part of the scene that holds it; None for an entry of a table of numbers
     """
 
     name: str
@@ -50,10 +42,7 @@ class Key:
     def plain(self, value: Any) -> Any:
         """Return a value as a scene file in base units would have it.
 
-        Raises
-        ------
-        SceneError
-            If the declaration refuses it.
+        Raises SceneError if the declaration refuses it.
         """
         if self.spec.kind == "rate_constant":  # other keys of its part decide its unit
             try:
@@ -96,11 +85,8 @@ class Key:
 def key_of(scene: Scene, name: str) -> Key:
     """Return where a dotted key leads in a scene.
 
-    Raises
-    ------
-    SceneError
-        For a key that no scene or not this one has, that of a whole table, and one that cannot be
-        varied.
+    Raises SceneError for a key that no scene or not this one has, that of a whole table, and one
+    that cannot be varied.
     """
     check_dotted(name)
     if name in _NO_AXES:

@@ -59,30 +59,13 @@ def write_report(
 ) -> Path:
     """Write ``report.html`` of a study and its pictures beside it.
 
-    Parameters
-    ----------
-    folder
-        Of the study.
-    scene
-        What is varied.
-    table
-        Of the study, as ``study.to_xarray()``.
-    runs, states
-        All runs and how they stand, in the order of the table.
-    shown
-        Observables to show, by default those of :data:`KEY_OBSERVABLES` that change.
+    - ``folder``: of the study
+    - ``scene``: what is varied
+    - ``table``: of the study, as ``study.to_xarray()``
+    - ``runs``, ``states``: all runs and how they stand, in the order of the table
+    - ``shown``: observables to show, by default those of :data:`KEY_OBSERVABLES` that change
 
-    Returns
-    -------
-    pathlib.Path
-        The page.
-
-    Raises
-    ------
-    OutputError
-        If the folder cannot be written to.
-    SceneError
-        If an observable is unknown.
+    Raises OutputError if the folder cannot be written to; SceneError if an observable is unknown.
     """
     names = key_observables(table) if shown is None else list(shown)
     title = f"{scene.title or 'Untitled scene'}: study"

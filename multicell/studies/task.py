@@ -54,16 +54,9 @@ class Outcome:
 class Task:
     """A run as it travels to a worker: plain values only.
 
-    Attributes
-    ----------
-    name
-    folder
-        Of the study.
-    scene
-    integrator
-        ``file.py:Name`` of the user's own, or empty.
-    retry
-        Whether a run that failed, or whose folder is damaged, is tried again.
+    - ``folder``: of the study
+    - ``integrator``: ``file.py:Name`` of the user's own, or empty
+    - ``retry``: whether a run that failed, or whose folder is damaged, is tried again
     """
 
     name: str
@@ -86,12 +79,7 @@ class Stopped(BaseException):
 def do_run(work: Task, wanted: Callable[[], bool] = lambda: True) -> Outcome:
     """Do one run in its folder, unless it is done; this is all that a worker does.
 
-    Parameters
-    ----------
-    work
-        The run.
-    wanted
-        Asked between steps; where it answers no the run ends there, and can be continued.
+    - ``wanted``: asked between steps; where it answers no the run ends there, and can be continued
     """
     begin, cpu = clock.perf_counter(), clock.thread_time()
     outcome = _do_in_words(work, wanted)
