@@ -132,14 +132,9 @@ def fit(
 class FitPlan:
     """A fit that was checked and not begun.
 
-    Attributes
-    ----------
-    points
-        Sets of parameters that the search will try.
-    draws
-        Most draws of the posterior.
-    seconds
-        Time in s that the budget allows; infinite where it is a number of runs.
+    - ``points``: sets of parameters that the search will try
+    - ``draws``: most draws of the posterior
+    - ``seconds``: time in s that the budget allows; infinite where it is a number of runs
     """
 
     problem: Problem

@@ -72,11 +72,8 @@ def open_folder(
 ) -> Iterator[Path]:
     """Make the folder of a fit, or open that of the same fit, and keep other processes out of it.
 
-    Raises
-    ------
-    OutputError
-        If the folder holds something else and may not be overwritten, another process works on
-        it, or it cannot be used.
+    Raises OutputError if the folder holds something else and may not be overwritten, another
+    process works on it, or it cannot be used.
     """
     folder = Path(folder)
     asked = json.loads(to_json(problem))
@@ -133,10 +130,7 @@ def work_done(folder: str | Path, problem: Mapping[str, Any]) -> tuple[int, int,
 def write_result(fit: Fit, folder: Path) -> None:
     """Write what was found: ``result.json``, ``best.toml`` and the tables.
 
-    Raises
-    ------
-    OutputError
-        If it cannot be written.
+    Raises OutputError if it cannot be written.
     """
     about = {**versions(), **{name: package_version(name) for name in _PACKAGES}}
     write_text(folder / "result.json", to_json({**fit.summary(), "versions": about}) + "\n")

@@ -46,16 +46,10 @@ BATCH: Final = 5
 class Evaluation:
     """What was found for one set of parameters.
 
-    Attributes
-    ----------
-    number
-        In the order in which they were asked for.
-    shares : (d,)
-        Places in the ranges.
-    misfit
-        Of its runs.
-    reasons
-        Why runs failed; empty if none did.
+    - ``number``: in the order in which they were asked for
+    - ``shares``, (d,): places in the ranges
+    - ``misfit``: of its runs
+    - ``reasons``: why runs failed; empty if none did
     """
 
     number: int
@@ -68,14 +62,8 @@ class Evaluation:
 class Search:
     """All that has been tried for a problem.
 
-    Parameters
-    ----------
-    problem
-        What to fit.
-    path
-        File that keeps what was tried; None keeps it in memory.
-    seed
-        Of the choice of points.
+    - ``path``: file that keeps what was tried; None keeps it in memory
+    - ``seed``: of the choice of points
     """
 
     def __init__(self, problem: Problem, path: Path | None, seed: int = 0) -> None:
@@ -109,21 +97,12 @@ class Search:
     ) -> list[Evaluation]:
         """Go on until there are so many points; return all of them.
 
-        Parameters
-        ----------
-        pool
-            Where runs are made.
-        points
-            Number of points that are wanted in all.
-        deadline
-            Time (as of ``time.monotonic``) after which no batch is begun.
-        progress
-            Called with the numbers of runs done and wanted after each run.
+        - ``pool``: where runs are made
+        - ``points``: number of points that are wanted in all
+        - ``deadline``: time (as of ``time.monotonic``) after which no batch is begun
+        - ``progress``: called with the numbers of runs done and wanted after each run
 
-        Raises
-        ------
-        FitFailed
-            If all runs of the first points fail.
+        Raises FitFailed if all runs of the first points fail.
         """
         import optuna
 

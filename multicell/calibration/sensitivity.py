@@ -119,14 +119,9 @@ def sensitivity(
 class SensitivityPlan:
     """An analysis that was checked and has not run.
 
-    Attributes
-    ----------
-    scene, method, ranges, size, observables
-        As in :func:`sensitivity`.
-    study
-        The plan of its runs: the points that differ, as a list.
-    rows : (n,)
-        The number of each point of the sample in the study.
+    - ``scene``, ``method``, ``ranges``, ``size``, ``observables``: as in :func:`sensitivity`
+    - ``study``: the plan of its runs: the points that differ, as a list
+    - ``rows``, (n,): the number of each point of the sample in the study
     """
 
     scene: Scene
@@ -222,14 +217,10 @@ def result_of(
 ) -> Sensitivity:
     """Return the sensitivity of whatever has values at the points of a sample.
 
-    Parameters
-    ----------
-    scene, method, ranges, seeds
-        As in :func:`sensitivity`, checked.
-    values : observable -> (n, seeds)
-        At the points of :func:`multicell.calibration.indices.sample`; NaN where there is none.
-    failures
-        Name of a run that failed -> reason.
+    - ``scene``, ``method``, ``ranges``, ``seeds``: as in :func:`sensitivity`, checked
+    - ``values``, observable -> (n, seeds): at the points of
+      :func:`multicell.calibration.indices.sample`; NaN where there is none
+    - ``failures``: name of a run that failed -> reason
     """
     names = [free.name for free in ranges]
     size = len(next(iter(values.values()))) // block(method, len(names))
@@ -298,10 +289,7 @@ def _read_end(place: Path, observables: Sequence[str]) -> dict[str, float]:
 def observables_of(scene: Scene, names: Sequence[str] | None) -> list[str]:
     """Return the observables that are asked for, or the usual ones of a scene.
 
-    Raises
-    ------
-    SceneError
-        For a name that no run of the scene has.
+    Raises SceneError for a name that no run of the scene has.
     """
     history = in_history(scene)
     known = {**history, **at_the_end(scene)}

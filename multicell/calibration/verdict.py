@@ -25,12 +25,8 @@ EDGE: Final = 0.02
 class Interval:
     """A credible interval of one parameter, base units.
 
-    Attributes
-    ----------
-    low, median, high
-        Of the posterior.
-    part
-        Of the range (of its logarithm where that is logarithmic) that the interval covers.
+    - ``low``, ``median``, ``high``: of the posterior
+    - ``part``: of the range (of its logarithm where that is logarithmic) that the interval covers
     """
 
     low: float
@@ -47,15 +43,10 @@ class Interval:
 class Undetermined:
     """Something that the data do not determine.
 
-    Attributes
-    ----------
-    names
-        Of one parameter, or of two that only have a combination.
-    kind
-        ``"open"``: its interval covers most of its range; ``"ridge"``: a strong correlation;
-        ``"edge"``: the posterior presses against an end of the range.
-    words
-        In words.
+    - ``names``: of one parameter, or of two that only have a combination
+    - ``kind``: ``"open"``: its interval covers most of its range; ``"ridge"``: a strong
+      correlation; ``"edge"``: the posterior presses against an end of the range
+    - ``words``: in words
     """
 
     names: tuple[str, ...]
