@@ -102,10 +102,7 @@ class StoredComparison(Comparison):
     def from_dict(cls, table: Mapping[str, Any]) -> Self:
         """Return what :meth:`to_dict` has described, in this or an earlier version.
 
-        Raises
-        ------
-        KeyError, ValueError
-            If the table describes something else.
+        Raises KeyError, ValueError if the table describes something else.
         """
 
     def to_json(self) -> str:
@@ -116,12 +113,8 @@ class StoredComparison(Comparison):
     def from_json(cls, text: str) -> Self:
         """Return what :meth:`to_json` has written, in this or an earlier version.
 
-        Raises
-        ------
-        OutputError
-            If the text is no JSON table.
-        KeyError, ValueError
-            If the table describes something else.
+        Raises OutputError if the text is no JSON table; KeyError, ValueError if the table describes
+        something else.
         """
         return cls.from_dict(parse_table(text))
 
@@ -129,13 +122,9 @@ class StoredComparison(Comparison):
     def read(cls, path: str | Path) -> Self:
         """Return the result in a JSON file of :meth:`save`, checked by the checksum in it.
 
-        Raises
-        ------
-        OutputError
-            If the file is not there or is not what was written. Files of earlier versions have
-            no checksum: :meth:`from_json` reads their text.
-        KeyError, ValueError
-            If it describes something else.
+        Raises OutputError if the file is not there or is not what was written. Files of earlier
+        versions have no checksum: :meth:`from_json` reads their text; KeyError, ValueError if it
+        describes something else.
         """
         table = read_table(Path(path))
         if table is None:
@@ -145,10 +134,7 @@ class StoredComparison(Comparison):
     def save(self, folder: str | Path) -> Path:
         """Write tables, pictures, the JSON file and ``report.html`` and return the page.
 
-        Raises
-        ------
-        OutputError
-            If the folder cannot be written to.
+        Raises OutputError if the folder cannot be written to.
         """
         page = super().save(folder)
         write_table(Path(folder) / self.document, self.to_dict())

@@ -23,19 +23,10 @@ CLOCKS: Final = {"wall": "wall time", "cpu": "processor time"}
 def prepare(output: str | Path | None, names: Iterable[str], overwrite: bool) -> None:
     """Make sure that results can be written, before they are computed; without output do nothing.
 
-    Parameters
-    ----------
-    output
-        The folder.
-    names
-        Files of an earlier comparison, which are removed if ``overwrite``; nothing else is.
-    overwrite
-        Whether the folder may hold something.
+    - ``names``: files of an earlier comparison, which are removed if ``overwrite``; nothing else is
+    - ``overwrite``: whether the folder may hold something
 
-    Raises
-    ------
-    OutputError
-        If the folder cannot be used.
+    Raises OutputError if the folder cannot be used.
     """
     if output is not None:
         remove(make_folder(output, overwrite=overwrite), names)

@@ -30,16 +30,11 @@ _COMPILATION = 20.0
 class Effort:
     """How much time a comparison may take.
 
-    Attributes
-    ----------
-    repeats : int
-        Number of timed solves of a point.
-    patience : float, s
-        Wall time of one solve.
-    budget : float, s
-        Wall time of all solves of one method.
-    points : int
-        Number of points of that method: repeats end when they have taken a fair share.
+    - ``repeats``, int: number of timed solves of a point
+    - ``patience``, float, s: wall time of one solve
+    - ``budget``, float, s: wall time of all solves of one method
+    - ``points``, int: number of points of that method: repeats end when they have taken a fair
+      share
     """
 
     repeats: int

@@ -39,16 +39,12 @@ _SHORT: Final = {
 class Observed:
     """What is compared of a trajectory.
 
-    Attributes
-    ----------
-    positions : list of (n, 3) float64, µm
-        At every common time.
-    energy : (k,) float64, fJ
-        Contact energy at up to 100 common times, the last one among them.
-    gyration : (m,) float64, µm
-        Radius of gyration at every common time.
-    distances : (p,) float64, µm
-        Sorted distances of pairs at the end, among at most 1,500 cells.
+    - ``positions``, list of (n, 3) float64, µm: at every common time
+    - ``energy``, (k,) float64, fJ: contact energy at up to 100 common times, the last one among
+      them
+    - ``gyration``, (m,) float64, µm: radius of gyration at every common time
+    - ``distances``, (p,) float64, µm: sorted distances of pairs at the end, among at most 1,500
+      cells
     """
 
     positions: list[FloatArray]
@@ -62,18 +58,11 @@ class Observed:
 class Norm:
     """One measure of the distance between two trajectories, dimensionless.
 
-    Attributes
-    ----------
-    name : str
-        Name in tables (``error_<name>``).
-    quantity : str
-        What is compared.
-    moment : str
-        Where: ``"worst"``, ``"median"`` or ``"last"`` of the common times or steps.
-    scale : str
-        What the difference is divided by.
-    measure : callable
-        Observed, exact, mean radius in µm -> error.
+    - ``name``, str: name in tables (``error_<name>``)
+    - ``quantity``, str: what is compared
+    - ``moment``, str: where: ``"worst"``, ``"median"`` or ``"last"`` of the common times or steps
+    - ``scale``, str: what the difference is divided by
+    - ``measure``, callable: observed, exact, mean radius in µm -> error
     """
 
     name: str

@@ -174,18 +174,10 @@ def draw_strips(
 ) -> None:
     """Draw how trials end over their settings, one strip for each name.
 
-    Parameters
-    ----------
-    axes
-        Empty axes.
-    strips
-        Name -> trials, from small to large settings.
-    colours
-        Kind of end -> colour.
-    limits
-        Name -> largest stable setting in theory; infinite ones and NaN are left out.
-    scale
-        What settings and limits are divided by.
+    - ``strips``: name -> trials, from small to large settings
+    - ``colours``: kind of end -> colour
+    - ``limits``: name -> largest stable setting in theory; infinite ones and NaN are left out
+    - ``scale``: what settings and limits are divided by
     """
     for level, (name, rows) in enumerate(strips.items()):
         settings = [row["setting"] / scale for row in rows]

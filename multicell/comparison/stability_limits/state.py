@@ -171,19 +171,11 @@ class State:
 def settled_state(scene: Scene, threads: int | None = None) -> State:
     """Return a scene's first cells at rest, pushed a little along the mode that decays fastest.
 
-    Parameters
-    ----------
-    scene
-        External forces, prescribed motion and motility are left out, growth stands still.
-    threads
-        See :class:`multicell.simulation.Simulation`.
+    - ``scene``: external forces, prescribed motion and motility are left out, growth stands still
+    - ``threads``: see :class:`multicell.simulation.Simulation`
 
-    Raises
-    ------
-    SceneError
-        If the scene starts with less than two cells, or none of them touch.
-    StepFailed
-        If the reference method cannot settle them.
+    Raises SceneError if the scene starts with less than two cells, or none of them touch;
+    StepFailed if the reference method cannot settle them.
     """
     template, motion, position = first_cells(scene, threads)
     share = (MIN_NOTICED / PUSH) ** 2
