@@ -110,18 +110,12 @@ def _patterns() -> list[tuple[re.Pattern[str], str]]:
 def unit_of(name: str) -> str:
     """Return the unit of a number by its name, ``""`` for a count, a ratio or a text.
 
-    Parameters
-    ----------
-    name
-        Of a column of the history (``"hypoxic_radius_oxygen"``), of an entry of the summary with
-        dots (``"ledger.oxygen.inflow"``), or of a column of a table with the table's name
-        (``"cells.radius"``). One of the user's own that has several units in this process has none
-        here.
+    - ``name``: of a column of the history (``"hypoxic_radius_oxygen"``), of an entry of the summary
+      with dots (``"ledger.oxygen.inflow"``), or of a column of a table with the table's name
+      (``"cells.radius"``). One of the user's own that has several units in this process has none
+      here.
 
-    Raises
-    ------
-    KeyError
-        If the name is not declared.
+    Raises KeyError if the name is not declared.
     """
     if name in UNITS:
         return UNITS[name]
@@ -165,10 +159,7 @@ def known_unit(name: str) -> str:
 def units_of(summary: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
     """Return the units of all entries of a summary that have one, by their dotted names.
 
-    Raises
-    ------
-    KeyError
-        If the name of a number is not declared.
+    Raises KeyError if the name of a number is not declared.
     """
     units: dict[str, str] = {}
     for name, value in summary.items():

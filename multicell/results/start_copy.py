@@ -17,12 +17,8 @@ def with_copy(scene: Scene, folder: Path) -> Scene:
 
     A scene without a table is returned as it is.
 
-    Raises
-    ------
-    SceneError
-        If the table has changed since the scene was made, or is not there any more.
-    OutputError
-        If the copy cannot be written.
+    Raises SceneError if the table has changed since the scene was made, or is not there any more;
+    OutputError if the copy cannot be written.
     """
     table = scene.initial.cells
     if table is None:
