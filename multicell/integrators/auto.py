@@ -102,16 +102,10 @@ _QUIET, _SHAKEN = 1e-3, 0.3
 class Choice:
     """The chosen method and the reasons for it.
 
-    Attributes
-    ----------
-    rate : float
-        Estimate of the largest decay rate λ, 1/s.
-    stiffness : float
-        λ times the length of the coupling step.
-    costs : name -> float
-        Predicted cost of each candidate, in evaluations.
-    finer : float
-        Part of the tolerances that an implicit method is given.
+    - ``rate``, float: estimate of the largest decay rate λ, 1/s
+    - ``stiffness``, float: λ times the length of the coupling step
+    - ``costs``, name -> float: predicted cost of each candidate, in evaluations
+    - ``finer``, float: part of the tolerances that an implicit method is given
     """
 
     rate: float
@@ -309,16 +303,10 @@ def predict_costs(
 ) -> dict[str, float]:  # fmt: skip
     """Return what each candidate that can hold the scene is expected to cost, in evaluations.
 
-    Parameters
-    ----------
-    n, z, theta, fast
-        n, z, θ and δ of the module's description.
-    expected
-        What ``ab2-adaptive`` expects; zero where it is no candidate.
-    called
-        Share by which an evaluation through Python costs an explicit method more.
-    able
-        Names of the methods that can hold the scene; without them all.
+    - ``n``, ``z``, ``theta``, ``fast``: n, z, θ and δ of the module's description
+    - ``expected``: what ``ab2-adaptive`` expects; zero where it is no candidate
+    - ``called``: share by which an evaluation through Python costs an explicit method more
+    - ``able``: names of the methods that can hold the scene; without them all
     """
     able = CANDIDATES if able is None else able
     accurate, stable = 12.0 * theta**-0.1, z / 3.0

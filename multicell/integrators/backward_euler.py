@@ -56,20 +56,14 @@ _ROUNDING = 1e-14
 class BackwardEuler(EqualSteps):
     """x_{k+1} = x_k + Δt v(t_{k+1}, x_{k+1}), first order.
 
-    Parameters
-    ----------
-    step, max_displacement
-        As for :class:`~multicell.integrators.base.EqualSteps`.
-    tolerance
-        Newton's method ends when the largest correction of a coordinate is below this, µm.
-    preconditioner
-        A key of ``preconditioners.PRECONDITIONERS``.
-    newton
-        Most Newton iterations in a step.
-    forcing
-        Relative residual to which each linear system is solved.
-    softening
-        As for :class:`~multicell.integrators.cvode.Cvode`; with friction between cells only.
+    - ``step``, ``max_displacement``: as for :class:`~multicell.integrators.base.EqualSteps`
+    - ``tolerance``: Newton's method ends when the largest correction of a coordinate is below this,
+      µm
+    - ``preconditioner``: a key of ``preconditioners.PRECONDITIONERS``
+    - ``newton``: most Newton iterations in a step
+    - ``forcing``: relative residual to which each linear system is solved
+    - ``softening``: as for :class:`~multicell.integrators.cvode.Cvode`; with friction between cells
+      only
     """
 
     info: ClassVar[MethodInfo] = MethodInfo(

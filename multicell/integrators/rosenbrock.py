@@ -50,29 +50,20 @@ _MAX_GROWTH = 3.0
 class Rosenbrock(ErrorControl):
     """Rosenbrock method of order 2 with preconditioned conjugate gradients.
 
-    Parameters
-    ----------
-    rtol, atol, max_steps, max_displacement
-        As for :class:`~multicell.integrators.base.ErrorControl`.
-    worst
-        Error that a step may have in the worst cell, in tolerances times √θ, where θ is the
-        tolerance in mean radii (see :mod:`multicell.integrators.driver`): 4.5 tolerances at
-        0.01 µm. A root mean square over thousands of cells does not show a single one that goes
-        astray.
-    growth
-        Largest product of a step and an eigenvalue of the matrix, above which steps are refused;
-        at most 3, beyond 3.4 modes that grow would be damped.
-    softening
-        As for :class:`~multicell.integrators.cvode.Cvode`; the order does not depend on it.
-    preconditioner
-        A key of ``preconditioners.PRECONDITIONERS``.
-    forcing
-        Error that a linear system may leave in a position, in the error that a step may have.
+    - ``rtol``, ``atol``, ``max_steps``, ``max_displacement``: as for
+      :class:`~multicell.integrators.base.ErrorControl`
+    - ``worst``: error that a step may have in the worst cell, in tolerances times √θ, where θ is
+      the tolerance in mean radii (see :mod:`multicell.integrators.driver`): 4.5 tolerances at 0.01
+      µm. A root mean square over thousands of cells does not show a single one that goes astray.
+    - ``growth``: largest product of a step and an eigenvalue of the matrix, above which steps are
+      refused; at most 3, beyond 3.4 modes that grow would be damped
+    - ``softening``: as for :class:`~multicell.integrators.cvode.Cvode`; the order does not depend
+      on it
+    - ``preconditioner``: a key of ``preconditioners.PRECONDITIONERS``
+    - ``forcing``: error that a linear system may leave in a position, in the error that a step may
+      have
 
-    Raises
-    ------
-    ValueError
-        For a ``growth`` out of its range, or tolerances that are not positive.
+    Raises ValueError for a ``growth`` out of its range, or tolerances that are not positive.
     """
 
     info: ClassVar[MethodInfo] = MethodInfo(

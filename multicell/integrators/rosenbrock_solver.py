@@ -61,12 +61,8 @@ _HINT = "Choose a shorter coupling_step or a tighter integrator.atol"
 class Refused(Exception):  # noqa: N818 - what happened to a step, not a fault
     """A step that must not be taken.
 
-    Attributes
-    ----------
-    factor : float
-        Of the step that is to be tried.
-    cell : int or None
-        Cell that shows the problem.
+    - ``factor``, float: of the step that is to be tried
+    - ``cell``, int or None: cell that shows the problem
     """
 
     def __init__(self, problem: str, factor: float, cell: int | None = None) -> None:

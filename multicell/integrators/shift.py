@@ -36,16 +36,12 @@ SHARE: Final = 0.02
 class Replays(NamedTuple):
     """Results and cost of the replays of coupling steps from shifted positions.
 
-    Attributes
-    ----------
-    done : float
-        Number of coupling steps that were replayed to their end.
-    latest, largest : float, µm
-        How far the shift moved the end of the worst cell: in the last of them, and at most.
-    total, spent : float
-        Cost of all coupling steps so far, and of the replays, in evaluations of one cell.
-    step : float
-        Cost of the last coupling step.
+    - ``done``, float: number of coupling steps that were replayed to their end
+    - ``latest``, ``largest``, float, µm: how far the shift moved the end of the worst cell: in the
+      last of them, and at most
+    - ``total``, ``spent``, float: cost of all coupling steps so far, and of the replays, in
+      evaluations of one cell
+    - ``step``, float: cost of the last coupling step
     """
 
     done: float = 0.0

@@ -46,19 +46,12 @@ _SAFE = 0.9
 class Stability(NamedTuple):
     """Results and cost of the measurements of λ in a run.
 
-    Attributes
-    ----------
-    rate : float, 1/s
-        λ as last measured.
-    measured : float
-        How often it was.
-    beyond : float
-        How often the step was beyond the limit, at the end of a coupling step too.
-    latest, largest : float
-        The step over the limit: as last measured, and at most.
-    total, spent, looked : float
-        Cost of all coupling steps so far, of the measurements, and of |J v| / |v|, in
-        evaluations of one cell.
+    - ``rate``, float, 1/s: λ as last measured
+    - ``measured``, float: how often it was
+    - ``beyond``, float: how often the step was beyond the limit, at the end of a coupling step too
+    - ``latest``, ``largest``, float: the step over the limit: as last measured, and at most
+    - ``total``, ``spent``, ``looked``, float: cost of all coupling steps so far, of the
+      measurements, and of |J v| / |v|, in evaluations of one cell
     """
 
     rate: float = 0.0

@@ -221,12 +221,8 @@ def with_addresses(
 ) -> Source:
     """Return a source with the addresses of its kernels, which are compiled if need be.
 
-    Parameters
-    ----------
-    shared
-        Whether threads share them.
-    passes
-        Whether the loop uses :mod:`.fused`.
+    - ``shared``: whether threads share them
+    - ``passes``: whether the loop uses :mod:`.fused`
     """
     key = kind_of((source, pairs)), shared, passes
     if key not in _PLACES:
