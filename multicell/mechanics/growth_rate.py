@@ -41,18 +41,12 @@ _ANY: Final = 1e30  # a relative tolerance at which ARPACK stops after its first
 class GrowthRate:
     """The largest eigenvalue of the Jacobian.
 
-    Attributes
-    ----------
-    rate : float, 1/s
-        μ; NaN if it is not given. The true one is not below it, but for rounding. Without walls
-        it is not negative, since translations change nothing.
-    error : float, 1/s
-        Estimate of its error: norm of the residual of the approximate eigenvector, within which
-        of its Rayleigh quotient there is an eigenvalue.
-    products : int
-        Products J·v that were spent.
-    problem : str
-        Why it is not given, in words; empty if it is.
+    - ``rate``, float, 1/s: μ; NaN if it is not given. The true one is not below it, but for
+      rounding. Without walls it is not negative, since translations change nothing.
+    - ``error``, float, 1/s: estimate of its error: norm of the residual of the approximate
+      eigenvector, within which of its Rayleigh quotient there is an eigenvalue
+    - ``products``, int: products J·v that were spent
+    - ``problem``, str: why it is not given, in words; empty if it is
     """
 
     rate: float
@@ -74,26 +68,15 @@ def largest_growth_rate(
     One sweep of ARPACK without restarts, from a vector that is the same in every call. Small
     systems are solved as dense matrices.
 
-    Parameters
-    ----------
-    system
-        Made ready for the coupling step; its last linearisation is replaced.
-    time
-        Within the coupling step, s.
-    position
-        (n, 3) µm.
-    products
-        Largest number of products J·v, 5 or more. After division 20 give μ to many digits; that
-        it is zero they only tell within some hundredths of the largest decay rate.
-    dimensions
-        2 for cells that stay in a plane: motions out of it do not count.
+    - ``system``: made ready for the coupling step; its last linearisation is replaced
+    - ``time``: within the coupling step, s
+    - ``position``: (n, 3) µm
+    - ``products``: largest number of products J·v, 5 or more. After division 20 give μ to many
+      digits; that it is zero they only tell within some hundredths of the largest decay rate.
+    - ``dimensions``: 2 for cells that stay in a plane: motions out of it do not count
 
-    Raises
-    ------
-    ValueError
-        If ``products`` is below 5, or ``dimensions`` is neither 2 nor 3.
-    StateRejected
-        If the positions cannot be evaluated.
+    Raises ValueError if ``products`` is below 5, or ``dimensions`` is neither 2 nor 3;
+    StateRejected if the positions cannot be evaluated.
     """
     if products < _FEWEST:
         raise ValueError(f"products is {products}, must be {_FEWEST} or more")

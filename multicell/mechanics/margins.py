@@ -23,21 +23,13 @@ def widened(position, reference, reach, least, margin):
     whom it is built again and again, and room round them costs little: each cell's margin is a
     multiple of its drift since the last list, but not below half of what it was.
 
-    Parameters
-    ----------
-    position, reference : (n, 3), µm
-        Now, and at the last list; not a number where there was none.
-    reach : (n,), µm
-        Half of the distance within which a pair matters.
-    least : float, µm
-        Smallest margin.
-    margin : (n,), µm
-        How far each cell may drift; changed in place.
+    - ``position``, ``reference``, (n, 3), µm: now, and at the last list; not a number where there
+      was none
+    - ``reach``, (n,), µm: half of the distance within which a pair matters
+    - ``least``, float, µm: smallest margin
+    - ``margin``, (n,), µm: how far each cell may drift; changed in place
 
-    Returns
-    -------
-    (n,), µm
-        ``reach`` + ``margin``.
+    Returns (n,), µm: ``reach`` + ``margin``.
     """
     wide = np.empty_like(reach)
     for i in range(reach.size):

@@ -52,18 +52,12 @@ class TooManyPairsError(Exception):
 class PairList:
     """All pairs of ``n`` cells that are closer than ``r_i + r_j + skin``.
 
-    Attributes
-    ----------
-    first, second : (m,) int32
-        Cells of a pair, which of the two comes first is left open but for outer pairs. Only the
-        ranges named below hold pairs, the rest is spare room.
-    start, inner_end, outer_end : (k,) int64
-        For chunk ``c``, inner pairs are ``start[c]:inner_end[c]`` and outer pairs
-        ``inner_end[c]:outer_end[c]``.
-    chunk : int
-        Cells in a chunk.
-    n : int
-        Number of cells.
+    - ``first``, ``second``, (m,) int32: cells of a pair, which of the two comes first is left open
+      but for outer pairs. Only the ranges named below hold pairs, the rest is spare room.
+    - ``start``, ``inner_end``, ``outer_end``, (k,) int64: for chunk ``c``, inner pairs are
+      ``start[c]:inner_end[c]`` and outer pairs ``inner_end[c]:outer_end[c]``
+    - ``chunk``, int: cells in a chunk
+    - ``n``, int: number of cells
     """
 
     first: IndexArray
@@ -92,22 +86,12 @@ class PairList:
 def neighbour_pairs(position: FloatArray, cutoff: float) -> IndexArray:
     """Return all pairs of points no further apart than ``cutoff``.
 
-    Parameters
-    ----------
-    position : (n, 3)
-        Any finite points, µm.
-    cutoff
-        Largest distance, µm.
+    - ``position``, (n, 3): any finite points, µm
+    - ``cutoff``: largest distance, µm
 
-    Returns
-    -------
-    (m, 2) int32
-        Each pair once, smaller index first, in lexicographic order.
+    Returns (m, 2) int32: each pair once, smaller index first, in lexicographic order.
 
-    Raises
-    ------
-    TooManyPairsError
-        If the pairs would not fit into memory.
+    Raises TooManyPairsError if the pairs would not fit into memory.
     """
     radius = np.full(len(position), 0.5 * cutoff)
     return build(np.ascontiguousarray(position, dtype=float), radius, 0.0).pairs()
@@ -118,23 +102,14 @@ def build(
 ) -> PairList:
     """Build the list of all pairs closer than ``r_i + r_j + skin``.
 
-    Parameters
-    ----------
-    position : (n, 3)
-        Finite centres, µm.
-    radius : (n,)
-        Radii, µm.
-    skin
-        Added to the sum of the radii, µm.
-    threads
-        With more than one, chunks are searched in parallel (same result).
-    chunk
-        Cells in a chunk.
+    - ``position``, (n, 3): finite centres, µm
+    - ``radius``, (n,): radii, µm
+    - ``skin``: added to the sum of the radii, µm
+    - ``threads``: with more than one, chunks are searched in parallel (same result)
+    - ``chunk``: cells in a chunk
 
-    Raises
-    ------
-    TooManyPairsError
-        If there are more than 500 pairs per cell beyond the first four million.
+    Raises TooManyPairsError if there are more than 500 pairs per cell beyond the first four
+    million.
     """
     n = len(position)
     if n < 2:
@@ -159,28 +134,20 @@ class Bins(NamedTuple):
     is as short as its own reach allows. Each pair is found from one of its cells, the one that
     comes first.
 
-    Attributes
-    ----------
-    order : (n,) int32
-        Cells in the order of their bins.
-    place : (n,) int32
-        Where each cell stands in that order.
-    cells : (n, 4), µm
-        Centres and radii, half of the skin included, in that order: the search reads them in a
-        stream.
-    largest : float, µm
-        The largest of these radii.
-    low : (3,), µm
-        Dense: the corner of the grid.
-    shape : (3,) int64
-        Dense: the number of bins along x, y and z; zeros where the bins are sparse.
-    row : (n, 2) int32
-        Dense: the row of each cell along y and z.
-    start : (bins + 2,) int32
-        Dense: the first place of each bin, x running fastest, and the end.
-    ranges : (n, 5, 2) int64
-        Sparse: the first place and the end of the bins that may hold a cell's neighbours, in its
-        own row, where only what comes later counts, and in the four rows that come later.
+    - ``order``, (n,) int32: cells in the order of their bins
+    - ``place``, (n,) int32: where each cell stands in that order
+    - ``cells``, (n, 4), µm: centres and radii, half of the skin included, in that order: the search
+      reads them in a stream
+    - ``largest``, float, µm: the largest of these radii
+    - ``low``, (3,), µm: dense: the corner of the grid
+    - ``shape``, (3,) int64: dense: the number of bins along x, y and z; zeros where the bins are
+      sparse
+    - ``row``, (n, 2) int32: dense: the row of each cell along y and z
+    - ``start``, (bins + 2,) int32: dense: the first place of each bin, x running fastest, and the
+      end
+    - ``ranges``, (n, 5, 2) int64: sparse: the first place and the end of the bins that may hold a
+      cell's neighbours, in its own row, where only what comes later counts, and in the four rows
+      that come later
     """
 
     order: IndexArray

@@ -229,11 +229,8 @@ _DRIVERS = tuple(zip(two_drivers(_factor), two_drivers(_sweep), strict=True))
 class Sweeps:
     """Symmetric Gauss-Seidel on M, or an incomplete factorisation of it, chunk by chunk.
 
-    Parameters
-    ----------
-    incomplete
-        Correct each diagonal block for the blocks eliminated before it (the D-ILU of the
-        literature), instead of taking it as it is.
+    - ``incomplete``: correct each diagonal block for the blocks eliminated before it (the D-ILU of
+      the literature), instead of taking it as it is
     """
 
     def __init__(self, incomplete: bool = False) -> None:
