@@ -126,21 +126,12 @@ class Search:
     ) -> tuple[Array, list[str]]:
         """Run all conditions once at each of some points, with a seed each.
 
-        Parameters
-        ----------
-        pool
-            Where runs are made.
-        points
-            Places in the ranges, and the seed there.
-        progress
-            Called with the numbers of runs done and wanted after each run.
+        - ``pool``: where runs are made
+        - ``points``: places in the ranges, and the seed there
+        - ``progress``: called with the numbers of runs done and wanted after each run
 
-        Returns
-        -------
-        readings : (points, n)
-            On the scales of the data; NaN where a run has nothing.
-        reasons
-            Why runs failed.
+        Returns readings, (points, n): on the scales of the data; NaN where a run has nothing;
+        reasons: why runs failed.
         """
         conditions = range(len(self._problem.measured.conditions))
         runs = [(_point(shares), k, seed) for shares, seed in points for k in conditions]

@@ -243,21 +243,12 @@ def read_final(
     The viable rim of a population without a necrotic core is its radius, which is what it tends to
     as a core vanishes.
 
-    Parameters
-    ----------
-    outcomes
-        Of all runs of a study, n.
-    folder
-        Of the study.
-    observables
-        Columns of histories, or dotted names of entries of summaries.
+    - ``outcomes``: of all runs of a study, n
+    - ``folder``: of the study
+    - ``observables``: columns of histories, or dotted names of entries of summaries
 
-    Returns
-    -------
-    dict of str to (n,)
-        NaN where a run failed or lacks the observable.
-    dict of str to str
-        Name of a run -> reason.
+    Returns dict of str to (n,): NaN where a run failed or lacks the observable; dict of str to str:
+    name of a run -> reason.
     """
     failures = {o.name: o.reason for o in outcomes if o.state == "failed"}
     final = {name: np.full(len(outcomes), np.nan) for name in observables}

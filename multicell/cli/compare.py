@@ -129,12 +129,7 @@ def compare(
     help="What the cells start from: settled, growing, compressed, divided, or snap (exact JKR).",
 )
 def stability(
-    scene: str,
-    law: str | None,
-    changes: Sequence[str],
-    quiet: bool,
-    as_json: bool,
-    **options: Any,
+    scene: str, law: str | None, changes: Sequence[str], quiet: bool, as_json: bool, **options: Any
 ) -> None:
     """Find the largest stable step of each method on a SCENE, and how it fails beyond.
 

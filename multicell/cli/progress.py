@@ -48,14 +48,9 @@ def display(
 ) -> Iterator[Callable[[float], None]]:
     """Yield what is called with the part that is done.
 
-    Parameters
-    ----------
-    words
-        Returns what stands beside the bar, or in a line.
-    refresh
-        How often a terminal is drawn anew, 1/s.
-    lines
-        How many lines are printed in all where there is no terminal.
+    - ``words``: returns what stands beside the bar, or in a line
+    - ``refresh``: how often a terminal is drawn anew, 1/s
+    - ``lines``: how many lines are printed in all where there is no terminal
     """
     console = on_stderr()
     if not console.is_terminal:

@@ -129,11 +129,7 @@ def new(
 
     with planning():
         made = planned(
-            base,
-            key_values(vary, "--vary"),
-            output=output,
-            integrator=integrator or "",
-            **options,
+            base, key_values(vary, "--vary"), output=output, integrator=integrator or "", **options
         )
         made.expected(1)
     _print_plan(made, quiet, as_json)

@@ -27,14 +27,9 @@ class Pace:
     What runs are expected to take is corrected by the ratio of what those that ended took to what
     they were expected to; the expectation counts as much as one more run.
 
-    Parameters
-    ----------
-    runs
-        All of the study.
-    cores
-        On which they go; None if that is not known.
-    now
-        Of the clock, s.
+    - ``runs``: all of the study
+    - ``cores``: on which they go; None if that is not known
+    - ``now``: of the clock, s
     """
 
     def __init__(self, runs: Sequence[Run], cores: int | None, now: float) -> None:

@@ -12,13 +12,7 @@ if TYPE_CHECKING:
     from multicell.comparison.stability_limits.search import stability
     from multicell.comparison.work_precision import compare
 
-__all__ = [
-    "Method",
-    "StabilityMap",
-    "WorkPrecision",
-    "compare",
-    "stability",
-]
+__all__ = ["Method", "StabilityMap", "WorkPrecision", "compare", "stability"]
 
 _LAZY = {
     "Method": "multicell.comparison.ladders",

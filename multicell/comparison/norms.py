@@ -146,25 +146,16 @@ def displacements(
 ) -> tuple[FloatArray, FloatArray]:
     """Return how far cells are from other places at each of m times.
 
-    Parameters
-    ----------
-    positions, others
-        (n, 3) µm each, m of them; n may differ from time to time.
+    - ``positions``, ``others``: (n, 3) µm each, m of them; n may differ from time to time
 
-    Returns
-    -------
-    (m,) µm
-        Root mean square over the cells.
-    (m,) µm
-        The worst cell.
+    Returns (m,) µm: root mean square over the cells; (m,) µm: the worst cell.
     """
     pairs = list(zip(positions, others, strict=True))
     return np.array([_rms(a, b) for a, b in pairs]), np.array([_worst(a, b) for a, b in pairs])
 
 
 def _position(
-    over: Callable[[FloatArray], float],
-    of: Callable[[FloatArray, FloatArray], float] = _rms,
+    over: Callable[[FloatArray], float], of: Callable[[FloatArray, FloatArray], float] = _rms
 ) -> Callable[[Observed, Observed, float], float]:
     """Return the error of positions: ``of`` the cells of one time, then ``over`` the times."""
 
@@ -201,11 +192,7 @@ NORMS: Final = {
         Norm("position_final", "positions", "last", "mean radius", _position(lambda x: x[-1])),
         Norm("worst_cell", "worst cell", "worst", "mean radius", _position(np.max, _worst)),
         Norm(
-            "worst_cell_median",
-            "worst cell",
-            "median",
-            "mean radius",
-            _position(np.median, _worst),
+            "worst_cell_median", "worst cell", "median", "mean radius", _position(np.median, _worst)
         ),
         Norm("energy", "contact energy", "worst", "its largest value", _energy),
         Norm("gyration", "radius of gyration", "worst", "itself", _gyration),

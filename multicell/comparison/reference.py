@@ -162,11 +162,7 @@ def method_pair(
 
 
 def key(
-    scene: Scene,
-    cells: Cells | None,
-    pair: Pair,
-    stepwise: int | None = None,
-    shift: float = SHIFT,
+    scene: Scene, cells: Cells | None, pair: Pair, stepwise: int | None = None, shift: float = SHIFT
 ) -> str:
     """Return what a reference depends on as one hash (:func:`multicell.comparison.cache.key`)."""
     solved_by = [(method.name, method.control, setting) for method, setting in pair]

@@ -218,12 +218,8 @@ def advance(
 ) -> tuple[str, FloatArray]:
     """Integrate over the coupling step of ``system``, whatever happens.
 
-    Returns
-    -------
-    str
-        Words of a failure; empty if there was none.
-    (n, 3) float64, µm
-        Where the step ended.
+    Returns str: words of a failure; empty if there was none; (n, 3) float64, µm: where the step
+    ended.
     """
     begin = system.motion.begin
     try:

@@ -54,14 +54,9 @@ class Solver(Protocol):
     def step(self) -> tuple[float, FloatArray, float]:
         """Take one step.
 
-        Returns
-        -------
-        time : float
-            Since the start, s.
-        position : (n, 3)
-            There; the array stays valid.
-        error : float
-            The largest error that the step is expected to have made with a cell, µm, or NaN.
+        Returns time, float: since the start, s; position, (n, 3): there; the array stays valid;
+        error : float: the largest error that the step is expected to have made with a cell, µm, or
+        NaN.
         """
 
 

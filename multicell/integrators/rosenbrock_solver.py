@@ -169,11 +169,7 @@ class Resolvent:
             self._probe()
 
     def solve(
-        self,
-        right: FloatArray,
-        guess: FloatArray | None,
-        allowed: float,
-        share: float = _SHARE,
+        self, right: FloatArray, guess: FloatArray | None, allowed: float, share: float = _SHARE
     ) -> FloatArray:
         """Return x with (I - γA) x = b, (n, 3).
 

@@ -97,21 +97,12 @@ def replay_step(
 
     Counts of work stay as they were; the system is left made ready for the coupling step.
 
-    Parameters
-    ----------
-    integrator
-    system
-    start, end
-        Where it began and ended, (n, 3) µm.
-    shifted
-        Where it begins now, (n, 3) µm; cells whose motion is prescribed are left at ``start``.
+    - ``start``, ``end``: where it began and ended, (n, 3) µm
+    - ``shifted``: where it begins now, (n, 3) µm; cells whose motion is prescribed are left at
+      ``start``
 
-    Returns
-    -------
-    float or None
-        Largest distance of a cell from ``end``, µm; None if the end is not reached from there.
-    float
-        What it cost, in evaluations of one cell.
+    Returns float or None: largest distance of a cell from ``end``, µm; None if the end is not
+    reached from there; float: what it cost, in evaluations of one cell.
     """
     system.begin(system.motion)
     work, counts = system.work, vars(system.work).copy()

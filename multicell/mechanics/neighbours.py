@@ -458,18 +458,12 @@ def _rebuild(position, radius, skin, chunk, first, second):
 
     One function, and loops in place of array expressions: so it compiles many times faster.
 
-    Parameters
-    ----------
-    first, second : (m,) int32
-        Of a list that nobody needs any more, or empty: written to where they are long enough. With
-        many cells the system takes longer to find new memory than the search to fill it.
+    - ``first``, ``second``, (m,) int32: of a list that nobody needs any more, or empty: written to
+      where they are long enough. With many cells the system takes longer to find new memory than
+      the search to fill it.
 
-    Returns
-    -------
-    crowded : bool
-        Whether there are too many pairs; the list is then of no use.
-    first, second, start, inner_end, outer_end
-        As in :class:`PairList`.
+    Returns crowded, bool: whether there are too many pairs; the list is then of no use; first,
+    second, start, inner_end, outer_end: as in :class:`PairList`.
     """
     found = _dense_bins(position, radius, skin)
     if found.shape[0] == 0:

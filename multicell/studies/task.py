@@ -27,18 +27,10 @@ _ATTEMPTS: Final = 5  # how often a folder is looked at that another process cha
 class Outcome:
     """How a run ended.
 
-    Attributes
-    ----------
-    name
-        Of the run.
-    state
-        ``"done"``, ``"failed"``, or ``"held"`` where another process works on it.
-    reason
-        Why it failed, in words; otherwise an empty string.
-    wall, cpu
-        Wall time and CPU time that it took now, s; none for what was there.
-    reused
-        Whether it had been done, or had failed, before.
+    - ``state``: ``"done"``, ``"failed"``, or ``"held"`` where another process works on it
+    - ``reason``: why it failed, in words; otherwise an empty string
+    - ``wall``, ``cpu``: wall time and CPU time that it took now, s; none for what was there
+    - ``reused``: whether it had been done, or had failed, before
     """
 
     name: str

@@ -47,38 +47,28 @@ _MAX_STEPS = 50_000  # steps of the reference
 class State:
     """Cells at the start of a trial.
 
-    Attributes
-    ----------
-    scene : Scene
-    template : Mechanics
-        Each trial works on a copy.
-    motion : Motion
-        Radii, which are constant, and moduli; its times mean nothing.
-    start : (n, 3) float64, µm
-        Positions at time 0.
-    rate : float, 1/s
-        Largest decay rate λ_max of the Jacobian at the state (before the push, if there is one).
-    noticed : float, µm
-        Motion of a cell that counts as instability.
-    share : float
-        Rise of the energy that is noticed, over the energy that the reference releases.
-    twins : tuple of State
-        States that differ a little. Where cells are pressed apart they may end in one pocket
-        or another: what differs among the true courses of twins is no failure of a method.
-    known : list of (time, positions)
-        What has been computed of the true course, by CVODE at a tight tolerance.
-    kind : str
-        A key of :data:`multicell.comparison.stability_limits.moving_states.STATES`.
-    length : float, s
-        Length of a trial of a moving state; NaN where it follows from the setting
-        of the method, for states that are close to rest.
-    unstable : Unstable or None
-        The unstable modes at the start of a moving state.
-    end_rate : float, 1/s
-        Largest decay rate at the end of the trial of such a state; ``rate`` is then the largest
-        on the way.
-    rise : float, fJ
-        Largest rise of the energy along the true course, which is none while radii are constant.
+    - ``scene``, Scene
+    - ``template``, Mechanics: each trial works on a copy
+    - ``motion``, Motion: radii, which are constant, and moduli; its times mean nothing
+    - ``start``, (n, 3) float64, µm: positions at time 0
+    - ``rate``, float, 1/s: largest decay rate λ_max of the Jacobian at the state (before the push,
+      if there is one)
+    - ``noticed``, float, µm: motion of a cell that counts as instability
+    - ``share``, float: rise of the energy that is noticed, over the energy that the reference
+      releases
+    - ``twins``, tuple of State: states that differ a little. Where cells are pressed apart they may
+      end in one pocket or another: what differs among the true courses of twins is no failure of a
+      method.
+    - ``known``, list of (time, positions): what has been computed of the true course, by CVODE at a
+      tight tolerance
+    - ``kind``, str: a key of :data:`multicell.comparison.stability_limits.moving_states.STATES`
+    - ``length``, float, s: length of a trial of a moving state; NaN where it follows from the
+      setting of the method, for states that are close to rest
+    - ``unstable``, Unstable or None: the unstable modes at the start of a moving state
+    - ``end_rate``, float, 1/s: largest decay rate at the end of the trial of such a state; ``rate``
+      is then the largest on the way
+    - ``rise``, float, fJ: largest rise of the energy along the true course, which is none while
+      radii are constant
     """
 
     scene: Scene
@@ -150,10 +140,7 @@ class State:
     def at(self, time: float) -> FloatArray:
         """Return the true positions at a time, (n, 3) µm.
 
-        Raises
-        ------
-        StepFailed
-            If the reference cannot be computed.
+        Raises StepFailed if the reference cannot be computed.
         """
         if not self.known:
             self.known.append((0.0, self.start))

@@ -35,10 +35,7 @@ def contact_parts(scene: Scene) -> list[Part]:
             scene.friction
             and "touching cells rub: Gamma(x) v = F is solved in every right-hand side",
         ),
-        part(
-            "motility",
-            active and _motility_words(active),
-        ),
+        part("motility", active and _motility_words(active)),
         part(
             "pull",
             load

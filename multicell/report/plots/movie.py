@@ -152,11 +152,7 @@ def _limits(result: Result, numbers: list[int], colour: str | None) -> tuple[flo
 
 
 def _save(
-    figures: Iterator[Figure],
-    path: Path,
-    rate: float,
-    hold: int,
-    progress: Callable[[int], None],
+    figures: Iterator[Figure], path: Path, rate: float, hold: int, progress: Callable[[int], None]
 ) -> None:
     """Write figures as a film by matplotlib's writers; the last one stays for ``hold`` more."""
     from matplotlib.animation import FFMpegWriter, PillowWriter

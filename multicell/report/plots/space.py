@@ -12,12 +12,7 @@ from numpy.typing import NDArray
 
 from multicell.errors import OutputError
 from multicell.report.plots.colouring import Colouring, colouring
-from multicell.report.plots.section import (
-    frame_window,
-    group_legend,
-    scale_bar,
-    scale_legend,
-)
+from multicell.report.plots.section import frame_window, group_legend, scale_bar, scale_legend
 from multicell.report.plots.spheres import View, spheres
 from multicell.report.plots.style import DPI, SIZE, headed, moment, styled
 from multicell.report.wording import cell_count, time_unit

@@ -23,13 +23,7 @@ from numpy.typing import NDArray
 from multicell import random
 from multicell.cells import FloatArray, IntArray
 from multicell.random import Purpose
-from multicell.report.plots.colouring import (
-    SCALE,
-    clone_colours,
-    founder,
-    limits_of,
-    written,
-)
+from multicell.report.plots.colouring import SCALE, clone_colours, founder, limits_of, written
 from multicell.report.plots.style import COLOURS, type_colours
 from multicell.report.wording import cell_count, time_unit
 from multicell.results.frame import Frame
