@@ -230,19 +230,11 @@ _ADDRESSES: dict[Any, int] = {}
 def address_of(function: Any, result: Any, *arguments: Any) -> int:
     """Return where a jitted function is that takes values like these; compile it if need be.
 
-    Parameters
-    ----------
-    function
-        A jitted function of a module.
-    result
-        A value of the type that it must return.
-    arguments
-        Values of the types of its arguments.
+    - ``function``: a jitted function of a module
+    - ``result``: a value of the type that it must return
+    - ``arguments``: values of the types of its arguments
 
-    Raises
-    ------
-    TypeError
-        If it returns something else.
+    Raises TypeError if it returns something else.
     """
     key = (function, kind_of(result), kind_of(arguments))
     if key not in _ADDRESSES:

@@ -67,10 +67,7 @@ class UserGrowthLaw(OwnLaw, GrowthLaw):
     def volume_after(self, volume: FloatArray, share: FloatArray, birth: float = 1.0) -> FloatArray:
         """Return the volumes after a share of a cycle without limits, (n,).
 
-        Raises
-        ------
-        SceneError
-            With file and line, where the user's function fails.
+        Raises SceneError with file and line, where the user's function fails.
         """
         begin, given = np.broadcast_arrays(np.asarray(volume, dtype=float) / birth, share)
         if "volume" in self._parts:

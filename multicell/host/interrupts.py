@@ -61,10 +61,7 @@ def _deliver(*, urgent: bool) -> None:
 class Block:
     """A context in which signals are noted, and at whose outermost end their handlers are called.
 
-    Parameters
-    ----------
-    signals
-        Numbers; those without a handler of Python's stay as they are.
+    - ``signals``: numbers; those without a handler of Python's stay as they are
     """
 
     def __init__(self, signals: Iterable[int]) -> None:
