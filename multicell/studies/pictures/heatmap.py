@@ -117,9 +117,7 @@ def _scatter_note(known: of.Statistics) -> str:
     if not sd.size:
         return note
     middle, most = (of.number_text(float(value), 2) for value in (np.median(sd), sd.max()))
-    return (
-        f"{note} Standard deviation over the seeds: {middle} in the median tile, {most} at most."
-    )
+    return f"{note} Standard deviation over the seeds: {middle} in the median tile, {most} at most."
 
 
 def _draw(
