@@ -12,7 +12,8 @@ from multicell.cli import options as shared
 from multicell.cli.process import complain, print_json
 
 if TYPE_CHECKING:
-    from multicell.comparison import StabilityMap, WorkPrecision
+    from multicell.comparison.result import WorkPrecision
+    from multicell.comparison.stability_limits.result import StabilityMap
 
 
 def _positive(context: click.Context, option: click.Parameter, value: float | None) -> float | None:
@@ -100,9 +101,9 @@ def compare(
     with any method: compare those with --stepwise.
     """
     described = shared.scene_of(scene, changes, law)
-    from multicell import comparison
+    from multicell.comparison.work_precision import compare as compared
 
-    result = comparison.compare(
+    result = compared(
         described, stepwise=stepwise or False, progress=None if quiet else complain, **options
     )
     _show(result, options["output"], quiet, as_json)
@@ -127,9 +128,9 @@ def stability(
     damp a real instability.
     """
     described = shared.scene_of(scene, changes, law)
-    from multicell import comparison
+    from multicell.comparison.stability_limits.search import stability as limits_of
 
-    result = comparison.stability(described, progress=None if quiet else complain, **options)
+    result = limits_of(described, progress=None if quiet else complain, **options)
     _show(result, options["output"], quiet, as_json)
 
 

@@ -51,17 +51,12 @@ def main() -> None:
 @click.argument("scene")
 @shared.law_option
 @shared.changes_option
-@click.option(
-    "--first-step", is_flag=True, help="Also show what `auto` chooses for the first coupling step."
-)
 @shared.as_json_option
-def explain(
-    scene: str, law: str | None, changes: Sequence[str], first_step: bool, as_json: bool
-) -> None:
+def explain(scene: str, law: str | None, changes: Sequence[str], as_json: bool) -> None:
     """Explain what a SCENE uses and why, without running it."""
     from multicell.report.explain.scene import explain as explained
 
-    facts = explained(shared.scene_of(scene, changes, law), first_step=first_step)
+    facts = explained(shared.scene_of(scene, changes, law))
     if as_json:
         print_json({"scene": scene, **facts})
     else:

@@ -129,15 +129,6 @@ class Choice:
         first, second, *_ = sorted(self.costs.values())
         return 2.0 * first < second
 
-    @property
-    def reason(self) -> str:
-        """One sentence for a person."""
-        costs = ", ".join(f"{name} {self.costs[name]:.0f}" for name in self.order)
-        return (
-            f"stiffness λΔt is {self.stiffness:.3g} (λ = {self.rate:.3g}/s); "
-            f"expected evaluations: {costs}"
-        )
-
 
 @final
 @dataclass(frozen=True)
