@@ -48,8 +48,7 @@ from multicell.units import to_base
 if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
-MAX_BYTES: Final = 10_000_000
-"""Of a file of measured data."""
+MAX_BYTES: Final = 10_000_000  # of a file of measured data
 
 ASSUMED: Final = 0.1
 """Relative standard deviation of data that come without one, unless another one is given."""

@@ -22,16 +22,13 @@ from numpy.typing import NDArray
 
 from multicell.calibration.distance import Array
 
-PARTICLES: Final = 2000
-"""Draws from a posterior."""
-FEW: Final = 500
-"""Draws that are enough to see where a posterior is, if not where its tails end."""
+PARTICLES: Final = 2000  # draws from a posterior
+FEW: Final = 500  # draws that are enough to see where a posterior is, if not where its tails end
 _MOVES: Final = 8
 _MAX_POINTS: Final = 100
 """Points that a process is fitted to, the nearest ones: its cost is their number cubed."""
 
-Loss = Callable[[Array], Array]
-"""From parameters (k, d) to -2 ln L, (k,)."""
+Loss = Callable[[Array], Array]  # from parameters (k, d) to -2 ln L, (k,)
 
 
 @final

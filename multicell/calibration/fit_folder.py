@@ -31,10 +31,8 @@ if TYPE_CHECKING:
     from multicell.calibration.fitted import Fit
     from multicell.scene.scene import Scene
 
-FIT: Final = "fit.json"
-"""What the folder is a fit of."""
-SEARCH: Final = "search.log"
-"""Points and readings of the search, and of fresh runs."""
+FIT: Final = "fit.json"  # what the folder is a fit of
+SEARCH: Final = "search.log"  # points and readings of the search, and of fresh runs
 _JOURNAL: Final = "posterior.journal"
 FILES: Final = (
     FIT, "scene.toml", "data.csv", SEARCH, "posterior.db", _JOURNAL,

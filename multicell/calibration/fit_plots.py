@@ -25,12 +25,9 @@ if TYPE_CHECKING:
 _COLOURS: Final = (
     "#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#a04000", "#6a5acd", "#7a8b00",
 )  # fmt: skip
-_MAX_PAIRED: Final = 6
-"""Parameters that are drawn pairwise; of more the first ones."""
-_UPRIGHT: Final = 9
-"""Single data whose labels stand beside each other."""
-_ZOOMED: Final = 0.35
-"""Part of a range below which only that is drawn."""
+_MAX_PAIRED: Final = 6  # parameters that are drawn pairwise; of more the first ones
+_UPRIGHT: Final = 9  # single data whose labels stand beside each other
+_ZOOMED: Final = 0.35  # part of a range below which only that is drawn
 _BAND: Final = (0.025, 0.5, 0.975)
 
 

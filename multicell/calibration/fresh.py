@@ -27,14 +27,10 @@ from multicell.calibration.posterior import Draws
 from multicell.calibration.problem import Problem
 from multicell.calibration.search import Search
 
-DEFAULT_REPEATS: Final = 12
-"""Fresh runs at the best point."""
-MAX_REPEATS: Final = 1000
-"""Most of them."""
-CHECKS: Final = 6
-"""Draws from the intervals that are run."""
-_CHANCE: Final = 0.01
-"""Chance at which a check finds an error at a datum that is none."""
+DEFAULT_REPEATS: Final = 12  # fresh runs at the best point
+MAX_REPEATS: Final = 1000  # most of them
+CHECKS: Final = 6  # draws from the intervals that are run
+_CHANCE: Final = 0.01  # chance at which a check finds an error at a datum that is none
 
 
 @final

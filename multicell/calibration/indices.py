@@ -39,8 +39,7 @@ if TYPE_CHECKING:
 METHODS: Final = ("morris", "sobol")
 MIN_SIZE: Final = {"morris": 4, "sobol": 8}
 """Fewest trajectories, or base points, of which intervals mean anything."""
-RELIABLE: Final = 6
-"""Trajectories from which 95 % intervals of Morris cover as much."""
+RELIABLE: Final = 6  # trajectories from which 95 % intervals of Morris cover as much
 DEFAULT_SIZE: Final = {"morris": 10, "sobol": 64}
 _LEVELS: Final = 4  # of the grid of Morris
 _STEP: Final = _LEVELS / (2.0 * (_LEVELS - 1.0))  # of a parameter, in parts of its range

@@ -34,13 +34,11 @@ import numpy as np
 from multicell.calibration.distance import Array
 from multicell.calibration.emulator import FEW, PARTICLES, Emulator, draws
 
-MIN_REPEATS: Final = 4
-"""Fresh runs of which a covariance can be estimated."""
+MIN_REPEATS: Final = 4  # fresh runs of which a covariance can be estimated
 _SHRINKAGE: Final = 0.1
 _STILL: Final = 0.02
 """Standard deviations below which a direction of the data does not depend on the parameters."""
-_EXACT: Final = 1e6
-"""Degrees of freedom that stand for a variance that is known."""
+_EXACT: Final = 1e6  # degrees of freedom that stand for a variance that is known
 
 
 @final

@@ -151,8 +151,7 @@ def _draw(work: bytes, seed: int, generation: int, number: int) -> Any:
     return simulate_one()
 
 
-KNOWN: Final[dict[str, list[float]]] = {}
-"""In a worker: what draws with some key came to before."""
+KNOWN: Final[dict[str, list[float]]] = {}  # in a worker: what draws with some key came to before
 
 
 @final

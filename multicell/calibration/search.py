@@ -32,13 +32,11 @@ from multicell.errors import FitFailed, OutputError
 from multicell.host.extras import needs, quiet
 from multicell.results.documents import Lines
 
-Point = tuple[float, ...]
-"""Places in the ranges."""
+Point = tuple[float, ...]  # places in the ranges
 Run = tuple[Point, int, int]
 """A point, the number of a condition, and a seed: what decides a reading."""
 
-BATCH: Final = 5
-"""Points that are tried together, at least."""
+BATCH: Final = 5  # points that are tried together, at least
 
 
 @final

@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
     from multicell.studies.axes import Range
 
-Row = dict[str, Any]
-"""One row of a table: column -> value."""
+Row = dict[str, Any]  # one row of a table: column -> value
 
 COLUMNS: Final = {
     "morris": ("mu", "mu_star", "mu_star_conf", "sigma"),

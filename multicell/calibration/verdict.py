@@ -16,8 +16,7 @@ OPEN: Final = 0.7
 """Part of its range from which a 95 % interval says that a parameter is not determined."""
 RIDGE: Final = 0.9
 """Size of a correlation from which only a combination of two parameters is determined."""
-EDGE: Final = 0.02
-"""Part of a range next to its end in which half of the posterior is too much."""
+EDGE: Final = 0.02  # part of a range next to its end in which half of the posterior is too much
 
 
 @final

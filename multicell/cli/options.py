@@ -18,8 +18,7 @@ if TYPE_CHECKING:
 
     from multicell.scene.scene import Scene
 
-Option = Callable[[Any], Any]
-"""A decorator of click."""
+Option = Callable[[Any], Any]  # a decorator of click
 
 
 def grouped(*options: Option) -> Option:
@@ -33,8 +32,7 @@ def grouped(*options: Option) -> Option:
     return add
 
 
-_MAX_DEPTH = 20
-"""Tables and lists of a scene stand at most five deep."""
+_MAX_DEPTH = 20  # tables and lists of a scene stand at most five deep
 
 as_json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
 

@@ -22,8 +22,7 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 
-Progress = Callable[[Any], None]
-"""Called after every coupling step with the simulation."""
+Progress = Callable[[Any], None]  # called after every coupling step with the simulation
 
 
 @contextmanager
@@ -130,10 +129,8 @@ def status(simulation: Any, wall: float, left: float | None = None) -> str:
     )
 
 
-_UPDATE_EVERY: Final = 0.5
-"""Wall time between two predictions, s."""
-_FORECAST_AFTER: Final = 10.0
-"""Wall time of a run after which its end is predicted, s."""
+_UPDATE_EVERY: Final = 0.5  # wall time between two predictions, s
+_FORECAST_AFTER: Final = 10.0  # wall time of a run after which its end is predicted, s
 
 
 @final

@@ -23,10 +23,8 @@ if TYPE_CHECKING:
     from multicell.studies.study import Study
     from multicell.studies.task import Outcome
 
-_ASKED: Final = 3600.0
-"""Expected time in s above which a study is asked for."""
-_LISTED: Final = 20
-"""Failed or running runs that are listed."""
+_ASKED: Final = 3600.0  # expected time in s above which a study is asked for
+_LISTED: Final = 20  # failed or running runs that are listed
 
 folder_argument = click.argument("folder", type=click.Path(path_type=Path))
 cores_option = click.option(

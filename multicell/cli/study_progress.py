@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from multicell.studies.task import Outcome
 
 Progress = Callable[["Outcome"], None]
-_LINES: Final = 20
-"""Lines of a log."""
+_LINES: Final = 20  # lines of a log
 
 
 @final

@@ -23,8 +23,7 @@ from multicell.mechanics.motion import Motion
 from multicell.results.folder import file_errors, replace_file, versions
 from multicell.scene.scene import Scene
 
-FORMAT: Final = 5
-"""Counts up whenever a reference is computed or written in another way."""
+FORMAT: Final = 5  # counts up whenever a reference is computed or written in another way
 
 _NO_NUMBERS: Final = ("cli", "comparison", "report", "studies", "calibration")
 """Rooms that can change no number of a reference; for this one :data:`FORMAT` answers."""

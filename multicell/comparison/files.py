@@ -10,11 +10,9 @@ from typing import Any, Final
 
 from multicell.results.folder import make_folder, remove
 
-Row = dict[str, Any]
-"""One row of a table: column -> value."""
+Row = dict[str, Any]  # one row of a table: column -> value
 
-DONE, FAILED, SKIPPED = "done", "failed", "skipped"
-"""How a solve went."""
+DONE, FAILED, SKIPPED = "done", "failed", "skipped"  # how a solve went
 
 CLOCKS: Final = {"wall": "wall time", "cpu": "processor time"}
 """Column of the table that may judge -> what it is."""

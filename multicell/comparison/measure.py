@@ -19,10 +19,8 @@ from multicell.mechanics.motion import Work
 
 _MAX_FAILURES = 3
 """Tolerances at which a method may fail before it counts as too slow for finer ones."""
-_SHORT = 0.02
-"""Wall time in s of a solve up to which an untimed one goes before it."""
-_COMPILATION = 20.0
-"""Wall time in s that a first coupling step may take in any case."""
+_SHORT = 0.02  # wall time in s of a solve up to which an untimed one goes before it
+_COMPILATION = 20.0  # wall time in s that a first coupling step may take in any case
 
 
 @final

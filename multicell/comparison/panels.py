@@ -21,8 +21,7 @@ from multicell.report.plots.style import INK, QUIET, RED, few_decades
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Range = tuple[float, float]
-"""Smallest and largest value on a logarithmic axis."""
+Range = tuple[float, float]  # smallest and largest value on a logarithmic axis
 
 UNCERTAIN: Final = "#e9edf0"
 """Colour of errors within the uncertainty of the reference."""

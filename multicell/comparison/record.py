@@ -28,8 +28,7 @@ from multicell.mechanics.system import Mechanics
 from multicell.scene.scene import Scene
 from multicell.simulation import Simulation
 
-SAMPLES: Final = 24
-"""Number of coupling steps that are compared unless another one is asked for."""
+SAMPLES: Final = 24  # number of coupling steps that are compared unless another one is asked for
 
 _SPARE = 16  # times as many states are stored during the run as the sample has
 

@@ -124,8 +124,7 @@ def arithmetic(body: Callable[..., Any]) -> Any:
     return outside
 
 
-COMPILATION = _WithoutCollector()
-"""What this process has compiled: ``seconds`` of wall time so far."""
+COMPILATION = _WithoutCollector()  # what this process has compiled: ``seconds`` of wall time so far
 event.register("numba:compile", COMPILATION)  # type: ignore[no-untyped-call]
 
 
@@ -208,8 +207,7 @@ def fingerprint_of(*modules: ModuleType) -> str:
 _typeof: Any = typeof
 
 
-_OWNED = 0x4
-"""Flag of arrays whose memory is their own, which is no part of their type."""
+_OWNED = 0x4  # flag of arrays whose memory is their own, which is no part of their type
 
 
 def kind_of(value: Any) -> Any:

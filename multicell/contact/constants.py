@@ -35,8 +35,7 @@ Function = Callable[..., Any]
 
 TINY = 1e-300
 """Keeps 0 / 0 out of a law's function where there is no overlap, and numerator and all are zero."""
-BASIC = ("overlap", "modulus", "radius", "p")
-"""The first arguments of the function of a law."""
+BASIC = ("overlap", "modulus", "radius", "p")  # the first arguments of the function of a law
 FURTHER = ((), ("rest",), ("adhesion",), ("rest", "adhesion"), ("adhesion", "unit", "onset"))
 """What the arguments after those may be."""
 

@@ -32,12 +32,9 @@ if TYPE_CHECKING:
     Rate = Callable[[FloatArray, Any], Any]
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(20)
-_PLACES: Final = 65
-"""Volumes from birth to division at which the sign of a rate is looked at."""
-_SUBSTEPS: Final = 8
-"""Runge–Kutta steps that find a first guess of a volume."""
-_CORRECTIONS: Final = 3
-"""Newton steps that bring the guess to rounding."""
+_PLACES: Final = 65  # volumes from birth to division at which the sign of a rate is looked at
+_SUBSTEPS: Final = 8  # Runge–Kutta steps that find a first guess of a volume
+_CORRECTIONS: Final = 3  # Newton steps that bring the guess to rounding
 
 
 class UserGrowthLaw(OwnLaw, GrowthLaw):

@@ -9,8 +9,7 @@ import stat
 from pathlib import Path
 from typing import Any, Final
 
-DEEPEST: Final = 20
-"""Parts of a dotted key of TOML; those of a scene have at most seven."""
+DEEPEST: Final = 20  # parts of a dotted key of TOML; those of a scene have at most seven
 
 _NAME: Final = (
     r"""(?:"{3}(?:[^"\\]|\\.|"(?!""))*+(?:"{3})?"""

@@ -43,12 +43,10 @@ Since no eigenvalue of I - ΔtJ of a cluster at rest is below 1, the error is at
 The correction alone is not enough: where γλ is large, the linear solver's residual may hide a
 motion of the cluster as a whole.
 """
-_FINER = 1e-2
-"""What ``forcing`` is multiplied by where that residual is exceeded."""
+_FINER = 1e-2  # what ``forcing`` is multiplied by where that residual is exceeded
 _DECREASE = 1e-4
 """Least part of the promised decrease, of the residual or of the energy (Armijo's rule)."""
-_ROUNDING = 1e-14
-"""Of the energy, below which a difference of two energies is rounding."""
+_ROUNDING = 1e-14  # of the energy, below which a difference of two energies is rounding
 
 
 @final

@@ -26,8 +26,7 @@ if TYPE_CHECKING:
 _F = TypeVar("_F", bound=Callable[..., Any])
 _jit = cast(Callable[[_F], _F], njit(**KERNEL))
 
-_CONTACTS = 8.0
-"""Largest decay rate of packed cells, in stiffness of the stiffest pair over drag."""
+_CONTACTS = 8.0  # largest decay rate of packed cells, in stiffness of the stiffest pair over drag
 _SLOW_START = 5e-4
 """Share of the interval below which the first two steps of a mild start say that it is stiff."""
 _BUSY, _WINDOW = 6, 3
@@ -36,8 +35,7 @@ _LIGHT_KRYLOV = 5
 _FIRST = 1e-6
 """First step of a mild start over the interval. CVODE's own is about as long, and it takes two
 evaluations to find it; the second one may be ten thousand times longer."""
-_INCREMENT = 1e-5
-"""Largest change of a coordinate in a difference quotient, in mean radii."""
+_INCREMENT = 1e-5  # largest change of a coordinate in a difference quotient, in mean radii
 _MILD, _STIFF = 3.0, 10.0
 """Products γλ up to which there is no preconditioning, and beyond which J is kept fresh."""
 

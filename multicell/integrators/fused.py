@@ -23,8 +23,7 @@ from multicell.compiling.threads import two_drivers
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
 
-_CHUNK = 4096
-"""Cells in a chunk."""
+_CHUNK = 4096  # cells in a chunk
 
 
 @arithmetic

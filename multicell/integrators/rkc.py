@@ -15,8 +15,7 @@ if TYPE_CHECKING:
     from multicell.cells import FloatArray
     from multicell.mechanics.system import Mechanics
 
-_MAX_STAGES = 200
-"""Under error control: a step that needs more is taken shorter."""
+_MAX_STAGES = 200  # under error control: a step that needs more is taken shorter
 _MAX_FIXED_STAGES = 5000
 
 

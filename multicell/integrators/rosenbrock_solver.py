@@ -40,21 +40,15 @@ _F = TypeVar("_F", bound=Callable[..., Any])
 _jit = cast(Callable[[_F], _F], njit(**KERNEL))
 
 _D = 1.0 / (2.0 + math.sqrt(2.0))
-_E = 6.0 + math.sqrt(2.0)
-"""Coefficients of Shampine & Reichelt (1997)."""
-_ORDER = 3.0
-"""Exponent of the step in the estimated error."""
-_SHORTEST = 1e-13
-"""Steps below this fraction of the interval are lost in rounding."""
+_E = 6.0 + math.sqrt(2.0)  # coefficients of Shampine & Reichelt (1997)
+_ORDER = 3.0  # exponent of the step in the estimated error
+_SHORTEST = 1e-13  # steps below this fraction of the interval are lost in rounding
 _MOST_ITERATIONS = 200
-_PROBE = 5
-"""Iterations of the search for an eigenvalue above the bound."""
+_PROBE = 5  # iterations of the search for an eigenvalue above the bound
 _AGE, _LONGER = 10, 1.5
 """The search is repeated after so many steps, or once steps are so much longer."""
-_SHARE = 0.1
-"""Of its right-hand side that the residual of a linear system may have."""
-_FIRST = 0.5
-"""Tolerances that the fastest cell moves in the first step."""
+_SHARE = 0.1  # of its right-hand side that the residual of a linear system may have
+_FIRST = 0.5  # tolerances that the fastest cell moves in the first step
 _HINT = "Choose a shorter coupling_step or a tighter integrator.atol"
 
 

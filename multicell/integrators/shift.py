@@ -25,11 +25,9 @@ if TYPE_CHECKING:
     from multicell.integrators.base import Integrator
     from multicell.mechanics.system import Mechanics
 
-SHIFT: Final = 0.01
-"""Root mean square of the shift of each coordinate, µm."""
+SHIFT: Final = 0.01  # root mean square of the shift of each coordinate, µm
 
-SHARE: Final = 0.02
-"""Part of the cost of the integration that checks may have."""
+SHARE: Final = 0.02  # part of the cost of the integration that checks may have
 
 
 @final

@@ -29,17 +29,14 @@ if TYPE_CHECKING:
 
 _PASSES = RECORDED + 20
 """Evaluations that a measurement of λ costs with many cells: products, and two neighbour lists."""
-_CALLS = 1.0e3
-"""The same times cells for each of these that is a call from Python."""
+_CALLS = 1.0e3  # the same times cells for each of these that is a call from Python
 _FIRST = 2
 """Coupling steps at the beginning of a run before each of which λ is measured: cells that are
 placed anew hardly press each other in the first."""
-_GLANCE = 5
-"""Evaluations that |J v| / |v| costs."""
+_GLANCE = 5  # evaluations that |J v| / |v| costs
 _NEAR = 0.8
 """|J v| / |v| over the limit from which on λ is measured; rattling cells have 0.88 to 0.96."""
-_SAFE = 0.9
-"""Part of the limit that is recommended."""
+_SAFE = 0.9  # part of the limit that is recommended
 
 
 @final

@@ -45,19 +45,16 @@ if TYPE_CHECKING:
 
 DONE, REJECTED, NOT_FINITE, MOVED, STALLED, OUT_OF_STEPS, TOO_LONG = range(7)
 """How a loop, or one evaluation, ended."""
-EVALUATIONS, LIST_BUILDS, STEPS, REJECTIONS = range(4)
-"""Places in the array of counts."""
+EVALUATIONS, LIST_BUILDS, STEPS, REJECTIONS = range(4)  # places in the array of counts
 ELAPSED, STEP, PREVIOUS, HELD = range(4)
 """Places in the state of error control: time since the beginning and next step, s; size of the last
 error; steps refused since the last accepted one."""
 
-_SHORTEST = 1e-13
-"""Steps below this fraction of the interval are lost in rounding."""
+_SHORTEST = 1e-13  # steps below this fraction of the interval are lost in rounding
 _MOST_REFUSALS = 200
 """Refused steps in a row; a method that makes each shorter by a tenth has stalled long before."""
 
-_BLOCK = 1024
-"""Numbers of an array that are worked on at a time."""
+_BLOCK = 1024  # numbers of an array that are worked on at a time
 
 
 class Source(NamedTuple):

@@ -26,11 +26,9 @@ if TYPE_CHECKING:
     from multicell.cells import FloatArray
     from multicell.mechanics.system import Mechanics
 
-PRODUCTS: Final = 40
-"""Products J·v that are spent unless another number is asked for."""
+PRODUCTS: Final = 40  # products J·v that are spent unless another number is asked for
 
-RECORDED: Final = 20
-"""Products that give the largest decay rate to what a limit of a step needs."""
+RECORDED: Final = 20  # products that give the largest decay rate to what a limit of a step needs
 
 _FEWEST = 5  # two vectors, and three products beside those of the sweep
 _ANY: Final = 1e30  # a relative tolerance at which ARPACK stops after its first sweep

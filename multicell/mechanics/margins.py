@@ -9,10 +9,8 @@ from numba import njit
 
 from multicell.compiling import KERNEL
 
-_WIDEST = 8.0
-"""Largest margin of a cell over the least."""
-_FORESIGHT = 6.0
-"""How many times as far as since the last list a cell may move until the next one."""
+_WIDEST = 8.0  # largest margin of a cell over the least
+_FORESIGHT = 6.0  # how many times as far as since the last list a cell may move until the next one
 
 
 @njit(**KERNEL)

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from multicell.cells import FloatArray
 
-_LIST = 7
-"""Evaluations that a neighbour list costs."""
+_LIST = 7  # evaluations that a neighbour list costs
 
 
 class StateRejected(Exception):  # noqa: N818 - what happened to a trial state, not a fault

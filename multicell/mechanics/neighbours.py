@@ -31,16 +31,13 @@ if TYPE_CHECKING:
 IndexArray = NDArray[np.int32]
 OffsetArray = NDArray[np.int64]
 
-CHUNK = 2048
-"""Cells in a chunk. Larger ones share fewer pairs, smaller ones feed more threads."""
+CHUNK = 2048  # cells in a chunk. Larger ones share fewer pairs, smaller ones feed more threads.
 
 _BINS_PER_CELL = 24
 _SPARE_BINS = 4096
 _SPARE_PAIRS = 4_000_000
-_BLOCK = 512
-"""Candidates that are tested in one go."""
-_SLICES = 4
-"""Bins along x for each along y and z."""
+_BLOCK = 512  # candidates that are tested in one go
+_SLICES = 4  # bins along x for each along y and z
 
 
 class TooManyPairsError(Exception):

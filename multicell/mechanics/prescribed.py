@@ -23,8 +23,7 @@ if TYPE_CHECKING:
     from multicell.cells import FloatArray
     from multicell.mechanics.system import Mechanics
 
-_IMMENSE = 1e6
-"""Drag of held cells in a preconditioner, over their true one."""
+_IMMENSE = 1e6  # drag of held cells in a preconditioner, over their true one
 
 
 @final

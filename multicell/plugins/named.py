@@ -29,13 +29,11 @@ from multicell.errors import MulticellError, SceneError
 from multicell.host.files import read_regular
 from multicell.schema import near_miss
 
-_MAX_BYTES = 10_000_000
-"""Bytes of a file of the user's own."""
+_MAX_BYTES = 10_000_000  # bytes of a file of the user's own
 OWN_OBJECT = r"^.+\.py:[A-Za-z_].*$"
 """Pattern of how a scene names an object of the user's own, for editors."""
 _NAMED = re.compile(r"(?P<file>.+):(?P<name>[^\W\d]\w*(\.[^\W\d]\w*)*)")
-_COMPILED = re.compile(r'File "([^"]+)", line (\d+)')
-"""How numba names a line of what it compiles."""
+_COMPILED = re.compile(r'File "([^"]+)", line (\d+)')  # how numba names a line of what it compiles
 _MISSING = re.compile(r"(?:name|attribute) '(\w+)'")
 _RECORDED = re.compile(_NAMED.pattern + r"(\(.*\))?")
 

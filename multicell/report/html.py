@@ -21,8 +21,7 @@ if TYPE_CHECKING:
 
     from multicell.scene.scene import Scene
 
-Drawing = tuple[Callable[[], "Figure"], str]
-"""A function that draws a picture, and its caption."""
+Drawing = tuple[Callable[[], "Figure"], str]  # a function that draws a picture, and its caption
 
 
 def write_page(

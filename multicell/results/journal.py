@@ -36,8 +36,7 @@ Arrays = Mapping[str, NDArray[Any]]
 NAME: Final = "frames.journal"
 
 _TAG: Final = b"mcj3"
-PREFIX: Final = struct.Struct("<4sIQIII")
-"""Tag, lengths and checksums of a record: 28 bytes."""
+PREFIX: Final = struct.Struct("<4sIQIII")  # tag, lengths and checksums of a record: 28 bytes
 
 _MAX_HEADER: Final = 1 << 24
 _LONG: Final = 1 << 18  # bytes of an array that is not copied together with others

@@ -22,8 +22,7 @@ from multicell.results.lineage import COLUMNS, Lineage
 
 Arrays = dict[str, NDArray[Any]]
 
-UNIT: Final = "mM"
-"""Unit of all fields and concentrations."""
+UNIT: Final = "mM"  # unit of all fields and concentrations
 
 
 @final

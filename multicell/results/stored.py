@@ -16,8 +16,7 @@ from multicell.cells import Cells, FloatArray
 from multicell.results.coding import decode, encode
 from multicell.results.records import FIELD, Arrays
 
-Ends = Mapping[str, NDArray[np.int64]]
-"""Path of a data set of offsets -> its values, (k + 1,)."""
+Ends = Mapping[str, NDArray[np.int64]]  # path of a data set of offsets -> its values, (k + 1,)
 
 
 class Source(Protocol):

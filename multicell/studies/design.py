@@ -26,10 +26,8 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 DESIGNS: Final = ("grid", "list", "lhs", "sobol")
-SAMPLED: Final = ("lhs", "sobol")
-"""Designs that draw a number of points from ranges."""
-_MAX_BYTES: Final = 20_000_000
-"""Of a table of points: 1,000 for each of as many as there may be."""
+SAMPLED: Final = ("lhs", "sobol")  # designs that draw a number of points from ranges
+_MAX_BYTES: Final = 20_000_000  # of a table of points: 1,000 for each of as many as there may be
 
 
 @final

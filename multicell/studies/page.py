@@ -28,8 +28,7 @@ KEY_OBSERVABLES: Final = (
 )  # fmt: skip
 """Observables that a page shows, if they are there and change; further ones by wish."""
 
-MAX_ROWS: Final = 4000
-"""Runs that the table of a page lists; a browser takes long over more."""
+MAX_ROWS: Final = 4000  # runs that the table of a page lists; a browser takes long over more
 
 _MAPS: Final = 4  # observables that have a map or a response
 _COURSES: Final = 3  # and of which courses

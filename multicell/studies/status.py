@@ -31,8 +31,7 @@ from multicell.results.folder import in_use
 from multicell.scene.scene import load_scene
 from multicell.studies.runs import digest
 
-NOTE: Final = "failure.json"
-"""File in the folder of a run that failed: ``reason`` and ``kind``."""
+NOTE: Final = "failure.json"  # file in the folder of a run that failed: ``reason`` and ``kind``
 
 Kind = Literal["", "run", "machine", "damage"]
 """What a run failed for: nothing yet; its scene, which fails again; what is no matter of its scene,

@@ -22,8 +22,7 @@ from multicell.studies.limits import check_cores
 if TYPE_CHECKING:
     from distributed import Client
 
-ANSWER: Final = 5.0
-"""Time in s within which a scheduler must answer."""
+ANSWER: Final = 5.0  # time in s within which a scheduler must answer
 
 _STARTS: Final = 3  # attempts to start worker processes
 _SET_BY_DASK: Final = ("PYTHONHASHSEED", "__DASK_PARENT_PID", "PYTHONSAFEPATH")

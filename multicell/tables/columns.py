@@ -14,8 +14,7 @@ from multicell.errors import DataError
 from multicell.host.extras import needs
 from multicell.tables.text import lines_of, rows_of
 
-PARQUET: Final = b"PAR1"
-"""What a Parquet file begins with."""
+PARQUET: Final = b"PAR1"  # what a Parquet file begins with
 
 
 @final

@@ -27,8 +27,7 @@ PUSH: Final = 0.005
 """Displacement along the stiffest mode from which a settled cluster starts, over the overlap of
 the contact that this mode strains most."""
 
-MIN_NOTICED: Final = 0.035
-"""Motion that counts as instability, over the same overlap."""
+MIN_NOTICED: Final = 0.035  # motion that counts as instability, over the same overlap
 
 MAX_UNNOTICED: Final = 0.02
 """Displacement of cells that have divided that must not matter, in radii."""

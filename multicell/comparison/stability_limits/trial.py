@@ -51,11 +51,9 @@ DEPARTURE_RADII: Final = 0.05
 """Growing part of a cell's displacement, in mean radii, from which it has left the neighbourhood of
 the start, in which the motion is linear."""
 
-MIN_FOLLOWED: Final = 0.5
-"""Part of the true growth of a cell below which a method has damped it."""
+MIN_FOLLOWED: Final = 0.5  # part of the true growth of a cell below which a method has damped it
 
-TRIAL_STEPS: Final = 200
-"""Steps that a method with a fixed step takes in a trial."""
+TRIAL_STEPS: Final = 200  # steps that a method with a fixed step takes in a trial
 
 _WINDOWS, _CONTROLLED_LENGTH = 8, 2000.0  # of methods under error control; time in 1/λ_max
 _THROWN = re.compile("would move|not a number|on top of each other|not finite")

@@ -52,8 +52,7 @@ class Colouring:
     range: tuple[float, float] | None = None
 
 
-SCALE: Final = "viridis"
-"""Of quantities: even in lightness and for any colour vision."""
+SCALE: Final = "viridis"  # of quantities: even in lightness and for any colour vision
 
 
 def colourings(frame: Frame) -> list[str]:

@@ -16,8 +16,7 @@ from multicell.errors import OutputError
 if TYPE_CHECKING:
     from multicell.cells import FloatArray
 
-CUTS: Final = ("none", "half", "quarter")
-"""What can be cut away."""
+CUTS: Final = ("none", "half", "quarter")  # what can be cut away
 
 _AZIMUTH: Final = -60.0  # degrees: where the eye stands without a turn, and what a cut opens to
 _HEIGHT: Final = 24.0  # degrees above the horizon

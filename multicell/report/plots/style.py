@@ -25,8 +25,7 @@ if TYPE_CHECKING:
     from multicell.scene.scene import Scene
 
 
-History = Mapping[str, NDArray[np.float64]]
-"""Columns of a run's history by name, (m,) each."""
+History = Mapping[str, NDArray[np.float64]]  # columns of a run's history by name, (m,) each
 
 COLOURS: Final = {
     "proliferating": "#2a9d6a",

@@ -34,14 +34,11 @@ from multicell.results.tables import NAMED
 if TYPE_CHECKING:
     from multicell.report.result import Result
 
-MAX_FRAMES: Final = 50
-"""Frames that are shown at most."""
-MAX_CELLS: Final = 10_000
-"""Cells of a frame that are shown at most."""
+MAX_FRAMES: Final = 50  # frames that are shown at most
+MAX_CELLS: Final = 10_000  # cells of a frame that are shown at most
 MAX_BYTES: Final = 5_500_000
 """Size of the packed columns at most; fewer cells are shown where it would be more."""
-POINTS: Final = 300
-"""Points of a curve, besides those of the frames."""
+POINTS: Final = 300  # points of a curve, besides those of the frames
 
 _MAX_READ: Final = 3e6  # cells of all frames that are read at most
 _MIN_FRAMES: Final = 8  # frames, however large
