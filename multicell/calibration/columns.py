@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import Any, Final, final
 
 from multicell.errors import DataError, SceneError
+from multicell.scene.scene import Scene
 from multicell.schema import specs
 from multicell.studies.observed import (
     at_the_end,
@@ -18,9 +19,6 @@ from multicell.studies.observed import (
 from multicell.tables.fields import Table
 from multicell.tables.titles import split_title
 from multicell.units import to_base
-
-if TYPE_CHECKING:
-    from multicell.scene.scene import Scene
 
 _ERRORS: Final = ("sd", "sem")
 _NO_CONDITIONS: Final = ("title", "seed")

@@ -36,17 +36,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import Any, Final, final
 
 from multicell.calibration.columns import Column, columns_of
 from multicell.errors import DataError, SceneError
+from multicell.scene.scene import Scene
 from multicell.schema import leaves
 from multicell.studies.observed import at_the_end, in_history, suggest
 from multicell.tables.fields import Table, read_table
 from multicell.units import to_base
-
-if TYPE_CHECKING:
-    from multicell.scene.scene import Scene
 
 MAX_BYTES: Final = 10_000_000  # of a file of measured data
 

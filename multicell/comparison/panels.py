@@ -6,8 +6,9 @@ import itertools
 import math
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -17,9 +18,6 @@ from multicell.comparison.files import Row
 from multicell.comparison.styles import Point, Style
 from multicell.report.plots.colour_vision import PALE
 from multicell.report.plots.style import INK, QUIET, RED, few_decades
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 Range = tuple[float, float]  # smallest and largest value on a logarithmic axis
 

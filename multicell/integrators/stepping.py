@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 from numba import njit, types
@@ -25,6 +25,7 @@ from numba.core.errors import TypingError
 from numba.extending import intrinsic, overload, register_jitable
 from numpy.typing import NDArray
 
+from multicell.cells import FloatArray
 from multicell.compiling import (
     ADDRESSED,
     KERNEL,
@@ -38,10 +39,6 @@ from multicell.integrators import fused
 from multicell.mechanics import forces, margins, neighbours
 from multicell.mechanics.motion import StateRejected
 from multicell.mechanics.system import Mechanics
-
-if TYPE_CHECKING:
-    from multicell.cells import FloatArray
-
 
 DONE, REJECTED, NOT_FINITE, MOVED, STALLED, OUT_OF_STEPS, TOO_LONG = range(7)
 """How a loop, or one evaluation, ended."""

@@ -16,17 +16,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple, final
+from typing import NamedTuple, final
 
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from multicell.cells import FloatArray
 from multicell.compiling import INLINED, INNER
 from multicell.compiling.threads import two_drivers
-
-if TYPE_CHECKING:
-    from multicell.cells import FloatArray
 
 IndexArray = NDArray[np.int32]
 OffsetArray = NDArray[np.int64]

@@ -17,15 +17,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, final
+from typing import final
 
 import numpy as np
 from numba import njit
 
+from multicell.cells import FloatArray
 from multicell.compiling import KERNEL
-
-if TYPE_CHECKING:
-    from multicell.cells import FloatArray
 
 
 @njit(**KERNEL)

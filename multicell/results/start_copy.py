@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from multicell.results.folder import write_bytes
-
-if TYPE_CHECKING:
-    from multicell.scene.scene import Scene
+from multicell.scene.scene import Scene
 
 
 def with_copy(scene: Scene, folder: Path) -> Scene:

@@ -43,7 +43,7 @@ import uuid
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Self, final
+from typing import Any, Final, Self, final
 
 import numpy as np
 
@@ -68,11 +68,8 @@ from multicell.results.lineage import COLUMNS, Lineage
 from multicell.results.reader import Contents
 from multicell.results.records import Arrays, arrays_of, log_arrays
 from multicell.results.start_copy import with_copy
+from multicell.scene.scene import Scene
 from multicell.scene.start_table import COPIES
-
-if TYPE_CHECKING:
-    from multicell.scene.scene import Scene
-
 
 _OF_THE_START: Final = ("scene.toml", *COPIES)
 _HISTORY_EVERY: Final = 1.0  # s of the wall clock

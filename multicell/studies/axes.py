@@ -13,16 +13,14 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import Any, Final, final
 
 from multicell.errors import SceneError
 from multicell.host.files import parse_toml
+from multicell.scene.scene import Scene
 from multicell.studies.keys import Key, key_of
 from multicell.studies.limits import MAX_POINTS
 from multicell.units import shown
-
-if TYPE_CHECKING:
-    from multicell.scene.scene import Scene
 
 _NUMBER: Final = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _QUANTITY: Final = re.compile(rf"\s*({_NUMBER})\s*(.*?)\s*", re.DOTALL)

@@ -12,18 +12,16 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import Any, Final, final
 
 from multicell.errors import DataError, SceneError
+from multicell.scene.scene import Scene
 from multicell.studies.axes import Axis, Range, parse_axis, parse_range, with_unique_names
 from multicell.studies.keys import key_of
 from multicell.studies.limits import check_runs
 from multicell.tables.fields import Table, read_table
 from multicell.tables.titles import split_title
 from multicell.units import shown
-
-if TYPE_CHECKING:
-    from multicell.scene.scene import Scene
 
 DESIGNS: Final = ("grid", "list", "lhs", "sobol")
 SAMPLED: Final = ("lhs", "sobol")  # designs that draw a number of points from ranges

@@ -8,13 +8,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from multicell.errors import SceneError
 from multicell.integrators.registry import METHODS
-
-if TYPE_CHECKING:
-    from multicell.scene.scene import Scene
+from multicell.scene.scene import Scene
 
 Rule = tuple[Callable[..., Any], str]
 """What holds where a key has no effect, and that in words. Both get the scene, and the names that

@@ -5,15 +5,12 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, is_dataclass, replace
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import Any, Final, final
 
 from multicell.errors import SceneError
 from multicell.scene.oxygen import in_concentrations
-from multicell.scene.scene import check_dotted
+from multicell.scene.scene import Scene, check_dotted
 from multicell.schema import Parameter, near_miss, specs
-
-if TYPE_CHECKING:
-    from multicell.scene.scene import Scene
 
 _TABLES: Final = ("table", "variant", "tables")
 _NO_AXES: Final = {

@@ -13,10 +13,11 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import Any, Final, final
 
 from multicell.errors import SceneError
 from multicell.host.files import parse_toml, read_regular
+from multicell.scene.scene import Scene
 from multicell.schema import near_miss
 from multicell.studies.axes import Axis, Range, change
 from multicell.studies.design import (
@@ -31,9 +32,6 @@ from multicell.studies.ineffective import refuse_ineffective
 from multicell.studies.limits import MAX_POINTS, check_runs, check_seeds, whole
 from multicell.studies.runs import Run, digest
 from multicell.units import BASE_UNITS, shown, to_base
-
-if TYPE_CHECKING:
-    from multicell.scene.scene import Scene
 
 NAME: Final = "study.toml"
 SCENE: Final = "scene.toml"

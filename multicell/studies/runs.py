@@ -7,17 +7,15 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import Any, Final, final
 
 from multicell.errors import SceneError
 from multicell.host.files import read_regular
 from multicell.plugins.laws import OwnLaw
 from multicell.plugins.named import origin
 from multicell.results.observable import OWN, find_own
+from multicell.scene.scene import Scene
 from multicell.schema import Tables, specs
-
-if TYPE_CHECKING:
-    from multicell.scene.scene import Scene
 
 MODEL_VERSION: Final = 2
 """To be raised by whoever changes the numbers that a scene gives.

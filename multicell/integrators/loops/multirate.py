@@ -15,12 +15,13 @@ With no fast cell the step is that of Euler under error control, in every bit.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba.extending import overload, register_jitable
 from numpy.typing import NDArray
 
+from multicell.cells import FloatArray
 from multicell.compiling import arithmetic
 from multicell.integrators.stepping import (
     DONE,
@@ -43,9 +44,6 @@ from multicell.integrators.stepping import (
     stop_reason,
 )
 from multicell.mechanics import forces
-
-if TYPE_CHECKING:
-    from multicell.cells import FloatArray
 
 _MOST_SHORT_STEPS = 16
 _OCTAVES = 24  # bounds between fast and slow cells that are tried, each half of the one before

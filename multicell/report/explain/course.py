@@ -13,7 +13,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import Any, Final, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,14 +24,12 @@ from multicell.biology.plan import biology_plan
 from multicell.biology.states import beyond
 from multicell.cells import SPHERE, FloatArray
 from multicell.scene.checks import solving_order
+from multicell.scene.nutrient import Nutrient
 from multicell.scene.pairs import drag
+from multicell.scene.parts import Death
 from multicell.scene.scales import height
+from multicell.scene.scene import Scene
 from multicell.scene.sizes import birth_radius, typical_radius
-
-if TYPE_CHECKING:
-    from multicell.scene.nutrient import Nutrient
-    from multicell.scene.parts import Death
-    from multicell.scene.scene import Scene
 
 SHELLS: Final = 40
 _STEPS_IN_CYCLE: Final = 12  # steps of the forecast

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from multicell.biology.durations import malthusian_rate
 from multicell.biology.plan import founders
@@ -19,11 +19,9 @@ from multicell.scene.coupling import fixed_step, longest_step, shortest_step, to
 from multicell.scene.domain import sides
 from multicell.scene.pairs import daughters_stiffness, drag
 from multicell.scene.parts import PHASES
+from multicell.scene.scene import Scene
 from multicell.scene.sizes import birth_radius
 from multicell.scene.start_checks import deep_overlaps
-
-if TYPE_CHECKING:
-    from multicell.scene.scene import Scene
 
 
 def explain(scene: Scene) -> dict[str, Any]:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from multicell.cells import FloatArray
+from multicell.cells import FloatArray
 
 PALE: Final = "#d3d9de"
 """Grey of what stands behind the series in colour."""

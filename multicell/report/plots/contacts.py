@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator
 
-from multicell.cells import FloatArray
+from multicell.cells import Cells, FloatArray
 from multicell.contact.pair import Pair
 from multicell.report.plots import style
 from multicell.report.wording import TimeUnit, time_unit
 from multicell.results.frame import Frame
 from multicell.results.observables import centre, distances, sizes
 from multicell.scene.pairs import pair_of
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-    from multicell.cells import Cells
-    from multicell.scene.scene import Scene
+from multicell.scene.scene import Scene
 
 
 def random_mixing(cells: Cells) -> float:

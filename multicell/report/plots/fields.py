@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from multicell.cells import FloatArray, State
@@ -16,13 +17,8 @@ from multicell.report.plots.section import draw_circles, draw_field, frame_windo
 from multicell.report.wording import TimeUnit
 from multicell.results.frame import Frame
 from multicell.results.observables import centre, uniform_radius
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-    from multicell.scene.nutrient import Nutrient
-    from multicell.scene.scene import Scene
-
+from multicell.scene.nutrient import Nutrient
+from multicell.scene.scene import Scene
 
 _MAX_MARKED: Final = 12  # switches of the medium, above which lines would hide the curves
 

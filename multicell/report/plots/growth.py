@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, NullFormatter
 
@@ -12,11 +11,7 @@ from multicell.cells import FloatArray
 from multicell.report.plots import style
 from multicell.report.plots.fields import draw_hypoxic, mark_media
 from multicell.report.wording import TimeUnit, cell_count, time_unit
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-    from multicell.scene.scene import Scene
+from multicell.scene.scene import Scene
 
 
 @style.styled

@@ -5,14 +5,12 @@ from __future__ import annotations
 import base64
 import io
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import Any, Final, final
 
+from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 
 from multicell.report.plots.style import DPI, SUBTITLE, TITLE
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _TITLE_HEIGHT: Final = 0.4  # inches, what the title takes
 _COLOURS: Final = 256

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple, final
+from typing import NamedTuple, final
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from multicell.cells import FloatArray
 from multicell.report.plots import style
 from multicell.results.frame import Frame
 from multicell.results.observables import (
@@ -18,12 +20,7 @@ from multicell.results.observables import (
     radial_profile,
     uniform_radius,
 )
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-    from multicell.cells import FloatArray
-    from multicell.scene.scene import Scene
+from multicell.scene.scene import Scene
 
 
 @final

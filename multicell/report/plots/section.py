@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import EllipseCollection
+from matplotlib.colorbar import Colorbar
 from matplotlib.colors import Colormap, LinearSegmentedColormap, Normalize, to_rgb
 from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
@@ -22,15 +25,8 @@ from multicell.report.plots.plane import Plane, height, turn_frame
 from multicell.report.wording import cell_count
 from multicell.results.frame import Field, Frame
 from multicell.results.observables import centre, uniform_radius
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.colorbar import Colorbar
-    from matplotlib.image import AxesImage
-
-    from multicell.scene.nutrient import Nutrient
-    from multicell.scene.scene import Scene
-
+from multicell.scene.nutrient import Nutrient
+from multicell.scene.scene import Scene
 
 _MIN_LEVEL = 1e-9  # part of the highest concentration of a field below which it is not drawn
 _DEPTH_DIAMETERS: Final = 3.0  # mean diameters behind a plane within which cells are drawn

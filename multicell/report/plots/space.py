@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
@@ -18,11 +19,7 @@ from multicell.report.plots.style import DPI, SIZE, headed, moment, styled
 from multicell.report.wording import cell_count, time_unit
 from multicell.results.frame import Frame
 from multicell.results.observables import centre
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-    from multicell.scene.scene import Scene
+from multicell.scene.scene import Scene
 
 FILM: Final = (8.0, 6.0)  # inches
 _FINE: Final = 1.5  # pixels of the spheres to one of the figure

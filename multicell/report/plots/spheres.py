@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import Any, Final, final
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from multicell.cells import FloatArray
 from multicell.compiling import KERNEL
 from multicell.errors import OutputError
-
-if TYPE_CHECKING:
-    from multicell.cells import FloatArray
 
 CUTS: Final = ("none", "half", "quarter")  # what can be cut away
 
