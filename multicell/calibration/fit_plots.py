@@ -38,13 +38,11 @@ class FitPlots:
     def __init__(self, fit: Fit) -> None:
         self._fit = fit
 
-    def __call__(self) -> Figure:
-        """Draw the data with their deviations, the best runs and the posterior's band."""
-        return data(self._fit)
-
     def data(self) -> Figure:
         """Draw the data with their deviations, the best runs and the posterior's band."""
         return data(self._fit)
+
+    __call__ = data
 
     def parameters(self) -> Figure:
         """Draw the posterior: each parameter, and each pair of them."""

@@ -4,14 +4,11 @@ Without friction between cells the end of a step minimises ½ ‖x - x_0‖² / 
 of the scalar product ⟨u, v⟩ = Σ_i Γ_i u_i·v_i of the drag coefficients at the end of the step;
 external forces add a linear part to the energy U. Times Δt, the gradient is the residual
 x - x_0 - Δt v and the second derivative I - ΔtJ, which is symmetric in that product.
-So Newton's method finds the minimum: conjugate gradients, a line search along the
-energy, and where a direction has no positive curvature (a compressed cluster buckles sideways)
-cells go along it as far as they may (Steihaug 1983). Where Δt is short enough for I - ΔtJ to be
-positive, the minimum is the only solution; beyond, it is one that the energy falls to.
+So Newton's method finds the minimum by conjugate gradients and a line search along the energy, and
+where a direction has no positive curvature cells go along it as far as they may (Steihaug 1983).
 
-With friction Γ is a matrix that depends on the positions, and there is no such energy. There, and
-where the energy of a user's law does not belong to its force closely enough, Newton's method with
-GMRES lowers the residual.
+With friction there is no such energy. There, and where the energy of a user's law does not belong
+to its force closely enough, Newton's method with GMRES lowers the residual.
 
 References
 ----------

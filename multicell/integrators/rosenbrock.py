@@ -11,16 +11,10 @@ and the estimated error Δt (k₁ - 2 k₂ + k₃) / 6, of third order and bound
 L-stable for A = J, and of order 2 for every A.
 
 **What grows.** An implicit step damps a mode with eigenvalue μ > 0 once γΔtμ > 1, and no error
-estimate sees it. Here two things prevent that:
-
-- A is J without the steepest slopes: JKR's dF/dh tends to -∞ at first contact, and is taken as
-  -``softening`` E_ij r_ij at most. What is left out of A enters explicitly, by the factor
-  1 + z + z²/2, which damps no growth.
-- For the eigenvalues μ of A itself no step is tried with Δtμ > ``growth`` as far as conjugate
-  gradients see: each search direction p is a lower bound on μ, by its Rayleigh quotient; and every
-  few steps five iterations with I - (Δt/``growth``) A, from what was found slowest last, look for
-  such modes where the right-hand sides do not contain them. At Δtμ = 0.5 the factor of one step
-  is off by 0.5 %, at 1 by 4 %, at 2 by 44 %.
+estimate sees it. So A is J without JKR's slopes below -``softening`` E_ij r_ij, whose snap enters
+explicitly by the factor 1 + z + z²/2, and no step is tried with Δtμ > ``growth`` as far as
+conjugate gradients see: by the Rayleigh quotient of each search direction, and by five iterations
+every few steps from what was found slowest last. docs/theory/integrators.md measures it.
 
 References
 ----------

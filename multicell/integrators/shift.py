@@ -1,14 +1,10 @@
 """Conditioning of coupling steps: the effect of a small shift of all positions.
 
-Fresh daughters and contacts that form are unstable: there a coupling step amplifies whatever is
-wrong at its beginning, and now and then a cell falls into another pocket. Elsewhere it forgets a
-shift. No method can place a cell better than that, and where the effect of a shift is large
-the errors of methods are large too, which their own estimates do not show: those are of
-single internal steps.
-
-So a run takes some of its coupling steps twice, the second time from shifted positions, whose end
-is compared with the first one and dropped. By the counted cost of the steps this takes at most
-a fiftieth of the integration: which steps are replayed depends on counts, not on clocks.
+Fresh daughters and contacts that form amplify whatever is wrong at the beginning of a coupling
+step, which no method can help and no estimate of a single internal step shows. So a run takes some
+of its coupling steps twice, the second time from shifted positions, whose end is compared with the
+first one and dropped. This takes at most a fiftieth of the integration; which steps are replayed
+depends on counted costs, not on clocks.
 """
 
 from __future__ import annotations

@@ -1,13 +1,10 @@
 """Check whether the fixed step of an explicit method stays below its limit of stability.
 
 Beyond stable / λ, with the largest decay rate λ of the motion, an explicit method makes the fastest
-motions grow instead of decay. Contacts that open bound that growth: cells then rattle about, and
-nothing else shows it. So λ is measured as a run begins, and again as often as a fiftieth of the
-counted cost allows. What has grown dominates the velocity v: |J v| / |v|, which is never above λ,
-is then near the limit itself. It costs an eighth and is evaluated that much more often; where it
-is near the limit λ is measured at once. A step that
-is beyond the limit at both ends of a coupling step is refused; one that is beyond it at one end
-only, as just after a division, is marked.
+motions grow, and contacts that open bound that growth: cells rattle about, and nothing else shows
+it. λ is measured as a run begins, and again as often as a fiftieth of the counted cost allows; |J
+v| / |v|, never above λ and an eighth of its cost, says when to look sooner. A step that is beyond
+the limit at both ends of a coupling step is refused; one at one end only is marked.
 """
 
 from __future__ import annotations

@@ -123,7 +123,7 @@ def history_arrays(rows: Iterable[Mapping[str, float]]) -> dict[str, NDArray[np.
     return {name: np.array([row[name] for row in rows], float) for name in rows[0]} if rows else {}
 
 
-def load_result(folder: str | Path, *, damaged: bool = False) -> Result:
+def load_result(folder: str | Path) -> Result:
     """Open the folder of a finished, interrupted or killed run.
 
     A killed run leaves no ``summary.json``: its summary is then taken from the last frame and
@@ -133,8 +133,6 @@ def load_result(folder: str | Path, *, damaged: bool = False) -> Result:
     ----------
     folder
         Of the run.
-    damaged
-        Open also a folder whose journal is damaged, with the frames before the damage.
 
     Raises
     ------
@@ -148,8 +146,7 @@ def load_result(folder: str | Path, *, damaged: bool = False) -> Result:
     from multicell.results.reader import Contents, Frames
 
     contents = Contents(folder)
-    if not damaged:
-        contents.whole()
+    contents.whole()
     frames = Frames(contents)
     summary = read_table(contents.folder / "summary.json")
     scene = recorded_scene(contents)

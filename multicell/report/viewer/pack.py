@@ -57,7 +57,6 @@ class Column:
     - ``values``: returns the column of a frame
     - ``words``: names of its numbers, for groups
     - ``plain``: whether the numbers are packed as they are, such as identities
-    - ``hidden``: whether the pointer leaves it out
     """
 
     name: str
@@ -67,7 +66,6 @@ class Column:
     values: Callable[[Frame], NDArray[Any]]
     words: Sequence[str] = ()
     plain: bool = False
-    hidden: bool = False
 
 
 @final
