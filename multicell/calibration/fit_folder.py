@@ -25,7 +25,7 @@ from multicell.results.start_copy import with_copy
 from multicell.scene.start_table import COPIES
 from multicell.studies.runs import MODEL_VERSION, canonical
 from multicell.tables.fields import Table
-from multicell.tables.text import csv_text
+from multicell.tables.text import csv_text, table_text
 
 if TYPE_CHECKING:
     from multicell.calibration.fitted import Fit
@@ -134,8 +134,7 @@ def write_result(fit: Fit, folder: Path) -> None:
     write_text(folder / "result.json", to_json({**fit.summary(), "versions": about}) + "\n")
     best = with_copy(fit.best.scene, folder)
     write_text(folder / "best.toml", best.to_toml(beside=folder))
-    rows = fit.rows()
-    write_text(folder / "residuals.csv", csv_text(rows[0], (row.values() for row in rows)))
+    write_text(folder / "residuals.csv", table_text(fit.rows()))
     if fit.sample is not None:
         frame = fit.posterior
         units = frame.attrs["units"]

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from multicell.comparison.files import Row, to_csv
+from multicell.comparison.files import Row
 from multicell.results.folder import file_errors, write_text
 from multicell.scene.scene import Scene
+from multicell.tables.text import table_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -60,7 +61,7 @@ class Comparison(ABC):
 
     def to_csv(self) -> str:
         """Return the table as CSV; NaN is written as ``nan``."""
-        return to_csv(self.table)
+        return table_text(self.table)
 
     def save(self, folder: str | Path) -> Path:
         """Write tables, pictures and ``report.html`` and return the page.
@@ -76,7 +77,7 @@ class Comparison(ABC):
         with file_errors("use the output folder", folder):
             folder.mkdir(parents=True, exist_ok=True)
         for name, rows in self.tables().items():
-            write_text(folder / name, to_csv(rows))
+            write_text(folder / name, table_text(rows))
         return write_page(
             folder / "report.html", self.template, scene=self.scene, result=self,
             pictures=self.pictures(), **self.page(),

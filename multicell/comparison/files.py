@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
-import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final
 
@@ -28,12 +26,3 @@ def prepare(output: str | Path | None, names: Iterable[str], overwrite: bool) ->
     """
     if output is not None:
         remove(make_folder(output, overwrite=overwrite), names)
-
-
-def to_csv(rows: Sequence[Row]) -> str:
-    """Return a table as CSV; NaN is written as ``nan``."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()
