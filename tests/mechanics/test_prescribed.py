@@ -240,7 +240,6 @@ def test_nothing_is_loaded_or_given_where_no_motion_is_prescribed():
     system.begin(Motion(radius, np.zeros(5), young, np.full(5, 0.5), 0.0, 4.0))
     assert system.prescribed is None
     assert system.at_end(position) is position
-    assert system.weighed_rows is system.rows
     assert not outside_force(system, 0.0, position).any()
 
 
