@@ -117,7 +117,7 @@ def record(
     - ``scene``: what to simulate; its own integrator is not used
     - ``integrator``: the method that moves the cells; of a sample it decides which states occur,
       and has no part in any error
-    - ``samples``: none for the whole run; or the number of steps of a step-wise problem, one from
+    - ``samples``: None for the whole run; or the number of steps of a step-wise problem, one from
       the middle of each of so many equal parts of the run (all steps if there are fewer)
     - ``cells``: cells to start from instead of the scene's initial ones
     - ``threads``: see :class:`multicell.simulation.Simulation`

@@ -46,7 +46,7 @@ class Contents:
     - ``places``, list: one entry for each frame
     - ``columns``, tuple of str: of the history
     - ``file``, hdf5.File or None
-    - ``journal``, journal.Reader or None: none also where the journal is part of ``frames.h5``
+    - ``journal``, journal.Reader or None: None also where the journal is part of ``frames.h5``
       already
     - ``identity``, str: of the journal, or an empty string
     - ``damage``, str or None: what ends the frames and the history early, in words

@@ -111,13 +111,7 @@ def observables(table: xr.Dataset) -> list[str]:
 
 
 def observable(table: xr.Dataset, name: str) -> xr.DataArray:
-    """Return a variable of the table.
-
-    Raises
-    ------
-    SceneError
-        If there is none of this name.
-    """
+    """Return a variable of the table; raises SceneError if there is none of this name."""
     known = observables(table)
     if name not in known:
         raise SceneError("", f"the study has no observable {name!r}", near_miss(name, known))
